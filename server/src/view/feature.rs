@@ -23,7 +23,7 @@ pub enum FeatureName {
 pub struct VectorName {
     /// Which feature.
     pub feature: VectorFeature,
-    /// Fields of the volume: the components along its axes x, y, z.
+    /// Fields of the volume, or expressions over them: the components along its axes x, y, z.
     pub components: [String; 3],
     name: String,
 }
@@ -39,7 +39,7 @@ impl VectorName {
         }
     }
 
-    /// `FEATURE(X,Y,Z)` of three fields; `None` where `name` does not begin so. Spaces around a name do not count.
+    /// `FEATURE(X,Y,Z)` of three fields or expressions; `None` where `name` does not begin so. Spaces around one do not count.
     fn find(name: &str, fields: &[&str]) -> Option<Result<Self, EditError>> {
         let (kind, rest) = name.split_once('(')?;
         let feature = *VectorFeature::ALL
@@ -49,15 +49,53 @@ impl VectorName {
         let Some(list) = rest.trim_end().strip_suffix(')') else {
             return refuse(format!("{name:?}, expected \")\" at its end"));
         };
-        let names: Vec<_> = list.split(',').map(str::trim).collect();
-        let Ok([x, y, z]) = <[&str; 3]>::try_from(names.as_slice()) else {
+        let is_field = |name: &&str| fields.contains(name);
+        let mut names: Vec<_> = list.split(',').map(str::trim).collect();
+        // A field's name may have any character, an expression commas between its parentheses.
+        if !names.iter().all(is_field) {
+            names = arguments(list);
+        }
+        let Ok(components) = <[&str; 3]>::try_from(names.as_slice()) else {
             return refuse(format!("{name:?} of {} fields, expected three", names.len()));
         };
-        match [x, y, z].into_iter().find(|field| !fields.contains(field)) {
-            Some(unknown) => refuse(format!("{name:?} of {unknown:?}, expected one of {}", quoted(fields))),
-            None => Some(Ok(Self::new(feature, [x, y, z].map(str::to_owned)))),
+        match components.into_iter().find_map(|component| fault_of(component, fields)) {
+            Some(why) => refuse(format!("{name:?} of {why}")),
+            None => Some(Ok(Self::new(feature, components.map(str::to_owned)))),
         }
     }
+}
+
+/// What stands between the commas of a list that are in no parentheses and no quotation marks.
+fn arguments(list: &str) -> Vec<&str> {
+    let (mut depth, mut quote) = (0i32, None);
+    let parts = list.split(|c: char| {
+        match (quote, c) {
+            (Some(end), _) if c == end => quote = None,
+            (Some(_), _) => {}
+            (None, '"' | '`') => quote = Some(c),
+            (None, '(') => depth += 1,
+            (None, ')') => depth -= 1,
+            _ => {}
+        }
+        c == ',' && depth == 0 && quote.is_none()
+    });
+    parts.map(str::trim).collect()
+}
+
+/// What is wrong with a component that is neither a field nor an expression over some.
+fn fault_of(component: &str, fields: &[&str]) -> Option<String> {
+    if fields.contains(&component) {
+        return None;
+    }
+    if FieldExpression::may_be(component) {
+        return FieldExpression::parse(component, fields, "feature")
+            .err()
+            .map(|error| error.why);
+    }
+    Some(format!(
+        "{component:?}, expected an expression or one of {}",
+        quoted(fields)
+    ))
 }
 
 impl FeatureName {
@@ -150,6 +188,30 @@ mod tests {
     const FIELDS: &[&str] = &["u", "v", "flow z", "divergence(a)"];
 
     #[test]
+    fn components_of_vectors_may_be_expressions() {
+        let name = "divergence(0.6*u - 0.8*v, max(u, v) ,\"flow z\" / 2)";
+        let found = FeatureName::find(name, FIELDS).expect("a feature");
+        let components = ["0.6*u - 0.8*v", "max(u, v)", "\"flow z\" / 2"];
+        assert_eq!(found.fields("p"), components);
+        assert_eq!(FeatureName::find(found.as_str(), FIELDS).expect("its own name"), found);
+        // A name that is like a call is one component all the same.
+        let odd = FeatureName::find("helicity(divergence(a),-u,v)", FIELDS).expect("a feature");
+        assert_eq!(odd.fields("p"), ["divergence(a)", "-u", "v"]);
+        for (name, words) in [
+            ("divergence(u, v + w, u)", "\"v + w\", character 5: no field \"w\""),
+            ("divergence(u, max(u, v))", "of 2 fields, expected three"),
+            (
+                "divergence(u, v, w)",
+                "of \"w\", expected an expression or one of \"u\"",
+            ),
+            ("divergence(u, (v, u)", "of 2 fields, expected three"),
+        ] {
+            let error = FeatureName::find(name, FIELDS).expect_err(name).to_string();
+            assert!(error.contains(words), "{name}: {error}");
+        }
+    }
+
+    #[test]
     fn vectors_are_named_by_their_components() {
         let found = FeatureName::find("divergence( u, v,flow z)", FIELDS).expect("a feature");
         assert_eq!(found.as_str(), "divergence(u,v,flow z)");
@@ -163,7 +225,7 @@ mod tests {
     fn what_is_wrong_with_a_vector_is_said() {
         let why = |name| FeatureName::find(name, FIELDS).expect_err("no feature").why;
         assert!(why("divergence(u,v)").contains("of 2 fields, expected three"));
-        assert!(why("divergence(u,v,q)").contains("of \"q\", expected one of"));
+        assert!(why("divergence(u,v,q)").contains("of \"q\", expected an expression or one of"));
         assert!(why("divergence(u,v,v").contains("expected \")\" at its end"));
         assert!(why("enstrophy(u,v,v)").contains("\"q-criterion(X,Y,Z)\""));
     }

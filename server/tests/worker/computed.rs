@@ -4,11 +4,12 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use isopeel::extraction::{DeviceWorker, describe_expression};
-use isopeel::view::View;
-use isopeel::volumes::{Field, VolumeStep};
+use isopeel::view::{FeatureName, View};
+use isopeel::volumes::{Field, FileLocation, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel_kernels::Samples;
 use tokio_util::sync::CancellationToken;
 
-use crate::{ALONE, Distance, dataset, field, view};
+use crate::{ALONE, Distance, SIDE, dataset, field, view};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn expressions_are_fields_and_features() {
@@ -75,6 +76,99 @@ async fn expressions_are_fields_and_features() {
         )
         .expect_err("no such field");
     assert!(error.to_string().contains("character 5: no field \"valu\""), "{error}");
+}
+
+/// A field by the place of a sample.
+#[derive(Debug)]
+struct Placed(fn([f32; 3]) -> f32);
+
+impl Source for Placed {
+    fn stored_bytes(&self) -> u64 {
+        4 * (SIDE * SIDE * SIDE) as u64
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        Vec::new()
+    }
+
+    fn read(&self, _: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        progress.add(self.stored_bytes());
+        let at = |i: usize| i as f32 - 19.5;
+        let sample = |i: usize| self.0([at(i % SIDE), at(i / SIDE % SIDE), at(i / SIDE / SIDE)]);
+        Ok(Samples::F32((0..SIDE * SIDE * SIDE).map(sample).collect()))
+    }
+}
+
+/// A vortex along z on a grid that is turned about z, by components along the world's axes: features are those of the vector where expressions
+/// turn them back.
+#[tokio::test(flavor = "multi_thread")]
+async fn expressions_turn_vectors_to_the_grid() {
+    fn swirl([x, y, _]: [f32; 3]) -> [f32; 2] {
+        let speed = 1.0 + (x * x + y * y) / 512.0;
+        [-y * speed, x * speed]
+    }
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let placed = |name: &str, value| Field {
+        source: Arc::new(Placed(value)),
+        ..field(name, &Arc::default())
+    };
+    let data = dataset(vec![
+        field("value", &Arc::default()),
+        placed("along x", |p| swirl(p)[0]),
+        placed("along y", |p| swirl(p)[1]),
+        placed("w", |_| 1.0),
+        // The same in the world, whose y is the grid's x: a quarter turn, and another one of which x is 0.6 and y 0.8.
+        placed("u4", |p| -swirl(p)[1]),
+        placed("v4", |p| swirl(p)[0]),
+        placed("u", |p| 0.6 * swirl(p)[0] - 0.8 * swirl(p)[1]),
+        placed("v", |p| 0.8 * swirl(p)[0] + 0.6 * swirl(p)[1]),
+    ]);
+    let step = VolumeStep::new(data.clone(), 0).expect("a step");
+    let token = CancellationToken::new();
+    for feature in [
+        "vorticity-magnitude",
+        "divergence",
+        "q-criterion",
+        "lambda2",
+        "helicity",
+    ] {
+        let range = async |components: &str| {
+            let name = FeatureName::find(&format!("{feature}({components})"), &data.field_names()).expect("a feature");
+            worker
+                .histogram(&step, "value", &name)
+                .await
+                .expect("a histogram")
+                .range
+        };
+        let aligned = range("along x,along y,w").await;
+        assert_eq!(range("v4,-u4,w").await, aligned, "{feature}");
+        let turned = range("0.6*u + 0.8*v, 0.6*v - 0.8*u, w").await;
+        let size = aligned[0].abs().max(aligned[1].abs());
+        for end in 0..2 {
+            assert!(
+                (turned[end] - aligned[end]).abs() <= 1e-4 * size.max(1.0),
+                "{feature}: {turned:?}, expected {aligned:?}"
+            );
+        }
+        let raw = range("u,v,w").await;
+        assert!(
+            (raw[1] - aligned[1]).abs() > 0.1 || (raw[0] - aligned[0]).abs() > 0.1,
+            "{feature}: {raw:?} without turning, {aligned:?} with it"
+        );
+        let triangles = async |components: &str| {
+            let json = format!(
+                r#"{{"field": "value", "iso": 11.25, "beta": 0.3, "alpha": 0.5, "feature": "{feature}({components})"}}"#
+            );
+            let made = worker.extract(&step, &view(&data, &json), u64::MAX, &token).await;
+            made.expect("a surface").surface.statistics.triangles
+        };
+        assert_eq!(
+            triangles("v4,-u4,w").await,
+            triangles("along x,along y,w").await,
+            "{feature}"
+        );
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
