@@ -1,67 +1,15 @@
 //! Truncated, changed and false files: they give an error or a volume, never a panic, and take no memory for what only the header claims.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::sync::{Arc, LazyLock};
-use std::time::{Duration, Instant};
 
 use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{Field, FileLocation, OpenedFile, ReadError, Samples, read_file};
-use isopeel_kernels::SampleType;
+use isopeel::volumes::{FileLocation, ReadError, Samples, read_file};
 use proptest::prelude::*;
 
+use crate::bounds::{load_within, within};
 use crate::write::{self, Volume};
 use crate::write_mrc::mrc;
 use crate::write_vtk;
-
-/// Counts the current and the maximum memory of the thread.
-struct Counting;
-
-thread_local! {
-    static HELD: Cell<isize> = const { Cell::new(0) };
-    static PEAK: Cell<isize> = const { Cell::new(0) };
-}
-
-fn count(bytes: isize) {
-    let held = HELD.get() + bytes;
-    HELD.set(held);
-    PEAK.set(PEAK.get().max(held));
-}
-
-// SAFETY: every call goes to the system's allocator unchanged; the counters are plain cells without destructors.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count(layout.size() as isize);
-        // SAFETY: the caller's contract is the system's.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        count(layout.size() as isize);
-        // SAFETY: the caller's contract is the system's.
-        unsafe { System.alloc_zeroed(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        count(-(layout.size() as isize));
-        // SAFETY: the caller's contract is the system's.
-        unsafe { System.dealloc(at, layout) }
-    }
-
-    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        // Old and new exist together while the system copies.
-        count(size as isize);
-        count(-(layout.size() as isize));
-        // SAFETY: the caller's contract is the system's.
-        unsafe { System.realloc(at, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// Buffers of fixed size: header, decoder, one decoded piece.
-const FIXED: isize = 16 << 20;
 
 #[derive(Clone, Debug)]
 struct Case {
@@ -219,57 +167,6 @@ pub fn read(files: &[(&'static str, Vec<u8>)], limit: usize) -> Result<Read, Rea
             steps,
         })
     })
-}
-
-thread_local! {
-    /// All that a test's thread decodes in parallel is decoded by itself, so that its memory is counted.
-    static ON_THIS_THREAD: rayon::ThreadPool = rayon::ThreadPoolBuilder::new()
-        .num_threads(1)
-        .use_current_thread()
-        .build()
-        .unwrap();
-}
-
-/// A time step of a field, with at most twice the memory that the header declares for all of the array. Floats may be stored as doubles.
-fn load_within(file: &OpenedFile, field: &Field, step: u32) -> Result<Samples, ReadError> {
-    let width = match field.sample_type {
-        SampleType::F32 => 8,
-        other => other.bytes() as u64,
-    };
-    let arrays = u64::from(file.steps) * file.fields.len() as u64;
-    let declared = file.geometry.sample_count() * arrays * width;
-    let before = HELD.get();
-    let outer = PEAK.replace(before);
-    let samples = field.source.load(step);
-    let used = PEAK.get() - before;
-    assert!(
-        used <= FIXED + 2 * declared as isize,
-        "{used} bytes for {declared} that are declared"
-    );
-    PEAK.set(outer.max(PEAK.get()));
-    samples
-}
-
-/// What `work` returns, which may take a second and hold `limit` bytes beyond the fixed buffers.
-pub fn within<R>(limit: usize, work: impl FnOnce() -> R) -> R {
-    ON_THIS_THREAD.with(|_| ());
-    let start = own_time();
-    let before = HELD.get();
-    PEAK.set(before);
-    let result = work();
-    let used = PEAK.get() - before;
-    assert!(used <= FIXED + limit as isize, "{used} bytes");
-    let took = own_time().saturating_sub(start);
-    assert!(took < Duration::from_secs(1), "took {took:?}");
-    result
-}
-
-/// Time that the thread has run, whatever else the machine does; where the system does not say it, that of the clock.
-fn own_time() -> Duration {
-    static START: LazyLock<Instant> = LazyLock::new(Instant::now);
-    let stated = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let nanoseconds = stated.and_then(|text| text.split_whitespace().next()?.parse().ok());
-    nanoseconds.map_or_else(|| START.elapsed(), Duration::from_nanos)
 }
 
 /// Plain samples may become 8 times their size at most (u8 with a scale, twice), and a few steps are held at once.

@@ -1,5 +1,6 @@
 //! The readers from outside: round trips, real files, folders and catalogs, and false files.
 
+mod bounds;
 mod catalog;
 mod dicom;
 mod fixtures;
@@ -7,6 +8,8 @@ mod formats;
 mod hostile;
 mod mrc;
 mod mutated;
+mod nifti;
+mod nrrd;
 mod pieces;
 mod precomputed;
 mod remote;
@@ -14,6 +17,7 @@ mod stores;
 mod tiff;
 mod times;
 mod variables;
+mod vtk;
 mod watch;
 mod write;
 mod write_mrc;

@@ -6,7 +6,8 @@ use std::path::Path;
 use isopeel::volumes::{Dataset, LengthUnit, ReadError, open_dataset};
 use proptest::prelude::*;
 
-use crate::hostile::{mutations, within};
+use crate::bounds::within;
+use crate::hostile::mutations;
 use crate::stores::{self, StoredFile, files, fixture};
 use crate::write::gzip;
 

@@ -1,0 +1,85 @@
+//! NIfTI: round trips, scales, affines.
+
+use isopeel::volumes::{Frame, OpenedFile, Samples};
+
+use crate::formats::{DIMS, all, open, same, same_placed};
+use crate::write::{self, KINDS, Volume};
+
+/// NIfTI's own frame, which is not the one that files are opened in.
+fn ras(file: OpenedFile) -> OpenedFile {
+    assert_eq!(file.geometry.frame, Frame::Lps);
+    OpenedFile {
+        geometry: file.geometry.in_frame(Frame::Ras),
+        ..file
+    }
+}
+
+#[test]
+fn nifti_round_trips() {
+    for v in all() {
+        let plain = write::nifti(&v, |_| {});
+        let what = format!("{:?} big {}", v.kind, v.big);
+        same_placed(&ras(open("a.nii", plain.clone()).unwrap()), &v, &what);
+        same_placed(&ras(open("a.nii.gz", write::gzip(&plain)).unwrap()), &v, &what);
+        same_placed(
+            &ras(open("a.nii", write::gzip(&plain)).unwrap()),
+            &v,
+            "gzip without its name",
+        );
+        let what = format!("NIfTI-2 {what}");
+        same_placed(&ras(open("a.nii", write::nifti2(&v)).unwrap()), &v, &what);
+    }
+}
+
+#[test]
+fn nifti_scale_makes_f32() {
+    for kind in KINDS {
+        let v = Volume::new(DIMS, 1, kind, true);
+        let file = write::nifti(&v, |h| {
+            h.f32(112, 0.5);
+            h.f32(116, -10.0);
+        });
+        let samples = open("a.nii", file).unwrap().fields[0].source.load(0).unwrap();
+        let expected: Vec<f32> = v.values.iter().map(|&v| v as f32 * 0.5 - 10.0).collect();
+        assert_eq!(samples, Samples::F32(expected), "{kind:?}");
+    }
+    // No scale: a slope of 0, and the identity.
+    for (slope, inter) in [(0.0, 5.0), (1.0, 0.0), (f32::NAN, 1.0)] {
+        let v = Volume::new(DIMS, 1, ('u', 1), false);
+        let file = write::nifti(&v, |h| {
+            h.f32(112, slope);
+            h.f32(116, inter);
+        });
+        same(&open("a.nii", file).unwrap(), &v, "no scale");
+    }
+}
+
+#[test]
+fn nifti_affines() {
+    let v = Volume::new(DIMS, 1, ('u', 1), false);
+    let opened = |edit: &dyn Fn(&mut write::Nifti)| open("a.nii", write::nifti(&v, |h| edit(h))).unwrap();
+    let with = |edit: &dyn Fn(&mut write::Nifti)| ras(opened(edit)).geometry;
+    // sform that mirrors x: stays mirrored.
+    let g = with(&|h| h.f32(280, -0.5));
+    assert_eq!((g.spacing, g.direction[0]), ([0.5, 1.25, 2.0], [-1.0, 0.0, 0.0]));
+    // qform: a quarter turn about z, with and without the mirrored third axis.
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    for (handed, z) in [(1.0, 1.0), (-1.0, -1.0)] {
+        let g = with(&|h| {
+            h.i16(252, 1);
+            h.i16(254, 0);
+            h.f32(76, handed);
+            h.f32(264, half);
+            h.f32(268, 7.0);
+        });
+        assert_eq!((g.spacing, g.origin), ([0.5, 1.25, 2.0], [7.0, 0.0, 0.0]));
+        let expected = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, z]];
+        for (axis, expected) in g.direction.iter().flatten().zip(expected.iter().flatten()) {
+            assert!((axis - expected).abs() < 1e-6, "{:?}", g.direction);
+        }
+    }
+    // Neither: pixdim alone, of axes that nobody knows.
+    let g = opened(&|h| h.i16(254, 0)).geometry;
+    assert_eq!(g.frame, Frame::World);
+    assert_eq!((g.spacing, g.origin, g.is_axis_aligned()), (v.spacing, [0.0; 3], true));
+}
