@@ -11,7 +11,7 @@ use ts_rs::{Config, TS, TypeVisitor};
 
 use crate::extraction::VolumeInfo;
 use crate::problem::Problem;
-use crate::rest::VolumeSummary;
+use crate::rest::{EmbedInfo, SessionInfo, VolumeSummary};
 use crate::uploads::UploadList;
 use crate::view::FieldExpression;
 use crate::wire::messages::{ClientMessage, SUBPROTOCOL, ServerMessage};
@@ -83,6 +83,8 @@ fn generate() -> String {
     declarations.visit::<VolumeSummary>();
     declarations.visit::<Problem>();
     declarations.visit::<UploadList>();
+    declarations.visit::<SessionInfo>();
+    declarations.visit::<EmbedInfo>();
     let constants = [
         (
             "Levels are 0 (finest) to `LEVELS` - 1.",

@@ -85,7 +85,7 @@ test("a page around asks, changes, moves and takes pictures", { ...MORE, timeout
   assert.equal(await refused({ type: "set", link: "volume=head" }), 'there is no volume "head". There are: bumpy');
   assert.equal(await refused({ type: "set", link: "volume=bumpy&iso=high" }), "This link's “iso” is \"high\", expected a number");
   assert.match(await refused({ type: "change", values: { isovalue: 3 } }), /^A link has no “isovalue”\. It has: v, volume/);
-  assert.equal(await refused({ type: "jump" }), 'type is "jump", expected one of get, set, change, camera, image');
+  assert.equal(await refused({ type: "jump" }), 'type is "jump", expected one of get, set, change, camera, image, token');
   // What the server refuses comes as an event.
   await ask({ type: "set", link: "volume=bumpy&alpha=7" });
   assert.match((await heard("error")).message, /alpha/);

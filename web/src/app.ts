@@ -14,6 +14,7 @@ import { Framing } from "./wiring/framing";
 import { Later } from "./wiring/later";
 import { linkState, unknownVolumeText } from "./wiring/linking";
 import { whenReleased } from "./wiring/gesture";
+import { streamAddress } from "./net/credentials";
 import { StreamClient } from "./net/streamClient";
 import { Marks } from "./wiring/marks";
 import { Outputs } from "./wiring/outputs";
@@ -103,10 +104,10 @@ export class App {
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
     this.model.onGpu = this.scene.onGpu;
     if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) this.player.slow();
-    this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes));
+    this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes), () => this.embedding?.refused());
     this.uploads = new FileUploads(this.store, this.model, this.base, () => this.connecting.loadVolumes());
     const { store, model, scene, framing, pipeline, client } = this;
-    const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link) };
+    const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link), base, reconnect: () => client.reconnect() };
     this.together = this.makeTogether(viewport);
     if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
     showPage(root, this.model, viewport, this.store.isEmbedded);
@@ -197,7 +198,7 @@ export class App {
   private makeClient(): StreamClient {
     const url = new URL("api/v1/stream", this.base);
     url.protocol = this.base.protocol === "https:" ? "wss:" : "ws:";
-    return new StreamClient(url.href, {
+    return new StreamClient(() => streamAddress(url), {
       onState: (state, reason) => {
         this.update({ type: "connection", state });
         this.connecting.changed(state, reason);

@@ -35,6 +35,7 @@ describe("requests", () => {
     expect(read({ type: "get" })).toEqual({ type: "get" });
     expect(read({ type: "set", link: "http://a.example/#v=1&volume=head" })).toEqual({ type: "set", link: "v=1&volume=head" });
     expect(read({ type: "change", values: { iso: 300, color: "error", share: null } })).toEqual({ type: "change", values: new Map([["iso", "300"], ["color", "error"], ["share", null]]) });
+    expect(read({ type: "token", token: "isop_abc_d-e" })).toEqual({ type: "token", token: "isop_abc_d-e" });
     expect(read({ type: "camera" })).toEqual({ type: "camera", to: undefined });
     expect(read({ type: "camera", view: "+x" })).toEqual({ type: "camera", to: "+x" });
     expect(read({ type: "camera", position: [1, 2, 3], target: [0, 0, 0] })).toEqual({ type: "camera", to: { position: [1, 2, 3], target: [0, 0, 0] } });
@@ -47,9 +48,9 @@ describe("requests", () => {
     [{ isopeel: 2, type: "get" }, "isopeel is 2, expected 1, the version of these messages"],
     [{ id: undefined, type: "get" }, "id is undefined, expected a number or a text, which the answer repeats"],
     [{ id: {}, type: "get" }, "id is {}, expected a number or a text, which the answer repeats"],
-    [{ type: "fetch" }, 'type is "fetch", expected one of get, set, change, camera, image'],
-    [{ type: "toString" }, 'type is "toString", expected one of get, set, change, camera, image'],
-    [{}, "type is undefined, expected one of get, set, change, camera, image"],
+    [{ type: "fetch" }, 'type is "fetch", expected one of get, set, change, camera, image, token'],
+    [{ type: "toString" }, 'type is "toString", expected one of get, set, change, camera, image, token'],
+    [{}, "type is undefined, expected one of get, set, change, camera, image, token"],
     [{ type: "get", iso: 3 }, 'get has no field "iso". It has: none'],
     [{ type: "set", hash: "" }, 'set has no field "hash". It has: link'],
     [{ type: "set" }, "link is undefined, expected a text"],
@@ -62,6 +63,9 @@ describe("requests", () => {
     [{ type: "camera", position: [1, 2, 3] }, "target is undefined, expected three numbers"],
     [{ type: "camera", position: [1, 2, "3"], target: [0, 0, 0] }, 'position is [1,2,"3"], expected three numbers'],
     [{ type: "camera", position: [0, 0, 0], target: [0, 0, 0] }, "position and target are the same place: there is no direction to look in"],
+    [{ type: "token" }, "token is none, expected the text that POST /api/v1/embed-tokens has answered with"],
+    [{ type: "token", token: "isop_a b" }, "token is none, expected the text that"],
+    [{ type: "token", token: "a".repeat(1025) }, "token is none, expected the text that"],
     [{ type: "image", scale: 9 }, "scale is 9, expected a number, 1 to 4"],
     [{ type: "image", transparent: "yes" }, 'transparent is "yes", expected true or false'],
     [{ type: "image", caption: "a".repeat(301) }, "caption has 301 characters, expected at most 300"],
@@ -128,7 +132,7 @@ describe("the line to the page around", () => {
     say(get);
     await turn();
     expect(sent.map(({ message }) => [message["id"], message["ok"], message["error"]])).toEqual([
-      [5, false, 'type is "jump", expected one of get, set, change, camera, image'],
+      [5, false, 'type is "jump", expected one of get, set, change, camera, image, token'],
       [null, false, "id is undefined, expected a number or a text, which the answer repeats"],
       ["a", false, "there is no surface yet"],
     ]);
@@ -165,6 +169,9 @@ describe("the line to the page around", () => {
       return sent.map(({ to }) => to);
     };
     const unknown = frame();
+    // Those that the server names and the address too, never all.
+    unknown.port.emit({ type: "token", reason: "wanted" }, [FRIEND, "https://other.example"]);
+    expect(unknown.sent).toEqual([{ to: FRIEND, message: { isopeel: 1, type: "token", reason: "wanted" } }]);
     expect(told(unknown.port, unknown.sent)).toEqual([OWN, FRIEND]);
     unknown.say(get);
     await unknown.turn();

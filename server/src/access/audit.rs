@@ -34,6 +34,8 @@ pub(super) enum Event {
     Stream,
     /// A ticket was asked for.
     Ticket,
+    /// A token for a frame was asked for.
+    EmbedToken,
     /// A surface was asked for as a file.
     Export,
     /// A batch job was submitted.
@@ -214,6 +216,7 @@ fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
         (["session"], &Method::POST) | (["oidc", "callback"], _) => (Event::SignIn, None),
         (["session"], &Method::DELETE) => (Event::SignOut, None),
         (["tickets"], &Method::POST) => (Event::Ticket, None),
+        (["embed-tokens"], &Method::POST) => (Event::EmbedToken, None),
         (["stream"], _) => (Event::Stream, None),
         (["extract"], &Method::POST) => (Event::Export, None),
         (["jobs"], &Method::POST) => (Event::JobSubmit, None),

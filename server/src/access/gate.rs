@@ -135,6 +135,10 @@ impl Access {
     pub fn exchange(&self, token: &str) -> Result<Option<HeaderValue>, ApiError> {
         let Some(proofs) = &self.proofs else { return Ok(None) };
         let who = proofs.of_token(token).ok_or_else(unauthorized)?;
+        if who.is_lent() {
+            let message = "this token is lent, for minutes: expected `Authorization: Bearer` with each request, as there is no cookie for it";
+            return Err(ApiError::new(StatusCode::FORBIDDEN, "lent-token", message));
+        }
         Ok(Some(self.cookie.of(token, &who)))
     }
 
@@ -330,6 +334,9 @@ mod tests {
             (&get, "/api/v1/volumes/head", "view edit export admin"),
             (&get, "/api/v1/volumes/head/slices", "view edit admin"),
             (&get, "/api/v1/stream", "view edit admin"),
+            (&post, "/api/v1/embed-tokens", "view edit admin"),
+            (&get, "/api/v1/embed", "view edit export upload push admin"),
+            (&post, "/api/v1/embed", "admin"),
             (&post, "/api/v1/extract", "export admin"),
             (&post, "/api/v1/jobs", "export admin"),
             (&get, "/api/v1/jobs/1/results/0", "export admin"),

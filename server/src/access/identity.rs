@@ -37,6 +37,24 @@ enum Holds {
     Named(Arc<NamedToken>, watch::Receiver<Arc<NamedTokens>>),
     /// Until the session ends.
     SignedIn(SignedIn),
+    /// For minutes, and no longer than the token that it was made with.
+    Lent(Lent),
+}
+
+/// Somebody's token, for somebody else. Clones are the same.
+#[derive(Clone, Debug)]
+pub(super) struct Lent {
+    pub id: Arc<str>,
+    pub roles: Roles,
+    /// In seconds of Unix time.
+    pub expires: u64,
+    pub lender: Arc<Identity>,
+}
+
+impl Lent {
+    pub(super) fn is_valid(&self) -> bool {
+        now() < self.expires && self.lender.is_valid()
+    }
 }
 
 impl Identity {
@@ -74,6 +92,16 @@ impl Identity {
         }
     }
 
+    /// Somebody who was lent a token: what they see is the lender's.
+    pub(super) fn of_lent(lent: Lent) -> Self {
+        Self {
+            user: Arc::clone(&lent.lender.user),
+            token: Arc::clone(&lent.id),
+            roles: lent.roles,
+            holds: Holds::Lent(lent),
+        }
+    }
+
     /// Whose token it is: what they own is theirs with another token too.
     pub fn user(&self) -> &str {
         &self.user
@@ -87,6 +115,25 @@ impl Identity {
     /// Whether the token is one of the state folder.
     pub(super) fn is_named(&self) -> bool {
         matches!(self.holds, Holds::Named(..))
+    }
+
+    /// Whether the token was lent.
+    pub(super) fn is_lent(&self) -> bool {
+        matches!(self.holds, Holds::Lent(..))
+    }
+
+    /// After how many seconds the token is of no use any more; `None` where that is not known.
+    pub fn expires_seconds(&self) -> Option<u64> {
+        let expires = match &self.holds {
+            Holds::Always => return None,
+            Holds::Named(token, _) => token.expires?,
+            Holds::SignedIn(session) => session.expires,
+            Holds::Lent(lent) => {
+                let own = lent.expires.saturating_sub(now());
+                return Some(lent.lender.expires_seconds().map_or(own, |seconds| seconds.min(own)));
+            }
+        };
+        Some(expires.saturating_sub(now()))
     }
 
     /// What they may do.
@@ -113,6 +160,7 @@ impl Identity {
                 is_there && !token.has_expired(now())
             }
             Holds::SignedIn(session) => session.is_valid(),
+            Holds::Lent(lent) => lent.is_valid(),
         }
     }
 
@@ -127,6 +175,19 @@ impl Identity {
                         () = session.ended.cancelled() => {}
                         () = tokio::time::sleep(LOOK) => {}
                     }
+                }
+                return;
+            }
+            Holds::Lent(lent) => {
+                let lender = Box::pin(lent.lender.ended());
+                let own = async {
+                    while lent.is_valid() {
+                        tokio::time::sleep(LOOK).await;
+                    }
+                };
+                tokio::select! {
+                    () = lender => {}
+                    () = own => {}
                 }
                 return;
             }

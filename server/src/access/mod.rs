@@ -1,12 +1,13 @@
 //! Who may use the server. Each request passes the `gate`: it is for the server's own names alone (`host`), comes from a page of its own
 //! origin or an allowed one (`origin`), and shows (`proof`) a `token`, that of the server's start or one of the state folder (`named`, `watched`), whose
-//! owner (`identity`) may do what it asks for (`role`), or a session (`signed_in`) that an issuer of OpenID Connect (`oidc`, `sign_in`) has led to; for a stream also a `ticket`, that somebody with a token has asked for. How often it may be asked for is a matter of
+//! owner (`identity`) may do what it asks for (`role`) or has `lent` some of it, or a session (`signed_in`) that an issuer of OpenID Connect (`oidc`, `sign_in`) has led to; for a stream also a `ticket`, that somebody with a token has asked for. How often it may be asked for is a matter of
 //! `rate`, of its token and of the `peer` that it comes from; what was done and what refused is in the `audit` log. What browsers may do with the server's own pages is its `policy`.
 
 mod audit;
 pub mod gate;
 mod host;
 mod identity;
+mod lent;
 mod named;
 mod oidc;
 mod origin;
@@ -27,6 +28,7 @@ use std::sync::Arc;
 pub use audit::{Audit, AuditError};
 pub use host::PublicUrl;
 pub use identity::{Identity, OPERATOR};
+pub use lent::{DEFAULT_SECONDS as DEFAULT_LENT_SECONDS, LendError};
 pub use named::{NamedToken, NewToken, TokenFile, TokenFileError};
 pub use oidc::{GroupRoles, Oidc, OidcError, OidcOptions};
 pub use origin::AllowedOrigin;
@@ -152,6 +154,11 @@ impl Access {
     pub fn with_frames(mut self, frames: &[AllowedOrigin]) -> Self {
         self.frames = frames.into();
         self
+    }
+
+    /// Origins whose pages may have the viewer in a frame, beside its own.
+    pub fn frame_origins(&self) -> impl Iterator<Item = &AllowedOrigin> {
+        self.origins.iter().chain(&*self.frames)
     }
 
     /// Origins whose pages may use the server, beside its own.

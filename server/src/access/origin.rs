@@ -31,6 +31,13 @@ impl FromStr for AllowedOrigin {
     }
 }
 
+impl std::fmt::Display for AllowedOrigin {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // It was text that is a header.
+        f.write_str(self.0.to_str().unwrap_or_default())
+    }
+}
+
 impl AllowedOrigin {
     /// As browsers send it.
     pub fn header(&self) -> HeaderValue {

@@ -11,7 +11,7 @@ const CONTENT: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval';
 
 /// The `Content-Security-Policy` of all answers. Pages that may use the server may have it in a frame, and those of `--embed-origin`.
 pub fn content_security_policy(access: &Access) -> HeaderValue {
-    let origins = access.origins.iter().chain(&*access.frames).map(AllowedOrigin::header);
+    let origins = access.frame_origins().map(AllowedOrigin::header);
     let mut policy = CONTENT.as_bytes().to_vec();
     for origin in origins {
         policy.push(b' ');

@@ -7,6 +7,7 @@ use axum::http::header::{AUTHORIZATION, COOKIE, HeaderMap};
 use tokio::sync::watch;
 
 use super::identity::Identity;
+use super::lent::LentTokens;
 use super::named::{NamedToken, NamedTokens, now};
 use super::signed_in::Sessions;
 use super::token::{Hash, Token, cookie_value, id_of};
@@ -35,6 +36,8 @@ pub(super) struct Proofs {
     named: Option<watch::Receiver<Arc<NamedTokens>>>,
     /// Sessions of those who have signed in by an issuer.
     sessions: Sessions,
+    /// Tokens that others have lent, for minutes.
+    lent: LentTokens,
 }
 
 impl Proofs {
@@ -45,12 +48,18 @@ impl Proofs {
             start: Identity::of_start("start"),
             named: None,
             sessions: Sessions::default(),
+            lent: LentTokens::default(),
         }
     }
 
     /// Sessions of those who have signed in.
     pub(super) fn sessions(&self) -> &Sessions {
         &self.sessions
+    }
+
+    /// Tokens that were lent.
+    pub(super) fn lent(&self) -> &LentTokens {
+        &self.lent
     }
 
     pub(super) fn add_named(&mut self, named: watch::Receiver<Arc<NamedTokens>>) {
@@ -62,7 +71,9 @@ impl Proofs {
         if self.token.is_of(token) {
             return Some(self.start.clone());
         }
-        self.of_named(id_of(token)?, |named| named.sha256.is_of(token))
+        let id = id_of(token)?;
+        let named = self.of_named(id, |named| named.sha256.is_of(token));
+        named.or_else(|| self.lent.find(id, token).map(Identity::of_lent))
     }
 
     /// Whose cookie this is.

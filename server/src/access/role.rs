@@ -5,9 +5,11 @@ use std::str::FromStr;
 
 use axum::http::Method;
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 /// A part of what the server does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
     /// Open volumes and look at them.
@@ -132,13 +134,15 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
     let parts: Vec<&str> = rest.split('/').collect();
     match parts[..] {
         ["openapi.json"] => Need::Nothing,
+        // Whose pages may have a frame, as the policy of each answer has it.
+        ["embed"] if *method == Method::GET => Need::Nothing,
         // Where a token is shown for the first time.
         ["session"] if *method == Method::POST => Need::Nothing,
         // By which somebody comes to a session.
         ["oidc"] | ["oidc", "login" | "callback"] if *method == Method::GET => Need::Nothing,
         ["session"] => Need::Token,
         ["volumes"] | ["volumes", _] => Need::OneOf(&[View, Export]),
-        ["volumes", _, "slices" | "expression"] | ["stream"] | ["tickets"] => Need::OneOf(&[View]),
+        ["volumes", _, "slices" | "expression"] | ["stream"] | ["tickets"] | ["embed-tokens"] => Need::OneOf(&[View]),
         ["extract"] | ["jobs", ..] => Need::OneOf(&[Export]),
         ["uploads", ..] => Need::OneOf(&[Upload]),
         _ => Need::OneOf(&[Admin]),

@@ -25,7 +25,7 @@ pub(super) struct SignedIn {
     /// For logs; says nothing about the secret.
     pub name: Arc<str>,
     /// In seconds of Unix time.
-    expires: u64,
+    pub expires: u64,
     pub ended: CancellationToken,
 }
 

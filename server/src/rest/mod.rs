@@ -3,6 +3,7 @@
 //! Handlers check the request, call catalog or extraction, and make the answer. Every error is an [`ApiError`], a problem document with
 //! a stable code.
 
+mod embed;
 mod error;
 mod extract;
 mod health;
@@ -35,8 +36,10 @@ use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+pub use embed::EmbedInfo;
 pub use extract::{ExtractRequest, STATISTICS_HEADER};
 pub use jobs::{DIGEST_HEADER, KEY_HEADER};
+pub use session::SessionInfo;
 pub use slices::SLICE_HEADER;
 pub use uploads::{LENGTH_HEADER, OFFSET_HEADER, TUS_HEADER};
 pub use volumes::VolumeSummary;
@@ -134,6 +137,8 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(oidc::login))
         .routes(routes!(oidc::callback))
         .routes(routes!(tickets::issue))
+        .routes(routes!(embed::show))
+        .routes(routes!(embed::lend))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(health::memory))

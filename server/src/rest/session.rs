@@ -5,10 +5,11 @@ use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::ApiState;
+use crate::access::{Identity, Role};
 use crate::problem::{ApiError, Problem};
 
 /// What a page shows to be let in.
@@ -48,16 +49,31 @@ pub async fn begin(
     Ok(response)
 }
 
-/// Whether the client may use the server.
+/// What the client may do.
+#[derive(Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct SessionInfo {
+    /// All that it may do: `edit` has `view` beside it, and `admin` all.
+    roles: Vec<Role>,
+    /// Seconds after which its token is of no use any more; `null`: there is no such time.
+    expires_seconds: Option<u64>,
+}
+
+/// Whether the client may use the server, for what, and for how long.
 #[utoipa::path(
     get,
     path = "/api/v1/session",
     tag = "session",
     responses(
-        (status = 204, description = "It may"),
+        (status = 200, description = "It may", body = SessionInfo),
         (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn check() -> StatusCode {
-    StatusCode::NO_CONTENT
+pub async fn check(who: Identity) -> Response {
+    let info = SessionInfo {
+        roles: Role::ALL.into_iter().filter(|&role| who.may(role)).collect(),
+        expires_seconds: who.expires_seconds(),
+    };
+    ([(header::CACHE_CONTROL, "no-store")], Json(info)).into_response()
 }

@@ -8,6 +8,8 @@ export type HostEvent =
   | { readonly type: "ready"; readonly volumes: readonly { readonly id: string; readonly title: string }[] }
   /** The final surface is on screen. */
   | ({ readonly type: "settled" } & PageState)
+  /** A token is asked for: there is none, or none that the server takes any more, or none soon. */
+  | { readonly type: "token"; readonly reason: "wanted" | "expiring" | "expired" }
   /** A message to the user about something that failed. */
   | { readonly type: "error"; readonly message: string };
 
@@ -38,27 +40,28 @@ export class HostPort {
 
   /**
    * @param around origin of the page around, where the browser tells it
-   * @param answer what a request is answered with; where it throws, its message
+   * @param answer what a request of an origin is answered with; where it throws, its message
    */
   constructor(
     private readonly page: PageWindow,
     private readonly origins: readonly string[],
     around: string | undefined,
-    private readonly answer: (request: HostRequest) => unknown,
+    private readonly answer: (request: HostRequest, origin: string) => unknown,
   ) {
     this.host = around;
     if (this.isFramed) page.addEventListener("message", (event) => void this.receive(event));
   }
 
   /** A page in no frame is its own parent: it would answer itself without end. */
-  private get isFramed(): boolean {
+  get isFramed(): boolean {
     return (this.page.parent as unknown) !== this.page;
   }
 
-  emit(event: HostEvent): void {
+  /** @param among to pages of these origins alone, of those that may speak */
+  emit(event: HostEvent, among: readonly string[] = this.origins): void {
     if (!this.isFramed) return;
     // Sent to another origin, the browser would only complain on its console.
-    const targets = this.host === undefined ? this.origins : this.origins.filter((origin) => origin === this.host);
+    const targets = this.origins.filter((origin) => among.includes(origin) && (this.host === undefined || origin === this.host));
     for (const origin of targets) this.page.parent.postMessage({ isopeel: VERSION, ...event }, origin);
   }
 
@@ -75,7 +78,7 @@ export class HostPort {
     if (this.pending >= MAX_PENDING) return send({ ok: false, error: `${MAX_PENDING} requests are under way, and no more are taken: wait for their answers` });
     this.pending += 1;
     try {
-      send({ ok: true, value: await this.answer(readRequest(data)) });
+      send({ ok: true, value: await this.answer(readRequest(data), origin) });
     } catch (error) {
       send({ ok: false, error: error instanceof Error ? error.message : String(error) });
     } finally {

@@ -10,6 +10,8 @@ const VIEWS = ["home", "fit", "+x", "-x", "+y", "-y", "+z", "-z"] as const;
 /** The longest text of a link: what the server takes as one message. */
 const LONGEST_LINK = 64 << 10;
 const LONGEST_CAPTION = 300;
+/** The server's own are 62 characters; one of a file may be longer. */
+const LONGEST_TOKEN = 1024;
 
 /** What an image shows besides the surface, as the page's own card asks for it. */
 interface ImageRequest {
@@ -29,7 +31,9 @@ export type HostRequest =
   | { readonly type: "change"; readonly values: ReadonlyMap<string, string | null> }
   /** Where the camera is, or shall be. */
   | { readonly type: "camera"; readonly to: Pose | (typeof VIEWS)[number] | undefined }
-  | { readonly type: "image"; readonly image: ImageRequest };
+  | { readonly type: "image"; readonly image: ImageRequest }
+  /** To be shown to the server from now on. */
+  | { readonly type: "token"; readonly token: string };
 
 /** What the answer names, so that the other page knows to what it belongs. */
 export type RequestId = string | number;
@@ -71,6 +75,7 @@ const READERS: Readonly<Record<HostRequest["type"], { readonly names: readonly s
   change: { names: ["values"], read: ({ values }) => ({ type: "change", values: readValues(values) }) },
   camera: { names: ["position", "target", "view"], read: readCamera },
   image: { names: ["scale", "transparent", "colorBar", "scaleBar", "isovalues", "caption"], read: readImage },
+  token: { names: ["token"], read: readToken },
 };
 
 function readValues(values: unknown): ReadonlyMap<string, string | null> {
@@ -121,6 +126,14 @@ function readImage({ scale = 1, transparent = false, colorBar = true, scaleBar =
       caption: text("caption", caption, LONGEST_CAPTION),
     },
   };
+}
+
+/** What was sent is not repeated in an error, as it may be most of a token. */
+function readToken({ token }: Fields): HostRequest {
+  if (typeof token !== "string" || token.length > LONGEST_TOKEN || !/^[\x21-\x7e]+$/.test(token)) {
+    throw new RequestError("token is none, expected the text that POST /api/v1/embed-tokens has answered with");
+  }
+  return { type: "token", token };
 }
 
 function text(name: string, value: unknown, longest: number): string {

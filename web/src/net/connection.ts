@@ -39,9 +39,12 @@ export class Connection {
   private openedAt = Infinity;
   private stopped = false;
   private sent = 0;
+  /** Counts the addresses that were asked for: an earlier one is of no use any more. */
+  private attempt = 0;
 
+  /** @param address where the next socket is opened; rejected where there is no such address now */
   constructor(
-    private readonly url: string,
+    private readonly address: () => string | Promise<string>,
     private readonly handlers: ConnectionHandlers,
   ) {}
 
@@ -87,7 +90,18 @@ export class Connection {
   private connect(): void {
     this.timer = undefined;
     this.handlers.onState("connecting", undefined);
-    const socket = new WebSocket(this.url, SUBPROTOCOL);
+    const address = this.address();
+    if (typeof address === "string") return this.open(address);
+    const attempt = (this.attempt += 1);
+    const isCurrent = () => !this.stopped && this.attempt === attempt;
+    address.then(
+      (found) => isCurrent() && this.open(found),
+      () => isCurrent() && this.retry(undefined),
+    );
+  }
+
+  private open(address: string): void {
+    const socket = new WebSocket(address, SUBPROTOCOL);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     // Events of a socket that was closed are ignored.
@@ -125,6 +139,7 @@ export class Connection {
   private drop(): void {
     const socket = this.socket;
     this.socket = undefined;
+    this.attempt += 1;
     socket?.close(1000);
   }
 }

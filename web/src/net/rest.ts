@@ -1,5 +1,6 @@
 /** REST calls the viewer makes. Errors carry the server's message (`application/problem+json`). */
 
+import { request as send } from "./credentials";
 import type { Edit, Problem, VolumeSummary } from "../protocol/types";
 
 /** Volumes the server has. */
@@ -20,7 +21,7 @@ export async function extract(base: URL, volume: string, step: number, format: s
 
 /** @throws with the server's own words where it refuses */
 export async function ask(url: URL, request: RequestInit): Promise<Response> {
-  return checked(url, await fetch(url, request));
+  return checked(url, await send(url, request));
 }
 
 /** @throws as `ask` */

@@ -1,6 +1,10 @@
 /** How the page comes to be let in: by a token in its address, which the server takes for a cookie, or by an issuer to which people sign in. Neither stands in
  * a history or a copied link. */
 
+import { request } from "./credentials";
+import { ask } from "./rest";
+import type { EmbedInfo, SessionInfo } from "../protocol/types";
+
 /** An address without a part of its fragment, and that part. */
 function without(name: string, href: string): { readonly href: string; readonly value: string | undefined } {
   const url = new URL(href);
@@ -33,9 +37,9 @@ export async function enter(base: URL): Promise<void> {
   const { href, token } = withoutToken(window.location.href);
   if (token === undefined) return;
   window.history.replaceState(null, "", href);
-  const request = { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ token }) };
+  const shown = { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ token }) };
   // A server that is away, or refuses it, is met again by the connection, which says so.
-  await fetch(new URL("api/v1/session", base), request).catch(() => undefined);
+  await fetch(new URL("api/v1/session", base), shown).catch(() => undefined);
 }
 
 /** By whom people sign in, and where. */
@@ -62,8 +66,24 @@ export async function signOut(base: URL): Promise<void> {
   else window.location.reload();
 }
 
+/** What this page may do; `undefined` where the server is away, or older than this. */
+async function sessionOf(base: URL): Promise<SessionInfo | "refused" | undefined> {
+  const response = await request(new URL("api/v1/session", base)).catch(() => undefined);
+  if (response?.status === 401) return "refused";
+  return response?.status === 200 ? ((await response.json()) as SessionInfo) : undefined;
+}
+
 /** Whether the server is there, and asks for a token that this page does not have. */
 export async function isRefused(base: URL): Promise<boolean> {
-  const response = await fetch(new URL("api/v1/session", base)).catch(() => undefined);
-  return response?.status === 401;
+  return (await sessionOf(base)) === "refused";
+}
+
+/**
+ * Origins of pages that may have this one in a frame, its own among them.
+ *
+ * @throws where the server is away
+ */
+export async function embedOrigins(base: URL): Promise<readonly string[]> {
+  const response = await ask(new URL("api/v1/embed", base), {});
+  return [base.origin, ...((await response.json()) as EmbedInfo).origins];
 }

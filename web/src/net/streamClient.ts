@@ -58,12 +58,13 @@ export class StreamClient {
   /** Another member of a group has control, or is going to: what is shown is theirs, and nothing of it is asked for here. */
   private isLed = false;
 
+  /** @param address as a `Connection` takes it */
   constructor(
-    url: string,
+    address: string | (() => string | Promise<string>),
     private readonly handlers: StreamClientHandlers,
   ) {
     this.throttle = new Throttle(EDIT_INTERVAL_MS, () => this.flush());
-    this.connection = new Connection(url, {
+    this.connection = new Connection(typeof address === "string" ? () => address : address, {
       onOpen: () => this.sendOpen(),
       onText: (text) => this.receive(text),
       // Chunks that arrive between an `open` and its `opened` belong to the volume before.
@@ -113,6 +114,12 @@ export class StreamClient {
 
   retryNow(): void {
     this.connection.retryNow();
+  }
+
+  /** Connects anew, or at once where a pause is running. */
+  reconnect(): void {
+    if (this.opened) this.restart();
+    else this.retryNow();
   }
 
   /** Connects anew and repeats `open` and the edits. */

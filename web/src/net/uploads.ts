@@ -2,6 +2,7 @@
 
 import { Upload as Tus, type DetailedError } from "tus-js-client";
 import type { UploadInfo, UploadList } from "../protocol/types";
+import { request } from "./credentials";
 import { ask, checked } from "./rest";
 
 /** A file, and its name with the folders that it is in. */
@@ -65,7 +66,7 @@ async function declare(base: URL, files: readonly NamedFile[]): Promise<UploadIn
 /** Asked again it changes nothing, so it may be asked until the server is back, or has done what others asked for before. */
 async function finish(url: URL, signal: AbortSignal): Promise<UploadInfo> {
   for (const delay of RETRY_MS) {
-    const response = await fetch(url, { method: "POST", signal }).catch(() => undefined);
+    const response = await request(url, { method: "POST", signal }).catch(() => undefined);
     signal.throwIfAborted();
     const status = response?.status ?? 0;
     if (response !== undefined && (status === 409 || !isPassing(status))) return (await (await checked(url, response)).json()) as UploadInfo;

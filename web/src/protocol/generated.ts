@@ -212,6 +212,12 @@ export type Edit = {
   interest?: Array<Interest>,
 };
 
+/** Who may have the viewer in a frame. */
+export type EmbedInfo = {
+  /** Origins of pages that may, beside those of the server itself; they alone may hand a token to it. */
+  origins: Array<string>,
+};
+
 /**
  * Distance of a mesh from the surface it stands for, in world units, as the quadrics of its leaves estimate it. Known before
  * anything is measured, and no bound: vertices may be farther away.
@@ -438,6 +444,9 @@ export type RegionError = {
   max: number,
 };
 
+/** A part of what the server does. */
+export type Role = "view" | "edit" | "export" | "upload" | "push" | "admin";
+
 /** A text frame from the server. */
 export type ServerMessage = { "type": "opening",
   /** Bytes of files and samples that this has gone through so far. */
@@ -602,6 +611,14 @@ export type ServerMessage = { "type": "opening",
   surface?: number,
   /** With `too-large`, where the surface has too many triangles: a budget that is within the limit. */
   suggestedTriangles?: number,
+};
+
+/** What the client may do. */
+export type SessionInfo = {
+  /** All that it may do: `edit` has `view` beside it, and `admin` all. */
+  roles: Array<Role>,
+  /** Seconds after which its token is of no use any more; `null`: there is no such time. */
+  expiresSeconds: number | null,
 };
 
 /** A share of the full surface's triangles. */

@@ -23,6 +23,8 @@ export type GuardName = Server.GuardName;
 export type TriangleBudget = Immutable<Server.TriangleBudget>;
 export type Capabilities = Immutable<Server.Capabilities>;
 export type Problem = Immutable<Server.Problem>;
+export type SessionInfo = Immutable<Server.SessionInfo>;
+export type EmbedInfo = Immutable<Server.EmbedInfo>;
 export type UploadInfo = Immutable<Server.UploadInfo>;
 export type UploadList = Immutable<Server.UploadList>;
 

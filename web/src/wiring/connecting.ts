@@ -16,11 +16,15 @@ export class Connecting {
   /** The last list, as text. */
   private listed = "";
 
-  /** @param onVolumes the server's volumes, each time that the connection is made */
+  /**
+   * @param onVolumes the server's volumes, each time that the connection is made
+   * @param onRefused the server asks for a token; what to tell the user, where another page is to have one
+   */
   constructor(
     private readonly model: Model,
     private readonly base: URL,
     private readonly onVolumes: (volumes: readonly VolumeSummary[]) => void,
+    private readonly onRefused: () => string | undefined,
   ) {}
 
   /** @param reason why the last connection was closed, where that is known */
@@ -41,7 +45,12 @@ export class Connecting {
   /** A browser does not tell a page why a socket could not be opened. */
   private async explain(): Promise<void> {
     const { model, base } = this;
-    if (!(await isRefused(base))) return;
+    if (!(await isRefused(base)) || model.connection().isConnected) return;
+    const elsewhere = this.onRefused();
+    if (elsewhere !== undefined) {
+      model.showConnection({ isConnected: false, reason: elsewhere });
+      return;
+    }
     const signIn = await signInOf(base);
     if (model.connection().isConnected) return;
     if (signIn === undefined) {

@@ -8,6 +8,7 @@ import { changedLink, decodeLink, encodeLink, type Link, type LinkState } from "
 import type { Store } from "../state/store";
 import { surfacesOf } from "../state/surfaceState";
 import type { Model } from "../ui/model";
+import { EmbedToken } from "./embedToken";
 import type { Framing } from "./framing";
 
 interface EmbeddingParts {
@@ -20,6 +21,10 @@ interface EmbeddingParts {
   /** The final surface is on screen. */
   readonly isSettled: () => boolean;
   readonly follow: (link: Link) => void;
+  /** Of the server. */
+  readonly base: URL;
+  /** Connects with what the server is shown now. */
+  readonly reconnect: () => void;
 }
 
 /** The origin of the page around, where the browser tells it. */
@@ -32,6 +37,7 @@ function originAround(): string | undefined {
 
 export class Embedding {
   private readonly port: HostPort;
+  private readonly token: EmbedToken;
   private isReady = false;
   /** What was said to be on screen. */
   private settled = "";
@@ -41,10 +47,22 @@ export class Embedding {
     private readonly parts: EmbeddingParts,
   ) {
     const { model, scene } = parts;
-    this.port = new HostPort(window, origins, originAround(), (request) => this.answer(request));
+    this.port = new HostPort(window, origins, originAround(), (request, origin) => this.answer(request, origin));
+    this.token = new EmbedToken(this.port, parts.base, parts.reconnect);
     scene.annotations.show({ handles: false });
     model.onError = (message) => this.port.emit({ type: "error", message });
     for (const problem of problems) model.toast(problem);
+  }
+
+  /**
+   * The server asks for a token: so is the page around, where there is one.
+   *
+   * @returns what to tell the user then
+   */
+  refused(): string | undefined {
+    if (!this.port.isFramed) return undefined;
+    this.token.ask();
+    return "the server asks for a token, which the page around this picture has to hand over";
   }
 
   /** Sends the events that are due to the page around. */
@@ -76,7 +94,8 @@ export class Embedding {
     };
   }
 
-  private answer(request: HostRequest): unknown {
+  private answer(request: HostRequest, origin: string): unknown {
+    if (request.type === "token") return this.token.take(request.token, origin);
     if (!this.isReady) throw new RequestError("isopeel does not know the volumes yet: wait for the event “ready”");
     switch (request.type) {
       case "get":

@@ -1,0 +1,229 @@
+//! Tokens that are lent: whoever has a token makes one for less, and for minutes, which a page of another site hands to the viewer in its frame. There it is in
+//! the memory of a page alone; here its hash is, until it ends, or the token that it was made with does.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use super::Access;
+use super::identity::{Identity, Lent};
+use super::named::now;
+use super::role::{Role, Roles};
+use super::token::{Hash, Token, TokenError};
+
+/// Seconds that one is of use where nothing is said: the page asks for the next one before.
+pub const DEFAULT_SECONDS: u64 = 600;
+/// Bounds of what may be said: a page that has to load first, and a talk that is held with one.
+pub const SECONDS: std::ops::RangeInclusive<u64> = 10..=3_600;
+/// What may be lent: looking, and changing what is shown. Files, jobs and uploads are those of a user, whom all frames of a page share.
+pub const ROLES: [Role; 2] = [Role::View, Role::Edit];
+/// Maximum tokens, some 500 bytes each.
+const MAX_TOKENS: usize = 4_096;
+/// Maximum tokens of a token, so that one who asks and asks leaves some to others: twice the viewers that a server has.
+const MAX_OF_LENDER: usize = 2_048;
+
+/// Why there is none.
+#[derive(Debug, thiserror::Error)]
+pub enum LendError {
+    /// Nobody needs one here.
+    #[error(
+        "this server asks for no token, so that a frame needs none: leave out what asks for one, or start the server without --no-auth"
+    )]
+    NoAuth,
+    /// A lent token is not lent on: it would have no end.
+    #[error("this token is lent itself, expected one that who runs the server has made")]
+    Lent,
+    /// A role that cannot be lent.
+    #[error("roles has {:?}, expected view or edit: files, jobs and uploads are their user's", .0.name())]
+    Role(Role),
+    /// A role that who asks has not.
+    #[error("this token is for {0}, expected one for {1:?}, as nobody lends what they have not")]
+    NotOwn(Roles, Roles),
+    /// No roles.
+    #[error("roles is empty, expected view or edit")]
+    NoRoles,
+    /// Too short or too long.
+    #[error("seconds is {0}, expected {start} to {end}", start = SECONDS.start(), end = SECONDS.end())]
+    Seconds(u64),
+    /// There are too many.
+    #[error("{count} lent tokens have not ended, as many as may be: the next one ends in {wait:?}")]
+    TooMany {
+        /// How many there are.
+        count: usize,
+        /// Until one ends.
+        wait: Duration,
+    },
+    /// There are no random numbers.
+    #[error(transparent)]
+    Random(#[from] TokenError),
+}
+
+/// All of them, by their ids. Clones are the same.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LentTokens(Arc<Mutex<HashMap<String, (Hash, Lent)>>>);
+
+impl LentTokens {
+    fn lend(&self, lender: &Identity, roles: Roles, seconds: u64) -> Result<Token, LendError> {
+        let token = Token::random()?;
+        let id = token.id().unwrap_or_default();
+        let now = now();
+        let mut tokens = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        tokens.retain(|_, (_, lent)| lent.is_valid());
+        let is_own = |lent: &Lent| lent.lender.token() == lender.token();
+        let own = tokens.values().filter(|(_, lent)| is_own(lent)).count();
+        let (is_full, count) = (tokens.len() >= MAX_TOKENS, tokens.len());
+        if is_full || own >= MAX_OF_LENDER {
+            let waited_for = tokens.values().filter(|(_, lent)| is_full || is_own(lent));
+            let next = waited_for.map(|(_, lent)| lent.expires).min().unwrap_or(now);
+            let wait = Duration::from_secs(next.saturating_sub(now).max(1));
+            return Err(LendError::TooMany {
+                count: if is_full { count } else { own },
+                wait,
+            });
+        }
+        let lent = Lent {
+            id: id.into(),
+            roles,
+            expires: now.saturating_add(seconds),
+            lender: Arc::new(lender.clone()),
+        };
+        tokens.insert(id.to_owned(), (Hash::of(token.text()), lent));
+        Ok(token)
+    }
+
+    /// Whose token this is, while it is of use.
+    pub(super) fn find(&self, id: &str, token: &str) -> Option<Lent> {
+        let tokens = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (hash, lent) = tokens.get(id)?;
+        (hash.is_of(token) && lent.is_valid()).then(|| lent.clone())
+    }
+}
+
+impl Access {
+    /// A token for so many seconds, for some of what `who` may do.
+    ///
+    /// # Errors
+    /// [`LendError`].
+    pub fn lend(&self, who: &Identity, roles: Vec<Role>, seconds: u64) -> Result<Token, LendError> {
+        let Some(proofs) = &self.proofs else {
+            return Err(LendError::NoAuth);
+        };
+        if who.is_lent() {
+            return Err(LendError::Lent);
+        }
+        if let Some(role) = roles.iter().find(|role| !ROLES.contains(role)) {
+            return Err(LendError::Role(*role));
+        }
+        if !SECONDS.contains(&seconds) {
+            return Err(LendError::Seconds(seconds));
+        }
+        let may = roles.iter().all(|&role| who.may(role));
+        let roles = Roles::from(roles);
+        if roles.is_empty() {
+            return Err(LendError::NoRoles);
+        }
+        if !may {
+            return Err(LendError::NotOwn(who.roles(), roles));
+        }
+        proofs.lent().lend(who, roles, seconds)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::access::{NewToken, TokenFile, TokenWatch};
+
+    fn access() -> (Access, Identity) {
+        let token = Token::random().expect("random");
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[]).with_token(&token);
+        let operator = access.who(token.text()).expect("the operator");
+        (access, operator)
+    }
+
+    #[test]
+    fn what_is_lent_is_less_and_ends() {
+        let (access, operator) = access();
+        let token = access.lend(&operator, vec![Role::View], 10).expect("a token");
+        let who = access.who(token.text()).expect("whose it is");
+        assert_eq!((who.user(), who.token()), (operator.user(), token.id().expect("an id")));
+        assert!(who.may(Role::View) && !who.may(Role::Edit) && !who.may(Role::Export) && !who.may(Role::Admin));
+        assert!(who.expires_seconds().is_some_and(|seconds| (8..=10).contains(&seconds)));
+        let wrong = format!("{}x", &token.text()[..token.text().len() - 1]);
+        assert!(access.who(&wrong).is_none());
+        assert!(!format!("{access:?}").contains(token.text()));
+        let refused = access.exchange(token.text()).expect_err("it is for no cookie");
+        assert_eq!(refused.status().as_u16(), 403);
+        // One that has ended, as nobody waits here for ten seconds.
+        let lent = access.proofs.as_ref().expect("proofs").lent();
+        let ended = lent.lend(&operator, vec![Role::View].into(), 0).expect("a token");
+        assert!(access.who(ended.text()).is_none());
+    }
+
+    #[test]
+    fn nobody_lends_what_they_have_not_or_what_is_lent() {
+        let (access, operator) = access();
+        let lend = |who: &Identity, roles: &[Role], seconds| access.lend(who, roles.to_vec(), seconds);
+        let said = |found: Result<Token, LendError>| found.expect_err("refused").to_string();
+        assert!(said(lend(&operator, &[Role::Export], 60)).contains("roles has \"export\", expected view or edit"));
+        assert!(said(lend(&operator, &[], 60)).contains("roles is empty"));
+        assert!(said(lend(&operator, &[Role::View], 9)).contains("seconds is 9, expected 10 to 3600"));
+        assert!(said(lend(&operator, &[Role::View], 3_601)).contains("seconds is 3601"));
+        let token = lend(&operator, &[Role::Edit], 60).expect("a token");
+        let who = access.who(token.text()).expect("somebody");
+        assert!(matches!(lend(&who, &[Role::View], 60), Err(LendError::Lent)));
+        let open = Access::new(([127, 0, 0, 1], 8417).into(), None, &[]);
+        let nobody = Identity::without_token();
+        assert!(matches!(
+            open.lend(&nobody, vec![Role::View], 60),
+            Err(LendError::NoAuth)
+        ));
+    }
+
+    #[tokio::test]
+    async fn it_ends_with_the_token_that_it_was_made_with() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = TokenFile::in_folder(folder.path());
+        let new = |lifetime| NewToken {
+            user: "ann".into(),
+            roles: vec![Role::View].into(),
+            lifetime,
+        };
+        let (ann, _) = file.create(new(Some(Duration::from_secs(1)))).expect("a token");
+        let access = access().0.with_named(&TokenWatch::open(file).expect("tokens"));
+        let lender = access.who(ann.text()).expect("ann");
+        let edits = access
+            .lend(&lender, vec![Role::Edit], 60)
+            .expect_err("she may only look");
+        assert!(
+            edits
+                .to_string()
+                .contains("this token is for view, expected one for edit"),
+            "{edits}"
+        );
+        let token = access.lend(&lender, vec![Role::View], 60).expect("a token");
+        let who = access.who(token.text()).expect("somebody");
+        assert!(who.expires_seconds().is_some_and(|seconds| seconds <= 1));
+        let ended = tokio::time::timeout(Duration::from_secs(5), who.ended());
+        ended.await.expect("what is lent ends too");
+        assert!(access.who(token.text()).is_none());
+    }
+
+    #[test]
+    fn there_are_only_so_many() {
+        let (access, operator) = access();
+        let other = Identity::without_token();
+        let lent = access.proofs.as_ref().expect("proofs").lent();
+        for _ in 0..MAX_OF_LENDER {
+            lent.lend(&operator, vec![Role::View].into(), 60).expect("a token");
+        }
+        let refused = lent
+            .lend(&operator, vec![Role::View].into(), 60)
+            .expect_err("one too many");
+        assert!(
+            matches!(refused, LendError::TooMany { count: MAX_OF_LENDER, wait } if wait <= Duration::from_secs(60)),
+            "{refused}"
+        );
+        lent.lend(&other, vec![Role::View].into(), 60).expect("somebody else's");
+    }
+}

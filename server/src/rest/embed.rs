@@ -1,0 +1,113 @@
+//! The viewer in a frame of another site's page: whose pages may have it there, and tokens for it.
+
+use axum::Json;
+use axum::extract::State;
+use axum::extract::rejection::JsonRejection;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::ApiState;
+use crate::access::{DEFAULT_LENT_SECONDS, Identity, LendError, Role};
+use crate::problem::{ApiError, Problem};
+
+/// Who may have the viewer in a frame.
+#[derive(Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct EmbedInfo {
+    /// Origins of pages that may, beside those of the server itself; they alone may hand a token to it.
+    origins: Vec<String>,
+}
+
+/// What a token for a frame is to be for.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EmbedTokenRequest {
+    /// `view`, or `edit` too.
+    #[serde(default = "only_look")]
+    #[schema(default = json!(["view"]))]
+    roles: Vec<Role>,
+    /// 10 to 3600.
+    #[serde(default = "default_seconds")]
+    #[schema(default = 600)]
+    seconds: u64,
+}
+
+fn only_look() -> Vec<Role> {
+    vec![Role::View]
+}
+
+fn default_seconds() -> u64 {
+    DEFAULT_LENT_SECONDS
+}
+
+/// A token for a frame.
+#[derive(Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct EmbedTokenInfo {
+    /// For the frame, by `postMessage`, or for `Authorization: Bearer`.
+    token: String,
+    /// What it is for.
+    roles: Vec<Role>,
+    /// Seconds after which it is of no use any more.
+    expires_seconds: u64,
+}
+
+/// Origins whose pages may have the viewer in a frame, as the policy of each answer has them (`--embed-origin`, `--allow-origin`).
+#[utoipa::path(
+    get,
+    path = "/api/v1/embed",
+    tag = "session",
+    responses((status = 200, description = "The origins", body = EmbedInfo)),
+)]
+pub async fn show(State(state): State<ApiState>) -> Json<EmbedInfo> {
+    let origins = state.access.frame_origins().map(ToString::to_string).collect();
+    Json(EmbedInfo { origins })
+}
+
+/// Makes a token for the viewer in a frame of another site's page: that site's server asks for one with a token of its own, the page hands it to the
+/// frame. It is for no more than the token that asks, ends with it, and is for `Authorization: Bearer` alone: there is no cookie for it, and nobody makes further ones with it.
+#[utoipa::path(
+    post,
+    path = "/api/v1/embed-tokens",
+    tag = "session",
+    request_body = EmbedTokenRequest,
+    responses(
+        (status = 201, description = "The token", body = EmbedTokenInfo),
+        (status = 400, description = "`bad-json`; `bad-embed-token`: roles or seconds that cannot be", body = Problem, content_type = "application/problem+json"),
+        (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "`forbidden`: the token is not for that, or is such a one itself; `foreign-origin`", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "`no-auth`: this server asks for no token", body = Problem, content_type = "application/problem+json"),
+        (status = 429, description = "`too-many-embed-tokens`: too many have not ended", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub async fn lend(
+    State(state): State<ApiState>,
+    who: Identity,
+    body: Result<Json<EmbedTokenRequest>, JsonRejection>,
+) -> Result<Response, ApiError> {
+    let Json(EmbedTokenRequest { roles, seconds }) = body?;
+    let token = state.access.lend(&who, roles.clone(), seconds).map_err(refusal)?;
+    let made = EmbedTokenInfo {
+        token: token.text().to_owned(),
+        roles,
+        expires_seconds: who.expires_seconds().map_or(seconds, |own| own.min(seconds)),
+    };
+    Ok((StatusCode::CREATED, [(header::CACHE_CONTROL, "no-store")], Json(made)).into_response())
+}
+
+fn refusal(error: LendError) -> ApiError {
+    let of = |status, code| ApiError::new(status, code, error.to_string());
+    match &error {
+        LendError::NoAuth => of(StatusCode::CONFLICT, "no-auth"),
+        LendError::Lent | LendError::NotOwn(..) => of(StatusCode::FORBIDDEN, "forbidden"),
+        LendError::Role(_) | LendError::NoRoles | LendError::Seconds(_) => {
+            of(StatusCode::BAD_REQUEST, "bad-embed-token")
+        }
+        LendError::TooMany { wait, .. } => {
+            of(StatusCode::TOO_MANY_REQUESTS, "too-many-embed-tokens").retry_after(*wait)
+        }
+        LendError::Random(_) => ApiError::internal(error),
+    }
+}
