@@ -6,6 +6,7 @@ import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
+import { violations } from "./accessibility.mjs";
 import { BINARY, makeVolume, openPage, saveScreenshot, settled, startBrowser, startServer, status, TIMEOUT_MS } from "./harness.mjs";
 
 test("the printed address lets a browser in, and no address has the token after that", { timeout: 4 * TIMEOUT_MS }, async () => {
@@ -20,6 +21,9 @@ test("the printed address lets a browser in, and no address has the token after 
     await settled(page);
     await page.waitForFunction(() => window.location.hash.startsWith("#v=1&volume=bumpy"));
     assert.ok(!page.url().includes("token"), page.url());
+    // This token is for everything, and so is the page.
+    assert.deepEqual([await page.locator(".lacking").count(), await page.locator("fieldset.needs:disabled").count()], [0, 0]);
+    assert.equal(await page.getByRole("button", { name: "Your volumes: upload files" }).count(), 1);
     const cookies = await context.cookies();
     assert.deepEqual(
       cookies.map(({ name, httpOnly, sameSite, path }) => ({ name, httpOnly, sameSite, path })),
@@ -45,6 +49,32 @@ test("the printed address lets a browser in, and no address has the token after 
   }
 });
 
+/** What changes nothing is off, and says why. */
+async function offersOnlyLooking(page, messages) {
+  const why = page.getByText("You may only look: to change this takes a token for edit");
+  await why.first().waitFor();
+  const off = page.locator("fieldset.needs");
+  assert.ok((await off.count()) >= 3, "surface, detail, what matters");
+  assert.equal(await off.count(), await page.locator("fieldset.needs:disabled[inert]").count());
+  for (const name of ["Your volumes: upload files", "Add a surface", "Compute a field…"]) assert.equal(await page.getByRole("button", { name }).count(), 0, name);
+  assert.deepEqual(await violations(page), []);
+  await saveScreenshot(page, "only-looks");
+  // Whatever of it is pressed or dragged.
+  await page.evaluate(() => document.querySelectorAll("fieldset.needs :is(button, input)").forEach((control) => control.click()));
+  const slider = await page.locator("fieldset.needs svg").first().boundingBox();
+  await page.mouse.click(slider.x + slider.width / 4, slider.y + slider.height / 2);
+  await page.keyboard.press("Tab");
+  await page.keyboard.press("ArrowRight");
+  await page.getByRole("button", { name: "Share and export" }).click();
+  await page.getByText("To download meshes takes a token for export").waitFor();
+  assert.equal(await page.getByRole("menuitem", { name: "GLB, with colours, in metres" }).getAttribute("aria-disabled"), "true");
+  await page.keyboard.press("Escape");
+  await new Promise((done) => setTimeout(done, 300));
+  const asked = messages.filter(({ type }) => ["edit", "remove"].includes(type));
+  assert.deepEqual(asked.filter(({ type, surface, ...values }) => type !== "edit" || Object.keys(values).length > 0), []);
+  assert.ok(!messages.some(({ code }) => code === "forbidden"), "nothing was refused");
+}
+
 test("whoever may only look sees what a volume opens with, and reads why nothing changes", { timeout: 4 * TIMEOUT_MS }, async () => {
   const volume = makeVolume();
   const state = mkdtempSync(join(tmpdir(), "isopeel-browser-state-"));
@@ -54,7 +84,7 @@ test("whoever may only look sees what a volume opens with, and reads why nothing
   const browser = await startBrowser();
   try {
     const context = await browser.newContext();
-    const { page, faults } = await openPage(context, `${server.url}/#token=${token}`);
+    const { page, faults, messages } = await openPage(context, `${server.url}/#token=${token}`);
     await settled(page);
     // What was made at rest, after which nothing follows.
     const shown = await page.waitForFunction(() => {
@@ -64,6 +94,7 @@ test("whoever may only look sees what a volume opens with, and reads why nothing
     const triangles = await shown.jsonValue();
     const cookies = await context.cookies();
     assert.ok(!JSON.stringify(cookies).includes(token), "the cookie is not the token");
+    await offersOnlyLooking(page, messages);
     // A link has values of somebody else's.
     await page.evaluate(() => (window.location.hash = "#v=1&volume=bumpy&iso=3"));
     await page.getByText("this token is for view, expected one for edit").first().waitFor();

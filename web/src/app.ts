@@ -128,7 +128,7 @@ export class App {
         this.stepping.cancel();
         this.open(id, store.stepOf(id));
       },
-      ...storeActions(store, (act) => this.change(act), () => this.together.mayChange()),
+      ...storeActions(store, (act) => this.change(act), () => this.together.mayChange(), () => this.model.mayEdit()),
       changePage: (layers) => {
         this.change(() => store.changePage(layers));
         this.player.follow();
@@ -213,7 +213,7 @@ export class App {
         this.later.soon();
       },
       onBroken: (reason) => this.model.toast(`${reason}. Starting over`),
-      onOnlyLooks: (reason) => this.model.toast(reason, "lasting"),
+      onOnlyLooks: (reason) => this.model.refuse(reason),
       onEditSent: (surface) => {
         this.update({ type: "sent", surface, at: performance.now() });
         this.questions.edited();

@@ -67,7 +67,7 @@ export async function signOut(base: URL): Promise<void> {
 }
 
 /** What this page may do; `undefined` where the server is away, or older than this. */
-async function sessionOf(base: URL): Promise<SessionInfo | "refused" | undefined> {
+export async function sessionOf(base: URL): Promise<SessionInfo | "refused" | undefined> {
   const response = await request(new URL("api/v1/session", base)).catch(() => undefined);
   if (response?.status === 401) return "refused";
   return response?.status === 200 ? ((await response.json()) as SessionInfo) : undefined;

@@ -2,6 +2,7 @@
 
 import { DropdownMenu } from "@kobalte/core/dropdown-menu";
 import { For, Show } from "solid-js";
+import { LACKING } from "../state/roles";
 import { useModel, type MeshFormat } from "./model";
 import { useSurfaceName, useVisibleCount } from "./surfaceNames";
 import { Icon } from "./widgets/icon";
@@ -14,7 +15,9 @@ export const FORMATS: readonly { readonly format: MeshFormat; readonly text: str
 ];
 
 export function ExportMenu() {
-  const { actions, view } = useModel();
+  const model = useModel();
+  const { actions, view } = model;
+  const mayDownload = () => model.may("export");
   const name = useSurfaceName();
   const visible = useVisibleCount();
   return (
@@ -35,12 +38,15 @@ export function ExportMenu() {
             <DropdownMenu.GroupLabel class="menu-label">Download the mesh{name() && ` of ${name()}`}</DropdownMenu.GroupLabel>
             <For each={FORMATS}>
               {({ format, text }) => (
-                <DropdownMenu.Item class="menu-item" disabled={view() === undefined} onSelect={() => actions.download(format)}>
+                <DropdownMenu.Item class="menu-item" disabled={view() === undefined || !mayDownload()} onSelect={() => actions.download(format)}>
                   {text}
                 </DropdownMenu.Item>
               )}
             </For>
-            <Show when={visible() > 1}>
+            <Show when={!mayDownload()}>
+              <p class="menu-label">{LACKING.export}</p>
+            </Show>
+            <Show when={visible() > 1 && mayDownload()}>
               <DropdownMenu.Item class="menu-item" onSelect={() => actions.downloadAll()}>
                 GLB of all {visible()} visible surfaces
               </DropdownMenu.Item>

@@ -6,6 +6,7 @@ import { Dynamic } from "solid-js/web";
 import type { Card } from "./cards/card";
 import { CARDS } from "./cards/registry";
 import { useModel } from "./model";
+import { Needs } from "./needs";
 import { useSurfaceName } from "./surfaceNames";
 import { IconButton } from "./widgets/button";
 import { Icon } from "./widgets/icon";
@@ -47,7 +48,7 @@ function Column(props: { readonly cards: readonly Card[] }) {
 
 function FoldingCard(props: { readonly card: Card }) {
   const { actions, page } = useModel();
-  const { id, title, body, folded } = props.card;
+  const { id, title, folded } = props.card;
   const isFolded = () => page().folded[id] ?? folded ?? false;
   return (
     <Collapsible
@@ -67,10 +68,20 @@ function FoldingCard(props: { readonly card: Card }) {
       </h2>
       <Collapsible.Content class="card-body">
         <Suspense>
-          <Dynamic component={body} />
+          <CardBody card={props.card} />
         </Suspense>
       </Collapsible.Content>
     </Collapsible>
+  );
+}
+
+function CardBody(props: { readonly card: Card }) {
+  const { needs, body } = props.card;
+  if (needs === undefined) return <Dynamic component={body} />;
+  return (
+    <Needs role={needs}>
+      <Dynamic component={body} />
+    </Needs>
   );
 }
 
@@ -96,7 +107,7 @@ function Sheet(props: { readonly cards: readonly Card[] }) {
             </div>
             <fieldset class="card-body" disabled={view() === undefined} aria-label={card.title}>
               <Suspense>
-                <Dynamic component={card.body} />
+                <CardBody card={card} />
               </Suspense>
             </fieldset>
           </section>

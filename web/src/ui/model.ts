@@ -2,11 +2,12 @@
 
 import { createContext, createSignal, useContext, type Accessor } from "solid-js";
 import type { NamedFile, UploadPhase } from "../net/uploads";
-import type { Edit, Probed, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
+import type { Edit, Probed, SessionInfo, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
 import type { Enclosed } from "../state/enclosed";
 import type { GroupAct, GroupState } from "../state/group";
 import { lengthScale, type LengthScale } from "../state/lengths";
 import type { Look } from "../state/look";
+import { has, LACKING, type Role } from "../state/roles";
 import type { PageLayers, Store } from "../state/store";
 import type { Surface, SurfaceList, SurfaceStyle } from "../state/surfaceList";
 import { INITIAL_STATE, type ViewerState } from "../state/viewer";
@@ -164,6 +165,8 @@ export class Model {
   readonly comparing: Accessor<Compared | "waiting" | undefined>;
   /** Of the surface on screen; `undefined` until the user asks. */
   readonly enclosed: Accessor<Enclosed | "summing" | undefined>;
+  /** What the user may do; `undefined` until the server has said it. */
+  private readonly session: Accessor<SessionInfo | undefined>;
   /** The group that the page is in. */
   readonly group: Accessor<GroupState | undefined>;
   private readonly set;
@@ -200,8 +203,9 @@ export class Model {
     const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
     [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
     const [group, setGroup] = createSignal<GroupState | undefined>(undefined, same);
-    this.group = group;
-    this.set = { setGroup, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+    const [session, setSession] = createSignal<SessionInfo | undefined>(undefined, same);
+    [this.group, this.session] = [group, session];
+    this.set = { setGroup, setSession, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
   }
 
   /** What the user has changed is shown at once. */
@@ -254,6 +258,15 @@ export class Model {
     this.set.setGroup(group);
   }
 
+  showSession(session: SessionInfo): void {
+    this.set.setSession(session);
+  }
+
+  /** Whether the user may do what a role is for. */
+  may(role: Role): boolean {
+    return has(this.session(), role);
+  }
+
   showConnection(connection: Connection): void {
     this.set.setConnection(connection);
   }
@@ -264,6 +277,19 @@ export class Model {
     this.set.setToasts([...others, { text, good: stay !== undefined }].slice(-MAX_TOASTS));
     if (stay === undefined) this.onError?.(text);
     if (stay === "brief") setTimeout(() => this.dismiss(text), BRIEF_MS);
+  }
+
+  /** Something that the user may not do: it stays beyond the next surface, and the page around hears of it. */
+  refuse(reason: string): void {
+    this.toast(reason, "lasting");
+    this.onError?.(reason);
+  }
+
+  /** Whether surfaces may be changed; else it is said why not. */
+  mayEdit(): boolean {
+    const may = this.may("edit");
+    if (!may) this.toast(LACKING.edit, "brief");
+    return may;
   }
 
   /** For a moment, if there is something to say. */

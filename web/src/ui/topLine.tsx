@@ -10,7 +10,8 @@ import { Select } from "./widgets/choice";
 import { summaryOf } from "./words";
 
 export function TopLine(props: { readonly onHelp: () => void; readonly onUploads: () => void }) {
-  const { actions, history, page } = useModel();
+  const model = useModel();
+  const { actions, history, page } = model;
   return (
     <header class="top">
       <Brand />
@@ -20,7 +21,9 @@ export function TopLine(props: { readonly onHelp: () => void; readonly onUploads
         <IconButton icon="undo" label="Undo" keys="Ctrl+Z" disabled={!history().canUndo} onClick={actions.undo} />
         <IconButton icon="redo" label="Redo" keys="Ctrl+Shift+Z" disabled={!history().canRedo} onClick={actions.redo} />
         <IconButton icon="fit" label="Fit the surface into the picture" keys="F in the picture" onClick={actions.fit} />
-        <IconButton icon="upload" label="Your volumes: upload files" onClick={() => props.onUploads()} />
+        <Show when={model.may("upload")}>
+          <IconButton icon="upload" label="Your volumes: upload files" onClick={() => props.onUploads()} />
+        </Show>
         <ExportMenu />
         <IconButton icon="theme" label="Switch between dark and light" onClick={toggleTheme} />
         <IconButton icon="help" label="Help" keys="? in the picture" onClick={() => props.onHelp()} />

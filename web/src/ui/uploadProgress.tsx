@@ -4,6 +4,7 @@ import { createEffect, createSignal, on, onCleanup, Show } from "solid-js";
 import { droppedFiles, hasFiles } from "./dropped";
 import { formatPercent } from "./format";
 import { useModel, type Uploading } from "./model";
+import { LACKING } from "../state/roles";
 import { Button } from "./widgets/button";
 import { uploadText } from "./words";
 
@@ -46,8 +47,9 @@ export function DropTarget() {
   const [isOver, setOver] = createSignal(false);
   const over = (event: DragEvent) => {
     if (!hasFiles(event.dataTransfer)) return;
+    // Left alone, the browser would leave the page for the file.
     event.preventDefault();
-    if (event.dataTransfer !== null) event.dataTransfer.dropEffect = "copy";
+    if (event.dataTransfer !== null) event.dataTransfer.dropEffect = model.may("upload") ? "copy" : "none";
     setOver(true);
   };
   // Also of elements within the page; the next `dragover` follows at once.
@@ -69,7 +71,7 @@ export function DropTarget() {
   return (
     <Show when={isOver()}>
       <div class="drop-target">
-        <p>Drop files or a folder to upload and open them</p>
+        <p>{model.may("upload") ? "Drop files or a folder to upload and open them" : LACKING.upload}</p>
       </div>
     </Show>
   );

@@ -2,7 +2,7 @@
 
 import type { ConnectionState } from "../net/connection";
 import { listVolumes } from "../net/rest";
-import { isRefused, signInOf } from "../net/session";
+import { isRefused, sessionOf, signInOf } from "../net/session";
 import type { VolumeSummary } from "../protocol/types";
 import type { Model } from "../ui/model";
 
@@ -37,6 +37,9 @@ export class Connecting {
     if (!isConnected) return;
     model.showConnection({ isConnected, reason: undefined });
     void this.loadVolumes();
+    void sessionOf(this.base).then((session) => {
+      if (session !== undefined && session !== "refused") model.showSession(session);
+    });
     void signInOf(this.base).then((signIn) => {
       if (signIn !== undefined && model.connection().isConnected) model.showConnection({ isConnected, reason: undefined, canSignOut: true });
     });

@@ -20,17 +20,19 @@ type Names =
 /**
  * @param change does something, and shows what it has changed
  * @param mayChange whether what is shown is the user's to change; else nothing is done, and it is shown as it is
+ * @param mayEdit whether the server lets them change surfaces, where it is theirs
  */
-export function storeActions(store: Store, change: (act: () => void) => void, mayChange: () => boolean): Pick<Actions, Names> {
+export function storeActions(store: Store, change: (act: () => void) => void, mayChange: () => boolean, mayEdit: () => boolean): Pick<Actions, Names> {
   const changeShown = (act: () => void) => change(mayChange() ? act : () => undefined);
+  const editShown = (act: () => void) => change(mayChange() && mayEdit() ? act : () => undefined);
   return {
     goToStep: (step, gesture) => changeShown(() => store.goTo(step, gesture)),
-    edit: (edit, gesture) => changeShown(() => store.edit(edit, gesture)),
-    editPoints: (points, gesture) => changeShown(() => store.edit({ transferFunction: toWire(points) }, gesture)),
+    edit: (edit, gesture) => editShown(() => store.edit(edit, gesture)),
+    editPoints: (points, gesture) => editShown(() => store.edit({ transferFunction: toWire(points) }, gesture)),
     changeLook: (look, gesture) => change(() => store.changeLook(look, gesture)),
     changeStyle: (number, style, gesture) => change(() => store.changeStyle(number, style, gesture)),
-    addSurface: (iso) => changeShown(() => store.addSurface(iso)),
-    removeSurface: (number) => changeShown(() => store.removeSurface(number)),
+    addSurface: (iso) => editShown(() => store.addSurface(iso)),
+    removeSurface: (number) => editShown(() => store.removeSurface(number)),
     selectSurface: (number) => change(() => store.select(number)),
     endGesture: () => change(() => store.endGesture()),
     undo: () => changeShown(() => store.undo()),

@@ -1,6 +1,7 @@
 /** What a card of the inspector is. */
 
 import type { Component } from "solid-js";
+import type { Role } from "../../state/roles";
 import type { Model } from "../model";
 import type { IconName } from "../widgets/icon";
 
@@ -13,6 +14,8 @@ export interface Card {
   readonly folded?: boolean;
   /** Whether there is such a card for the open volume; without it always. */
   readonly when?: (model: Model) => boolean;
+  /** All of it is of use to those alone who have this role. */
+  readonly needs?: Role;
   /** It is about the selected surface, and says so where there are several. */
   readonly isOfSurface?: boolean;
   readonly body: Component;

@@ -2,6 +2,7 @@
 
 import { Match, Show, Switch } from "solid-js";
 import { useModel } from "../model";
+import { Needs } from "../needs";
 import { Button } from "../widgets/button";
 
 export default function Body() {
@@ -36,14 +37,16 @@ function Choices() {
   const isOffered = () => viewer().questions.includes("annotate") && look().colorBy !== "error";
   return (
     <>
-      <div class="control row">
-        <span class="note">What does decimation cost?</span>
-        <Button onClick={() => actions.compare("full")}>Against full</Button>
-      </div>
-      <div class="control row">
-        <span class="note">What does the next edit change?</span>
-        <Button onClick={() => actions.compare("edit")}>Keep this</Button>
-      </div>
+      <Needs role="edit">
+        <div class="control row">
+          <span class="note">What does decimation cost?</span>
+          <Button onClick={() => actions.compare("full")}>Against full</Button>
+        </div>
+        <div class="control row">
+          <span class="note">What does the next edit change?</span>
+          <Button onClick={() => actions.compare("edit")}>Keep this</Button>
+        </div>
+      </Needs>
       <Show when={isOffered()}>
         <div class="control row">
           <span class="note">Where is it off, and how far?</span>

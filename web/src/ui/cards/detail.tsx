@@ -127,4 +127,4 @@ function Limits(props: { readonly view: View }) {
   );
 }
 
-export const detailCard: Card = { id: "detail", title: "Detail", icon: "detail", isOfSurface: true, body: Body };
+export const detailCard: Card = { id: "detail", title: "Detail", icon: "detail", isOfSurface: true, needs: "edit", body: Body };

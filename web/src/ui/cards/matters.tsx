@@ -202,4 +202,4 @@ function Range(props: { readonly view: View; readonly info: DerivedInfo | undefi
   );
 }
 
-export const mattersCard: Card = { id: "matters", title: "What matters", icon: "matters", isOfSurface: true, body: Body };
+export const mattersCard: Card = { id: "matters", title: "What matters", icon: "matters", isOfSurface: true, needs: "edit", body: Body };

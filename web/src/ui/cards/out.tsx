@@ -5,6 +5,7 @@ import { formatPercent } from "../format";
 import { FORMATS } from "../exportMenu";
 import { useModel, type ImageRequest } from "../model";
 import { useSurfaceName, useVisibleCount } from "../surfaceNames";
+import { Needs } from "../needs";
 import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
@@ -49,22 +50,24 @@ export default function Body() {
         <Button onClick={() => actions.saveImage(request())}>Save PNG</Button>
       </div>
       <Turn />
-      <div class="control row">
-        <span class="label">Mesh{name() && ` of ${name()}`}</span>
-        <span class="inline">
-          <For each={FORMATS}>
-            {({ format, text }) => (
-              <button type="button" class="chip" title={text} on:click={() => actions.download(format, cap())}>
-                {format.toUpperCase()}
-              </button>
-            )}
-          </For>
-        </span>
-      </div>
-      <All />
-      <Show when={canCap()}>
-        <Toggle label="Close it where it leaves the volume" on={wantsCap()} onChange={setCap} />
-      </Show>
+      <Needs role="export">
+        <div class="control row">
+          <span class="label">Mesh{name() && ` of ${name()}`}</span>
+          <span class="inline">
+            <For each={FORMATS}>
+              {({ format, text }) => (
+                <button type="button" class="chip" title={text} on:click={() => actions.download(format, cap())}>
+                  {format.toUpperCase()}
+                </button>
+              )}
+            </For>
+          </span>
+        </div>
+        <All />
+        <Show when={canCap()}>
+          <Toggle label="Close it where it leaves the volume" on={wantsCap()} onChange={setCap} />
+        </Show>
+      </Needs>
       <div class="control row">
         <span class="label">Copy</span>
         <span class="inline">

@@ -5,6 +5,7 @@ import type { Edit, FieldInfo, View, VolumeInfo } from "../../protocol/types";
 import { useDescribed } from "../expressions";
 import { formatValue } from "../format";
 import { useModel } from "../model";
+import { Needs } from "../needs";
 import { HistogramSlider } from "../plots/histogramSlider";
 import { landmarks } from "../plots/landmarks";
 import { Button } from "../widgets/button";
@@ -31,7 +32,8 @@ function fieldEdit(volume: VolumeInfo, view: View, name: string): Edit {
 }
 
 function Body() {
-  const { actions, view, volume } = useModel();
+  const model = useModel();
+  const { actions, view, volume } = model;
   const fields = () => volume()?.fields ?? [];
   const [editing, setEditing] = createSignal(false);
   const named = (name: string | undefined) => fields().find((known) => known.name === name);
@@ -55,24 +57,28 @@ function Body() {
     <Show when={field()}>
       {(known) => (
         <>
-          <Isovalue field={known()} iso={view()?.iso ?? 0}>
-            <Show when={options().length > 1} fallback={<span class="label">Isovalue</span>}>
-              <Select label="Field" hideLabel value={view()?.field} options={options()} onChange={choose} />
-            </Show>
-          </Isovalue>
+          <Needs role="edit">
+            <Isovalue field={known()} iso={view()?.iso ?? 0}>
+              <Show when={options().length > 1} fallback={<span class="label">Isovalue</span>}>
+                <Select label="Field" hideLabel value={view()?.field} options={options()} onChange={choose} />
+              </Show>
+            </Isovalue>
+          </Needs>
           <SurfaceRows />
         </>
       )}
     </Show>
-    <Show
-      when={editing() || (expression() !== undefined && described()?.info === undefined)}
-      fallback={
-        <Button quiet class="compute" onClick={() => setEditing(true)}>
-          {expression() === undefined ? "Compute a field…" : "Change the expression…"}
-        </Button>
-      }
-    >
-      <ExpressionEditor label="Expression of the field" value={expression() ?? ""} onUse={use} onClose={() => setEditing(false)} />
+    <Show when={model.may("edit")}>
+      <Show
+        when={editing() || (expression() !== undefined && described()?.info === undefined)}
+        fallback={
+          <Button quiet class="compute" onClick={() => setEditing(true)}>
+            {expression() === undefined ? "Compute a field…" : "Change the expression…"}
+          </Button>
+        }
+      >
+        <ExpressionEditor label="Expression of the field" value={expression() ?? ""} onUse={use} onClose={() => setEditing(false)} />
+      </Show>
     </Show>
     </>
   );

@@ -36,7 +36,8 @@ function createPanel(hasContent: () => boolean): readonly [isOpen: () => boolean
 }
 
 export function SurfaceRows() {
-  const { selected, surfaces, view, viewer, volume } = useModel();
+  const model = useModel();
+  const { selected, surfaces, view, viewer, volume } = model;
   const several = () => surfaces().length > 1;
   /** A surface alone that is hidden is listed too: else nothing would show it again. */
   const isListed = () => several() || surfaces().some(({ style }) => !style.visible);
@@ -51,7 +52,8 @@ export function SurfaceRows() {
   const [isPartsOpen, togglePartsOpen] = createPanel(() => (view()?.parts ?? null) !== null);
   const [isMaskOpen, toggleMaskOpen] = createPanel(() => (view()?.mask ?? null) !== null);
   /** A mask is another field of the same volume. */
-  const offersMask = () => (volume()?.fields.length ?? 0) > 1;
+  const offersMask = () => model.may("edit") && (volume()?.fields.length ?? 0) > 1;
+  const offersPartTools = () => model.may("edit") && offersParts(selected()?.view, viewer().questions);
   return (
     <Show when={surfaces().length > 0}>
       <Show when={isListed()}>
@@ -66,7 +68,7 @@ export function SurfaceRows() {
         <Show when={note()}>
           <span class="note">{note()}</span>
         </Show>
-        <Show when={offersParts(selected()?.view, viewer().questions)}>
+        <Show when={offersPartTools()}>
           <button type="button" class="button quiet" aria-label="Parts of the surface" title="Hide pieces, or keep one alone" aria-expanded={isPartsOpen()} on:click={togglePartsOpen}>
             Parts
           </button>
@@ -79,11 +81,11 @@ export function SurfaceRows() {
         <button type="button" class="button quiet" aria-label="Opacity and colour" aria-expanded={isOpen()} on:click={toggleOpen}>
           Opacity
         </button>
-        <Show when={!isFull()}>
+        <Show when={!isFull() && model.may("edit")}>
           <Add />
         </Show>
       </div>
-      <Show when={isPartsOpen() && offersParts(selected()?.view, viewer().questions)}>
+      <Show when={isPartsOpen() && offersPartTools()}>
         <PartTools parts={view()?.parts ?? null} />
       </Show>
       <Show when={offersMask() && isMaskOpen()}>
@@ -108,7 +110,8 @@ function Item(props: { readonly surface: Surface; readonly place: number; readon
 }
 
 function Row(props: { readonly surface: Surface; readonly place: number; readonly isSelected: boolean }) {
-  const { actions, facts, surfaces, viewer, volume } = useModel();
+  const model = useModel();
+  const { actions, facts, surfaces, viewer, volume } = model;
   const number = () => props.surface.number;
   const name = () => surfaceName(surfaces(), number()) || "the surface";
   const style = () => props.surface.style;
@@ -129,7 +132,7 @@ function Row(props: { readonly surface: Surface; readonly place: number; readonl
       <button type="button" class="surface-disc" style={colors()} aria-label={`Select ${name()}`} aria-pressed={props.isSelected} title="The cards are about the selected surface" on:click={() => actions.selectSurface(number())}>
         {props.place + 1}
       </button>
-      <NumberField label={`Isovalue of ${name()}`} value={props.surface.view.iso} step={range() / 256 || 1} onChange={change} />
+      <NumberField label={`Isovalue of ${name()}`} value={props.surface.view.iso} step={range() / 256 || 1} disabled={!model.may("edit")} onChange={change} />
       <span class="unit">{field()?.unit ?? ""}</span>
       <span class="note clipped" title={`${label(props.surface.view.field)}, ${formatCount(triangles())} triangles`}>
         <Show when={(volume()?.fields.length ?? 1) > 1}>{label(props.surface.view.field)} · </Show>
@@ -140,7 +143,7 @@ function Row(props: { readonly surface: Surface; readonly place: number; readonl
         label={style().visible ? `Hide ${name()}` : `Show ${name()}`}
         onClick={() => actions.changeStyle(number(), { visible: !style().visible })}
       />
-      <Show when={surfaces().length > 1}>
+      <Show when={surfaces().length > 1 && model.may("edit")}>
         <IconButton icon="close" label={`Remove ${name()}`} onClick={() => remove(() => actions.removeSurface(number()))} />
       </Show>
     </div>

@@ -3,6 +3,7 @@
 import { createSignal, createUniqueId, For, Match, Show, Switch } from "solid-js";
 import { followerName, followersText, isLed, LEADER, type GroupState } from "../../state/group";
 import { useModel } from "../model";
+import { Needs } from "../needs";
 import { Button } from "../widgets/button";
 
 /** Kept while the page is open: the card may be folded in between. */
@@ -21,10 +22,12 @@ export default function Body() {
 function Start() {
   const { actions } = useModel();
   return (
-    <div class="control row">
-      <p class="note">Others see what you see, and turn as you turn. They join by a link</p>
-      <Button onClick={() => actions.group({ type: "start" })}>Start</Button>
-    </div>
+    <Needs role="edit">
+      <div class="control row">
+        <p class="note">Others see what you see, and turn as you turn. They join by a link</p>
+        <Button onClick={() => actions.group({ type: "start" })}>Start</Button>
+      </div>
+    </Needs>
   );
 }
 
@@ -97,10 +100,12 @@ function Following(props: { readonly group: GroupState }) {
       </div>
       <Show when={isLed(props.group)} fallback={<GiveBack />}>
         <Camera group={props.group} />
-        <div class="control row">
-          <p class="note">{props.group.asks ? "The leader was asked" : "To change something yourself"}</p>
-          <Button onClick={() => actions.group({ type: "ask", asks: !props.group.asks })}>{props.group.asks ? "Ask no more" : "Ask for control"}</Button>
-        </div>
+        <Needs role="edit">
+          <div class="control row">
+            <p class="note">{props.group.asks ? "The leader was asked" : "To change something yourself"}</p>
+            <Button onClick={() => actions.group({ type: "ask", asks: !props.group.asks })}>{props.group.asks ? "Ask no more" : "Ask for control"}</Button>
+          </div>
+        </Needs>
       </Show>
       <Name />
     </>
