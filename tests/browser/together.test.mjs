@@ -41,6 +41,16 @@ async function sameCamera(one, other) {
 
 test("a follower sees what the leader does, and control goes there and back", { timeout: 6 * TIMEOUT_MS }, async () => {
   const context = await at.browser.newContext();
+  // So that a test can lose a connection.
+  await context.addInitScript(() => {
+    window.sockets = [];
+    window.WebSocket = class extends WebSocket {
+      constructor(...of) {
+        super(...of);
+        window.sockets.push(this);
+      }
+    };
+  });
   const leader = await openPage(context, at.server.url);
   await settled(leader.page);
   await unfold(leader.page);
@@ -87,13 +97,31 @@ test("a follower sees what the leader does, and control goes there and back", { 
   await turn(follower.page);
   await sameCamera(leader.page, follower.page);
 
-  // It comes back when its holder leaves.
+  // The leader's connection is lost, and it comes back: the group is the same, and so is who has control.
+  await leader.page.evaluate(() => window.sockets.at(-1).close());
+  await follower.page.getByText("The leader is back").waitFor();
+  assert.ok(follower.messages.some(({ leaderAway }) => leaderAway === true), "the group has waited");
+  assert.ok(leader.messages.some(({ type, resume }) => type === "lead" && resume?.group === started.group));
+  await setIso(follower.page, 3);
+  await Promise.all([shows(follower.page, 3), shows(leader.page, 3)]);
+
+  // Control comes back when its holder leaves, and with it the leader's next connection is followed.
   await follower.page.close();
   await leader.page.getByText("Nobody follows yet").waitFor();
+  const other = await openPage(context, link);
+  await leader.page.getByText("1 follows").waitFor();
   await setIso(leader.page, 6);
-  await shows(leader.page, 6);
+  await Promise.all([shows(leader.page, 6), shows(other.page, 6)]);
+  await leader.page.evaluate(() => window.sockets.at(-1).close());
+  await other.page.getByText("The leader is back").waitFor();
+  await setIso(leader.page, 5);
+  await Promise.all([shows(leader.page, 5), shows(other.page, 5)]);
+  await turn(leader.page);
+  await sameCamera(leader.page, other.page);
+  assert.ok(![...follower.messages, ...other.messages].some(({ key }) => key !== undefined), "the key is the leader's alone");
   await button(leader.page, "End").click();
+  await other.page.getByText("The group has ended").waitFor();
   await button(leader.page, "Start").waitFor();
-  assert.deepEqual([...leader.faults, ...follower.faults], []);
+  assert.deepEqual([...leader.faults, ...follower.faults, ...other.faults], []);
   await context.close();
 });

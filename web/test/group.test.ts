@@ -17,12 +17,15 @@ describe("a group in words and links", () => {
   });
 
   test("what is new is said once", () => {
-    const group: Group = { type: "group", group: ID, you: 0, control: 0, followers: 1, asks: false, people: [{ number: 1, name: null, asks: false }] };
+    const group: Group = { type: "group", group: ID, you: 0, control: 0, followers: 1, asks: false, leaderAway: false, people: [{ number: 1, name: null, asks: false }] };
     const asked: Group = { ...group, people: [{ number: 1, name: "Ann", asks: true }] };
     expect(groupNews(undefined, group)).toBeUndefined();
     expect(groupNews(group, asked)).toBe("Ann asks for control");
     expect(groupNews(asked, asked)).toBeUndefined();
     expect(groupNews(asked, { ...asked, control: 1 })).toBe("Another has control now");
+    const away: Group = { ...group, you: 1, leaderAway: true };
+    expect(groupNews({ ...group, you: 1 }, away)).toBe("The leader’s connection was lost: the group waits for it");
+    expect(groupNews(away, { ...away, leaderAway: false })).toBe("The leader is back");
     expect(groupNews({ ...group, you: 1 }, { ...group, you: 1, control: 1 })).toBe("You have control: the others follow you");
   });
 });
@@ -101,6 +104,40 @@ describe("a client that follows", () => {
     expect([client.following, client.ready]).toEqual([false, true]);
     client.restart();
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2 }), 5000);
+  });
+
+  test("who leads does so again on a new connection, after what it shows, and nobody else has the key", async () => {
+    const key = "k".repeat(32);
+    const resume = { type: "lead", resume: { group: ID, key } };
+    const leads = { ...group, you: 0, key };
+    say(leads);
+    await vi.waitFor(() => expect(heard).toEqual([{ ...group, you: 0 }]));
+    client.open("head", 2);
+    await vi.waitFor(() => expect(said.at(-1)?.type).toBe("open"));
+    say(opened);
+    await vi.waitFor(() => expect(client.ready).toBe(true));
+    client.edit({ iso: 8 });
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "edit", iso: 8 }));
+    client.restart();
+    await vi.waitFor(() => expect(said.at(-1)?.type).toBe("open"), 5000);
+    const before = said.length;
+    say(opened);
+    await vi.waitFor(() => expect(said.at(-1)).toEqual(resume));
+    expect(said.slice(before)).toMatchObject([{ type: "edit", iso: 8 }, resume]);
+
+    // Where another has control, that one says what is opened.
+    say({ ...leads, control: 1 });
+    await vi.waitFor(() => expect(client.following).toBe(true));
+    const count = said.length;
+    client.restart();
+    await vi.waitFor(() => expect(said.slice(count)).toEqual([resume]), 5000);
+    // It was too late.
+    say({ type: "error", code: "unknown-group", message: "there is no such group", open: true });
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2 }));
+    expect(client.following).toBe(false);
+    client.restart();
+    await vi.waitFor(() => expect(said.slice(count)).toHaveLength(3), 5000);
+    expect(said.at(-1)?.type).toBe("open");
   });
 
   test("of a group that there is not, nothing is expected", async () => {

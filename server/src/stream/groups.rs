@@ -1,14 +1,16 @@
 //! Groups: viewers who are shown what one of them does.
 //!
 //! A group has a leader, who has started it, and followers. One of them has control, at first the leader: what that one opens, edits and
-//! looks at is passed on, always the newest of it alone. When the leader goes, the group ends.
+//! looks at is passed on, always the newest of it alone. When the leader leaves, the group ends; where its connection is lost, the group waits for it
+//! to come back with the key that it alone has.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 
+use subtle::ConstantTimeEq;
 use tokio::sync::watch;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 use crate::metrics;
@@ -22,6 +24,9 @@ pub(super) const MAX_GROUPS: usize = 64;
 pub(super) const MAX_FOLLOWERS: usize = 1000;
 /// A group that was forgotten ends after so long.
 const MAX_AGE: Duration = Duration::from_secs(12 * 3600);
+
+/// How long a group waits for a leader whose connection was lost: a page tries again every eight seconds or sooner.
+const LEADER_PAUSE: Duration = Duration::from_secs(30);
 
 /// Followers that the leader has one by one, those first who ask for control.
 const MAX_LISTED: usize = 32;
@@ -37,16 +42,37 @@ const MEMBERS_INTERVAL: Duration = Duration::from_millis(250);
 const LEADER: u32 = 0;
 
 /// All groups, by their ids. Clones are of the same.
-#[derive(Clone, Default)]
-pub(super) struct Groups(Arc<Mutex<HashMap<String, Weak<Group>>>>);
+#[derive(Clone)]
+pub(super) struct Groups {
+    all: Arc<Mutex<HashMap<String, Weak<Group>>>>,
+    /// How long a group waits for its leader.
+    leader_pause: Duration,
+}
+
+impl Default for Groups {
+    fn default() -> Self {
+        Self::with_pause(LEADER_PAUSE)
+    }
+}
 
 struct Group {
     id: String,
+    leader: Leader,
+    /// Its newest connection: cancelled, another one has come.
+    connection: Mutex<CancellationToken>,
     scene: watch::Sender<Option<Arc<Scene>>>,
     pose: watch::Sender<Option<Arc<Pose>>>,
     members: watch::Sender<Members>,
     expires: Instant,
     ended: CancellationToken,
+}
+
+/// Who leads a group, on whatever connection.
+#[derive(Clone, Debug)]
+pub(super) struct Leader {
+    pub user: String,
+    /// Random, for the leader alone: who has it and is this user may come back.
+    pub key: String,
 }
 
 /// What is open and shown. Views are as edits left them.
@@ -65,6 +91,8 @@ struct Members {
     control: u32,
     followers: BTreeMap<u32, Followed>,
     last: u32,
+    /// Since when the leader has no connection.
+    away: Option<Instant>,
 }
 
 #[derive(Debug)]
@@ -113,8 +141,12 @@ pub(super) enum GroupEvent {
     Ended(&'static str),
 }
 
-/// A viewer in a group; dropped, it leaves.
+/// A viewer in a group; dropped, it leaves, and is waited for where it leads.
 pub(super) struct Member {
+    /// Of a leader: cancelled, another one of its connections has come.
+    connection: CancellationToken,
+    /// It has left, and is not waited for.
+    has_left: bool,
     group: Arc<Group>,
     groups: Groups,
     number: u32,
@@ -126,19 +158,30 @@ pub(super) struct Member {
 }
 
 impl Groups {
+    pub(super) fn with_pause(leader_pause: Duration) -> Self {
+        Self {
+            all: Arc::default(),
+            leader_pause,
+        }
+    }
+
     /// A poisoned one too: a panic leaves nothing half updated.
     fn all(&self) -> MutexGuard<'_, HashMap<String, Weak<Group>>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.all.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Starts a group. `id` is random, and all that who joins has to know.
-    pub(super) fn lead(&self, id: String) -> Result<Member, GroupError> {
+    pub(super) fn lead(&self, id: String, leader: Leader) -> Result<Member, GroupError> {
+        self.make_space();
         let mut all = self.all();
         if all.len() >= MAX_GROUPS {
             return Err(GroupError::TooMany);
         }
+        let connection = CancellationToken::new();
         let group = Arc::new(Group {
             id: id.clone(),
+            leader,
+            connection: Mutex::new(connection.clone()),
             scene: watch::Sender::new(None),
             pose: watch::Sender::new(None),
             members: watch::Sender::new(Members::default()),
@@ -148,7 +191,47 @@ impl Groups {
         all.insert(id, Arc::downgrade(&group));
         metrics::groups(all.len());
         drop(all);
-        Ok(Member::new(group, self.clone(), LEADER))
+        Ok(Member::new(group, self.clone(), LEADER, connection))
+    }
+
+    /// Where there are as many as may be, the one ends whose leader has been away longest.
+    fn make_space(&self) {
+        let all: Vec<Arc<Group>> = self.all().values().filter_map(Weak::upgrade).collect();
+        if all.len() < MAX_GROUPS {
+            return;
+        }
+        let away = all
+            .iter()
+            .filter_map(|group| Some((group.members.borrow().away?, group)));
+        if let Some((_, group)) = away.min_by_key(|(since, _)| *since) {
+            self.end(group);
+        }
+    }
+
+    /// Ends a group for all who are in it.
+    fn end(&self, group: &Group) {
+        group.ended.cancel();
+        let mut all = self.all();
+        all.remove(&group.id);
+        metrics::groups(all.len());
+    }
+
+    /// Leads a group again, on another connection than before.
+    pub(super) fn resume(&self, id: &str, leader: &Leader) -> Result<Member, GroupError> {
+        let group = self.all().get(id).and_then(Weak::upgrade);
+        let is_leader = |group: &Arc<Group>| {
+            let is_key: bool = group.leader.key.as_bytes().ct_eq(leader.key.as_bytes()).into();
+            is_key && group.leader.user == leader.user && !group.ended.is_cancelled()
+        };
+        let group = group.filter(is_leader).ok_or(GroupError::Unknown)?;
+        let connection = CancellationToken::new();
+        {
+            let mut newest = group.connection();
+            newest.cancel();
+            *newest = connection.clone();
+            group.members.send_if_modified(|members| members.away.take().is_some());
+        }
+        Ok(Member::new(group, self.clone(), LEADER, connection))
     }
 
     /// Joins a group as a follower.
@@ -174,12 +257,19 @@ impl Groups {
         });
         let number = number.ok_or(GroupError::Full)?;
         metrics::follower(1.0);
-        Ok(Member::new(group, self.clone(), number))
+        Ok(Member::new(group, self.clone(), number, CancellationToken::new()))
+    }
+}
+
+impl Group {
+    /// A poisoned one too, as of all groups.
+    fn connection(&self) -> MutexGuard<'_, CancellationToken> {
+        self.connection.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Member {
-    fn new(group: Arc<Group>, groups: Groups, number: u32) -> Self {
+    fn new(group: Arc<Group>, groups: Groups, number: u32, connection: CancellationToken) -> Self {
         let (mut scene, mut pose) = (group.scene.subscribe(), group.pose.subscribe());
         let mut members = group.members.subscribe();
         // What is there already is news to who joins.
@@ -187,6 +277,8 @@ impl Member {
         pose.mark_changed();
         members.mark_changed();
         Self {
+            connection,
+            has_left: false,
             number,
             scene,
             pose,
@@ -198,16 +290,22 @@ impl Member {
         }
     }
 
+    /// Leaves for good: a group whose leader does ends.
+    pub(super) fn leave(mut self) {
+        self.has_left = true;
+    }
+
     /// Whether it has control, so that the others follow it.
     pub(super) fn controls(&self) -> bool {
-        self.members.borrow().control == self.number
+        !self.connection.is_cancelled() && self.members.borrow().control == self.number
     }
 
     /// The next thing that has happened. Scenes and poses are of others: who has control knows its own.
     async fn event(&mut self) -> GroupEvent {
         let follows = !self.controls();
         tokio::select! {
-            () = self.group.ended.cancelled() => GroupEvent::Ended("the leader has ended it"),
+            () = self.group.ended.cancelled() => GroupEvent::Ended("the leader has ended it, or has not come back"),
+            () = self.connection.cancelled() => GroupEvent::Ended("you lead it on another connection"),
             () = sleep_until(self.group.expires) => GroupEvent::Ended("it is 12 hours old"),
             Ok(()) = self.scene.changed(), if follows => GroupEvent::Scene,
             Ok(()) = changed_from(&mut self.pose, self.pose_due), if follows => {
@@ -303,18 +401,49 @@ impl Member {
             control: members.control,
             followers: members.followers.len() as u32,
             asks: members.followers.get(&self.number).is_some_and(|own| own.asks),
+            leader_away: members.away.is_some(),
+            key: (self.number == LEADER).then(|| self.group.leader.key.clone()),
             people,
         }
+    }
+}
+
+impl Member {
+    /// The group ends, or waits for the leader.
+    fn drop_leader(&self) {
+        let (group, groups, connection) = (&self.group, &self.groups, &self.connection);
+        let newest = group.connection();
+        if connection.is_cancelled() {
+            return;
+        }
+        let runtime = tokio::runtime::Handle::try_current();
+        let (false, Ok(runtime)) = (self.has_left, runtime) else {
+            return groups.end(group);
+        };
+        group.members.send_modify(|members| members.away = Some(Instant::now()));
+        drop(newest);
+        let (group, groups, connection) = (Arc::clone(group), groups.clone(), connection.clone());
+        // One of a group at a time: it ends with the group, or when the leader is back.
+        runtime.spawn(async move {
+            tokio::select! {
+                () = connection.cancelled() => {}
+                () = group.ended.cancelled() => {}
+                () = sleep(groups.leader_pause) => {
+                    let newest = group.connection();
+                    if !connection.is_cancelled() {
+                        groups.end(&group);
+                    }
+                    drop(newest);
+                }
+            }
+        });
     }
 }
 
 impl Drop for Member {
     fn drop(&mut self) {
         if self.number == LEADER {
-            self.group.ended.cancel();
-            let mut all = self.groups.all();
-            all.remove(&self.group.id);
-            return metrics::groups(all.len());
+            return self.drop_leader();
         }
         metrics::follower(-1.0);
         self.group.members.send_modify(|members| {

@@ -357,7 +357,7 @@ impl<B: Backend> Session<B> {
                     | ClientMessage::Edit(_)
                     | ClientMessage::Remove { .. } => self.on_change(message),
                     ClientMessage::Cancel {} => self.on_cancel(),
-                    ClientMessage::Lead {}
+                    ClientMessage::Lead { .. }
                     | ClientMessage::Join { .. }
                     | ClientMessage::Leave {}
                     | ClientMessage::Pose(_)

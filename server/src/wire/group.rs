@@ -67,6 +67,25 @@ impl Pose {
     }
 }
 
+/// What a leader comes back with.
+#[derive(Clone, PartialEq, Eq, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub struct Resume {
+    /// The group's id.
+    pub group: String,
+    /// The key that the leader's `group` had.
+    pub key: String,
+}
+
+impl std::fmt::Debug for Resume {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Resume")
+            .field("group", &self.group)
+            .finish_non_exhaustive()
+    }
+}
+
 /// Checks the name that a follower gives.
 ///
 /// # Errors

@@ -6,7 +6,7 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 
 use super::chunk::{ChunkKind, MAX_SURFACES};
-use super::group::{Follower, LedSurface, Pose};
+use super::group::{Follower, LedSurface, Pose, Resume};
 use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Probe};
 use crate::view::Edit;
 
@@ -87,8 +87,12 @@ pub enum ClientMessage {
         /// Which one.
         annotation: Annotation,
     },
-    /// Start a group, whose followers are shown what is shown here.
-    Lead {},
+    /// Start a group, whose followers are shown what is shown here, or lead one again.
+    Lead {
+        /// The group that was led on another connection.
+        #[serde(default)]
+        resume: Option<Resume>,
+    },
     /// Follow a group.
     Join {
         /// Its id.
@@ -401,6 +405,12 @@ pub enum ServerMessage {
         followers: u32,
         /// Whether the viewer asks for control.
         asks: bool,
+        /// The leader's connection was lost; the group waits for it.
+        leader_away: bool,
+        /// For the leader alone: what it comes back with on another connection.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[cfg_attr(test, ts(optional))]
+        key: Option<String>,
         /// For the leader: some of those who follow, first those who ask for control.
         people: Vec<Follower>,
     },

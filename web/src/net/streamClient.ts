@@ -55,6 +55,8 @@ export class StreamClient {
   private asked = 0;
   /** The group to follow, also on a new connection. */
   private joined: { readonly group: string; readonly name?: string } | undefined;
+  /** The group that is led from here, and what it is led again with on a new connection; known to nobody else. */
+  private leading: { readonly group: string; readonly key: string } | undefined;
   /** Another member of a group has control, or is going to: what is shown is theirs, and nothing of it is asked for here. */
   private isLed = false;
 
@@ -199,6 +201,7 @@ export class StreamClient {
 
   /** Follows a group from now on, with a name for its leader. */
   join(group: string, name: string | undefined): void {
+    this.leading = undefined;
     this.joined = { group, ...(name === undefined ? {} : { name }) };
     this.isLed = true;
     this.throttle.cancel();
@@ -208,7 +211,7 @@ export class StreamClient {
 
   /** Something about the group. */
   say(message: GroupMessage): void {
-    if (message.type === "leave") this.joined = undefined;
+    if (message.type === "leave") [this.joined, this.leading] = [undefined, undefined];
     this.send(message);
   }
 
@@ -219,8 +222,15 @@ export class StreamClient {
       this.send({ type: "join", name: null, ...this.joined });
       return;
     }
+    // Another shows what is to be opened.
+    if (this.isLed && this.leadAgain()) return;
     if (this.target === undefined) return;
     this.send({ type: "open", ...this.target });
+  }
+
+  /** Whether a group is led from here; then it is, on this connection too. */
+  private leadAgain(): boolean {
+    return this.leading !== undefined && this.send({ type: "lead", resume: this.leading });
   }
 
   private receive(text: string): void {
@@ -255,9 +265,16 @@ export class StreamClient {
   private receiveOfGroup(message: ServerMessage): boolean {
     if (message.type === "left") return this.parted(message);
     if (message.type === "error") return (message.code === "unknown-group" || message.code === "group-full") && this.parted(message);
-    if (message.type === "group") this.isLed = message.control !== message.you;
-    else if (message.type === "led") this.expect(message.volume, message.step);
+    if (message.type === "group") return this.receiveGroup(message);
+    if (message.type === "led") this.expect(message.volume, message.step);
     else if (message.type !== "posed") return false;
+    this.handlers.onMessage(message);
+    return true;
+  }
+
+  private receiveGroup({ key, ...message }: Extract<ServerMessage, { type: "group" }>): true {
+    this.isLed = message.control !== message.you;
+    if (key !== undefined) [this.leading, this.joined] = [{ group: message.group, key }, undefined];
     this.handlers.onMessage(message);
     return true;
   }
@@ -273,7 +290,7 @@ export class StreamClient {
 
   /** In no group any more: what is shown stays. */
   private parted(message: ServerMessage): true {
-    [this.joined, this.isLed] = [undefined, false];
+    [this.joined, this.leading, this.isLed] = [undefined, undefined, false];
     this.handlers.onMessage(message);
     if (!this.opened) this.sendOpen();
     return true;
@@ -308,6 +325,8 @@ export class StreamClient {
       wanted.unsent = undefined;
       this.sendEdit(surface, edit);
     }
+    // Now that what is shown here is what was shown before.
+    this.leadAgain();
   }
 
   /** Another has opened it, and its surfaces follow. */

@@ -98,6 +98,8 @@ export type ClientMessage = { "type": "open",
   /** Which one. */
   annotation: Annotation,
 } | { "type": "lead",
+  /** The group that was led on another connection. */
+  resume: Resume | null,
 } | { "type": "join",
   /** Its id. */
   group: string,
@@ -444,6 +446,14 @@ export type RegionError = {
   max: number,
 };
 
+/** What a leader comes back with. */
+export type Resume = {
+  /** The group's id. */
+  group: string,
+  /** The key that the leader's `group` had. */
+  key: string,
+};
+
 /** A part of what the server does. */
 export type Role = "view" | "edit" | "export" | "upload" | "push" | "admin";
 
@@ -583,6 +593,10 @@ export type ServerMessage = { "type": "opening",
   followers: number,
   /** Whether the viewer asks for control. */
   asks: boolean,
+  /** The leader's connection was lost; the group waits for it. */
+  leaderAway: boolean,
+  /** For the leader alone: what it comes back with on another connection. */
+  key?: string,
   /** For the leader: some of those who follow, first those who ask for control. */
   people: Array<Follower>,
 } | { "type": "led",

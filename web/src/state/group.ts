@@ -20,6 +20,9 @@ export const LEADER = 0;
 
 const NAME = "follow";
 
+/** For those who follow; the server waits half a minute. */
+export const AWAY = "The leader’s connection was lost: the group waits for it";
+
 /** Messages that are about a group alone. */
 export function isAboutGroup(message: ServerMessage): message is Extract<ServerMessage, { readonly type: "group" | "led" | "posed" | "left" }> {
   return ["group", "led", "posed", "left"].includes(message.type);
@@ -52,6 +55,7 @@ export function groupNews(before: Group | undefined, now: Group): string | undef
   if (before === undefined) return now.you === LEADER ? undefined : "You follow now: the picture and the camera are another's";
   if (isLed(before) && !isLed(now)) return now.you === LEADER ? "You have control again" : "You have control: the others follow you";
   if (!isLed(before) && isLed(now)) return now.you === LEADER ? "Another has control now" : "The leader has control again";
+  if (now.you !== LEADER && before.leaderAway !== now.leaderAway) return now.leaderAway ? AWAY : "The leader is back";
   const asked = now.people.find(({ number, asks }) => asks && before.people.every((other) => other.number !== number || !other.asks));
   return asked && `${followerName(asked)} asks for control`;
 }

@@ -39,6 +39,8 @@ export class Together {
   private group: GroupState | undefined;
   private led: Led | undefined;
   private posed: Posed | undefined;
+  /** On this connection. */
+  private isIn = false;
   private sentPage = "";
   private sentCamera = "";
   private name: string | undefined;
@@ -75,7 +77,7 @@ export class Together {
     const { client, model } = this.around;
     switch (act.type) {
       case "start":
-        return client.say({ type: "lead" });
+        return client.say({ type: "lead", resume: null });
       case "copy":
         if (this.group !== undefined) void copyOut(model, groupLink(window.location.href, this.group.group), "Link copied: whoever may use this server and opens it follows");
         return;
@@ -108,14 +110,14 @@ export class Together {
     return true;
   }
 
-  /** The connection was lost, and with it a group that is led from here; one that is followed is joined again. */
+  /** The connection was lost: the client joins or leads the group again on the next one, where there is such a group still. */
   lost(): void {
-    if (this.group !== undefined && !this.follows) this.left("The connection was lost: the group has ended");
+    [this.isIn, this.sentPage, this.sentCamera] = [false, "", ""];
   }
 
   /** Something is shown otherwise than before. */
   changed(): void {
-    if (this.group !== undefined && !this.follows) this.throttle.call();
+    if (this.isIn && !this.follows) this.throttle.call();
   }
 
   /** What is shown there is shown here, where its volume is open. */
@@ -134,6 +136,7 @@ export class Together {
   }
 
   private entered(message: Extract<ServerMessage, { type: "group" }>): void {
+    this.isIn = true;
     const before = this.group?.group === message.group ? this.group : undefined;
     this.around.model.say(groupNews(before, message));
     if (before === undefined) [this.sentPage, this.sentCamera] = ["", ""];
@@ -146,6 +149,7 @@ export class Together {
   private left(why: string): void {
     const { model, alone } = this.around;
     const wasLed = groupOf(window.location.hash) !== undefined;
+    this.isIn = false;
     [this.group, this.led, this.posed] = [undefined, undefined, undefined];
     model.showGroup(undefined);
     model.toast(why, "lasting");
@@ -187,7 +191,7 @@ export class Together {
   private send(): void {
     const { client, framing, link, scene } = this.around;
     const state = link();
-    if (state === undefined || framing.pose === undefined || this.follows) return;
+    if (state === undefined || framing.pose === undefined || this.follows || !this.isIn) return;
     const page = encodeLink({ ...state, pose: undefined });
     const camera = JSON.stringify(scene.camera.pose);
     const news = {

@@ -3,15 +3,15 @@
 use data_encoding::HEXLOWER;
 
 use super::super::backend::Backend;
-use super::super::groups::{GroupError, GroupEvent, Scene};
+use super::super::groups::{GroupError, GroupEvent, Leader, Scene};
 use super::Session;
 use super::open_volume::OpeningPhase;
 use super::outbox::Newest;
 use crate::access::Role;
-use crate::wire::group::{Pose, check_name};
+use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};
 
-/// Bytes of a group's id, random: who knows it and may look may follow.
+/// Bytes of a group's id, random: who knows it and may look may follow. Its key has as many.
 const ID_BYTES: usize = 16;
 
 impl<B: Backend> Session<B> {
@@ -34,10 +34,11 @@ impl<B: Backend> Session<B> {
     /// A message about the group itself.
     pub(super) fn on_group_message(&mut self, message: ClientMessage) {
         match message {
-            ClientMessage::Lead {} | ClientMessage::AskControl { .. } if !self.who.may(Role::Edit) => {
+            ClientMessage::Lead { .. } | ClientMessage::AskControl { .. } if !self.who.may(Role::Edit) => {
                 self.refuse_edit()
             }
-            ClientMessage::Lead {} => self.on_lead(),
+            ClientMessage::Lead { resume: None } => self.on_lead(),
+            ClientMessage::Lead { resume: Some(resume) } => self.on_resume(resume),
             ClientMessage::Join { group, name } => self.on_join(&group, name),
             ClientMessage::Leave {} => self.leave("you have left it"),
             ClientMessage::Pose(pose) => self.on_pose(pose),
@@ -63,13 +64,14 @@ impl<B: Backend> Session<B> {
         if self.opened.is_none() {
             return self.send_error("not-open", "no volume is open, expected `open` first", true);
         }
-        let mut id = [0; ID_BYTES];
-        if getrandom::fill(&mut id).is_err() {
+        let (mut id, mut key) = ([0; ID_BYTES], [0; ID_BYTES]);
+        if getrandom::fill(&mut id).and(getrandom::fill(&mut key)).is_err() {
             return self.send_error("busy", "the system has no random numbers", true);
         }
         // One at a time: the one before ends.
-        self.member = None;
-        match self.common.groups.lead(HEXLOWER.encode(&id)) {
+        self.part();
+        let leader = self.leader(HEXLOWER.encode(&key));
+        match self.common.groups.lead(HEXLOWER.encode(&id), leader) {
             Ok(member) => {
                 self.member = Some(member);
                 self.lead_or_follow();
@@ -78,11 +80,37 @@ impl<B: Backend> Session<B> {
         }
     }
 
+    fn leader(&self, key: String) -> Leader {
+        Leader {
+            user: self.who.user().to_owned(),
+            key,
+        }
+    }
+
+    /// Leads a group again that it has led on another connection.
+    fn on_resume(&mut self, Resume { group, key }: Resume) {
+        self.part();
+        match self.common.groups.resume(&group, &self.leader(key)) {
+            Ok(member) => {
+                self.member = Some(member);
+                self.lead_or_follow();
+            }
+            Err(error) => self.refuse(error),
+        }
+    }
+
+    /// Leaves the group that it is in, if it is in one.
+    fn part(&mut self) {
+        if let Some(member) = self.member.take() {
+            member.leave();
+        }
+    }
+
     fn on_join(&mut self, group: &str, name: Option<String>) {
         if let Some(Err(why)) = name.as_deref().map(check_name) {
             return self.send_error("bad-message", why, true);
         }
-        self.member = None;
+        self.part();
         match self.common.groups.join(group, name, self.who.may(Role::Edit)) {
             Ok(member) => {
                 self.member = Some(member);
@@ -98,7 +126,10 @@ impl<B: Backend> Session<B> {
             self.outbox.drop_newest(kind);
         }
         match self.member.take() {
-            Some(_) => self.send(&ServerMessage::Left { reason: reason.into() }),
+            Some(member) => {
+                member.leave();
+                self.send(&ServerMessage::Left { reason: reason.into() });
+            }
             None => self.refuse(GroupError::NoMember),
         }
     }

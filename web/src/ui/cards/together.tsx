@@ -1,7 +1,7 @@
 /** A group: others join by a link and are shown what one of them does. */
 
 import { createSignal, createUniqueId, For, Match, Show, Switch } from "solid-js";
-import { followerName, followersText, isLed, LEADER, type GroupState } from "../../state/group";
+import { AWAY, followerName, followersText, isLed, LEADER, type GroupState } from "../../state/group";
 import { useModel } from "../model";
 import { Needs } from "../needs";
 import { Button } from "../widgets/button";
@@ -98,6 +98,9 @@ function Following(props: { readonly group: GroupState }) {
         </span>
         <Button onClick={() => actions.group({ type: "leave" })}>Leave</Button>
       </div>
+      <Show when={props.group.leaderAway}>
+        <p class="note">{AWAY}</p>
+      </Show>
       <Show when={isLed(props.group)} fallback={<GiveBack />}>
         <Camera group={props.group} />
         <Needs role="edit">

@@ -1,5 +1,7 @@
 //! Groups: followers are shown what another does, whoever may edit, and control is handed over.
 
+use std::time::Duration;
+
 use serde_json::{Value, json};
 use tokio::sync::mpsc;
 
@@ -8,6 +10,7 @@ use super::faults::holder;
 use super::scripted::{Answer, shapes};
 use super::viewer::Viewer;
 use crate::access::{Identity, Role};
+use crate::stream::groups::{Groups, Leader, MAX_FOLLOWERS, MAX_GROUPS};
 
 /// Messages about the group, in between others.
 async fn group_message(viewer: &mut Viewer, name: &str) -> Value {
@@ -128,9 +131,12 @@ async fn who_may_only_look_is_shown_what_the_leader_does() {
     assert_eq!(looks.until("error").await["code"], "forbidden");
     looks.say(r#"{"type":"lead"}"#).await;
     assert_eq!(looks.until("error").await["code"], "forbidden");
-    // The leader goes, and with it the group.
-    leader.inbox = None;
-    assert_eq!(looks.until("left").await["reason"], "the leader has ended it");
+    // The leader leaves, and with it the group.
+    leader.say(r#"{"type":"leave"}"#).await;
+    assert_eq!(
+        looks.until("left").await["reason"],
+        "the leader has ended it, or has not come back"
+    );
     looks.say(&json!({"type": "join", "group": group}).to_string()).await;
     assert_eq!(looks.until("error").await["code"], "unknown-group");
 }
@@ -198,14 +204,122 @@ async fn control_is_given_to_who_asks_and_comes_back() {
     ann.quiet().await;
 }
 
+/// Somebody who leads.
+fn key_of(user: &str) -> Leader {
+    Leader {
+        user: user.into(),
+        key: "k".repeat(32),
+    }
+}
+
+#[tokio::test]
+async fn a_leader_whose_connection_was_lost_comes_back() {
+    let common = Common::new(1 << 20);
+    let leads = Viewer::among(&common, Identity::without_token()).open().await;
+    let mut leads = unmeasured(leads);
+    leads.say(r#"{"type":"edit","iso":5}"#).await;
+    leads.step().await.answer(Answer::last(1, shapes(&[1])));
+    leads.until("done").await;
+    leads.say(r#"{"type":"lead"}"#).await;
+    let told = group_message(&mut leads, "group").await;
+    let (group, key) = (told["group"].clone(), told["key"].clone());
+    assert_eq!(key.as_str().map(str::len), Some(32), "128 random bits");
+    assert_ne!(group, key);
+    let mut looks = follower(&common, Identity::without_token(), group.as_str().expect("an id"), 5.0).await;
+    leads.inbox = None;
+    let waits = loop {
+        let told = group_message(&mut looks, "group").await;
+        if told["leaderAway"] == true {
+            break told;
+        }
+    };
+    assert_eq!(
+        (&waits["control"], waits.get("key")),
+        (&json!(0), None),
+        "nobody else has the key"
+    );
+
+    // Who has the id alone, or is somebody else, leads nothing.
+    let resume = |key: &Value| json!({"type": "lead", "resume": {"group": group, "key": key}}).to_string();
+    looks.say(&resume(&json!("0".repeat(32)))).await;
+    assert_eq!(looks.until("error").await["code"], "unknown-group");
+    let (_folder, _, _watch, who) = holder(Role::Edit);
+    let other = Viewer::among(&common, who);
+    let mut other = unmeasured(other);
+    other.say(&resume(&key)).await;
+    assert_eq!(other.until("error").await["code"], "unknown-group");
+
+    // That of `looks` has left the group by its attempt, as with `lead`.
+    let mut looks = follower(&common, Identity::without_token(), group.as_str().expect("an id"), 5.0).await;
+    let mut again = unmeasured(Viewer::among(&common, Identity::without_token()).open().await);
+    again.say(r#"{"type":"edit","iso":5}"#).await;
+    again.until("done").await;
+    again.say(&resume(&key)).await;
+    let told = group_message(&mut again, "group").await;
+    assert_eq!(
+        (
+            &told["group"],
+            &told["you"],
+            &told["control"],
+            &told["leaderAway"],
+            &told["followers"]
+        ),
+        (&group, &json!(0), &json!(0), &json!(false), &json!(1))
+    );
+    while group_message(&mut looks, "group").await["leaderAway"] == true {}
+    again.say(r#"{"type":"edit","iso":6}"#).await;
+    shown(&mut again, 6.0).await;
+    follows(&mut looks, 0, 6.0).await;
+
+    // A connection that nobody has closed yet leads no longer, and ends nothing.
+    let mut third = unmeasured(Viewer::among(&common, Identity::without_token()));
+    third.say(&resume(&key)).await;
+    assert_eq!(group_message(&mut third, "group").await["you"], 0);
+    assert_eq!(again.until("left").await["reason"], "you lead it on another connection");
+    again.inbox = None;
+    third.say(r#"{"type":"leave"}"#).await;
+    let reason = looks.until("left").await;
+    assert_eq!(reason["reason"], "the leader has ended it, or has not come back");
+}
+
+#[tokio::test]
+async fn a_leader_is_waited_for_and_not_for_ever() {
+    let groups = Groups::with_pause(Duration::from_millis(600));
+    let (ann, bob) = (key_of("ann"), key_of("bob"));
+    let leads = groups.lead("0".into(), ann.clone()).expect("a group");
+    let follows = groups.join("0", None, true).expect("a follower");
+    drop(leads);
+    assert!(groups.resume("0", &bob).is_err(), "the key is another user's");
+    let wrong = Leader {
+        key: "x".repeat(32),
+        ..ann.clone()
+    };
+    assert!(groups.resume("0", &wrong).is_err());
+    let leads = groups.resume("0", &ann).expect("it is ann's");
+    assert!(leads.controls());
+    // The time of before counts no more.
+    tokio::time::sleep(Duration::from_millis(900)).await;
+    assert!(groups.join("0", None, true).is_ok());
+    drop(leads);
+    let gone = async {
+        while groups.join("0", None, true).is_ok() {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(10), gone)
+        .await
+        .expect("it ends");
+    assert!(groups.resume("0", &ann).is_err());
+    drop(follows);
+}
+
 #[tokio::test]
 async fn there_are_only_so_many_groups_and_followers() {
-    use crate::stream::groups::{Groups, MAX_FOLLOWERS, MAX_GROUPS};
-    let groups = Groups::default();
+    let (groups, ann) = (Groups::default(), key_of("ann"));
     let mut leaders: Vec<_> = (0..MAX_GROUPS)
-        .map(|i| groups.lead(i.to_string()).expect("a group"))
+        .map(|i| groups.lead(i.to_string(), ann.clone()).expect("a group"))
         .collect();
-    assert!(groups.lead("one more".into()).is_err());
+    assert!(groups.lead("one more".into(), ann.clone()).is_err());
     let followers: Vec<_> = (0..MAX_FOLLOWERS)
         .map(|_| groups.join("0", None, false).expect("a follower"))
         .collect();
@@ -213,7 +327,15 @@ async fn there_are_only_so_many_groups_and_followers() {
     assert!(groups.join("1", None, false).is_ok(), "of another group");
     drop(followers);
     assert!(groups.join("0", None, false).is_ok());
-    leaders.remove(0);
+    leaders.remove(0).leave();
     assert!(groups.join("0", None, false).is_err(), "its leader has gone");
-    assert!(groups.lead("one more".into()).is_ok());
+    let last = groups.lead("one more".into(), ann.clone()).expect("a group");
+    // Those whose leaders are away make space, the one that was left first before others.
+    drop(leaders.remove(4));
+    tokio::time::sleep(Duration::from_millis(2)).await;
+    drop(leaders.remove(7));
+    assert!(groups.join("5", None, false).is_ok() && groups.join("9", None, false).is_ok());
+    let another = groups.lead("another".into(), ann.clone()).expect("a group");
+    assert!(groups.join("5", None, false).is_err() && groups.join("9", None, false).is_ok());
+    drop((last, another));
 }
