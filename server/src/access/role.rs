@@ -20,7 +20,7 @@ pub enum Role {
     Export,
     /// Bring volumes to the server.
     Upload,
-    /// Send time steps of a simulation that runs.
+    /// Send time steps of a simulation that runs: nothing takes them yet.
     Push,
     /// All of these, and what is about the server itself.
     Admin,

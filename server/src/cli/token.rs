@@ -29,7 +29,7 @@ enum Command {
         #[arg(long, value_name = "NAME")]
         user: String,
 
-        /// What it is for: view, edit (and view), export, upload, push, or admin (all of these); may be given again
+        /// What it is for: view, edit (and view), export, upload, push (for nothing yet), or admin (all of these); may be given again
         #[arg(long, value_name = "ROLE", required = true)]
         role: Vec<Role>,
 
@@ -84,6 +84,9 @@ pub fn run(args: &Args) -> Result<(), CommandError> {
                 lifetime: *expires,
             })?;
             eprintln!("isopeel: {}", line(&made, now()));
+            if role.contains(&Role::Push) {
+                eprintln!("isopeel: the role push is for nothing: this server takes no time steps that are sent to it");
+            }
             super::print(format!("{}\n", token.text()).as_bytes())?;
         }
         Command::List { json: false } => {

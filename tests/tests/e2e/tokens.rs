@@ -171,6 +171,100 @@ async fn a_ticket_opens_one_stream_and_is_in_no_log() {
     }
 }
 
+/// A token for a frame, from the server of a site that has one itself.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_token_that_is_lent_is_for_less_and_ends_with_the_lenders() {
+    let setting = Setting::new();
+    let state = setting.state();
+    let site = create(&state, "site", &["--role", "edit", "--role", "export"]);
+    let folder = state.to_str().expect("UTF-8");
+    let options = [
+        "--state-folder",
+        folder,
+        "--no-demo",
+        "--embed-origin",
+        "https://lab.example",
+    ];
+    let Some((server, _)) = process::launch(std::slice::from_ref(&setting.volume), &options) else {
+        return;
+    };
+    let address = server.address;
+    until_status(address, &site, 200);
+    let named = http::send(address, "GET", "/api/v1/embed", &[], b"").expect("an answer");
+    assert_eq!(named.json(), json!({"origins": ["https://lab.example"]}));
+    let lend = |token: &str, body: &str| ask(address, "POST", "/api/v1/embed-tokens", token, body);
+    for (body, status, code) in [
+        (r#"{"roles": ["export"]}"#, 400, "bad-embed-token"),
+        (r#"{"seconds": 3601}"#, 400, "bad-embed-token"),
+        (r#"{"second": 60}"#, 400, "bad-json"),
+    ] {
+        assert_eq!(lend(&site, body).problem(status), code, "{body}");
+    }
+    let made = lend(&site, "{}");
+    assert_eq!((made.status, made.header("cache-control")), (201, "no-store"));
+    let made = made.json();
+    assert_eq!(
+        (&made["roles"], &made["expiresSeconds"]),
+        (&json!(["view"]), &json!(600))
+    );
+    let lent = made["token"].as_str().expect("a token");
+    let session = ask(address, "GET", "/api/v1/session", lent, "").json();
+    assert_eq!(session["roles"], json!(["view"]));
+    assert!(
+        session["expiresSeconds"]
+            .as_u64()
+            .is_some_and(|seconds| (590..=600).contains(&seconds))
+    );
+    assert_eq!(ask(address, "GET", "/api/v1/volumes", lent, "").status, 200);
+    let surface = json!({"volume": "ball", "iso": 0, "format": "stl"}).to_string();
+    assert_eq!(
+        ask(address, "POST", "/api/v1/extract", lent, &surface).problem(403),
+        "forbidden"
+    );
+    assert_eq!(lend(lent, "{}").problem(403), "forbidden");
+    let exchanged = http::post_json(address, "/api/v1/session", &json!({"token": lent}));
+    assert_eq!(exchanged.problem(403), "lent-token");
+
+    let ticket = ask(address, "POST", "/api/v1/tickets", lent, "").json();
+    let query = format!("?ticket={}", ticket["ticket"].as_str().expect("a ticket"));
+    let mut viewer = connect_with(address, &query, &[]).await.expect("a stream");
+    command::succeed(["token", "revoke", "--state-folder", folder, id(&site)]);
+    let code = loop {
+        match viewer.next().await.expect("a close frame").expect("no error") {
+            Message::Close(reason) => break reason.map(|reason| u16::from(reason.code)),
+            Message::Text(text) => assert!(text.contains(r#""code":"unauthorized""#), "{text}"),
+            _ => {}
+        }
+    };
+    assert_eq!(code, Some(4004));
+    assert_eq!(
+        ask(address, "GET", "/api/v1/volumes", lent, "").problem(401),
+        "unauthorized"
+    );
+}
+
+#[test]
+fn a_role_that_is_for_nothing_says_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let state = folder.path().to_str().expect("UTF-8");
+    let said = |role: &str| {
+        let made = command::run([
+            "token",
+            "create",
+            "--state-folder",
+            state,
+            "--user",
+            "ann",
+            "--role",
+            role,
+        ]);
+        assert!(made.status.success());
+        String::from_utf8(made.stderr).expect("UTF-8")
+    };
+    assert!(said("push").contains("the role push is for nothing"));
+    assert!(!said("upload").contains("for nothing"));
+}
+
 #[test]
 fn tokens_that_make_no_sense_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
