@@ -4,14 +4,18 @@
 //! looks at is passed on, always the newest of it alone. When the leader leaves, the group ends; where its connection is lost, the group waits for it
 //! to come back with the key that it alone has.
 
+mod leader;
+
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 
-use subtle::ConstantTimeEq;
 use tokio::sync::watch;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
+
+pub(super) use leader::Leader;
+use leader::PAUSE;
 
 use crate::metrics;
 use crate::view::View;
@@ -24,9 +28,6 @@ pub(super) const MAX_GROUPS: usize = 64;
 pub(super) const MAX_FOLLOWERS: usize = 1000;
 /// A group that was forgotten ends after so long.
 const MAX_AGE: Duration = Duration::from_secs(12 * 3600);
-
-/// How long a group waits for a leader whose connection was lost: a page tries again every eight seconds or sooner.
-const LEADER_PAUSE: Duration = Duration::from_secs(30);
 
 /// Followers that the leader has one by one, those first who ask for control.
 const MAX_LISTED: usize = 32;
@@ -51,7 +52,7 @@ pub(super) struct Groups {
 
 impl Default for Groups {
     fn default() -> Self {
-        Self::with_pause(LEADER_PAUSE)
+        Self::with_pause(PAUSE)
     }
 }
 
@@ -65,14 +66,6 @@ struct Group {
     members: watch::Sender<Members>,
     expires: Instant,
     ended: CancellationToken,
-}
-
-/// Who leads a group, on whatever connection.
-#[derive(Clone, Debug)]
-pub(super) struct Leader {
-    pub user: String,
-    /// Random, for the leader alone: who has it and is this user may come back.
-    pub key: String,
 }
 
 /// What is open and shown. Views are as edits left them.
@@ -194,44 +187,12 @@ impl Groups {
         Ok(Member::new(group, self.clone(), LEADER, connection))
     }
 
-    /// Where there are as many as may be, the one ends whose leader has been away longest.
-    fn make_space(&self) {
-        let all: Vec<Arc<Group>> = self.all().values().filter_map(Weak::upgrade).collect();
-        if all.len() < MAX_GROUPS {
-            return;
-        }
-        let away = all
-            .iter()
-            .filter_map(|group| Some((group.members.borrow().away?, group)));
-        if let Some((_, group)) = away.min_by_key(|(since, _)| *since) {
-            self.end(group);
-        }
-    }
-
     /// Ends a group for all who are in it.
     fn end(&self, group: &Group) {
         group.ended.cancel();
         let mut all = self.all();
         all.remove(&group.id);
         metrics::groups(all.len());
-    }
-
-    /// Leads a group again, on another connection than before.
-    pub(super) fn resume(&self, id: &str, leader: &Leader) -> Result<Member, GroupError> {
-        let group = self.all().get(id).and_then(Weak::upgrade);
-        let is_leader = |group: &Arc<Group>| {
-            let is_key: bool = group.leader.key.as_bytes().ct_eq(leader.key.as_bytes()).into();
-            is_key && group.leader.user == leader.user && !group.ended.is_cancelled()
-        };
-        let group = group.filter(is_leader).ok_or(GroupError::Unknown)?;
-        let connection = CancellationToken::new();
-        {
-            let mut newest = group.connection();
-            newest.cancel();
-            *newest = connection.clone();
-            group.members.send_if_modified(|members| members.away.take().is_some());
-        }
-        Ok(Member::new(group, self.clone(), LEADER, connection))
     }
 
     /// Joins a group as a follower.
@@ -405,38 +366,6 @@ impl Member {
             key: (self.number == LEADER).then(|| self.group.leader.key.clone()),
             people,
         }
-    }
-}
-
-impl Member {
-    /// The group ends, or waits for the leader.
-    fn drop_leader(&self) {
-        let (group, groups, connection) = (&self.group, &self.groups, &self.connection);
-        let newest = group.connection();
-        if connection.is_cancelled() {
-            return;
-        }
-        let runtime = tokio::runtime::Handle::try_current();
-        let (false, Ok(runtime)) = (self.has_left, runtime) else {
-            return groups.end(group);
-        };
-        group.members.send_modify(|members| members.away = Some(Instant::now()));
-        drop(newest);
-        let (group, groups, connection) = (Arc::clone(group), groups.clone(), connection.clone());
-        // One of a group at a time: it ends with the group, or when the leader is back.
-        runtime.spawn(async move {
-            tokio::select! {
-                () = connection.cancelled() => {}
-                () = group.ended.cancelled() => {}
-                () = sleep(groups.leader_pause) => {
-                    let newest = group.connection();
-                    if !connection.is_cancelled() {
-                        groups.end(&group);
-                    }
-                    drop(newest);
-                }
-            }
-        });
     }
 }
 

@@ -1,0 +1,87 @@
+//! The leader of a group, whose connection may be lost: the group waits for it, and knows it by a key.
+
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+
+use subtle::ConstantTimeEq;
+use tokio::time::{Instant, sleep};
+use tokio_util::sync::CancellationToken;
+
+use super::{Group, GroupError, Groups, LEADER, MAX_GROUPS, Member};
+
+/// How long a group waits for a leader whose connection was lost: a page tries again every eight seconds or sooner.
+pub(super) const PAUSE: Duration = Duration::from_secs(30);
+
+/// Who leads a group, on whatever connection.
+#[derive(Clone, Debug)]
+pub(in crate::stream) struct Leader {
+    pub user: String,
+    /// Random, for the leader alone: who has it and is this user may come back.
+    pub key: String,
+}
+
+impl Groups {
+    /// Where there are as many as may be, the one ends whose leader has been away longest.
+    pub(super) fn make_space(&self) {
+        let all: Vec<Arc<Group>> = self.all().values().filter_map(Weak::upgrade).collect();
+        if all.len() < MAX_GROUPS {
+            return;
+        }
+        let away = all
+            .iter()
+            .filter_map(|group| Some((group.members.borrow().away?, group)));
+        if let Some((_, group)) = away.min_by_key(|(since, _)| *since) {
+            self.end(group);
+        }
+    }
+
+    /// Leads a group again, on another connection than before.
+    pub(in crate::stream) fn resume(&self, id: &str, leader: &Leader) -> Result<Member, GroupError> {
+        let group = self.all().get(id).and_then(Weak::upgrade);
+        let is_leader = |group: &Arc<Group>| {
+            let is_key: bool = group.leader.key.as_bytes().ct_eq(leader.key.as_bytes()).into();
+            is_key && group.leader.user == leader.user && !group.ended.is_cancelled()
+        };
+        let group = group.filter(is_leader).ok_or(GroupError::Unknown)?;
+        let connection = CancellationToken::new();
+        {
+            let mut newest = group.connection();
+            newest.cancel();
+            *newest = connection.clone();
+            group.members.send_if_modified(|members| members.away.take().is_some());
+        }
+        Ok(Member::new(group, self.clone(), LEADER, connection))
+    }
+}
+
+impl Member {
+    /// The group ends, or waits for the leader.
+    pub(super) fn drop_leader(&self) {
+        let (group, groups, connection) = (&self.group, &self.groups, &self.connection);
+        let newest = group.connection();
+        if connection.is_cancelled() {
+            return;
+        }
+        let runtime = tokio::runtime::Handle::try_current();
+        let (false, Ok(runtime)) = (self.has_left, runtime) else {
+            return groups.end(group);
+        };
+        group.members.send_modify(|members| members.away = Some(Instant::now()));
+        drop(newest);
+        let (group, groups, connection) = (Arc::clone(group), groups.clone(), connection.clone());
+        // One of a group at a time: it ends with the group, or when the leader is back.
+        runtime.spawn(async move {
+            tokio::select! {
+                () = connection.cancelled() => {}
+                () = group.ended.cancelled() => {}
+                () = sleep(groups.leader_pause) => {
+                    let newest = group.connection();
+                    if !connection.is_cancelled() {
+                        groups.end(&group);
+                    }
+                    drop(newest);
+                }
+            }
+        });
+    }
+}
