@@ -321,12 +321,18 @@ export class StreamClient {
     this.isShown = false;
     if (!this.surfaces.has(0)) this.send({ type: "remove", surface: 0 });
     for (const [surface, wanted] of this.surfaces) {
-      const edit = surface === 0 && wanted.isMade ? { ...before, ...wanted.unsent } : wanted.view;
+      const edit = surface === 0 && wanted.isMade ? this.changed(message.edit, { ...before, ...wanted.unsent }) : wanted.view;
       wanted.unsent = undefined;
       this.sendEdit(surface, edit);
     }
     // Now that what is shown here is what was shown before.
     this.leadAgain();
+  }
+
+  /** Nothing where all values are those that the volume opens with: whoever may only look is refused an edit that has some. */
+  private changed(opening: View, edit: Edit): Edit {
+    const names = Object.keys(edit) as (keyof Edit)[];
+    return names.every((name) => JSON.stringify(edit[name]) === JSON.stringify(opening[name])) ? {} : edit;
   }
 
   /** Another has opened it, and its surfaces follow. */
