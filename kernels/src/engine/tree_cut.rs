@@ -108,8 +108,32 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<(CutWork, f32)> {
         params.check()?;
-        let importances = cutter.importances(params)?;
         let limit = goal.max_tolerance.min(f32::MAX);
+        let (work, tolerance, first) = self.repaired_cut(cutter, params, goal, limit, cancel)?;
+        let has_budget = cutter.full_triangles() > goal.max_triangles;
+        if !has_budget || first >= limit || cutter.triangles(&work)? <= goal.max_triangles {
+            return Ok((work, tolerance));
+        }
+        // A merge that was forbidden on the way may be allowed at the limit, with what merges around it there.
+        drop(work);
+        let goal = TreeGoal {
+            tolerance: limit,
+            ..goal.clone()
+        };
+        let (work, tolerance, _) = self.repaired_cut(cutter, params, &goal, limit, cancel)?;
+        Ok((work, tolerance))
+    }
+
+    /// The same, where the tolerance is raised from repair to repair until the budget is kept or it is `limit`; and the first tolerance.
+    fn repaired_cut(
+        &self,
+        cutter: &Cutter<'_>,
+        params: &CutParams,
+        goal: &TreeGoal,
+        limit: f32,
+        cancel: &dyn Cancel,
+    ) -> Result<(CutWork, f32, f32)> {
+        let importances = cutter.importances(params)?;
         let fit = |work: &CutWork| -> Result<f32> {
             let fitted = self.fit_tree(cutter, work, goal.max_triangles)?;
             Ok(goal.tolerance.max(fitted).min(limit))
@@ -118,7 +142,8 @@ impl Engine {
         let mut work = cutter.begin()?;
         cutter.keys(importances.as_ref(), &work)?;
         self.cx.pause(tree_cut::STAGE, cancel)?;
-        let mut tolerance = fit(&work)?;
+        let first = fit(&work)?;
+        let mut tolerance = first;
         cutter.leaves(&mut work, tolerance)?;
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
@@ -126,7 +151,7 @@ impl Engine {
                 if !work.is_first {
                     cutter.list(&work)?;
                 }
-                return Ok((work, tolerance));
+                return Ok((work, tolerance, first));
             }
             cutter.keys(importances.as_ref(), &work)?;
             cutter.leaves(&mut work, tolerance)?;

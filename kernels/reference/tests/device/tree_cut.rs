@@ -336,6 +336,34 @@ fn budgets_are_used_but_for_what_repairs_need() {
     }
 }
 
+/// What a cut under an impossible budget has is what its refusal names.
+#[test]
+fn the_minimum_of_triangles_is_a_budget_that_is_kept() {
+    let Some(engine) = device() else { return };
+    // Of each the repairs on the way to the minimum leave a few triangles more than those at the minimum do.
+    for (width, waves, seed) in [(69, 3, 5), (82, 8, 18), (69, 15, 85)] {
+        let dims = [width, 70, 66];
+        let planted = plant(&engine, &Recipe::plain(dims, Pattern::Waves(waves), seed), false);
+        let under = |max_triangles| {
+            let goal = TreeGoal {
+                tolerance: -1.0,
+                max_triangles,
+                max_tolerance: f32::INFINITY,
+                without: PartFilter::default(),
+            };
+            cut(&engine, &planted, &planted.params, &goal).0.statistics.triangles
+        };
+        let minimum = under(1);
+        for budget in [minimum, minimum + 1, minimum + 4, minimum + 20] {
+            let made = under(budget);
+            assert!(
+                made <= budget,
+                "{made} triangles for {budget}, {minimum} can be had ({dims:?}, {seed})"
+            );
+        }
+    }
+}
+
 /// The kernels of a GPU on any device: work-groups of many.
 #[test]
 fn work_groups_of_a_gpu_make_the_same_tree_and_cuts() {
