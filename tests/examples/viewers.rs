@@ -31,6 +31,8 @@ const VOLUME: &str = "mni152";
 const ISOVALUES: [f64; 2] = [55.0, 110.0];
 /// Viewers of the capacity.
 const BUSY_VIEWERS: usize = 16;
+/// The longest time that is told from longer ones, in microseconds.
+const LONGEST_US: u64 = 600_000_000;
 /// Longest wait for one answer.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Edits of a viewer that then leaves, with `--churn`.
@@ -102,7 +104,7 @@ struct Seen {
 impl Seen {
     fn new() -> Result<Arc<Self>, Error> {
         Ok(Arc::new(Self {
-            first_commits: Mutex::new(Histogram::new(3)?),
+            first_commits: Mutex::new(Histogram::new_with_bounds(1, LONGEST_US, 3)?),
             errors: AtomicU64::new(0),
             overtaken: AtomicU64::new(0),
             edits: AtomicU64::new(0),
@@ -163,6 +165,7 @@ impl Random {
 /// What a message says of the edit that is waited for.
 enum News {
     Nothing,
+    Opened,
     Committed,
     Done,
 }
@@ -190,6 +193,9 @@ impl Viewer {
             latest: 0,
         };
         viewer.send(json!({"type": "open", "volume": VOLUME})).await?;
+        viewer.until_opened().await?;
+        // As it opens.
+        viewer.send(json!({"type": "edit"})).await?;
         viewer.until_done().await?;
         Ok(viewer)
     }
@@ -219,10 +225,19 @@ impl Viewer {
         self.latest = self.latest.max(generation);
         match message["type"].as_str() {
             Some("error") => Err(text.as_str().into()),
+            Some("opened") => Ok(News::Opened),
             Some("committed") if generation > self.known => Ok(News::Committed),
             Some("done") if generation > self.known => Ok(News::Done),
             _ => Ok(News::Nothing),
         }
+    }
+
+    async fn until_opened(&mut self) -> Result<(), Error> {
+        let opened = async {
+            while !matches!(self.next().await?, News::Opened) {}
+            Ok(())
+        };
+        timeout(PATIENCE, opened).await.map_err(|_| "not opened in time")?
     }
 
     async fn until_done(&mut self) -> Result<(), Error> {
@@ -238,10 +253,16 @@ impl Viewer {
         while Instant::now() < until {
             let start = Instant::now();
             self.edit(random.isovalue()).await?;
-            while !matches!(self.next().await?, News::Committed | News::Done) {}
+            let first = loop {
+                let news = self.next().await?;
+                if matches!(news, News::Committed | News::Done) {
+                    break news;
+                }
+            };
             self.seen.committed(start.elapsed());
-            // A surface that is small is done with its first commit.
-            let _ = timeout(PATIENCE, self.until_done()).await?;
+            if matches!(first, News::Committed) {
+                self.until_done().await?;
+            }
         }
         Ok(())
     }

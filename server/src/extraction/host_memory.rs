@@ -39,6 +39,11 @@ impl HostMemory {
         limits.into_iter().flatten().fold(Self::UNKNOWN, Self::minimum)
     }
 
+    /// Bytes that the process could hold at most; `u64::MAX` where nothing says.
+    pub(super) fn total(self) -> u64 {
+        self.total
+    }
+
     /// Where nothing says how much there is, all is admitted.
     const UNKNOWN: Self = Self {
         available: u64::MAX,

@@ -7,12 +7,13 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, CutParams, Engine, Error, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime, Surface, Upload,
-    VertexTree, Volume,
+    Cancel, CutParams, DeviceKind, Engine, Error, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime,
+    Surface, Upload, VertexTree, Volume,
 };
 
 use super::cuts::Cuts;
 use super::feature_fields::FeatureFields;
+use super::host_memory::HostMemory;
 use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys, histogram_keys, view_keys, with_inputs};
 use super::lock::lock;
 use super::memory::ThreadMemory;
@@ -185,14 +186,20 @@ pub(super) struct WorkerState {
 
 impl WorkerState {
     pub(super) fn new(engine: Engine, histograms: Histograms, pins: Pins) -> Self {
-        let percent = engine.device().memory_bytes / 100;
+        let device = engine.device();
+        let percent = device.memory_bytes / 100;
+        // What can be made again gives way where the process may hold less than the machine has.
+        let kept_percent = match device.kind {
+            DeviceKind::Cpu => percent.min(HostMemory::now().total() / 100),
+            _ => percent,
+        };
         Self {
             engine: Rc::new(engine),
             volumes: Lru::new(percent * VOLUME_PERCENT),
             ahead: Vec::new(),
-            pyramids: Lru::new(percent * PYRAMID_PERCENT),
-            trees: Rc::new(RefCell::new(Lru::new(percent * TREE_PERCENT))),
-            cuts: Rc::new(RefCell::new(Cuts::new(percent * CUT_PERCENT))),
+            pyramids: Lru::new(kept_percent * PYRAMID_PERCENT),
+            trees: Rc::new(RefCell::new(Lru::new(kept_percent * TREE_PERCENT))),
+            cuts: Rc::new(RefCell::new(Cuts::new(kept_percent * CUT_PERCENT))),
             histograms,
             pins,
             uploads: HashMap::new(),
