@@ -31,7 +31,7 @@ const VOLUME: &str = "mni152";
 const ISOVALUES: [f64; 2] = [55.0, 110.0];
 /// Viewers of the capacity.
 const BUSY_VIEWERS: usize = 16;
-/// The longest time that is told from longer ones, in microseconds.
+/// The upper bound of the histogram, in microseconds: longer times count as this one.
 const LONGEST_US: u64 = 600_000_000;
 /// Longest wait for one answer.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -193,7 +193,7 @@ impl Viewer {
             latest: 0,
         };
         viewer.send(json!({"type": "open", "volume": VOLUME})).await?;
-        viewer.until_opened().await?;
+        viewer.until(|news| matches!(news, News::Opened)).await?;
         // As it opens.
         viewer.send(json!({"type": "edit"})).await?;
         viewer.until_done().await?;
@@ -232,20 +232,21 @@ impl Viewer {
         }
     }
 
-    async fn until_opened(&mut self) -> Result<(), Error> {
-        let opened = async {
-            while !matches!(self.next().await?, News::Opened) {}
-            Ok(())
+    /// Reads until there is news that `ends` the wait.
+    async fn until(&mut self, ends: impl Fn(&News) -> bool) -> Result<News, Error> {
+        let found = async {
+            loop {
+                let news = self.next().await?;
+                if ends(&news) {
+                    return Ok(news);
+                }
+            }
         };
-        timeout(PATIENCE, opened).await.map_err(|_| "not opened in time")?
+        timeout(PATIENCE, found).await.map_err(|_| "no answer in time")?
     }
 
     async fn until_done(&mut self) -> Result<(), Error> {
-        let done = async {
-            while !matches!(self.next().await?, News::Done) {}
-            Ok(())
-        };
-        timeout(PATIENCE, done).await.map_err(|_| "no surface in time")?
+        self.until(|news| matches!(news, News::Done)).await.map(|_| ())
     }
 
     /// Edits one after the other until time is over, each when the one before is done.
@@ -253,12 +254,7 @@ impl Viewer {
         while Instant::now() < until {
             let start = Instant::now();
             self.edit(random.isovalue()).await?;
-            let first = loop {
-                let news = self.next().await?;
-                if matches!(news, News::Committed | News::Done) {
-                    break news;
-                }
-            };
+            let first = self.until(|news| matches!(news, News::Committed | News::Done)).await?;
             self.seen.committed(start.elapsed());
             if matches!(first, News::Committed) {
                 self.until_done().await?;

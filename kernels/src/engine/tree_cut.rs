@@ -3,6 +3,7 @@
 use super::fit::ERROR_KEYS;
 use super::peel::{Mesh, triangles};
 use super::tree_part::left_out;
+use crate::buffer::Buffer;
 use crate::cancel::check;
 use crate::cut::sum_levels;
 use crate::layout::{RegionMesh, TreeCutRegion};
@@ -108,8 +109,9 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<(CutWork, f32)> {
         params.check()?;
+        let importances = cutter.importances(params)?;
         let limit = goal.max_tolerance.min(f32::MAX);
-        let (work, tolerance, first) = self.repaired_cut(cutter, params, goal, limit, cancel)?;
+        let (work, tolerance, first) = self.repaired_cut(cutter, importances.as_ref(), goal, limit, cancel)?;
         let has_budget = cutter.full_triangles() > goal.max_triangles;
         if !has_budget || first >= limit || cutter.triangles(&work)? <= goal.max_triangles {
             return Ok((work, tolerance));
@@ -120,7 +122,7 @@ impl Engine {
             tolerance: limit,
             ..goal.clone()
         };
-        let (work, tolerance, _) = self.repaired_cut(cutter, params, &goal, limit, cancel)?;
+        let (work, tolerance, _) = self.repaired_cut(cutter, importances.as_ref(), &goal, limit, cancel)?;
         Ok((work, tolerance))
     }
 
@@ -128,19 +130,18 @@ impl Engine {
     fn repaired_cut(
         &self,
         cutter: &Cutter<'_>,
-        params: &CutParams,
+        importances: Option<&Buffer<u32>>,
         goal: &TreeGoal,
         limit: f32,
         cancel: &dyn Cancel,
     ) -> Result<(CutWork, f32, f32)> {
-        let importances = cutter.importances(params)?;
         let fit = |work: &CutWork| -> Result<f32> {
             let fitted = self.fit_tree(cutter, work, goal.max_triangles)?;
             Ok(goal.tolerance.max(fitted).min(limit))
         };
         let has_budget = cutter.full_triangles() > goal.max_triangles;
         let mut work = cutter.begin()?;
-        cutter.keys(importances.as_ref(), &work)?;
+        cutter.keys(importances, &work)?;
         self.cx.pause(tree_cut::STAGE, cancel)?;
         let first = fit(&work)?;
         let mut tolerance = first;
@@ -153,7 +154,7 @@ impl Engine {
                 }
                 return Ok((work, tolerance, first));
             }
-            cutter.keys(importances.as_ref(), &work)?;
+            cutter.keys(importances, &work)?;
             cutter.leaves(&mut work, tolerance)?;
             // Repairs may break the budget.
             if has_budget && tolerance < limit && cutter.triangles(&work)? > goal.max_triangles {

@@ -104,14 +104,7 @@ async fn a_token_is_for_its_roles_and_until_it_is_revoked() {
     }
     let revoked = Instant::now();
     command::succeed(["token", "revoke", "--state-folder", options[1], id(&before)]);
-    let code = loop {
-        match viewer.next().await.expect("a close frame").expect("no error") {
-            Message::Close(reason) => break reason.map(|reason| u16::from(reason.code)),
-            Message::Text(text) => assert!(text.contains(r#""code":"unauthorized""#), "{text}"),
-            _ => {}
-        }
-    };
-    assert_eq!(code, Some(4004));
+    assert_eq!(close_code_of_revoked(&mut viewer).await, Some(4004));
     assert!(revoked.elapsed() < Duration::from_secs(5), "{:?}", revoked.elapsed());
     assert_eq!(
         ask(address, "GET", "/api/v1/volumes", &before, "").problem(401),
@@ -229,18 +222,22 @@ async fn a_token_that_is_lent_is_for_less_and_ends_with_the_lenders() {
     let query = format!("?ticket={}", ticket["ticket"].as_str().expect("a ticket"));
     let mut viewer = connect_with(address, &query, &[]).await.expect("a stream");
     command::succeed(["token", "revoke", "--state-folder", folder, id(&site)]);
-    let code = loop {
-        match viewer.next().await.expect("a close frame").expect("no error") {
-            Message::Close(reason) => break reason.map(|reason| u16::from(reason.code)),
-            Message::Text(text) => assert!(text.contains(r#""code":"unauthorized""#), "{text}"),
-            _ => {}
-        }
-    };
-    assert_eq!(code, Some(4004));
+    assert_eq!(close_code_of_revoked(&mut viewer).await, Some(4004));
     assert_eq!(
         ask(address, "GET", "/api/v1/volumes", lent, "").problem(401),
         "unauthorized"
     );
+}
+
+/// The code that a stream is closed with; the only message before says that its token is of no use.
+async fn close_code_of_revoked(viewer: &mut WebSocketStream<TcpStream>) -> Option<u16> {
+    loop {
+        match viewer.next().await.expect("a close frame").expect("no error") {
+            Message::Close(reason) => return reason.map(|reason| u16::from(reason.code)),
+            Message::Text(text) => assert!(text.contains(r#""code":"unauthorized""#), "{text}"),
+            _ => {}
+        }
+    }
 }
 
 #[test]
