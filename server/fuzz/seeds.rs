@@ -55,7 +55,9 @@ fn main() -> std::io::Result<()> {
             ("npz", write::npz(&v, true)),
             ("raw", with(write::sidecar(&v, "data", "raw"), v.bytes())),
             ("raw", with(write::sidecar(&v, "data", "gzip"), write::zlib(&v.bytes()))),
-            ("pvd", write_vtk::pvd(&["a.vti"]).into()),
+            // Two time steps, then two parts of one.
+            ("pvd", of_times(1, write_vtk::vti(&still, "raw"))),
+            ("pvd", of_times(0, write_vtk::vti(&still, "zlib"))),
             ("pvti", of_pieces(write_vtk::pvti_files(&still))),
             ("pvti", of_pieces(write_vtk::pvtr_files(&still))),
             ("vti", write_vtk::vti(&still, "raw")),
@@ -116,6 +118,13 @@ fn main() -> std::io::Result<()> {
 /// A header and the file `data` that it names.
 fn with(header: Vec<u8>, data: Vec<u8>) -> Vec<u8> {
     [header.as_slice(), common::SEPARATOR, data.as_slice()].concat()
+}
+
+/// A collection that lists an image twice, for the time 0 and for `second`: as two time steps, or as two parts of one.
+fn of_times(second: u32, image: Vec<u8>) -> Vec<u8> {
+    let listed = write_vtk::pvd(&["data.vti", "data.vti"]);
+    let listed = listed.replace("timestep=\"1\"", &format!("timestep=\"{second}\""));
+    with(listed.into(), image)
 }
 
 /// A grid and the file of its one piece.

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use isopeel::volumes::location::MemoryFolder;
 use isopeel::volumes::{OpenedFile, FileLocation, ReadError};
 
-/// Input is the header's file, then, behind the first `\0----\0`, the file `data` that the header may name.
+/// Input is the header's file, then, behind the first `\0----\0`, the file `data` that the header may name, or `data.vti`: a collection takes
+/// names with an ending alone.
 pub const SEPARATOR: &[u8] = b"\0----\0";
 
 type Open = fn(&FileLocation) -> Result<OpenedFile, ReadError>;
@@ -19,7 +20,9 @@ pub fn read(name: &str, input: &[u8], open: Open) {
     };
     let mut folder = MemoryFolder::from([(name.to_owned(), header.to_owned().into())]);
     if let Some(data) = data {
-        folder.insert("data".to_owned(), data.to_owned().into());
+        for name in ["data", "data.vti"] {
+            folder.insert(name.to_owned(), data.to_owned().into());
+        }
     }
     let Ok(file) = open(&FileLocation::memory(Arc::new(folder), name)) else {
         return;
