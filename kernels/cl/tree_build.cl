@@ -100,7 +100,7 @@ INLINED void begin_cluster(const TreeBlock *block, __global const Node *nodes, _
     const Node node = nodes[(uint)point.w];
     const float3 position = convert_float3(point.xyz - block->origin * (int)VERTEX_LATTICE) * block->scale;
     const float3 normal = decode_octahedral8(vertex_records[(uint)point.w].normal);
-    block->positions[at] = (float4)(position, 0.0f);
+    block->positions[at] = block->merged_positions[at] = (float4)(position, 0.0f);
     members->normal[0] = normal.x;
     members->normal[1] = normal.y;
     members->normal[2] = normal.z;

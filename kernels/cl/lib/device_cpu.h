@@ -58,6 +58,7 @@ typedef uint16 mask_lanes;
 #define STORE_LANES(value, to) vstore16(value, 0, to)
 #define LOAD_SAMPLES(from) convert_float16(vload16(0, from))
 #define FIRST_LANE(value) (value).s0
+#define LANE_INDEX ((int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15))
 #define AS_INT(value) as_int16(value)
 #define AS_REAL(value) as_float16(value)
 #define TO_REAL(value) convert_float16(value)
@@ -103,7 +104,7 @@ inline void load_rows16(__global const float *from, const uint *at, real *rows) 
 
 // How many of `a_count` values are among `b_count` others, which differ from each other. None is NONE; up to 15 numbers behind `b` are read.
 inline uint count_common(__global const uint *a, uint a_count, __global const uint *b, uint b_count) {
-    const int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    const int16 lane = LANE_INDEX;
     int16 found = 0;
     for (uint first = 0; first < b_count; first += 16) {
         const int16 others = select(as_int16(vload16(0, b + first)), (int16)(-1), lane >= (int)(b_count - first));
@@ -118,25 +119,25 @@ inline uint count_common(__global const uint *a, uint a_count, __global const ui
 inline uint read_shared(__global const uint *at) { return *at; }
 inline void write_shared(__global uint *at, uint value) { *at = value; }
 
-// The minimum of 16 numbers, and their sum.
+// The minimum of 16 numbers.
 inline uint minimum_lane(uint16 lanes) {
     const uint8 eight = min(lanes.lo, lanes.hi);
     const uint4 four = min(eight.lo, eight.hi);
     const uint2 two = min(four.lo, four.hi);
     return min(two.x, two.y);
 }
-inline uint sum_lanes(uint16 lanes) {
-    const uint8 eight = lanes.lo + lanes.hi;
-    const uint4 four = eight.lo + eight.hi;
-    return four.x + four.y + four.z + four.w;
+
+// Index of the first byte of 16 that is not 0; one of them is not.
+inline uint first_byte(ulong2 bytes) {
+    const ulong eight = bytes.x ? bytes.x : bytes.y;
+    return (bytes.x ? 0u : 8u) + ((63u - (uint)clz(eight & -eight)) >> 3);
 }
 
 // Index of the first of these numbers that is `value`, which one of them is; up to 15 numbers behind that are read.
 inline uint index_of(__global const uint *numbers, uint value) {
-    const uint16 lane = (uint16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
     for (uint first = 0;; first += 16) {
-        const uint index = minimum_lane(select((uint16)(UINT_MAX), lane, vload16(0, numbers + first) == value));
-        if (index != UINT_MAX) return first + index;
+        const ulong2 found = as_ulong2(convert_char16(vload16(0, numbers + first) == value));
+        if (found.x | found.y) return first + first_byte(found);
     }
 }
 
@@ -149,8 +150,8 @@ inline uint index_of_minimum(__global const uint *numbers, uint count, uint end)
     const uint16 all = select(vload16(0, numbers), (uint16)(UINT_MAX), lane >= count);
     const uint minimum = minimum_lane(all);
     if (minimum >= end) return UINT_MAX;
-    const uint found = sum_lanes(select((uint16)(0), lane | 256u, all == minimum));
-    return found < 512 ? found & 255u : AMBIGUOUS;
+    const ulong2 found = as_ulong2(convert_char16(all == minimum));
+    return popcount(found.x) + popcount(found.y) == 8 ? first_byte(found) : AMBIGUOUS;
 }
 
 // Next free column of a batch of LANES columns.

@@ -22,7 +22,7 @@ typedef struct {
     __global TreeCluster *clusters;
     __global TreeMembers *members;
     __global float4 *positions;            // position in world units from the region's low corner; w: the flags' bits
-    __global float4 *merged_positions;     // where a cluster is after this round's merges, of those that merge
+    __global float4 *merged_positions;     // where clusters are after this round's merges, as far as they are known
     __global uint *rings, *next_rings;     // of this round and the next one
     __global float *costs, *next_costs;    // beside a ring's entries: what merging the two costs (tree_rounds.h)
     __global uint *alive;                  // clusters that are left, in order
@@ -95,13 +95,16 @@ INLINED uint collect_turns(const TreeBlock *block, TurnBatch *batch, uint own, u
     for (uint i = 0; i < count; i++) {
         const uint q = ring[i];
         const float4 at_q = end_position(block, q);
-        if (p != other && q != other) {
+        const bool is_shared = (p == other) | (q == other);
+        if (WIDE_GROUP == 1 || !is_shared) {
             const uint column = NEXT_COLUMN(batch);
             batch->p[column] = at_p;
             batch->q[column] = at_q;
             batch->from[column] = from;
             batch->to[column] = to;
             batch->pair[column] = pair;
+            // Without a branch, which nobody can predict.
+            if (WIDE_GROUP == 1) batch->count -= is_shared;
             if (batch->count == LANES) failed |= failed_turns(batch);
         }
         p = q;

@@ -69,7 +69,9 @@ INLINED void settle_pairs(const TreeBlock *block) {
         if (partner & FOREIGN) continue;
         const uint verdict = block->best[min(at, partner)];
         if (verdict & SET_ASIDE) set_edge_aside(block, at);
-        if (verdict & (GIVE_UP | SET_ASIDE)) block->partners[at] = CHANGES; // partners could not be marked
+        if (!(verdict & (GIVE_UP | SET_ASIDE))) continue;
+        block->partners[at] = CHANGES; // partners could not be marked
+        block->merged_positions[at] = block->positions[at];
     }
 }
 

@@ -85,11 +85,12 @@ INLINED void copy_joined(const TreeBlock *block, const JoinedRing *ring, uint *t
     copy_ring(outer + ring->at + 1, ring->count - behind, to + behind);
 }
 
-// Merges the neighbours in a ring. Returns how many there are then.
-INLINED uint merge_neighbours(const TreeBlock *block, uint *ring, uint count, bool open) {
+// Merges the neighbours in a ring, and marks them where the ring's clusters merge. Returns how many there are then.
+INLINED uint merge_neighbours(const TreeBlock *block, uint *ring, uint count, bool open, bool marks) {
     uint before = open || !count ? NONE : merged_corner(block, ring[count - 1]), kept = 0;
     for (uint i = 0; i < count; i++) {
-        const uint other = merged_corner(block, ring[i]);
+        const uint neighbour = ring[i], other = merged_corner(block, neighbour);
+        if (marks) mark_change(block, neighbour);
         ring[kept] = other;
         kept += other != before;
         before = other;
@@ -112,8 +113,7 @@ INLINED bool all_differ(MergedRing *ring, uint count) {
 INLINED uint find_merged_ring(const TreeBlock *block, uint a, const JoinedRing *joined, MergedRing *ring) {
     (void)a;
     copy_joined(block, joined, ring->entries);
-    for (uint i = 0; i < joined->count; i++) mark_change(block, ring->entries[i]);
-    return merge_neighbours(block, ring->entries, joined->count, joined->open);
+    return merge_neighbours(block, ring->entries, joined->count, joined->open, true);
 }
 #else
 // The ring of a pair as it is once all of the round have merged: in the two ranges that the two rings have in the next ones.
@@ -176,7 +176,7 @@ INLINED uint renew_ring(const TreeBlock *block, uint at, uint to) {
 INLINED uint merge_rings(const TreeBlock *block, const JoinedRing *joined, uint to) {
     uint ring[RING_CAPACITY];
     copy_joined(block, joined, ring);
-    const uint count = merge_neighbours(block, ring, joined->count, joined->open);
+    const uint count = merge_neighbours(block, ring, joined->count, joined->open, false);
     for (uint i = 0; i < count; i++) {
         block->next_rings[to + i] = ring[i];
         block->next_costs[to + i] = INFINITY;

@@ -110,6 +110,8 @@ INLINED void test_batch(const TreeBlock *block, PairBatch *batch, __global uint 
             const uint at = add_local(failed_count, 2);
             failed[at] = a;
             failed[at + 1] = b;
+            block->merged_positions[a] = block->positions[a];
+            block->merged_positions[b] = block->positions[b];
         } else {
             write_shared(block->partners + a, b);
             write_shared(block->partners + b, a);
@@ -195,17 +197,12 @@ typedef struct {
     float per_length;             // 1 / smallest spacing
 } TreeOutput;
 
-// Replaces a cluster by itself and its partner merged, node number `index`; its ring is made later.
-INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a, Quadric quadric, float3 merged, uint index) {
+// Replaces a cluster by itself and its partner merged at `at`, node number `index`; its ring is made later.
+INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a, Quadric quadric, int3 at, uint index) {
     __global TreeCluster *first = block->clusters + a;
     const uint b = block->partners[a];
     __global TreeMembers *own = block->members + a, *other = block->members + b;
     const uint first_flags = cluster_flags(block, a), second_flags = cluster_flags(block, b);
-    const float3 from = cluster_position(block, a);
-    const int3 at = clamp(convert_int3_rte(merged / block->scale), out->low, out->high);
-    const float3 to = convert_float3(at) * block->scale;
-    quadric = shift_quadric(quadric, to - from);
-    quadric.c = fmax(quadric.c, 0.0f);
     first->quadric = quadric;
     for (uint side = 0; side < 2; side++) {
         const uint point = side ? b : a, node = side ? other->node : own->node;
@@ -231,14 +228,26 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
     out->node_levels[index] = (uchar)tree_level(node.meta);
     out->node_parents[index] = NONE;
     // The flags become those of both with the ring.
+    const float3 to = convert_float3(at) * block->scale;
     block->positions[a].xyz = to;
+    block->merged_positions[a].xyz = to;
+}
+
+// The whole number of the vertex lattice that is nearest to a coordinate.
+INLINED real lattice_coordinate(real merged, float scale, int low, int high) {
+    return fmin(fmax(rint(merged / scale), (real)(float)low), (real)(float)high);
 }
 
 // Commits the collected pairs. Empties the batch.
 INLINED void commit_batch(const TreeBlock *block, const TreeOutput *out, PairBatch *batch) {
     if (batch->count == 0) return;
     const Merges merges = merge_pairs(batch, block->clusters, block->positions);
-    const Quadrics q = merges.quadrics;
+    const float3 scale = block->scale;
+    const Real3 at = make_real3(lattice_coordinate(merges.from.x + merges.to.x, scale.x, out->low.x, out->high.x),
+                                lattice_coordinate(merges.from.y + merges.to.y, scale.y, out->low.y, out->high.y),
+                                lattice_coordinate(merges.from.z + merges.to.z, scale.z, out->low.z, out->high.z));
+    Quadrics q = merges.quadrics;
+    shift_quadrics(&q, make_real3(at.x * scale.x - merges.from.x, at.y * scale.y - merges.from.y, at.z * scale.z - merges.from.z));
     float rows[17 * LANES];
     STORE_LANES(q.axx, rows);
     STORE_LANES(q.axy, rows + LANES);
@@ -247,11 +256,10 @@ INLINED void commit_batch(const TreeBlock *block, const TreeOutput *out, PairBat
     STORE_LANES(q.ayz, rows + 4 * LANES);
     STORE_LANES(q.azz, rows + 5 * LANES);
     STORE_REAL3(q.b, rows + 6 * LANES, LANES)
-    STORE_LANES(q.c, rows + 9 * LANES);
+    STORE_LANES(fmax(q.c, 0.0f), rows + 9 * LANES);
     STORE_REAL3(q.m, rows + 10 * LANES, LANES)
     STORE_LANES(q.k, rows + 13 * LANES);
-    const Real3 to = make_real3(merges.from.x + merges.to.x, merges.from.y + merges.to.y, merges.from.z + merges.to.z);
-    STORE_REAL3(to, rows + 14 * LANES, LANES)
+    STORE_REAL3(at, rows + 14 * LANES, LANES)
     for (uint i = 0; i < batch->count; i++) {
         Quadric quadric;
         for (uint k = 0; k < 6; k++) quadric.a[k] = rows[k * LANES + i];
@@ -261,8 +269,8 @@ INLINED void commit_batch(const TreeBlock *block, const TreeOutput *out, PairBat
         }
         quadric.c = rows[9 * LANES + i];
         quadric.k = rows[13 * LANES + i];
-        const float3 merged = (float3)(rows[14 * LANES + i], rows[15 * LANES + i], rows[16 * LANES + i]);
-        commit_merge(block, out, batch->first[i], quadric, merged, batch->entry[i]);
+        const int3 to = convert_int3((float3)(rows[14 * LANES + i], rows[15 * LANES + i], rows[16 * LANES + i]));
+        commit_merge(block, out, batch->first[i], quadric, to, batch->entry[i]);
     }
     batch->count = 0;
 }
