@@ -76,7 +76,8 @@ impl MadeFile {
         let statistics = ExtractionStatistics::new(&surface.statistics, &view, dataset.cell_lengths(), wall, device);
         let extras = extras(&dataset.id, volume.step(), geometry, &view.to_edit(), &statistics);
         let (of_view, space) = dataset.index_space(&view);
-        let mut mesh = Mesh::new_unless(&surface, &of_view, space.uneven.as_deref(), is_cancelled)?;
+        let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
+        let mut mesh = Mesh::new_unless(&surface, &of_view, uneven, is_cancelled)?;
         // Before the mesh is copied to its reader: both are large.
         drop(surface);
         if colored && format == Format::Glb {

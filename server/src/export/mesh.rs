@@ -8,6 +8,7 @@ use super::transform::Transform;
 use super::{ExportError, fits_u32};
 use crate::math::UnevenAxes;
 use crate::view::TransferFunctionJson;
+use crate::view::quality::MesherName;
 use crate::volumes::{Frame, Geometry, LengthUnit};
 
 /// Lattice units per region.
@@ -50,14 +51,15 @@ impl Mesh {
         Self::new_unless(surface, geometry, None, &|| false)
     }
 
-    /// As [`Mesh::new`]; asks now and then whether it is cancelled. `uneven`: the axes whose samples are not where `geometry` has them.
+    /// As [`Mesh::new`]; asks now and then whether it is cancelled. `uneven`: the axes whose samples are not where `geometry` has them, and
+    /// which mesher made the surface.
     ///
     /// # Errors
     /// Those of [`Mesh::new`], and [`ExportError::Cancelled`].
     pub fn new_unless(
         surface: &Surface,
         geometry: &Geometry,
-        uneven: Option<&UnevenAxes>,
+        uneven: Option<(&UnevenAxes, MesherName)>,
         is_cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, ExportError> {
         let transform = Transform::new(geometry, uneven);
@@ -378,7 +380,10 @@ pub(super) mod tests {
         // Towards +x and +z alike, in the lengths of the largest cells.
         let slanted = [16384, 0];
         surface.regions[0].vertices.to_mut()[0].normal = slanted;
-        let mesh = Mesh::new_unless(&surface, &geometry(), Some(&uneven), &|| false).unwrap();
+        let made_by = |surface: &Surface, mesher| {
+            Mesh::new_unless(surface, &geometry(), Some((&uneven, mesher)), &|| false).unwrap()
+        };
+        let mesh = made_by(&surface, MesherName::Dual);
         let scale = 96.0 / x[96];
         let expected = [x[30] * scale, 1.0, 0.5].map(|p| p as f32);
         assert_eq!(mesh.positions[0], expected);
@@ -390,8 +395,16 @@ pub(super) mod tests {
             "{:?}: in the largest cell nothing changes",
             mesh.normals[0]
         );
+        // Marching cubes' differences are of the sample's two neighbours.
+        let mesh = made_by(&surface, MesherName::MarchingCubes);
+        let ([nx, _, nz], ratio) = (mesh.normals[0], (x[31] - x[30]) / (0.5 * (x[31] - x[29])));
+        assert!(
+            (f64::from(nx / nz) - ratio).abs() < 1e-3,
+            "{:?}, expected a slope of {ratio}",
+            mesh.normals[0]
+        );
         surface.regions[0].vertices.to_mut()[0].position[0] -= Vertex::LATTICE;
-        let mesh = Mesh::new_unless(&surface, &geometry(), Some(&uneven), &|| false).unwrap();
+        let mesh = made_by(&surface, MesherName::Dual);
         let ([nx, _, nz], ratio) = (mesh.normals[0], (x[31] - x[30]) / (x[30] - x[29]));
         assert!(
             (f64::from(nx / nz) - ratio).abs() < 1e-2,

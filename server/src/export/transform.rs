@@ -4,11 +4,12 @@ use isopeel_kernels::Vertex;
 
 use super::ExportError;
 use crate::math::{DVec3, UnevenAxes};
+use crate::view::quality::MesherName;
 use crate::volumes::Geometry;
 
 /// From lattice to world.
 pub(super) struct Transform<'a> {
-    uneven: Option<&'a UnevenAxes>,
+    uneven: Option<(&'a UnevenAxes, MesherName)>,
     /// Lengths of the cells in which the kernels make normals, where axes are uneven: the largest ones.
     largest: DVec3,
     origin: DVec3,
@@ -22,14 +23,14 @@ pub(super) struct Transform<'a> {
 }
 
 impl<'a> Transform<'a> {
-    /// `uneven`: the axes whose samples are not where `geometry` has them.
-    pub fn new(geometry: &Geometry, uneven: Option<&'a UnevenAxes>) -> Self {
+    /// `uneven`: the axes whose samples are not where `geometry` has them, and which mesher made the surface.
+    pub fn new(geometry: &Geometry, uneven: Option<(&'a UnevenAxes, MesherName)>) -> Self {
         let [x, y, z] = geometry.direction.map(DVec3::from);
         let cofactors = [y.cross(z), z.cross(x), x.cross(y)];
         let determinant = x.dot(cofactors[0]);
         Self {
             uneven,
-            largest: uneven.map_or(DVec3::ONE, |uneven| uneven.largest_steps().into()),
+            largest: uneven.map_or(DVec3::ONE, |(uneven, _)| uneven.largest_steps().into()),
             origin: geometry.origin.into(),
             step: [(x, 0), (y, 1), (z, 2)]
                 .map(|(direction, axis)| direction * geometry.spacing[axis] / f64::from(Vertex::LATTICE)),
@@ -44,7 +45,7 @@ impl<'a> Transform<'a> {
         let on_lattice = lattice.map(|p| p as f64);
         let even = match self.uneven {
             None => on_lattice,
-            Some(uneven) => (uneven.even_of(index_of(lattice)) * f64::from(Vertex::LATTICE)).to_array(),
+            Some((uneven, _)) => (uneven.even_of(index_of(lattice)) * f64::from(Vertex::LATTICE)).to_array(),
         };
         let world = self.origin + combine(&self.step, even);
         let position = world.to_array().map(|p| p as f32);
@@ -60,11 +61,24 @@ impl<'a> Transform<'a> {
         let normal = normal.map(f64::from);
         let normal = match self.uneven {
             None => normal,
-            // A gradient is larger where a cell is shorter.
-            Some(uneven) => (DVec3::from(normal) * self.largest / uneven.steps(index_of(lattice))).to_array(),
+            // A gradient is larger where distances are shorter.
+            Some((uneven, mesher)) => {
+                let steps = gradient_steps(uneven, mesher, index_of(lattice));
+                (DVec3::from(normal) * self.largest / steps).to_array()
+            }
         };
         let turned = combine(&self.normals, normal);
         (turned / turned.length()).to_array().map(|component| component as f32)
+    }
+}
+
+/// Lengths over which the gradient at a vertex was taken. Those of marching cubes are differences at the two samples of an edge of the grid.
+/// Those of the dual mesher are of the trilinear interpolant in the vertex' own cell: what is off there is the rounding to bytes in the
+/// largest cells, which weighs more where a cell is small.
+fn gradient_steps(uneven: &UnevenAxes, mesher: MesherName, index: DVec3) -> DVec3 {
+    match mesher {
+        MesherName::MarchingCubes => uneven.difference_steps(index),
+        MesherName::Dual => uneven.steps(index),
     }
 }
 

@@ -88,6 +88,20 @@ impl UnevenAxes {
         }))
     }
 
+    /// Lengths over which the kernels take the differences of samples, in those of the even grid: at a sample half the distance of its two
+    /// neighbours, at an end its cell, and linear between samples, as gradients are along an edge.
+    pub fn difference_steps(&self, index: DVec3) -> DVec3 {
+        let at = |samples: &[f64], sample: usize| {
+            let (below, above) = (sample.saturating_sub(1), (sample + 1).min(samples.len() - 1));
+            (samples[above] - samples[below]) / (above - below) as f64
+        };
+        DVec3::from_array(std::array::from_fn(|axis| {
+            let samples = &self.axes[axis];
+            Self::cell(samples, index[axis])
+                .map_or(1.0, |(low, t)| (1.0 - t) * at(samples, low) + t * at(samples, low + 1))
+        }))
+    }
+
     /// Length of the largest cell along each axis, in those of the even grid; at least 1.
     pub fn largest_steps(&self) -> [f64; 3] {
         let largest = |axis: &Vec<f64>| axis.windows(2).map(|pair| pair[1] - pair[0]).fold(1.0, f64::max);
@@ -176,6 +190,15 @@ mod tests {
         assert_eq!(axes.steps(DVec3::new(0.0, 0.0, 1.5)), DVec3::new(1.0, 1.0, 0.5));
         assert_eq!(axes.steps(DVec3::new(0.0, 0.0, 3.0)).z, 2.25);
         assert_eq!(axes.steps(DVec3::new(0.0, 0.0, 3.5)).z, 1.0);
+    }
+
+    #[test]
+    fn differences_are_of_a_samples_neighbours() {
+        let axes = axes();
+        let along_z = |z: f64| axes.difference_steps(DVec3::new(7.5, 0.25, z)).z;
+        assert_eq!([0.0, 1.0, 2.0, 3.0].map(along_z), [0.25, 0.375, 1.375, 2.25]);
+        assert_eq!([0.5, 1.75, 3.5].map(along_z), [0.3125, 1.125, 1.0]);
+        assert_eq!(axes.difference_steps(DVec3::ZERO), DVec3::new(1.0, 1.0, 0.25));
     }
 
     #[test]

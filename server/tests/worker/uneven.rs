@@ -49,7 +49,8 @@ async fn extract(worker: &DeviceWorker, dataset: &Arc<Dataset>, view: &View) -> 
     let made = worker.extract(&step, view, u64::MAX, &CancellationToken::new()).await;
     let made = made.expect("a surface");
     let (geometry, space) = dataset.index_space(view);
-    let mesh = Mesh::new_unless(&made.surface, &geometry, space.uneven.as_deref(), &|| false).expect("a mesh");
+    let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
+    let mesh = Mesh::new_unless(&made.surface, &geometry, uneven, &|| false).expect("a mesh");
     (made, mesh)
 }
 
@@ -163,6 +164,72 @@ async fn surfaces_are_where_vtk_has_them() {
         assert!(
             worst > 0.6,
             "{name}: a normal leans off its triangle, by a cosine of {worst}"
+        );
+    }
+}
+
+/// Samples of x + z along one of the plane's axes: 8 apart along x and y, by a factor of 1.5 along z.
+fn plane_positions() -> [Vec<f64>; 2] {
+    let (even, growing) = ((0..12).map(|i| 8.0 * f64::from(i)), (0..12).map(|k| 1.5f64.powi(k)));
+    [even.collect(), growing.collect()]
+}
+
+/// A grid of these samples.
+fn write_plane(path: &Path) {
+    let [x, z] = plane_positions();
+    let text = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    let rows = z.iter().flat_map(|z| std::iter::repeat_n(z, x.len()));
+    let values: Vec<f64> = rows.flat_map(|z| x.iter().map(move |x| x + z)).collect();
+    let extent = "0 11 0 11 0 11";
+    let array = |name: &str, kind: &str, values: &[f64]| {
+        let values = text(values);
+        format!(r#"<DataArray type="{kind}" Name="{name}" format="ascii">{values}</DataArray>"#)
+    };
+    let file = format!(
+        r#"<VTKFile type="RectilinearGrid" version="1.0"><RectilinearGrid WholeExtent="{extent}"><Piece Extent="{extent}"><PointData Scalars="d">{}</PointData><Coordinates>{}{}{}</Coordinates></Piece></RectilinearGrid></VTKFile>"#,
+        array("d", "Float32", &values),
+        array("x", "Float64", &x),
+        array("y", "Float64", &x),
+        array("z", "Float64", &z)
+    );
+    std::fs::write(path, file).expect("written");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn normals_are_exact_on_a_plane_but_for_their_rounding() {
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("plane.vtr");
+    write_plane(&path);
+    let dataset = Arc::new(open_dataset(&path).expect("opens"));
+    let plain = r#""iso": 60, "beta": -1, "alpha": 0, "feature": "none""#;
+
+    let cubes = format!(r#"{{{plain}, "mesher": "marching-cubes"}}"#);
+    let (_, mesh) = extract(&worker, &dataset, &view(&dataset, &cubes)).await;
+    assert!(mesh.normals.len() > 200);
+    for (position, [x, y, z]) in mesh.positions.iter().zip(&mesh.normals) {
+        let cosine = f64::from(-x - z) / 2f64.sqrt();
+        assert!(cosine > 0.999_99, "{position:?}: {:?}, cosine {cosine}", [x, y, z]);
+    }
+
+    // Normals of the dual mesher are exact but for their rounding to two bytes, in cells of the largest lengths.
+    let (_, mesh) = extract(&worker, &dataset, &view(&dataset, &format!("{{{plain}}}"))).await;
+    assert!(mesh.normals.len() > 200);
+    let [_, z] = plane_positions();
+    let to_sum = |p: Point| p.map(|c| c / (p[0].abs() + p[1].abs() + p[2].abs()));
+    for (position, normal) in mesh.positions.iter().zip(&mesh.normals) {
+        let cell = z
+            .windows(2)
+            .find(|cell| f64::from(position[2]) < cell[1])
+            .expect("a cell");
+        let share = (cell[1] - cell[0]) / (z[11] - z[10]);
+        let [x, y, z] = normal.map(f64::from);
+        let (found, exact) = (to_sum([x, y, z * share]), to_sum([-1.0, 0.0, -share]));
+        let off = minus(found, exact).map(f64::abs);
+        assert!(
+            off[0].max(off[1]) < 0.5 / 127.0 + 1e-4,
+            "{position:?}: {found:?}, expected {exact:?}"
         );
     }
 }
