@@ -5,7 +5,7 @@ import { sliceGeometry } from "../src/scene/slices";
 import { inEvenCoordinates, pack, unpack } from "../src/scene/unevenMesh";
 import type { Vec3 } from "../src/scene/world";
 import { lengthScale } from "../src/state/lengths";
-import { evenOf, largestStep, stepOf, unevenOf, type Uneven } from "../src/world/uneven";
+import { differenceStepOf, evenOf, largestStep, stepOf, unevenOf, type Uneven } from "../src/world/uneven";
 import { VOLUMES } from "./fixture";
 
 /** Positions along z: 0, 1, 3 and 12, of which the mean step is 4. */
@@ -16,6 +16,8 @@ test("positions of a volume are those of an even grid in its steps", () => {
   expect(unevenOf({ spacing: [1, 2, 4] })).toBeUndefined();
   expect([0, 0.5, 1.5, 2, 3, -2, 4.5].map((index) => evenOf(AXES[2], index))).toEqual([0, 0.125, 0.5, 0.75, 3, -2, 4.5]);
   expect([0, 1.5, 3, 3.5].map((index) => stepOf(AXES[2], index))).toEqual([0.25, 0.5, 2.25, 1]);
+  expect([0, 1, 2, 3, 0.5, 1.75, 3.5].map((index) => differenceStepOf(AXES[2], index))).toEqual([0.25, 0.375, 1.375, 2.25, 0.3125, 1.125, 1]);
+  expect(differenceStepOf(null, 7.5)).toBe(1);
   expect([largestStep(AXES[2]), largestStep(null), evenOf(null, 7.5), stepOf(null, 7)]).toEqual([2.25, 1, 7.5, 1]);
 });
 
@@ -54,6 +56,35 @@ describe("a region mesh in even coordinates", () => {
       expect([...mesh.vertices.slice(4)]).toEqual([7, 8]);
     }
   });
+});
+
+test("normals of marching cubes are exact on a plane", () => {
+  // x + z in even coordinates. The server's gradient: central differences, one-sided at the ends, linear along an edge, in the largest cells.
+  const [z, largest] = [[0, 0.25, 0.75, 3], 2.25];
+  const gradientAt = (i: number) => ((z[Math.min(i + 1, 3)] ?? 0) - (z[Math.max(i - 1, 0)] ?? 0)) / (Math.min(i + 1, 3) - Math.max(i - 1, 0)) / largest;
+  // On edges along x and y at each sample, then on edges along z.
+  const onEdges = [0, 1, 2, 3].flatMap((i) => [[0.5, 1, i, 0], [1, 0.25, i, 0]]).concat([0, 1, 2].flatMap((i) => [[1, 2, i, 0.25], [1, 2, i, 0.75]]));
+  for (const [x = 0, y = 0, low = 0, t = 0] of onEdges) {
+    const slope = (1 - t) * gradientAt(low) + (t > 0 ? t * gradientAt(low + 1) : 0);
+    const vertices = Int16Array.from([64 * x, 64 * y, 64 * (low + t), pack([-1, 0, -slope]), 0, 0]);
+    inEvenCoordinates({ vertices, corner: [0, 0, 0], lattice: 64, bounds: { min: [0, 0, 0], max: [1, 2, 3] } }, AXES);
+    const [a, b, c] = unpack(vertices[3] ?? 0);
+    const degrees = (Math.acos(Math.min(1, -(a + c) / Math.SQRT2 / Math.hypot(a, b, c))) * 180) / Math.PI;
+    // Of the rounding to bytes: half of 1/127 of a slope of 0.11, and as much again of one of 1.
+    expect(degrees).toBeLessThan(1.4);
+  }
+});
+
+test("normals of the dual mesher are of their own cells, at the volume's edges too", () => {
+  const slope = 0.5 / 2.25;
+  // In cells, and one that was moved to an edge of the volume.
+  const at = [[0.5, 0.5, 1.5], [1.25, 0.5, 1.25], [0, 0, 1.75]];
+  const vertices = Int16Array.from(at.flatMap((p) => [...p.map((c) => 64 * c), pack([-1, 0, -slope]), 0, 0]));
+  inEvenCoordinates({ vertices, corner: [0, 0, 0], lattice: 64, bounds: { min: [0, 0, 1], max: [2, 1, 2] } }, AXES);
+  for (const i of [0, 1, 2]) {
+    const [a, b, c] = unpack(vertices[6 * i + 3] ?? 0);
+    expect(-(a + c) / Math.SQRT2 / Math.hypot(a, b, c)).toBeGreaterThan(Math.cos((1.4 * Math.PI) / 180));
+  }
 });
 
 test("normals are packed as they are unpacked", () => {

@@ -1,6 +1,6 @@
 /** Region meshes of grids with uneven axes: from index space to even coordinates, in which they are drawn. Pure. */
 
-import { evenOf, largestStep, stepOf, type Uneven } from "../world/uneven";
+import { differenceStepOf, evenOf, largestStep, stepOf, type Uneven } from "../world/uneven";
 import type { Vec3 } from "./world";
 
 /** What is moved of a region mesh. */
@@ -20,18 +20,33 @@ export function inEvenCoordinates({ vertices, corner, lattice, bounds }: InIndex
   const count = vertices.length / WORDS;
   const positions = new Float32Array(3 * count);
   const largest = axes.map(largestStep);
+  const gradientStepOf = isOfMarchingCubes(vertices, lattice) ? differenceStepOf : stepOf;
   for (let i = 0; i < count; i += 1) {
     const steps: number[] = [];
     for (const axis of [0, 1, 2] as const) {
       const index = corner[axis] + (vertices[WORDS * i + axis] ?? 0) / lattice;
       positions[3 * i + axis] = evenOf(axes[axis], index);
-      steps.push((largest[axis] ?? 1) / stepOf(axes[axis], index));
+      steps.push((largest[axis] ?? 1) / gradientStepOf(axes[axis], index));
     }
     const normal = unpack(vertices[WORDS * i + 3] ?? 0);
     vertices[WORDS * i + 3] = pack([normal[0] * (steps[0] ?? 1), normal[1] * (steps[1] ?? 1), normal[2] * (steps[2] ?? 1)]);
   }
   const even = (p: Vec3): Vec3 => [evenOf(axes[0], p[0]), evenOf(axes[1], p[1]), evenOf(axes[2], p[2])];
   return { positions, bounds: { min: even(bounds.min), max: even(bounds.max) } };
+}
+
+/**
+ * Whether marching cubes made a mesh, with gradients from the differences at the two samples of an edge of the grid: then most vertices lie on
+ * edges, all but those moved onto a coarser cube's face. Those of the dual mesher, with gradients of the interpolant in their cells, keep a
+ * distance from the faces of their cells; on edges there are some at the volume's own. A chunk does not say which mesher made it.
+ */
+function isOfMarchingCubes(vertices: Int16Array, lattice: number): boolean {
+  let onEdges = 0;
+  for (let i = 0; i < vertices.length; i += WORDS) {
+    const whole = (axis: number) => ((vertices[i + axis] ?? 0) % lattice === 0 ? 1 : 0);
+    if (whole(0) + whole(1) + whole(2) >= 2) onEdges += 1;
+  }
+  return 2 * onEdges * WORDS > vertices.length;
 }
 
 const folded = (x: number, y: number): [number, number] => [(1 - Math.abs(y)) * (x < 0 ? -1 : 1), (1 - Math.abs(x)) * (y < 0 ? -1 : 1)];

@@ -34,6 +34,20 @@ export function stepOf(axis: UnevenAxis, index: number): number {
   return axis === null || low === undefined ? 1 : (axis[low + 1] ?? 0) - (axis[low] ?? 0);
 }
 
+/** Half the distance of a sample's two neighbours; at an end the length of its cell. */
+function stepAtSample(axis: readonly number[], sample: number): number {
+  const [below, above] = [Math.max(sample - 1, 0), Math.min(sample + 1, axis.length - 1)];
+  return ((axis[above] ?? 0) - (axis[below] ?? 0)) / (above - below);
+}
+
+/** Length over which the server takes the differences of samples, in cells of the even grid: that at the samples, linear between them, as gradients are along an edge. */
+export function differenceStepOf(axis: UnevenAxis, index: number): number {
+  const low = axis === null ? undefined : cellOf(axis, index);
+  if (axis === null || low === undefined) return 1;
+  const t = index - low;
+  return (1 - t) * stepAtSample(axis, low) + t * stepAtSample(axis, low + 1);
+}
+
 /** Length of the largest cell along an axis, in those of the even grid. */
 export function largestStep(axis: UnevenAxis): number {
   return (axis ?? []).reduce((largest, at, i) => (i === 0 ? largest : Math.max(largest, at - (axis?.[i - 1] ?? 0))), 1);
