@@ -30,7 +30,7 @@ pub(crate) struct Pool {
     /// Freed allocations and their bytes, least recently used first.
     idle: RefCell<Vec<(u64, opencl3::memory::Buffer<u8>)>>,
     /// Maximum bytes in `idle`.
-    idle_limit: u64,
+    idle_limit: Cell<u64>,
 }
 
 impl Pool {
@@ -41,8 +41,13 @@ impl Pool {
             lent: Cell::default(),
             peak: Cell::default(),
             idle: RefCell::default(),
-            idle_limit,
+            idle_limit: Cell::new(idle_limit),
         }
+    }
+
+    /// Keeps at most `bytes` of what is freed from now on, or what it kept until now, if that is less.
+    pub fn limit_idle(&self, bytes: u64) {
+        self.idle_limit.set(self.idle_limit.get().min(bytes));
     }
 
     /// Resets the peak; returns the bytes in use.
@@ -95,7 +100,7 @@ impl Pool {
         idle.push((bytes, memory));
         let mut total: u64 = idle.iter().map(|(bytes, _)| bytes).sum();
         idle.retain(|(bytes, _)| {
-            let keep = total <= self.idle_limit;
+            let keep = total <= self.idle_limit.get();
             total -= if keep { 0 } else { *bytes };
             keep
         });

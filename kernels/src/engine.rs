@@ -165,6 +165,11 @@ impl Engine {
         Ok(())
     }
 
+    /// Keeps at most so many bytes that were freed, for the next surfaces; or a sixteenth of the device's memory, if that is less.
+    pub fn limit_idle(&self, bytes: u64) {
+        self.cx.pool.limit_idle(bytes);
+    }
+
     /// Bytes that are allocated on the device, and on the host for surfaces.
     ///
     /// # Errors

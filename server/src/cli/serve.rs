@@ -1,5 +1,6 @@
 //! `isopeel serve`
 
+mod memory;
 mod oidc;
 mod relaunch;
 mod signals;
@@ -15,21 +16,19 @@ use crate::access::{
     Access, AllowedOrigin, Audit, AuditError, PublicUrl, Rates, Token, TokenError, TokenFile, TokenFileError,
     TokenWatch, TrustedProxy,
 };
-use crate::extraction::{DeviceWorker, limit_host_memory};
+use crate::extraction::DeviceWorker;
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
-use crate::stream::{Deadlines, LiveOptions, SHARED_BYTES};
+use crate::stream::{Deadlines, LiveOptions};
 use crate::uploads::FolderError;
 use crate::volumes::watch::{INTERVAL, Watcher};
 use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
+use memory::MemoryArgs;
 use uploads::UploadArgs;
 
 /// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
-
-/// A few steps of 256³ floats.
-const READ_AHEAD_MIB: u64 = 1024;
 
 /// Some thousand surfaces of a million triangles.
 const JOB_QUOTA_MIB: u64 = 64 * 1024;
@@ -60,22 +59,12 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = CEILING_TRIANGLES, value_parser = clap::value_parser!(u64).range(1..))]
     ceiling_triangles: u64,
 
-    /// Memory of this machine for volumes and surfaces with all else that the process holds, in MiB: what would take more is refused before
-    /// it is read or made [default: what the machine or the container has]
-    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
-    host_memory: Option<u64>,
+    #[command(flatten)]
+    memory: MemoryArgs,
 
     /// Look at the paths every two seconds: files that appear, as time steps or volumes, are offered without a restart
     #[arg(long)]
     watch: bool,
-
-    /// Device memory for time steps that are read before a viewer asks for them, as it goes from one to the next, in MiB; 0: none are
-    #[arg(long, value_name = "MIB", default_value_t = READ_AHEAD_MIB)]
-    read_ahead: u64,
-
-    /// Memory for surfaces that were encoded, which viewers who ask for the same are sent again, in MiB; 0: each is encoded anew
-    #[arg(long, value_name = "MIB", default_value_t = SHARED_BYTES >> 20)]
-    shared_memory: u64,
 
     /// Let pages of another origin use this server, such as https://viewer.example; may be given again
     #[arg(long, value_name = "ORIGIN")]
@@ -248,9 +237,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let tls = tls(args)?;
     let oidc = args.oidc.open(args.public_url.as_ref(), token.is_none())?;
     let audit = args.audit_log.as_deref().map(Audit::open).transpose()?;
-    if let Some(mebibytes) = args.host_memory {
-        limit_host_memory(mebibytes.saturating_mul(1 << 20));
-    }
+    args.memory.limit_process();
     if args.follow_links {
         follow_links();
     }
@@ -423,7 +410,8 @@ fn start_worker(args: &Args, catalog: &SharedCatalog, is_patient: bool) -> std::
     let now = catalog.now();
     let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
     let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
-    DeviceWorker::start_with(args.device.clone(), types.into_iter().collect(), is_patient)
+    let types = types.into_iter().collect();
+    DeviceWorker::start_with(args.device.clone(), types, is_patient, args.memory.surface_bytes())
 }
 
 /// Who may use the server that listens there.
@@ -460,8 +448,8 @@ fn config(args: &Args, access: Access, catalog: SharedCatalog, worker: DeviceWor
     Config {
         catalog,
         live: LiveOptions {
-            ahead_bytes: args.read_ahead.saturating_mul(1 << 20),
-            shared_bytes: args.shared_memory.saturating_mul(1 << 20),
+            ahead_bytes: args.memory.ahead_bytes(),
+            shared_bytes: args.memory.shared_bytes(),
             watches: args.watch,
         },
         worker,

@@ -7,6 +7,10 @@ use isopeel_kernels::Cut;
 use super::CutId;
 use super::residency::Lru;
 
+/// Cuts that stay whatever they take, so that a large volume's surface changes region by region too: the one that a client shows, the one
+/// that it is on the way to, and that of the next step.
+const MIN_CUTS: usize = 3;
+
 /// Cuts that clients show or are on the way to.
 pub(super) struct Cuts {
     kept: Lru<CutId, Rc<Cut>>,
@@ -14,10 +18,10 @@ pub(super) struct Cuts {
 }
 
 impl Cuts {
-    /// Keeps cuts of at most `budget` bytes: where one was let go, a client's next surface is made as a whole.
+    /// Keeps cuts of at most `budget` bytes, and the latest ones anyway: where one was let go, a client's next surface is made as a whole.
     pub(super) fn new(budget: u64) -> Self {
         Self {
-            kept: Lru::new(budget),
+            kept: Lru::new(budget).keeping(MIN_CUTS),
             last: 0,
         }
     }

@@ -47,6 +47,8 @@ pub(super) struct DeviceThread {
     pub types: Vec<SampleType>,
     /// A device that cannot be opened is waited for, as it was there before.
     pub is_patient: bool,
+    /// What may be kept of earlier edits, where that was set.
+    pub surface_bytes: Option<u64>,
     pub state: watch::Sender<DeviceState>,
     pub memory: watch::Sender<ThreadMemory>,
     pub histograms: Histograms,
@@ -108,7 +110,8 @@ impl DeviceThread {
     }
 
     fn state_on(&self, engine: Engine) -> WorkerState {
-        WorkerState::new(engine, Arc::clone(&self.histograms), self.pins.clone())
+        let histograms = Arc::clone(&self.histograms);
+        WorkerState::new(engine, histograms, self.pins.clone(), self.surface_bytes)
     }
 
     /// Replaces a lost device by one that is opened anew, as soon as there is one.

@@ -5,7 +5,7 @@
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
 //!   viewers have open (`open_steps`).
-//! - `memory`: what memory is used for; `host_memory`: whether there is enough for what is to be made.
+//! - `memory`: what memory is used for; `shares`: how much of it is kept for the next edits; `host_memory`: whether there is enough for what is to be made.
 //! - `counting`: triangles of a full surface, before anything is made of it.
 //! - `questions`: what a viewer asks about the surface that it is shown.
 //! - `slices`: planes of samples.
@@ -38,6 +38,7 @@ mod questions;
 mod refine;
 mod residency;
 mod results;
+mod shares;
 mod slices;
 mod statistics;
 mod tree_surfaces;
@@ -59,6 +60,7 @@ pub use questions::{
     Question, ShownSurface, VertexErrors,
 };
 pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
+pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{

@@ -8,6 +8,8 @@ use std::hash::Hash;
 pub(super) struct Lru<K, V> {
     entries: Vec<(K, u64, V)>,
     budget: u64,
+    /// Entries that stay whatever they cost.
+    min_entries: usize,
 }
 
 impl<K: Eq + Hash, V> Lru<K, V> {
@@ -16,7 +18,13 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         Self {
             entries: Vec::new(),
             budget,
+            min_entries: 1,
         }
+    }
+
+    /// Keeps so many entries, those used last, even where they cost more than the budget.
+    pub(super) fn keeping(self, min_entries: usize) -> Self {
+        Self { min_entries, ..self }
     }
 
     /// Maximum cost of all entries together.
@@ -45,15 +53,19 @@ impl<K: Eq + Hash, V> Lru<K, V> {
     /// Drops the entries used longest ago, of those that `may_go`, until `cost` fits into the budget with the rest.
     pub(super) fn evict_for(&mut self, cost: u64, may_go: impl Fn(&K) -> bool) {
         let mut total: u64 = self.entries.iter().map(|e| e.1).sum();
-        let budget = self.budget;
+        // With the one that comes.
+        let (budget, mut entries) = (self.budget, self.entries.len() + 1);
         self.entries.retain(|(key, bytes, _)| {
-            let goes = total.saturating_add(cost) > budget && may_go(key);
-            total -= if goes { *bytes } else { 0 };
+            let goes = total.saturating_add(cost) > budget && entries > self.min_entries && may_go(key);
+            if goes {
+                total -= bytes;
+                entries -= 1;
+            }
             !goes
         });
     }
 
-    /// Inserts or replaces, as the one used last, evicting others until it fits. An entry above the budget is kept alone.
+    /// Inserts or replaces, as the one used last, evicting others until it fits. An entry above the budget is kept alone, or with those that stay anyway.
     pub(super) fn insert(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|e| e.0 != key);
         self.evict_for(cost, |_| true);
@@ -131,5 +143,22 @@ mod tests {
         lru.insert('a', 1, 1);
         lru.insert('b', 99, 2);
         assert_eq!((lru.len(), lru.peek(&'b')), (1, Some(&2)));
+    }
+
+    #[test]
+    fn what_was_used_last_stays_whatever_it_costs() {
+        let mut lru = Lru::new(0);
+        lru.insert('a', 1, 1);
+        assert_eq!(lru.get(&'a'), Some(&1));
+        let mut lru = Lru::new(10).keeping(2);
+        lru.insert('a', 8, 1);
+        lru.insert('b', 8, 2);
+        assert_eq!((lru.peek(&'a'), lru.peek(&'b')), (Some(&1), Some(&2)));
+        lru.get(&'a');
+        lru.insert('c', 8, 3);
+        assert_eq!(
+            (lru.peek(&'a'), lru.peek(&'b'), lru.peek(&'c')),
+            (Some(&1), None, Some(&3))
+        );
     }
 }

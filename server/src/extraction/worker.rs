@@ -92,14 +92,21 @@ impl DeviceWorker {
     /// # Errors
     /// The thread cannot be started.
     pub fn start_warm(selector: Option<String>, types: Vec<SampleType>) -> std::io::Result<Self> {
-        Self::start_with(selector, types, false)
+        Self::start_with(selector, types, false, None)
     }
 
-    /// As [`DeviceWorker::start_warm`]; where it `is_patient`, a device that cannot be opened is waited for.
+    /// As [`DeviceWorker::start_warm`]; where it `is_patient`, a device that cannot be opened is waited for. Keeps at most
+    /// `surface_bytes` of pyramids, trees, cuts and free buffers of earlier edits; by default [`super::PROCESSOR_BYTES`] where the device is this
+    /// machine's processors, else a third of its memory, and never more than a third.
     ///
     /// # Errors
     /// The thread cannot be started.
-    pub fn start_with(selector: Option<String>, types: Vec<SampleType>, is_patient: bool) -> std::io::Result<Self> {
+    pub fn start_with(
+        selector: Option<String>,
+        types: Vec<SampleType>,
+        is_patient: bool,
+        surface_bytes: Option<u64>,
+    ) -> std::io::Result<Self> {
         let (jobs, waiting) = mpsc::channel::<Job<WorkerState>>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening);
         let (memory, watched_memory) = watch::channel(ThreadMemory::default());
@@ -109,6 +116,7 @@ impl DeviceWorker {
             selector,
             types,
             is_patient,
+            surface_bytes,
             state,
             memory,
             histograms: Arc::clone(&histograms),

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, CutParams, DeviceKind, Engine, Error, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime,
-    Surface, Upload, VertexTree, Volume,
+    Cancel, CutParams, Engine, Error, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime, Surface, Upload,
+    VertexTree, Volume,
 };
 
 use super::cuts::Cuts;
@@ -19,6 +19,7 @@ use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
+use super::shares::Shares;
 use super::turns::{Aside, Turn};
 use super::{Extraction, Measurement, WorkError};
 use crate::math::IndexSpace;
@@ -26,18 +27,8 @@ use crate::metrics;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
 use crate::volumes::VolumeStep;
 
-/// Share of the device's memory for resident volumes, in percent. The rest is for pyramids, the stages' buffers and other processes.
+/// Share of the device's memory for resident volumes, in percent. The rest is for pyramids (`shares`), the stages' buffers and other processes.
 const VOLUME_PERCENT: u64 = 50;
-
-/// Share of the device's memory for cached pyramids, in percent: those of the latest isovalues of all viewers, which edits of α, β and
-/// the transfer function use again.
-const PYRAMID_PERCENT: u64 = 15;
-
-/// Share of the device's memory for vertex trees, in percent: one takes about as much as its pyramid.
-const TREE_PERCENT: u64 = 10;
-
-/// Share of the device's memory for cuts, in percent: a byte a node, where a pyramid takes 40.
-const CUT_PERCENT: u64 = 2;
 
 /// Why a job ended without a result.
 pub(super) enum JobError {
@@ -185,21 +176,19 @@ pub(super) struct WorkerState {
 }
 
 impl WorkerState {
-    pub(super) fn new(engine: Engine, histograms: Histograms, pins: Pins) -> Self {
+    /// `surface_bytes`: what may be kept of earlier edits, where that was set.
+    pub(super) fn new(engine: Engine, histograms: Histograms, pins: Pins, surface_bytes: Option<u64>) -> Self {
         let device = engine.device();
-        let percent = device.memory_bytes / 100;
-        // What can be made again gives way where the process may hold less than the machine has.
-        let kept_percent = match device.kind {
-            DeviceKind::Cpu => percent.min(HostMemory::now().total() / 100),
-            _ => percent,
-        };
+        let host_bytes = HostMemory::now().total();
+        let shares = Shares::of(device.kind, device.memory_bytes, host_bytes, surface_bytes);
+        engine.limit_idle(shares.idle);
         Self {
+            volumes: Lru::new(device.memory_bytes / 100 * VOLUME_PERCENT),
             engine: Rc::new(engine),
-            volumes: Lru::new(percent * VOLUME_PERCENT),
             ahead: Vec::new(),
-            pyramids: Lru::new(kept_percent * PYRAMID_PERCENT),
-            trees: Rc::new(RefCell::new(Lru::new(kept_percent * TREE_PERCENT))),
-            cuts: Rc::new(RefCell::new(Cuts::new(kept_percent * CUT_PERCENT))),
+            pyramids: Lru::new(shares.pyramids),
+            trees: Rc::new(RefCell::new(Lru::new(shares.trees))),
+            cuts: Rc::new(RefCell::new(Cuts::new(shares.cuts))),
             histograms,
             pins,
             uploads: HashMap::new(),

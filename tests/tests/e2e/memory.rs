@@ -2,12 +2,14 @@
 
 use std::ffi::OsStr;
 use std::io::Write;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
+use crate::metrics::counted;
 use crate::support::viewer::Viewer;
-use crate::support::{command, data_file, demo, demo_file, http, server};
+use crate::support::{command, data_file, demo, demo_file, http, process, server};
 
 /// Samples along each axis of the volume that is nearly empty.
 const SIDE: usize = 512;
@@ -181,4 +183,67 @@ async fn the_server_says_what_holds_memory() {
     for name in ["pyramidBytes", "treeBytes", "cutBytes"] {
         assert!(bytes(&after, name) > 0, "{name} in {after}");
     }
+}
+
+/// How often a pyramid, or a tree, was there and was not.
+fn looked_up(address: SocketAddr, what: &str) -> [f64; 2] {
+    let text = String::from_utf8(http::get(address, "/metrics").body).expect("UTF-8");
+    ["hit", "miss"].map(|result| {
+        let label = format!(r#"what="{what}",result="{result}""#);
+        counted(&text, "isopeel_cache_requests_total", &label)
+    })
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_kept_of_many_isovalues_is_bounded() {
+    let (bound, mebibytes) = (200 << 20, Path::new("200"));
+    let variables = [("ISOPEEL_SURFACE_MEMORY", mebibytes)];
+    let Some(server) = process::start_in(&[], &["--shared-memory", "0"], &variables) else {
+        return;
+    };
+    let mut viewer = Viewer::open(server.address, demo::ID).await;
+    let mut pyramids = 0;
+    for step in 0..24 {
+        viewer.edit(json!({"iso": 60 + 2 * step})).await;
+        let memory = http::get(server.address, "/api/v1/memory").json();
+        let bytes = |name: &str| memory[name].as_u64().unwrap_or_else(|| panic!("{name} in {memory}"));
+        let kept = ["pyramidBytes", "treeBytes", "cutBytes", "idleBytes"].map(bytes);
+        assert!(kept.iter().sum::<u64>() <= bound, "{memory}");
+        pyramids = kept[0];
+    }
+    // Of 24 isovalues those fill their share that fit into it: the last one is there, the first one is not.
+    assert!(pyramids > bound * 2 / 5 && pyramids < bound / 2, "{pyramids}");
+    let [_, misses] = looked_up(server.address, "pyramid");
+    viewer.edit(json!({"iso": 104})).await;
+    assert_eq!(looked_up(server.address, "pyramid")[1], misses);
+    viewer.edit(json!({"iso": 60})).await;
+    assert_eq!(looked_up(server.address, "pyramid")[1], misses + 1.0);
+    viewer.close().await;
+}
+
+/// However little is kept, what a viewer shows is not made anew by each edit.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_surface_that_is_shown_stays_where_nothing_else_is_kept() {
+    let Some(server) = process::start(&[], &["--surface-memory", "0", "--shared-memory", "0"]) else {
+        return;
+    };
+    let mut viewer = Viewer::open(server.address, demo::ID).await;
+    viewer.edit(json!({"iso": demo::ISO, "beta": 0.02})).await;
+    let [hits, misses] = looked_up(server.address, "pyramid");
+    for beta in [0.05, 0.02, 0.1] {
+        viewer.edit(json!({"beta": beta})).await;
+    }
+    viewer
+        .edit_and_rest(json!({"triangles": demo::FULL_TRIANGLES / 4, "maxError": "auto"}))
+        .await;
+    let [_, trees] = looked_up(server.address, "tree");
+    assert!(trees > 0.0);
+    viewer
+        .edit_and_rest(json!({"triangles": demo::FULL_TRIANGLES / 5}))
+        .await;
+    let [more, same] = looked_up(server.address, "pyramid");
+    assert!(more >= hits + 5.0 && same == misses, "{hits}, {misses}; {more}, {same}");
+    let [found, same] = looked_up(server.address, "tree");
+    assert!(found > 0.0 && same == trees, "{trees}; {found}, {same}");
+    viewer.close().await;
 }

@@ -1,0 +1,106 @@
+//! Shares of memory for what is kept of earlier edits, so that the next ones are soon: pyramids, vertex trees, cuts, and buffers that are free.
+
+use isopeel_kernels::DeviceKind;
+
+/// Of the device's memory for pyramids, in thousandths: those of the latest isovalues of all viewers, which edits of α, β and the
+/// transfer function use again.
+const PYRAMIDS: u64 = 150;
+
+/// The same for vertex trees: larger than pyramids, but only viewers at rest have them made, and those whom an error or a budget serves.
+const TREES: u64 = 100;
+
+/// The same for cuts: a byte a node, where a pyramid takes 40.
+const CUTS: u64 = 20;
+
+/// The same for buffers that were freed and wait for the next edit, which is quicker with them than with pages that the system has to clear.
+const IDLE: u64 = 63;
+
+const ALL: u64 = PYRAMIDS + TREES + CUTS + IDLE;
+
+/// Of all of these together where the device is this machine's processors, unless `--surface-memory` says so: of the demo (197 × 233 × 189
+/// samples) pyramids of 70 isovalues, and trees of eight. With a share alone a server grows for as long as viewers choose isovalues, up to a third of the
+/// machine, which other programs use too.
+pub const PROCESSOR_BYTES: u64 = 1 << 30;
+
+/// Maximum bytes of each. What was used last is kept even where it takes more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Shares {
+    pub pyramids: u64,
+    pub trees: u64,
+    pub cuts: u64,
+    pub idle: u64,
+}
+
+impl Shares {
+    /// Of a device with so much memory, in a process that may hold `host_bytes`. `limit`: what `--surface-memory` says of all of them.
+    pub(super) fn of(kind: DeviceKind, device_bytes: u64, host_bytes: u64, limit: Option<u64>) -> Self {
+        let (memory, limit) = match kind {
+            // What can be made again gives way where the process may hold less than the machine has.
+            DeviceKind::Cpu => (device_bytes.min(host_bytes), limit.unwrap_or(PROCESSOR_BYTES)),
+            _ => (device_bytes, limit.unwrap_or(u64::MAX)),
+        };
+        // First the quotient, or the product may overflow.
+        let all = (memory / 1000 * ALL).min(limit);
+        let share = |thousandths| all / ALL * thousandths;
+        Self {
+            pyramids: share(PYRAMIDS),
+            trees: share(TREES),
+            cuts: share(CUTS),
+            idle: share(IDLE),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GB: u64 = 1_000_000_000;
+
+    fn all(shares: Shares) -> u64 {
+        shares.pyramids + shares.trees + shares.cuts + shares.idle
+    }
+
+    #[test]
+    fn processors_keep_a_gibibyte_however_much_the_machine_has() {
+        let large = Shares::of(DeviceKind::Cpu, 1000 * GB, 1000 * GB, None);
+        assert_eq!(large, Shares::of(DeviceKind::Cpu, 24 * GB, 24 * GB, None));
+        assert!(
+            all(large) <= PROCESSOR_BYTES && all(large) > PROCESSOR_BYTES - 1000,
+            "{large:?}"
+        );
+        assert!(
+            large.pyramids * 2 == large.trees * 3 && large.cuts * 5 == large.trees,
+            "{large:?}"
+        );
+    }
+
+    #[test]
+    fn a_small_machine_or_container_keeps_a_share_of_what_it_has() {
+        let small = Shares::of(DeviceKind::Cpu, 24 * GB, GB, None);
+        assert_eq!(
+            (small.pyramids, small.trees, small.cuts),
+            (GB * 15 / 100, GB / 10, GB / 50)
+        );
+        assert_eq!(small, Shares::of(DeviceKind::Cpu, GB, u64::MAX, None));
+        // More than that is not kept, whatever was asked for.
+        assert_eq!(small, Shares::of(DeviceKind::Cpu, 24 * GB, GB, Some(u64::MAX)));
+    }
+
+    #[test]
+    fn a_gpu_keeps_shares_of_its_own_memory() {
+        let gpu = Shares::of(DeviceKind::Gpu, 80 * GB, GB, None);
+        assert_eq!((gpu.pyramids, gpu.trees), (12 * GB, 8 * GB));
+        // As much as was there before there were shares, a sixteenth, and no less.
+        assert!(gpu.idle >= 5 * GB, "{gpu:?}");
+    }
+
+    #[test]
+    fn who_sets_a_limit_gets_it_on_every_device() {
+        for kind in [DeviceKind::Cpu, DeviceKind::Gpu] {
+            let more = all(Shares::of(kind, 80 * GB, 80 * GB, Some(4 * GB)));
+            assert!(more <= 4 * GB && more > 4 * GB - 1000, "{kind:?}: {more}");
+            assert_eq!(all(Shares::of(kind, 80 * GB, 80 * GB, Some(0))), 0, "{kind:?}");
+        }
+    }
+}
