@@ -1,22 +1,15 @@
 //! What features cost: processor time of an isovalue with each over one without, in turns, `sin` 256³. `cargo run --release --package
 //! isopeel-kernels --example derive_cost [ROUNDS]`; each line has the shortest time of all rounds.
 
+mod common;
+
+use common::processor_time;
 use isopeel_kernels::{
     DerivedFeature, Engine, Feature, Grid, Isovalue, Never, Result, SampleType, Shape, Synthetic, VectorFeature,
 };
 
 /// Samples along each axis.
 const SIZE: u32 = 256;
-
-/// Nanoseconds that all threads of this process have run.
-fn processor_time() -> f64 {
-    let tasks = std::fs::read_dir("/proc/self/task").expect("Linux");
-    let of_task = |task: std::fs::DirEntry| {
-        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
-        text.split_whitespace().next()?.parse::<f64>().ok()
-    };
-    tasks.flatten().filter_map(of_task).sum()
-}
 
 fn main() -> Result<()> {
     let rounds = std::env::args().nth(1).and_then(|n| n.parse().ok()).unwrap_or(7);

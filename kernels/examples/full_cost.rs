@@ -1,21 +1,14 @@
 //! What the full surface costs: best wall time and processor time of an isovalue with its mesh, `sin`, and the best time of each stage.
 //! `cargo run --release --package isopeel-kernels --example full_cost [SIZE [TYPE [ROUNDS]]]`, as in `full_cost 256 u8 20`.
 
+mod common;
+
+use common::processor_time;
 use isopeel_kernels::{
     CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Result, SampleType, Shape, Synthetic,
 };
 use std::collections::BTreeMap;
 use std::time::Instant;
-
-/// Nanoseconds that all threads of this process have run.
-fn processor_time() -> f64 {
-    let tasks = std::fs::read_dir("/proc/self/task").expect("Linux");
-    let of_task = |task: std::fs::DirEntry| {
-        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
-        text.split_whitespace().next()?.parse::<f64>().ok()
-    };
-    tasks.flatten().filter_map(of_task).sum()
-}
 
 fn main() -> Result<()> {
     let mut args = std::env::args().skip(1);

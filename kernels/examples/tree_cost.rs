@@ -3,24 +3,17 @@
 //! rounds, and cuts of the tree: how far they are from the full surface, and a hash, by which two versions are compared. Writes the full
 //! mesh to MESH for `simplify_peer`, which times meshoptimizer.
 
+mod common;
+
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::time::Instant;
 
+use common::processor_time;
 use isopeel_kernels::{
     CutParams, Engine, Feature, Grid, Isovalue, Mesher, Never, PartFilter, Pyramid, Result, SampleType, Shape, Surface,
     Synthetic, TreeGoal, Vertex, VertexTree, Volume,
 };
-
-/// Nanoseconds that all threads of this process have run.
-fn processor_time() -> f64 {
-    let tasks = std::fs::read_dir("/proc/self/task").expect("Linux");
-    let of_task = |task: std::fs::DirEntry| {
-        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
-        text.split_whitespace().next()?.parse::<f64>().ok()
-    };
-    tasks.flatten().filter_map(of_task).sum()
-}
 
 struct Tree<'a> {
     engine: &'a Engine,
