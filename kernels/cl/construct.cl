@@ -23,7 +23,7 @@
 //   |  solver_in: cells to solve              float    2816                        x
 //   +- quad_list                              ushort   2352                              x
 //   +- samples with a halo                    float    5324                      x   x
-//   |  solver_out: solved cells               float    3072                        x
+//   |  solver_out: solved cells               float    2560                        x
 //   |  sheet_list                             ushort   4096                            x
 //   +- offset_sums                            int      6144 (CPU: 8208)                  x
 //   +- feature at samples                     float    5324                      x
@@ -83,6 +83,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
     const BrickTask task = make_brick_task(args, samples, feature, regions, bricks, nodes, vertex_records);
 
     load_samples(&task, &memory);
+    prefetch_next_brick(&task, regions, bricks);
     list_cells_and_cubes(&task, &memory, case_facts);
     load_blocks(&task, second.samples, cubes);
     derive_feature(&task, second.samples, cubes);

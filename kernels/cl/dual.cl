@@ -212,7 +212,8 @@ void dual_emit(const DualEmitArgs args, __global const uint *parts, __global con
     }
     classify_part(&part, grid, regions, bricks, state, fine, args.has_missing, &found_coarse);
     find_halo(&halo, &cut, &part, part.brick != NONE && !part.all_quads && !part.covered);
-    write_own_vertices(grid, &cut, &part, &mesh, used);
+    const bool from_table = VERTEX_TABLE && part.plain;
+    if (!from_table) write_own_vertices(grid, &cut, &part, &mesh, used);
 
     Batch batch;
     batch.count = 0;
@@ -220,8 +221,8 @@ void dual_emit(const DualEmitArgs args, __global const uint *parts, __global con
     uint done = 0, listed = 0;
     LeafWalk walk;
     begin_walk(&walk, part, regions + part.region, bricks);
-    if (VERTEX_TABLE && part.plain) {
-        listed = emit_plain_brick(&batch, grid, &cut, &part, &mesh, &out, first_triangle[0], &done, list);
+    if (from_table) {
+        listed = emit_plain_brick(grid, &cut, &part, &mesh, &out, used, first_triangle[0], &done, list);
         walk.level = walk.end_level;
     }
     while (listed || walk.level < walk.end_level) {

@@ -118,8 +118,15 @@ pub(crate) struct Buffer<T> {
 }
 
 impl<T> Buffer<T> {
-    /// A buffer of `len` elements (at least one, as OpenCL has no empty buffers); contents are undefined.
-    pub fn new(context: &Context, pool: &Rc<Pool>, limit_bytes: u64, stage: &'static str, len: usize) -> Result<Self> {
+    /// A buffer of `len` elements (at least one, as OpenCL has no empty buffers); contents are undefined. And whether its memory
+    /// is new, not of an earlier buffer.
+    pub fn new(
+        context: &Context,
+        pool: &Rc<Pool>,
+        limit_bytes: u64,
+        stage: &'static str,
+        len: usize,
+    ) -> Result<(Self, bool)> {
         let bytes = len.max(1) as u64 * size_of::<T>() as u64;
         if bytes > limit_bytes {
             return Err(Error::OutOfDeviceMemory {
@@ -131,7 +138,9 @@ impl<T> Buffer<T> {
         // SAFETY: no host pointer is passed, so OpenCL allocates the memory itself.
         let create =
             || unsafe { opencl3::memory::Buffer::create(context, CL_MEM_READ_WRITE, len.max(1), std::ptr::null_mut()) };
-        let (allocated_bytes, inner) = match pool.take(bytes) {
+        let earlier = pool.take(bytes);
+        let is_new = earlier.is_none();
+        let (allocated_bytes, inner) = match earlier {
             Some((allocated, memory)) => (allocated, opencl3::memory::Buffer::new(memory)),
             None => {
                 let made = create().or_else(|_| {
@@ -142,12 +151,13 @@ impl<T> Buffer<T> {
             }
         };
         pool.add(allocated_bytes);
-        Ok(Self {
+        let buffer = Self {
             inner: ManuallyDrop::new(inner),
             len,
             allocated_bytes,
             pool: pool.clone(),
-        })
+        };
+        Ok((buffer, is_new))
     }
 
     /// Elements.

@@ -18,7 +18,8 @@ use std::collections::HashMap;
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-pub(crate) mod read_back;
+pub(crate) mod large_pages;
+mod read_back;
 #[cfg(feature = "testing")]
 pub mod recorder;
 
@@ -179,7 +180,10 @@ impl Context {
     /// A buffer of `len` elements, contents undefined.
     pub fn buffer<T>(&self, stage: &'static str, len: usize) -> Result<Buffer<T>> {
         self.reclaim()?;
-        let buffer = Buffer::new(&self.context, &self.pool, self.limit_bytes, stage, len)?;
+        let (buffer, is_new) = Buffer::new(&self.context, &self.pool, self.limit_bytes, stage, len)?;
+        if is_new {
+            self.ask_for_large_pages(&buffer);
+        }
         #[cfg(feature = "testing")]
         if self.recorder.is_on() {
             self.clear_bytes(stage, &buffer)?;

@@ -50,6 +50,14 @@ INLINED void load_samples(const BrickTask *task, const BrickMemory *memory) {
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
+// Phase: the samples of the brick of the next work-group.
+INLINED void prefetch_next_brick(const BrickTask *task, __global const Region *regions, __global const Brick *bricks) {
+    if (!PREFETCHES || get_group_id(0) + 1 >= get_num_groups(0)) return;
+    __global const Brick *brick = bricks + task->index + 1;
+    const int3 origin = convert_int3(region_origin(task->args.grid, regions[brick->region].region) + unmorton(brick->morton << 9));
+    prefetch_samples(task->args.grid, task->samples, task->args.z0, origin);
+}
+
 // Phase: lists of active cells and of cubes; every cube counts as mergeable until a phase finds that it is not.
 INLINED void list_cells_and_cubes(const BrickTask *task, const BrickMemory *memory, __global const uint *case_facts) {
     const uint lid = get_local_id(0);
@@ -93,48 +101,49 @@ INLINED void solve_listed_cells(const BrickTask *task, const BrickMemory *memory
         in[(IN_LOW + 2) * CELLS] = (float)at.z - 4.0f;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    const float3 spacing = task->spacing;
+    const float3 spacing = task->spacing, centre = convert_float3(task->in_region + 4);
     const float smallest = fmin(spacing.x, fmin(spacing.y, spacing.z));
     ROLLED for (uint i = lid * LANES; i < run; i += BRICK_GROUP * LANES)
-        solve_cells(memory->solver_in, memory->solver_out, i, spacing, smallest / spacing);
+        solve_cells(memory->solver_in, memory->solver_out, i, centre, spacing, smallest / spacing);
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // The sums over the cells of the level-1 cube at hand, where cells are summed while they are solved.
 typedef struct {
-    Moments moments;
+    float4 slopes;  // of Moments: g and q
+    uint n;         // likewise
     uint stored;    // listed cells that have their smoothness
     uint triangles; // of the brick's cubes before
 } RunningSums;
 
 INLINED RunningSums no_running_sums() {
     RunningSums sums;
-    sums.moments = no_moments();
-    sums.stored = sums.triangles = 0;
+    sums.slopes = (float4)(0.0f);
+    sums.n = sums.stored = sums.triangles = 0;
     return sums;
 }
 
 // Adds the listed cell `i`; after the last one of its level-1 cube all cells of the cube get its smoothness.
 INLINED void add_to_running_sums(RunningSums *sums, const BrickTask *task, const BrickMemory *memory, __local const float *solved,
                                  uint i, uint triangles) {
-    const float weight = (float)triangles;
-    for (uint j = 0; j < 3; j++) sums->moments.g[j] += solved[(OUT_SLOPE + j) * CELLS] * weight;
-    sums->moments.q += solved[OUT_SLOPED * CELLS] > 0.0f ? weight : 0.0f;
-    sums->moments.n += triangles;
+    sums->slopes += (float4)(solved[OUT_SLOPE * CELLS], solved[(OUT_SLOPE + 1) * CELLS], solved[(OUT_SLOPE + 2) * CELLS],
+                             solved[OUT_SLOPED * CELLS] > 0.0f ? 1.0f : 0.0f) * (float)triangles;
+    sums->n += triangles;
     const uint cube = listed_morton(memory->cell_list[i]) >> 3;
     if (i + 1 < task->cell_count && listed_morton(memory->cell_list[i + 1]) >> 3 == cube) return;
-    const float s = smoothness(sums->moments);
+    const float s = smoothness(sums->slopes, (float)sums->n);
     for (; sums->stored <= i; sums->stored++) task->nodes[task->cell_slots + sums->stored].s = s;
-    sums->triangles += sums->moments.n;
-    sums->moments = no_moments();
+    sums->triangles += sums->n;
+    sums->slopes = (float4)(0.0f);
+    sums->n = 0;
 }
 
 // Marks a cell with several sheets in the masks.
 INLINED void mark_multi_sheet_cell(const BrickMemory *memory, uint i, uint sheets) {
     const uint word = i >> 5, bit = 1u << (i & 31);
-    atomic_or(&memory->multi_sheet_mask[word], bit);
-    if (sheets != 3) atomic_or(&memory->even_sheet_mask[word], bit);
-    if (sheets > 2) atomic_or(&memory->sheets_ge3_mask[word], bit);
+    or_local(&memory->multi_sheet_mask[word], bit);
+    if (sheets != 3) or_local(&memory->even_sheet_mask[word], bit);
+    if (sheets > 2) or_local(&memory->sheets_ge3_mask[word], bit);
 }
 
 // Phase: nodes and vertex records of the solved cells. Leaves in `solver_out` what the cubes above sum up: moments weighted by
@@ -144,20 +153,18 @@ INLINED void store_cells(const BrickTask *task, const BrickMemory *memory, uint 
     ROLLED for (uint i = get_local_id(0); i < run; i += BRICK_GROUP) {
         __local float *solved = memory->solver_out + i;
         const uint slot = task->cell_slots + first + i, entry = memory->cell_list[first + i], cell = listed_morton(entry);
-        const int3 at = listed_cell(entry);
         const uint signs = (uint)solved[OUT_SIGNS * CELLS], fact = case_fact(memory->facts, signs), n = fact_triangles(fact);
         const float f = args.feature_kind == FEATURE_NONE ? 0.0f : task->nodes[slot].f; // from store_features
         uint sheets = fact_sheets(fact);
         if (fact_joined(fact))
-            sheets = sheet_count(cell_sheets(args.grid, task->samples, args.z0, args.iso, task->origin + at, signs));
+            sheets = sheet_count(cell_sheets(args.grid, task->samples, args.z0, args.iso, task->origin + listed_cell(entry), signs));
         if (sheets > 1 || fact_joined(fact)) memory->mergeable[MERGEABLE_LEVEL1 + (cell >> 3)] = 0;
         if (sheets > 1) mark_multi_sheet_cell(memory, first + i, sheets);
         task->nodes[slot].count = n;
         if (args.feature_kind == FEATURE_NONE) task->nodes[slot].f = 0.0f;
         task->nodes[slot].meta = node_code(0, task->morton | cell) | signs << 16 | (sheets - 1) << 26;
-        const float3 x = (float3)(solved[OUT_VERTEX * CELLS], solved[(OUT_VERTEX + 1) * CELLS], solved[(OUT_VERTEX + 2) * CELLS]);
-        task->vertex_records[slot] = quantise_vertex(convert_float3(task->in_region + at) + x, (uint)solved[OUT_NORMAL * CELLS],
-                                                     solved[OUT_ERROR * CELLS]);
+        __global float *record = (__global float *)(task->vertex_records + slot);
+        vstore3((float3)(solved[OUT_RECORD * CELLS], solved[(OUT_RECORD + 1) * CELLS], solved[(OUT_RECORD + 2) * CELLS]), 0, record);
         if (task->running_sums) {
             add_to_running_sums(sums, task, memory, solved, first + i, n);
             continue;

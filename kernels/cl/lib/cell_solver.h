@@ -30,11 +30,9 @@ inline uint listed_morton(uint entry) { return entry >> 9 << 3 | (entry & 1u) | 
 #define OUT_FEATURE 4  // left to the caller
 #define OUT_COUNT 5    // left to the caller
 #define OUT_SUMS 6     // rows so far, which cubes sum up
-#define OUT_VERTEX 6   // vertex from the cell's low corner, in cells, x y z
-#define OUT_NORMAL 9   // encode_octahedral8 there, as a number
-#define OUT_ERROR 10   // its root mean square distance to the planes of the crossings
-#define OUT_SIGNS 11   // which corners are inside, one bit each, as a number
-#define OUTPUTS 12
+#define OUT_RECORD 6   // the bytes of its VertexRecord, four by four
+#define OUT_SIGNS 9    // which corners are inside, one bit each, as a number
+#define OUTPUTS 10
 
 // What the crossings of LANES cells need beside the corner values.
 typedef struct {
@@ -172,8 +170,19 @@ INLINED Real3 cell_vertices(const Cells *c, const CellFrame *frame, const Quadri
     return pick_real3(fabs(field->value) <= off, p, start);
 }
 
-// Solves LANES columns from `column` on; scales the corner values in `in`.
-inline void solve_cells(__local float *in, __local float *out, uint column, float3 spacing, float3 per_spacing) {
+// VertexRecord::position of LANES coordinates, in cells from the region's low corner: to_lattice.
+INLINED integer to_lattice_lanes(real cells) { return TO_INTEGER(cells * VERTEX_LATTICE + 0.5f); }
+
+// Stores the vertex records of LANES cells. `p`: vertices, in cells from the region's low corner; `normal`: as a number.
+INLINED void store_records(__local float *out, Real3 p, real normal, real error) {
+    STORE_LANES(AS_REAL(to_lattice_lanes(p.x) | to_lattice_lanes(p.y) << 16), out);
+    STORE_LANES(AS_REAL(to_lattice_lanes(p.z) | TO_INTEGER(normal) << 16), out + CELLS);
+    STORE_LANES(error, out + 2 * CELLS);
+}
+
+// Solves LANES columns from `column` on; scales the corner values in `in`. `centre`: the quadric's origin from the region's low corner,
+// in cells.
+inline void solve_cells(__local float *in, __local float *out, uint column, float3 centre, float3 spacing, float3 per_spacing) {
 #pragma OPENCL FP_CONTRACT ON
     in += column;
     out += column;
@@ -202,10 +211,10 @@ inline void solve_cells(__local float *in, __local float *out, uint column, floa
     const real per_k = native_recip(fmax(q.k, 1.0f));
     Field field;
     const Real3 p = cell_vertices(&cells, &frame, &q, per_k, &field);
-    STORE_REAL3(p, out + OUT_VERTEX * CELLS, CELLS)
-    STORE_LANES(encode_normal_lanes(field.gradient), out + OUT_NORMAL * CELLS);
     const Real3 world = make_real3((frame.low.x + p.x) * spacing.x, (frame.low.y + p.y) * spacing.y, (frame.low.z + p.z) * spacing.z);
-    STORE_LANES(quadrics_error(&q, world, per_k), out + OUT_ERROR * CELLS);
+    // Low corners first: whole numbers, whose sum is exact.
+    const Real3 in_region = make_real3((frame.low.x + centre.x) + p.x, (frame.low.y + centre.y) + p.y, (frame.low.z + centre.z) + p.z);
+    store_records(out + OUT_RECORD * CELLS, in_region, encode_normal_lanes(field.gradient), quadrics_error(&q, world, per_k));
 }
 
 #endif

@@ -41,6 +41,10 @@ inline uint claim_global(__global uint *at, uint expected, uint value) {
     return found;
 }
 
+// Loads the memory at an address into the caches, for later.
+#define PREFETCHES 1
+INLINED void prefetch_line(__global const void *at) { __builtin_prefetch((const void *)(ulong)at, 0, 2); }
+
 // Cells of a level-1 cube are summed as they are solved where only the smoothness of the cells is needed.
 #define SUM_WHILE_SOLVING 1
 // Work-items that share the sums of one level-1 cube.
@@ -62,6 +66,7 @@ typedef uint16 mask_lanes;
 #define AS_INT(value) as_int16(value)
 #define AS_REAL(value) as_float16(value)
 #define TO_REAL(value) convert_float16(value)
+#define TO_INTEGER(value) convert_int16(value)
 // `yes` where the condition holds, else `no`. A macro because the condition is an integer vector here and a bool on a GPU.
 #define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
 
@@ -73,6 +78,31 @@ inline void load_vec4s(const int4 *from, integer *x, integer *y, integer *z, int
     *y = (int16)(a.odd.even, b.odd.even, c.odd.even, d.odd.even);
     *z = (int16)(a.even.odd, b.even.odd, c.even.odd, d.even.odd);
     *w = (int16)(a.odd.odd, b.odd.odd, c.odd.odd, d.odd.odd);
+}
+
+// The same of short4.
+inline void load_short4s(const short4 *from, integer *x, integer *y, integer *z, integer *w) {
+    const short *numbers = (const short *)from;
+    const int16 a = convert_int16(vload16(0, numbers)), b = convert_int16(vload16(1, numbers));
+    const int16 c = convert_int16(vload16(2, numbers)), d = convert_int16(vload16(3, numbers));
+    *x = (int16)(a.even.even, b.even.even, c.even.even, d.even.even);
+    *y = (int16)(a.odd.even, b.odd.even, c.odd.even, d.odd.even);
+    *z = (int16)(a.even.odd, b.even.odd, c.even.odd, d.even.odd);
+    *w = (int16)(a.odd.odd, b.odd.odd, c.odd.odd, d.odd.odd);
+}
+
+// Transposes one vector a component to LANES float4.
+inline void store_vec4s(real x, real y, real z, real w, float4 *to) {
+    float16 xz, yw, low, high;
+    float *numbers = (float *)to;
+    xz.even = x.lo, xz.odd = z.lo, yw.even = y.lo, yw.odd = w.lo;
+    low.even = xz.lo, low.odd = yw.lo, high.even = xz.hi, high.odd = yw.hi;
+    vstore16(low, 0, numbers);
+    vstore16(high, 1, numbers);
+    xz.even = x.hi, xz.odd = z.hi, yw.even = y.hi, yw.odd = w.hi;
+    low.even = xz.lo, low.odd = yw.lo, high.even = xz.hi, high.odd = yw.hi;
+    vstore16(low, 2, numbers);
+    vstore16(high, 3, numbers);
 }
 
 // Whether the condition holds in any lane.

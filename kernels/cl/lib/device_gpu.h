@@ -29,6 +29,10 @@ inline void write_shared(__global uint *at, uint value) { atomic_xchg(at, value)
 // Replaces `expected` by `value`; returns what was there. Of memory that no other work-group uses at the time.
 inline uint claim_global(__global uint *at, uint expected, uint value) { return atomic_cmpxchg(at, expected, value); }
 
+// Work-groups run side by side, so that one waits while others work.
+#define PREFETCHES 0
+INLINED void prefetch_line(__global const void *at) { (void)at; }
+
 // Cells of a level-1 cube are summed after all have been solved, by other work-items.
 #define SUM_WHILE_SOLVING 0
 // Work-items that share the sums of one level-1 cube.
@@ -53,6 +57,7 @@ typedef uint mask_lanes;
 #define AS_INT(value) as_int(value)
 #define AS_REAL(value) as_float(value)
 #define TO_REAL(value) (float)(value)
+#define TO_INTEGER(value) (int)(value)
 // `yes` where the condition holds, else `no`. A macro because the condition is a bool here and an integer vector on a CPU.
 #define PICK(condition, yes, no) ((condition) ? (yes) : (no))
 

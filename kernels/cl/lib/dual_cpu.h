@@ -1,6 +1,6 @@
 // dual on a CPU, which works on a brick with one work-item: see dual_device.h. The quads of a plain brick are made from a table
-// of the vertices of its cells and of the cells just before it, so that each vertex is looked up once, not once for every quad,
-// and each ghost is written once.
+// of the vertices of its cells and of the cells just before it, so that each vertex is looked up and scaled once, not once for every
+// quad, and each ghost is written once.
 #ifndef ISOPEEL_DUAL_CPU_H
 #define ISOPEEL_DUAL_CPU_H
 
@@ -8,6 +8,7 @@
 #include "lib/bits.h"
 #include "lib/cut.h"
 #include "lib/device.h"
+#include "lib/emit_polygons.h"
 #include "lib/ghosts.h"
 #include "lib/layout.h"
 #include "lib/leaf_halo.h"
@@ -18,6 +19,8 @@
 #include "lib/sheets.h"
 #include "lib/slots.h"
 #include "lib/vertices.h"
+
+#if LANES == 16 // vectors of 16 numbers are taken apart below
 
 // Slots that one work-item of dual_scan numbers in a step.
 #define SLOTS_PER_ITEM 1
@@ -58,7 +61,53 @@ INLINED void find_halo(__local LeafHalo *halo, const Cut *cut, const Part *part,
         if (part->near[i] != NONE) find_halo_of_brick(halo, cut, part->near[i], i % 3, i / 3 % 3, i / 9);
 }
 
+// make_vertex of LANES nodes: the first four numbers of each vertex, and `attributes`. `origin`: low corner of the region, in cells.
+INLINED void make_vertices(Grid grid, CutParams params, __global const Node *nodes, __global const VertexRecord *records, int3 origin,
+                           float4 *vertices, uint *attributes) {
+    __global const uint *record = (__global const uint *)records;
+    const uint16 r0 = vload16(0, record), r1 = vload16(1, record), r2 = vload16(2, record);
+    const uint16 xy = (uint16)(r0.s0369, r0.sCF, r1.s258B, r1.sE, r2.s147A, r2.sD);
+    const uint16 z_normal = (uint16)(r0.s147A, r0.sD, r1.s0369, r1.sCF, r2.s258B, r2.sE);
+    const int lattice = (int)VERTEX_LATTICE, unit = 65536 / lattice;
+    int16 x = as_int16(xy & 0xffffu), y = as_int16(xy >> 16), z = as_int16(z_normal & 0xffffu);
+    if (params.cap) { // as lattice_position
+        const int3 low = (1 - origin) * lattice;
+        const int3 high = ((int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2 - origin) * lattice;
+        x = clamp(x, low.x, high.x), y = clamp(y, low.y, high.y), z = clamp(z, low.z, high.z);
+    }
+    const int16 nx = as_int16(z_normal << 8) >> 24, ny = as_int16(z_normal) >> 24;
+    const int16 wide_x = 258 * nx - (nx > 126) + (nx < -126), wide_y = 258 * ny - (ny > 126) + (ny < -126); // true is -1
+    store_vec4s(as_float16(x * unit), as_float16(y * unit), as_float16(z * unit), as_float16(wide_x & 0xffff | wide_y << 16), vertices);
+    __global const float *node = (__global const float *)nodes;
+    const float16 n0 = vload16(0, node), n1 = vload16(1, node), n2 = vload16(2, node), n3 = vload16(3, node);
+    const float16 s = (float16)(n0.s159D, n1.s159D, n2.s159D, n3.s159D), f = (float16)(n0.s26AE, n1.s26AE, n2.s26AE, n3.s26AE);
+    const float16 feature = EXACT_QUOTIENT(fabs(f) - params.feature_lo, params.feature_span);
+    const int16 low_half = convert_int16(clamp(s, 0.0f, 1.0f) * 65535.0f + 0.5f);
+    const int16 high_half = convert_int16(clamp(feature, 0.0f, 1.0f) * 65535.0f + 0.5f);
+    vstore16(as_uint16(low_half | high_half << 16), 0, attributes);
+}
+
+// Writes the vertices of `count` slots, those that are used.
+INLINED void write_vertices(Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, __global const uchar *used, uint first,
+                            uint count) {
+    uint begin = 0;
+    for (; begin + LANES <= count; begin += LANES) {
+        const uint slot = first + begin;
+        float4 vertices[LANES];
+        uint attributes[LANES];
+        make_vertices(grid, mesh->params, cut->nodes + slot, mesh->records + slot, part->origin, vertices, attributes);
+        for (uint i = 0; i < LANES; i++) {
+            if (!used[slot + i]) continue;
+            __global Vertex *to = mesh->out + mesh->compact_index[slot + i];
+            vstore4(as_uint4(vertices[i]), 0, (__global uint *)to);
+            to->attributes = attributes[i];
+        }
+    }
+    for (; begin < count; begin++) write_vertex(grid, cut, part, mesh, used, first + begin);
+}
+
 #define TABLE_CELLS 729 // 9^3
+#define TABLE_ROWS (4 * TABLE_CELLS + LANES)
 #define MULTI_SHEET 0x8000u // beside a row: the cell has several sheets, whose rows follow one another
 
 typedef struct {
@@ -67,9 +116,11 @@ typedef struct {
     ushort row[TABLE_CELLS];
     uint sheets[TABLE_CELLS];
     ushort own[512]; // of the brick's active cells in order: index into the two above
-    // Rows, each a vertex: position from the brick's low corner in 1/VERTEX_LATTICE cell, normal; index and slot as in Batch.
-    short4 position_normal[4 * TABLE_CELLS];
-    uint2 index_slot[4 * TABLE_CELLS];
+    // Rows, each a vertex: position from the brick's low corner in 1/VERTEX_LATTICE cell, normal as in VertexRecord; the two in world
+    // units; index in the region's mesh, and slot.
+    short4 position_normal[TABLE_ROWS];
+    float4 position[TABLE_ROWS], normal[TABLE_ROWS];
+    uint index[TABLE_ROWS], slot[TABLE_ROWS];
 } VertexTable;
 
 // A brick whose cells go into a table.
@@ -94,7 +145,8 @@ INLINED void set_row(VertexTable *table, uint row, Grid grid, const Part *part, 
             - part->origin * (int)VERTEX_LATTICE;
         index = write_ghost(mesh, part->region, slot, name, at);
     }
-    table->index_slot[row] = (uint2)(index, slot);
+    table->index[row] = index;
+    table->slot[row] = slot;
 }
 
 // Enters a cell at `at` and its extra sheets from row `row` on; returns the next free row.
@@ -117,7 +169,19 @@ __constant uchar CELL_IN_WORD[32] = {
     18, 19, 27, 28, 99, 100, 108, 109, 20, 21, 29, 30, 101, 102, 110, 111,
 };
 
-INLINED void fill_table(VertexTable *table, Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh) {
+// Rows in world units, LANES at a time; reads and writes up to LANES - 1 more than there are.
+INLINED void scale_rows(VertexTable *table, uint rows, float3 scale) {
+    for (uint row = 0; row < rows; row += LANES) {
+        integer x, y, z, packed;
+        load_short4s(table->position_normal + row, &x, &y, &z, &packed);
+        const Real3 normal = decode_normal_lanes(packed);
+        store_vec4s(TO_REAL(x) * scale.x, TO_REAL(y) * scale.y, TO_REAL(z) * scale.z, 0.0f, table->position + row);
+        store_vec4s(normal.x, normal.y, normal.z, 0.0f, table->normal + row);
+    }
+}
+
+// Fills the table of a plain brick, whose vertices in world units are `scale` times those on the lattice.
+INLINED void fill_table(VertexTable *table, Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, float3 scale) {
     const int3 in_region = part->low - part->origin;
     uint row = 0, own = 0;
     for (uint before = 0; before < 8; before++) {
@@ -149,31 +213,57 @@ INLINED void fill_table(VertexTable *table, Grid grid, const Cut *cut, const Par
             }
         }
     }
+    scale_rows(table, row, scale);
 }
 
-// Adds the quad around the edge along `axis` from the low corner of a cell. `at`: the cell in the table.
-INLINED void add_plain_quad(Batch *batch, const VertexTable *table, uint at, uint axis, uint flip_winding, uint first) {
-    const uint column = NEXT_COLUMN(batch);
-    const uint b = axis == 0 ? 9 : axis == 1 ? 81 : 1, c = axis == 0 ? 81 : axis == 1 ? 1 : 9;
-    const uint around[4] = {at, at - b, at - b - c, at - c};
-    for (uint i = 0; i < 4; i++) {
-        uint row = table->row[around[i]];
-        if (row & MULTI_SHEET) row = (row & ~MULTI_SHEET) + edge_sheet(table->sheets[around[i]], 4 * axis + (i ^ i >> 1));
-        batch->position_normal[i * LANES + column] = convert_int4(table->position_normal[row]);
-        batch->index_slot[i * LANES + column] = table->index_slot[row];
-    }
-    batch->first[column] = first;
-    batch->count_flags[column] = 4 | flip_winding << 3;
+// Row of the vertex of a cell, `at` in the table, to which an edge of it belongs.
+INLINED uint row_of_edge(const VertexTable *table, uint at, uint edge) {
+    const uint row = table->row[at];
+    return row & MULTI_SHEET ? (row & ~MULTI_SHEET) + edge_sheet(table->sheets[at], edge) : row;
 }
 
-// Emits the quads of a plain brick's cells away from the volume's faces, and lists the edges of the others, at most 12 of each of
-// 8^3 - 6^3 cells; returns how many these are. `first_triangle`: where its triangles begin; `done`: triangles emitted so far.
-INLINED uint emit_plain_brick(Batch *batch, Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh,
-                              const TriangleOutput *out, uint first_triangle, uint *done, __local ushort *list) {
-    VertexTable table;
-    fill_table(&table, grid, cut, part, mesh);
+// Whether the diagonal between corners 1 and 3 of a quad is better than the other one, as emit_batch decides it. `r`: rows of the
+// corners. Both diagonals are measured side by side.
+INLINED bool other_is_better(const VertexTable *table, uint4 r) {
+    const float4 *p = table->position, *n = table->normal;
+    const float8 d = (float8)(p[r.z], p[r.w]) - (float8)(p[r.x], p[r.y]);
+    const float8 a = (float8)(n[r.x], n[r.y]) * d, b = (float8)(n[r.z], n[r.w]) * d, length = d * d;
+    // Sums of four, for each half: of a, of b, of lengths.
+    const float8 ab = (float8)(a.s02, b.s02, a.s46, b.s46) + (float8)(a.s13, b.s13, a.s57, b.s57);
+    const float8 ll = (float8)(length.s02, length.s02, length.s46, length.s46) + (float8)(length.s13, length.s13, length.s57, length.s57);
+    const float8 sums = (float8)(ab.s02, ll.s02, ab.s46, ll.s46) + (float8)(ab.s13, ll.s13, ab.s57, ll.s57);
+    const float offset02 = fabs(sums.s0) + fabs(sums.s1), offset13 = fabs(sums.s4) + fabs(sums.s5);
+    return (offset13 < offset02) | ((offset13 == offset02) & (sums.s6 < sums.s2));
+}
+
+// Writes the triangles of the quad around the edge along `axis` from the low corner of a cell. `at`: the cell in the table; `b`, `c`:
+// how far before it the cells are that lie a step back along the next axes; `first`: where the triangles begin among all indices.
+// Returns where they end.
+INLINED uint write_plain_quad(const VertexTable *table, const TriangleOutput *out, uint at, uint axis, uint b, uint c, uint flip_winding,
+                              uint first) {
+    const uint4 r = (uint4)(row_of_edge(table, at, 4 * axis), row_of_edge(table, at - b, 4 * axis + 1),
+                            row_of_edge(table, at - b - c, 4 * axis + 3), row_of_edge(table, at - c, 4 * axis + 2));
+    const bool other = other_is_better(table, r);
+    const uint *index = table->index, *slot = table->slot;
+    write_corners(out->indices + first, (uint4)(index[r.x], index[r.y], index[r.z], index[r.w]), 4, flip_winding, other);
+    if (out->keep_corners)
+        write_corners(out->corner_slots + first, (uint4)(slot[r.x], slot[r.y], slot[r.z], slot[r.w]), 4, flip_winding, other);
+    return first + 6;
+}
+
+// Writes the vertices of a plain brick and the quads of its cells away from the volume's faces, and lists the edges of the others,
+// at most 12 of each of 8^3 - 6^3 cells; returns how many these are. `first_triangle`: where its triangles begin; `done`: triangles
+// written so far.
+INLINED uint emit_plain_brick(Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, const TriangleOutput *out,
+                              __global const uchar *used, uint first_triangle, uint *done, __local ushort *list) {
     __global const Brick *brick = cut->bricks + part->brick;
-    const uint first = cut->regions[part->region].slot_base + brick->level_base[0], count = count_cells(brick);
+    const uint slots = cut->regions[part->region].slot_base, first = slots + brick->level_base[0], count = count_cells(brick);
+    if (!mesh->points.wanted) {
+        write_vertices(grid, cut, part, mesh, used, first, count);
+        write_vertices(grid, cut, part, mesh, used, slots + brick->level_base[3], brick->extra_sheets);
+    }
+    VertexTable table;
+    fill_table(&table, grid, cut, part, mesh, out->scale);
     uint listed = 0;
     for (uint i = 0; i < count; i++) {
         const uint meta = cut->nodes[first + i].meta, signs = meta_signs(meta);
@@ -181,14 +271,17 @@ INLINED uint emit_plain_brick(Batch *batch, Grid grid, const Cut *cut, const Par
             for (uint edges = crossed_edges(signs); edges; edges &= edges - 1) list[listed++] = edge_entry(0, i, lowest_bit(edges));
             continue;
         }
-        for (uint axis = 0; axis < 3; axis++) {
-            if (!((signs ^ signs >> (1u << axis)) & 1u)) continue;
-            add_plain_quad(batch, &table, table.own[i], axis, !(signs & 1u), 3 * (first_triangle + *done));
-            *done += 2;
-            if (batch->count == LANES) emit_batch(batch, out);
-        }
+        // Along each axis, where the cell's first corner and the next one lie on different sides.
+        const uint inside = signs & 1u, crossed = inside ? ~signs : signs, at = table.own[i], from = 3 * (first_triangle + *done);
+        uint to = from;
+        if (crossed & 2u) to = write_plain_quad(&table, out, at, 0, 9, 81, !inside, to);
+        if (crossed & 4u) to = write_plain_quad(&table, out, at, 1, 81, 1, !inside, to);
+        if (crossed & 16u) to = write_plain_quad(&table, out, at, 2, 1, 9, !inside, to);
+        *done += (to - from) / 3;
     }
     return listed;
 }
+
+#endif
 
 #endif

@@ -35,6 +35,6 @@ INLINED void find_halo(__local LeafHalo *halo, const Cut *cut, const Part *part,
 
 // Plain bricks are emitted like all others, one work-item a polygon. A macro, for a function would have nothing but unused
 // parameters.
-#define emit_plain_brick(batch, grid, cut, part, mesh, out, first_triangle, done, list) 0u
+#define emit_plain_brick(grid, cut, part, mesh, out, used, first_triangle, done, list) 0u
 
 #endif

@@ -17,6 +17,16 @@
 // The corners' order is counter-clockwise seen from the edge's high end, which is right when that end is outside.
 inline uint flips_winding(uint signs, uint edge) { return !(signs >> edge_low_corner(edge) & 1u); }
 
+// Writes the vertex of a slot of the part's region, if it is used.
+INLINED void write_vertex(Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, __global const uchar *used, uint slot) {
+    if (!used[slot]) return;
+    const VertexRecord record = mesh->records[slot];
+    int3 at = (int3)(record.position[0], record.position[1], record.position[2]);
+    if (mesh->params.cap)
+        at = lattice_position(grid, mesh->params, record, part->origin) - part->origin * (int)VERTEX_LATTICE;
+    mesh->out[mesh->compact_index[slot]] = make_vertex(mesh->params, cut->nodes[slot], record.normal, at);
+}
+
 // Writes the vertices of the part's own leaves. Its nodes of all levels and its extra sheets are numbered through, so that many
 // work-items take few steps.
 INLINED void write_own_vertices(Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, __global const uchar *used) {
@@ -31,12 +41,7 @@ INLINED void write_own_vertices(Grid grid, const Cut *cut, const Part *part, con
         const uint slot = region->slot_base
             + (i < end_a ? a.first + i : i < end_b ? b.first + i - end_a : i < end_c ? c.first + i - end_b
                : i < end_d ? d.first + i - end_c : e.first + i - end_d);
-        if (!used[slot]) continue;
-        const VertexRecord record = mesh->records[slot];
-        int3 at = (int3)(record.position[0], record.position[1], record.position[2]);
-        if (mesh->params.cap)
-            at = lattice_position(grid, mesh->params, record, part->origin) - part->origin * (int)VERTEX_LATTICE;
-        mesh->out[mesh->compact_index[slot]] = make_vertex(mesh->params, cut->nodes[slot], record.normal, at);
+        write_vertex(grid, cut, part, mesh, used, slot);
     }
 }
 

@@ -19,11 +19,10 @@ inline void add_moments(Moments *into, Moments m) {
     into->n += m.n;
 }
 
-// Smoothness by equation 1 of the paper; there is at least one active cell.
-inline float smoothness(Moments m) {
-    const float n = (float)m.n;
-    const float3 mean = (float3)(exact_quotient(m.g[0], n), exact_quotient(m.g[1], n), exact_quotient(m.g[2], n));
-    const float variance = fmax(exact_quotient(m.q, n) - dot(mean, mean), 0.0f);
+// Smoothness by equation 1 of the paper. `sums`: of Moments, g and q; `n`: at least one.
+inline float smoothness(float4 sums, float n) {
+    const float3 mean = (float3)(exact_quotient(sums.x, n), exact_quotient(sums.y, n), exact_quotient(sums.z, n));
+    const float variance = fmax(exact_quotient(sums.w, n) - dot(mean, mean), 0.0f);
     return exact_quotient(variance, 1.0f + variance);
 }
 
@@ -33,7 +32,7 @@ inline Node make_node(Moments m, uint level, uint cell, uint signs, bool missing
     node.s = 0.0f;
     node.f = 0.0f;
     if (m.n > 0) {
-        node.s = smoothness(m);
+        node.s = smoothness((float4)(m.g[0], m.g[1], m.g[2], m.q), (float)m.n);
         node.f = exact_quotient(m.f, (float)m.n);
     }
     node.meta = node_code(level, cell) | signs << 16 | (uint)missing << 24 | (uint)safe << 25;

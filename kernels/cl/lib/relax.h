@@ -21,62 +21,17 @@
 #define OFFSET_LATTICE 65536.0f // offsets are summed as integers, whose sum does not depend on the order
 #define OFFSET_LIMIT (1024.0f * OFFSET_LATTICE)
 
-// LANES quads around grid edges inside the brick, one a column.
-typedef struct {
-    // Row: corner in the order of edge_polygon. Position from the region's low corner, 1/VERTEX_LATTICE cell; index of the cell's
-    // sum, NO_SUM for a cell with several sheets.
-    int4 corner[4 * LANES];
-    int4 edge[LANES]; // low end from the brick's low corner, x y z; axis
-    float low[LANES], high[LANES]; // samples at its ends, minus the isovalue
-} Quads;
+INLINED float sum3(float4 v) { return v.x + v.y + v.z; }
 
-// Corner `k` of the quads, in cells from the brick's low corner `low`.
-INLINED Real3 quad_corner(const Quads *quads, uint k, float3 low) {
+// From the centroid of a quad to the crossing of its edge, along the quad's normal, in world units. `p`: its corners in the order of
+// edge_polygon, `crossing`: likewise in 1/VERTEX_LATTICE cell from one origin; `unit`: of these.
+INLINED float4 quad_offset(float4 p0, float4 p1, float4 p2, float4 p3, float4 crossing, float4 unit) {
 #pragma OPENCL FP_CONTRACT ON
-    integer x, y, z, sum;
-    load_vec4s(quads->corner + k * LANES, &x, &y, &z, &sum);
-    return make_real3(TO_REAL(x) / VERTEX_LATTICE - low.x, TO_REAL(y) / VERTEX_LATTICE - low.y, TO_REAL(z) / VERTEX_LATTICE - low.z);
-}
-
-// Offsets of the quads, 1/OFFSET_LATTICE cell: from the centroid to the crossing, along the normal. `low`: the brick's low corner
-// from the region's.
-INLINED Real3 quad_offsets(const Quads *quads, float3 low, float3 spacing) {
-#pragma OPENCL FP_CONTRACT ON
-    const Real3 p0 = quad_corner(quads, 0, low), p1 = quad_corner(quads, 1, low);
-    const Real3 p2 = quad_corner(quads, 2, low), p3 = quad_corner(quads, 3, low);
-    const real t = crossing_parameter(LOAD_LANES(quads->low), LOAD_LANES(quads->high));
-    integer from_x, from_y, from_z, axis;
-    load_vec4s(quads->edge, &from_x, &from_y, &from_z, &axis);
     // The normal is the cross product of the diagonals.
-    const real ax = (p3.x - p0.x) * spacing.x, ay = (p3.y - p0.y) * spacing.y, az = (p3.z - p0.z) * spacing.z;
-    const real bx = (p2.x - p1.x) * spacing.x, by = (p2.y - p1.y) * spacing.y, bz = (p2.z - p1.z) * spacing.z;
-    const Real3 n = make_real3(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx);
-    const real length2 = dot_real3(n, n);
-    // From the centroid to the crossing.
-    Real3 d;
-    d.x = (TO_REAL(from_x) + PICK(axis == 0, t, 0.0f) - 0.25f * (p0.x + p1.x + p2.x + p3.x)) * spacing.x;
-    d.y = (TO_REAL(from_y) + PICK(axis == 1, t, 0.0f) - 0.25f * (p0.y + p1.y + p2.y + p3.y)) * spacing.y;
-    d.z = (TO_REAL(from_z) + PICK(axis == 2, t, 0.0f) - 0.25f * (p0.z + p1.z + p2.z + p3.z)) * spacing.z;
-    const real part = PICK(length2 > 0.0f, native_divide(dot_real3(d, n), length2), 0.0f);
-    // The limit is far from overflow for the twelve edges of a cell, and only spacings of extreme proportions come near it.
-    const float3 scale = OFFSET_LATTICE / spacing;
-    return make_real3(clamp(part * n.x * scale.x, -OFFSET_LIMIT, OFFSET_LIMIT), clamp(part * n.y * scale.y, -OFFSET_LIMIT, OFFSET_LIMIT),
-                      clamp(part * n.z * scale.z, -OFFSET_LIMIT, OFFSET_LIMIT));
-}
-
-// Adds the offsets of the first `count` quads to the sums of their cells. A function of its own, not inlined everywhere, that a
-// CPU calls with vectors in memory as they are.
-inline void add_offsets(const Quads *quads, uint count, float3 low, float3 spacing, __local int *sums) {
-    const Real3 offsets = quad_offsets(quads, low, spacing);
-    float x[LANES], y[LANES], z[LANES];
-    STORE_LANES(offsets.x, x);
-    STORE_LANES(offsets.y, y);
-    STORE_LANES(offsets.z, z);
-    for (uint i = 0; i < LANES; i++) {
-        if (i >= count) break;
-        const int4 offset = convert_int4((float4)(x[i], y[i], z[i], 0.0f));
-        for (uint k = 0; k < 4; k++) add_offset(sums, (uint)quads->corner[k * LANES + i].w, offset);
-    }
+    const float4 a = (p3 - p0) * unit, b = (p2 - p1) * unit, n = a.yzxw * b.zxyw - a.zxyw * b.yzxw;
+    const float4 d = (crossing - 0.25f * ((p0 + p1) + (p2 + p3))) * unit;
+    const float length2 = sum3(n * n), along = sum3(d * n);
+    return n * (length2 > 0.0f ? native_divide(along, length2) : 0.0f);
 }
 
 // Copies the vertices of the cells to local memory; their sums are 0.
@@ -111,72 +66,79 @@ INLINED void list_inner_quads(const BrickMemory *memory) {
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
-// Puts the quad of a list entry into a column. Returns false where the quad does not exist: outside the volume and beside missing
+// The vertex of a sheet of a cell of several, as load_position has it.
+inline int4 sheet_position(const BrickTask *task, uint cell, uint edge) {
+    const uint slot = sheet_in_brick(task->region, task->brick, task->nodes, task->cell_slots + cell, edge);
+    const VertexRecord sheet = task->vertex_records[slot];
+    return (int4)(sheet.position[0], sheet.position[1], sheet.position[2], NO_SUM);
+}
+
+// Parameter of the crossing between two samples minus the isovalue; 1/2 where both are infinite.
+INLINED float sample_crossing(float from, float to) {
+    const float t = native_divide(from, from - to);
+    return t == t ? clamp(t, 0.0f, 1.0f) : 0.5f;
+}
+
+// Adds the offset of the quad of a list entry to the sums of its cells, where the quad exists: outside the volume and beside missing
 // samples there are no cells.
-INLINED bool gather_quad(const BrickTask *task, const BrickMemory *memory, Quads *quads, uint column, uint entry) {
+INLINED void add_quad_offset(const BrickTask *task, const BrickMemory *memory, uint entry, float4 low, float4 unit, float4 scale) {
     const uint axis = entry >> 9, x = entry & 7, y = entry >> 3 & 7, z = entry >> 6 & 7;
     // The cells around the edge lie a step back along the other two axes.
     const uint b = axis == 0 ? 8 : axis == 1 ? 64 : 1, c = axis == 0 ? 64 : axis == 1 ? 1 : 8;
     __local const ushort *here = memory->compact_index + (entry & 511);
-    const uint cells[4] = {here[0], here[-(int)b], here[-(int)c], here[-(int)(b + c)]};
+    const uint c0 = here[0], c1 = here[-(int)b], c2 = here[-(int)c], c3 = here[-(int)(b + c)];
     // All bits are set if and only if one of them is NO_CELL: indices have nine bits.
-    if ((cells[0] | cells[1] | cells[2] | cells[3]) == NO_CELL) return false;
-    for (uint k = 0; k < 4; k++) {
-        int4 corner = load_position(memory->positions, memory->multi_sheet_mask, cells[k]);
-        if (corner.w == NO_SUM) {
-            const uint slot = sheet_in_brick(task->region, task->brick, task->nodes, task->cell_slots + cells[k], 4 * axis + k);
-            const VertexRecord sheet = task->vertex_records[slot];
-            corner = (int4)(sheet.position[0], sheet.position[1], sheet.position[2], NO_SUM);
-        }
-        quads->corner[k * LANES + column] = corner;
+    if ((c0 | c1 | c2 | c3) == NO_CELL) return;
+    int4 p0 = load_position(memory->positions, memory->multi_sheet_mask, c0);
+    int4 p1 = load_position(memory->positions, memory->multi_sheet_mask, c1);
+    int4 p2 = load_position(memory->positions, memory->multi_sheet_mask, c2);
+    int4 p3 = load_position(memory->positions, memory->multi_sheet_mask, c3);
+    if ((p0.w | p1.w | p2.w | p3.w) & NO_SUM) {
+        if (p0.w == NO_SUM) p0 = sheet_position(task, c0, 4 * axis);
+        if (p1.w == NO_SUM) p1 = sheet_position(task, c1, 4 * axis + 1);
+        if (p2.w == NO_SUM) p2 = sheet_position(task, c2, 4 * axis + 2);
+        if (p3.w == NO_SUM) p3 = sheet_position(task, c3, 4 * axis + 3);
     }
-    quads->edge[column] = (int4)((int)x, (int)y, (int)z, (int)axis);
     __local const float *v = memory->tile + 81 * z + 9 * y + x;
-    quads->low[column] = v[0];
-    quads->high[column] = v[axis == 0 ? 1 : axis == 1 ? 9 : 81];
-    return true;
+    const float t = VERTEX_LATTICE * sample_crossing(v[0], v[axis == 0 ? 1 : axis == 1 ? 9 : 81]);
+    const float4 crossing = low + VERTEX_LATTICE * convert_float4((int4)((int)x, (int)y, (int)z, 0))
+        + (float4)(axis == 0 ? t : 0.0f, axis == 1 ? t : 0.0f, axis == 2 ? t : 0.0f, 0.0f);
+    const float4 offset = quad_offset(convert_float4(p0), convert_float4(p1), convert_float4(p2), convert_float4(p3), crossing, unit);
+    // The limit is far from overflow for the twelve edges of a cell, and only spacings of extreme proportions come near it.
+    const int4 on_lattice = convert_int4(clamp(offset * scale, (float4)(-OFFSET_LIMIT), (float4)(OFFSET_LIMIT)));
+    add_offset(memory->offset_sums, (uint)p0.w, on_lattice);
+    add_offset(memory->offset_sums, (uint)p1.w, on_lattice);
+    add_offset(memory->offset_sums, (uint)p2.w, on_lattice);
+    add_offset(memory->offset_sums, (uint)p3.w, on_lattice);
 }
 
-// Sums the offsets of the listed quads, LANES at once.
+// Sums the offsets of the listed quads.
 INLINED void sum_offsets(const BrickTask *task, const BrickMemory *memory) {
-    Quads quads;
-    for (uint i = 0; i < 4 * LANES; i++) quads.corner[i] = (int4)(0);
-    for (uint i = 0; i < LANES; i++) {
-        quads.edge[i] = (int4)(0);
-        quads.low[i] = quads.high[i] = 0.0f;
-    }
-    const float3 low = convert_float3(task->in_region);
+    const float4 low = (float4)(convert_float3(task->in_region) * VERTEX_LATTICE, 0.0f);
+    const float4 unit = (float4)(task->spacing / VERTEX_LATTICE, 0.0f), scale = (float4)(OFFSET_LATTICE / task->spacing, 0.0f);
     const uint count = *memory->work_count;
-    for (uint begin = get_local_id(0) * LANES; begin < count; begin += BRICK_GROUP * LANES) {
-        const uint run = min(count - begin, (uint)LANES);
-        uint filled = 0;
-        for (uint i = 0; i < LANES; i++) {
-            if (i >= run) break;
-            // Of one lane the column is known to the compiler, which keeps it in registers.
-            if (gather_quad(task, memory, &quads, LANES == 1 ? 0 : filled, memory->quad_list[begin + i])) filled++;
-        }
-        if (filled) add_offsets(&quads, filled, low, task->spacing, memory->offset_sums);
-    }
+    for (uint i = get_local_id(0); i < count; i += BRICK_GROUP)
+        add_quad_offset(task, memory, memory->quad_list[i], low, unit, scale);
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Moves the vertices of cells with one sheet, inside the cell less its margin.
 INLINED void move_vertices(const BrickTask *task, const BrickMemory *memory) {
-    const float3 low = convert_float3(task->in_region);
+    const int lattice = (int)VERTEX_LATTICE;
+    const float4 margin = (float4)(MARGIN * VERTEX_LATTICE);
     for (uint i = get_local_id(0); i < task->cell_count; i += BRICK_GROUP) {
         const int4 here = load_position(memory->positions, memory->multi_sheet_mask, i);
         if (here.w == NO_SUM) continue;
         const uint slot = task->cell_slots + i;
-        const float share = RELAXATION / OFFSET_LATTICE / (float)count_crossed(meta_signs(task->nodes[slot].meta));
-        const float3 min_position = low + convert_float3(listed_cell(memory->cell_list[i])) + MARGIN;
-        const float3 max_position = min_position + (1.0f - 2.0f * MARGIN);
+        const float share = RELAXATION * VERTEX_LATTICE / OFFSET_LATTICE / (float)count_crossed(meta_signs(task->nodes[slot].meta));
+        const float4 offset = convert_float4(load_offset_sum(memory->offset_sums, i)) * share;
+        const float4 low = convert_float4(here & -lattice); // of the cell, whose vertex lies inside
+        const float4 to = clamp(convert_float4(here) + offset, low + margin, low + VERTEX_LATTICE - margin);
+        const int4 on_lattice = convert_int4(to + 0.5f);
         __global ushort *position = task->vertex_records[slot].position;
-        const float3 from = convert_float3(here.xyz) / VERTEX_LATTICE;
-        const float3 sum = convert_float3(load_offset_sum(memory->offset_sums, i).xyz);
-        const float3 to = clamp(from + sum * share, min_position, max_position);
-        position[0] = to_lattice(to.x);
-        position[1] = to_lattice(to.y);
-        position[2] = to_lattice(to.z);
+        position[0] = (ushort)on_lattice.x;
+        position[1] = (ushort)on_lattice.y;
+        position[2] = (ushort)on_lattice.z;
     }
 }
 

@@ -5,6 +5,7 @@
 
 #include "lib/precision.h"
 #include "lib/cube.h"
+#include "lib/device.h"
 #include "lib/layout.h"
 
 // The slab that a function reads, as parameters and as arguments. Macros, not a struct: a function that is not inlined would read
@@ -22,6 +23,18 @@ inline float sample_at(Grid grid, SLAB, int3 p) {
 }
 inline int3 clamp_sample(Grid grid, int3 p) {
     return min(p, (int3)((int)grid.dims[0] - 1, (int)grid.dims[1] - 1, (int)grid.dims[2] - 1));
+}
+
+// Loads the samples of a brick into a CPU's caches, for the work-group that comes next: on a CPU a group's first phase waits for
+// memory, half of what `classify` takes.
+INLINED void prefetch_samples(Grid grid, SLAB, int3 origin) {
+    const int3 last = clamp_sample(grid, origin + 8);
+    for (int z = origin.z; z <= last.z; z++)
+        for (int y = origin.y; y <= last.y; y++) {
+            __global const SAMPLE *row = samples + sample_index(grid, z0, (int3)(origin.x, y, z));
+            prefetch_line(row);
+            prefetch_line(row + last.x - origin.x);
+        }
 }
 
 // One component of the gradient at a sample, in units per world unit: central differences, one-sided at the volume's
