@@ -4,7 +4,8 @@
 // derive: the feature of the active cells of a brick. One work-group a brick.
 // derive_samples: the feature at samples, of which histogram is made. One work-group a block of 8^3 samples.
 //
-// Local memory: `blocks` has a block for each component, then one for the feature, DERIVE_BLOCK floats each.
+// Local memory: `blocks` has a block for each component, then one for the feature, DERIVE_BLOCK floats each; behind them, with UNEVEN defined,
+// the tables of lib/steps.h.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -16,6 +17,7 @@
 #include "lib/neighbourhood.h"
 #include "lib/sample_block.h"
 #include "lib/slots.h"
+#include "lib/steps.h"
 
 // How far around a sample its feature reads.
 INLINED uint feature_reach(uint kind) { return kind == FEATURE_VECTOR_MAGNITUDE ? 0 : 1; }
@@ -94,18 +96,18 @@ INLINED void want_cells(__global const Brick *brick, __local uchar *wanted) {
 
 // Phases: loads the components, then computes the feature at the samples of the brick into the last block, which it returns. In `wanted`
 // each LANES samples from the first on have a byte: 0 where none of them is wanted. `rows`: see want_rows.
-INLINED __local float *derive_block(DeriveArgs args, int3 origin, __global const void *x, __global const void *y,
+INLINED __local float *derive_block(DeriveArgs args, LENGTHS int3 origin, __global const void *x, __global const void *y,
                                     __global const void *z, __local const uchar *wanted, __local const uint *rows,
                                     __local float *blocks) {
     const uint lid = get_local_id(0);
+    __local float *values = blocks + args.components * DERIVE_BLOCK, *tables = values + DERIVE_BLOCK;
     load_components(args, origin, x, y, z, rows, blocks);
+    load_step_tables(args.grid, LENGTHS_ARGS origin, tables);
     barrier(CLK_LOCAL_MEM_FENCE);
-    __local float *values = blocks + args.components * DERIVE_BLOCK;
-    const float3 spacing = (float3)(args.grid.spacing[0], args.grid.spacing[1], args.grid.spacing[2]);
     ROLLED for (uint i = lid * LANES; i < BLOCK_END - BLOCK_FIRST; i += BRICK_GROUP * LANES)
         if (wanted[i / LANES]) {
             const uint at = BLOCK_FIRST + i;
-            STORE_LANES(neighbourhood_feature(args.kind, blocks + at, spacing), values + at);
+            STORE_LANES(neighbourhood_feature(args.kind, blocks + at, load_steps(args.grid, tables, at)), values + at);
         }
     barrier(CLK_LOCAL_MEM_FENCE);
     return values;
@@ -128,7 +130,7 @@ INLINED float corner_mean(__local const float *at) {
 }
 
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void derive(const DeriveArgs args, __global const void *x, __global const void *y, __global const void *z,
+void derive(const DeriveArgs args, LENGTHS __global const void *x, __global const void *y, __global const void *z,
             __global const Region *regions, __global const Brick *bricks, __global Node *nodes, __local float *blocks) {
     __global const Brick *brick = bricks + args.first + get_group_id(0);
     __global const Region *region = regions + brick->region;
@@ -138,7 +140,7 @@ void derive(const DeriveArgs args, __global const void *x, __global const void *
     want_samples(false, wanted);
     want_cells(brick, wanted);
     want_rows(brick, args.kind, cell_rows, rows);
-    __local const float *values = derive_block(args, origin, x, y, z, wanted, rows, blocks);
+    __local const float *values = derive_block(args, LENGTHS_ARGS origin, x, y, z, wanted, rows, blocks);
     __global Node *cells = nodes + region->slot_base + brick->level_base[0];
     ROLLED for (uint cube = get_local_id(0); cube < 64; cube += BRICK_GROUP) {
         if (!level1_cells(brick, cube)) continue;
@@ -151,7 +153,7 @@ void derive(const DeriveArgs args, __global const void *x, __global const void *
 
 // `planes` planes from `first` on, a multiple of 8, into `out`.
 __kernel __attribute__((reqd_work_group_size(BRICK_GROUP, 1, 1)))
-void derive_samples(const DeriveArgs args, __global const void *x, __global const void *y, __global const void *z,
+void derive_samples(const DeriveArgs args, LENGTHS __global const void *x, __global const void *y, __global const void *z,
                     __global float *out, __local float *blocks) {
     const uint nx = args.grid.dims[0], ny = args.grid.dims[1], across = (nx + 7) / 8, along = (ny + 7) / 8;
     const uint group = (uint)get_group_id(0), column = group % across, row = group / across % along, layer = group / across / along;
@@ -162,7 +164,7 @@ void derive_samples(const DeriveArgs args, __global const void *x, __global cons
     want_samples(true, wanted);
     ROLLED for (uint i = get_local_id(0); i < BLOCK_ROW; i += BRICK_GROUP) rows[i] = ~0u;
     barrier(CLK_LOCAL_MEM_FENCE);
-    __local const float *values = derive_block(args, origin, x, y, z, wanted, rows, blocks);
+    __local const float *values = derive_block(args, LENGTHS_ARGS origin, x, y, z, wanted, rows, blocks);
     ROLLED for (uint i = get_local_id(0); i < 512; i += BRICK_GROUP) {
         const uint3 p = low + (uint3)(i & 7u, i >> 3 & 7u, i >> 6);
         if (p.x >= nx || p.y >= ny || p.z >= args.planes) continue;

@@ -1,11 +1,12 @@
-//! What features cost: processor time of an isovalue with each over one without, in turns, `sin` 256³. `cargo run --release --package
+//! What features cost: processor time of an isovalue with each over one without, in turns, `sin` 256³, on even and on uneven axes. `cargo run --release --package
 //! isopeel-kernels --example derive_cost [ROUNDS]`; each line has the shortest time of all rounds.
 
 mod common;
 
 use common::processor_time;
 use isopeel_kernels::{
-    DerivedFeature, Engine, Feature, Grid, Isovalue, Never, Result, SampleType, Shape, Synthetic, VectorFeature,
+    DerivedFeature, Engine, Feature, Grid, Isovalue, Never, RectilinearGrid, Result, SampleType, Shape, Synthetic,
+    VectorFeature, Volume,
 };
 
 /// Samples along each axis.
@@ -23,22 +24,41 @@ fn main() -> Result<()> {
         };
         engine.generate(&grid, SampleType::F32, &synthetic)
     };
-    let (volume, other, third) = (make(Shape::Sin)?, make(Shape::Waves)?, make(Shape::Gyroid)?);
+    let even = [make(Shape::Sin)?, make(Shape::Waves)?, make(Shape::Gyroid)?];
+    // Every other cell is half as long.
+    let cell = |i: u32| if i % 2 == 0 { 1.0 } else { 0.5 };
+    let along = || (0..SIZE - 1).map(cell).collect::<Vec<f32>>();
+    let rectilinear = RectilinearGrid::uneven(grid, [along(), along(), along()])?;
+    let make_uneven = |volume: &Volume| {
+        let samples = engine.download(volume, 0..SIZE)?;
+        let mut upload = engine.begin_upload(&rectilinear, SampleType::F32, None)?;
+        engine.continue_upload(&mut upload, &samples)?;
+        engine.finish_upload(upload)
+    };
+    let uneven = [make_uneven(&even[0])?, make_uneven(&even[1])?, make_uneven(&even[2])?];
     let iso = Isovalue::new(Shape::Sin.isovalue(SampleType::F32))?;
-    let mut features = vec![("none", Feature::None), ("another field", Feature::Field(&other))];
-    features.extend(DerivedFeature::ALL.iter().map(|&f| (f.name(), Feature::Derived(f))));
-    let vectors = VectorFeature::ALL.iter();
-    features.extend(vectors.map(|&f| (f.name(), Feature::Vector(f, [&volume, &other, &third]))));
-    let mut shortest = vec![f64::INFINITY; features.len()];
+    let mut cases = Vec::new();
+    for (axes, [volume, other, third]) in [("even", &even), ("uneven", &uneven)] {
+        let mut features = vec![("none", Feature::None), ("another field", Feature::Field(other))];
+        features.extend(DerivedFeature::ALL.iter().map(|&f| (f.name(), Feature::Derived(f))));
+        let vectors = VectorFeature::ALL.iter();
+        features.extend(vectors.map(|&f| (f.name(), Feature::Vector(f, [volume, other, third]))));
+        cases.extend(
+            features
+                .into_iter()
+                .map(|(name, feature)| (axes, name, volume, feature)),
+        );
+    }
+    let mut shortest = vec![f64::INFINITY; cases.len()];
     for _ in 0..rounds {
-        for ((_, feature), shortest) in features.iter().zip(&mut shortest) {
+        for ((_, _, volume, feature), shortest) in cases.iter().zip(&mut shortest) {
             let before = processor_time();
-            engine.build_pyramid(&volume, *feature, iso, &Never)?;
+            engine.build_pyramid(volume, *feature, iso, &Never)?;
             *shortest = shortest.min(processor_time() - before);
         }
     }
-    for ((name, _), time) in features.iter().zip(&shortest) {
-        println!("{name:20} {:7.1} ms  {:.3}", time / 1e6, time / shortest[0]);
+    for ((axes, name, ..), time) in cases.iter().zip(&shortest) {
+        println!("{axes:6} {name:20} {:7.1} ms  {:.3}", time / 1e6, time / shortest[0]);
     }
     Ok(())
 }

@@ -8,7 +8,7 @@
 
 use isopeel_kernels::{
     CutParams, DerivedFeature, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Result, Samples, Topology,
-    Tuning, Volume,
+    Tuning, VectorFeature, Volume,
 };
 
 /// A volume by formula.
@@ -256,6 +256,14 @@ fn run(engine: &Engine, index: usize, setting: &str, volume: &Volume, other: &Vo
             engine.peel(volume, &pyramid, &params, Level::new(prefix)?, &Never)?;
             print(engine, index, setting, &format!("{name}/{cut}"));
         }
+    }
+    let derived = DerivedFeature::ALL.iter().map(|&f| (f.name(), Feature::Derived(f)));
+    let vectors = VectorFeature::ALL.iter();
+    let vectors = vectors.map(|&f| (f.name(), Feature::Vector(f, [volume, other, volume])));
+    for (name, feature) in derived.chain(vectors) {
+        engine.histogram(volume, feature)?;
+        engine.build_cells(volume, feature, iso, &Never)?;
+        print(engine, index, setting, name);
     }
     Ok(())
 }

@@ -80,6 +80,8 @@ constants! {
     EXPRESSION_FIELDS: u32 = 8;
     /// Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
     DERIVE_BLOCK: u32 = 1344;
+    /// Floats of the tables of `cl/lib/steps.h`, with uneven axes.
+    STEP_TABLES: u32 = 336;
 
     /// Sample type of a feature's field: 8-bit unsigned.
     TYPE_U8: u32 = 0;

@@ -96,6 +96,7 @@ pub(crate) struct Context {
     /// What its programs are made of.
     sources: &'static [Source],
     shared: OnceCell<Rc<Kernels>>,
+    uneven: OnceCell<Rc<Kernels>>,
     programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
     pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
@@ -137,6 +138,7 @@ impl Context {
             queue,
             sources,
             shared: OnceCell::new(),
+            uneven: OnceCell::new(),
             programs: RefCell::default(),
             pool: Rc::new(Pool::new(idle_limit)),
             events: RefCell::default(),
@@ -170,6 +172,15 @@ impl Context {
         )?);
         self.programs.borrow_mut().insert(sample_type, kernels.clone());
         Ok(kernels)
+    }
+
+    /// The kernels that are others where axes are uneven, built on first use.
+    pub fn uneven_kernels(&self) -> Result<Rc<Kernels>> {
+        if let Some(kernels) = self.uneven.get() {
+            return Ok(kernels.clone());
+        }
+        let kernels = Kernels::build_uneven(&self.context, &self.found, self.tuning, self.sources)?;
+        Ok(self.uneven.get_or_init(|| Rc::new(kernels)).clone())
     }
 
     /// Builds a program of any text, which may include files of `cl/`.

@@ -203,7 +203,9 @@ fn a_field_that_comes_in_pieces_is_the_same() {
         .upload(&grid, &Samples::I16(values.clone()), None)
         .expect("a volume");
     assert!(whole.slabs.len() > 1);
-    let mut upload = engine.begin_upload(&grid, SampleType::I16, None).expect("memory");
+    let mut upload = engine
+        .begin_upload(&grid.into(), SampleType::I16, None)
+        .expect("memory");
     for piece in values.chunks(10_007) {
         let piece = Samples::I16(piece.to_vec());
         engine.continue_upload(&mut upload, &piece).expect("on the device");
@@ -233,7 +235,9 @@ fn a_field_that_comes_in_pieces_is_the_same() {
         assert_eq!(bytes(slab).expect("samples"), bytes(other).expect("samples"));
     }
 
-    let mut short = engine.begin_upload(&grid, SampleType::I16, None).expect("memory");
+    let mut short = engine
+        .begin_upload(&grid.into(), SampleType::I16, None)
+        .expect("memory");
     engine
         .continue_upload(&mut short, &Samples::I16(vec![0; 5]))
         .expect("on the device");

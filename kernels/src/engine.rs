@@ -10,6 +10,7 @@ use crate::{
 };
 use std::cell::{Cell, RefCell};
 use std::collections::HashSet;
+use std::rc::Rc;
 
 mod build;
 pub(crate) mod cut;
@@ -139,6 +140,7 @@ impl Engine {
         sample_type: SampleType,
         missing: Option<f32>,
         slabs: Vec<Slab>,
+        inverse_lengths: Option<Rc<Buffer<f32>>>,
     ) -> Result<Volume> {
         let regions = grid.regions().iter().map(|&r| r as usize).product::<usize>();
         let mut volume = Volume {
@@ -148,6 +150,7 @@ impl Engine {
             slabs,
             table: self.cx.buffer(minmax::STAGE, regions * 64)?,
             missing_masks: Vec::new(),
+            inverse_lengths,
         };
         self.make_table(&mut volume)?;
         Ok(volume)
@@ -183,7 +186,7 @@ impl Engine {
         })
     }
 
-    /// Bytes that [`Engine::upload`] will take for a field, min/max table included.
+    /// Bytes that [`Engine::upload`] will take for a field, min/max table included; the lengths of cells are some kilobytes more.
     pub fn upload_bytes(&self, grid: &Grid, sample_bytes: usize) -> u64 {
         let regions: u64 = grid.regions().iter().map(|&r| u64::from(r)).product();
         grid.sample_count() * sample_bytes as u64 + regions * 64 * size_of::<[f32; 2]>() as u64

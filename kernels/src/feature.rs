@@ -53,10 +53,12 @@ impl<'a> Feature<'a> {
         others.map(Volume::sample_bytes).sum()
     }
 
-    /// Its number in `cl/construct.cl` and `cl/histogram.cl`, which find the features of `derive` computed.
-    pub(crate) fn kind_after_derive(self) -> u32 {
+    /// Its number in `cl/construct.cl` and `cl/histogram.cl`, which find the features of `derive` computed. `volume`: whose surface is made.
+    pub(crate) fn kind_after_derive(self, volume: &Volume) -> u32 {
         match self.kind() {
             constants::FEATURE_MEAN_CURVATURE.. => constants::FEATURE_STORED,
+            // `construct` computes that of even axes alone.
+            constants::FEATURE_GRADIENT if volume.inverse_lengths.is_some() => constants::FEATURE_STORED,
             kind => kind,
         }
     }

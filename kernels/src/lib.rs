@@ -36,6 +36,7 @@ pub mod layout;
 pub mod params;
 mod program;
 mod pyramid;
+mod rectilinear;
 mod shared_slice;
 mod sources;
 mod stages;
@@ -68,6 +69,7 @@ pub use feature::{DerivedFeature, Feature, Histogram, VectorFeature};
 pub use interest::{Interest, InterestShape};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;
+pub use rectilinear::RectilinearGrid;
 pub use shared_slice::SharedSlice;
 pub use surface::{
     Count, ErrorEstimate, MeasuredError, Region, RemovedParts, StageTime, Surface, SurfaceError, SurfaceStatistics,

@@ -38,7 +38,7 @@ impl Kernels {
         shared: Rc<Kernels>,
     ) -> Result<Self> {
         let files = sources.iter().filter(|source| source.reads_samples);
-        let kernels = Self::build_files(context, device, tuning, sample_type, files)?;
+        let kernels = Self::build_files(context, device, tuning, sample_type, "", files)?;
         Ok(Self {
             shared: Some(shared),
             ..kernels
@@ -49,7 +49,13 @@ impl Kernels {
     pub fn build_shared(context: &Context, device: &Found, tuning: Tuning, sources: &[Source]) -> Result<Self> {
         let files = sources.iter().filter(|source| !source.reads_samples);
         // Of any type: headers want one.
-        Self::build_files(context, device, tuning, SampleType::F32, files)
+        Self::build_files(context, device, tuning, SampleType::F32, "", files)
+    }
+
+    /// Builds the files of which there is another program for uneven axes, for these.
+    pub fn build_uneven(context: &Context, device: &Found, tuning: Tuning, sources: &[Source]) -> Result<Self> {
+        let files = sources.iter().filter(|source| source.has_uneven);
+        Self::build_files(context, device, tuning, SampleType::F32, "-DUNEVEN ", files)
     }
 
     fn build_files<'a>(
@@ -57,10 +63,11 @@ impl Kernels {
         device: &Found,
         tuning: Tuning,
         sample_type: SampleType,
+        more: &str,
         sources: impl Iterator<Item = &'a Source>,
     ) -> Result<Self> {
         let options = format!(
-            "-cl-std=CL1.2 -DSAMPLE={} {}",
+            "-cl-std=CL1.2 {more}-DSAMPLE={} {}",
             sample_type_name(sample_type),
             tuning.defines()
         );

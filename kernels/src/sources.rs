@@ -11,6 +11,8 @@ pub(crate) struct Source {
     pub file: &'static str,
     /// Its kernels are built for each type of samples. Those of the others, which read none of the volume's, are built once.
     pub reads_samples: bool,
+    /// Whether its kernels are others where axes are uneven: built with `UNEVEN` defined.
+    pub has_uneven: bool,
 }
 
 /// A program's text with its includes of files in `cl/` resolved. Each file stands once, where it is first included. `#line`

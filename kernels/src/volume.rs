@@ -3,6 +3,7 @@
 use crate::buffer::Buffer;
 use crate::{Error, REGION_CELLS, Result, layout};
 use std::ops::Range;
+use std::rc::Rc;
 
 /// Type of a sample as it lies on the device. Wider file types become [`SampleType::F32`] before upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -283,6 +284,8 @@ pub struct Volume {
     pub(crate) table: Buffer<[f32; 2]>,
     /// Bricks that touch a missing sample, 64 bits a region; on the host, where active regions are listed.
     pub(crate) missing_masks: Vec<[u32; 2]>,
+    /// One over the lengths of the cells along x, then along y, then along z, where axes are uneven.
+    pub(crate) inverse_lengths: Option<Rc<Buffer<f32>>>,
 }
 
 impl Volume {

@@ -17,7 +17,7 @@ test("surfaces, slices and volumes are those of the world", { ...MORE, timeout: 
   const { page, faults } = await openPage(at.browser, `${at.server.url}/#volume=uneven&iso=1&error=0&share=1&slices=7,,3`, { colorScheme: "light" });
   const shown = await rested(page);
   assert.ok(shown.triangles > 500, `${shown.triangles} triangles`);
-  assert.equal(shown.edit.feature, "none", "no derivative is known there");
+  assert.equal(shown.edit.feature, "gradient-magnitude", "its derivatives are known there");
   await page.getByRole("button", { name: "Numbers" }).click();
   await page.getByRole("button", { name: "Sum up" }).click();
   const card = page.locator(".enclosed");

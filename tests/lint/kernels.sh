@@ -1,6 +1,6 @@
 #!/bin/bash
 # The kernels in clang's eyes: every file of kernels/cl by itself, without a warning, as OpenCL C 1.2. For two targets, for CPU and
-# GPU, for every sample type. CLANG names another clang.
+# GPU, for every sample type, and where axes are uneven. CLANG names another clang.
 set -euo pipefail
 cd "$(dirname "$0")/../../kernels/cl"
 
@@ -31,6 +31,8 @@ combinations() {
                 [[ $type != float ]] || store=convert_float
                 [[ $file == *.h && $type != float ]] || echo "$file --target=spir64 -DSAMPLE=$type -DSTORE=$store $setting"
             done
+            [[ $file != derive.cl && $file != lib/steps.h && $file != lib/neighbourhood.h ]] ||
+                echo "$file --target=spir64 -DSAMPLE=float -DUNEVEN $setting"
             [[ $file == *.h ]] || echo "$file --target=amdgcn -nogpulib -DSAMPLE=float -DSTORE=convert_float $setting"
         done
     done

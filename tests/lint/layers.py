@@ -15,7 +15,7 @@ LAYERS = {
     "kernels/src": """
         constants error shared_slice sources tables
         buffer cancel device interest layout transfer
-        params tuning volume
+        params rectilinear tuning volume
         expression feature program surface synthetic
         context pyramid
         tree

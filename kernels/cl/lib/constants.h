@@ -42,6 +42,8 @@
 #define EXPRESSION_FIELDS 8u
 // Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
 #define DERIVE_BLOCK 1344u
+// Floats of the tables of `cl/lib/steps.h`, with uneven axes.
+#define STEP_TABLES 336u
 // Sample type of a feature's field: 8-bit unsigned.
 #define TYPE_U8 0u
 // Sample type of a feature's field: 8-bit signed.

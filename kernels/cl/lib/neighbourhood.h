@@ -9,6 +9,7 @@
 #include "lib/lanes.h"
 #include "lib/layout.h"
 #include "lib/sample_block.h"
+#include "lib/steps.h"
 
 // The neighbour so many samples further along x, y, z.
 #define NEIGHBOUR(at, x, y, z) LOAD_LANES((at) + ((z) * BLOCK_PLANE + (y) * BLOCK_ROW + (x)))
@@ -21,37 +22,33 @@ typedef struct {
     integer flat; // the gradient is zero
 } Derivatives;
 
-// `per`: one over the spacing.
-INLINED Derivatives make_derivatives(__local const float *at, float3 per) {
+INLINED Derivatives make_derivatives(__local const float *at, Steps steps) {
     const real here = LOAD_LANES(at);
     const real left = NEIGHBOUR(at, -1, 0, 0), right = NEIGHBOUR(at, 1, 0, 0);
     const real front = NEIGHBOUR(at, 0, -1, 0), back = NEIGHBOUR(at, 0, 1, 0);
     const real below = NEIGHBOUR(at, 0, 0, -1), above = NEIGHBOUR(at, 0, 0, 1);
-    const real x = (right - left) * (0.5f * per.x), y = (back - front) * (0.5f * per.y), z = (above - below) * (0.5f * per.z);
-    const real size = fabs(x) + fabs(y) + fabs(z);
+    const real x = first_derivative(left, here, right, steps.x), y = first_derivative(front, here, back, steps.y);
+    const real z = first_derivative(below, here, above, steps.z), size = fabs(x) + fabs(y) + fabs(z);
     Derivatives d;
     d.flat = size == 0.0f;
     const real scale = PICK(d.flat, 0.0f, 1.0f / size);
     d.first = make_real3(x * scale, y * scale, z * scale);
-    d.second = make_real3(((right - here) - (here - left)) * (per.x * per.x) * scale,
-                          ((back - here) - (here - front)) * (per.y * per.y) * scale,
-                          ((above - here) - (here - below)) * (per.z * per.z) * scale);
-    const real yz = (NEIGHBOUR(at, 0, 1, 1) - NEIGHBOUR(at, 0, -1, 1)) - (NEIGHBOUR(at, 0, 1, -1) - NEIGHBOUR(at, 0, -1, -1));
-    const real xz = (NEIGHBOUR(at, 1, 0, 1) - NEIGHBOUR(at, -1, 0, 1)) - (NEIGHBOUR(at, 1, 0, -1) - NEIGHBOUR(at, -1, 0, -1));
-    const real xy = (NEIGHBOUR(at, 1, 1, 0) - NEIGHBOUR(at, -1, 1, 0)) - (NEIGHBOUR(at, 1, -1, 0) - NEIGHBOUR(at, -1, -1, 0));
-    d.mixed = make_real3(yz * (0.25f * per.y * per.z) * scale, xz * (0.25f * per.x * per.z) * scale,
-                         xy * (0.25f * per.x * per.y) * scale);
+    d.second = make_real3(second_derivative(left, here, right, steps.x) * scale, second_derivative(front, here, back, steps.y) * scale,
+                          second_derivative(below, here, above, steps.z) * scale);
+    d.mixed = make_real3(mixed_derivative(at, BLOCK_ROW, steps.y, BLOCK_PLANE, steps.z) * scale,
+                         mixed_derivative(at, 1, steps.x, BLOCK_PLANE, steps.z) * scale,
+                         mixed_derivative(at, 1, steps.x, BLOCK_ROW, steps.y) * scale);
     return d;
 }
 
 // A curvature from its numerator and denominator: zero where the gradient is, and no larger than the grid resolves. NaN stays.
-INLINED real make_curvature(const Derivatives *d, real numerator, real denominator, float bound) {
+INLINED real make_curvature(const Derivatives *d, real numerator, real denominator, Resolution bound) {
     const real v = numerator / PICK(d->flat, 1.0f, denominator);
     return PICK(v > bound, bound, PICK(v < -bound, -bound, v));
 }
 
 // Half the divergence of the unit normal to lower values.
-INLINED real mean_curvature(const Derivatives *d, float bound) {
+INLINED real mean_curvature(const Derivatives *d, Resolution bound) {
     const Real3 g = d->first, h = d->second, m = d->mixed;
     const real xx = g.x * g.x, yy = g.y * g.y, zz = g.z * g.z, square = xx + yy + zz;
     const real across = 2.0f * (g.y * g.z * m.x + g.x * g.z * m.y + g.x * g.y * m.z);
@@ -60,7 +57,7 @@ INLINED real mean_curvature(const Derivatives *d, float bound) {
 }
 
 // Product of the principal curvatures: the gradient between the adjugate of the Hessian matrix.
-INLINED real gaussian_curvature(const Derivatives *d, float bound) {
+INLINED real gaussian_curvature(const Derivatives *d, Resolution bound) {
     const Real3 g = d->first, h = d->second, m = d->mixed;
     const real xx = g.x * g.x, yy = g.y * g.y, zz = g.z * g.z, square = xx + yy + zz;
     const real along = xx * (h.y * h.z - m.x * m.x) + yy * (h.x * h.z - m.y * m.y) + zz * (h.x * h.y - m.z * m.z);
@@ -84,14 +81,19 @@ INLINED real local_variance(__local const float *at) {
     return PICK(variance < 0.0f, 0.0f, variance);
 }
 
-// One derivative of a vector's component from the neighbours along an axis, `step` samples away: as gradient_at, one-sided beside a missing
-// sample, but multiplied by `per`, one over the spacing.
-INLINED real derivative(__local const float *at, int step, float per) {
-    const real here = LOAD_LANES(at), below = LOAD_LANES(at - step), above = LOAD_LANES(at + step);
-    const integer has_below = below == below, has_above = above == above;
-    const real d = (PICK(has_above, above, here) - PICK(has_below, below, here)) * PICK(has_below & has_above, 0.5f * per, per);
-    return PICK(d == d, d, 0.0f);
+// One derivative of a vector's component from the neighbours along an axis, `step` samples away.
+INLINED real derivative(__local const float *at, int step, AxisStep along) {
+    return usable_derivative(LOAD_LANES(at - step), LOAD_LANES(at), LOAD_LANES(at + step), along);
 }
+
+#ifdef UNEVEN
+// Magnitude of a field's gradient; of even axes it is construct's.
+INLINED real gradient_magnitude(__local const float *at, Steps steps) {
+    const real here = LOAD_LANES(at);
+    const real x = derivative(at, 1, steps.x), y = derivative(at, BLOCK_ROW, steps.y), z = derivative(at, BLOCK_PLANE, steps.z);
+    return PICK(here == here, sqrt(x * x + y * y + z * z), NAN);
+}
+#endif
 
 INLINED Real3 cross_real3(Real3 a, Real3 b) {
     return make_real3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
@@ -146,23 +148,23 @@ INLINED real lambda_2(Real3 du, Real3 dv, Real3 dw) {
 }
 
 // A feature of a vector field from the blocks of its components, DERIVE_BLOCK apart. Each takes the derivatives that it needs alone.
-INLINED real vector_feature(uint kind, __local const float *at, float3 per) {
+INLINED real vector_feature(uint kind, __local const float *at, Steps steps) {
     __local const float *in_u = at, *in_v = at + DERIVE_BLOCK, *in_w = at + 2 * DERIVE_BLOCK;
     const real u = LOAD_LANES(in_u), v = LOAD_LANES(in_v), w = LOAD_LANES(in_w);
     if (kind == FEATURE_VECTOR_MAGNITUDE) return sqrt(u * u + v * v + w * w);
     real value, ux = 0.0f, vy = 0.0f, wz = 0.0f, uy = 0.0f, uz = 0.0f, vx = 0.0f, vz = 0.0f, wx = 0.0f, wy = 0.0f;
     if (kind != FEATURE_VORTICITY && kind != FEATURE_HELICITY) {
-        ux = derivative(in_u, 1, per.x);
-        vy = derivative(in_v, BLOCK_ROW, per.y);
-        wz = derivative(in_w, BLOCK_PLANE, per.z);
+        ux = derivative(in_u, 1, steps.x);
+        vy = derivative(in_v, BLOCK_ROW, steps.y);
+        wz = derivative(in_w, BLOCK_PLANE, steps.z);
     }
     if (kind != FEATURE_DIVERGENCE) {
-        uy = derivative(in_u, BLOCK_ROW, per.y);
-        uz = derivative(in_u, BLOCK_PLANE, per.z);
-        vx = derivative(in_v, 1, per.x);
-        vz = derivative(in_v, BLOCK_PLANE, per.z);
-        wx = derivative(in_w, 1, per.x);
-        wy = derivative(in_w, BLOCK_ROW, per.y);
+        uy = derivative(in_u, BLOCK_ROW, steps.y);
+        uz = derivative(in_u, BLOCK_PLANE, steps.z);
+        vx = derivative(in_v, 1, steps.x);
+        vz = derivative(in_v, BLOCK_PLANE, steps.z);
+        wx = derivative(in_w, 1, steps.x);
+        wy = derivative(in_w, BLOCK_ROW, steps.y);
     }
     const real x = wy - vz, y = uz - wx, z = vx - uy; // the curl
     if (kind == FEATURE_DIVERGENCE) value = ux + vy + wz;
@@ -174,14 +176,16 @@ INLINED real vector_feature(uint kind, __local const float *at, float3 per) {
 }
 
 // A feature at samples. `at`: in the block of the field, or of the first component. Missing, NaN, where it is not finite.
-INLINED real neighbourhood_feature(uint kind, __local const float *at, float3 spacing) {
-    const float3 per = 1.0f / spacing;
-    const float bound = fmax(per.x, fmax(per.y, per.z));
+INLINED real neighbourhood_feature(uint kind, __local const float *at, Steps steps) {
+    const Resolution bound = resolution(steps);
     real value;
-    if (kind >= FEATURE_VECTOR_MAGNITUDE) value = vector_feature(kind, at, per);
+    if (kind >= FEATURE_VECTOR_MAGNITUDE) value = vector_feature(kind, at, steps);
     else if (kind == FEATURE_LOCAL_VARIANCE) value = local_variance(at);
+#ifdef UNEVEN
+    else if (kind == FEATURE_GRADIENT) value = gradient_magnitude(at, steps);
+#endif
     else {
-        const Derivatives d = make_derivatives(at, per);
+        const Derivatives d = make_derivatives(at, steps);
         value = kind == FEATURE_MEAN_CURVATURE ? mean_curvature(&d, bound) : gaussian_curvature(&d, bound * bound);
     }
     return PICK(fabs(value) <= FLT_MAX, value, NAN);

@@ -5,16 +5,23 @@ use isopeel_kernels::{DerivedFeature, VectorFeature};
 
 /// A derived feature at every sample.
 pub fn derived(field: &Field, feature: DerivedFeature) -> Field {
-    let spacing = field.grid.spacing;
-    let per = spacing.map(|h| 1.0 / h);
-    let bound = per.iter().fold(0.0f32, |a, &b| a.max(b));
     match feature {
-        DerivedFeature::GradientMagnitude => field.gradient_magnitude(),
+        DerivedFeature::GradientMagnitude if field.lengths.is_none() => field.gradient_magnitude(),
+        DerivedFeature::GradientMagnitude => at_samples(field, |p| {
+            let [x, y, z] = gradient(field, p);
+            if field.at(p).is_nan() {
+                f32::NAN
+            } else {
+                (x * x + y * y + z * z).sqrt()
+            }
+        }),
         DerivedFeature::MeanCurvature => at_samples(field, |p| {
-            Derivatives::at(field, p, per).map_or(f32::NAN, |d| clamp(d.mean_curvature(), bound))
+            let (steps, bound) = steps(field, p);
+            Derivatives::at(field, p, &steps).map_or(f32::NAN, |d| clamp(d.mean_curvature(), bound))
         }),
         DerivedFeature::GaussianCurvature => at_samples(field, |p| {
-            Derivatives::at(field, p, per).map_or(f32::NAN, |d| clamp(d.gaussian_curvature(), bound * bound))
+            let (steps, bound) = steps(field, p);
+            Derivatives::at(field, p, &steps).map_or(f32::NAN, |d| clamp(d.gaussian_curvature(), bound * bound))
         }),
         DerivedFeature::LocalVariance => at_samples(field, |p| local_variance(field, p)),
     }
@@ -28,7 +35,7 @@ pub fn of_vector(components: [&Field; 3], feature: VectorFeature) -> Field {
             return f32::NAN;
         }
         // Row i: the gradient of component i.
-        let d = components.map(|component| component.gradient(p));
+        let d = components.map(|component| gradient(component, p));
         let curl = [d[2][1] - d[1][2], d[0][2] - d[2][0], d[1][0] - d[0][1]];
         match feature {
             VectorFeature::Magnitude => (u * u + v * v + w * w).sqrt(),
@@ -42,6 +49,77 @@ pub fn of_vector(components: [&Field; 3], feature: VectorFeature) -> Field {
             VectorFeature::Lambda2 => lambda_2(d),
             VectorFeature::Helicity => u * curl[0] + v * curl[1] + w * curl[2],
         }
+    })
+}
+
+/// What differences of neighbouring samples are divided by along an axis.
+enum Step {
+    /// One over the spacing.
+    Even(f32),
+    /// One over the lengths of the cells before and after a sample.
+    Uneven([f32; 2]),
+}
+
+impl Step {
+    /// One over the lengths of the cells before and after.
+    fn ends(&self) -> [f32; 2] {
+        match *self {
+            Self::Even(per) => [per; 2],
+            Self::Uneven(ends) => ends,
+        }
+    }
+
+    fn first(&self, below: f32, here: f32, above: f32) -> f32 {
+        match *self {
+            Self::Even(per) => (above - below) * (0.5 * per),
+            Self::Uneven([before, after]) => {
+                let per_sum = 1.0 / (before + after);
+                after * (after * per_sum) * (above - here) + before * (before * per_sum) * (here - below)
+            }
+        }
+    }
+
+    fn second(&self, below: f32, here: f32, above: f32) -> f32 {
+        match *self {
+            Self::Even(per) => ((above - here) - (here - below)) * (per * per),
+            Self::Uneven([before, after]) => {
+                let per_sum = 1.0 / (before + after);
+                ((above - here) * after - (here - below) * before) * (2.0 * before * (after * per_sum))
+            }
+        }
+    }
+}
+
+/// Steps at a sample along x, y and z, and one over the smallest length that they are made of. A cell that is not there is as long as the last.
+fn steps(field: &Field, p: [u32; 3]) -> ([Step; 3], f32) {
+    let steps: [Step; 3] = std::array::from_fn(|axis| match &field.lengths {
+        None => Step::Even(1.0 / field.grid.spacing[axis]),
+        Some(lengths) => {
+            let (along, at) = (&lengths[axis], p[axis] as usize);
+            Step::Uneven([at.saturating_sub(1), at.min(along.len() - 1)].map(|cell| 1.0 / along[cell]))
+        }
+    });
+    let bound = steps.iter().flat_map(Step::ends).fold(0.0, f32::max);
+    (steps, bound)
+}
+
+/// The gradient at a sample: as [`Field::gradient`], but of uneven axes by the lengths of their cells.
+fn gradient(field: &Field, p: [u32; 3]) -> [f32; 3] {
+    if field.lengths.is_none() {
+        return field.gradient(p);
+    }
+    let (steps, _) = steps(field, p);
+    std::array::from_fn(|axis| {
+        let along = |by: i32| neighbour(field, p, std::array::from_fn(|i| if i == axis { by } else { 0 }));
+        let (here, below, above) = (field.at(p), along(-1), along(1));
+        let [before, after] = steps[axis].ends();
+        let slope = match (below.is_nan(), above.is_nan()) {
+            (false, false) => steps[axis].first(below, here, above),
+            (true, false) => (above - here) * after,
+            (false, true) => (here - below) * before,
+            (true, true) => 0.0,
+        };
+        if slope.is_nan() { 0.0 } else { slope }
     })
 }
 
@@ -118,7 +196,7 @@ fn local_variance(field: &Field, p: [u32; 3]) -> f32 {
     if variance < 0.0 { 0.0 } else { variance }
 }
 
-/// Central differences at a sample, divided by the sum of the absolute first ones.
+/// Derivatives at a sample, divided by the sum of the absolute first ones.
 struct Derivatives {
     /// Along x, y, z; all zero where the gradient is.
     first: [f32; 3],
@@ -130,26 +208,29 @@ struct Derivatives {
 }
 
 impl Derivatives {
-    /// `per`: one over the spacing. `None` where a sample that they are made of is missing.
-    fn at(field: &Field, p: [u32; 3], per: [f32; 3]) -> Option<Self> {
+    /// `None` where a sample that they are made of is missing.
+    fn at(field: &Field, p: [u32; 3], steps: &[Step; 3]) -> Option<Self> {
         let here = field.at(p);
-        let along = |axis: usize, by: i32| {
+        // The sample `a` further along axis `i` and `b` along axis `j`.
+        let near = |i: usize, a: i32, j: usize, b: i32| {
             let mut offset = [0; 3];
-            offset[axis] = by;
+            offset[i] += a;
+            offset[j] += b;
             neighbour(field, p, offset)
         };
-        let diagonal = |i: usize, j: usize, a: i32, b: i32| {
-            let mut offset = [0; 3];
-            (offset[i], offset[j]) = (a, b);
-            neighbour(field, p, offset)
-        };
-        let first: [f32; 3] = std::array::from_fn(|i| (along(i, 1) - along(i, -1)) * (0.5 * per[i]));
-        let second: [f32; 3] =
-            std::array::from_fn(|i| ((along(i, 1) - here) - (here - along(i, -1))) * (per[i] * per[i]));
-        let mixed = [(1, 2), (0, 2), (0, 1)].map(|(i, j)| {
-            let across =
-                (diagonal(i, j, 1, 1) - diagonal(i, j, -1, 1)) - (diagonal(i, j, 1, -1) - diagonal(i, j, -1, -1));
-            across * (0.25 * per[i] * per[j])
+        let along = |axis: usize, by: i32| near(axis, by, axis, 0);
+        let first: [f32; 3] = std::array::from_fn(|i| steps[i].first(along(i, -1), here, along(i, 1)));
+        let second: [f32; 3] = std::array::from_fn(|i| steps[i].second(along(i, -1), here, along(i, 1)));
+        let mixed = [(1, 2), (0, 2), (0, 1)].map(|(i, j)| match (&steps[i], &steps[j]) {
+            (Step::Even(per_i), Step::Even(per_j)) => {
+                let across = (near(i, 1, j, 1) - near(i, -1, j, 1)) - (near(i, 1, j, -1) - near(i, -1, j, -1));
+                across * (0.25 * per_i * per_j)
+            }
+            (step_i, step_j) => {
+                let [below, here, above] =
+                    [-1, 0, 1].map(|b| step_i.first(near(i, -1, j, b), near(i, 0, j, b), near(i, 1, j, b)));
+                step_j.first(below, here, above)
+            }
         });
         if here.is_nan() || first.iter().chain(&second).chain(&mixed).any(|d| d.is_nan()) {
             return None;

@@ -10,6 +10,8 @@ pub struct Field {
     pub grid: Grid,
     /// One per sample of the grid.
     pub values: Vec<f32>,
+    /// Lengths of the cells along x, y and z where axes are uneven: only derived features depend on them.
+    pub lengths: Option<[Vec<f32>; 3]>,
 }
 
 impl Field {
@@ -24,7 +26,19 @@ impl Field {
             "values for a grid of {:?}",
             grid.dims
         );
-        Self { grid, values }
+        Self {
+            grid,
+            values,
+            lengths: None,
+        }
+    }
+
+    /// The same samples with cells of other lengths.
+    pub fn with_lengths(self, lengths: [Vec<f32>; 3]) -> Self {
+        Self {
+            lengths: Some(lengths),
+            ..self
+        }
     }
 
     /// Converts samples; those equal to `missing` become NaN.

@@ -7,7 +7,7 @@ use isopeel_kernels::expression::{Binary, Op};
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{
     ChosenParts, CutParams, DerivedFeature, Engine, Expression, Feature, Grid, Interest, InterestShape, Isovalue,
-    Level, Mesher, Never, PartFilter, Pyramid, Samples, TreeGoal, VectorFeature, Volume,
+    Level, Mesher, Never, PartFilter, Pyramid, RectilinearGrid, Samples, TreeGoal, VectorFeature, Volume,
 };
 
 const DIMS: [u32; 3] = [36, 5, 4];
@@ -96,15 +96,43 @@ fn derived_features_run() {
         .iter()
         .map(|&feature| Feature::Vector(feature, [&x, &y, &volume]));
     for feature in derived.chain(vectors) {
-        let histogram = engine.histogram(&volume, feature).expect("histogram");
-        assert!(histogram.range[0] < histogram.range[1]);
-        let iso = Isovalue::new(100.0).expect("finite");
-        let pyramid = engine
-            .build_cells(&volume, feature, iso, &Never)
-            .expect("build the cells");
-        assert!(pyramid.full_triangles() > 0);
+        derive(&engine, &volume, feature);
     }
     evaluate(&engine, [&volume, &y]);
+}
+
+/// A feature at cells and at samples.
+fn derive(engine: &Engine, volume: &Volume, feature: Feature<'_>) {
+    let histogram = engine.histogram(volume, feature).expect("histogram");
+    assert!(histogram.range[0] < histogram.range[1]);
+    let iso = Isovalue::new(100.0).expect("finite");
+    let pyramid = engine
+        .build_cells(volume, feature, iso, &Never)
+        .expect("build the cells");
+    assert!(pyramid.full_triangles() > 0);
+}
+
+/// Features of `derive` on uneven axes: one of all derivatives at whole neighbourhoods, one of first ones beside missing samples.
+#[test]
+fn derived_features_of_uneven_axes_run() {
+    let Some(engine) = device() else { return };
+    let grid = Grid::new(DERIVED_DIMS, [1.0, 0.5, 2.0]).expect("a grid");
+    let along = |axis: usize| (1..DERIVED_DIMS[axis]).map(|i| 0.25 * (1 + i % 3) as f32).collect();
+    let rectilinear = RectilinearGrid::uneven(grid, [along(0), along(1), along(2)]).expect("lengths of cells");
+    let samples = Samples::U8(values(DERIVED_DIMS));
+    let mut upload = engine
+        .begin_upload(&rectilinear, samples.sample_type(), Some(180.0))
+        .expect("memory");
+    engine.continue_upload(&mut upload, &samples).expect("samples");
+    let volume = engine.finish_upload(upload).expect("upload");
+    let other = engine.upload(&grid, &Samples::F32(of_values(DERIVED_DIMS, f32::from)), None);
+    let other = other.expect("upload");
+    for feature in [
+        Feature::Derived(DerivedFeature::MeanCurvature),
+        Feature::Vector(VectorFeature::Helicity, [&volume, &other, &other]),
+    ] {
+        derive(&engine, &volume, feature);
+    }
 }
 
 /// `evaluate`, of as many fields as there may be: four times the sum of two.

@@ -89,7 +89,7 @@ impl Engine {
                 layers: layers.clone(),
             });
         }
-        self.resident(grid, SampleType::F32, None, slabs)
+        self.resident(grid, SampleType::F32, None, slabs, first.inverse_lengths.clone())
     }
 }
 

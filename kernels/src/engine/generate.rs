@@ -63,7 +63,7 @@ impl Engine {
                 layers,
             });
         }
-        self.resident(grid, sample_type, None, slabs)
+        self.resident(grid, sample_type, None, slabs, None)
     }
 
     /// Makes the min/max table again from the samples on the device, as for a time step that just arrived there, and

@@ -1,7 +1,9 @@
 //! A field's samples on their way to the device, in pieces: the host never holds all of them.
 
+use crate::buffer::Buffer;
 use crate::volume::{Slab, slab_layers, slab_planes};
-use crate::{Engine, Error, Grid, Result, SampleType, Samples, Volume};
+use crate::{Engine, Error, Grid, RectilinearGrid, Result, SampleType, Samples, Volume};
+use std::rc::Rc;
 
 /// A field of which a part is on the device.
 pub struct Upload {
@@ -9,6 +11,7 @@ pub struct Upload {
     sample_type: SampleType,
     missing: Option<f32>,
     slabs: Vec<Slab>,
+    inverse_lengths: Option<Rc<Buffer<f32>>>,
     /// Samples so far.
     done: u64,
 }
@@ -18,8 +21,14 @@ impl Engine {
     ///
     /// # Errors
     /// No device memory.
-    pub fn begin_upload(&self, grid: &Grid, sample_type: SampleType, missing: Option<f32>) -> Result<Upload> {
-        let grid = Grid::new(grid.dims, grid.spacing)?;
+    pub fn begin_upload(
+        &self,
+        rectilinear: &RectilinearGrid,
+        sample_type: SampleType,
+        missing: Option<f32>,
+    ) -> Result<Upload> {
+        let Grid { dims, spacing } = *rectilinear.grid();
+        let grid = Grid::new(dims, spacing)?;
         self.warm_up(sample_type)?;
         let plane = plane_bytes(&grid, sample_type);
         let slabs = slab_layers(&grid, self.cx.limit_bytes)?.into_iter().map(|layers| {
@@ -30,10 +39,13 @@ impl Engine {
                 layers,
             })
         });
+        let lengths = rectilinear.inverse_lengths();
+        let lengths = lengths.map(|lengths| self.cx.upload("upload", &lengths));
         Ok(Upload {
             sample_type,
             missing,
             slabs: slabs.collect::<Result<_>>()?,
+            inverse_lengths: lengths.transpose()?.map(Rc::new),
             done: 0,
             grid,
         })
@@ -79,7 +91,10 @@ impl Engine {
         if upload.done != expected {
             return Err(wrong(format!("{}, expected {expected}", upload.done)));
         }
-        self.resident(upload.grid, upload.sample_type, upload.missing, upload.slabs)
+        let Upload {
+            sample_type, missing, ..
+        } = upload;
+        self.resident(upload.grid, sample_type, missing, upload.slabs, upload.inverse_lengths)
     }
 
     /// Puts a field on the device and makes its min/max table. `missing` samples count as NaN.
@@ -87,7 +102,7 @@ impl Engine {
     /// # Errors
     /// Too few samples for the grid, or no device memory.
     pub fn upload(&self, grid: &Grid, samples: &Samples, missing: Option<f32>) -> Result<Volume> {
-        let mut upload = self.begin_upload(grid, samples.sample_type(), missing)?;
+        let mut upload = self.begin_upload(&(*grid).into(), samples.sample_type(), missing)?;
         self.continue_upload(&mut upload, samples)?;
         self.finish_upload(upload)
     }

@@ -103,7 +103,7 @@ pub fn run(
 ) -> Result<Vec<u32>> {
     let kernels = cx.kernels(input.volume.sample_type)?;
     let grid = input.volume.layout();
-    let (kind, whole) = (input.feature.kind_after_derive(), u32::from(input.whole));
+    let (kind, whole) = (input.feature.kind_after_derive(input.volume), u32::from(input.whole));
     let has_block = matches!(kind, constants::FEATURE_FIELD | constants::FEATURE_GRADIENT);
     let group = cx.tuning.brick_group;
     let moments: Buffer<Moments> = cx.buffer(STAGE, input.bricks.len())?;

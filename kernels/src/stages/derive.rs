@@ -5,8 +5,10 @@ use super::construct::{self, type_number};
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context, LocalBytes};
 use crate::layout::{Grid, Node};
+use crate::program::Kernels;
 use crate::volume::Slab;
 use crate::{Cancel, Feature, Result, Volume, constants};
+use std::rc::Rc;
 
 /// Name of the stage.
 pub const STAGE: &str = "derive";
@@ -56,7 +58,7 @@ impl<'a> Source<'a> {
             Feature::Vector(_, fields) => (fields, 3),
             _ => ([volume; 3], 1),
         };
-        (feature.kind_after_derive() == constants::FEATURE_STORED).then(|| Self {
+        (feature.kind_after_derive(volume) == constants::FEATURE_STORED).then(|| Self {
             kind: feature.kind(),
             fields,
             components,
@@ -89,25 +91,42 @@ impl<'a> Source<'a> {
         })
     }
 
-    /// Local memory of a work-group: a block a field, and one for the feature.
+    /// One over the lengths of the cells, where axes are uneven.
+    fn inverse_lengths(&self) -> Option<&'a Buffer<f32>> {
+        self.fields[0].inverse_lengths.as_deref()
+    }
+
+    /// Those of uneven axes are a program of their own, so that even ones pay nothing.
+    fn kernels(&self, cx: &Context) -> Result<Rc<Kernels>> {
+        match self.inverse_lengths() {
+            Some(_) => cx.uneven_kernels(),
+            None => cx.kernels(self.fields[0].sample_type),
+        }
+    }
+
+    /// Local memory of a work-group: a block a field, one for the feature, and tables of uneven axes.
     fn local_bytes(&self) -> LocalBytes {
-        LocalBytes((self.components as usize + 1) * constants::DERIVE_BLOCK as usize * size_of::<f32>())
+        let blocks = (self.components + 1) * constants::DERIVE_BLOCK;
+        let tables = self.inverse_lengths().map_or(0, |_| constants::STEP_TABLES);
+        LocalBytes((blocks + tables) as usize * size_of::<f32>())
+    }
+
+    /// What both kernels take first.
+    fn arguments<'b>(&'b self, args: &'b DeriveArgs, z0: u32) -> Vec<&'b dyn Arg> {
+        let lengths = self.inverse_lengths().map(|lengths| lengths as &dyn Arg);
+        let samples = self.samples(z0).map(|samples| samples as &dyn Arg);
+        std::iter::once(args as &dyn Arg).chain(lengths).chain(samples).collect()
     }
 }
 
 /// Fills in the feature of the active cells.
 pub fn run(cx: &Context, source: &Source<'_>, input: &construct::Input<'_>, nodes: &Buffer<Node>, cancel: &dyn Cancel) -> Result<()> {
-    let kernels = cx.kernels(input.volume.sample_type)?;
+    let (kernels, local) = (source.kernels(cx)?, source.local_bytes());
     for slab in input.work {
         let args = source.args(slab.z0, slab.bricks.start as u32, 0);
-        let [x, y, z]: [&dyn Arg; 3] = source.samples(slab.z0).map(|samples| samples as &dyn Arg);
-        cx.launch(
-            STAGE,
-            kernels.get("derive"),
-            slab.bricks.len(),
-            cx.tuning.brick_group,
-            &[&args, x, y, z, input.regions, input.bricks, nodes, &source.local_bytes()],
-        )?;
+        let mut all = source.arguments(&args, slab.z0);
+        all.extend([input.regions as &dyn Arg, input.bricks, nodes, &local]);
+        cx.launch(STAGE, kernels.get("derive"), slab.bricks.len(), cx.tuning.brick_group, &all)?;
         cx.pause(STAGE, cancel)?;
     }
     Ok(())
@@ -118,13 +137,9 @@ pub fn samples(cx: &Context, source: &Source<'_>, volume: &Volume, slab: &Slab, 
     let [nx, ny, _] = volume.grid.dims.map(|n| n as usize);
     let values = cx.buffer(STAGE, nx * ny * planes as usize)?;
     let args = source.args(slab.z0, first, planes);
-    let [x, y, z]: [&dyn Arg; 3] = source.samples(slab.z0).map(|samples| samples as &dyn Arg);
-    cx.launch(
-        STAGE,
-        cx.kernels(volume.sample_type)?.get("derive_samples"),
-        nx.div_ceil(8) * ny.div_ceil(8) * planes.div_ceil(8) as usize,
-        cx.tuning.brick_group,
-        &[&args, x, y, z, &values, &source.local_bytes()],
-    )?;
+    let (groups, local) = (nx.div_ceil(8) * ny.div_ceil(8) * planes.div_ceil(8) as usize, source.local_bytes());
+    let mut all = source.arguments(&args, slab.z0);
+    all.extend([&values as &dyn Arg, &local]);
+    cx.launch(STAGE, source.kernels(cx)?.get("derive_samples"), groups, cx.tuning.brick_group, &all)?;
     Ok(values)
 }

@@ -115,7 +115,7 @@ fn for_each_launch(
             .transpose()?;
         each(&Launch {
             grid: volume.layout(),
-            kind: feature.kind_after_derive(),
+            kind: feature.kind_after_derive(volume),
             slab,
             first_plane: first,
             count: planes * plane,

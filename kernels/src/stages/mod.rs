@@ -6,13 +6,14 @@ pub(crate) mod generate;
 
 /// Declares the product's stages: one file in `cl/` and one module here, of the same name.
 macro_rules! stages {
-    ($($stage:ident $(: $samples:ident)?)*) => {
+    ($($stage:ident $(: $built:ident)?)*) => {
         $(pub(crate) mod $stage;)*
 
         /// What the product's programs are made of.
         pub(crate) const SOURCES: &[crate::sources::Source] = &[$(crate::sources::Source {
             file: concat!(stringify!($stage), ".cl"),
-            reads_samples: stages!(@reads $($samples)?),
+            reads_samples: stages!(@reads $($built)?),
+            has_uneven: stages!(@has_uneven $($built)?),
         }),*];
 
         /// Structs of arguments of all kernels.
@@ -22,7 +23,9 @@ macro_rules! stages {
         }
     };
     (@reads samples) => { true };
-    (@reads) => { false };
+    (@reads $($other:ident)?) => { false };
+    (@has_uneven uneven) => { true };
+    (@has_uneven $($other:ident)?) => { false };
 }
 
 // In order of execution. A new stage is a line here, a file in `cl/`, its launcher and its twin.
@@ -31,7 +34,7 @@ stages! {
     histogram: samples
     activate
     classify: samples
-    derive
+    derive: uneven
     construct: samples
     cut
     fit

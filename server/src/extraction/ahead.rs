@@ -1,15 +1,16 @@
 //! Time steps that are read before anybody asks for them, as a viewer goes through them one by one. They take no memory from what is in use:
 //! neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open ([`Held`]).
 
-use isopeel_kernels::{Error, Grid, SampleType};
+use isopeel_kernels::{Error, RectilinearGrid, SampleType};
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
+use super::grids::padded_grid;
 use super::keys::{VolumeKey, view_keys};
 use super::open_steps::Held;
 use super::turns::{Caller, Length};
 use super::worker::DeviceWorker;
-use super::worker_state::{JobError, WorkerState, padded_grid};
+use super::worker_state::{JobError, WorkerState};
 use crate::view::View;
 use crate::volumes::VolumeStep;
 
@@ -68,7 +69,7 @@ impl DeviceWorker {
         let grid = padded_grid(volume, key.padded)?;
         let sample_bytes = key.sample_bytes(volume)?;
         let job = self.run(&never, Caller::Cache, Length::Short, move |state, _| {
-            let bytes = state.engine().upload_bytes(&grid, sample_bytes);
+            let bytes = state.engine().upload_bytes(grid.grid(), sample_bytes);
             Ok::<_, JobError>(!state.is_resident(&key) && state.make_space_ahead(bytes, budget, &is_used))
         });
         Ok(job.await?)
@@ -80,13 +81,13 @@ impl WorkerState {
     pub(super) fn begin_upload_ahead(
         &mut self,
         key: &VolumeKey,
-        grid: &Grid,
+        grid: &RectilinearGrid,
         sample_type: SampleType,
         missing: Option<f32>,
         budget: u64,
         is_used: &dyn Fn(&VolumeKey) -> bool,
     ) -> Result<bool, JobError> {
-        let bytes = self.engine().upload_bytes(grid, sample_type.bytes());
+        let bytes = self.engine().upload_bytes(grid.grid(), sample_type.bytes());
         if !self.make_space_ahead(bytes, budget, is_used) {
             return Ok(false);
         }

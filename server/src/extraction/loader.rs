@@ -3,16 +3,17 @@
 use std::pin::Pin;
 use std::sync::Arc;
 
-use isopeel_kernels::{DeviceKind, Grid, Samples};
+use isopeel_kernels::{DeviceKind, RectilinearGrid, Samples};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
+use super::grids::padded_grid;
 use super::host_memory::HostMemory;
 use super::keys::VolumeKey;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
-use super::worker_state::{JobError, WorkerState, padded_grid};
+use super::worker_state::{JobError, WorkerState};
 use crate::view::Mask;
 use crate::volumes::{Field, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
@@ -120,7 +121,7 @@ impl DeviceWorker {
         }
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
-        let grid = padded_grid(volume, key.padded)?;
+        let grid = Arc::new(padded_grid(volume, key.padded)?);
         self.admit(volume, &key, purpose).await?;
         let (sender, pieces) = mpsc::channel(1);
         let (of_read, volume_read) = (key.clone(), volume.clone());
@@ -199,13 +200,13 @@ impl DeviceWorker {
     async fn upload_pieces(
         &self,
         key: &VolumeKey,
-        grid: Grid,
+        grid: Arc<RectilinearGrid>,
         mut pieces: mpsc::Receiver<Piece>,
         purpose: Purpose,
     ) -> Result<bool, WorkError> {
         let mut is_first = true;
         while let Some(Piece { samples, missing }) = pieces.recv().await {
-            let (key, is_used) = (key.clone(), self.is_open());
+            let (key, grid, is_used) = (key.clone(), Arc::clone(&grid), self.is_open());
             let begins = std::mem::take(&mut is_first);
             let upload = self.on_device(move |state| {
                 let sample_type = samples.sample_type();

@@ -8,7 +8,6 @@ use std::time::Duration;
 use isopeel_kernels::Histogram;
 use tokio::sync::Semaphore;
 
-use super::feature_fields::can_be_computed;
 use super::keys::{ALWAYS_DESCRIBED, HistogramKey, VolumeKey};
 use super::lock::lock;
 use super::residency::Lru;
@@ -141,7 +140,6 @@ impl FieldWork {
         kept: &Lru<HistogramKey, Histogram>,
     ) -> Self {
         let derived = ALWAYS_DESCRIBED.iter().map(|&feature| FeatureName::Derived(feature));
-        let derived = derived.filter(|feature| can_be_computed(volume.dataset(), feature));
         let histograms: Vec<_> = [FeatureName::None]
             .into_iter()
             .chain(derived)

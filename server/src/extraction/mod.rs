@@ -1,7 +1,7 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens it, and again where it is lost; `attempts` runs a job until it has a result; `worker_state` is what this thread keeps, by `keys`, in a cache
-//!   (`residency`; `cuts` that clients show); `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
+//!   (`residency`; `cuts` that clients show), on `grids`; `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
 //!   viewers have open (`open_steps`).
@@ -25,6 +25,7 @@ mod device_thread;
 mod error;
 mod extractor;
 mod feature_fields;
+mod grids;
 mod host_memory;
 mod keys;
 mod loader;

@@ -2,7 +2,7 @@
 
 use std::rc::Rc;
 
-use isopeel_kernels::{Error, Grid, SampleType, Samples};
+use isopeel_kernels::{Error, RectilinearGrid, SampleType, Samples};
 
 use super::keys::VolumeKey;
 use super::worker_state::{JobError, WorkerState};
@@ -12,11 +12,11 @@ impl WorkerState {
     pub(super) fn begin_upload(
         &mut self,
         key: VolumeKey,
-        grid: &Grid,
+        grid: &RectilinearGrid,
         sample_type: SampleType,
         missing: Option<f32>,
     ) -> Result<(), JobError> {
-        let bytes = self.engine().upload_bytes(grid, sample_type.bytes());
+        let bytes = self.engine().upload_bytes(grid.grid(), sample_type.bytes());
         self.uploads.remove(&key);
         self.evict_for(bytes + self.upload_bytes());
         let upload = self.or_without_caches(|state| state.engine().begin_upload(grid, sample_type, missing))?;

@@ -7,7 +7,6 @@ use isopeel_kernels::{DerivedFeature, Histogram, SampleType, VectorFeature};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::feature_fields::can_be_computed;
 use super::keys::ALWAYS_DESCRIBED;
 use super::{DeviceWorker, WorkError};
 use crate::math::UnevenAxes;
@@ -271,8 +270,7 @@ fn vector_infos(worker: &DeviceWorker, volume: &VolumeStep) -> Vec<VectorInfo> {
             let name = FeatureName::Vector(Box::new(VectorName::new(feature, components.clone())));
             (feature, name)
         });
-        let computed = names.filter(|(_, name)| can_be_computed(dataset, name));
-        let features = computed.map(|(feature, name)| {
+        let features = names.map(|(feature, name)| {
             let histogram = worker.known_histogram(volume, &components[0], &name);
             let unit = unit.map(|unit| vector_unit(feature, unit, length_of(volume)));
             (name.as_str().to_owned(), DerivedInfo::new(unit, histogram))
@@ -327,9 +325,6 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
         let histogram = worker.histogram(volume, &field.name, &FeatureName::None).await?;
         let mut derived_features = BTreeMap::new();
         for &feature in DerivedFeature::ALL {
-            if !can_be_computed(dataset, &FeatureName::Derived(feature)) {
-                continue;
-            }
             let info = derived_info(worker, volume, field, feature).await?;
             derived_features.insert(feature.name().to_owned(), info);
         }

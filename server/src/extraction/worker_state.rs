@@ -7,12 +7,13 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, CutParams, Engine, Error, Grid, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime, Surface, Upload,
+    Cancel, CutParams, Engine, Error, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime, Surface, Upload,
     VertexTree, Volume,
 };
 
 use super::cuts::Cuts;
 use super::feature_fields::FeatureFields;
+use super::grids::padded_grid;
 use super::host_memory::HostMemory;
 use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys, histogram_keys, view_keys, with_inputs};
 use super::lock::lock;
@@ -146,17 +147,6 @@ pub(super) type Trees = Lru<PyramidKey, Rc<VertexTree>>;
 
 /// Histograms, shared between the thread and the handles.
 pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
-
-/// The grid of a dataset's samples on the device, padded by one sample on every side or not.
-pub(super) fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<Grid, WorkError> {
-    let geometry = &volume.dataset().geometry;
-    let dims = if padded {
-        geometry.dims.map(|n| n + 2)
-    } else {
-        geometry.dims
-    };
-    Ok(Grid::new(dims, volume.dataset().cell_lengths().map(|s| s as f32))?)
-}
 
 /// The thread's state. What a job uses that pauses is shared with it, and stays until it ends, even where another one evicts it.
 pub(super) struct WorkerState {
@@ -436,7 +426,7 @@ impl WorkerState {
         feature: &FeatureName,
         padded: bool,
     ) -> Result<FeatureFields, WorkError> {
-        FeatureFields::new(volume.dataset(), feature, |name| {
+        FeatureFields::new(feature, |name| {
             let field = self.volumes.peek(&VolumeKey::new(volume, name, padded));
             field.map(Rc::clone).ok_or(WorkError::Stopped)
         })
@@ -464,7 +454,10 @@ impl WorkerState {
     pub(super) fn bytes_of(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<Vec<(VolumeKey, u64)>, WorkError> {
         let bytes = |key: &VolumeKey| {
             let grid = padded_grid(volume, key.padded)?;
-            Ok((key.clone(), self.engine.upload_bytes(&grid, key.sample_bytes(volume)?)))
+            Ok((
+                key.clone(),
+                self.engine.upload_bytes(grid.grid(), key.sample_bytes(volume)?),
+            ))
         };
         keys.iter().map(bytes).collect()
     }

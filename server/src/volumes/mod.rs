@@ -56,7 +56,7 @@ pub use location::FileLocation;
 pub use memory::memory_dataset;
 
 use crate::math::{DAffine3, DVec3, IndexSpace, UnevenAxes};
-use crate::view::{Edit, EditError, FeatureName, View};
+use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
 pub use private::{Lease, Reader};
 pub use progress::ReadProgress;
@@ -155,18 +155,7 @@ impl Dataset {
     /// # Errors
     /// The opening edit does not fit the fields.
     pub fn opening_view(&self) -> Result<View, EditError> {
-        let fields = self.field_names();
-        let shape_alone = Edit {
-            feature: Some(FeatureName::NONE.to_owned()),
-            alpha: Some(0.0),
-            ..Edit::default()
-        };
-        match (&self.uneven, &self.opening) {
-            (None, opening) => View::opening(&fields, opening.as_ref()),
-            // No derivative is known there.
-            (Some(_), None) => View::opening(&fields, Some(&shape_alone)),
-            (Some(_), Some(opening)) => View::opening(&fields, Some(&shape_alone))?.apply(opening, &fields),
-        }
+        View::opening(&self.field_names(), self.opening.as_ref())
     }
 }
 

@@ -168,18 +168,21 @@ async fn surfaces_are_where_vtk_has_them() {
     }
 }
 
-/// Samples of x + z along one of the plane's axes: 8 apart along x and y, by a factor of 1.5 along z.
-fn plane_positions() -> [Vec<f64>; 2] {
+/// Positions along x and y, 8 apart, and along z, by a factor of 1.5.
+fn written_positions() -> [Vec<f64>; 2] {
     let (even, growing) = ((0..12).map(|i| 8.0 * f64::from(i)), (0..12).map(|k| 1.5f64.powi(k)));
     [even.collect(), growing.collect()]
 }
 
-/// A grid of these samples.
-fn write_plane(path: &Path) {
-    let [x, z] = plane_positions();
+/// A grid of samples there, by a function of the position.
+fn write_grid(path: &Path, value: impl Fn(Point) -> f64) {
+    let [x, z] = written_positions();
     let text = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
-    let rows = z.iter().flat_map(|z| std::iter::repeat_n(z, x.len()));
-    let values: Vec<f64> = rows.flat_map(|z| x.iter().map(move |x| x + z)).collect();
+    let rows = z.iter().flat_map(|z| x.iter().map(move |y| (*y, *z)));
+    let values: Vec<f64> = rows
+        .flat_map(|(y, z)| x.iter().map(move |x| [*x, y, z]))
+        .map(value)
+        .collect();
     let extent = "0 11 0 11 0 11";
     let array = |name: &str, kind: &str, values: &[f64]| {
         let values = text(values);
@@ -201,7 +204,7 @@ async fn normals_are_exact_on_a_plane_but_for_their_rounding() {
     let worker = DeviceWorker::start(None).expect("a thread");
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("plane.vtr");
-    write_plane(&path);
+    write_grid(&path, |[x, _, z]| x + z);
     let dataset = Arc::new(open_dataset(&path).expect("opens"));
     let plain = r#""iso": 60, "beta": -1, "alpha": 0, "feature": "none""#;
 
@@ -216,7 +219,7 @@ async fn normals_are_exact_on_a_plane_but_for_their_rounding() {
     // Normals of the dual mesher are exact but for their rounding to two bytes, in cells of the largest lengths.
     let (_, mesh) = extract(&worker, &dataset, &view(&dataset, &format!("{{{plain}}}"))).await;
     assert!(mesh.normals.len() > 200);
-    let [_, z] = plane_positions();
+    let [_, z] = written_positions();
     let to_sum = |p: Point| p.map(|c| c / (p[0].abs() + p[1].abs() + p[2].abs()));
     for (position, normal) in mesh.positions.iter().zip(&mesh.normals) {
         let cell = z
@@ -332,37 +335,132 @@ async fn positions_of_questions_and_regions_are_those_of_the_world() {
     assert!(!probe(&worker, &dataset, &plain, [0.0, 0.0, -0.01]).await.inside);
 }
 
+/// A feature at a position of the world.
+type Value = fn(Point) -> f64;
+
+fn length(p: Point) -> f64 {
+    dot(p, p).sqrt()
+}
+
+/// The mean over the corners of the cell of a position; `None` where the cell is at the border, or the position next to another cell.
+fn corner_mean(position: Point, value: impl Fn(Point) -> f64) -> Option<f64> {
+    let [x, z] = written_positions();
+    let axes = [&x, &x, &z];
+    let mut cells = [[0.0; 2]; 3];
+    for axis in 0..3 {
+        let inner = axes[axis][1..11].windows(2);
+        let is_inside = |cell: &&[f64]| {
+            let t = (position[axis] - cell[0]) / (cell[1] - cell[0]);
+            (0.01..0.99).contains(&t)
+        };
+        cells[axis].copy_from_slice(inner.clone().find(is_inside)?);
+    }
+    let corner = |b: usize| [cells[0][b & 1], cells[1][b >> 1 & 1], cells[2][b >> 2]];
+    Some((0..8).map(|b| value(corner(b))).sum::<f64>() / 8.0)
+}
+
 #[tokio::test(flavor = "multi_thread")]
-async fn what_needs_even_distances_is_refused_and_samples_can_be_counted() {
+async fn derivatives_are_those_of_the_world() {
     let _alone = ALONE.lock().await;
     let worker = DeviceWorker::start(None).expect("a thread");
-    let dataset = opened("uneven.vtr");
-    let step = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
-    let token = CancellationToken::new();
-    let with = |feature: &str| view(&dataset, &format!(r#"{{"iso": 1, "feature": "{feature}"}}"#));
-    let error = worker
-        .extract(&step, &with("gradient-magnitude"), u64::MAX, &token)
-        .await;
-    let why = error.expect_err("refused").to_string();
-    assert!(why.contains("\"gradient-magnitude\" has derivatives"), "{why}");
-    for feature in [
-        "local-variance",
-        "density * 2",
-        "vector-magnitude(density,density,density)",
-    ] {
-        let made = worker.extract(&step, &with(feature), u64::MAX, &token).await;
-        assert!(made.expect(feature).surface.statistics.triangles > 100);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("ball.vtr");
+    // Squares have exact differences inside.
+    write_grid(&path, |p| dot(p, p));
+    let dataset = Arc::new(open_dataset(&path).expect("opens"));
+    assert!(dataset.uneven.is_some());
+    let (_, mesh) = extract(&worker, &dataset, &view(&dataset, r#"{"iso": 3600, "beta": -1}"#)).await;
+    let expected: [(&str, Value); 6] = [
+        ("gradient-magnitude", |p| 2.0 * length(p)),
+        // Seen from the outside, where values are high, the surface is hollow.
+        ("mean-curvature", |p| -1.0 / length(p)),
+        ("gaussian-curvature", |p| 1.0 / dot(p, p)),
+        ("divergence(d,d,d)", |[x, y, z]| 2.0 * (x + y + z)),
+        ("vorticity-magnitude(d,d,d)", |[x, y, z]| {
+            2.0 * length([y - z, z - x, x - y])
+        }),
+        ("q-criterion(d,d,d)", |[x, y, z]| -2.0 * (x + y + z).powi(2)),
+    ];
+    for (feature, value) in expected {
+        let json = format!(r#"{{"iso": 3600, "beta": -1, "feature": "{feature}"}}"#);
+        let view = view(&dataset, &json);
+        let mut compared = 0;
+        for position in positions(&mesh).into_iter().step_by(7) {
+            let Some(expected) = corner_mean(position, value) else {
+                continue;
+            };
+            let nearest = probe(&worker, &dataset, &view, position).await.nearest;
+            let found = f64::from(nearest.expect("a vertex").feature);
+            assert!(
+                (found / expected - 1.0).abs() < 1e-3,
+                "{feature} at {position:?}: {found}, expected {expected}"
+            );
+            compared += 1;
+        }
+        assert!(compared > 5, "{feature}: {compared} compared");
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn features_are_described_and_extracted_at_uneven_positions() {
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("ball.vtr");
+    write_grid(&path, |p| dot(p, p));
+    let step = VolumeStep::new(Arc::new(open_dataset(&path).expect("opens")), 0).expect("a step");
     let described = isopeel::extraction::describe(&worker, &step)
         .await
         .expect("a description");
     let names: Vec<_> = described.fields[0].derived_features.keys().collect();
-    assert_eq!(names, ["local-variance"]);
+    assert_eq!(
+        names,
+        [
+            "gaussian-curvature",
+            "gradient-magnitude",
+            "local-variance",
+            "mean-curvature"
+        ]
+    );
+    // From one end to the other, where differences are one-sided: twice the middle of the last cell along each axis.
+    let info = &described.fields[0].derived_features["gradient-magnitude"];
+    let [x, z] = written_positions();
+    let ends = [(0, 1), (10, 11)].map(|(a, b)| length([x[a] + x[b], x[a] + x[b], z[a] + z[b]]));
+    let range = info.range.expect("a range").map(f64::from);
+    for (found, expected) in range.into_iter().zip(ends) {
+        assert!((found / expected - 1.0).abs() < 1e-5, "{range:?}, expected {ends:?}");
+    }
+    let counts = &info.histogram.as_ref().expect("a histogram").counts;
+    assert_eq!(counts.iter().sum::<u64>(), 12 * 12 * 12);
+
+    let dataset = opened("uneven.vtr");
+    let step = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let token = CancellationToken::new();
     let opening = dataset.opening_view().expect("a view");
+    assert_eq!(opening.feature.as_str(), "gradient-magnitude");
     assert!(
         worker.extract(&step, &opening, u64::MAX, &token).await.is_ok(),
         "it opens"
     );
+    for feature in described.fields[0].derived_features.keys() {
+        // Padded, the axes have a sample more at each end.
+        for cap in [false, true] {
+            let json = format!(r#"{{"iso": 1, "feature": "{feature}", "cap": {cap}}}"#);
+            let made = worker.extract(&step, &view(&dataset, &json), u64::MAX, &token).await;
+            assert!(made.expect(feature).surface.statistics.triangles > 100);
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn positions_are_described_and_samples_can_be_counted() {
+    let _alone = ALONE.lock().await;
+    let worker = DeviceWorker::start(None).expect("a thread");
+    let dataset = opened("uneven.vtr");
+    let step = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+    let described = isopeel::extraction::describe(&worker, &step)
+        .await
+        .expect("a description");
     let [x, y, z] = described.geometry.positions.expect("positions");
     assert!(x.is_none() && y.is_some_and(|y| y.len() == 15));
     let (z, last) = (z.expect("uneven"), described.geometry.spacing[2] * 16.0);
@@ -378,9 +476,4 @@ async fn what_needs_even_distances_is_refused_and_samples_can_be_counted() {
         mesh.positions.iter().all(crossing),
         "on the edges between whole numbers"
     );
-    let found = worker
-        .extract(&step, &with("none"), u64::MAX, &token)
-        .await
-        .expect("a surface");
-    assert!(found.surface.statistics.triangles > 0);
 }

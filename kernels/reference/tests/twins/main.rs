@@ -3,3 +3,4 @@
 mod oracles;
 mod properties;
 mod stages;
+mod uneven;

@@ -25,7 +25,7 @@ fn known(field: &Field) -> impl Iterator<Item = ([f64; 3], f64)> + '_ {
         .filter(|(_, v)| !v.is_nan())
 }
 
-fn length(p: &[f64]) -> f64 {
+pub fn length(p: &[f64]) -> f64 {
     p.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
 

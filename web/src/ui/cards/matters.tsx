@@ -116,11 +116,9 @@ function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {
   const { actions } = useModel();
   const choose = (feature: string) => actions.edit({ feature, featureRange: ownRange(featureInfo(props.volume, { feature, field: props.view.field })) });
   const others = () => otherFeatures(props.volume, props.view.field);
-  /** Of every field or of none, also of those that expressions give: not at uneven positions. */
-  const hasGradient = () => props.volume.fields.some(({ derivedFeatures }) => Object.hasOwn(derivedFeatures, GRADIENT));
   const kinds = () => [
     { value: "shape" as const, text: "Shape", hint: "Fine where the surface bends" },
-    ...(hasGradient() ? [{ value: "edges" as const, text: "Edges", hint: "Fine where values change fast: the gradient's magnitude" }] : []),
+    { value: "edges" as const, text: "Edges", hint: "Fine where values change fast: the gradient's magnitude" },
     ...(others().length === 0 ? [] : [{ value: "field" as const, text: "Field", hint: "Fine where a field, or a feature computed from the data, is high" }]),
   ];
   const chooseKind = (kind: Kind) => choose(kind === "shape" ? NO_FEATURE : kind === "edges" ? GRADIENT : (others().at(-1) ?? NO_FEATURE));
