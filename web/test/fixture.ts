@@ -332,7 +332,7 @@ class Surface {
     const triangles = meshes.reduce((sum, mesh) => sum + mesh.indices.length / 3, 0);
     const unchanged = [...now].filter(([key, fingerprint]) => this.held.get(key) === fingerprint).length;
     const of = { surface: this.number, generation, level, final: level === 0 };
-    this.viewer.send({ type: "prefix", ...of, kind: "cut", regions: chunks.length, unchanged, triangles });
+    this.viewer.send({ type: "prefix", ...of, kind: "cut", mesher: "dual", regions: chunks.length, unchanged, triangles });
     for (const chunk of chunks) this.viewer.sendChunk(chunk);
     this.viewer.send({ type: "committed", ...of });
     this.held = now;

@@ -206,7 +206,7 @@ describe("what is known of surfaces", () => {
   const message = (message: ServerMessage): ViewerEvent => ({ type: "message", message });
   const of = (surface: number, generation: number) => ({ surface, generation });
   const prefix = (surface: number, generation: number, final = true) =>
-    message({ type: "prefix", ...of(surface, generation), level: 0, kind: "cut", regions: 1, unchanged: 0, triangles: 1, final });
+    message({ type: "prefix", ...of(surface, generation), level: 0, kind: "cut", mesher: "dual", regions: 1, unchanged: 0, triangles: 1, final });
   const done = (surface: number, generation: number, triangles = 100) => message({ type: "done", trace: "00000000000000ab", ...of(surface, generation), statistics: statistics(triangles) });
   const swap = (surface: number, generation: number, final = true): ViewerEvent => ({ type: "swap", ...of(surface, generation), level: 0, final });
   const run = (state: ViewerState, ...events: ViewerEvent[]) => events.reduce(reduce, state);

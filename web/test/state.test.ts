@@ -8,7 +8,7 @@ const message = (message: ServerMessage): ViewerEvent => ({ type: "message", mes
 const opened = (id: string) =>
   message({ type: "opened", volume: VOLUMES.find((v) => v.id === id)!, step: 0, edit: OPENING, device: "Fixture", capabilities: CAPABILITIES });
 const prefix = (generation: number, level: number) => 
-  message({ type: "prefix", surface: 0, generation, level, kind: "cut", regions: 1, unchanged: 0, triangles: 1, final: level === 0 });
+  message({ type: "prefix", surface: 0, generation, level, kind: "cut", mesher: "dual", regions: 1, unchanged: 0, triangles: 1, final: level === 0 });
 const done = (generation: number) => message({ type: "done", trace: "00000000000000ab", surface: 0, generation, statistics: statistics(100) });
 const swap = (generation: number, level: number): ViewerEvent => ({ type: "swap", surface: 0, generation, level, final: level === 0 });
 const frame = (at: number): ViewerEvent => ({ type: "frame", at });

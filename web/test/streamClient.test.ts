@@ -347,7 +347,7 @@ test.each(["before", "after"])("values that are not as many as a mesh has vertic
   const pipeline = new RegionPipeline(new LocalWorker(), scene, { onSwap: () => undefined, onAnnotated: () => undefined, onBroken: (reason) => broken.push(reason) });
   scene.onResident = (id) => pipeline.resident(id);
   const of = { surface: 0, generation: 1, level: 0, final: true } as const;
-  pipeline.event({ type: "prefix", ...of, regions: 1 });
+  pipeline.event({ type: "prefix", ...of, mesher: "dual", regions: 1 });
   pipeline.chunk(encodeChunk(mesh!, 1, 0).buffer);
   pipeline.event({ type: "committed", ...of });
   const few = { ...mesh!, positions: mesh!.positions.slice(3), normals: mesh!.normals.slice(3), s: mesh!.s.slice(1), f: mesh!.f.slice(1) };
@@ -359,6 +359,24 @@ test.each(["before", "after"])("values that are not as many as a mesh has vertic
   await vi.waitFor(() => expect(scene.shown.size).toBe(1));
   if (when === "after") annotate();
   expect(broken).toEqual([`${few.s.length} values, expected ${mesh!.s.length}`]);
+});
+
+test("meshes are of the mesher that their own prefix names", async () => {
+  await Promise.all([MeshoptEncoder.ready, MeshoptDecoder.ready]);
+  const [mesh] = surfaceNets(wobblyBall(0), 0, 2);
+  const [scene, broken] = [new PlainScene(), [] as string[]];
+  const pipeline = new RegionPipeline(new LocalWorker(), scene, { onSwap: () => undefined, onAnnotated: () => undefined, onBroken: (reason) => broken.push(reason) });
+  scene.onResident = (id) => pipeline.resident(id);
+  // All are announced before the first is decoded.
+  for (const [surface, generation, level, mesher] of [[0, 1, 2, "dual"], [1, 2, 0, "dual"], [0, 3, 0, "marching-cubes"]] as const) {
+    const of = { surface, generation, level, final: level === 0 };
+    pipeline.event({ type: "prefix", ...of, mesher, regions: 1 });
+    pipeline.chunk(encodeChunk(mesh!, generation, level, surface).buffer);
+    pipeline.event({ type: "committed", ...of });
+  }
+  await vi.waitFor(() => expect(scene.meshes.size).toBe(3));
+  expect([...scene.meshes.values()].map(({ surface, mesher }) => [surface, mesher])).toEqual([[0, "dual"], [1, "dual"], [0, "marching-cubes"]]);
+  expect(broken).toEqual([]);
 });
 
 test("chunks dropped while they wait are never decoded", () => {

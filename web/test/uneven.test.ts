@@ -36,6 +36,7 @@ describe("a region mesh in even coordinates", () => {
     levelTriangles: [1],
     corner: [32, 0, 0],
     lattice: 64,
+    mesher: "dual" as const,
     surface: 0,
     bounds: { min: [33, 1.5, z], max: [33, 1.5, z] },
   });
@@ -67,7 +68,7 @@ test("normals of marching cubes are exact on a plane", () => {
   for (const [x = 0, y = 0, low = 0, t = 0] of onEdges) {
     const slope = (1 - t) * gradientAt(low) + (t > 0 ? t * gradientAt(low + 1) : 0);
     const vertices = Int16Array.from([64 * x, 64 * y, 64 * (low + t), pack([-1, 0, -slope]), 0, 0]);
-    inEvenCoordinates({ vertices, corner: [0, 0, 0], lattice: 64, bounds: { min: [0, 0, 0], max: [1, 2, 3] } }, AXES);
+    inEvenCoordinates({ vertices, corner: [0, 0, 0], lattice: 64, mesher: "marching-cubes", bounds: { min: [0, 0, 0], max: [1, 2, 3] } }, AXES);
     const [a, b, c] = unpack(vertices[3] ?? 0);
     const degrees = (Math.acos(Math.min(1, -(a + c) / Math.SQRT2 / Math.hypot(a, b, c))) * 180) / Math.PI;
     // Of the rounding to bytes: half of 1/127 of a slope of 0.11, and as much again of one of 1.
@@ -80,7 +81,7 @@ test("normals of the dual mesher are of their own cells, at the volume's edges t
   // In cells, and one that was moved to an edge of the volume.
   const at = [[0.5, 0.5, 1.5], [1.25, 0.5, 1.25], [0, 0, 1.75]];
   const vertices = Int16Array.from(at.flatMap((p) => [...p.map((c) => 64 * c), pack([-1, 0, -slope]), 0, 0]));
-  inEvenCoordinates({ vertices, corner: [0, 0, 0], lattice: 64, bounds: { min: [0, 0, 1], max: [2, 1, 2] } }, AXES);
+  inEvenCoordinates({ vertices, corner: [0, 0, 0], lattice: 64, mesher: "dual", bounds: { min: [0, 0, 1], max: [2, 1, 2] } }, AXES);
   for (const i of [0, 1, 2]) {
     const [a, b, c] = unpack(vertices[6 * i + 3] ?? 0);
     expect(-(a + c) / Math.SQRT2 / Math.hypot(a, b, c)).toBeGreaterThan(Math.cos((1.4 * Math.PI) / 180));

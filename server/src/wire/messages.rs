@@ -13,6 +13,7 @@ use super::chunk::{ChunkKind, MAX_SURFACES};
 use super::group::{Follower, LedSurface, Pose, Resume};
 use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Probe};
 use crate::view::Edit;
+use crate::view::quality::MesherName;
 
 /// Subprotocol that a client must offer.
 pub const SUBPROTOCOL: &str = "isopeel.v2";
@@ -300,6 +301,8 @@ pub enum ServerMessage {
         level: u8,
         /// What its chunks are.
         kind: ChunkKind,
+        /// Which mesher made them.
+        mesher: MesherName,
         /// Chunks that follow.
         regions: usize,
         /// Regions that the client keeps as they are.

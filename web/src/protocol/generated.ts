@@ -493,6 +493,8 @@ export type ServerMessage = { "type": "opening",
   level: number,
   /** What its chunks are. */
   kind: ChunkKind,
+  /** Which mesher made them. */
+  mesher: MesherName,
   /** Chunks that follow. */
   regions: number,
   /** Regions that the client keeps as they are. */

@@ -20,6 +20,7 @@ const FIELDS: Readonly<Record<ServerMessage["type"], Readonly<Record<string, Kin
     generation: "number",
     level: "number",
     kind: "string",
+    mesher: "string",
     regions: "number",
     unchanged: "number",
     triangles: "number",

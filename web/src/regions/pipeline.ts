@@ -7,7 +7,7 @@ import { DecodeQueue, type DecodeWorker } from "../decode/queue";
 import { readChunkHeader, type ChunkHeader } from "../protocol/chunk";
 import { REGION_CELLS } from "../protocol/generated";
 import type { RegionMeshData } from "../scene/regionMesh";
-import type { Annotated } from "../protocol/types";
+import type { Annotated, View } from "../protocol/types";
 import type { Uneven } from "../world/uneven";
 import { Annotations, type Annotation } from "./annotations";
 import { heldChunk, type ChunkId } from "./map";
@@ -24,6 +24,16 @@ export interface RegionScene {
   clear(): void;
 }
 
+type Prefix = Extract<SurfaceEvent, { readonly type: "prefix" }>;
+/** An event of the region maps; a prefix says which mesher made its chunks. */
+export type PipelineEvent = Exclude<SurfaceEvent, Prefix> | (Prefix & { readonly mesher: View["mesher"] });
+
+/** A chunk that is on its way to the GPU. */
+interface Arriving {
+  readonly header: ChunkHeader;
+  readonly mesher: View["mesher"];
+}
+
 export interface PipelineHandlers {
   /** A prefix is shown. */
   readonly onSwap: (swap: SurfaceSwap) => void;
@@ -35,8 +45,10 @@ export interface PipelineHandlers {
 
 export class RegionPipeline {
   private readonly maps: SurfaceMaps = new Map();
-  /** Of chunks that are not resident yet. */
-  private readonly headers = new Map<ChunkId, ChunkHeader>();
+  /** Chunks that are not resident yet. */
+  private readonly arriving = new Map<ChunkId, Arriving>();
+  /** By the number of a surface, of the chunks that come. */
+  private readonly meshers = new Map<number, View["mesher"]>();
   private readonly queue: DecodeQueue;
   private readonly annotations: Annotations;
   private lastId: ChunkId = 0;
@@ -80,7 +92,10 @@ export class RegionPipeline {
     const { surface, generation, level, region, vertexCount } = header;
     const id = vertexCount === 0 ? null : ++this.lastId;
     if (!this.event({ type: "chunk", surface, generation, level, region: region.join(), id }) || id === null) return;
-    this.headers.set(id, header);
+    // There is one: a chunk outside a prefix is no event.
+    const mesher = this.meshers.get(surface);
+    if (mesher === undefined) return;
+    this.arriving.set(id, { header, mesher });
     this.queue.push(id, frame);
   }
 
@@ -90,7 +105,7 @@ export class RegionPipeline {
   }
 
   /** A message about prefixes, or `reset`. `false` when it came out of order. */
-  event(event: SurfaceEvent): boolean {
+  event(event: PipelineEvent): boolean {
     let effects: SurfaceEffects;
     try {
       effects = reduceSurfaces(this.maps, event);
@@ -98,9 +113,10 @@ export class RegionPipeline {
       this.handlers.onBroken(error instanceof Error ? error.message : String(error));
       return false;
     }
+    if (event.type === "prefix") this.meshers.set(event.surface, event.mesher);
     this.queue.drop([...effects.dropped, ...effects.removed, ...effects.swaps.flatMap(({ remove }) => remove)]);
     this.scene.drop(effects.dropped);
-    for (const id of effects.dropped) this.headers.delete(id);
+    for (const id of effects.dropped) this.arriving.delete(id);
     if (event.type === "reset") this.annotations.reset();
     if (effects.removed.length > 0) this.scene.swap([], effects.removed);
     for (const swap of effects.swaps) {
@@ -114,7 +130,7 @@ export class RegionPipeline {
 
   /** A region mesh is on the GPU. */
   resident(id: ChunkId): void {
-    this.headers.delete(id);
+    this.arriving.delete(id);
     this.event({ type: "resident", id });
   }
 
@@ -131,7 +147,8 @@ export class RegionPipeline {
     this.event({ type: "reset" });
     this.queue.drop([...this.maps.values()].flatMap(({ shown }) => [...shown.values()]));
     this.maps.clear();
-    this.headers.clear();
+    this.arriving.clear();
+    this.meshers.clear();
     this.scene.clear();
   }
 
@@ -154,8 +171,9 @@ export class RegionPipeline {
   }
 
   private decoded(id: ChunkId, chunk: DecodedChunk): void {
-    const header = this.headers.get(id);
-    if (header === undefined) return;
+    const arriving = this.arriving.get(id);
+    if (arriving === undefined) return;
+    const { header, mesher } = arriving;
     const [a, b, c] = header.region;
     const data = {
       vertices: chunk.vertices,
@@ -163,6 +181,7 @@ export class RegionPipeline {
       levelTriangles: header.levelTriangles,
       corner: [a * REGION_CELLS, b * REGION_CELLS, c * REGION_CELLS] as const,
       lattice: header.lattice,
+      mesher,
       surface: header.surface,
       bounds: header.bounds,
     };

@@ -12,7 +12,7 @@ import {
   type Material,
 } from "three";
 import type { Uneven } from "../world/uneven";
-import { inEvenCoordinates } from "./unevenMesh";
+import { inEvenCoordinates, type Mesher } from "./unevenMesh";
 import type { Vec3 } from "./world";
 
 /** A region mesh as typed arrays; `upload` takes ownership of them. */
@@ -30,6 +30,8 @@ export interface RegionMeshData {
   readonly corner: Vec3;
   /** Position units per index step. */
   readonly lattice: number;
+  /** Which mesher made it. */
+  readonly mesher: Mesher;
   /** Number of the surface that it is a part of. */
   readonly surface: number;
   /** In index space; of the mesh in even coordinates. */

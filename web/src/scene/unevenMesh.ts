@@ -3,6 +3,12 @@
 import { differenceStepOf, evenOf, largestStep, stepOf, type Uneven } from "../world/uneven";
 import type { Vec3 } from "./world";
 
+/**
+ * What made a mesh, and how its normals: `marching-cubes` from the differences at the two samples of an edge of the grid, `dual` from the gradient
+ * of the interpolant in a cell.
+ */
+export type Mesher = "dual" | "marching-cubes";
+
 /** What is moved of a region mesh. */
 interface InIndexSpace {
   /** Six words a vertex: position, packed normal, features. */
@@ -10,17 +16,18 @@ interface InIndexSpace {
   /** Index coordinates of position 0, and position units per index step. */
   readonly corner: Vec3;
   readonly lattice: number;
+  readonly mesher: Mesher;
   readonly bounds: { readonly min: Vec3; readonly max: Vec3 };
 }
 
 const WORDS = 6;
 
 /** Positions of the vertices, three floats each. Normals in the words, which are made in cells of the largest lengths, are turned. */
-export function inEvenCoordinates({ vertices, corner, lattice, bounds }: InIndexSpace, axes: Uneven): { readonly positions: Float32Array<ArrayBuffer>; readonly bounds: InIndexSpace["bounds"] } {
+export function inEvenCoordinates({ vertices, corner, lattice, mesher, bounds }: InIndexSpace, axes: Uneven): { readonly positions: Float32Array<ArrayBuffer>; readonly bounds: InIndexSpace["bounds"] } {
   const count = vertices.length / WORDS;
   const positions = new Float32Array(3 * count);
   const largest = axes.map(largestStep);
-  const gradientStepOf = isOfMarchingCubes(vertices, lattice) ? differenceStepOf : stepOf;
+  const gradientStepOf = mesher === "marching-cubes" ? differenceStepOf : stepOf;
   for (let i = 0; i < count; i += 1) {
     const steps: number[] = [];
     for (const axis of [0, 1, 2] as const) {
@@ -33,20 +40,6 @@ export function inEvenCoordinates({ vertices, corner, lattice, bounds }: InIndex
   }
   const even = (p: Vec3): Vec3 => [evenOf(axes[0], p[0]), evenOf(axes[1], p[1]), evenOf(axes[2], p[2])];
   return { positions, bounds: { min: even(bounds.min), max: even(bounds.max) } };
-}
-
-/**
- * Whether marching cubes made a mesh, with gradients from the differences at the two samples of an edge of the grid: then most vertices lie on
- * edges, all but those moved onto a coarser cube's face. Those of the dual mesher, with gradients of the interpolant in their cells, keep a
- * distance from the faces of their cells; on edges there are some at the volume's own. A chunk does not say which mesher made it.
- */
-function isOfMarchingCubes(vertices: Int16Array, lattice: number): boolean {
-  let onEdges = 0;
-  for (let i = 0; i < vertices.length; i += WORDS) {
-    const whole = (axis: number) => ((vertices[i + axis] ?? 0) % lattice === 0 ? 1 : 0);
-    if (whole(0) + whole(1) + whole(2) >= 2) onEdges += 1;
-  }
-  return 2 * onEdges * WORDS > vertices.length;
 }
 
 const folded = (x: number, y: number): [number, number] => [(1 - Math.abs(y)) * (x < 0 ? -1 : 1), (1 - Math.abs(x)) * (y < 0 ? -1 : 1)];

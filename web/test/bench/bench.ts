@@ -67,6 +67,7 @@ async function addSphere({ surface = 0, radius, center = [0, 0, 0], top = 1, seg
     levelTriangles: [indices.length / 3, 0, 0, 0, 0, 0],
     corner: [0, 0, 0],
     lattice: LATTICE,
+    mesher: "dual",
     surface,
     bounds: { min, max },
   });

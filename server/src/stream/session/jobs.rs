@@ -211,7 +211,7 @@ impl<B: Backend> Session<B> {
     /// A result of the step that is being sent; those of a step that is not sent any more do not come.
     pub(super) fn on_pool(&mut self, done: PoolDone) {
         let Some(generation) = self.sending() else { return };
-        let surface = generation.surface;
+        let (surface, mesher) = (generation.surface, generation.view.mesher);
         match done {
             PoolDone::Compared(Ok(changes)) => {
                 let Some(sent) = generation.sent() else { return };
@@ -220,6 +220,7 @@ impl<B: Backend> Session<B> {
                     generation: sent.id.generation,
                     level: sent.id.level,
                     kind: ChunkKind::Cut,
+                    mesher,
                     regions: changes.changed.len(),
                     unchanged: changes.unchanged,
                     triangles: sent.surface_triangles,

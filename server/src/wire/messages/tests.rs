@@ -5,6 +5,7 @@ use crate::extraction::{
     Curve, CurvePoint, Distribution, FieldValue, LeafKind, MeasuredError, NearestLeaf, NearestSurface, NoValue, Probe,
     Question,
 };
+use crate::view::quality::MesherName;
 use crate::wire::chunk::ChunkKind;
 
 #[test]
@@ -120,6 +121,7 @@ fn server_messages_have_the_names_of_the_protocol_page() {
         generation: 3,
         level: 2,
         kind: ChunkKind::Cut,
+        mesher: MesherName::MarchingCubes,
         regions: 7,
         unchanged: 9,
         triangles: 1000,
@@ -127,7 +129,7 @@ fn server_messages_have_the_names_of_the_protocol_page() {
     };
     expect(
         prefix,
-        r#"{"type":"prefix","surface":0,"generation":3,"level":2,"kind":"cut","regions":7,"unchanged":9,"triangles":1000,"final":false}"#,
+        r#"{"type":"prefix","surface":0,"generation":3,"level":2,"kind":"cut","mesher":"marching-cubes","regions":7,"unchanged":9,"triangles":1000,"final":false}"#,
     );
     let committed = ServerMessage::Committed {
         surface: 0,

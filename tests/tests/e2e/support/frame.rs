@@ -80,6 +80,8 @@ pub struct Prefix {
     pub surface: u8,
     pub generation: u32,
     pub level: u8,
+    /// Whether marching cubes made it, not the dual mesher.
+    pub is_marched: bool,
     pub regions: usize,
     pub unchanged: usize,
     pub triangles: usize,
@@ -134,6 +136,7 @@ impl Frame {
                     "generation",
                     "level",
                     "kind",
+                    "mesher",
                     "regions",
                     "unchanged",
                     "triangles",
@@ -141,10 +144,16 @@ impl Frame {
                 ];
                 message.has(&fields, &[]);
                 assert_eq!(message.text("kind"), "cut", "kind of chunks");
+                let mesher = message.text("mesher");
+                assert!(
+                    ["dual", "marching-cubes"].contains(&mesher.as_str()),
+                    "a mesher: {mesher}"
+                );
                 Self::Prefix(Prefix {
                     surface: message.surface(),
                     generation: message.generation(),
                     level: message.level(),
+                    is_marched: mesher == "marching-cubes",
                     regions: message.number("regions") as usize,
                     unchanged: message.number("unchanged") as usize,
                     triangles: message.number("triangles") as usize,

@@ -33,6 +33,8 @@ pub struct Surface {
     /// The newest.
     generation: u32,
     stage: Stage,
+    /// Whether marching cubes made the prefix that was committed last.
+    is_marched: bool,
 }
 
 impl Default for Surface {
@@ -41,6 +43,7 @@ impl Default for Surface {
             shown: HashMap::new(),
             generation: 0,
             stage: Stage::Ended,
+            is_marched: false,
         }
     }
 }
@@ -73,6 +76,11 @@ impl Surface {
             improved,
             measured: false,
         };
+        assert_eq!(
+            statistics["mesher"] == "marching-cubes",
+            self.is_marched,
+            "mesher of the prefix and of the statistics"
+        );
         let triangles = self.triangles();
         assert_eq!(
             statistics["triangles"], triangles,
@@ -188,6 +196,7 @@ impl Surface {
             "surface, generation, level and `final` of `committed`"
         );
         assert_eq!(generation, announced.generation);
+        self.is_marched = announced.is_marched;
         assert_eq!(
             chunks.len(),
             announced.regions,
