@@ -19,7 +19,7 @@ use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 pub(crate) mod large_pages;
-mod read_back;
+pub mod read_back;
 #[cfg(feature = "testing")]
 pub mod recorder;
 
