@@ -26,7 +26,7 @@ fn main() -> Result<()> {
     };
     let even = [make(Shape::Sin)?, make(Shape::Waves)?, make(Shape::Gyroid)?];
     // Every other cell is half as long.
-    let cell = |i: u32| if i % 2 == 0 { 1.0 } else { 0.5 };
+    let cell = |i: u32| if i.is_multiple_of(2) { 1.0 } else { 0.5 };
     let along = || (0..SIZE - 1).map(cell).collect::<Vec<f32>>();
     let rectilinear = RectilinearGrid::uneven(grid, [along(), along(), along()])?;
     let make_uneven = |volume: &Volume| {

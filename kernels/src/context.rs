@@ -18,7 +18,7 @@ use std::collections::HashMap;
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-pub(crate) mod large_pages;
+mod large_pages;
 pub mod read_back;
 #[cfg(feature = "testing")]
 pub mod recorder;
