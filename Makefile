@@ -113,8 +113,9 @@ test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the 
 KILLS ?= 100
 VIEWERS ?= 1000
 FOLLOWERS ?= 1000
-load: release ## many viewers at half of what the server can do (VIEWERS), and that follow one (FOLLOWERS), and a server with batch jobs that is killed at random moments (KILLS); takes minutes
+load: release ## many viewers at half of what the server can do (VIEWERS), a hundred beside clients that misbehave, many that follow one (FOLLOWERS), and a server with batch jobs that is killed at random moments (KILLS); takes minutes
 	cargo run --locked --release --package isopeel-tests --example viewers -- $(BINARY) --viewers $(VIEWERS)
+	cargo run --locked --release --package isopeel-tests --example viewers -- $(BINARY) --viewers 100 --beside --seconds 10 --rounds 4
 	ISOPEEL_KILLS=$(KILLS) cargo test --locked --workspace --test e2e -- kills:: --nocapture
 	ISOPEEL_FOLLOWERS=$(FOLLOWERS) cargo test --locked --workspace --test e2e -- crowd:: --nocapture
 

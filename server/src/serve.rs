@@ -2,6 +2,7 @@
 
 mod connections;
 mod listener;
+mod read_pace;
 mod tls;
 
 use std::sync::Arc;

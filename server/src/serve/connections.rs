@@ -5,25 +5,27 @@ use std::collections::HashMap;
 use std::io;
 use std::net::IpAddr;
 use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::Router;
-use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::{Service, service_fn};
+use hyper::{Request, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::JoinSet;
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 use tokio_rustls::TlsAcceptor;
 use tokio_util::sync::CancellationToken;
 
 use super::listener::{Listener, Socket};
+use super::read_pace::ReadPace;
 use super::tls::Tls;
 use crate::access::{PeerAddress, TrustedProxy, counted_as, is_trusted};
 use crate::stream::MAX_VIEWERS;
@@ -117,6 +119,7 @@ pub(super) async fn serve(
         let connection = Connection {
             http: http.clone(),
             peer: PeerAddress(socket.address),
+            is_stream: Arc::clone(&socket.is_stream),
             app: app.clone(),
             stop: stop.clone(),
         };
@@ -133,6 +136,7 @@ pub(super) async fn serve(
 struct Connection {
     http: http1::Builder,
     peer: PeerAddress,
+    is_stream: Arc<AtomicBool>,
     app: Router,
     stop: CancellationToken,
 }
@@ -157,9 +161,17 @@ impl Connection {
         I: AsyncRead + AsyncWrite + Unpin + Send + 'static,
     {
         let (peer, app) = (self.peer, TowerToHyperService::new(self.app));
+        let is_stream = self.is_stream;
         let service = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(peer);
-            app.call(request)
+            let (answer, is_stream) = (app.call(request), Arc::clone(&is_stream));
+            async move {
+                let answer = answer.await;
+                if matches!(&answer, Ok(answer) if answer.status() == StatusCode::SWITCHING_PROTOCOLS) {
+                    is_stream.store(true, Ordering::Relaxed);
+                }
+                answer
+            }
         });
         let connection = self
             .http
@@ -198,6 +210,8 @@ async fn accept(listener: &Listener, peers: &Arc<Peers>) -> Option<Counted> {
     Some(Counted {
         socket,
         address: peer,
+        is_stream: Arc::default(),
+        pace: ReadPace::default(),
         _counted: counted,
     })
 }
@@ -256,16 +270,28 @@ impl Drop for PeerGuard {
     }
 }
 
-/// A socket that is counted, also when it becomes a stream.
+/// A socket that is counted, also when it becomes a stream. Then what is read of it has a pace.
 struct Counted {
     socket: Socket,
     address: IpAddr,
+    is_stream: Arc<AtomicBool>,
+    pace: ReadPace,
     _counted: PeerGuard,
 }
 
 impl AsyncRead for Counted {
     fn poll_read(mut self: Pin<&mut Self>, context: &mut Context<'_>, to: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.socket).poll_read(context, to)
+        if !self.is_stream.load(Ordering::Relaxed) {
+            return Pin::new(&mut self.socket).poll_read(context, to);
+        }
+        std::task::ready!(self.pace.poll(context));
+        let before = to.filled().len();
+        let read = Pin::new(&mut self.socket).poll_read(context, to);
+        let bytes = to.filled().len() - before;
+        if bytes > 0 {
+            self.pace.read(bytes, Instant::now());
+        }
+        read
     }
 }
 

@@ -24,8 +24,8 @@ const INBOX: usize = 16;
 /// network.
 const OUTGOING: usize = 32;
 
-/// Messages that are read in a window of time, pongs included: several times those of a slider that is dragged on a fast screen. Of a client
-/// that sends more, TCP holds them back, so that reading them costs others nothing.
+/// Messages that are read in a window of time, pings and pongs included: several times those of a slider that is dragged on a fast screen. Of a
+/// client that sends more, TCP holds them back, so that reading them costs others nothing.
 const MAX_WINDOW_MESSAGES: u32 = 50;
 /// Such a window.
 const WINDOW: Duration = Duration::from_millis(100);
@@ -107,7 +107,7 @@ where
     let mut read_in_window = 0;
     loop {
         let incoming = match timeout(silence, stream.next()).await {
-            Err(_) => Incoming::Fault(CloseCode::Silent),
+            Err(_) => Some(Incoming::Fault(CloseCode::Silent)),
             Ok(None) => return,
             // Nothing can be read any more.
             Ok(Some(Err(error))) => {
@@ -117,26 +117,32 @@ where
                 }
                 return;
             }
-            Ok(Some(Ok(message))) => match message {
-                Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => Incoming::Fault(CloseCode::TooLong),
-                Message::Text(text) => Incoming::Text(text.as_str().to_owned()),
-                Message::Binary(_) => Incoming::Fault(CloseCode::Binary),
-                Message::Pong(payload) => match <[u8; 4]>::try_from(&payload[..]) {
-                    Ok(number) => Incoming::Pong(u32::from_le_bytes(number)),
-                    // Of the pings that keep the connection alive.
-                    Err(_) => continue,
-                },
-                // Answered by axum; after a close frame the stream ends.
-                Message::Ping(_) | Message::Close(_) => continue,
-            },
+            Ok(Some(Ok(message))) => incoming(message),
         };
-        // Fails when the session has ended: further messages are dropped.
-        let _ = session.send(incoming).await;
+        if let Some(incoming) = incoming {
+            // Fails when the session has ended: further messages are dropped.
+            let _ = session.send(incoming).await;
+        }
         read_in_window += 1;
         if read_in_window >= MAX_WINDOW_MESSAGES {
             window.tick().await;
             read_in_window = 0;
         }
+    }
+}
+
+/// What of a message is for the session.
+fn incoming(message: Message) -> Option<Incoming> {
+    match message {
+        Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => Some(Incoming::Fault(CloseCode::TooLong)),
+        Message::Text(text) => Some(Incoming::Text(text.as_str().to_owned())),
+        Message::Binary(_) => Some(Incoming::Fault(CloseCode::Binary)),
+        // Others are of the pings that keep the connection alive.
+        Message::Pong(payload) => <[u8; 4]>::try_from(&payload[..])
+            .ok()
+            .map(|number| Incoming::Pong(u32::from_le_bytes(number))),
+        // Answered by axum; after a close frame the stream ends.
+        Message::Ping(_) | Message::Close(_) => None,
     }
 }
 

@@ -1,10 +1,12 @@
-//! Many viewers who follow one: what an edit of that one takes to be on all of their screens, and what they cost.
+//! Many viewers who follow one: what an edit of that one takes to be on all of their screens, what they cost, and that they see it as soon beside
+//! clients that misbehave.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
+use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
@@ -12,6 +14,7 @@ use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::metrics::counted;
+use crate::support::process::Process;
 use crate::support::viewer::connect;
 use crate::support::{ball, http, process};
 
@@ -94,74 +97,220 @@ fn percentile(times: &mut [Duration], percent: usize) -> Duration {
     times[(times.len() * percent / 100).min(times.len() - 1)]
 }
 
+/// Isovalues that nobody has seen.
+fn iso(n: usize) -> f64 {
+    2.0 + n as f64 * 0.75
+}
+
+/// A server with the ball, a group of it, and those who follow.
+struct Crowd {
+    server: Process,
+    leader: Socket,
+    followers: usize,
+    all: mpsc::Receiver<(u64, Instant)>,
+    tasks: JoinSet<()>,
+    _folder: tempfile::TempDir,
+}
+
+impl Crowd {
+    /// A server, on which one viewer has opened the ball.
+    async fn start() -> Option<Self> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let volume = folder.path().join("ball.npy");
+        ball::write(&volume);
+        let server = process::start(&[volume], &["--no-demo"])?;
+        let mut leader = connect(server.address, Some("isopeel.v2")).await.expect("a handshake");
+        say(&mut leader, json!({"type": "open", "volume": "ball"})).await;
+        until(&mut leader, "opened").await;
+        Some(Self {
+            server,
+            leader,
+            followers: 0,
+            all: mpsc::channel(1).1,
+            tasks: JoinSet::new(),
+            _folder: folder,
+        })
+    }
+
+    /// So many follow from now on, and have what is shown.
+    async fn join(&mut self, followers: usize) {
+        say(&mut self.leader, json!({"type": "lead"})).await;
+        let group = until(&mut self.leader, "group").await["group"]
+            .as_str()
+            .expect("an id")
+            .to_owned();
+        let (seen, all) = mpsc::channel(followers);
+        (self.followers, self.all) = (followers, all);
+        for _ in 0..followers {
+            self.tasks
+                .spawn(follow(self.server.address, group.clone(), seen.clone()));
+        }
+        for _ in 0..followers {
+            self.next().await;
+        }
+    }
+
+    /// The next first commit of a follower.
+    async fn next(&mut self) -> (u64, Instant) {
+        let next = tokio::time::timeout(PATIENCE, self.all.recv()).await;
+        next.expect("all see it").expect("a follower")
+    }
+
+    /// How long edits of these isovalues take to the first commit of each follower.
+    async fn edits(&mut self, isovalues: impl IntoIterator<Item = f64>) -> Vec<Duration> {
+        let mut times = Vec::new();
+        for iso in isovalues {
+            let (start, ..) = edit(&mut self.leader, iso).await;
+            for _ in 0..self.followers {
+                let (of, at) = self.next().await;
+                assert_eq!(f64::from_bits(of), iso);
+                times.push(at - start);
+            }
+            tokio::time::sleep(PAUSE).await;
+        }
+        times
+    }
+
+    fn metrics(&self) -> String {
+        String::from_utf8(http::get(self.server.address, "/metrics").body).expect("UTF-8")
+    }
+
+    /// The group ends, and no follower has failed.
+    async fn end(mut self) {
+        say(&mut self.leader, json!({"type": "leave"})).await;
+        until(&mut self.leader, "left").await;
+        while let Some(ended) = self.tasks.join_next().await {
+            ended.expect("no follower fails");
+        }
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_crowd_that_follows_sees_an_edit_soon_and_costs_little() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let volume = folder.path().join("ball.npy");
-    ball::write(&volume);
-    let Some(server) = process::start(&[volume], &["--no-demo"]) else {
-        return;
-    };
+    let Some(mut crowd) = Crowd::start().await else { return };
     let followers = std::env::var("ISOPEEL_FOLLOWERS").map_or(FOLLOWERS, |n| n.parse().expect("a number"));
-    let mut leader = connect(server.address, Some("isopeel.v2")).await.expect("a handshake");
-    say(&mut leader, json!({"type": "open", "volume": "ball"})).await;
-    until(&mut leader, "opened").await;
-    // Isovalues that nobody has seen.
-    let iso = |n: usize| 2.0 + n as f64 * 0.75;
     let mut alone = Vec::new();
     for n in 0..EDITS {
-        alone.push(edit(&mut leader, iso(n)).await.1);
+        alone.push(edit(&mut crowd.leader, iso(n)).await.1);
         tokio::time::sleep(PAUSE).await;
     }
     let alone = percentile(&mut alone, 50);
-    let before = server.resident_bytes();
-
-    say(&mut leader, json!({"type": "lead"})).await;
-    let group = until(&mut leader, "group").await["group"]
-        .as_str()
-        .expect("an id")
-        .to_owned();
-    let (seen, mut all) = mpsc::channel(followers);
-    let mut crowd = JoinSet::new();
-    for _ in 0..followers {
-        crowd.spawn(follow(server.address, group.clone(), seen.clone()));
-    }
-    // What was shown already.
-    for _ in 0..followers {
-        tokio::time::timeout(PATIENCE, all.recv())
-            .await
-            .expect("all join")
-            .expect("a follower");
-    }
-    let mut times = Vec::new();
-    for n in EDITS..2 * EDITS {
-        let (start, ..) = edit(&mut leader, iso(n)).await;
-        for _ in 0..followers {
-            let (of, at) = tokio::time::timeout(PATIENCE, all.recv())
-                .await
-                .expect("all see it")
-                .expect("a follower");
-            assert_eq!(f64::from_bits(of), iso(n));
-            times.push(at - start);
-        }
-        tokio::time::sleep(PAUSE).await;
-    }
-    let more = server.resident_bytes().saturating_sub(before);
+    let before = crowd.server.resident_bytes();
+    crowd.join(followers).await;
+    let mut times = crowd.edits((EDITS..2 * EDITS).map(iso)).await;
+    let more = crowd.server.resident_bytes().saturating_sub(before);
     let (p50, p99) = (percentile(&mut times, 50), percentile(&mut times, 99));
     println!(
         "one alone: first commit {alone:?} (p50); {followers} followers: p50 {p50:?}, p99 {p99:?}; {} MiB more",
         more >> 20
     );
-    let metrics = String::from_utf8(http::get(server.address, "/metrics").body).expect("UTF-8");
+    let metrics = crowd.metrics();
     assert_eq!(counted(&metrics, "isopeel_followers", ""), followers as f64);
     assert_eq!(counted(&metrics, "isopeel_stream_errors_total", ""), 0.0);
     // Each step is made once, for all: two or three an edit, and the better one.
     let made = counted(&metrics, "isopeel_cache_requests_total", r#"what="step",result="miss""#);
     assert!(made <= (2 * EDITS * 8) as f64, "{made} steps");
     assert!(more < 2 << 30, "{} MiB", more >> 20);
-    say(&mut leader, json!({"type": "leave"})).await;
-    until(&mut leader, "left").await;
-    while let Some(ended) = crowd.join_next().await {
-        ended.expect("no follower fails");
+    crowd.end().await;
+}
+
+/// A client that misbehaves, until the server closes the connection; it reads only what it has to.
+async fn misbehave(address: SocketAddr, how: usize) {
+    let Ok(mut socket) = connect(address, Some("isopeel.v2")).await else {
+        return;
+    };
+    let open = Message::text(json!({"type": "open", "volume": "ball"}).to_string());
+    let mut edits = (0..).map(|n| json!({"type": "edit", "iso": 2.0 + f64::from(n % 97) * 0.1, "beta": -1}));
+    let mut edit = || Message::text(edits.next().expect("without end").to_string());
+    match how {
+        // Edits ten times a second and never reads.
+        0 => {
+            let _ = socket.send(open).await;
+            while socket.send(edit()).await.is_ok() {
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+        }
+        1 => flood(socket, || open.clone()).await,
+        2 => flood(socket, || Message::Ping(Default::default())).await,
+        3 => flood(socket, || Message::Pong(Default::default())).await,
+        // 15 that are none, and a good one: what is not open is not edited.
+        4 => {
+            let mut n = 0;
+            flood(socket, || {
+                n += 1;
+                if n % 16 == 0 { edit() } else { Message::text("{") }
+            })
+            .await
+        }
+        // A message in pieces without end, each of which is empty: as they are on the line, masked.
+        _ => {
+            let tcp = socket.get_mut();
+            let _ = tcp.write_all(&[0x01, 0x80, 0, 0, 0, 0]).await;
+            let pieces = [0x00, 0x80, 0, 0, 0, 0].repeat(1 << 14);
+            while tcp.write_all(&pieces).await.is_ok() {}
+        }
     }
+}
+
+/// Sends as fast as the server takes it, and reads what comes.
+async fn flood(socket: Socket, mut next: impl FnMut() -> Message) {
+    let (mut sink, mut stream) = socket.split();
+    let reading = async { while let Some(Ok(_)) = stream.next().await {} };
+    let sending = async { while sink.send(next()).await.is_ok() {} };
+    tokio::select! {
+        () = reading => {}
+        () = sending => {}
+    }
+}
+
+/// So many kinds of [`misbehave`], one of each at a time.
+const KINDS: usize = 6;
+/// In turns, without them and beside them.
+const ROUNDS: usize = 2;
+/// Edits of each.
+const EDITS_OF_A_ROUND: usize = 2;
+/// Beside them an edit may take so many times as long as without: they have a share of the device, as any viewer has.
+const MAX_RATIO: f64 = 4.0;
+/// How long they are alone, after what they may do at once, and the part of a processor that all of them together may use then.
+const ALONE: Duration = Duration::from_secs(2);
+const MAX_PROCESSORS: f64 = 0.2;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_crowd_goes_on_beside_those_who_stall_or_flood() {
+    let Some(mut crowd) = Crowd::start().await else { return };
+    edit(&mut crowd.leader, iso(0)).await;
+    crowd.join(FOLLOWERS).await;
+    let (mut alone, mut beside, mut next) = (Vec::new(), Vec::new(), 1);
+    let mut isovalues = || {
+        next += EDITS_OF_A_ROUND;
+        (next - EDITS_OF_A_ROUND..next).map(iso)
+    };
+    for _ in 0..ROUNDS {
+        alone.extend(crowd.edits(isovalues()).await);
+        let mut others = JoinSet::new();
+        (0..KINDS).for_each(|how| drop(others.spawn(misbehave(crowd.server.address, how))));
+        tokio::time::sleep(PAUSE).await;
+        beside.extend(crowd.edits(isovalues()).await);
+    }
+    let processors = {
+        let mut others = JoinSet::new();
+        (0..KINDS).for_each(|how| drop(others.spawn(misbehave(crowd.server.address, how))));
+        tokio::time::sleep(ALONE).await;
+        let before = crowd.server.cpu_seconds();
+        tokio::time::sleep(ALONE).await;
+        (crowd.server.cpu_seconds() - before) / ALONE.as_secs_f64()
+    };
+    let (alone, beside) = (percentile(&mut alone, 50), percentile(&mut beside, 50));
+    println!(
+        "{FOLLOWERS} followers: p50 {alone:?}, beside those who stall or flood {beside:?}; these alone use {processors:.2} of a processor"
+    );
+    let metrics = crowd.metrics();
+    assert_eq!(counted(&metrics, "isopeel_stream_errors_total", r#"code="busy""#), 0.0);
+    assert!(
+        beside < alone.mul_f64(MAX_RATIO),
+        "{beside:?} beside them, {alone:?} without"
+    );
+    assert!(processors < MAX_PROCESSORS, "{processors:.2} processors");
+    // None of them has failed or left: each has seen each edit.
+    crowd.end().await;
 }

@@ -1,0 +1,85 @@
+//! How fast the bytes of a stream are read. What a client says is small, and messages have a pace of their own; but a message in pieces without
+//! end is none for as long as it lasts, and taking it apart costs a processor that others wait for.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use tokio::time::{Instant, Sleep, sleep_until};
+
+/// Bytes that are read in a second: the longest messages sixteen times. Of a client that sends more, TCP holds them back.
+const BYTES_A_SECOND: u32 = 1 << 20;
+/// Bytes that are read at once, after less was sent for a while.
+const BYTES_AT_ONCE: u32 = 1 << 20;
+
+/// Says when the next bytes may be read.
+#[derive(Default)]
+pub(super) struct ReadPace {
+    /// When all bytes so far would have been read at an even pace.
+    even: Option<Instant>,
+    sleep: Option<Pin<Box<Sleep>>>,
+}
+
+impl ReadPace {
+    /// Ready when the next bytes may be read.
+    pub(super) fn poll(&mut self, context: &mut Context<'_>) -> Poll<()> {
+        let Some(until) = self.held_until(Instant::now()) else {
+            self.sleep = None;
+            return Poll::Ready(());
+        };
+        let sleep = self.sleep.get_or_insert_with(|| Box::pin(sleep_until(until)));
+        std::task::ready!(sleep.as_mut().poll(context));
+        self.sleep = None;
+        Poll::Ready(())
+    }
+
+    /// So many bytes were read now.
+    pub(super) fn read(&mut self, bytes: usize, now: Instant) {
+        let time = Duration::from_secs_f64(bytes as f64 / f64::from(BYTES_A_SECOND));
+        self.even = Some(self.even.map_or(now, |even| even.max(now)) + time);
+    }
+
+    /// `None`: nothing is to be waited for.
+    fn held_until(&self, now: Instant) -> Option<Instant> {
+        let at_once = Duration::from_secs_f64(f64::from(BYTES_AT_ONCE) / f64::from(BYTES_A_SECOND));
+        let until = self.even?.checked_sub(at_once)?;
+        (until > now).then_some(until)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_are_read_at_once_until_there_are_many() {
+        let (mut pace, mut now) = (ReadPace::default(), Instant::now());
+        let second = Duration::from_secs(1);
+        assert_eq!(pace.held_until(now), None);
+        pace.read(BYTES_AT_ONCE as usize, now);
+        assert_eq!(pace.held_until(now), None);
+        pace.read(BYTES_A_SECOND as usize / 2, now);
+        assert_eq!(pace.held_until(now), Some(now + second / 2));
+        now += second / 2;
+        assert_eq!(pace.held_until(now), None);
+        pace.read(BYTES_A_SECOND as usize / 4, now);
+        assert_eq!(pace.held_until(now), Some(now + second / 4));
+        // After a while as many are read at once again, and no more than that.
+        now += 100 * second;
+        pace.read(BYTES_AT_ONCE as usize, now);
+        assert_eq!(pace.held_until(now), None);
+        pace.read(BYTES_A_SECOND as usize, now);
+        assert_eq!(pace.held_until(now), Some(now + second));
+    }
+
+    #[tokio::test]
+    async fn who_waits_is_woken() {
+        let mut pace = ReadPace::default();
+        pace.read(BYTES_AT_ONCE as usize + BYTES_A_SECOND as usize / 20, Instant::now());
+        let start = Instant::now();
+        std::future::poll_fn(|context| pace.poll(context)).await;
+        let waited = start.elapsed();
+        assert!(waited >= Duration::from_millis(45), "{waited:?}");
+    }
+}
