@@ -118,6 +118,21 @@ test("a follower sees what the leader does, and control goes there and back", { 
   await Promise.all([shows(leader.page, 5), shows(other.page, 5)]);
   await turn(leader.page);
   await sameCamera(leader.page, other.page);
+
+  // The leader's page is loaded anew: it leads on with what its address has, and what it comes back with is kept nowhere.
+  const seen = other.messages.length;
+  const isBack = ({ type, leaderAway }) => type === "group" && leaderAway === false;
+  await leader.page.reload();
+  for (const began = Date.now(); !other.messages.slice(seen).some(isBack); ) {
+    assert.ok(Date.now() - began < TIMEOUT_MS, "the leader is not back");
+    await new Promise((done) => setTimeout(done, 50));
+  }
+  assert.ok(other.messages.slice(seen).some(({ leaderAway }) => leaderAway === true), "the group has waited");
+  assert.equal(await leader.page.evaluate(() => sessionStorage.length), 0);
+  await setIso(leader.page, 7);
+  await Promise.all([shows(leader.page, 7), shows(other.page, 7)]);
+  await unfold(leader.page);
+  await leader.page.getByText("1 follows").waitFor();
   assert.ok(![...follower.messages, ...other.messages].some(({ key }) => key !== undefined), "the key is the leader's alone");
   await button(leader.page, "End").click();
   await other.page.getByText("The group has ended").waitFor();

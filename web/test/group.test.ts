@@ -1,6 +1,7 @@
 import type { AddressInfo } from "node:net";
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import { WebSocket, WebSocketServer, type WebSocket as Socket } from "ws";
+import { keepLeading, takeLeading } from "../src/net/leading";
 import { StreamClient } from "../src/net/streamClient";
 import type { Group, ServerMessage } from "../src/protocol/types";
 import { groupLink, groupNews, groupOf } from "../src/state/group";
@@ -30,6 +31,46 @@ describe("a group in words and links", () => {
   });
 });
 
+describe("the group that a tab leads", () => {
+  const leading = { group: ID, key: "k".repeat(32) };
+  const stored = new Map<string, string>();
+
+  beforeEach(() => {
+    stored.clear();
+    const setItem = (name: string, value: string) => void stored.set(name, value);
+    const removeItem = (name: string) => void stored.delete(name);
+    vi.stubGlobal("sessionStorage", { setItem, removeItem, getItem: (name: string) => stored.get(name) ?? null });
+  });
+
+  afterEach(() => vi.unstubAllGlobals());
+
+  test("is there again after a reload, once, and is nowhere in between", () => {
+    expect(takeLeading()).toBeUndefined();
+    keepLeading(undefined);
+    expect(stored.size).toBe(0);
+    keepLeading(leading, 1000);
+    expect(takeLeading(60_999)).toEqual(leading);
+    expect(stored.size).toBe(0);
+    expect(takeLeading(60_999)).toBeUndefined();
+  });
+
+  test("is forgotten where the page stays away, and what is not of this page leads nothing", () => {
+    keepLeading(leading, 1000);
+    expect(takeLeading(61_000)).toBeUndefined();
+    expect(stored.size).toBe(0);
+    for (const other of ["", "{", "null", "[]", `{"group":"${ID}","key":7,"at":1000}`, `{"group":"${ID}","key":"k"}`]) {
+      stored.set("isopeel-leads", other);
+      expect(takeLeading(1000)).toBeUndefined();
+    }
+    const closed = () => {
+      throw new Error("closed to this page");
+    };
+    vi.stubGlobal("sessionStorage", { getItem: closed, setItem: closed });
+    keepLeading(leading);
+    expect(takeLeading()).toBeUndefined();
+  });
+});
+
 describe("a client that follows", () => {
   let server: WebSocketServer;
   let socket: Socket;
@@ -45,9 +86,16 @@ describe("a client that follows", () => {
       socket = connected;
       connected.on("message", (data: Buffer) => said.push(JSON.parse(data.toString()) as { type: string }));
     });
+    client = makeClient();
+    client.join(ID, undefined);
+    client.start();
+    await vi.waitFor(() => expect(said).toEqual([{ type: "join", name: null, group: ID }]));
+  });
+
+  function makeClient(): StreamClient {
     const { port } = server.address() as AddressInfo;
     const nothing = () => undefined;
-    client = new StreamClient(`ws://127.0.0.1:${port}`, {
+    return new StreamClient(`ws://127.0.0.1:${port}`, {
       onState: nothing,
       onReset: nothing,
       onChunk: nothing,
@@ -56,10 +104,7 @@ describe("a client that follows", () => {
       onEditSent: nothing,
       onMessage: (message) => heard.push(message),
     });
-    client.join(ID, undefined);
-    client.start();
-    await vi.waitFor(() => expect(said).toEqual([{ type: "join", name: null, group: ID }]));
-  });
+  }
 
   afterEach(() => {
     client.stop();
@@ -138,6 +183,23 @@ describe("a client that follows", () => {
     client.restart();
     await vi.waitFor(() => expect(said.slice(count)).toHaveLength(3), 5000);
     expect(said.at(-1)?.type).toBe("open");
+  });
+
+  test("a page that was loaded anew leads on, after what it shows", async () => {
+    const leading = { group: ID, key: "k".repeat(32) };
+    client.stop();
+    said.length = 0;
+    client = makeClient();
+    client.leadOn(leading);
+    expect(client.leads).toEqual(leading);
+    client.open("head", 2);
+    client.start();
+    await vi.waitFor(() => expect(said.at(-1)?.type).toBe("open"), 5000);
+    say(opened);
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "lead", resume: leading }));
+    client.say({ type: "leave" });
+    expect(client.leads).toBeUndefined();
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "leave" }));
   });
 
   test("of a group that there is not, nothing is expected", async () => {

@@ -7,6 +7,7 @@ import { hasBudget, withBudget } from "../protocol/budget";
 import { parseServerMessage } from "../protocol/messages";
 import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
+import type { Leading } from "./leading";
 import { Throttle } from "./throttle";
 
 /** 20 edits a second are smooth under a dragged slider; the server would merge more of them anyway. */
@@ -55,8 +56,8 @@ export class StreamClient {
   private asked = 0;
   /** The group to follow, also on a new connection. */
   private joined: { readonly group: string; readonly name?: string } | undefined;
-  /** The group that is led from here, and what it is led again with on a new connection; known to nobody else. */
-  private leading: { readonly group: string; readonly key: string } | undefined;
+  /** The group that is led from here, and what it is led again with on a new connection. */
+  private leading: Leading | undefined;
   /** Another member of a group has control, or is going to: what is shown is theirs, and nothing of it is asked for here. */
   private isLed = false;
 
@@ -103,6 +104,16 @@ export class StreamClient {
   /** What another shows is shown. */
   get following(): boolean {
     return this.isLed;
+  }
+
+  /** The group that is led from here. */
+  get leads(): Leading | undefined {
+    return this.leading;
+  }
+
+  /** Leads a group again, which the page has led before it was loaded anew, once something is open. */
+  leadOn(leading: Leading): void {
+    this.leading = leading;
   }
 
   start(): void {

@@ -1,5 +1,6 @@
 /** A group on this page: what is shown here goes to those who follow, or what another shows is shown here. */
 
+import { keepLeading, takeLeading } from "../net/leading";
 import type { StreamClient } from "../net/streamClient";
 import { Throttle } from "../net/throttle";
 import type { Led, Posed, ServerMessage, View } from "../protocol/types";
@@ -52,6 +53,7 @@ export class Together {
   ) {
     for (const type of ["pointerdown", "wheel", "keydown"] as const) viewport.addEventListener(type, () => this.lookAround(), { passive: true, capture: true });
     window.addEventListener("hashchange", () => this.join());
+    if (!around.store.isEmbedded) this.leadOverReloads();
   }
 
   /** What another shows is shown, or is going to be. */
@@ -95,6 +97,15 @@ export class Together {
         this.change({ isApart: false });
         this.look();
     }
+  }
+
+  private leadOverReloads(): void {
+    const { client } = this.around;
+    const led = takeLeading();
+    if (led !== undefined) client.leadOn(led);
+    window.addEventListener("pagehide", () => keepLeading(client.leads));
+    // The page was kept whole, and is shown again.
+    window.addEventListener("pageshow", () => void takeLeading());
   }
 
   /** Whether the message is about a group. */

@@ -1,0 +1,37 @@
+/**
+ * The group that this tab leads, over a reload of its page: in the tab's own storage from when the page goes to when it is there again, and at no other
+ * time, so that a copy of the tab has nothing of it. Storage may be closed to the page: then a reload ends the group.
+ */
+
+/** A group, and what it is led again with; known to nobody else. */
+export interface Leading {
+  readonly group: string;
+  readonly key: string;
+}
+
+const KEY = "isopeel-leads";
+/** The server waits half as long for who leads; a tab that is opened again later leads nothing. */
+const MAX_AGE_MS = 60_000;
+
+/** Keeps it while the page is away. */
+export function keepLeading(leading: Leading | undefined, now = Date.now()): void {
+  if (leading === undefined) return;
+  try {
+    sessionStorage.setItem(KEY, JSON.stringify({ ...leading, at: now }));
+  } catch {
+    // Closed or full: the group waits in vain, and ends.
+  }
+}
+
+/** Takes it out of the storage. */
+export function takeLeading(now = Date.now()): Leading | undefined {
+  try {
+    const kept = sessionStorage.getItem(KEY);
+    sessionStorage.removeItem(KEY);
+    const { group, key, at } = JSON.parse(kept ?? "{}") as Partial<Leading> & { readonly at?: number };
+    if (typeof group !== "string" || typeof key !== "string" || typeof at !== "number") return undefined;
+    return now - at < MAX_AGE_MS ? { group, key } : undefined;
+  } catch {
+    return undefined;
+  }
+}
