@@ -10,6 +10,7 @@ use isopeel_kernels::{MAX_LEVEL, REGION_CELLS};
 use ts_rs::{Config, TS, TypeVisitor};
 
 use crate::extraction::VolumeInfo;
+use crate::jobs::JobInfo;
 use crate::problem::Problem;
 use crate::rest::{EmbedInfo, SessionInfo, VolumeSummary};
 use crate::uploads::UploadList;
@@ -84,6 +85,7 @@ fn generate() -> String {
     declarations.visit::<Problem>();
     declarations.visit::<UploadList>();
     declarations.visit::<SessionInfo>();
+    declarations.visit::<JobInfo>();
     declarations.visit::<EmbedInfo>();
     let constants = [
         (

@@ -91,7 +91,7 @@ export class App {
     this.scene = this.makeScene(viewport);
     this.framing = new Framing(this.scene, () => this.address.writeSoon());
     this.display = new Display(this.scene, this.base, (reason) => this.model.toast(reason), this.store.isEmbedded);
-    this.outputs = new Outputs(this.model, this.store, this.scene);
+    this.outputs = new Outputs(this.model, this.store, this.scene, this.base);
     this.marks = new Marks(this.scene);
     this.comparison = new Comparison(this.scene, {
       ask: () => this.synchronise(),

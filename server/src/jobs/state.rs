@@ -17,6 +17,7 @@ pub struct JobRequest {
 
 /// Where a batch job is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "lowercase")]
 pub enum JobState {
     /// It waits for those before it.
@@ -54,6 +55,7 @@ impl JobState {
 
 /// What a job is expected to cost, from the full surfaces of some of its extractions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Estimate {
     /// Triangles at most: of the full surfaces, or of budgets that are below.
     pub triangles: u64,
@@ -65,6 +67,7 @@ pub struct Estimate {
 
 /// Numbers of a job's extractions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Progress {
     /// All.
     pub total: u64,
@@ -76,6 +79,7 @@ pub struct Progress {
 
 /// Why something has no result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Cause {
     /// For programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`.
     pub code: String,
@@ -85,6 +89,7 @@ pub struct Cause {
 
 /// An extraction that failed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Failure {
     /// Which, from 0.
     pub extraction: u32,
@@ -95,6 +100,7 @@ pub struct Failure {
 
 /// A batch job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct JobInfo {
     /// Its id.
@@ -105,6 +111,7 @@ pub struct JobInfo {
     pub state: JobState,
     /// Why it stands still at the moment, where it does: `disk-full` or `storage`. It goes on by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(test, ts(optional))]
     pub paused: Option<String>,
     /// Its extractions.
     pub extractions: Progress,
@@ -114,20 +121,25 @@ pub struct JobInfo {
     pub estimate: Estimate,
     /// Seconds until it is done, once it runs, as far as known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(test, ts(optional))]
     pub eta_seconds: Option<f64>,
     /// When it was submitted, in seconds since 1970.
     pub submitted: f64,
     /// When its first extraction began.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(test, ts(optional))]
     pub started: Option<f64>,
     /// When it was done, failed or cancelled.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(test, ts(optional))]
     pub finished: Option<f64>,
     /// Why it failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(test, ts(optional))]
     pub error: Option<Cause>,
     /// Of one job that was asked for: the first hundred extractions that failed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(test, ts(as = "Option<Vec<Failure>>", optional))]
     pub failures: Vec<Failure>,
 }
 

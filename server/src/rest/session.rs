@@ -58,6 +58,8 @@ pub struct SessionInfo {
     roles: Vec<Role>,
     /// Seconds after which its token is of no use any more; `null`: there is no such time.
     expires_seconds: Option<u64>,
+    /// Whether it may have batch jobs made: the server keeps some (`--state-folder`), and the client has the role `export`.
+    jobs: bool,
 }
 
 /// Whether the client may use the server, for what, and for how long.
@@ -70,10 +72,11 @@ pub struct SessionInfo {
         (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn check(who: Identity) -> Response {
+pub async fn check(State(state): State<ApiState>, who: Identity) -> Response {
     let info = SessionInfo {
         roles: Role::ALL.into_iter().filter(|&role| who.may(role)).collect(),
         expires_seconds: who.expires_seconds(),
+        jobs: state.jobs.is_some() && who.may(Role::Export),
     };
     ([(header::CACHE_CONTROL, "no-store")], Json(info)).into_response()
 }

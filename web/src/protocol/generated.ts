@@ -54,6 +54,14 @@ export type Capabilities = {
   questions: Array<string>,
 };
 
+/** Why something has no result. */
+export type Cause = {
+  /** For programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
+  code: string,
+  /** For people. */
+  detail: string,
+};
+
 /**
  * Parts of the surface, those that nothing connects. Each position, in world coordinates, chooses the part whose surface is next to it;
  * where there is none in the two cells around, it chooses nothing. 1 to 64 positions.
@@ -220,6 +228,16 @@ export type EmbedInfo = {
   origins: Array<string>,
 };
 
+/** What a job is expected to cost, from the full surfaces of some of its extractions. */
+export type Estimate = {
+  /** Triangles at most: of the full surfaces, or of budgets that are below. */
+  triangles: number,
+  /** Bytes of the results at most. */
+  bytes: number,
+  /** Seconds on an idle device. */
+  seconds: number,
+};
+
 /**
  * Distance of a mesh from the surface it stands for, in world units, as the quadrics of its leaves estimate it. Known before
  * anything is measured, and no bound: vertices may be farther away.
@@ -229,6 +247,16 @@ export type EstimatedError = {
   rms: number,
   /** The root mean square of the leaf with the largest one. */
   worstLeaf: number,
+};
+
+/** An extraction that failed. */
+export type Failure = {
+  /** Which, from 0. */
+  extraction: number,
+  /** For programs: a code of the problem documents, `input-changed`, `attempts-exhausted` or `over-quota`. */
+  code: string,
+  /** For people. */
+  detail: string,
 };
 
 /** A field, or a feature made from one. */
@@ -327,6 +355,39 @@ export type Interest = {
 
 /** What an isovalue was chosen by. */
 export type IsoReason = "bone" | "background-left-out" | "whole-histogram" | "no-surface";
+
+/** A batch job. */
+export type JobInfo = {
+  /** Its id. */
+  id: string,
+  /** Id of its volume. */
+  volume: string,
+  /** Where it is. */
+  state: JobState,
+  /** Why it stands still at the moment, where it does: `disk-full` or `storage`. It goes on by itself. */
+  paused?: string,
+  /** Its extractions. */
+  extractions: Progress,
+  /** Bytes of its results. */
+  bytes: number,
+  /** What it is expected to cost. */
+  estimate: Estimate,
+  /** Seconds until it is done, once it runs, as far as known. */
+  etaSeconds?: number,
+  /** When it was submitted, in seconds since 1970. */
+  submitted: number,
+  /** When its first extraction began. */
+  started?: number,
+  /** When it was done, failed or cancelled. */
+  finished?: number,
+  /** Why it failed. */
+  error?: Cause,
+  /** Of one job that was asked for: the first hundred extractions that failed. */
+  failures?: Array<Failure>,
+};
+
+/** Where a batch job is. */
+export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
 
 /** What the leaves of a surface are. */
 export type LeafKind = "cubes" | "tree";
@@ -431,6 +492,16 @@ export type Problem = {
   code: string,
   /** With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered. */
   suggestedTriangles?: number,
+};
+
+/** Numbers of a job's extractions. */
+export type Progress = {
+  /** All. */
+  total: number,
+  /** With a result. */
+  done: number,
+  /** Without one, after three attempts or at once where others would not help. */
+  failed: number,
 };
 
 /** How a camera shows depth. */
@@ -635,6 +706,8 @@ export type SessionInfo = {
   roles: Array<Role>,
   /** Seconds after which its token is of no use any more; `null`: there is no such time. */
   expiresSeconds: number | null,
+  /** Whether it may have batch jobs made: the server keeps some (`--state-folder`), and the client has the role `export`. */
+  jobs: boolean,
 };
 
 /** A share of the full surface's triangles. */

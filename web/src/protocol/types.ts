@@ -25,6 +25,7 @@ export type Capabilities = Immutable<Server.Capabilities>;
 export type Problem = Immutable<Server.Problem>;
 export type SessionInfo = Immutable<Server.SessionInfo>;
 export type EmbedInfo = Immutable<Server.EmbedInfo>;
+export type JobInfo = Immutable<Server.JobInfo>;
 export type UploadInfo = Immutable<Server.UploadInfo>;
 export type UploadList = Immutable<Server.UploadList>;
 

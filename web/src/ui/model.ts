@@ -2,7 +2,7 @@
 
 import { createContext, createSignal, useContext, type Accessor } from "solid-js";
 import type { NamedFile, UploadPhase } from "../net/uploads";
-import type { Edit, Probed, SessionInfo, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
+import type { Edit, JobInfo, Probed, SessionInfo, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
 import type { Enclosed } from "../state/enclosed";
 import type { GroupAct, GroupState } from "../state/group";
 import { lengthScale, type LengthScale } from "../state/lengths";
@@ -83,6 +83,18 @@ export interface UploadActions {
   remove(upload: UploadInfo): Promise<void>;
 }
 
+/** What can be done with batch jobs. What fails is said. */
+export interface JobActions {
+  /** @throws where the server does not say */
+  list(): Promise<readonly JobInfo[]>;
+  /** The view that is shown, for each of these. */
+  submit(isovalues: readonly number[], format: MeshFormat): Promise<void>;
+  cancel(job: JobInfo): Promise<void>;
+  remove(job: JobInfo): Promise<void>;
+  /** Saves what it has made. */
+  download(job: JobInfo): Promise<void>;
+}
+
 /** An upload that is under way. */
 export interface Uploading {
   readonly title: string;
@@ -153,6 +165,7 @@ export class Model {
   readonly connection: Accessor<Connection>;
   /** Set before the page is shown. */
   uploads: UploadActions | undefined;
+  jobs: JobActions | undefined;
   /** Frames are rendered by a GPU: there are effects on screen. */
   onGpu = false;
   /** Told of each error that is shown. */
@@ -265,6 +278,11 @@ export class Model {
   /** Whether the user may do what a role is for. */
   may(role: Role): boolean {
     return has(this.session(), role);
+  }
+
+  /** Whether the user may have batch jobs made here. */
+  hasJobs(): boolean {
+    return this.session()?.jobs === true;
   }
 
   showConnection(connection: Connection): void {

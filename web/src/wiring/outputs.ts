@@ -1,9 +1,10 @@
-/** Images that leave the page: saved as files, with a word when they are ready. */
+/** What leaves the page: images, saved as files, with a word when they are ready; and what batch jobs make. */
 
 import type { SurfaceRenderer } from "../scene/renderer";
 import type { Store } from "../state/store";
 import type { ImageRequest, Model } from "../ui/model";
 import { saveFile } from "../ui/takeAlong";
+import { BatchJobs } from "./batchJobs";
 
 export class Outputs {
   private turn: AbortController | undefined;
@@ -12,7 +13,10 @@ export class Outputs {
     private readonly model: Model,
     private readonly store: Store,
     private readonly scene: SurfaceRenderer,
-  ) {}
+    base: URL,
+  ) {
+    model.jobs = new BatchJobs(store, model, base);
+  }
 
   saveImage(request: ImageRequest): void {
     void this.save("png", async () => {

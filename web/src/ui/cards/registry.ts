@@ -26,6 +26,7 @@ export const CARDS: readonly Card[] = [
   onDemand({ id: "measure", title: "Measure", icon: "measure" }, () => import("./measure")),
   onDemand({ id: "compare", title: "Compare", icon: "compare" }, () => import("./compare")),
   onDemand({ id: "out", title: "Export", icon: "image" }, () => import("./out")),
+  onDemand({ id: "jobs", title: "Batch jobs", icon: "jobs", when: (model) => model.hasJobs() }, () => import("./jobs")),
   onDemand({ id: "together", title: "Follow me", icon: "together", when: ({ viewer }) => viewer().groups }, () => import("./together")),
   numbersCard,
 ];

@@ -1,0 +1,82 @@
+/** Batch jobs: surfaces that the server makes one after the other, and keeps. Loaded with their card. */
+
+import { Zip, ZipPassThrough } from "fflate";
+import type { Edit, JobInfo } from "../protocol/types";
+import { request } from "./credentials";
+import { ask, checked } from "./rest";
+
+/** A file, as `POST jobs` asks for it. */
+export type Extraction = Edit & { readonly step: number; readonly format: string };
+
+export interface JobRequest {
+  readonly volume: string;
+  readonly extractions: readonly Extraction[];
+}
+
+/** A page holds all of what it saves. */
+const MAX_FETCHED_BYTES = 2 ** 30;
+
+/** The user's jobs, the latest first. */
+export async function listJobs(base: URL): Promise<readonly JobInfo[]> {
+  return (await (await ask(address(base), {})).json()) as readonly JobInfo[];
+}
+
+/** @param key the same request with the same key makes one job, also where the first answer was lost */
+export async function submitJob(base: URL, wanted: JobRequest, key: string): Promise<JobInfo> {
+  const headers = { "content-type": "application/json", "idempotency-key": key };
+  return (await (await ask(address(base), { method: "POST", headers, body: JSON.stringify(wanted) })).json()) as JobInfo;
+}
+
+/** What it has made stays. */
+export async function cancelJob(base: URL, id: string): Promise<void> {
+  await ask(address(base, `/${id}/cancel`), { method: "POST" });
+}
+
+/** Removes a finished job and its results. */
+export async function removeJob(base: URL, id: string): Promise<void> {
+  await ask(address(base, `/${id}`), { method: "DELETE" });
+}
+
+/**
+ * Its results: the file itself where there is one, else a zip of them. They have the names that `isopeel jobs fetch` gives them.
+ *
+ * @throws where there is none, or more than a page holds
+ */
+export async function fetchResults(base: URL, { id, volume, extractions, bytes }: JobInfo): Promise<{ readonly name: string; readonly file: Blob }> {
+  if (bytes > MAX_FETCHED_BYTES) throw new Error(`the results have ${bytes} bytes, more than a page can hold: isopeel jobs fetch ${id}`);
+  const files: { readonly name: string; readonly file: Blob }[] = [];
+  for (let n = 0; n < extractions.total && files.length < extractions.done; n += 1) {
+    const url = address(base, `/${id}/results/${n}`);
+    const response = await request(url);
+    // One that failed has no result; the others have.
+    if (response.status === 404) continue;
+    const { headers } = await checked(url, response);
+    const ending = /\.(\w+)"/.exec(headers.get("content-disposition") ?? "")?.[1] ?? "bin";
+    files.push({ name: `${String(n).padStart(5, "0")}.${ending}`, file: await response.blob() });
+  }
+  const [first] = files;
+  if (first === undefined) throw new Error("the job has no results");
+  return files.length === 1 ? { name: `${volume}-${first.name}`, file: first.file } : { name: `${volume}-${id.slice(0, 8)}.zip`, file: await zipped(files) };
+}
+
+async function zipped(files: readonly { readonly name: string; readonly file: Blob }[]): Promise<Blob> {
+  const pieces: Uint8Array<ArrayBuffer>[] = [];
+  let failed: Error | undefined;
+  // Meshes are hardly smaller when they are compressed once more, and that takes long.
+  const zip = new Zip((error, piece) => {
+    if (error === null) pieces.push(piece.slice());
+    else failed = error;
+  });
+  for (const { name, file } of files) {
+    const entry = new ZipPassThrough(name);
+    zip.add(entry);
+    entry.push(new Uint8Array(await file.arrayBuffer()), true);
+  }
+  zip.end();
+  if (failed !== undefined) throw failed;
+  return new Blob(pieces, { type: "application/zip" });
+}
+
+function address(base: URL, path = ""): URL {
+  return new URL(`api/v1/jobs${path}`, base);
+}

@@ -1,0 +1,48 @@
+/** Batch jobs in words. Pure. */
+
+import type { JobInfo } from "../../protocol/types";
+import { formatBytes, formatCount } from "../format";
+
+const files = (count: number) => (count === 1 ? "1 file" : `${formatCount(count)} files`);
+
+/** 12 s, 5 min, 3 h: about as long. */
+export function formatDuration(seconds: number): string {
+  if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
+  return seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${Math.round(seconds / 3600)} h`;
+}
+
+const PAUSES: Readonly<Record<string, string>> = {
+  "disk-full": "the server’s disk is full",
+  storage: "the server’s disk takes no results",
+};
+
+/** Where a job is. */
+export function jobText({ state, paused, extractions, bytes, etaSeconds, error }: JobInfo): string {
+  const { total, done, failed } = extractions;
+  const made = `${formatCount(done)} of ${files(total)}`;
+  const size = done > 0 ? `, ${formatBytes(bytes)}` : "";
+  if (paused !== undefined && (state === "queued" || state === "running")) return `${made}, stands still: ${PAUSES[paused] ?? paused}`;
+  switch (state) {
+    case "queued":
+      return `waits, ${files(total)}`;
+    case "running":
+      return made + (etaSeconds === undefined ? "" : `, about ${formatDuration(etaSeconds)} left`);
+    case "done":
+      return files(total) + size;
+    case "cancelled":
+      return `cancelled, ${made}${size}`;
+    case "failed":
+      return `failed, ${made}${size}: ${error?.detail ?? `${formatCount(failed)} could not be made`}`;
+  }
+}
+
+/** What is said when a job was submitted. */
+export function submittedText({ extractions, estimate }: JobInfo): string {
+  return `The server makes ${files(extractions.total)}: up to ${formatBytes(estimate.bytes)}, about ${formatDuration(estimate.seconds)} when nobody else uses it`;
+}
+
+/** What is said when it has ended. */
+export function finishedText({ volume, state, extractions }: JobInfo): string {
+  if (state === "done") return `${files(extractions.total)} of ${volume} ${extractions.total === 1 ? "is" : "are"} ready`;
+  return `The batch job of ${volume} ${state === "failed" ? "has failed" : "was cancelled"}`;
+}

@@ -1,0 +1,71 @@
+/** What the page does about batch jobs: the view that is shown is submitted for chosen isovalues, results are saved. */
+
+import type { JobRequest } from "../net/jobs";
+import type { JobInfo } from "../protocol/types";
+import type { Store } from "../state/store";
+import { submittedText } from "../ui/cards/jobWords";
+import type { JobActions, MeshFormat, Model } from "../ui/model";
+import { exportedView, saveFile } from "../ui/takeAlong";
+
+export class BatchJobs implements JobActions {
+  /** A request that had no answer, and its key: sent again it makes no second job. */
+  private unanswered: { readonly text: string; readonly key: string } | undefined;
+
+  constructor(
+    private readonly store: Store,
+    private readonly model: Model,
+    private readonly base: URL,
+  ) {}
+
+  async list(): Promise<readonly JobInfo[]> {
+    const { listJobs } = await import("../net/jobs");
+    return listJobs(this.base);
+  }
+
+  async submit(isovalues: readonly number[], format: MeshFormat): Promise<void> {
+    const { viewer } = this.store;
+    const view = exportedView(viewer, false);
+    if (view === undefined || viewer.target === undefined) return;
+    const { volume, step } = viewer.target;
+    const request = { volume, extractions: isovalues.map((iso) => ({ ...view, iso, step, format })) };
+    await this.try("The job was not submitted", async () => this.model.toast(submittedText(await this.send(request)), "brief"));
+  }
+
+  cancel(job: JobInfo): Promise<void> {
+    return this.try("The job was not cancelled", async () => (await import("../net/jobs")).cancelJob(this.base, job.id));
+  }
+
+  remove(job: JobInfo): Promise<void> {
+    return this.try("The job was not deleted", async () => (await import("../net/jobs")).removeJob(this.base, job.id));
+  }
+
+  download(job: JobInfo): Promise<void> {
+    return this.try("The results could not be fetched", async () => {
+      const { fetchResults } = await import("../net/jobs");
+      const { name, file } = await fetchResults(this.base, job);
+      saveFile(name, file);
+      this.model.toast(`${name} is ready`, "brief");
+    });
+  }
+
+  private async send(request: JobRequest): Promise<JobInfo> {
+    const { submitJob } = await import("../net/jobs");
+    const text = JSON.stringify(request);
+    const { key } = this.unanswered?.text === text ? this.unanswered : { key: randomKey() };
+    this.unanswered = { text, key };
+    const job = await submitJob(this.base, request, key);
+    this.unanswered = undefined;
+    return job;
+  }
+
+  private async try(failed: string, act: () => Promise<void>): Promise<void> {
+    try {
+      await act();
+    } catch (error) {
+      this.model.toast(`${failed}: ${error instanceof Error ? error.message : String(error)}`);
+    }
+  }
+}
+
+/** `randomUUID` is for encrypted pages alone. */
+const randomKey = () => [...crypto.getRandomValues(new Uint32Array(4))].map((n) => n.toString(16).padStart(8, "0")).join("");

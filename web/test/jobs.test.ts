@@ -1,0 +1,105 @@
+/** Batch jobs: what is typed, what is said, and what is asked of the server. */
+
+import { strFromU8, unzipSync } from "fflate";
+import { afterEach, describe, expect, test, vi } from "vitest";
+import { cancelJob, fetchResults, listJobs, removeJob, submitJob } from "../src/net/jobs";
+import type { JobInfo } from "../src/protocol/types";
+import { isovaluesOf, justFinished } from "../src/state/jobs";
+import { finishedText, formatDuration, jobText, submittedText } from "../src/ui/cards/jobWords";
+
+const BASE = new URL("http://host:1/below/");
+const JOB: JobInfo = {
+  id: "0123456789abcdef",
+  volume: "head",
+  state: "running",
+  extractions: { total: 3, done: 1, failed: 0 },
+  bytes: 1500,
+  estimate: { triangles: 1000, bytes: 4500, seconds: 12 },
+  submitted: 0,
+};
+const DONE: JobInfo = { ...JOB, state: "done", extractions: { total: 3, done: 3, failed: 0 } };
+
+describe("isovalues that are typed", () => {
+  test("are numbers with anything usual between them", () => {
+    expect(isovaluesOf(" 40, 52.5;-1e2  .5 ")).toEqual([40, 52.5, -100, 0.5]);
+    expect(isovaluesOf("7")).toEqual([7]);
+  });
+
+  test("else it is said what is wrong", () => {
+    expect(isovaluesOf(" ")).toMatch(/expected a number/);
+    for (const word of ["x", "1e", "0x10", "1e999", "5-7"]) expect(isovaluesOf(`1 ${word}`)).toContain(`“${word}” is no isovalue`);
+    expect(isovaluesOf(Array(10_001).fill("1").join(" "))).toBe("10001 isovalues, expected at most 10000");
+  });
+});
+
+describe("a job in words", () => {
+  test("says how far it is", () => {
+    expect(jobText({ ...JOB, state: "queued" })).toBe("waits, 3 files");
+    expect(jobText(JOB)).toBe("1 of 3 files");
+    expect(jobText({ ...JOB, etaSeconds: 7200 })).toBe("1 of 3 files, about 2 h left");
+    expect(jobText({ ...JOB, paused: "disk-full" })).toBe("1 of 3 files, stands still: the server’s disk is full");
+    expect(jobText(DONE)).toBe("3 files, 1.5 kB");
+    expect(jobText({ ...JOB, state: "cancelled" })).toBe("cancelled, 1 of 3 files, 1.5 kB");
+    const failed: JobInfo = { ...JOB, state: "failed", extractions: { total: 3, done: 1, failed: 2 } };
+    expect(jobText(failed)).toBe("failed, 1 of 3 files, 1.5 kB: 2 could not be made");
+    expect(jobText({ ...failed, error: { code: "input-changed", detail: "head.nrrd has changed" } })).toContain("head.nrrd has changed");
+    expect([0.2, 89, 90, 5399, 5400].map(formatDuration)).toEqual(["1 s", "89 s", "2 min", "90 min", "2 h"]);
+    expect(submittedText(JOB)).toBe("The server makes 3 files: up to 4.5 kB, about 12 s when nobody else uses it");
+  });
+
+  test("its end is said once", () => {
+    expect(justFinished([], [DONE])).toEqual([]);
+    expect(justFinished([JOB], [DONE])).toEqual([DONE]);
+    expect(justFinished([DONE], [DONE])).toEqual([]);
+    expect(finishedText(DONE)).toBe("3 files of head are ready");
+    expect(finishedText({ ...DONE, state: "failed" })).toBe("The batch job of head has failed");
+  });
+});
+
+describe("what is asked of the server", () => {
+  const asked: { readonly path: string; readonly method: string; readonly options: RequestInit }[] = [];
+
+  function answer(by: (path: string) => Response): void {
+    vi.stubGlobal("fetch", (url: URL, options: RequestInit) => {
+      asked.push({ path: url.pathname, method: options.method ?? "GET", options });
+      return Promise.resolve(by(url.pathname));
+    });
+  }
+
+  afterEach(() => {
+    vi.unstubAllGlobals();
+    asked.length = 0;
+  });
+
+  test("paths are those of the server, below where the page is", async () => {
+    answer(() => Response.json([JOB]));
+    expect(await listJobs(BASE)).toEqual([JOB]);
+    await submitJob(BASE, { volume: "head", extractions: [{ iso: 7, step: 0, format: "glb" }] }, "key");
+    await cancelJob(BASE, "a");
+    await removeJob(BASE, "a");
+    expect(asked.map(({ method, path }) => `${method} ${path}`)).toEqual(["GET /below/api/v1/jobs", "POST /below/api/v1/jobs", "POST /below/api/v1/jobs/a/cancel", "DELETE /below/api/v1/jobs/a"]);
+    expect(asked[1]?.options.headers).toMatchObject({ "idempotency-key": "key" });
+    answer(() => Response.json({ detail: "the user has 100 jobs that are not finished" }, { status: 429 }));
+    await expect(listJobs(BASE)).rejects.toThrow("the user has 100 jobs");
+  });
+
+  const result = (path: string) =>
+    path.endsWith("/1") ? Response.json({ code: "no-result" }, { status: 404 }) : new Response(path.slice(-1), { headers: { "content-disposition": `attachment; filename="${path.slice(-1)}.stl"` } });
+
+  test("several results are one zip, without those that could not be made", async () => {
+    answer(result);
+    const { name, file } = await fetchResults(BASE, { ...JOB, extractions: { total: 3, done: 2, failed: 1 } });
+    expect(name).toBe("head-01234567.zip");
+    const found = unzipSync(new Uint8Array(await file.arrayBuffer()));
+    expect(Object.entries(found).map(([name, bytes]) => [name, strFromU8(bytes)])).toEqual([["00000.stl", "0"], ["00002.stl", "2"]]);
+  });
+
+  test("one is the file itself, none and too much are said", async () => {
+    answer(result);
+    const { name, file } = await fetchResults(BASE, JOB);
+    expect([name, await file.text(), asked.length]).toEqual(["head-00000.stl", "0", 1]);
+    answer(() => Response.json({}, { status: 404 }));
+    await expect(fetchResults(BASE, JOB)).rejects.toThrow("no results");
+    await expect(fetchResults(BASE, { ...JOB, bytes: 2 ** 31 })).rejects.toThrow(`isopeel jobs fetch ${JOB.id}`);
+  });
+});
