@@ -21,7 +21,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-drivers test-browser test-browsers test-glb bench bench-browser screenshot \
+	lint test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-drivers test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -164,6 +164,9 @@ test-browser: build-tests tests/browser/node_modules/.package-lock.json ## the c
 
 test-browsers: build-tests tests/browser/node_modules/.package-lock.json ## all tests of the client in chromium, and some in Firefox ESR and WebKitGTK where these are installed
 	cd tests/browser && ISOPEEL_BINARY=$(TESTED_BINARY) npm run test-all --silent
+
+test-service: build-tests tests/browser/node_modules/.package-lock.json ## the lines for nginx and systemd in docs/operations.md: the client behind nginx, the unit read; takes both
+	cd tests/browser && ISOPEEL_BINARY=$(TESTED_BINARY) npm run service --silent
 
 test-glb: build-tests tests/glb/node_modules/.package-lock.json ## exported GLB files in the Khronos validator
 	cd tests/glb && ISOPEEL_BINARY=$(TESTED_BINARY) npm test --silent
