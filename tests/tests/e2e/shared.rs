@@ -100,6 +100,51 @@ async fn eight_viewers_of_one_view_are_as_much_work_as_one() {
     assert!(last < 2 * first + Duration::from_millis(300), "{times:?}");
 }
 
+/// An export of what a viewer is shown takes its pyramid and its vertex tree from there: what is left is to cut, mesh and write it.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let volume = folder.path().join("ball.npy");
+    ball::write(&volume);
+    let Some(server) = process::start(&[volume], &["--no-demo"]) else {
+        return;
+    };
+    let address = server.address;
+    look(address).await;
+    let made = || {
+        let text = String::from_utf8(http::get(address, "/metrics").body).expect("UTF-8");
+        ["pyramid", "tree"].map(|what| {
+            let counted = |result| {
+                counted(
+                    &text,
+                    "isopeel_cache_requests_total",
+                    &format!(r#"what="{what}",result="{result}""#),
+                )
+            };
+            (counted("miss"), counted("hit"))
+        })
+    };
+    let before = made();
+    let export = |iso: Option<f64>| {
+        let start = Instant::now();
+        let body = json!({"volume": "ball", "format": "glb", "iso": iso});
+        assert_eq!(http::post_json(address, "/api/v1/extract", &body).status, 200);
+        start.elapsed()
+    };
+    let shared = export(None);
+    let after = made();
+    for (kind, (before, after)) in ["pyramid", "tree"].iter().zip(before.iter().zip(after)) {
+        assert_eq!(after.0, before.0, "a {kind} was made");
+        assert!(after.1 > before.1, "no {kind} was found");
+    }
+    // Of another isovalue both are made.
+    let own = export(Some(3.0));
+    for (before, after) in after.iter().zip(made()) {
+        assert!(after.0 > before.0);
+    }
+    println!("an export of what is shown {shared:?}, of another isovalue {own:?}");
+}
+
 /// Where nothing is kept, who comes later has it made anew.
 #[tokio::test(flavor = "multi_thread")]
 async fn without_memory_for_it_nothing_is_kept() {
