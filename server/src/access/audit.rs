@@ -218,7 +218,7 @@ fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
         (["tickets"], &Method::POST) => (Event::Ticket, None),
         (["embed-tokens"], &Method::POST) => (Event::EmbedToken, None),
         (["stream"], _) => (Event::Stream, None),
-        (["extract"], &Method::POST) => (Event::Export, None),
+        (["extract"], &Method::GET | &Method::POST) => (Event::Export, None),
         (["jobs"], &Method::POST) => (Event::JobSubmit, None),
         (["jobs", id, "cancel"], &Method::POST) => (Event::JobCancel, Some(*id)),
         (["jobs", id], &Method::DELETE) => (Event::JobDelete, Some(*id)),

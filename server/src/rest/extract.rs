@@ -1,5 +1,7 @@
 //! A surface as a file.
 
+pub(super) mod address;
+
 use std::io::{self, Write};
 use std::sync::Arc;
 use std::time::Duration;
@@ -140,6 +142,11 @@ pub async fn extract(
     let Json(ExtractRequest { volume, file }) = body?;
     let volume = state.volume(&who, &volume, file.step)?;
     let view = file.view(volume.dataset())?;
+    answer(state, volume, view, file.format).await
+}
+
+/// Makes a file, unless too many are being made, and answers it.
+async fn answer(state: ApiState, volume: VolumeStep, view: View, format: Format) -> Result<Response, ApiError> {
     let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
         ApiError::busy(format!(
             "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"
@@ -149,7 +156,7 @@ pub async fn extract(
     // it has.
     let token = CancellationToken::new();
     let _cancel = token.clone().drop_guard();
-    let making = tokio::spawn(make(state.extractor, volume, view, file.format, token, permit));
+    let making = tokio::spawn(make(state.extractor, volume, view, format, token, permit));
     let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
         let deadline = EXPORT_DEADLINE.as_secs();
         ApiError::busy(format!(

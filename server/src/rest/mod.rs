@@ -50,6 +50,7 @@ use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
 use crate::uploads::Uploads;
 use crate::volumes::SharedCatalog;
+use extract::address::TagSeed;
 
 /// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.
 const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -73,6 +74,7 @@ pub struct ApiState {
     catalog: SharedCatalog,
     extractor: Extractor,
     extracts: Arc<Semaphore>,
+    tag_seed: TagSeed,
     slices: Arc<Semaphore>,
     events: Arc<Semaphore>,
     access: Access,
@@ -89,6 +91,7 @@ impl ApiState {
             catalog,
             extractor,
             extracts: Arc::new(Semaphore::new(CONCURRENT_EXTRACTS)),
+            tag_seed: TagSeed::random(),
             slices: Arc::new(Semaphore::new(CONCURRENT_SLICES)),
             events: Arc::new(Semaphore::new(EVENT_STREAMS)),
             access,
@@ -129,7 +132,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(volumes::show))
         .routes(routes!(volumes::expression))
         .routes(routes!(slices::slice))
-        .routes(routes!(extract::extract))
+        .routes(routes!(extract::extract, extract::address::extract_by_address))
         .merge(jobs::routed())
         .merge(uploads::routed())
         .routes(routes!(session::begin, session::check, oidc::sign_out))

@@ -199,7 +199,8 @@ fn unknown_paths_and_methods_are_problems_too() {
     http::get(address, "/api/v1/volumes/nothing").problem(404);
     http::get(address, "/api/v1/volumes/%2e%2e%2f%2e%2e%2fetc%2fpasswd").problem(404);
     http::get(address, "/api/v1/nothing").problem(404);
-    http::get(address, "/api/v1/extract").problem(405);
+    http::get(address, "/api/v1/extract").problem(400);
+    http::post_json(address, "/api/v1/volumes", &json!({})).problem(405);
     // not a WebSocket handshake
     assert!((400..500).contains(&http::get(address, "/api/v1/stream").status));
 }

@@ -143,6 +143,34 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
         assert!(after.0 > before.0);
     }
     println!("an export of what is shown {shared:?}, of another isovalue {own:?}");
+
+    // It has an address, by which it is the same file; who has it already causes nothing.
+    let path = "/api/v1/extract?volume=ball&format=stl&iso=3";
+    let file = http::get(address, path);
+    let posted = http::post_json(
+        address,
+        "/api/v1/extract",
+        &json!({"volume": "ball", "format": "stl", "iso": 3}),
+    );
+    assert_eq!((file.status, file.content_type.as_str()), (200, "model/stl"));
+    assert!(file.body == posted.body, "other bytes");
+    let (before, tag) = (made(), file.header("etag"));
+    let shown =
+        |path: &str, tag: &str| http::send(address, "GET", path, &[("If-None-Match", tag)], b"").expect("an answer");
+    let again = shown(path, tag);
+    assert_eq!((again.status, again.body.len(), again.header("etag")), (304, 0, tag));
+    assert_eq!(made(), before);
+    for answer in [&file, &again] {
+        assert_eq!(answer.header("cache-control"), "private, no-cache");
+        assert!(answer.header("vary").contains("Authorization, Cookie, Origin"));
+    }
+    let other = shown("/api/v1/extract?volume=ball&format=stl&iso=3.5", tag);
+    assert_eq!(other.status, 200);
+    assert_ne!(other.header("etag"), tag);
+    let path = "/api/v1/extract?volume=none&format=stl";
+    assert_eq!(shown(path, "*").problem(404), "unknown-volume");
+    let path = "/api/v1/extract?volume=ball&format=stl&isovalue=3";
+    assert_eq!(shown(path, "*").problem(400), "bad-request");
 }
 
 /// Where nothing is kept, who comes later has it made anew.

@@ -220,6 +220,8 @@ async fn nobody_sees_what_another_has_brought() {
         export["volume"] = json!(id);
         export
     };
+    let address = |id: &str| format!("/api/v1/extract?volume={id}&format=stl");
+    let had = [("if-none-match", "*")];
     let job = |id: &str| json!({"volume": id, "extractions": [extraction(0.0, "stl")]});
     let (upload, no_upload) = (path.rsplit('/').next().expect("an id"), &nothing["upload-".len()..]);
     for (own, other) in [
@@ -234,6 +236,11 @@ async fn nobody_sees_what_another_has_brought() {
         (
             bob.post("/api/v1/extract", &export(&id)),
             bob.post("/api/v1/extract", &export(&nothing)),
+        ),
+        // Also where the client says that it has the file.
+        (
+            bob.ask("GET", &address(&id), &had, b""),
+            bob.ask("GET", &address(&nothing), &had, b""),
         ),
         (
             bob.post("/api/v1/jobs", &job(&id)),
@@ -262,6 +269,7 @@ async fn nobody_sees_what_another_has_brought() {
     assert_eq!(of_all["uploads"][0]["owner"], "ann");
     // Ann's own requests are answered.
     assert_eq!(ann.post("/api/v1/extract", &export(&id)).status, 200);
+    assert_eq!(ann.ask("GET", &address(&id), &had, b"").status, 304);
     assert_eq!(ann.post("/api/v1/jobs", &job(&id)).status, 201);
 
     // On the stream.
