@@ -1,10 +1,11 @@
 //! Answers to questions about the surface that a viewer is shown: what is next to a position, how its leaves' values are distributed, how
 //! its error grows as triangles get fewer. Nothing of the surface is made again.
 
+mod answers;
+
 use std::rc::Rc;
 
-use isopeel_kernels::{CURVE_POINTS, Cancel, Cut, CutParams, DistributionCounts, Level, MAX_BINS, Region, ShownCut};
-use serde::Serialize;
+use isopeel_kernels::{CURVE_POINTS, Cancel, Cut, CutParams, DistributionCounts, Level, MAX_BINS, ShownCut};
 use tokio_util::sync::CancellationToken;
 
 use super::keys::VolumeKey;
@@ -15,6 +16,10 @@ use super::{CutId, WorkError};
 use crate::math::IndexSpace;
 use crate::view::View;
 use crate::volumes::VolumeStep;
+pub use answers::{
+    Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
+    VertexErrors,
+};
 
 const _: () = assert!(CURVE_POINTS == 32 && MAX_BINS == 256, "PROTOCOL.md says so");
 
@@ -41,159 +46,6 @@ pub struct ShownSurface {
     pub view: View,
     /// The cut.
     pub cut: CutId,
-}
-
-/// The answer to a [`Question`].
-#[derive(Clone, Debug, PartialEq)]
-pub enum Answer {
-    /// To [`Question::Probe`].
-    Probe(Probe),
-    /// To [`Question::Distribution`].
-    Distribution(Distribution),
-    /// To [`Question::Curve`].
-    Curve(Curve),
-    /// To [`Question::VertexErrors`]: of the regions of the surface.
-    VertexErrors(Vec<VertexErrors>),
-}
-
-/// Distances of the vertices of a region to the isosurface, world units; infinite where none is near.
-#[derive(Clone, Debug, PartialEq)]
-pub struct VertexErrors {
-    /// The region, as it was made.
-    pub region: Region,
-    /// Of each of its vertices.
-    pub distances: Vec<f32>,
-}
-
-/// What the leaves of a surface are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(rename_all = "kebab-case")]
-pub enum LeafKind {
-    /// Of the octree.
-    Cubes,
-    /// Of the vertex tree.
-    Tree,
-}
-
-/// Why there is no value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(rename_all = "kebab-case")]
-pub enum NoValue {
-    /// A sample that counts is missing, or it is not a finite number.
-    Missing,
-    /// The field is not on the device.
-    NotResident,
-}
-
-/// A field at a position.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(rename_all = "camelCase")]
-pub struct FieldValue {
-    /// Its name.
-    pub field: String,
-    /// Trilinear, in the field's units.
-    pub value: Option<f32>,
-    /// Why there is none.
-    #[cfg_attr(test, ts(optional))]
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub why: Option<NoValue>,
-}
-
-/// The leaf that stands for a part of the surface.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(rename_all = "camelCase")]
-pub struct NearestLeaf {
-    /// Of which kind.
-    pub kind: LeafKind,
-    /// Its level.
-    pub level: u8,
-    /// Its estimated error, root mean square in world units.
-    pub error: f32,
-}
-
-/// The full surface's vertex that is nearest to a position.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(rename_all = "camelCase")]
-pub struct NearestSurface {
-    /// From the position to it, world units.
-    pub distance: f32,
-    /// Smoothness feature.
-    pub smoothness: f32,
-    /// User feature, in the feature's own units.
-    pub feature: f32,
-    /// Of both, what the transfer function looks at.
-    pub blended: f32,
-    /// Importance.
-    pub importance: f32,
-    /// The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known.
-    pub leaf: Option<NearestLeaf>,
-    /// Number of its part in the full surface: the same at all places of one part, as long as isovalue, field and guards stay; null as
-    /// `partArea`.
-    pub part: Option<u32>,
-    /// Area of its part in the full surface, world units; null where it is of none, and where parts are not known: the surface is no tree
-    /// cut, or it is large and no part of it was removed yet.
-    pub part_area: Option<f32>,
-}
-
-/// What is at a position.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(rename_all = "camelCase")]
-pub struct Probe {
-    /// The position, in the world.
-    pub position: [f64; 3],
-    /// Whether it is in the volume.
-    pub inside: bool,
-    /// Every field there; none outside.
-    pub values: Vec<FieldValue>,
-    /// The surface next to it; null where there is none within two cells.
-    pub nearest: Option<NearestSurface>,
-}
-
-/// How the blended feature is distributed over a surface: each vertex of the full surface counts once, with the leaf that stands for it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(rename_all = "camelCase")]
-pub struct Distribution {
-    /// What the leaves are.
-    pub kind: LeafKind,
-    /// Vertices in equal bins from 0 to 1.
-    pub bins: Vec<u32>,
-    /// Of these, those whose leaf stands for others too.
-    pub coarse: Vec<u32>,
-    /// Their share in all.
-    pub coarse_share: f64,
-}
-
-/// A cut of a curve.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(rename_all = "camelCase")]
-pub struct CurvePoint {
-    /// Triangles of its surface.
-    pub triangles: u64,
-    /// Estimated error, root mean square in world units.
-    pub rms: f32,
-    /// Tolerance, world units, or β; below 0 for the full surface.
-    pub threshold: f32,
-}
-
-/// How the estimated error grows as triangles get fewer.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(rename_all = "camelCase")]
-pub struct Curve {
-    /// What is cut.
-    pub kind: LeafKind,
-    /// Whether thresholds are tolerances, or else β.
-    pub by_error: bool,
-    /// Cuts from the full surface to the coarsest.
-    pub points: Vec<CurvePoint>,
 }
 
 impl Question {
@@ -452,16 +304,6 @@ fn distribution((kind, counts): (LeafKind, DistributionCounts)) -> Distribution 
         bins: counts.all,
         coarse: counts.coarse,
         coarse_share: if all > 0 { coarse as f64 / all as f64 } else { 0.0 },
-    }
-}
-
-impl From<isopeel_kernels::CurvePoint> for CurvePoint {
-    fn from(point: isopeel_kernels::CurvePoint) -> Self {
-        Self {
-            triangles: point.triangles,
-            rms: point.rms,
-            threshold: point.threshold,
-        }
     }
 }
 
