@@ -13,6 +13,10 @@ const RESERVE_BYTES: u64 = 256 << 20;
 /// export's mesh. Measured: 80 to 100.
 const BYTES_PER_TRIANGLE: u64 = 100;
 
+/// Pieces of so many bytes go back to the system when they are freed.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const LARGE_PIECE: i32 = 1 << 20;
+
 /// What `--host-memory` says, bytes.
 static LIMIT: OnceLock<u64> = OnceLock::new();
 
@@ -20,6 +24,17 @@ static LIMIT: OnceLock<u64> = OnceLock::new();
 pub fn limit_host_memory(bytes: u64) {
     // A second call would be of another server in one process; the first one counts.
     let _ = LIMIT.set(bytes);
+}
+
+/// Has glibc take large pieces of memory from the system, one by one, and give them back. By itself it does so from 128 KiB on until such
+/// pieces are freed, then from up to 32 MiB on: a driver's buffers on a CPU lie in its heaps then, where what is between them keeps those that
+/// are freed from the system. Once, before any work.
+pub fn return_freed_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: sets a number of the allocator.
+    unsafe {
+        libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_PIECE)
+    };
 }
 
 /// Memory of the host, in bytes.

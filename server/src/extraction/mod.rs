@@ -52,7 +52,7 @@ mod worker_state;
 pub use device_thread::DeviceState;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
-pub use host_memory::limit_host_memory;
+pub use host_memory::{limit_host_memory, return_freed_memory};
 pub use loading::{OpeningProgress, OpeningWatch};
 pub use memory::MemoryUse;
 pub use open_steps::Held;

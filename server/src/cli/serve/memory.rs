@@ -1,6 +1,6 @@
 //! Options of `isopeel serve` about memory.
 
-use crate::extraction::{PROCESSOR_BYTES, limit_host_memory};
+use crate::extraction::{PROCESSOR_BYTES, limit_host_memory, return_freed_memory};
 use crate::stream::SHARED_BYTES;
 
 /// A few steps of 256³ floats.
@@ -40,6 +40,7 @@ fn surface_memory_help() -> String {
 impl MemoryArgs {
     /// Holds this process to its limit. Once, before any work.
     pub(super) fn limit_process(&self) {
+        return_freed_memory();
         if let Some(mebibytes) = self.host_memory {
             limit_host_memory(mebibytes.saturating_mul(MIB));
         }
