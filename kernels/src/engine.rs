@@ -14,6 +14,7 @@ use std::rc::Rc;
 
 mod build;
 pub(crate) mod cut;
+mod distance_field;
 pub(crate) mod evaluate;
 pub(crate) mod fit;
 mod generate;
@@ -31,7 +32,7 @@ pub struct Engine {
     pub(crate) cases: Buffer<u8>,
     pub(crate) case_facts: Buffer<u32>,
     warm: RefCell<HashSet<SampleType>>,
-    /// Programs of expressions.
+    /// Programs of expressions, and that of distances.
     expressions: evaluate::Programs,
     /// Pyramids built so far: the number of the next one.
     pyramids: Cell<u64>,

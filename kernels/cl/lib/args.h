@@ -18,6 +18,29 @@ typedef struct {
     float offset; // See `factor`.
 } GenerateArgs;
 
+// Arguments of `distance_field_before` and `distance_field_after`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint planes; // Planes of the slab.
+    uint keep; // The plane at which the neighbouring slab goes on.
+    uint first; // First column of this launch.
+    uint columns; // Columns of this launch.
+    float scale; // Units of one step between positions.
+} DistanceColumnsArgs;
+
+// Arguments of `distance_field_envelope`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint axis; // Axis of the lines: 0 or 1.
+    uint first; // First line of this launch.
+    uint lines; // Lines of this launch.
+    uint is_even; // 1: positions are the numbers of the samples.
+    uint is_last; // 1: distances are written; 0: their squares.
+    float scale; // Units of one step between positions.
+    float unit; // World units of a unit of length.
+} DistanceLinesArgs;
+
 // Arguments of `evaluate`.
 typedef struct {
     Grid grid; // Extent of the volume.

@@ -3,7 +3,7 @@
 //! work-item: volumes are as small as they can be. Floats have it all. Of other types, where the kernels differ in how a sample
 //! is read, only what reads samples is run, and of types of one size one: accesses have the same addresses.
 
-use isopeel_kernels::expression::{Binary, Op};
+use isopeel_kernels::expression::{Binary, Comparison, Op};
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{
     ChosenParts, CutParams, DerivedFeature, Engine, Expression, Feature, Grid, Interest, InterestShape, Isovalue,
@@ -99,6 +99,7 @@ fn derived_features_run() {
         derive(&engine, &volume, feature);
     }
     evaluate(&engine, [&volume, &y]);
+    distances(&engine, &y);
 }
 
 /// A feature at cells and at samples.
@@ -145,6 +146,19 @@ fn evaluate(engine: &Engine, [x, y]: [&Volume; 2]) {
     let at = |i: usize| 4.0 * (f32::from(values(DERIVED_DIMS)[i]) + f32::from(of_values(DERIVED_DIMS, signed)[i]));
     let is_as_expected = |i: usize| planes.get(i) == at(i) || planes.get(i).is_nan();
     assert!((0..planes.len()).all(is_as_expected) && planes.get(3) == at(3));
+}
+
+/// `distance_field`, from where a field is below 0, or missing there.
+fn distances(engine: &Engine, field: &Volume) {
+    let below = Op::Compare(Comparison::Below, 0, 1);
+    let ops = vec![Op::Field(0), Op::Number(0.0), below, Op::Select(2, 0, 1)];
+    let expression = Expression::new(ops).expect("an expression");
+    let found = engine.distance_field(&expression, &[field]).expect("distances");
+    let planes = engine
+        .download(&found.expect("values below 0"), 0..1)
+        .expect("download");
+    let farthest = (0..planes.len()).map(|i| planes.get(i)).fold(0.0, f32::max);
+    assert!(farthest > 1.0 && farthest < 25.0, "{farthest}");
 }
 
 /// A ball and a box near the surface.

@@ -23,7 +23,7 @@ impl<P> Programs<P> {
     }
 
     /// The program of this text, which is built where it is not kept.
-    fn get(&self, text: &str, build: impl FnOnce() -> Result<P>) -> Result<Rc<P>> {
+    pub(super) fn get(&self, text: &str, build: impl FnOnce() -> Result<P>) -> Result<Rc<P>> {
         let mut kept = self.kept.borrow_mut();
         if let Some(at) = kept.iter().position(|(own, _)| own == text) {
             kept[at..].rotate_left(1);
@@ -45,6 +45,14 @@ impl Engine {
     /// # Errors
     /// Fewer fields than it has, or other grids; or what the device says.
     pub fn evaluate(&self, expression: &Expression, fields: &[&Volume]) -> Result<Volume> {
+        let slabs = self.evaluate_slabs(expression, fields)?;
+        // There is one: an expression has a field.
+        let (grid, lengths) = (fields[0].grid, fields[0].inverse_lengths.clone());
+        self.resident(grid, SampleType::F32, None, slabs, lengths)
+    }
+
+    /// The samples of the field that an expression gives.
+    pub(super) fn evaluate_slabs(&self, expression: &Expression, fields: &[&Volume]) -> Result<Vec<Slab>> {
         let fail = |why: String| {
             Err(Error::Invalid {
                 what: "expression",
@@ -89,7 +97,7 @@ impl Engine {
                 layers: layers.clone(),
             });
         }
-        self.resident(grid, SampleType::F32, None, slabs, first.inverse_lengths.clone())
+        Ok(slabs)
     }
 }
 

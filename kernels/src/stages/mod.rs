@@ -1,6 +1,7 @@
 //! One launcher for each file in `cl/`, by the same name. A launcher knows its kernels' arguments and nothing else.
 
 pub(crate) mod args;
+pub(crate) mod distance_field;
 pub(crate) mod evaluate;
 pub(crate) mod generate;
 
@@ -19,7 +20,7 @@ macro_rules! stages {
         /// Structs of arguments of all kernels.
         #[cfg(test)]
         pub(crate) fn declarations() -> Vec<args::Declaration> {
-            [generate::declarations(), evaluate::declarations(), $($stage::declarations()),*].into_iter().flatten().collect()
+            [generate::declarations(), distance_field::declarations(), evaluate::declarations(), $($stage::declarations()),*].into_iter().flatten().collect()
         }
     };
     (@reads samples) => { true };

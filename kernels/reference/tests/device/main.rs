@@ -8,6 +8,7 @@ mod cut;
 mod derive;
 mod differences;
 mod distance;
+mod distance_field;
 mod distribution;
 mod dual;
 mod error;

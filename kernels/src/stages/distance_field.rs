@@ -1,0 +1,153 @@
+//! Distances to the nearest sample that is inside.
+
+use super::BRICK_GROUP;
+use super::args::kernel_args;
+use crate::Result;
+use crate::buffer::Buffer;
+use crate::context::{Arg, Context};
+use crate::layout::Grid;
+use crate::program::Kernels;
+use crate::volume::Slab;
+
+/// Name of the stage.
+pub const STAGE: &str = "distance_field";
+
+/// What its program is made of.
+pub const PROGRAM: &str = "#include \"distance_field.cl\"\n";
+
+/// Maximum samples along x and y: two indices are packed into a word.
+pub const MAX_LENGTH: u32 = 1 << 16;
+
+kernel_args! {
+    /// Arguments of `distance_field_before` and `distance_field_after`.
+    DistanceColumnsArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Planes of the slab.
+        planes: u32,
+        /// The plane at which the neighbouring slab goes on.
+        keep: u32,
+        /// First column of this launch.
+        first: u32,
+        /// Columns of this launch.
+        columns: u32,
+        /// Units of one step between positions.
+        scale: f32,
+    }
+    /// Arguments of `distance_field_envelope`.
+    DistanceLinesArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// Axis of the lines: 0 or 1.
+        axis: u32,
+        /// First line of this launch.
+        first: u32,
+        /// Lines of this launch.
+        lines: u32,
+        /// 1: positions are the numbers of the samples.
+        is_even: u32,
+        /// 1: distances are written; 0: their squares.
+        is_last: u32,
+        /// Units of one step between positions.
+        scale: f32,
+        /// World units of a unit of length.
+        unit: f32,
+    }
+}
+
+/// Samples of one launch at most, where it can be smaller: on a CPU it ends within some 50 ms.
+const LAUNCH_SAMPLES: u64 = 1 << 22;
+
+/// Where samples are along the axes.
+pub struct Axes {
+    /// Of the samples along x, y and z: their numbers, or lengths in units.
+    pub positions: [Buffer<f32>; 3],
+    /// Units of one step between positions along each.
+    pub scale: [f32; 3],
+    /// World units of a unit of length.
+    pub unit: f32,
+    /// Whether positions are numbers.
+    pub is_even: bool,
+}
+
+/// One volume's work.
+pub struct Work<'a> {
+    pub cx: &'a Context,
+    pub kernels: &'a Kernels,
+    pub grid: Grid,
+    pub axes: &'a Axes,
+}
+
+impl Work<'_> {
+    /// Squares of the distances along z from the samples of all slabs to those that are inside in `values`.
+    pub fn columns(&self, values: &[Slab], squares: &[Slab]) -> Result<()> {
+        let plane = self.grid.dims[0] as usize * self.grid.dims[1] as usize;
+        let never = |bits: f32| self.cx.filled(STAGE, plane, bits.to_bits());
+        let (last, next) = (never(f32::NEG_INFINITY)?, never(f32::INFINITY)?);
+        for (i, slab) in values.iter().enumerate() {
+            let keep = values.get(i + 1).map_or(u32::MAX, |after| after.z0);
+            self.column("distance_field_before", slab, &squares[i], keep, &last)?;
+        }
+        for (i, slab) in values.iter().enumerate().rev() {
+            let before = i.checked_sub(1).map(|i| &values[i]);
+            let keep = before.map_or(u32::MAX, |before| before.z0 + self.planes(before) - 1);
+            self.column("distance_field_after", slab, &squares[i], keep, &next)?;
+        }
+        Ok(())
+    }
+
+    fn planes(&self, slab: &Slab) -> u32 {
+        let plane = u64::from(self.grid.dims[0]) * u64::from(self.grid.dims[1]);
+        (slab.samples.bytes() / size_of::<f32>() as u64 / plane) as u32
+    }
+
+    fn column(&self, kernel: &str, values: &Slab, out: &Slab, keep: u32, nearest: &Buffer<u32>) -> Result<()> {
+        let (columns, planes) = (nearest.len() as u64, self.planes(values));
+        let group = (self.cx.tuning.lanes * BRICK_GROUP) as u64;
+        let step = (LAUNCH_SAMPLES / u64::from(planes)).max(1).next_multiple_of(group);
+        for first in (0..columns).step_by(step as usize) {
+            let some = step.min(columns - first);
+            let args = DistanceColumnsArgs {
+                grid: self.grid,
+                z0: values.z0,
+                planes,
+                keep,
+                first: first as u32,
+                columns: some as u32,
+                scale: self.axes.scale[2],
+            };
+            let all: [&dyn Arg; 5] = [&args, &self.axes.positions[2], &values.samples, &out.samples, nearest];
+            let groups = some.div_ceil(group) as usize;
+            self.cx
+                .launch(STAGE, self.kernels.get(kernel), groups, BRICK_GROUP, &all)?;
+        }
+        Ok(())
+    }
+
+    /// What squares are along an axis more, or distances where it is x, the last one. Both slabs are the same one's.
+    pub fn lines(&self, axis: usize, squares: &Slab, out: &Slab) -> Result<()> {
+        let length = u64::from(self.grid.dims[axis]);
+        let lines = squares.samples.bytes() / size_of::<f32>() as u64 / length;
+        let step = (LAUNCH_SAMPLES / length).max(BRICK_GROUP as u64);
+        for first in (0..lines).step_by(step as usize) {
+            let some = step.min(lines - first);
+            let args = DistanceLinesArgs {
+                grid: self.grid,
+                axis: axis as u32,
+                first: first as u32,
+                lines: some as u32,
+                is_even: self.axes.is_even.into(),
+                is_last: (axis == 0).into(),
+                scale: self.axes.scale[axis],
+                unit: self.axes.unit,
+            };
+            let all: [&dyn Arg; 4] = [&args, &self.axes.positions[axis], &squares.samples, &out.samples];
+            let groups = some.div_ceil(BRICK_GROUP as u64) as usize;
+            let kernel = self.kernels.get("distance_field_envelope");
+            self.cx.launch(STAGE, kernel, groups, BRICK_GROUP, &all)?;
+        }
+        Ok(())
+    }
+}
