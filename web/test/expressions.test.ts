@@ -28,7 +28,7 @@ test("what the description does not list is an expression", () => {
   if (volume === undefined) throw new Error("a volume expected");
   const name = volume.fields[0]?.name ?? "";
   expect([name, "none", "gradient-magnitude", "divergence(a,b,c)"].map((known) => isExpression(volume, known))).toEqual([false, false, false, false]);
-  expect([`2 * ${name}`, "log(x)", "magnitude(a,b)"].map((text) => isExpression(volume, text))).toEqual([true, true, true]);
+  expect([`2 * ${name}`, "log(x)", "magnitude(a,b)", "distance(a==3)"].map((text) => isExpression(volume, text))).toEqual([true, true, true, true]);
 });
 
 test("what an expression gives is said with its unit", () => {

@@ -50,7 +50,8 @@ pub struct Args {
     /// Feature that matters beside smoothness: the name of a field; `gradient-magnitude`, `mean-curvature`, `gaussian-curvature` or
     /// `local-variance` of the field that is extracted; or `vector-magnitude(X,Y,Z)`, `divergence(X,Y,Z)`, `vorticity-magnitude(X,Y,Z)`,
     /// `q-criterion(X,Y,Z)`, `lambda2(X,Y,Z)` or `helicity(X,Y,Z)` of three fields or expressions; or an expression over fields, as
-    /// `magnitude(u,v,w)` [default: none]
+    /// `magnitude(u,v,w)`; or `distance(CONDITION)`, how far it is to where a mask or an expression holds, as `distance(labels==3)`
+    /// [default: none]
     #[arg(long, value_name = "NAME")]
     feature: Option<String>,
 

@@ -7,12 +7,13 @@ use isopeel_kernels::Volume;
 use super::WorkError;
 use super::keys::VolumeKey;
 use super::worker_state::{JobError, WorkerState};
+use crate::view::EditError;
 use crate::volumes::VolumeStep;
 
 impl WorkerState {
     /// Makes a field resident that is computed from others.
     pub(super) fn compute(&mut self, volume: &VolumeStep, key: &VolumeKey) -> Result<(), JobError> {
-        let Some((expression, inputs)) = key.computed(volume).filter(|_| !self.is_resident(key)) else {
+        let Some((found, inputs)) = key.computed(volume).filter(|_| !self.is_resident(key)) else {
             return Ok(());
         };
         self.use_fields(volume, &inputs)?;
@@ -25,8 +26,15 @@ impl WorkerState {
         // Held, so that none of them goes.
         let fields = inputs.iter().map(resident).collect::<Result<Vec<_>, _>>()?;
         let fields: Vec<&Volume> = fields.iter().map(|field| &**field).collect();
-        self.evict_for(bytes + self.upload_bytes());
-        let computed = self.engine().evaluate(&expression, &fields)?;
+        // Distances are made in two fields in turns.
+        let held = if found.is_distance { 2 * bytes } else { bytes };
+        self.evict_for(held + self.upload_bytes());
+        let computed = if found.is_distance {
+            let distances = self.engine().distance_field(&found.expression, &fields)?;
+            distances.ok_or_else(|| WorkError::Edit(nothing_inside(key)))?
+        } else {
+            self.engine().evaluate(&found.expression, &fields)?
+        };
         tracing::info!(
             dataset = key.dataset,
             field = key.field,
@@ -36,5 +44,16 @@ impl WorkerState {
         );
         self.add_volume(key.clone(), bytes, Rc::new(computed));
         Ok(())
+    }
+}
+
+/// There is nothing that distances would be to.
+fn nothing_inside(key: &VolumeKey) -> EditError {
+    EditError {
+        field: "feature",
+        why: format!(
+            "{:?} holds at no sample of step {}, expected at least one",
+            key.field, key.step
+        ),
     }
 }

@@ -1,9 +1,9 @@
 //! Keys of resident volumes, pyramids and histograms.
 
-use isopeel_kernels::{DerivedFeature, Expression, Isovalue};
+use isopeel_kernels::{DerivedFeature, Isovalue};
 
 use super::WorkError;
-use crate::view::{EditError, FeatureName, Mask, View};
+use crate::view::{EditError, FeatureName, FieldExpression, Mask, View};
 use crate::volumes::{Field, VolumeStep};
 
 /// Derived features whose values every description has. Others take longer, and are described where someone used them.
@@ -73,13 +73,13 @@ impl VolumeKey {
 impl VolumeKey {
     /// The expression with the keys of its fields, of a field that is computed on the device. One that is padded or masked is computed on
     /// the host, as these are.
-    pub(super) fn computed(&self, volume: &VolumeStep) -> Option<(Expression, Vec<Self>)> {
+    pub(super) fn computed(&self, volume: &VolumeStep) -> Option<(FieldExpression, Vec<Self>)> {
         if self.padded || self.mask.is_some() {
             return None;
         }
         let found = volume.dataset().expression(&self.field)?;
         let keys = found.fields.iter().map(|name| Self::new(volume, name, false)).collect();
-        Some((found.expression, keys))
+        Some((found, keys))
     }
 }
 

@@ -99,7 +99,7 @@ pub async fn show(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ExpressionQuery {
-    /// An expression over the volume's fields, such as `log(rho)`.
+    /// An expression over the volume's fields, such as `log(rho)`, or a distance, such as `distance(labels==3)`.
     expression: String,
     /// Time step that range and histogram are made of.
     #[serde(default)]

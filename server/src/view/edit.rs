@@ -30,7 +30,8 @@ pub struct Edit {
     #[cfg_attr(test, ts(type = "string | null"))]
     pub mask: Option<Option<String>>,
     /// Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
-    /// fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, or `none`.
+    /// fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, the distance to where a condition holds,
+    /// such as `distance(labels==3)`, or `none`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub feature: Option<String>,
     /// Feature values that become 0 and 1, in the feature's units; the feature's own range when never given.

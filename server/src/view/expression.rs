@@ -1,5 +1,6 @@
-//! Expressions over the fields of a volume: `log(rho)`, `magnitude(u,v,w)`, `if(p > 0, rho/p, 0)`.
+//! Expressions over the fields of a volume: `log(rho)`, `magnitude(u,v,w)`, `if(p > 0, rho/p, 0)`; and `distance(labels == 3)`.
 
+mod condition;
 mod syntax;
 
 use isopeel_kernels::Expression;
@@ -13,7 +14,9 @@ const MAX_BYTES: usize = 1024;
 /// Maximum fields of an expression, as the device's program has them.
 const MAX_FIELDS: usize = 8;
 /// Functions that are made of several operations, or choose.
-const OTHERS: [&str; 4] = ["pow", "clamp", "magnitude", "if"];
+const OTHERS: [&str; 5] = ["pow", "clamp", "magnitude", "if", DISTANCE];
+/// The function of a condition that stands alone.
+const DISTANCE: &str = "distance";
 
 /// An expression that gives a field.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,6 +25,8 @@ pub struct FieldExpression {
     pub fields: Vec<String>,
     /// What is computed of them.
     pub expression: Expression,
+    /// Whether the field has the distances to the nearest sample where the expression is neither 0 nor missing, in place of its values.
+    pub is_distance: bool,
 }
 
 /// What is wrong, and at which byte of the text.
@@ -44,7 +49,12 @@ impl FieldExpression {
     }
 
     /// The unit of the values, where those of the fields and what is computed of them say it: `units` has those of [`Self::fields`].
+    ///
+    /// Distances have the unit of lengths, which is not known here.
     pub fn unit<'a>(&self, units: &[Option<&'a str>]) -> Option<&'a str> {
+        if self.is_distance {
+            return None;
+        }
         let mut known: Vec<Dimension<'a>> = Vec::new();
         for op in self.expression.ops() {
             known.push(Dimension::of(*op, units, &known));
@@ -73,13 +83,18 @@ impl FieldExpression {
         if text.len() > MAX_BYTES {
             return Err((MAX_BYTES, format!("{} bytes, expected {MAX_BYTES} at most", text.len())));
         }
-        let tree = syntax::parse(text)?;
         let mut program = Program {
             known: fields,
             fields: Vec::new(),
             ops: Vec::new(),
         };
-        program.number(&tree)?;
+        let condition = condition::of_distance(text)?;
+        match condition {
+            Some((at, condition)) => program.indicator(at, condition)?,
+            None => {
+                program.number(&syntax::parse(text)?)?;
+            }
+        }
         if program.fields.is_empty() {
             return Err((0, format!("no field in it, expected one of {}", quoted(fields))));
         }
@@ -87,6 +102,7 @@ impl FieldExpression {
         Ok(Self {
             fields: program.fields,
             expression,
+            is_distance: condition.is_some(),
         })
     }
 }
@@ -268,6 +284,10 @@ impl Program<'_> {
                 self.add(at, Op::Select(condition, x, y))
             }
             "magnitude" => self.magnitude(at, arguments),
+            DISTANCE => Err((
+                at,
+                "distance(CONDITION) inside another expression, expected it alone".to_owned(),
+            )),
             _ => {
                 let known = quoted(&FieldExpression::functions());
                 Err((at, format!("no function {name:?}, expected one of {known}")))

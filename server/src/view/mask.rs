@@ -21,7 +21,7 @@ const MAX_RANGES: usize = 64;
 
 /// How values are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum Operator {
+pub(super) enum Operator {
     Is,
     IsNot,
     AtLeast,
@@ -112,6 +112,11 @@ impl Mask {
     /// As it was written.
     pub fn as_str(&self) -> &str {
         &self.text
+    }
+
+    /// How values are compared, and with which: the minimum and maximum of each range.
+    pub(super) fn comparison(&self) -> (Operator, &[[f32; 2]]) {
+        (self.operator, &self.ranges)
     }
 
     /// Whether a value of the field is inside; no number is not.

@@ -1,12 +1,14 @@
-//! Fields that an expression over others gives. On a device they are computed there; here, where their samples are needed on the host: padded
+//! Fields that an expression over others gives, or the distances to where it holds. On a device they are computed there; here, where their samples are needed on the host: padded
 //! or masked.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use isopeel_kernels::{Expression, SampleType, Samples};
 use rayon::prelude::*;
 
-use super::{Dataset, Field, FileLocation, ReadError, ReadProgress, Source};
+use super::distances::distances;
+use super::{Dataset, Field, FileLocation, LengthUnit, ReadError, ReadProgress, Source};
 use crate::view::FieldExpression;
 
 /// Samples that a task computes.
@@ -18,6 +20,9 @@ struct Computed {
     expression: Expression,
     /// In the order of their places in it.
     fields: Vec<Field>,
+    /// Of distances to where it is not 0: positions of the samples along the axes.
+    positions: Option<Box<[Vec<f64>; 3]>>,
+    name: String,
 }
 
 impl Dataset {
@@ -36,10 +41,13 @@ impl Dataset {
             .map(|name| self.field(name).cloned())
             .collect::<Option<_>>()?;
         let units: Vec<_> = fields.iter().map(|field| field.unit.as_deref()).collect();
-        let unit = found.unit(&units).map(str::to_owned);
+        let length_unit = self.geometry.unit.map(LengthUnit::symbol).filter(|_| found.is_distance);
+        let unit = found.unit(&units).or(length_unit).map(str::to_owned);
         let source = Computed {
             expression: found.expression,
             fields,
+            positions: found.is_distance.then(|| Box::new(self.positions())),
+            name: text.to_owned(),
         };
         Some(Field {
             name: text.to_owned(),
@@ -48,6 +56,31 @@ impl Dataset {
             missing: None,
             unit,
             source: Arc::new(source),
+        })
+    }
+
+    /// Where the samples are along the axes, world units from the first one.
+    fn positions(&self) -> [Vec<f64>; 3] {
+        let geometry = self.geometry;
+        std::array::from_fn(|axis| {
+            let uneven = self.uneven.as_ref().and_then(|uneven| uneven.of_axis(axis));
+            let spacing = geometry.spacing[axis];
+            match uneven {
+                Some(even) => even.iter().map(|at| at * spacing).collect(),
+                None => (0..geometry.dims[axis]).map(|i| f64::from(i) * spacing).collect(),
+            }
+        })
+    }
+}
+
+impl Computed {
+    /// Distances, of the expression's values.
+    fn distances(&self, step: u32, positions: &[Vec<f64>; 3], values: Vec<f32>) -> Result<Vec<f32>, ReadError> {
+        distances(positions, values).ok_or_else(|| {
+            let why = format!("holds at no sample of step {step}, expected at least one");
+            let inputs = self.inputs(step);
+            let path = inputs.first().map_or(Path::new(""), FileLocation::path);
+            ReadError::new(path, self.name.clone(), why)
         })
     }
 }
@@ -77,6 +110,9 @@ impl Source for Computed {
                 *value = self.expression.value(&at);
             }
         });
-        Ok(Samples::F32(values))
+        Ok(Samples::F32(match &self.positions {
+            None => values,
+            Some(positions) => self.distances(step, positions, values)?,
+        }))
     }
 }

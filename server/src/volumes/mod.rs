@@ -22,6 +22,7 @@ mod codec;
 mod computed;
 mod decode;
 pub mod demo;
+mod distances;
 pub mod formats;
 mod frame;
 pub mod location;

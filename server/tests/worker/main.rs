@@ -1,6 +1,7 @@
 //! The device worker on a real device: loads, caches and errors.
 
 mod computed;
+mod distances;
 mod turns;
 mod uneven;
 

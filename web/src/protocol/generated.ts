@@ -13,7 +13,7 @@ export const MAX_POINTS = 64;
 export const SUBPROTOCOL = "isopeel.v2";
 
 /** Functions of expressions over fields. */
-export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10", "sin", "cos", "tan", "floor", "ceil", "min", "max", "pow", "clamp", "magnitude", "if"] as const;
+export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10", "sin", "cos", "tan", "floor", "ceil", "min", "max", "pow", "clamp", "magnitude", "if", "distance"] as const;
 
 /** What a surface is annotated with. */
 export type Annotation = "error";
@@ -171,7 +171,8 @@ export type Edit = {
   mask?: string | null,
   /**
    * Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
-   * fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, or `none`.
+   * fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, the distance to where a condition holds,
+   * such as `distance(labels==3)`, or `none`.
    */
   feature?: string,
   /** Feature values that become 0 and 1, in the feature's units; the feature's own range when never given. */

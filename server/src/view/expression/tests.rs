@@ -169,3 +169,91 @@ fn units_are_those_that_the_operations_keep() {
         assert_eq!(unit(text), None, "{text}");
     }
 }
+
+/// Of a condition on the fields of [`value`]: whether it holds there.
+fn holds(condition: &str) -> bool {
+    let text = format!("distance({condition})");
+    let of = FieldExpression::parse(&text, FIELDS, "feature").unwrap_or_else(|e| panic!("{e}"));
+    assert!(of.is_distance);
+    assert_eq!(
+        of.unit(&vec![Some("m"); of.fields.len()]),
+        None,
+        "that of lengths is not known"
+    );
+    let samples = [3.0, 4.0, 12.0, 2.0, 5.0, 0.5];
+    let at: Vec<f32> = (of.fields.iter())
+        .map(|name| samples[FIELDS.iter().position(|field| field == name).expect("a field")])
+        .collect();
+    assert!(
+        of.expression.value(&vec![f32::NAN; at.len()]).is_nan(),
+        "missing samples"
+    );
+    of.expression.value(&at) != 0.0
+}
+
+#[test]
+fn distances_are_to_where_a_condition_holds() {
+    for condition in [
+        "u==3",
+        " u == 1, 3 ",
+        "u==1,2..4,7",
+        "u!=1,2",
+        "flow x>=5",
+        "flow x <= 5",
+        "u>2",
+        "u<4",
+        "u > 2 && v < 5",
+        "!(u == 2) || v > 9",
+        "\"flow x\" == 5",
+        "u - 2",
+        "u",
+        "if(u > 1, v, 0)",
+    ] {
+        assert!(holds(condition), "{condition}");
+    }
+    for condition in [
+        "u==2",
+        "u==1,4..7",
+        "u!=3",
+        "u!=2..4",
+        "flow x>5",
+        "u < 3",
+        "u > 3 && v < 5",
+        "u - 3",
+        "0 * u",
+    ] {
+        assert!(!holds(condition), "{condition}");
+    }
+    let plain = FieldExpression::parse("u + v", FIELDS, "feature").expect("an expression");
+    assert!(!plain.is_distance);
+}
+
+#[test]
+fn faults_of_distances_point_at_the_character() {
+    for (text, words) in [
+        ("distance(bone == 3)", "character 10: no field \"bone\""),
+        ("  distance ( u == x)", "character 19: no field \"x\""),
+        ("distance(u == 3", "character 16: expected \")\" at the end"),
+        ("distance(u == 3) * 2", "character 21: expected \")\" at the end"),
+        ("distance(u == 3) + (u)", "character 16: expected"),
+        (
+            "2 * distance(u == 3)",
+            "character 5: distance(CONDITION) inside another expression",
+        ),
+        (
+            "distance(distance(u == 3) < 2)",
+            "character 10: distance(CONDITION) inside another expression",
+        ),
+        ("distance(1 > 0)", "no field in it"),
+        ("distance()", "character 10: expected"),
+        ("distances(u)", "no function \"distances\", expected one of"),
+    ] {
+        let error = FieldExpression::parse(text, FIELDS, "feature")
+            .expect_err(text)
+            .to_string();
+        assert!(error.contains(words), "{error}, expected {words}");
+    }
+    let many: Vec<String> = (0..40).map(|i| format!("{}", 2 * i)).collect();
+    let error = FieldExpression::parse(&format!("distance(u=={})", many.join(",")), FIELDS, "feature");
+    assert!(error.expect_err("too many").why.contains("more than 64 operations"));
+}

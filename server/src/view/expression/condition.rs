@@ -1,0 +1,76 @@
+//! `distance(CONDITION)`: where a condition holds, as numbers that are not 0 there.
+
+use isopeel_kernels::expression::{Comparison, Kind, Op};
+
+use super::{DISTANCE, Fault, Program, syntax};
+use crate::view::mask::{Mask, Operator};
+
+/// The condition of a text that is `distance(CONDITION)`, and the byte at which it begins; `None` where the text is another expression.
+pub(super) fn of_distance(text: &str) -> Result<Option<(usize, &str)>, Fault> {
+    let inner = text.trim_start().strip_prefix(DISTANCE);
+    let Some(inner) = inner.and_then(|rest| rest.trim_start().strip_prefix('(')) else {
+        return Ok(None);
+    };
+    let from = text.len() - inner.len();
+    match inner.trim_end().strip_suffix(')') {
+        Some(condition) => Ok(Some((from, condition))),
+        None => Err((
+            text.trim_end().len(),
+            "expected \")\" at the end: distance(CONDITION) stands alone".to_owned(),
+        )),
+    }
+}
+
+impl Program<'_> {
+    /// A number that is 0 where a condition does not hold. The condition, which begins at byte `at` of the text, is what a mask takes, or an
+    /// expression: also one whose value is a number, which holds where it is not 0.
+    pub(super) fn indicator(&mut self, at: usize, condition: &str) -> Result<(), Fault> {
+        let node = match Mask::parse(condition, self.known) {
+            Ok(mask) => self.mask(at, &mask)?,
+            Err(_) => {
+                let behind = |(own, why): Fault| (at + own, why);
+                let tree = syntax::parse(condition).map_err(behind)?;
+                self.node(&tree).map_err(behind)?
+            }
+        };
+        if self.ops[usize::from(node)].kind() == Kind::Condition {
+            let [yes, no] = [self.add(at, Op::Number(1.0))?, self.add(at, Op::Number(0.0))?];
+            self.add(at, Op::Select(node, yes, no))?;
+        }
+        Ok(())
+    }
+
+    /// What a mask says, as a condition.
+    fn mask(&mut self, at: usize, mask: &Mask) -> Result<u8, Fault> {
+        let value = self.field(at, &mask.field)?;
+        let (operator, ranges) = mask.comparison();
+        let comparison = match operator {
+            Operator::Is | Operator::IsNot => Comparison::Is,
+            Operator::AtLeast => Comparison::AtLeast,
+            Operator::AtMost => Comparison::AtMost,
+            Operator::Above => Comparison::Above,
+            Operator::Below => Comparison::Below,
+        };
+        let mut all = None;
+        for &[low, high] in ranges {
+            let first = self.add(at, Op::Number(low))?;
+            let holds = if low < high {
+                let last = self.add(at, Op::Number(high))?;
+                let above = self.add(at, Op::Compare(Comparison::AtLeast, value, first))?;
+                let below = self.add(at, Op::Compare(Comparison::AtMost, value, last))?;
+                self.add(at, Op::And(above, below))?
+            } else {
+                self.add(at, Op::Compare(comparison, value, first))?
+            };
+            all = Some(match all {
+                None => holds,
+                Some(others) => self.add(at, Op::Or(others, holds))?,
+            });
+        }
+        match all {
+            Some(all) if operator == Operator::IsNot => self.add(at, Op::Not(all)),
+            Some(all) => Ok(all),
+            None => Err((at, "a mask without a number".to_owned())),
+        }
+    }
+}
