@@ -48,7 +48,7 @@ impl WorkerState {
 }
 
 /// There is nothing that distances would be to.
-fn nothing_inside(key: &VolumeKey) -> EditError {
+pub(super) fn nothing_inside(key: &VolumeKey) -> EditError {
     EditError {
         field: "feature",
         why: format!(

@@ -8,6 +8,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
+use super::computed::nothing_inside;
 use super::grids::padded_grid;
 use super::host_memory::HostMemory;
 use super::keys::VolumeKey;
@@ -127,7 +128,7 @@ impl DeviceWorker {
         let (of_read, volume_read) = (key.clone(), volume.clone());
         let reading = tokio::task::spawn_blocking(move || read(&volume_read, &of_read, &progress, &sender));
         let uploaded = self.upload_pieces(&key, grid, pieces, purpose).await;
-        let read = reading.await.map_or(Err(WorkError::Stopped), |read| Ok(read?));
+        let read = reading.await.unwrap_or(Err(WorkError::Stopped));
         // Where the device failed, or had no space, reading was cancelled.
         let loaded = match uploaded {
             Ok(false) => return Ok(()),
@@ -250,7 +251,7 @@ fn read(
     key: &VolumeKey,
     progress: &ReadProgress,
     pieces: &mpsc::Sender<Piece>,
-) -> Result<(), ReadError> {
+) -> Result<(), WorkError> {
     let (Ok(field), Ok(mask)) = (key.field_of(volume), key.mask_of(volume)) else {
         return Ok(());
     };
@@ -263,11 +264,16 @@ fn read(
     };
     if !key.padded && mask.is_none() {
         let mut send = |samples| send(samples, field.missing);
-        return field
+        return Ok(field
             .source
-            .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send);
+            .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send)?);
     }
     let samples = field.source.read(volume.step(), progress)?;
+    let found = volume.dataset().expression(&key.field);
+    // Every sample has a distance, or none has.
+    if found.is_some_and(|found| found.is_distance) && samples.get(0).is_nan() {
+        return Err(WorkError::Edit(nothing_inside(key)));
+    }
     let (samples, missing) = match mask {
         Some((mask, labels)) => masked(samples, field.missing, &mask, &labels, volume.step())?,
         None => (samples, field.missing),
@@ -277,7 +283,7 @@ fn read(
     } else {
         samples
     };
-    send(samples, missing)
+    Ok(send(samples, missing)?)
 }
 
 /// Samples of which those outside a mask are missing, and the value that stands for these. `labels`: the mask's field.

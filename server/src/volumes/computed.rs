@@ -1,7 +1,6 @@
 //! Fields that an expression over others gives, or the distances to where it holds. On a device they are computed there; here, where their samples are needed on the host: padded
 //! or masked.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use isopeel_kernels::{Expression, SampleType, Samples};
@@ -22,7 +21,6 @@ struct Computed {
     fields: Vec<Field>,
     /// Of distances to where it is not 0: positions of the samples along the axes.
     positions: Option<Box<[Vec<f64>; 3]>>,
-    name: String,
 }
 
 impl Dataset {
@@ -47,7 +45,6 @@ impl Dataset {
             expression: found.expression,
             fields,
             positions: found.is_distance.then(|| Box::new(self.positions())),
-            name: text.to_owned(),
         };
         Some(Field {
             name: text.to_owned(),
@@ -69,18 +66,6 @@ impl Dataset {
                 Some(even) => even.iter().map(|at| at * spacing).collect(),
                 None => (0..geometry.dims[axis]).map(|i| f64::from(i) * spacing).collect(),
             }
-        })
-    }
-}
-
-impl Computed {
-    /// Distances, of the expression's values.
-    fn distances(&self, step: u32, positions: &[Vec<f64>; 3], values: Vec<f32>) -> Result<Vec<f32>, ReadError> {
-        distances(positions, values).ok_or_else(|| {
-            let why = format!("holds at no sample of step {step}, expected at least one");
-            let inputs = self.inputs(step);
-            let path = inputs.first().map_or(Path::new(""), FileLocation::path);
-            ReadError::new(path, self.name.clone(), why)
         })
     }
 }
@@ -112,7 +97,8 @@ impl Source for Computed {
         });
         Ok(Samples::F32(match &self.positions {
             None => values,
-            Some(positions) => self.distances(step, positions, values)?,
+            // To nothing: every one is missing.
+            Some(positions) => distances(positions, values).unwrap_or_else(|| vec![f32::NAN; count]),
         }))
     }
 }
