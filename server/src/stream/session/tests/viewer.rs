@@ -203,7 +203,7 @@ pub(super) fn prefix(generation: u32, level: u8, counts: [u64; 3], is_final: boo
 pub(super) fn prefix_of(surface: u8, generation: u32, level: u8, counts: [u64; 3], is_final: bool) -> String {
     let [regions, unchanged, triangles] = counts;
     format!(
-        r#"{{"type":"prefix","surface":{surface},"generation":{generation},"level":{level},"kind":"cut","regions":{regions},"unchanged":{unchanged},"triangles":{triangles},"final":{is_final}}}"#
+        r#"{{"type":"prefix","surface":{surface},"generation":{generation},"level":{level},"kind":"cut","mesher":"dual","regions":{regions},"unchanged":{unchanged},"triangles":{triangles},"final":{is_final}}}"#
     )
 }
 
