@@ -83,9 +83,9 @@ INLINED void read_rows(const ClassifyTask *task) {
     }
 }
 
-// The low corner of a brick. `packed`: as in the list of active bricks.
-INLINED int3 brick_origin(Grid grid, __global const Region *regions, uint packed) {
-    return convert_int3(region_origin(grid, regions[packed >> 6].region) + unmorton((packed & 63) << 9));
+// The low corner of a brick of the list of active ones.
+INLINED int3 listed_brick_origin(Grid grid, __global const Region *regions, uint packed) {
+    return convert_int3(brick_origin(grid, regions[packed >> 6].region, packed & 63));
 }
 
 // The sheets beyond the first of a row's active cells. `p`: the row's first cell.
@@ -169,7 +169,7 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
     const uint index = args.first_brick + (uint)get_group_id(0);
     const uint packed = list[index]; // compact index of the region << 6 | Morton number of the brick
     __global const Region *region = regions + (packed >> 6);
-    const int3 origin = brick_origin(grid, regions, packed);
+    const int3 origin = listed_brick_origin(grid, regions, packed);
     const int3 end = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
     const bool missing = test_bit64(region->missing_mask[0], region->missing_mask[1], packed & 63);
     const ClassifyTask task = {
@@ -179,7 +179,7 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
     if (get_local_id(0) == 0) extras = quads = holed_rows = 0;
     read_rows(&task);
     if (PREFETCHES && get_group_id(0) + 1 < get_num_groups(0))
-        prefetch_samples(grid, samples, args.z0, brick_origin(grid, regions, list[index + 1]));
+        prefetch_samples(grid, samples, args.z0, listed_brick_origin(grid, regions, list[index + 1]));
     barrier(CLK_LOCAL_MEM_FENCE);
     classify_rows(&task);
     barrier(CLK_LOCAL_MEM_FENCE);

@@ -237,7 +237,7 @@ __kernel void link(const LinkArgs args, __global const uint *region_index, __glo
     const uint brick_count = args.brick_count;
     const uint index = (uint)(get_global_id(0) / 9), row = (uint)(get_global_id(0) % 9);
     if (index >= brick_count) return;
-    const uint3 first = region_origin(grid, regions[bricks[index].region].region) + unmorton(bricks[index].morton << 9);
+    const uint3 first = brick_origin(grid, regions[bricks[index].region].region, bricks[index].morton);
     const int3 from = convert_int3(first >> 3) + (int3)(-1, (int)(row % 3) - 1, (int)(row / 3) - 1);
     for (int x = 0; x < 3; x++)
         near[3 * get_global_id(0) + x] = find_brick(grid, region_index, regions, from + (int3)(x, 0, 0));

@@ -134,7 +134,7 @@ void derive(const DeriveArgs args, LENGTHS __global const void *x, __global cons
             __global const Region *regions, __global const Brick *bricks, __global Node *nodes, __local float *blocks) {
     __global const Brick *brick = bricks + args.first + get_group_id(0);
     __global const Region *region = regions + brick->region;
-    const int3 origin = convert_int3(region_origin(args.grid, region->region) + unmorton(brick->morton << 9));
+    const int3 origin = convert_int3(brick_origin(args.grid, region->region, brick->morton));
     __local uchar wanted[WANTED];
     __local uint cell_rows[8], rows[BLOCK_ROW];
     want_samples(false, wanted);

@@ -12,6 +12,11 @@
 // Neighbouring columns of a work-item: on a CPU as many as a line of its cache has samples.
 #define COLUMNS LANES
 
+// Columns of the work-item whose first one is `item`, of those of the launch: none behind the last.
+inline uint count_columns(const DistanceColumnsArgs args, ulong item) {
+    return item < args.columns ? (uint)min((ulong)COLUMNS, args.columns - item) : 0;
+}
+
 inline bool is_inside(float value) { return value != 0.0f && !isnan(value); }
 
 // Way from each sample to the last one inside at or before it, along columns of a slab. `last`: where that is of each column, at the slab's first
@@ -19,10 +24,9 @@ inline bool is_inside(float value) { return value != 0.0f && !isnan(value); }
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
 void distance_field_before(const DistanceColumnsArgs args, __global const float *positions, __global const float *values,
                            __global float *out, __global float *last) {
-    const ulong plane = (ulong)args.grid.dims[0] * args.grid.dims[1], item = COLUMNS * get_global_id(0);
-    if (item >= args.columns) return;
-    const ulong column = args.first + item;
-    const uint width = (uint)min((ulong)COLUMNS, args.columns - item);
+    const ulong plane = (ulong)args.grid.dims[0] * args.grid.dims[1], item = COLUMNS * get_global_id(0), column = args.first + item;
+    const uint width = count_columns(args, item);
+    if (width == 0) return;
     float nearest[COLUMNS];
     for (uint k = 0; k < width; k++) nearest[k] = last[column + k];
     for (uint z = 0; z < args.planes; z++) {
@@ -41,10 +45,9 @@ void distance_field_before(const DistanceColumnsArgs args, __global const float 
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
 void distance_field_after(const DistanceColumnsArgs args, __global const float *positions, __global const float *values,
                           __global float *out, __global float *next) {
-    const ulong plane = (ulong)args.grid.dims[0] * args.grid.dims[1], item = COLUMNS * get_global_id(0);
-    if (item >= args.columns) return;
-    const ulong column = args.first + item;
-    const uint width = (uint)min((ulong)COLUMNS, args.columns - item);
+    const ulong plane = (ulong)args.grid.dims[0] * args.grid.dims[1], item = COLUMNS * get_global_id(0), column = args.first + item;
+    const uint width = count_columns(args, item);
+    if (width == 0) return;
     float nearest[COLUMNS];
     for (uint k = 0; k < width; k++) nearest[k] = next[column + k];
     for (uint z = args.planes; z-- > 0;) {

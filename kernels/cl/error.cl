@@ -233,7 +233,7 @@ __kernel void error_far(const ErrorSeedsArgs args, __global const uint *region_i
     if (has_seed_near(index, near, seeds)) return;
     const uint number = regions[bricks[index].region].region;
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
-    const float3 low = convert_float3(region_origin(grid, number) + unmorton(bricks[index].morton << 9));
+    const float3 low = convert_float3(brick_origin(grid, number, bricks[index].morton));
     const float3 centre = (low + 4.0f) * spacing;
     const uint seed = seed_around(grid, number, 1, region_seeds, positions, centre);
     if (seed == NONE) return;

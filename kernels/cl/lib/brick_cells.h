@@ -50,11 +50,11 @@ INLINED void load_samples(const BrickTask *task, const BrickMemory *memory) {
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
-// Phase: the samples of the brick of the next work-group.
+// Phase on a CPU: loads the samples of the next work-group's brick into the caches.
 INLINED void prefetch_next_brick(const BrickTask *task, __global const Region *regions, __global const Brick *bricks) {
     if (!PREFETCHES || get_group_id(0) + 1 >= get_num_groups(0)) return;
     __global const Brick *brick = bricks + task->index + 1;
-    const int3 origin = convert_int3(region_origin(task->args.grid, regions[brick->region].region) + unmorton(brick->morton << 9));
+    const int3 origin = convert_int3(brick_origin(task->args.grid, regions[brick->region].region, brick->morton));
     prefetch_samples(task->args.grid, task->samples, task->args.z0, origin);
 }
 

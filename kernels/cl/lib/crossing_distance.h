@@ -75,7 +75,7 @@ INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *
         if (crossings->walks[i]) distance2 = fmin(distance2, walk_to_mesh(grid, mesh, pairs, crossings->point[i], crossings->vertex[i]));
         if (distance2 > near * near) {
             __global const Brick *brick = bricks + crossings->brick[i];
-            const uint3 low = region_origin(grid, mesh->regions[brick->region].region) + unmorton(brick->morton << 9);
+            const uint3 low = brick_origin(grid, mesh->regions[brick->region].region, brick->morton);
             const uint seed = nearest_seed(from, mesh->positions, crossings->point[i], crossings->brick[i], convert_float3(low),
                                            spacing);
             if (seed != NONE) distance2 = fmin(distance2, walk_to_mesh(grid, mesh, pairs, crossings->point[i], seed));

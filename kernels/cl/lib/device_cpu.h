@@ -70,25 +70,23 @@ typedef uint16 mask_lanes;
 // `yes` where the condition holds, else `no`. A macro because the condition is an integer vector here and a bool on a GPU.
 #define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
 
-// Transposes LANES int4 from an array of structures to one vector a component.
-inline void load_vec4s(const int4 *from, integer *x, integer *y, integer *z, integer *w) {
-    const int16 a = vload16(0, (const int *)from), b = vload16(1, (const int *)from);
-    const int16 c = vload16(2, (const int *)from), d = vload16(3, (const int *)from);
+// Transposes LANES vectors of four, which follow one another in `a` to `d`, to one vector a component.
+inline void transpose_vec4s(int16 a, int16 b, int16 c, int16 d, integer *x, integer *y, integer *z, integer *w) {
     *x = (int16)(a.even.even, b.even.even, c.even.even, d.even.even);
     *y = (int16)(a.odd.even, b.odd.even, c.odd.even, d.odd.even);
     *z = (int16)(a.even.odd, b.even.odd, c.even.odd, d.even.odd);
     *w = (int16)(a.odd.odd, b.odd.odd, c.odd.odd, d.odd.odd);
 }
 
-// The same of short4.
+// Loads LANES int4, and LANES short4, to one vector a component.
+inline void load_vec4s(const int4 *from, integer *x, integer *y, integer *z, integer *w) {
+    const int *numbers = (const int *)from;
+    transpose_vec4s(vload16(0, numbers), vload16(1, numbers), vload16(2, numbers), vload16(3, numbers), x, y, z, w);
+}
 inline void load_short4s(const short4 *from, integer *x, integer *y, integer *z, integer *w) {
     const short *numbers = (const short *)from;
-    const int16 a = convert_int16(vload16(0, numbers)), b = convert_int16(vload16(1, numbers));
-    const int16 c = convert_int16(vload16(2, numbers)), d = convert_int16(vload16(3, numbers));
-    *x = (int16)(a.even.even, b.even.even, c.even.even, d.even.even);
-    *y = (int16)(a.odd.even, b.odd.even, c.odd.even, d.odd.even);
-    *z = (int16)(a.even.odd, b.even.odd, c.even.odd, d.even.odd);
-    *w = (int16)(a.odd.odd, b.odd.odd, c.odd.odd, d.odd.odd);
+    transpose_vec4s(convert_int16(vload16(0, numbers)), convert_int16(vload16(1, numbers)), convert_int16(vload16(2, numbers)),
+                    convert_int16(vload16(3, numbers)), x, y, z, w);
 }
 
 // Transposes one vector a component to LANES float4.

@@ -1,5 +1,5 @@
-//! Fields that an expression over others gives, or the distances to where it holds. On a device they are computed there; here, where their samples are needed on the host: padded
-//! or masked.
+//! Fields that an expression over others gives, or the distances to where it holds. On a device they are computed there; here, where their
+//! samples are needed on the host: padded or masked.
 
 use std::sync::Arc;
 

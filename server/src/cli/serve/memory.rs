@@ -38,7 +38,7 @@ fn surface_memory_help() -> String {
 }
 
 impl MemoryArgs {
-    /// Holds this process to its limit. Once, before any work.
+    /// Holds this process to its limit, and has it give back what it frees. Once, before any work.
     pub(super) fn limit_process(&self) {
         return_freed_memory();
         if let Some(mebibytes) = self.host_memory {
