@@ -105,10 +105,10 @@ inline uint index_of_minimum(__global const uint *numbers, uint count, uint end)
 #define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
 
 // Storage of relaxation for the cells of a brick, as structures of arrays: neighbouring work-items read neighbouring numbers.
-// Positions are x, y, z; offsets likewise.
+// Positions are x, y, z; offsets likewise, with their lengths.
 #define NO_SUM 512 // index of the sum that belongs to no cell: a brick has 512 cells
 #define POSITIONS_CAPACITY 1536
-#define OFFSET_SUMS_CAPACITY 1536
+#define OFFSET_SUMS_CAPACITY 2048
 // In w: the index of the cell's sum, NO_SUM for cells of several sheets.
 inline int4 load_position(__local const ushort *positions, __local const uint *multi_sheet_mask, uint cell) {
     const bool multi_sheet = multi_sheet_mask[cell >> 5] >> (cell & 31) & 1u;
@@ -119,13 +119,18 @@ inline void store_position(__local ushort *positions, uint cell, ushort4 positio
     positions[512 + cell] = position.y;
     positions[1024 + cell] = position.z;
 }
-inline int4 load_offset_sum(__local const int *sums, uint cell) { return (int4)(sums[cell], sums[512 + cell], sums[1024 + cell], 0); }
-inline void clear_offset_sum(__local int *sums, uint cell) { sums[cell] = sums[512 + cell] = sums[1024 + cell] = 0; }
+inline int4 load_offset_sum(__local const int *sums, uint cell) {
+    return (int4)(sums[cell], sums[512 + cell], sums[1024 + cell], sums[1536 + cell]);
+}
+inline void clear_offset_sum(__local int *sums, uint cell) {
+    sums[cell] = sums[512 + cell] = sums[1024 + cell] = sums[1536 + cell] = 0;
+}
 inline void add_offset(__local int *sums, uint cell, int4 offset) {
     if (cell == NO_SUM) return;
     atomic_add(&sums[cell], offset.x);
     atomic_add(&sums[512 + cell], offset.y);
     atomic_add(&sums[1024 + cell], offset.z);
+    atomic_add(&sums[1536 + cell], offset.w);
 }
 
 #endif

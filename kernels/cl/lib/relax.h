@@ -1,6 +1,6 @@
 // Phase of construct that relaxes the vertices of cells (docs/algorithm.md#64-vertex-relaxation): one Jacobi step that moves each
-// vertex by RELAXATION times the mean offset, along the quads' normals, from the centroids of the quads around it to the
-// crossings of their edges. Quads around edges inside the brick alone count, so that no brick waits for its neighbours.
+// vertex by RELAXATION times the weighted mean of the offsets, along the quads' normals, from the centroids of the quads around it to
+// the crossings of their edges. Quads around edges on the brick's side count as offsets of 0, so that no brick waits for its neighbours.
 #ifndef ISOPEEL_RELAX_H
 #define ISOPEEL_RELAX_H
 
@@ -17,9 +17,10 @@
 #include "lib/trilinear.h"
 #include "lib/vertex_record.h"
 
-#define RELAXATION 0.7f // of the mean offset: neighbours move too, so that the whole of it would be too much
-#define OFFSET_LATTICE 65536.0f // offsets are summed as integers, whose sum does not depend on the order
-#define OFFSET_LIMIT (1024.0f * OFFSET_LATTICE)
+#define RELAXATION 0.5f // of the mean offset: neighbours move too, so that the whole of it would be too much
+#define OFFSET_WEIGHT 0.1f // an offset weighs as much as this and its length in cells: a crest is one large offset among small ones
+#define OFFSET_LATTICE 262144.0f // sums are of integers: they do not depend on the order
+#define OFFSET_LIMIT 4.0f // cells; far from overflow for the twelve edges of a cell, and only spacings of extreme proportions come near it
 
 INLINED float sum3(float4 v) { return v.x + v.y + v.z; }
 
@@ -79,6 +80,13 @@ INLINED float sample_crossing(float from, float to) {
     return t == t ? clamp(t, 0.0f, 1.0f) : 0.5f;
 }
 
+// An offset in cells, by its weight, and in w its length: the part of the weight that differs between offsets.
+INLINED int4 weighted_offset(float4 offset) {
+    const float4 limited = clamp(offset, (float4)(-OFFSET_LIMIT), (float4)(OFFSET_LIMIT));
+    const float length = sqrt(sum3(limited * limited));
+    return convert_int4(OFFSET_LATTICE * (float4)((OFFSET_WEIGHT + length) * limited.xyz, length));
+}
+
 // Adds the offset of the quad of a list entry to the sums of its cells, where the quad exists: outside the volume and beside missing
 // samples there are no cells.
 INLINED void add_quad_offset(const BrickTask *task, const BrickMemory *memory, uint entry, float4 low, float4 unit, float4 scale) {
@@ -104,18 +112,17 @@ INLINED void add_quad_offset(const BrickTask *task, const BrickMemory *memory, u
     const float4 crossing = low + VERTEX_LATTICE * convert_float4((int4)((int)x, (int)y, (int)z, 0))
         + (float4)(axis == 0 ? t : 0.0f, axis == 1 ? t : 0.0f, axis == 2 ? t : 0.0f, 0.0f);
     const float4 offset = quad_offset(convert_float4(p0), convert_float4(p1), convert_float4(p2), convert_float4(p3), crossing, unit);
-    // The limit is far from overflow for the twelve edges of a cell, and only spacings of extreme proportions come near it.
-    const int4 on_lattice = convert_int4(clamp(offset * scale, (float4)(-OFFSET_LIMIT), (float4)(OFFSET_LIMIT)));
-    add_offset(memory->offset_sums, (uint)p0.w, on_lattice);
-    add_offset(memory->offset_sums, (uint)p1.w, on_lattice);
-    add_offset(memory->offset_sums, (uint)p2.w, on_lattice);
-    add_offset(memory->offset_sums, (uint)p3.w, on_lattice);
+    const int4 weighted = weighted_offset(offset * scale);
+    add_offset(memory->offset_sums, (uint)p0.w, weighted);
+    add_offset(memory->offset_sums, (uint)p1.w, weighted);
+    add_offset(memory->offset_sums, (uint)p2.w, weighted);
+    add_offset(memory->offset_sums, (uint)p3.w, weighted);
 }
 
 // Sums the offsets of the listed quads.
 INLINED void sum_offsets(const BrickTask *task, const BrickMemory *memory) {
     const float4 low = (float4)(convert_float3(task->in_region) * VERTEX_LATTICE, 0.0f);
-    const float4 unit = (float4)(task->spacing / VERTEX_LATTICE, 0.0f), scale = (float4)(OFFSET_LATTICE / task->spacing, 0.0f);
+    const float4 unit = (float4)(task->spacing / VERTEX_LATTICE, 0.0f), scale = (float4)(1.0f / task->spacing, 0.0f);
     const uint count = *memory->work_count;
     for (uint i = get_local_id(0); i < count; i += BRICK_GROUP)
         add_quad_offset(task, memory, memory->quad_list[i], low, unit, scale);
@@ -130,8 +137,9 @@ INLINED void move_vertices(const BrickTask *task, const BrickMemory *memory) {
         const int4 here = load_position(memory->positions, memory->multi_sheet_mask, i);
         if (here.w == NO_SUM) continue;
         const uint slot = task->cell_slots + i;
-        const float share = RELAXATION * VERTEX_LATTICE / OFFSET_LATTICE / (float)count_crossed(meta_signs(task->nodes[slot].meta));
-        const float4 offset = convert_float4(load_offset_sum(memory->offset_sums, i)) * share;
+        const float4 sum = convert_float4(load_offset_sum(memory->offset_sums, i));
+        const float weights = OFFSET_WEIGHT * OFFSET_LATTICE * (float)count_crossed(meta_signs(task->nodes[slot].meta)) + sum.w;
+        const float4 offset = (float4)(sum.xyz, 0.0f) * (RELAXATION * VERTEX_LATTICE / weights);
         const float4 low = convert_float4(here & -lattice); // of the cell, whose vertex lies inside
         const float4 to = clamp(convert_float4(here) + offset, low + margin, low + VERTEX_LATTICE - margin);
         const int4 on_lattice = convert_int4(to + 0.5f);

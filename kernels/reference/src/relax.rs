@@ -1,5 +1,5 @@
-//! Relaxation: one Jacobi step that moves vertices of cells by 0.7 × the mean offset from the polygons between them to the
-//! crossings in the polygons' middle (docs/algorithm.md#64-vertex-relaxation).
+//! Relaxation: one Jacobi step that moves vertices of cells by half of the weighted mean offset from the polygons between them to
+//! the crossings in the polygons' middle (docs/algorithm.md#64-vertex-relaxation).
 
 use crate::quadric::{Vector, dot, unit};
 use crate::vertices::{DualVertex, DualVertices, MARGIN};
@@ -8,7 +8,10 @@ use isopeel_kernels::BRICK_CELLS;
 use isopeel_kernels::tables::cube;
 
 /// Part of the mean offset by which a vertex is moved.
-const RELAXATION: f64 = 0.7;
+const RELAXATION: f64 = 0.5;
+
+/// Weight of an offset of 0; that of others is as many cells more as they are long.
+const OFFSET_WEIGHT: f64 = 0.1;
 
 /// The four vertices around an edge inside a brick and the crossing on the edge, world units. `None`: the edge lies on the
 /// side of its brick, or samples are missing.
@@ -81,17 +84,21 @@ pub(crate) fn relax(field: &Field, iso: f32, vertices: &mut DualVertices) {
 /// The vertex of a cell after the step.
 fn relaxed(field: &Field, iso: f32, vertices: &DualVertices, cell: [u32; 3], crossed: &[usize]) -> DualVertex {
     let spacing = field.grid.spacing.map(f64::from);
-    let (mut sum, mut uncertainty) = ([0.0; 3], 0.0f64);
+    // Crossings without a polygon count as offsets of 0.
+    let (mut sum, mut weights, mut uncertainty) = ([0.0; 3], OFFSET_WEIGHT * crossed.len() as f64, 0.0f64);
     for &edge in crossed {
         if let Some(polygon) = EdgePolygon::around(field, iso, vertices, cell, edge) {
-            let offset = polygon.offset();
-            (0..3).for_each(|i| sum[i] += offset[i]);
+            let world = polygon.offset();
+            let offset: Vector = std::array::from_fn(|i| world[i] / spacing[i]);
+            let length = dot(offset, offset).sqrt();
+            (0..3).for_each(|i| sum[i] += (OFFSET_WEIGHT + length) * offset[i]);
+            weights += length;
             uncertainty = uncertainty.max(polygon.uncertainty);
         }
     }
     let mut vertex = vertices.vertices[&(Leaf { level: 0, cube: cell }, 0)];
     vertex.position = std::array::from_fn(|i| {
-        let step = RELAXATION / crossed.len() as f64 * sum[i] / spacing[i];
+        let step = RELAXATION * sum[i] / weights;
         let low = f64::from(cell[i]);
         (vertex.position[i] + step).clamp(low + MARGIN, low + 1.0 - MARGIN)
     });
