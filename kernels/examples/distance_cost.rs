@@ -3,7 +3,7 @@
 //! has the shortest time of all rounds, which are in turns.
 
 use isopeel_kernels::expression::{Comparison, Op};
-use isopeel_kernels::{Engine, Expression, Grid, RectilinearGrid, Result, SampleType, Samples, Volume};
+use isopeel_kernels::{Engine, Expression, Grid, Never, RectilinearGrid, Result, SampleType, Samples, Volume};
 
 /// Samples along each axis.
 const SIZE: u32 = 256;
@@ -36,7 +36,7 @@ fn main() -> Result<()> {
     for _ in 0..rounds {
         for ((.., volume), shortest) in cases.iter().zip(&mut shortest) {
             assert!(
-                engine.distance_field(&expression, &[volume])?.is_some(),
+                engine.distance_field(&expression, &[volume], &Never)?.is_some(),
                 "some are inside"
             );
             for time in engine.take_times()? {

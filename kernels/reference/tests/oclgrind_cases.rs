@@ -141,7 +141,7 @@ fn evaluate(engine: &Engine, [x, y]: [&Volume; 2]) {
     let mut ops: Vec<Op> = (0..8).map(Op::Field).collect();
     ops.extend((0..7).map(|i| Op::Binary(Binary::Add, if i == 0 { 0 } else { 7 + i }, i + 1)));
     let expression = Expression::new(ops).expect("an expression");
-    let sum = engine.evaluate(&expression, &[x, y, x, y, x, y, x, y]);
+    let sum = engine.evaluate(&expression, &[x, y, x, y, x, y, x, y], &Never);
     let planes = engine.download(&sum.expect("evaluate"), 0..1).expect("download");
     let at = |i: usize| 4.0 * (f32::from(values(DERIVED_DIMS)[i]) + f32::from(of_values(DERIVED_DIMS, signed)[i]));
     let is_as_expected = |i: usize| planes.get(i) == at(i) || planes.get(i).is_nan();
@@ -153,7 +153,7 @@ fn distances(engine: &Engine, field: &Volume) {
     let below = Op::Compare(Comparison::Below, 0, 1);
     let ops = vec![Op::Field(0), Op::Number(0.0), below, Op::Select(2, 0, 1)];
     let expression = Expression::new(ops).expect("an expression");
-    let found = engine.distance_field(&expression, &[field]).expect("distances");
+    let found = engine.distance_field(&expression, &[field], &Never).expect("distances");
     let planes = engine
         .download(&found.expect("values below 0"), 0..1)
         .expect("download");

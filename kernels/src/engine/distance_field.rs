@@ -2,7 +2,7 @@
 
 use crate::stages::distance_field::{self, Axes, MAX_LENGTH, PROGRAM, STAGE, Work};
 use crate::volume::Slab;
-use crate::{Engine, Error, Expression, Result, SampleType, Volume};
+use crate::{Cancel, Engine, Error, Expression, Result, SampleType, Volume};
 
 impl Engine {
     /// Euclidean distance of each sample, in world units, to the nearest one where the expression is neither 0 nor missing: 0 there. `None`
@@ -10,8 +10,13 @@ impl Engine {
     ///
     /// # Errors
     /// As [`Engine::evaluate`]; more than 65536 samples along x or y.
-    pub fn distance_field(&self, expression: &Expression, fields: &[&Volume]) -> Result<Option<Volume>> {
-        let values = self.evaluate_slabs(expression, fields)?;
+    pub fn distance_field(
+        &self,
+        expression: &Expression,
+        fields: &[&Volume],
+        cancel: &dyn Cancel,
+    ) -> Result<Option<Volume>> {
+        let values = self.evaluate_slabs(expression, fields, cancel)?;
         // There is one: the expression has a field.
         let Some(first) = fields.first() else { return Ok(None) };
         let grid = first.grid;
@@ -37,6 +42,7 @@ impl Engine {
             kernels: &kernels,
             grid: first.layout(),
             axes: &axes,
+            cancel,
         };
         work.columns(&values, &distances)?;
         for (values, distances) in values.iter().zip(&distances) {

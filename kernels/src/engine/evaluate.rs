@@ -3,7 +3,7 @@
 use crate::program::Kernels;
 use crate::stages::evaluate;
 use crate::volume::{Slab, slab_planes};
-use crate::{Engine, Error, Expression, Result, SampleType, Volume, constants};
+use crate::{Cancel, Engine, Error, Expression, Result, SampleType, Volume, constants};
 use std::cell::RefCell;
 use std::rc::Rc;
 
@@ -43,16 +43,21 @@ impl Engine {
     /// The field that an expression gives, of f32. `fields`: those of the expression, in the order of their places.
     ///
     /// # Errors
-    /// Fewer fields than it has, or other grids; or what the device says.
-    pub fn evaluate(&self, expression: &Expression, fields: &[&Volume]) -> Result<Volume> {
-        let slabs = self.evaluate_slabs(expression, fields)?;
+    /// Fewer fields than it has, or other grids; [`Error::Cancelled`]; or what the device says.
+    pub fn evaluate(&self, expression: &Expression, fields: &[&Volume], cancel: &dyn Cancel) -> Result<Volume> {
+        let slabs = self.evaluate_slabs(expression, fields, cancel)?;
         // There is one: an expression has a field.
         let (grid, lengths) = (fields[0].grid, fields[0].inverse_lengths.clone());
         self.resident(grid, SampleType::F32, None, slabs, lengths)
     }
 
     /// The samples of the field that an expression gives.
-    pub(super) fn evaluate_slabs(&self, expression: &Expression, fields: &[&Volume]) -> Result<Vec<Slab>> {
+    pub(super) fn evaluate_slabs(
+        &self,
+        expression: &Expression,
+        fields: &[&Volume],
+        cancel: &dyn Cancel,
+    ) -> Result<Vec<Slab>> {
         let fail = |why: String| {
             Err(Error::Invalid {
                 what: "expression",
@@ -90,7 +95,8 @@ impl Engine {
             let planes = slab_planes(&grid, layers);
             let samples = self.cx.buffer(evaluate::STAGE, planes.len() * plane)?;
             let inputs = std::array::from_fn(|i| (&field(i).slabs[number].samples, field(i).missing));
-            evaluate::run(&self.cx, &kernels, &first.layout(), inputs, &samples, planes.clone())?;
+            let grid = first.layout();
+            evaluate::run(&self.cx, &kernels, &grid, inputs, &samples, planes.clone(), cancel)?;
             slabs.push(Slab {
                 samples,
                 z0: planes.start,

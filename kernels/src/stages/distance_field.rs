@@ -2,12 +2,12 @@
 
 use super::BRICK_GROUP;
 use super::args::kernel_args;
-use crate::Result;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::layout::Grid;
 use crate::program::Kernels;
 use crate::volume::Slab;
+use crate::{Cancel, Result};
 
 /// Name of the stage.
 pub const STAGE: &str = "distance_field";
@@ -78,6 +78,7 @@ pub struct Work<'a> {
     pub kernels: &'a Kernels,
     pub grid: Grid,
     pub axes: &'a Axes,
+    pub cancel: &'a dyn Cancel,
 }
 
 impl Work<'_> {
@@ -120,8 +121,7 @@ impl Work<'_> {
             };
             let all: [&dyn Arg; 5] = [&args, &self.axes.positions[2], &values.samples, &out.samples, nearest];
             let groups = some.div_ceil(group) as usize;
-            self.cx
-                .launch(STAGE, self.kernels.get(kernel), groups, BRICK_GROUP, &all)?;
+            self.launch(kernel, groups, &all)?;
         }
         Ok(())
     }
@@ -145,9 +145,15 @@ impl Work<'_> {
             };
             let all: [&dyn Arg; 4] = [&args, &self.axes.positions[axis], &squares.samples, &out.samples];
             let groups = some.div_ceil(BRICK_GROUP as u64) as usize;
-            let kernel = self.kernels.get("distance_field_envelope");
-            self.cx.launch(STAGE, kernel, groups, BRICK_GROUP, &all)?;
+            self.launch("distance_field_envelope", groups, &all)?;
         }
         Ok(())
+    }
+
+    /// Others have a turn after each launch.
+    fn launch(&self, kernel: &str, groups: usize, args: &[&dyn Arg]) -> Result<()> {
+        self.cx
+            .launch(STAGE, self.kernels.get(kernel), groups, BRICK_GROUP, args)?;
+        self.cx.pause(STAGE, self.cancel)
     }
 }

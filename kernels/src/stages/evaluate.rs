@@ -2,11 +2,11 @@
 
 use super::BRICK_GROUP;
 use super::args::kernel_args;
-use crate::Result;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::layout::Grid;
 use crate::program::Kernels;
+use crate::{Cancel, Result};
 use std::ops::Range;
 
 /// Name of the stage.
@@ -42,7 +42,7 @@ kernel_args! {
     }
 }
 
-/// Samples of one launch at most: on a CPU it ends within some 50 ms, for whoever waits for the device.
+/// Samples of one launch at most: on a CPU it ends within some 50 ms, for whoever has a turn after it.
 const LAUNCH_SAMPLES: u64 = 1 << 23;
 
 /// Fills a slab that holds `planes`. `fields`: the samples of each field in the slab, and the value of missing ones; eight of them.
@@ -53,6 +53,7 @@ pub fn run(
     fields: [(&Buffer<u8>, f32); 8],
     out: &Buffer<u8>,
     planes: Range<u32>,
+    cancel: &dyn Cancel,
 ) -> Result<()> {
     let plane = u64::from(grid.dims[0]) * u64::from(grid.dims[1]);
     let step = (LAUNCH_SAMPLES / plane).max(1) as u32;
@@ -78,6 +79,7 @@ pub fn run(
         all.push(out);
         let groups = (plane * u64::from(some)).div_ceil(BRICK_GROUP as u64) as usize;
         cx.launch(STAGE, kernels.get("evaluate"), groups, BRICK_GROUP, &all)?;
+        cx.pause(STAGE, cancel)?;
     }
     Ok(())
 }

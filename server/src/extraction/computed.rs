@@ -6,13 +6,19 @@ use isopeel_kernels::Volume;
 
 use super::WorkError;
 use super::keys::VolumeKey;
+use super::turns::{Aside, Turn};
 use super::worker_state::{JobError, WorkerState};
 use crate::view::EditError;
 use crate::volumes::VolumeStep;
 
 impl WorkerState {
-    /// Makes a field resident that is computed from others.
-    pub(super) fn compute(&mut self, volume: &VolumeStep, key: &VolumeKey) -> Result<(), JobError> {
+    /// Makes a field resident that is computed from others. Where distances are, others have a turn every 50 ms or so.
+    pub(super) fn compute(
+        &mut self,
+        volume: &VolumeStep,
+        key: &VolumeKey,
+        turn: &mut Turn<'_, Self>,
+    ) -> Result<(), JobError> {
         let Some((found, inputs)) = key.computed(volume).filter(|_| !self.is_resident(key)) else {
             return Ok(());
         };
@@ -29,12 +35,16 @@ impl WorkerState {
         // Distances are made in two fields in turns.
         let held = if found.is_distance { 2 * bytes } else { bytes };
         self.evict_for(held + self.upload_bytes());
-        let computed = if found.is_distance {
-            let distances = self.engine().distance_field(&found.expression, &fields)?;
-            distances.ok_or_else(|| WorkError::Edit(nothing_inside(key)))?
-        } else {
-            self.engine().evaluate(&found.expression, &fields)?
-        };
+        let engine = Rc::clone(self.engine());
+        let take_times = || engine.take_times().unwrap_or_default();
+        let computed = turn.run(self, &take_times, &Aside::default(), |cancel| {
+            if found.is_distance {
+                engine.distance_field(&found.expression, &fields, cancel)
+            } else {
+                engine.evaluate(&found.expression, &fields, cancel).map(Some)
+            }
+        })?;
+        let computed = computed.ok_or_else(|| WorkError::Edit(nothing_inside(key)))?;
         tracing::info!(
             dataset = key.dataset,
             field = key.field,

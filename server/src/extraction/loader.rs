@@ -160,9 +160,13 @@ impl DeviceWorker {
         // In a box: loading loads.
         Box::pin(async move {
             let never = CancellationToken::new();
-            self.with_volumes(volume, &never, Caller::Cache, Length::Short, move |state, volume, _| {
-                state.compute(volume, &key)
-            })
+            self.with_volumes(
+                volume,
+                &never,
+                Caller::Cache,
+                Length::Long,
+                move |state, volume, turn| state.compute(volume, &key, turn),
+            )
             .await
         })
     }

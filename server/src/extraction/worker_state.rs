@@ -212,7 +212,7 @@ impl WorkerState {
         self.volumes.peek(key).map(|volume| &**volume)
     }
 
-    pub(super) fn engine(&self) -> &Engine {
+    pub(super) const fn engine(&self) -> &Rc<Engine> {
         &self.engine
     }
 

@@ -248,7 +248,7 @@ fn what_is_computed_from_uneven_fields_is_uneven() {
     let of = load_uneven(&engine, &recipe, &lengths_of(&recipe));
     let same = Expression::new(vec![Op::Field(0)]).expect("an expression");
     let computed = Loaded {
-        volume: engine.evaluate(&same, &[&of.volume]).expect("evaluate"),
+        volume: engine.evaluate(&same, &[&of.volume], &Never).expect("evaluate"),
         field: of.field.clone(),
         iso: of.iso,
     };

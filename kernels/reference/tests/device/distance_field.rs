@@ -1,11 +1,13 @@
 //! Distances to samples that are inside: the device and the twin have the same.
 
 use super::recipes::{DIMS, Random};
+use super::tree::Others;
 use super::*;
 use isopeel_kernels::expression::{Comparison, Expression, Op};
 use isopeel_kernels::testing::{limit_allocations, slab_count};
-use isopeel_kernels::{REGION_CELLS, RectilinearGrid, Samples, Tuning};
+use isopeel_kernels::{Error, REGION_CELLS, RectilinearGrid, Samples, Tuning};
 use isopeel_reference::distance_field::squares;
+use std::cell::Cell;
 
 /// Of one field: where it is 3.
 fn where_three() -> Expression {
@@ -108,7 +110,9 @@ impl Labels {
     }
 
     fn check(&self, volume: &Volume, engine: &Engine) -> Result<(), TestCaseError> {
-        let found = engine.distance_field(&where_three(), &[volume]).expect("distances");
+        let found = engine
+            .distance_field(&where_three(), &[volume], &Never)
+            .expect("distances");
         let (want, diagonal) = self.distances();
         let Some(found) = found else {
             prop_assert!(want[0].is_infinite(), "there are samples inside");
@@ -174,7 +178,9 @@ fn distances_to_one_sample_and_to_all() {
         labels.check(&labels.load(&engine), &engine).expect("zeros");
         labels.values = vec![255; count];
         let missing = labels.load(&engine);
-        let found = engine.distance_field(&where_three(), &[&missing]).expect("no fault");
+        let found = engine
+            .distance_field(&where_three(), &[&missing], &Never)
+            .expect("no fault");
         assert!(found.is_none(), "missing samples are not inside");
     }
 }
@@ -203,5 +209,28 @@ fn kernels_of_a_gpu_have_the_twins_distances() {
         labels
             .check(&labels.load(&of_gpu), &of_gpu)
             .expect("the twin's distances");
+    }
+}
+
+#[test]
+fn others_have_turns_and_what_is_given_up_leaves_no_memory() {
+    let Some(engine) = device() else { return };
+    let labels = Labels::random([40, 30, 20], [1.0; 3], false, 50, 7);
+    let volume = labels.load(&engine);
+    let in_use = || engine.memory().expect("the device's memory").in_use;
+    let before = in_use();
+    // The expression, the samples before and after along z, the lines along y and x.
+    for given_up_at in 1..=5 {
+        let others = Others {
+            polls: Cell::new(0),
+            given_up_at,
+            work: &|| labels.check(&volume, &engine).expect("the twin's distances"),
+        };
+        let found = engine.distance_field(&where_three(), &[&volume], &others);
+        assert!(
+            matches!(found, Err(Error::Cancelled)),
+            "goes on after poll {given_up_at}"
+        );
+        assert_eq!(in_use(), before, "given up at poll {given_up_at}");
     }
 }

@@ -66,7 +66,7 @@ fn random_expression(seed: u64) -> Expression {
 /// Compares the values at every sample; returns how many were compared of how many. `seed`: of what functions are off by.
 fn check(engine: &Engine, expression: &Expression, of: &[Loaded; 3], seed: u64) -> Result<[usize; 2], TestCaseError> {
     let volumes = of.each_ref().map(|loaded| &loaded.volume);
-    let computed = engine.evaluate(expression, &volumes).expect("evaluate");
+    let computed = engine.evaluate(expression, &volumes, &Never).expect("evaluate");
     let planes = computed.grid().dims[2];
     let Samples::F32(device) = engine.download(&computed, 0..planes).expect("download") else {
         panic!("of f32");
@@ -151,6 +151,6 @@ fn what_does_not_fit_is_refused() {
     let (a, b) = (load(&engine, &recipe([5, 6, 7])), load(&engine, &recipe([5, 6, 8])));
     let sum = Expression::new(vec![Op::Field(0), Op::Field(1), Op::Binary(Binary::Add, 0, 1)]).expect("an expression");
     for fields in [&[&a.volume][..], &[&a.volume, &b.volume], &[]] {
-        assert!(engine.evaluate(&sum, fields).is_err());
+        assert!(engine.evaluate(&sum, fields, &Never).is_err());
     }
 }

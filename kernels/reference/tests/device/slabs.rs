@@ -65,7 +65,7 @@ fn expressions_have_the_same_values_in_slabs() {
     let [whole, parts] = [false, true].map(|several| {
         let fields = [(SampleType::I16, 1), (SampleType::F32, 2)]
             .map(|(kind, seed)| load_in(&mut engine, &recipe(kind, seed), several));
-        let made = engine.evaluate(&product, &[&fields[0].volume, &fields[1].volume]);
+        let made = engine.evaluate(&product, &[&fields[0].volume, &fields[1].volume], &Never);
         let made = made.expect("evaluate");
         assert_eq!(slab_count(&made) > 1, several);
         engine.download(&made, 0..99).expect("download")

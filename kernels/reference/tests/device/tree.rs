@@ -213,11 +213,11 @@ fn merges_hardly_ever_fold_the_surface() {
 }
 
 /// Whoever asks may use the device meanwhile.
-struct Others<'a> {
-    polls: Cell<usize>,
+pub struct Others<'a> {
+    pub polls: Cell<usize>,
     /// Gives up at this poll.
-    given_up_at: usize,
-    work: &'a dyn Fn(),
+    pub given_up_at: usize,
+    pub work: &'a dyn Fn(),
 }
 
 impl Cancel for Others<'_> {
