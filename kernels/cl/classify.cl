@@ -53,7 +53,7 @@ typedef struct {
     int3 origin;           // low corner in the volume
     int3 end;              // samples of the volume along each axis
     bool all_known;        // all samples lie inside the volume and none is missing
-    __local ushort *inside, *valid;           // rows of nine samples y + 9 z: above the isovalue; known
+    __local ushort *inside, *valid;           // rows of nine samples y + 9 z: above the isovalue; known, unless all are
     __local uchar *active_rows, *hole_rows;   // rows of eight cells y + 8 z: active; touching a missing sample
     __local uint *cells, *holes;              // the same in Morton order
     __local uint *extras, *quads;             // sheets beyond a cell's first; crossed edges from the cells' low corners
@@ -70,7 +70,6 @@ INLINED void read_rows(const ClassifyTask *task) {
         if (task->all_known) {
             __global const SAMPLE *from = first + row / 9 * plane + row % 9 * width;
             task->inside[row] = (ushort)(mask8(convert_float8(vload8(0, from)) >= iso) | (uint)((float)from[8] >= iso) << 8);
-            task->valid[row] = 0x1ff;
             continue;
         }
         const int3 p = task->origin + (int3)(0, (int)(row % 9), (int)(row / 9));
@@ -88,44 +87,81 @@ INLINED int3 listed_brick_origin(Grid grid, __global const Region *regions, uint
     return convert_int3(brick_origin(grid, regions[packed >> 6].region, packed & 63));
 }
 
-// The sheets beyond the first of a row's active cells. `p`: the row's first cell.
-INLINED uint extra_sheets_of_row(const ClassifyTask *task, uint row, uint active, int3 p) {
-    __local const ushort *inside = task->inside + row;
+// ROWS_AT_ONCE rows of cells: which have this corner inside, one bit each.
+typedef struct {
+    cell_bits c0, c1, c2, c3, c4, c5, c6, c7;
+} CornerBits;
+
+INLINED CornerBits load_corner_bits(__local const ushort *inside) {
+    const CornerBits bits = {
+        load_cell_rows(inside, 0), load_cell_rows(inside, 1), load_cell_rows(inside + 1, 0), load_cell_rows(inside + 1, 1),
+        load_cell_rows(inside + 9, 0), load_cell_rows(inside + 9, 1), load_cell_rows(inside + 10, 0), load_cell_rows(inside + 10, 1),
+    };
+    return bits;
+}
+
+// Faces whose corners are inside across, `a` and `d`, and outside, `b` and `c`, or the other way round.
+INLINED cell_bits ambiguous_face(cell_bits a, cell_bits b, cell_bits c, cell_bits d) { return (a ^ b) & ~(a ^ d) & ~(b ^ c); }
+
+// Cells that may have several sheets: those with an ambiguous face, and those whose corners but for two opposite ones are alike.
+INLINED cell_bits intricate_cells(const CornerBits *b) {
+    const cell_bits faces = ambiguous_face(b->c0, b->c1, b->c2, b->c3) | ambiguous_face(b->c4, b->c5, b->c6, b->c7)
+        | ambiguous_face(b->c0, b->c1, b->c4, b->c5) | ambiguous_face(b->c2, b->c3, b->c6, b->c7)
+        | ambiguous_face(b->c0, b->c2, b->c4, b->c6) | ambiguous_face(b->c1, b->c3, b->c5, b->c7);
+    const cell_bits unlike_opposite = (b->c0 ^ b->c7) | (b->c1 ^ b->c6) | (b->c2 ^ b->c5) | (b->c3 ^ b->c4);
+    return faces | (~unlike_opposite & (b->c0 ^ b->c1 ^ b->c2 ^ b->c3));
+}
+
+// The sheets of these cells beyond their first ones. `p`: the first cell of the rows.
+INLINED uint count_extra_sheets(const ClassifyTask *task, const CornerBits *b, cell_bits cells, int3 p) {
     uint extras = 0;
-    for (uint rest = active; rest; rest &= rest - 1) {
-        const uint x = lowest_bit(rest);
-        const uint signs = (inside[0] >> x & 3u) | (inside[1] >> x & 3u) << 2 | (inside[9] >> x & 3u) << 4
-            | (inside[10] >> x & 3u) << 6;
-        if (!(INTRICATE[signs >> 5] >> (signs & 31) & 1u)) continue;
-        const int3 cell = p + (int3)((int)x, 0, 0);
+    for (cell_bits rest = cells; rest; rest &= rest - 1) {
+        const uint i = popcount((rest & -rest) - 1);
+        const uint signs = (uint)(b->c0 >> i & 1) | (uint)(b->c1 >> i & 1) << 1 | (uint)(b->c2 >> i & 1) << 2
+            | (uint)(b->c3 >> i & 1) << 3 | (uint)(b->c4 >> i & 1) << 4 | (uint)(b->c5 >> i & 1) << 5 | (uint)(b->c6 >> i & 1) << 6
+            | (uint)(b->c7 >> i & 1) << 7;
+        const int3 cell = p + (int3)((int)(i & 7), (int)(i >> 3), 0);
         extras += sheet_count(cell_sheets(task->args.grid, task->samples, task->args.z0, task->args.iso, cell, signs)) - 1;
     }
     return extras;
 }
 
+// Which cells of the rows from `p` on lie in the volume.
+INLINED cell_bits cells_in_volume(const ClassifyTask *task, int3 p) {
+    if (p.z + 1 >= task->end.z) return 0;
+    const cell_bits columns = (1u << min(8, task->end.x - 1 - p.x)) - 1;
+    cell_bits cells = 0;
+    for (int row = 0; row < ROWS_AT_ONCE; row++)
+        if (p.y + row + 1 < task->end.y) cells |= columns << 8 * row;
+    return cells;
+}
+
+// Which cells of rows have a missing sample at no corner.
+INLINED cell_bits whole_cells(__local const ushort *valid) {
+    const CornerBits b = load_corner_bits(valid);
+    return b.c0 & b.c1 & b.c2 & b.c3 & b.c4 & b.c5 & b.c6 & b.c7;
+}
+
 // Phase: active cells and those that touch a missing sample, by rows of eight; crossed edges and extra sheets.
 INLINED void classify_rows(const ClassifyTask *task) {
-    __local const ushort *inside = task->inside, *valid = task->valid;
-    for (uint i = get_local_id(0); i < 64; i += BRICK_GROUP) {
+    for (uint i = get_local_id(0) * ROWS_AT_ONCE; i < 64; i += BRICK_GROUP * ROWS_AT_ONCE) {
         const uint y = i & 7, z = i >> 3, row = z * 9 + y;
-        const uint some = inside[row] | inside[row + 1] | inside[row + 9] | inside[row + 10];
-        const uint every = inside[row] & inside[row + 1] & inside[row + 9] & inside[row + 10];
-        const uint known = valid[row] & valid[row + 1] & valid[row + 9] & valid[row + 10];
-        const uint whole = known & known >> 1 & 0xffu;
-        const uint active = (some | some >> 1) & ~(every & every >> 1) & whole;
-        // A cell inside the volume with an unknown corner touches a missing sample.
         const int3 p = task->origin + (int3)(0, (int)y, (int)z);
-        const uint columns = p.y + 1 < task->end.y && p.z + 1 < task->end.z ? (uint)min(8, task->end.x - 1 - p.x) : 0u;
-        task->active_rows[i] = (uchar)active;
-        const uint hole_row = ((1u << columns) - 1) & ~whole;
-        task->hole_rows[i] = (uchar)hole_row;
-        if (hole_row) atomic_or(task->holed_rows, 1u);
+        const CornerBits b = load_corner_bits(task->inside + row);
+        const cell_bits some = b.c0 | b.c1 | b.c2 | b.c3 | b.c4 | b.c5 | b.c6 | b.c7;
+        cell_bits active = some & ~(b.c0 & b.c1 & b.c2 & b.c3 & b.c4 & b.c5 & b.c6 & b.c7);
+        if (!task->all_known) {
+            const cell_bits whole = whole_cells(task->valid + row), holes = cells_in_volume(task, p) & ~whole;
+            active &= whole;
+            store_cell_rows(task->hole_rows + i, holes);
+            if (holes) atomic_or(task->holed_rows, 1u);
+        }
+        store_cell_rows(task->active_rows + i, active);
         if (!active) continue;
-        const uint along_x = inside[row] ^ inside[row] >> 1, along_y = inside[row] ^ inside[row + 1];
-        const uint along_z = inside[row] ^ inside[row + 9];
-        add_local(task->quads, popcount((along_x & active) | (along_y & active) << 8 | (along_z & active) << 16));
-        const uint extras = extra_sheets_of_row(task, row, active, p);
-        if (extras) atomic_add(task->extras, extras);
+        const uint along_x = popcount((b.c0 ^ b.c1) & active), along_y = popcount((b.c0 ^ b.c2) & active);
+        add_local(task->quads, along_x + along_y + (uint)popcount((b.c0 ^ b.c4) & active));
+        const uint extras = count_extra_sheets(task, &b, intricate_cells(&b) & active, p);
+        if (extras) add_local(task->extras, extras);
     }
 }
 

@@ -53,11 +53,9 @@ fn sheet_tables() -> String {
             .map(|line| line.iter().map(|n| format!("{n:#x}u")).collect::<Vec<_>>().join(", "));
         format!("{{\n    {}\n}}", lines.collect::<Vec<_>>().join(",\n    "))
     };
-    let mut intricate = vec![0u32; 8];
     let (mut rows, mut flipped) = (Vec::new(), Vec::new());
     for (signs, sheets) in cases.iter().enumerate() {
         let faces = sheets.joined_faces();
-        intricate[signs / 32] |= u32::from(sheets.count > 1 || faces != 0) << (signs % 32);
         rows.push(flipped.len() as u32);
         // One entry for each set of those faces, their bits pushed together.
         let chosen = |set: u32| {
@@ -74,12 +72,10 @@ fn sheet_tables() -> String {
     format!(
         "__constant uint SHEETS[256] = {};\n\
          __constant uchar JOINED[256] = {};\n\
-         __constant uint INTRICATE[8] = {};\n\
          __constant uint FLIPPED_ROW[256] = {};\n\
          __constant uint FLIPPED[{}] = {};\n",
         list(cases.iter().map(Sheets::packed).collect()),
         list(joined),
-        list(intricate),
         list(rows),
         flipped.len(),
         list(flipped),

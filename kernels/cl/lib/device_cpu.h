@@ -185,6 +185,13 @@ inline uint index_of_minimum(__global const uint *numbers, uint count, uint end)
 // Next free column of a batch of LANES columns.
 #define NEXT_COLUMN(batch) ((batch)->count++)
 
+// Cells of ROWS_AT_ONCE rows of eight that one work-item looks at side by side, a bit each, a byte a row.
+#define ROWS_AT_ONCE 8
+typedef ulong cell_bits;
+// Eight bits from `shift` on of each row.
+inline cell_bits load_cell_rows(__local const ushort *rows, uint shift) { return as_ulong(convert_uchar8(vload8(0, rows) >> (ushort)shift)); }
+inline void store_cell_rows(__local uchar *rows, cell_bits bits) { vstore8(as_uchar8(bits), 0, rows); }
+
 // Storage of relaxation for the cells of a brick, as arrays of structures: what one work-item reads together lies together.
 // Positions are ushort4: x, y, z and the index of the cell's sum, NO_SUM for cells of several sheets. Offsets are int4; those of
 // index NO_SUM are written but never read.

@@ -104,6 +104,13 @@ inline uint index_of_minimum(__global const uint *numbers, uint count, uint end)
 // Next free column of a batch of LANES columns: of the only one, known to the compiler, which keeps the batch in registers.
 #define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
 
+// Cells of ROWS_AT_ONCE rows of eight that one work-item looks at side by side, a bit each, a byte a row.
+#define ROWS_AT_ONCE 1
+typedef uint cell_bits;
+// Eight bits from `shift` on of each row.
+inline cell_bits load_cell_rows(__local const ushort *rows, uint shift) { return *rows >> shift & 0xffu; }
+inline void store_cell_rows(__local uchar *rows, cell_bits bits) { *rows = (uchar)bits; }
+
 // Storage of relaxation for the cells of a brick, as structures of arrays: neighbouring work-items read neighbouring numbers.
 // Positions are x, y, z; offsets likewise, with their lengths.
 #define NO_SUM 512 // index of the sum that belongs to no cell: a brick has 512 cells

@@ -1,7 +1,6 @@
 // Which surface sheet of a cell each of its crossed edges belongs to. The tables are made by the host from the contours of the
 // cube's faces, where inside corners are separated on ambiguous faces: SHEETS; JOINED, the faces whose two segments lie in
-// one sheet; INTRICATE, a bit a case, where there are several sheets or a joined face; FLIPPED, sheets with some of the
-// joined faces paired the other way, and where each case's begin.
+// one sheet; FLIPPED, sheets with some of the joined faces paired the other way, and where each case's begin.
 //
 // Two cells that share an ambiguous face and both join its two segments in one sheet would make an edge of four triangles
 // (R. Wenger, "Isosurfaces", 2013). Then one of them pairs the face's crossings the other way, which splits its sheet: the
