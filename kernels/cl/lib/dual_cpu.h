@@ -61,21 +61,27 @@ INLINED void find_halo(__local LeafHalo *halo, const Cut *cut, const Part *part,
         if (part->near[i] != NONE) find_halo_of_brick(halo, cut, part->near[i], i % 3, i / 3 % 3, i / 9);
 }
 
-// make_vertex of LANES nodes: the first four numbers of each vertex, and `attributes`. `origin`: low corner of the region, in cells.
-INLINED void make_vertices(Grid grid, CutParams params, __global const Node *nodes, __global const VertexRecord *records, int3 origin,
-                           float4 *vertices, uint *attributes) {
+// LANES vertex records: positions, and normals in the low half.
+INLINED void load_records(__global const VertexRecord *records, integer *x, integer *y, integer *z, integer *normal) {
     __global const uint *record = (__global const uint *)records;
     const uint16 r0 = vload16(0, record), r1 = vload16(1, record), r2 = vload16(2, record);
     const uint16 xy = (uint16)(r0.s0369, r0.sCF, r1.s258B, r1.sE, r2.s147A, r2.sD);
     const uint16 z_normal = (uint16)(r0.s147A, r0.sD, r1.s0369, r1.sCF, r2.s258B, r2.sE);
+    *x = as_int16(xy & 0xffffu), *y = as_int16(xy >> 16), *z = as_int16(z_normal & 0xffffu), *normal = as_int16(z_normal >> 16);
+}
+
+// make_vertex of LANES nodes: the first four numbers of each vertex, and `attributes`. `origin`: low corner of the region, in cells.
+INLINED void make_vertices(Grid grid, CutParams params, __global const Node *nodes, __global const VertexRecord *records, int3 origin,
+                           float4 *vertices, uint *attributes) {
     const int lattice = (int)VERTEX_LATTICE, unit = 65536 / lattice;
-    int16 x = as_int16(xy & 0xffffu), y = as_int16(xy >> 16), z = as_int16(z_normal & 0xffffu);
+    integer x, y, z, normal;
+    load_records(records, &x, &y, &z, &normal);
     if (params.cap) { // as lattice_position
         const int3 low = (1 - origin) * lattice;
         const int3 high = ((int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2 - origin) * lattice;
         x = clamp(x, low.x, high.x), y = clamp(y, low.y, high.y), z = clamp(z, low.z, high.z);
     }
-    const int16 nx = as_int16(z_normal << 8) >> 24, ny = as_int16(z_normal) >> 24;
+    const int16 nx = normal << 24 >> 24, ny = normal << 16 >> 24;
     const int16 wide_x = 258 * nx - (nx > 126) + (nx < -126), wide_y = 258 * ny - (ny > 126) + (ny < -126); // true is -1
     store_vec4s(as_float16(x * unit), as_float16(y * unit), as_float16(z * unit), as_float16(wide_x & 0xffff | wide_y << 16), vertices);
     __global const float *node = (__global const float *)nodes;
@@ -107,7 +113,7 @@ INLINED void write_vertices(Grid grid, const Cut *cut, const Part *part, const M
 }
 
 #define TABLE_CELLS 729 // 9^3
-#define TABLE_ROWS (4 * TABLE_CELLS + LANES)
+#define TABLE_ROWS (4 * TABLE_CELLS + 512 + LANES) // of several sheets, own cells have five rows
 #define MULTI_SHEET 0x8000u // beside a row: the cell has several sheets, whose rows follow one another
 
 typedef struct {
@@ -169,9 +175,15 @@ __constant uchar CELL_IN_WORD[32] = {
     18, 19, 27, 28, 99, 100, 108, 109, 20, 21, 29, 30, 101, 102, 110, 111,
 };
 
-// Rows in world units, LANES at a time; reads and writes up to LANES - 1 more than there are.
-INLINED void scale_rows(VertexTable *table, uint rows, float3 scale) {
-    for (uint row = 0; row < rows; row += LANES) {
+// Where a cell of a brick is in the table, from its Morton number.
+INLINED uint table_cell(uint cell) {
+    const uint word = cell >> 5;
+    return 91 + 4 * (word >> 1 & 1) + 36 * (word >> 2 & 1) + 162 * (word & 1) + 324 * (word >> 3) + CELL_IN_WORD[cell & 31u];
+}
+
+// Rows from `row` on in world units, LANES at a time; reads and writes up to LANES - 1 more than there are.
+INLINED void scale_rows(VertexTable *table, uint row, uint rows, float3 scale) {
+    for (; row < rows; row += LANES) {
         integer x, y, z, packed;
         load_short4s(table->position_normal + row, &x, &y, &z, &packed);
         const Real3 normal = decode_normal_lanes(packed);
@@ -180,45 +192,92 @@ INLINED void scale_rows(VertexTable *table, uint rows, float3 scale) {
     }
 }
 
+// Writes the rows of LANES own cells from `row` on, in world units at once. `first`: slot of row 0.
+INLINED void set_own_rows(VertexTable *table, uint row, const Part *part, const MeshVertices *mesh, const TableBrick *from, float3 scale,
+                          uint first) {
+    const int3 shift = (part->origin - part->low) * (int)VERTEX_LATTICE;
+    integer x, y, z, packed;
+    load_records(mesh->records + first + row, &x, &y, &z, &packed);
+    const Real3 normal = decode_normal_lanes(packed);
+    store_vec4s(TO_REAL(x + shift.x) * scale.x, TO_REAL(y + shift.y) * scale.y, TO_REAL(z + shift.z) * scale.z, 0.0f, table->position + row);
+    store_vec4s(normal.x, normal.y, normal.z, 0.0f, table->normal + row);
+    const uint16 slots = first + row + as_uint16(LANE_INDEX);
+    // Points of cells are numbered as their slots are.
+    const uint16 points = slots + (cell_point(from->home, first) - first);
+    vstore16(mesh->points.wanted ? points : vload16(0, mesh->compact_index + first + row), 0, table->index + row);
+    vstore16(slots, 0, table->slot + row);
+}
+
+// Enters the cells of the brick itself, a row each in their order from row 0 on; behind them, for every cell of several sheets, a row for
+// each sheet. Returns the next free row. `scaled`: receives how many rows are in world units already.
+INLINED uint enter_own_cells(VertexTable *table, Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh,
+                             const TableBrick *from, float3 scale, uint *scaled) {
+    __global const Brick *brick = from->brick;
+    const uint slots = from->home->slot_base, first = slots + brick->level_base[0], count = count_cells(brick);
+    uint row = 0;
+    for (uint word = 0; word < 16; word++)
+        for (uint rest = brick->cells[word]; rest; rest &= rest - 1) {
+            const uint at = table_cell(word << 5 | lowest_bit(rest));
+            table->own[row] = (ushort)at;
+            table->row[at] = (ushort)row++;
+        }
+    *scaled = count < LANES ? 0 : count;
+    for (uint i = *scaled; i < count; i++) set_row(table, i, grid, part, mesh, from, first + i, 0);
+    // The last LANES cells: some of them for the second time.
+    for (uint i = 0; i < *scaled; i += LANES) set_own_rows(table, min(i, count - LANES), part, mesh, from, scale, first);
+    for (uint extra = slots + brick->level_base[3]; extra < slots + brick->level_base[3] + brick->extra_sheets; extra++) {
+        const uint meta = cut->nodes[extra].meta, at = table_cell(code_cell(meta_code(meta), 0) & 511u);
+        if (meta_extras(meta) == 1) { // of the first one's sheets
+            const uint slot = first + table->row[at];
+            table->row[at] = (ushort)(MULTI_SHEET | row);
+            table->sheets[at] = cut->nodes[extra].count;
+            set_row(table, row++, grid, part, mesh, from, slot, 0);
+        }
+        set_row(table, row++, grid, part, mesh, from, extra, 0);
+    }
+    return row;
+}
+
+// Enters the cells just before a brick of one of the seven bricks before it, which is `x`, `y` and `z` bricks away.
+INLINED uint enter_cells_before(VertexTable *table, uint row, Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh,
+                                const TableBrick *from, uint x, uint y, uint z) {
+    const int3 in_region = part->low - part->origin;
+    // The last cells: the highest bits of x, y and z are their word's.
+    const uint wanted = (x ? LAST_X : ~0u) & (y ? LAST_Y : ~0u) & (z ? LAST_Z : ~0u);
+    const uint words = x << 1 | y << 2 | z * 9;
+    for (uint word = 0; word < 16; word++) {
+        if ((word & words) != words) continue;
+        const uint cells = from->brick->cells[word];
+        const uint first = from->home->slot_base + from->brick->level_base[0] + from->brick->cells_before[word];
+        for (uint rest = cells & wanted; rest; rest &= rest - 1) {
+            const uint bit = lowest_bit(rest), slot = first + popcount(cells & ((1u << bit) - 1));
+            const uint cell = word << 5 | bit, at = table_cell(cell) - 8 * x - 72 * y - 648 * z;
+            uint name = 0;
+            if (from->region != part->region)
+                name = 4 * halo_cell(in_region + convert_int3(unmorton(cell)) - 8 * (int3)((int)x, (int)y, (int)z));
+            row = set_cell(table, row, at, grid, cut, part, mesh, from, slot, name);
+        }
+    }
+    return row;
+}
+
 // Fills the table of a plain brick, whose vertices in world units are `scale` times those on the lattice.
 INLINED void fill_table(VertexTable *table, Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, float3 scale) {
-    const int3 in_region = part->low - part->origin;
-    uint row = 0, own = 0;
+    uint row = 0, scaled = 0;
     for (uint before = 0; before < 8; before++) {
         const uint x = before & 1, y = before >> 1 & 1, z = before >> 2, index = part->near[13 - x - 3 * y - 9 * z];
         if (index == NONE) continue;
         const uint of = cut->bricks[index].region;
         const TableBrick from = {cut->bricks + index, of, cut->regions + of,
                                  convert_int3(region_origin(grid, cut->regions[of].region))};
-        // Of the bricks before this one the last cells: the highest bits of x, y and z are their word's.
-        const uint wanted = (x ? LAST_X : ~0u) & (y ? LAST_Y : ~0u) & (z ? LAST_Z : ~0u);
-        const uint words = x << 1 | y << 2 | z * 9;
-        for (uint word = 0; word < 16; word++) {
-            if ((word & words) != words) continue;
-            const uint cells = from.brick->cells[word];
-            const uint first = cut->regions[of].slot_base + from.brick->level_base[0] + from.brick->cells_before[word];
-            const uint word_at = 4 * (word >> 1 & 1) + 36 * (word >> 2 & 1) + 162 * (word & 1) + 324 * (word >> 3);
-            // The brick's first cell is at 91; the bricks before this one have one layer of cells in the table.
-            const uint first_at = 91 + word_at - 8 * x - 72 * y - 648 * z;
-            for (uint rest = cells & wanted; rest; rest &= rest - 1) {
-                const uint bit = lowest_bit(rest), slot = first + popcount(cells & ((1u << bit) - 1));
-                const uint at = first_at + CELL_IN_WORD[bit];
-                uint name = 0;
-                if (of != part->region) {
-                    const int3 cell = convert_int3(unmorton(word << 5 | bit)) - 8 * (int3)((int)x, (int)y, (int)z);
-                    name = 4 * halo_cell(in_region + cell);
-                }
-                if (before == 0) table->own[own++] = (ushort)at;
-                row = set_cell(table, row, at, grid, cut, part, mesh, &from, slot, name);
-            }
-        }
+        row = before == 0 ? enter_own_cells(table, grid, cut, part, mesh, &from, scale, &scaled)
+                          : enter_cells_before(table, row, grid, cut, part, mesh, &from, x, y, z);
     }
-    scale_rows(table, row, scale);
+    scale_rows(table, scaled, row, scale);
 }
 
-// Row of the vertex of a cell, `at` in the table, to which an edge of it belongs.
-INLINED uint row_of_edge(const VertexTable *table, uint at, uint edge) {
-    const uint row = table->row[at];
+// Row of the vertex of a cell to which an edge of it belongs, from the cell's row. `at`: in the table.
+INLINED uint row_of_edge(const VertexTable *table, uint row, uint at, uint edge) {
     return row & MULTI_SHEET ? (row & ~MULTI_SHEET) + edge_sheet(table->sheets[at], edge) : row;
 }
 
@@ -236,19 +295,38 @@ INLINED bool other_is_better(const VertexTable *table, uint4 r) {
     return (offset13 < offset02) | ((offset13 == offset02) & (sums.s6 < sums.s2));
 }
 
-// Writes the triangles of the quad around the edge along `axis` from the low corner of a cell. `at`: the cell in the table; `b`, `c`:
-// how far before it the cells are that lie a step back along the next axes; `first`: where the triangles begin among all indices.
-// Returns where they end.
-INLINED uint write_plain_quad(const VertexTable *table, const TriangleOutput *out, uint at, uint axis, uint b, uint c, uint flip_winding,
-                              uint first) {
-    const uint4 r = (uint4)(row_of_edge(table, at, 4 * axis), row_of_edge(table, at - b, 4 * axis + 1),
-                            row_of_edge(table, at - b - c, 4 * axis + 3), row_of_edge(table, at - c, 4 * axis + 2));
+// Quads of a plain brick, by the edge from the low corner of a cell that each is around: the cell in the table, then the axis, then
+// whether the winding is flipped.
+#define QUAD_AXIS 10
+#define QUAD_FLIP 12
+#define MAX_PLAIN_QUADS (3 * 512)
+
+// Appends the quads of a cell at `at` to a list of `count`, without a branch that nobody could predict; returns how many there are.
+INLINED uint list_plain_quads(ushort *quads, uint count, uint at, uint signs) {
+    // Along each axis, where the cell's first corner and the next one lie on different sides.
+    const uint inside = signs & 1u, crossed = inside ? ~signs : signs, entry = at | (inside ^ 1u) << QUAD_FLIP;
+    quads[count] = (ushort)entry;
+    count += crossed >> 1 & 1u;
+    quads[count] = (ushort)(entry | 1 << QUAD_AXIS);
+    count += crossed >> 2 & 1u;
+    quads[count] = (ushort)(entry | 2 << QUAD_AXIS);
+    return count + (crossed >> 4 & 1u);
+}
+
+// Writes the triangles of a listed quad. `first`: where they begin among all indices.
+INLINED void write_plain_quad(const VertexTable *table, const TriangleOutput *out, uint quad, uint first) {
+    const uint at = quad & ((1u << QUAD_AXIS) - 1), axis = quad >> QUAD_AXIS & 3u, flip_winding = quad >> QUAD_FLIP;
+    // How far before it the cells are that lie a step back along the next two axes.
+    const uint b = axis == 0 ? 9 : axis == 1 ? 81 : 1, c = axis == 0 ? 81 : axis == 1 ? 1 : 9;
+    uint4 r = (uint4)(table->row[at], table->row[at - b], table->row[at - b - c], table->row[at - c]);
+    if ((r.x | r.y | r.z | r.w) & MULTI_SHEET)
+        r = (uint4)(row_of_edge(table, r.x, at, 4 * axis), row_of_edge(table, r.y, at - b, 4 * axis + 1),
+                    row_of_edge(table, r.z, at - b - c, 4 * axis + 3), row_of_edge(table, r.w, at - c, 4 * axis + 2));
     const bool other = other_is_better(table, r);
     const uint *index = table->index, *slot = table->slot;
     write_corners(out->indices + first, (uint4)(index[r.x], index[r.y], index[r.z], index[r.w]), 4, flip_winding, other);
     if (out->keep_corners)
         write_corners(out->corner_slots + first, (uint4)(slot[r.x], slot[r.y], slot[r.z], slot[r.w]), 4, flip_winding, other);
-    return first + 6;
 }
 
 // Writes the vertices of a plain brick and the quads of its cells away from the volume's faces, and lists the edges of the others,
@@ -264,21 +342,18 @@ INLINED uint emit_plain_brick(Grid grid, const Cut *cut, const Part *part, const
     }
     VertexTable table;
     fill_table(&table, grid, cut, part, mesh, out->scale);
-    uint listed = 0;
+    ushort quads[MAX_PLAIN_QUADS + 1];
+    uint listed = 0, quad_count = 0;
     for (uint i = 0; i < count; i++) {
         const uint meta = cut->nodes[first + i].meta, signs = meta_signs(meta);
         if (!part->all_quads && !is_inside(grid, part->origin + convert_int3(unmorton(code_cell(meta_code(meta), 0))))) {
             for (uint edges = crossed_edges(signs); edges; edges &= edges - 1) list[listed++] = edge_entry(0, i, lowest_bit(edges));
             continue;
         }
-        // Along each axis, where the cell's first corner and the next one lie on different sides.
-        const uint inside = signs & 1u, crossed = inside ? ~signs : signs, at = table.own[i], from = 3 * (first_triangle + *done);
-        uint to = from;
-        if (crossed & 2u) to = write_plain_quad(&table, out, at, 0, 9, 81, !inside, to);
-        if (crossed & 4u) to = write_plain_quad(&table, out, at, 1, 81, 1, !inside, to);
-        if (crossed & 16u) to = write_plain_quad(&table, out, at, 2, 1, 9, !inside, to);
-        *done += (to - from) / 3;
+        quad_count = list_plain_quads(quads, quad_count, table.own[i], signs);
     }
+    for (uint i = 0; i < quad_count; i++) write_plain_quad(&table, out, quads[i], 3 * (first_triangle + *done) + 6 * i);
+    *done += 2 * quad_count;
     return listed;
 }
 
