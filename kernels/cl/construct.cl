@@ -41,6 +41,7 @@
 #include "lib/brick_sheets.h"
 #include "lib/brick_task.h"
 #include "lib/cell_solver.h"
+#include "lib/construct_device.h"
 #include "lib/cube_crossings.h"
 #include "lib/cube_solver.h"
 #include "lib/device.h"

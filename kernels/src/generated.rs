@@ -44,6 +44,26 @@ fn tables_header_is_fresh() {
     );
 }
 
+#[test]
+fn set_bits_header_is_fresh() {
+    let positions = |byte: u64| (0..8).filter(move |bit| byte >> bit & 1 == 1);
+    let placed = |(i, bit): (u64, u64)| bit << (8 * i);
+    let packed = |byte| (0..).zip(positions(byte)).map(placed).sum();
+    let bytes: Vec<u64> = (0..256).map(packed).collect();
+    let lines: Vec<_> = bytes
+        .chunks(8)
+        .map(|line| line.iter().map(|n| format!("{n:#x}ul")).collect::<Vec<_>>().join(", "))
+        .collect();
+    check(
+        "set_bits.h",
+        "The set bits of every byte, a byte each, lowest first; behind them zeros.",
+        &format!(
+            "__constant ulong SET_BITS[256] = {{\n    {}\n}};\n",
+            lines.join(",\n    ")
+        ),
+    );
+}
+
 /// The tables of `cl/lib/sheets.h`.
 fn sheet_tables() -> String {
     let cases: Vec<_> = (0..=255).map(|signs| Sheets::trace(signs, 0)).collect();

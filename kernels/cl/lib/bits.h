@@ -20,6 +20,7 @@ inline uint mask8(int8 lanes) {
 }
 
 inline uint lowest_bit(uint mask) { return popcount((mask & -mask) - 1); }
+inline uint lowest_bit64(ulong mask) { return (uint)popcount((mask & -mask) - 1); }
 
 inline uint test_bit(__local const uint *words, uint i) { return words[i >> 5] >> (i & 31) & 1u; }
 

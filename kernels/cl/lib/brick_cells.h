@@ -58,36 +58,6 @@ INLINED void prefetch_next_brick(const BrickTask *task, __global const Region *r
     prefetch_samples(task->args.grid, task->samples, task->args.z0, origin);
 }
 
-// Phase: lists of active cells and of cubes; every cube counts as mergeable until a phase finds that it is not.
-INLINED void list_cells_and_cubes(const BrickTask *task, const BrickMemory *memory, __global const uint *case_facts) {
-    const uint lid = get_local_id(0);
-    __global const Brick *brick = task->brick;
-    ROLLED for (uint i = lid; i < 64; i += BRICK_GROUP) {
-        memory->facts[i] = case_facts[i];
-        memory->mergeable[MERGEABLE_LEVEL1 + i] = 1;
-        const uint cells = level1_cells(brick, i);
-        if (!cells) continue;
-        uint at = cells_before_level1(brick, i);
-        const uint3 low = unmorton(i << 3);
-        ROLLED for (uint rest = cells; rest; rest &= rest - 1, at++) {
-            const uint bit = lowest_bit(rest), in_cube = (bit & 1u) | (bit << 2 & 8u) | (bit << 4 & 64u);
-            const uint cell = low.x + 8 * low.y + 64 * low.z + in_cube;
-            memory->cell_list[at] = (ushort)(i << 9 | cell);
-            memory->compact_index[cell] = (ushort)at;
-        }
-        memory->cube_ids[level1_column(brick, i)] = (uchar)(1 << 6 | i);
-    }
-    if (lid == 0) *memory->work_count = 0;
-    ROLLED for (uint i = lid; i < 16; i += BRICK_GROUP)
-        memory->multi_sheet_mask[i] = memory->even_sheet_mask[i] = memory->sheets_ge3_mask[i] = 0;
-    ROLLED for (uint i = lid; i < 9; i += BRICK_GROUP) {
-        memory->mergeable[MERGEABLE_LEVEL2 + i] = 1;
-        if (i == 8) memory->cube_ids[task->cube_count - 1] = 3 << 6;
-        else if (brick->level2_mask >> i & 1u) memory->cube_ids[level2_column(task, i)] = (uchar)(2 << 6 | i);
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-}
-
 // Phase: crossings, vertex and normal of the `run` listed cells from `first` on, a column each.
 INLINED void solve_listed_cells(const BrickTask *task, const BrickMemory *memory, uint first, uint run) {
     const uint lid = get_local_id(0), columns = (run + LANES - 1) / LANES * LANES;

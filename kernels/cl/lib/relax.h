@@ -8,6 +8,7 @@
 #include "lib/bits.h"
 #include "lib/brick_task.h"
 #include "lib/cell_solver.h"
+#include "lib/construct_device.h"
 #include "lib/cube.h"
 #include "lib/device.h"
 #include "lib/lanes.h"
@@ -45,25 +46,6 @@ INLINED void load_positions(const BrickTask *task, const BrickMemory *memory) {
         clear_offset_sum(memory->offset_sums, i);
     }
     if (lid == 0) *memory->work_count = 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
-}
-
-// Lists the crossed edges with four cells of the brick around them, from rows of samples: y + 8 z, one bit a sample.
-INLINED void list_inner_quads(const BrickMemory *memory) {
-    __local const ushort *rows = memory->inside_rows;
-    __local ushort *quads = memory->quad_list;
-    for (uint i = get_local_id(0); i < 64; i += BRICK_GROUP) {
-        const uint y = i & 7, z = i >> 3, row = 9 * z + y, here = rows[row];
-        uint along_x = (here ^ here >> 1) & 0xffu, along_y = (here ^ rows[row + 1]) & 0xfeu;
-        uint along_z = (here ^ rows[row + 9]) & 0xfeu;
-        if (y == 0) along_x = along_z = 0;
-        if (z == 0) along_x = along_y = 0;
-        if (!(along_x | along_y | along_z)) continue;
-        uint n = add_local(memory->work_count, popcount(along_x | along_y << 8 | along_z << 16));
-        for (uint rest = along_x; rest; rest &= rest - 1) quads[n++] = (ushort)(i << 3 | lowest_bit(rest));
-        for (uint rest = along_y; rest; rest &= rest - 1) quads[n++] = (ushort)(512 | i << 3 | lowest_bit(rest));
-        for (uint rest = along_z; rest; rest &= rest - 1) quads[n++] = (ushort)(1024 | i << 3 | lowest_bit(rest));
-    }
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
