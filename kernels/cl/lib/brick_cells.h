@@ -41,9 +41,10 @@ INLINED ushort load_row(__global const SAMPLE *row, int last, float iso, float m
 INLINED void load_samples(const BrickTask *task, const BrickMemory *memory) {
     const uint lid = get_local_id(0);
     const Grid grid = task->args.grid;
+    __global const SAMPLE *first = task->samples + sample_index(grid, task->args.z0, task->origin);
+    const ulong width = grid.dims[0], plane = width * grid.dims[1];
     ROLLED for (uint row = lid; row < 81; row += BRICK_GROUP) {
-        const int3 p = task->origin + (int3)(0, min((int)(row % 9), task->last.y), min((int)(row / 9), task->last.z));
-        __global const SAMPLE *from = task->samples + sample_index(grid, task->args.z0, p);
+        __global const SAMPLE *from = first + min(row / 9, (uint)task->last.z) * plane + min(row % 9, (uint)task->last.y) * width;
         memory->inside_rows[row] = load_row(from, task->last.x, task->args.iso, grid.missing, memory->tile + 9 * row);
     }
     ROLLED for (uint i = lid; i < 512; i += BRICK_GROUP) memory->compact_index[i] = NO_CELL;

@@ -72,6 +72,7 @@ INLINED void mark_sheets(Grid grid, const Cut *cut, const Part *part, const Coun
                          int3 in_region) {
     const bool is_last = any(part->low - part->origin == 24);
     const uint next = is_last ? edges_of_next_regions(grid, part->origin + in_region, in_region) : 0;
+    if (part->all_quads && !next) return; // count_all_quads has marked them
     const uint extras = meta_extras(cut->nodes[slot].meta);
     const uint extra = first_extra(cut->regions + part->region, cut->bricks + part->brick, cut->nodes[slot]);
     const uint sheets = extras ? cut->nodes[extra].count : 0;

@@ -4,6 +4,7 @@
 #ifndef ISOPEEL_DUAL_CPU_H
 #define ISOPEEL_DUAL_CPU_H
 
+#include "lib/active_cells.h"
 #include "lib/batch.h"
 #include "lib/bits.h"
 #include "lib/cut.h"
@@ -113,6 +114,7 @@ INLINED void write_vertices(Grid grid, const Cut *cut, const Part *part, const M
 }
 
 #define TABLE_CELLS 729 // 9^3
+#define TABLE_FIRST 91  // the brick's first cell
 #define TABLE_ROWS (4 * TABLE_CELLS + 512 + LANES) // of several sheets, own cells have five rows
 #define MULTI_SHEET 0x8000u // beside a row: the cell has several sheets, whose rows follow one another
 
@@ -178,7 +180,7 @@ __constant uchar CELL_IN_WORD[32] = {
 // Where a cell of a brick is in the table, from its Morton number.
 INLINED uint table_cell(uint cell) {
     const uint word = cell >> 5;
-    return 91 + 4 * (word >> 1 & 1) + 36 * (word >> 2 & 1) + 162 * (word & 1) + 324 * (word >> 3) + CELL_IN_WORD[cell & 31u];
+    return TABLE_FIRST + 4 * (word >> 1 & 1) + 36 * (word >> 2 & 1) + 162 * (word & 1) + 324 * (word >> 3) + CELL_IN_WORD[cell & 31u];
 }
 
 // Rows from `row` on in world units, LANES at a time; reads and writes up to LANES - 1 more than there are.
@@ -214,13 +216,14 @@ INLINED uint enter_own_cells(VertexTable *table, Grid grid, const Cut *cut, cons
                              const TableBrick *from, float3 scale, uint *scaled) {
     __global const Brick *brick = from->brick;
     const uint slots = from->home->slot_base, first = slots + brick->level_base[0], count = count_cells(brick);
-    uint row = 0;
-    for (uint word = 0; word < 16; word++)
-        for (uint rest = brick->cells[word]; rest; rest &= rest - 1) {
-            const uint at = table_cell(word << 5 | lowest_bit(rest));
-            table->own[row] = (ushort)at;
-            table->row[at] = (ushort)row++;
-        }
+    ushort cells[512];
+    list_active_cells(brick, cells);
+    for (uint i = 0; i < count; i += LANES) {
+        const ushort16 m = vload16(0, cells + i), y = every_third_bit(m >> (ushort)1), z = every_third_bit(m >> (ushort)2);
+        vstore16(every_third_bit(m) + y * (ushort)9 + z * (ushort)81 + (ushort)TABLE_FIRST, 0, table->own + i);
+    }
+    for (uint i = 0; i < count; i++) table->row[table->own[i]] = (ushort)i;
+    uint row = count;
     *scaled = count < LANES ? 0 : count;
     for (uint i = *scaled; i < count; i++) set_row(table, i, grid, part, mesh, from, first + i, 0);
     // The last LANES cells: some of them for the second time.
@@ -245,8 +248,7 @@ INLINED uint enter_cells_before(VertexTable *table, uint row, Grid grid, const C
     // The last cells: the highest bits of x, y and z are their word's.
     const uint wanted = (x ? LAST_X : ~0u) & (y ? LAST_Y : ~0u) & (z ? LAST_Z : ~0u);
     const uint words = x << 1 | y << 2 | z * 9;
-    for (uint word = 0; word < 16; word++) {
-        if ((word & words) != words) continue;
+    for (uint word = words; word < 16; word = (word + 1) | words) {
         const uint cells = from->brick->cells[word];
         const uint first = from->home->slot_base + from->brick->level_base[0] + from->brick->cells_before[word];
         for (uint rest = cells & wanted; rest; rest &= rest - 1) {
