@@ -149,6 +149,9 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     block.origin = convert_int3(region_origin(grid, region->region));
     block.scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
     block.alive_count = count;
+#if WIDE_GROUP == 1
+    block.new_count = count;
+#endif
     TreeFans fans;
     fans.triangles = triangles + 3 * tree->triangle_base;
     fans.triangle_count = tree->triangle_count;
@@ -162,7 +165,10 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
     for (uint i = lid; i < count; i += WIDE_GROUP)
         classify_point(args, &block, &fans, i, cell_points, points[nth_point(own, i)].xyz, last);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < count; i += WIDE_GROUP) block.positions[i].w = as_float(block.best[i]);
+    for (uint i = lid; i < count; i += WIDE_GROUP) {
+        block.positions[i].w = as_float(block.best[i]);
+        if (WIDE_GROUP == 1) block.best[i] = i; // all are new
+    }
     barrier(CLK_GLOBAL_MEM_FENCE);
     float area = 0.0f;
     if (lid == 0)

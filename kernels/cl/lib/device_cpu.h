@@ -184,6 +184,8 @@ inline uint index_of_minimum(__global const uint *numbers, uint count, uint end)
 
 // Next free column of a batch of LANES columns.
 #define NEXT_COLUMN(batch) ((batch)->count++)
+// Columns beyond LANES, for what is collected before a batch is emptied.
+#define MORE_COLUMNS 8
 
 // Cells of ROWS_AT_ONCE rows of eight that one work-item looks at side by side, a bit each, a byte a row.
 #define ROWS_AT_ONCE 8

@@ -103,6 +103,7 @@ inline uint index_of_minimum(__global const uint *numbers, uint count, uint end)
 
 // Next free column of a batch of LANES columns: of the only one, known to the compiler, which keeps the batch in registers.
 #define NEXT_COLUMN(batch) ((batch)->count = 1, 0)
+#define MORE_COLUMNS 0
 
 // Cells of ROWS_AT_ONCE rows of eight that one work-item looks at side by side, a bit each, a byte a row.
 #define ROWS_AT_ONCE 1

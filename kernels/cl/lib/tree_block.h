@@ -32,6 +32,9 @@ typedef struct {
     int3 origin;                           // of the region
     float3 scale;                          // world units of 1/VERTEX_LATTICE cell
     uint alive_count;
+#if WIDE_GROUP == 1
+    uint pair_count, new_count;            // of lists (tree_lists.h): the former in `next_costs`, the latter in `best`
+#endif
 } TreeBlock;
 
 inline float3 cluster_position(const TreeBlock *block, uint at) { return block->positions[at].xyz; }

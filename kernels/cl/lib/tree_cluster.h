@@ -48,9 +48,10 @@ INLINED Real3 solve_pulled(const Quadrics *q, real w, Real3 r) {
 
 // LANES pairs of clusters.
 typedef struct {
-    uint first[LANES], second[LANES]; // the first before the second, so that results have the same bits from both sides
-    uint entry[LANES];                // what the caller keeps with a pair
-    uint other[LANES];                // of an edge, the end whose ring does not have that entry
+    // The first before the second, so that results have the same bits from both sides.
+    uint first[LANES + MORE_COLUMNS], second[LANES + MORE_COLUMNS];
+    uint entry[LANES + MORE_COLUMNS]; // what the caller keeps with a pair
+    uint other[LANES + MORE_COLUMNS]; // of an edge, the end whose ring does not have that entry
     uint count;
 } PairBatch;
 

@@ -7,6 +7,7 @@
 #include "lib/layout.h"
 #include "lib/tree_block.h"
 #include "lib/tree_folds.h"
+#include "lib/tree_lists.h"
 #include "lib/tree_rings.h"
 
 // What the test says of a pair, in TreeBlock::best of its first cluster, beside a number.
@@ -58,21 +59,36 @@ inline void set_edge_aside(const TreeBlock *block, uint at) {
     block->costs[first + index_of(block->rings + first, block->partners[at])] = INFINITY;
 }
 
+// What a verdict does to one cluster of a pair. Returns whether the pair is given up.
+INLINED bool settle_cluster(const TreeBlock *block, uint at, uint verdict) {
+    if (verdict & SET_ASIDE) set_edge_aside(block, at);
+    if (!(verdict & (GIVE_UP | SET_ASIDE))) return false;
+    block->partners[at] = CHANGES; // partners could not be marked
+    block->merged_positions[at] = block->positions[at];
+    return true;
+}
+
 // Gives up the pairs that failed, and notes what the others change. Each work-item writes what is its own cluster's.
+#if WIDE_GROUP == 1
+INLINED void settle_pairs(TreeBlock *block) {
+    uint count = 0;
+    for (uint i = 0; i < block->pair_count; i++) {
+        const uint at = nth_pair(block, i), partner = block->partners[at], verdict = block->best[at];
+        pair_list(block)[count] = at;
+        count += !settle_cluster(block, at, verdict);
+        settle_cluster(block, partner, verdict);
+    }
+    block->pair_count = count;
+}
+#else
 INLINED void settle_pairs(const TreeBlock *block) {
     for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
         const uint at = block->alive[i], partner = block->partners[at];
-        if (WIDE_GROUP > 1) {
-            if (partner & FOREIGN && block->members[at].changes) block->partners[at] = CHANGES;
-            block->members[at].changes = 0;
-        }
-        if (partner & FOREIGN) continue;
-        const uint verdict = block->best[min(at, partner)];
-        if (verdict & SET_ASIDE) set_edge_aside(block, at);
-        if (!(verdict & (GIVE_UP | SET_ASIDE))) continue;
-        block->partners[at] = CHANGES; // partners could not be marked
-        block->merged_positions[at] = block->positions[at];
+        if (partner & FOREIGN && block->members[at].changes) block->partners[at] = CHANGES;
+        block->members[at].changes = 0;
+        if (!(partner & FOREIGN)) settle_cluster(block, at, block->best[min(at, partner)]);
     }
 }
+#endif
 
 #endif

@@ -10,6 +10,7 @@
 #include "lib/tree_block.h"
 #include "lib/tree_cluster.h"
 #include "lib/tree_key.h"
+#include "lib/tree_lists.h"
 #include "lib/tree_node.h"
 #include "lib/tree_pair_test.h"
 #include "lib/tree_rings.h"
@@ -30,25 +31,50 @@ INLINED void cost_batch(const TreeBlock *block, PairBatch *batch) {
     batch->count = 0;
 }
 
+#if WIDE_GROUP == 1
+// Collects the edges of a new cluster, MORE_COLUMNS entries of its ring at a time: as many steps whatever the ring has.
+INLINED void collect_edges(const TreeBlock *block, PairBatch *batch, uint at) {
+    const uint first = block->clusters[at].ring_first, end = first + block->clusters[at].ring_count;
+    for (uint begin = first; begin < end; begin += MORE_COLUMNS) {
+        for (uint k = 0; k < MORE_COLUMNS; k++) {
+            const uint entry = begin + k, neighbour = entry < end ? block->rings[entry] : FOREIGN;
+            const uint other = neighbour & FOREIGN ? at : neighbour, column = collect_pair(batch, at, other, entry);
+            batch->other[column] = other;
+            // Without a branch, which nobody can predict.
+            batch->count -= (other == at) | ((other < at) & has_partner(block, other));
+        }
+        if (batch->count < LANES) continue;
+        const uint rest = batch->count - LANES;
+        batch->count = LANES;
+        cost_batch(block, batch);
+        vstore8(vload8(0, batch->first + LANES), 0, batch->first);
+        vstore8(vload8(0, batch->second + LANES), 0, batch->second);
+        vstore8(vload8(0, batch->entry + LANES), 0, batch->entry);
+        vstore8(vload8(0, batch->other + LANES), 0, batch->other);
+        batch->count = rest;
+    }
+}
+#else
+INLINED void collect_edges(const TreeBlock *block, PairBatch *batch, uint at) {
+    const uint first = block->clusters[at].ring_first, end = first + block->clusters[at].ring_count;
+    for (uint entry = first; entry < end; entry++) {
+        const uint other = block->rings[entry];
+        if (other & FOREIGN || (other < at && has_partner(block, other))) continue;
+        const uint column = collect_pair(batch, at, other, entry);
+        batch->other[column] = other;
+        cost_batch(block, batch);
+    }
+}
+#endif
+
 // Computes the costs of new clusters: points before the first round, or clusters that merged in the last round. No other costs than theirs
 // have changed.
 INLINED void find_costs(const TreeBlock *block) {
     PairBatch batch;
     batch.count = 0;
-    for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
-        const uint at = block->alive[i];
-        if (!has_partner(block, at)) continue;
-        const uint first = block->clusters[at].ring_first, end = first + block->clusters[at].ring_count;
-        for (uint entry = first; entry < end; entry++) {
-            const uint neighbour = block->rings[entry], other = neighbour & FOREIGN ? at : neighbour;
-            const bool is_known = neighbour & FOREIGN || (other < at && has_partner(block, other));
-            if (WIDE_GROUP > 1 && is_known) continue;
-            const uint column = collect_pair(&batch, at, other, entry);
-            batch.other[column] = other;
-            // Without a branch, which nobody can predict.
-            if (WIDE_GROUP == 1) batch.count -= is_known;
-            if (batch.count == LANES) cost_batch(block, &batch);
-        }
+    for (uint i = get_local_id(0); i < new_end(block); i += WIDE_GROUP) {
+        const uint at = nth_new(block, i);
+        if (at != NONE) collect_edges(block, &batch, at);
     }
     cost_batch(block, &batch);
 }
@@ -120,6 +146,21 @@ INLINED void test_batch(const TreeBlock *block, PairBatch *batch, __global uint 
     batch->count = 0;
 }
 
+// Whether a cluster on the list of a pass is to test the pair with its best neighbour: where both have chosen each other, and of two on the
+// list the first one, which may just have become the other's partner.
+INLINED bool tests_best(const TreeBlock *block, uint at, uint pass) {
+    const uint other = block->best[at];
+#if WIDE_GROUP == 1
+    // Without a branch. Nobody's best neighbour is itself.
+    if (pass == 0) return (other > at) & (block->best[other == NONE ? at : other] == at);
+#endif
+    if (other == NONE || block->best[other] != at) return false;
+    if (other > at) return true;
+    if (pass == 0) return false;
+    const uint of_other = read_shared(block->partners + other);
+    return of_other != (FOREIGN | pass) && of_other != at;
+}
+
 // Makes partners of the clusters that are each other's best, of pairs that may merge: tests a pair once both have chosen each other. Where
 // it fails, both choose again, until no pair fails.
 INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count) {
@@ -140,15 +181,12 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count)
         PairBatch batch;
         batch.count = 0;
         for (uint i = lid; i < count; i += WIDE_GROUP) {
-            const uint at = list[i], other = best[at];
-            if (other == NONE || best[other] != at) continue;
-            // Of two on the list, the first one tests, which may just have become the other's partner.
-            if (other < at && pass == 0) continue;
-            if (other < at) {
-                const uint of_other = read_shared(partners + other);
-                if (of_other == (FOREIGN | pass) || of_other == at) continue;
-            }
-            collect_pair(&batch, at, other, 0);
+            const uint at = list[i];
+            const bool tests = tests_best(block, at, pass);
+            if (WIDE_GROUP > 1 && !tests) continue;
+            collect_pair(&batch, at, best[at], 0);
+            // Without a branch, which nobody can predict.
+            if (WIDE_GROUP == 1) batch.count -= !tests;
             if (batch.count == LANES) test_batch(block, &batch, failed, failed_count);
         }
         test_batch(block, &batch, failed, failed_count);
@@ -168,14 +206,15 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count)
 }
 
 // Pairs the clusters that are each other's best, but for those that fail the pair test.
-INLINED void find_pairs(const TreeBlock *block, __local uint *failed_count) {
+INLINED void find_pairs(TreeBlock *block, __local uint *failed_count) {
     find_costs(block);
     barrier(CLK_GLOBAL_MEM_FENCE);
     choose_partners(block, failed_count);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = get_local_id(0); i < block->alive_count; i += WIDE_GROUP) {
-        const uint at = block->alive[i], partner = block->partners[at];
-        if (!(partner & FOREIGN) && partner > at) test_pair(block, at);
+    list_pairs(block);
+    for (uint i = get_local_id(0); i < pairs_end(block); i += WIDE_GROUP) {
+        const uint at = nth_pair(block, i);
+        if (at != NONE) test_pair(block, at);
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
     settle_pairs(block);
@@ -206,9 +245,8 @@ INLINED void commit_merge(const TreeBlock *block, const TreeOutput *out, uint a,
     first->quadric = quadric;
     for (uint side = 0; side < 2; side++) {
         const uint point = side ? b : a, node = side ? other->node : own->node;
-        if (node != NONE) out->node_parents[node] = index;
-        else if (point < out->cell_points) out->point_parents[point] = index;
-        else out->border_parents[point - out->cell_points] = index;
+        __global uint *of_point = point < out->cell_points ? out->point_parents + point : out->border_parents + (point - out->cell_points);
+        *(node != NONE ? out->node_parents + node : of_point) = index;
     }
     for (uint i = 0; i < 3; i++) own->normal[i] += other->normal[i];
     own->s += other->s;
@@ -280,12 +318,10 @@ INLINED uint commit_pairs(const TreeBlock *block, const TreeOutput *out, uint no
     PairBatch batch;
     batch.count = 0;
     uint merged = 0, total;
-    for (uint begin = 0; begin < block->alive_count; begin += WIDE_GROUP) {
-        const uint i = begin + get_local_id(0);
-        const uint at = i < block->alive_count ? block->alive[i] : 0, partner = block->partners[at];
-        const bool is_first = i < block->alive_count && !(partner & FOREIGN) && partner > at;
-        const uint rank = merged + scan_group(scratch, is_first, &total);
-        if (is_first) collect_pair(&batch, at, partner, out->node_base + node_count + rank);
+    for (uint begin = 0; begin < pairs_end(block); begin += WIDE_GROUP) {
+        const uint i = begin + get_local_id(0), at = i < pairs_end(block) ? nth_pair(block, i) : NONE;
+        const uint rank = merged + scan_group(scratch, at != NONE, &total);
+        if (at != NONE) collect_pair(&batch, at, block->partners[at], out->node_base + node_count + rank);
         if (batch.count == LANES) commit_batch(block, out, &batch);
         merged += total;
     }
@@ -295,9 +331,9 @@ INLINED uint commit_pairs(const TreeBlock *block, const TreeOutput *out, uint no
 }
 
 // Makes the next round's ring of a cluster, from `to` on. Returns how many entries it has.
-INLINED uint next_ring(const TreeBlock *block, uint at, uint to) {
+INLINED uint next_ring(const TreeBlock *block, uint at, uint to, bool merges) {
     uint count;
-    if (!has_partner(block, at)) count = renew_ring(block, at, to);
+    if (!merges) count = renew_ring(block, at, to);
     else {
         const JoinedRing ring = join_rings(block, at);
         count = merge_rings(block, &ring, to);
@@ -310,18 +346,15 @@ INLINED uint next_ring(const TreeBlock *block, uint at, uint to) {
 
 // Makes the next round's rings, and drops the clusters that are merged into others.
 INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
-    uint kept = 0, entries = 0;
+    uint entries = 0;
 #if WIDE_GROUP == 1
     (void)scratch;
-    for (uint i = 0; i < block->alive_count; i++) {
-        const uint at = block->alive[i];
-        if (block->partners[at] < at) continue;
-        block->alive[kept++] = at;
-        entries += next_ring(block, at, entries);
-    }
+    const uint end = block->alive_count, begin = list_kept(block);
+    for (uint i = end; i-- > begin;) entries += next_ring(block, block->best[i], entries, false);
+    for (uint i = 0; i < block->new_count; i++) entries += next_ring(block, block->best[i], entries, true);
 #else
     const uint lid = get_local_id(0);
-    uint total;
+    uint kept = 0, total;
     for (uint begin = 0; begin < block->alive_count; begin += WIDE_GROUP) {
         const bool is_there = begin + lid < block->alive_count;
         const uint at = is_there ? block->alive[begin + lid] : 0, partner = is_there ? block->partners[at] : 0;
@@ -340,9 +373,12 @@ INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
         }
     }
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < kept; i += WIDE_GROUP) next_ring(block, block->alive[i], block->best[block->alive[i]]);
-#endif
+    for (uint i = lid; i < kept; i += WIDE_GROUP) {
+        const uint at = block->alive[i];
+        next_ring(block, at, block->best[at], has_partner(block, at));
+    }
     block->alive_count = kept;
+#endif
     barrier(CLK_GLOBAL_MEM_FENCE);
     __global uint *rings = block->rings;
     __global float *costs = block->costs;
