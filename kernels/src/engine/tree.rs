@@ -97,12 +97,14 @@ impl Engine {
         cx.write(tree::STAGE, &mut tree_regions, &host_regions)?;
         let built = Built::new(cx, point_count, tree_regions)?;
         check(cancel)?;
+        let queue = tree_build::Queue::new(cx, &batches, &host_regions)?;
         for batch in batches {
             let of = &host_regions[batch.clone()];
             let last = &of[of.len() - 1];
             let clusters = last.cluster_base + pyramid.host_regions[batch.end - 1].cell_points() + last.border_points;
             let work = tree_build::Work::new(
                 cx,
+                &queue,
                 (last.triangle_base + last.triangle_count) as usize,
                 clusters as usize,
             )?;

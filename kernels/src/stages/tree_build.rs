@@ -4,9 +4,10 @@ use super::args::kernel_args;
 use super::tree::{Mesh, STAGE};
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{CutParams, Grid, TreeCluster, TreeMembers};
+use crate::layout::{CutParams, Grid, TreeCluster, TreeMembers, TreeRegion};
 use crate::tree::Built;
 use crate::{Pyramid, Result, Volume};
+use std::cmp::Reverse;
 use std::ops::Range;
 
 kernel_args! {
@@ -23,8 +24,29 @@ kernel_args! {
     }
 }
 
+/// On a CPU, which regions of each launch are built first.
+pub struct Queue {
+    order: Buffer<u32>,
+    claimed: Buffer<u32>,
+}
+
+impl Queue {
+    /// Of launches of these regions: first those with most triangles, so that no core is left with one of them at the end.
+    pub fn new(cx: &Context, batches: &[Range<usize>], regions: &[TreeRegion]) -> Result<Self> {
+        let mut order: Vec<u32> = (0..regions.len() as u32).collect();
+        for batch in batches {
+            order[batch.clone()].sort_by_key(|&region| Reverse(regions[region as usize].triangle_count));
+        }
+        Ok(Self {
+            order: cx.upload(STAGE, &order)?,
+            claimed: cx.filled(STAGE, regions.len(), 0)?,
+        })
+    }
+}
+
 /// Working memory of some regions.
-pub struct Work {
+pub struct Work<'a> {
+    queue: &'a Queue,
     pub triangles: Buffer<u32>,
     rings: Buffer<u32>,
     costs: Buffer<f32>,
@@ -35,11 +57,12 @@ pub struct Work {
     lists: Buffer<u32>,
 }
 
-impl Work {
+impl<'a> Work<'a> {
     /// For regions of so many triangles and points together.
-    pub fn new(cx: &Context, triangles: usize, points: usize) -> Result<Self> {
+    pub fn new(cx: &Context, queue: &'a Queue, triangles: usize, points: usize) -> Result<Self> {
         let entries = 2 * (3 * triangles + points);
         Ok(Self {
+            queue,
             triangles: cx.buffer(STAGE, 3 * triangles)?,
             // The last ring is read as a whole number of vectors, and so are its costs.
             rings: cx.buffer(STAGE, entries + cx.tuning.lanes)?,
@@ -60,7 +83,7 @@ pub fn run(
     pyramid: &Pyramid,
     mesh: &Mesh<'_>,
     regions: Range<usize>,
-    work: &Work,
+    work: &Work<'_>,
     built: &Built,
 ) -> Result<()> {
     let args = TreeBuildArgs {
@@ -81,6 +104,8 @@ pub fn run(
             &pyramid.vertex_records,
             mesh.points,
             &built.regions,
+            &work.queue.order,
+            &work.queue.claimed,
             &work.triangles,
             &work.rings,
             &work.costs,
