@@ -113,21 +113,41 @@ inline bool any_lane(int16 condition) {
 // a / b, as exact_quotient.
 #define EXACT_QUOTIENT(a, b) ((a) / (b))
 
-// Loads a structure of 16 numbers for each lane, from the LANES indices `at` on: one vector a number. A 16 x 16 transpose, by four
-// perfect shuffles.
+// In each quarter of two vectors: their low or high numbers, one of each in turn; the same of pairs.
+inline float16 interleave_low(float16 a, float16 b) {
+    return (float16)(a.s0, b.s0, a.s1, b.s1, a.s4, b.s4, a.s5, b.s5, a.s8, b.s8, a.s9, b.s9, a.sc, b.sc, a.sd, b.sd);
+}
+inline float16 interleave_high(float16 a, float16 b) {
+    return (float16)(a.s2, b.s2, a.s3, b.s3, a.s6, b.s6, a.s7, b.s7, a.sa, b.sa, a.sb, b.sb, a.se, b.se, a.sf, b.sf);
+}
+inline float16 interleave_low_pairs(float16 a, float16 b) {
+    return (float16)(a.s01, b.s01, a.s45, b.s45, a.s89, b.s89, a.scd, b.scd);
+}
+inline float16 interleave_high_pairs(float16 a, float16 b) {
+    return (float16)(a.s23, b.s23, a.s67, b.s67, a.sab, b.sab, a.sef, b.sef);
+}
+
+// Loads a structure of 16 numbers for each lane, from the LANES indices `at` on: one vector a number. A 16 x 16 transpose: within
+// quarters of vectors, then of the quarters.
 inline void load_rows16(__global const float *from, const uint *at, real *rows) {
     real x[16], y[16];
     for (uint i = 0; i < 16; i++) x[i] = vload16(at[i], from);
-    for (uint step = 0; step < 4; step++) {
-        for (uint i = 0; i < 8; i++) {
-            y[2 * i].even = x[i].lo;
-            y[2 * i].odd = x[i + 8].lo;
-            y[2 * i + 1].even = x[i].hi;
-            y[2 * i + 1].odd = x[i + 8].hi;
-        }
-        for (uint i = 0; i < 16; i++) x[i] = y[i];
+    for (uint i = 0; i < 16; i += 4) {
+        const real low = interleave_low(x[i], x[i + 1]), high = interleave_high(x[i], x[i + 1]);
+        const real next_low = interleave_low(x[i + 2], x[i + 3]), next_high = interleave_high(x[i + 2], x[i + 3]);
+        y[i] = interleave_low_pairs(low, next_low);
+        y[i + 1] = interleave_high_pairs(low, next_low);
+        y[i + 2] = interleave_low_pairs(high, next_high);
+        y[i + 3] = interleave_high_pairs(high, next_high);
     }
-    for (uint i = 0; i < 16; i++) rows[i] = x[i];
+    for (uint i = 0; i < 4; i++) {
+        const real a = (float16)(y[i].lo, y[i + 4].lo), b = (float16)(y[i].hi, y[i + 4].hi);
+        const real c = (float16)(y[i + 8].lo, y[i + 12].lo), d = (float16)(y[i + 8].hi, y[i + 12].hi);
+        rows[i] = (float16)(a.s0123, a.s89ab, c.s0123, c.s89ab);
+        rows[i + 4] = (float16)(a.s4567, a.scdef, c.s4567, c.scdef);
+        rows[i + 8] = (float16)(b.s0123, b.s89ab, d.s0123, d.s89ab);
+        rows[i + 12] = (float16)(b.s4567, b.scdef, d.s4567, d.scdef);
+    }
 }
 
 // How many of `a_count` values are among `b_count` others, which differ from each other. None is NONE; up to 15 numbers behind `b` are read.
