@@ -113,10 +113,10 @@ inline cell_bits load_cell_rows(__local const ushort *rows, uint shift) { return
 inline void store_cell_rows(__local uchar *rows, cell_bits bits) { *rows = (uchar)bits; }
 
 // Storage of relaxation for the cells of a brick, as structures of arrays: neighbouring work-items read neighbouring numbers.
-// Positions are x, y, z; offsets likewise, with their lengths.
+// Positions are x, y, z; offsets two in a word of 32 bits, x and y, z and length, for fewer atomic operations.
 #define NO_SUM 512 // index of the sum that belongs to no cell: a brick has 512 cells
 #define POSITIONS_CAPACITY 1536
-#define OFFSET_SUMS_CAPACITY 2048
+#define OFFSET_SUMS_CAPACITY 1024
 // In w: the index of the cell's sum, NO_SUM for cells of several sheets.
 inline int4 load_position(__local const ushort *positions, __local const uint *multi_sheet_mask, uint cell) {
     const bool multi_sheet = multi_sheet_mask[cell >> 5] >> (cell & 31) & 1u;
@@ -128,17 +128,15 @@ inline void store_position(__local ushort *positions, uint cell, ushort4 positio
     positions[1024 + cell] = position.z;
 }
 inline int4 load_offset_sum(__local const int *sums, uint cell) {
-    return (int4)(sums[cell], sums[512 + cell], sums[1024 + cell], sums[1536 + cell]);
+    const int2 packed = (int2)(sums[cell], sums[512 + cell]), low = convert_int2(as_short4(packed).xz);
+    const int2 high = (packed - low) >> 16; // a low half below 0 has taken one from the high one
+    return (int4)(low.x, high.x, low.y, high.y);
 }
-inline void clear_offset_sum(__local int *sums, uint cell) {
-    sums[cell] = sums[512 + cell] = sums[1024 + cell] = sums[1536 + cell] = 0;
-}
+inline void clear_offset_sum(__local int *sums, uint cell) { sums[cell] = sums[512 + cell] = 0; }
 inline void add_offset(__local int *sums, uint cell, int4 offset) {
     if (cell == NO_SUM) return;
-    atomic_add(&sums[cell], offset.x);
-    atomic_add(&sums[512 + cell], offset.y);
-    atomic_add(&sums[1024 + cell], offset.z);
-    atomic_add(&sums[1536 + cell], offset.w);
+    atomic_add(&sums[cell], offset.y * 65536 + offset.x);
+    atomic_add(&sums[512 + cell], offset.w * 65536 + offset.z);
 }
 
 #endif

@@ -20,8 +20,7 @@
 
 #define RELAXATION 0.5f // of the mean offset: neighbours move too, so that the whole of it would be too much
 #define OFFSET_WEIGHT 0.1f // an offset weighs as much as this and its length in cells: a crest is one large offset among small ones
-#define OFFSET_LATTICE 262144.0f // sums are of integers: they do not depend on the order
-#define OFFSET_LIMIT 4.0f // cells; far from overflow for the twelve edges of a cell, and only spacings of extreme proportions come near it
+#define OFFSET_LATTICE 2048.0f // sums are of integers, which do not depend on the order; of twelve edges they fit 16 bits
 
 INLINED float sum3(float4 v) { return v.x + v.y + v.z; }
 
@@ -62,11 +61,11 @@ INLINED float sample_crossing(float from, float to) {
     return t == t ? clamp(t, 0.0f, 1.0f) : 0.5f;
 }
 
-// An offset in cells, by its weight, and in w its length: the part of the weight that differs between offsets.
+// An offset in cells, of one at most, by its weight, and in w its length: the part of the weight that differs between offsets.
 INLINED int4 weighted_offset(float4 offset) {
-    const float4 limited = clamp(offset, (float4)(-OFFSET_LIMIT), (float4)(OFFSET_LIMIT));
-    const float length = sqrt(sum3(limited * limited));
-    return convert_int4(OFFSET_LATTICE * (float4)((OFFSET_WEIGHT + length) * limited.xyz, length));
+    const float length = sqrt(sum3(offset * offset)), limited = fmin(length, 1.0f);
+    const float weight = (OFFSET_WEIGHT + limited) * (length > 1.0f ? native_divide(1.0f, length) : 1.0f);
+    return convert_int4_rte(OFFSET_LATTICE * (float4)(weight * offset.xyz, limited));
 }
 
 // Adds the offset of the quad of a list entry to the sums of its cells, where the quad exists: outside the volume and beside missing

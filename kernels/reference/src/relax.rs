@@ -13,6 +13,9 @@ const RELAXATION: f64 = 0.5;
 /// Weight of an offset of 0; that of others is as many cells more as they are long.
 const OFFSET_WEIGHT: f64 = 0.1;
 
+/// Parts of a cell in which the device sums offsets.
+const OFFSET_LATTICE: f64 = 2048.0;
+
 /// The four vertices around an edge inside a brick and the crossing on the edge, world units. `None`: the edge lies on the
 /// side of its brick, or samples are missing.
 struct EdgePolygon {
@@ -91,8 +94,9 @@ fn relaxed(field: &Field, iso: f32, vertices: &DualVertices, cell: [u32; 3], cro
             let world = polygon.offset();
             let offset: Vector = std::array::from_fn(|i| world[i] / spacing[i]);
             let length = dot(offset, offset).sqrt();
-            (0..3).for_each(|i| sum[i] += (OFFSET_WEIGHT + length) * offset[i]);
-            weights += length;
+            let limited = length.min(1.0);
+            (0..3).for_each(|i| sum[i] += (OFFSET_WEIGHT + limited) * offset[i] / length.max(1.0));
+            weights += limited;
             uncertainty = uncertainty.max(polygon.uncertainty);
         }
     }
@@ -102,6 +106,8 @@ fn relaxed(field: &Field, iso: f32, vertices: &DualVertices, cell: [u32; 3], cro
         let low = f64::from(cell[i]);
         (vertex.position[i] + step).clamp(low + MARGIN, low + 1.0 - MARGIN)
     });
-    vertex.uncertainty += 2.0 * uncertainty;
+    // The device rounds what it adds up to the offset lattice.
+    let rounded = crossed.len() as f64 * 0.5 / OFFSET_LATTICE;
+    vertex.uncertainty += 2.0 * uncertainty + 2.0 * RELAXATION * rounded / weights;
     vertex
 }
