@@ -114,20 +114,127 @@ INLINED void begin_cluster(const TreeBlock *block, __global const Node *nodes, _
     members->changes = 0;
 }
 
-// The regions that a work-group builds. On a CPU one after another until none of the launch is left, those that take longest first: a
-// driver may give half of the work-groups to one core of two beforehand, whatever they take.
+// Buffers of tree_build, as there.
+typedef struct {
+    __global const Region *regions;
+    __global const Node *nodes;
+    __global const VertexRecord *vertex_records;
+    __global const int4 *points;
+    __global TreeRegion *tree_regions;
+    __global const uint *triangles;
+    __global uint *rings;
+    __global float *costs;
+    __global TreeCluster *clusters;
+    __global TreeMembers *members;
+    __global float4 *positions, *merged_positions;
+    __global uint *lists;
+    __global TreeNode *tree_nodes;
+    __global uint *node_errors;
+    __global uchar *node_levels;
+    __global uint *node_parents, *point_parents, *round_ends;
+} TreeBuffers;
+
+// The working memory of a region with `count` points.
+INLINED TreeBlock find_block(const Grid grid, const TreeBuffers *all, uint group, uint count) {
+    __global const TreeRegion *tree = all->tree_regions + group;
+    const uint entries = 3 * tree->triangle_count + count, entry_base = 2 * (3 * tree->triangle_base + tree->cluster_base);
+    TreeBlock block;
+    block.clusters = all->clusters + tree->cluster_base;
+    block.members = all->members + tree->cluster_base;
+    block.positions = all->positions + tree->cluster_base;
+    block.merged_positions = all->merged_positions + tree->cluster_base;
+    block.rings = all->rings + entry_base;
+    block.next_rings = block.rings + entries;
+    block.costs = all->costs + entry_base;
+    block.next_costs = block.costs + entries;
+    block.alive = all->lists + 3 * tree->cluster_base;
+    block.best = block.alive + count;
+    block.partners = block.best + count;
+    block.points = all->points;
+    block.origin = convert_int3(region_origin(grid, all->regions[group].region));
+    block.scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
+    block.alive_count = count;
 #if WIDE_GROUP == 1
-#define EACH_REGION(group) \
-    for (uint group; (group = next_region(args, order, claimed + args.first_region)) != NONE;)
-inline uint next_region(const TreeBuildArgs args, __global const uint *order, __global uint *claimed) {
-    const uint n = atomic_inc(claimed);
-    return n < get_num_groups(0) ? order[args.first_region + n] : NONE;
-}
-#else
-#define EACH_REGION(group)                                               \
-    (void)order, (void)claimed;                                          \
-    const uint group = args.first_region + (uint)get_group_id(0);
+    block.new_count = count;
 #endif
+    return block;
+}
+
+// Where the nodes of a region go. `last`: the volume's last sample.
+INLINED TreeOutput find_output(const TreeBuildArgs args, const TreeBuffers *all, uint group, uint cell_points, int3 origin, int3 last) {
+    __global const TreeRegion *tree = all->tree_regions + group;
+    const int3 margin = (int3)(args.params.cap ? 1 : 0);
+    TreeOutput out;
+    out.nodes = all->tree_nodes;
+    out.node_errors = all->node_errors;
+    out.node_levels = all->node_levels;
+    out.node_parents = all->node_parents;
+    out.point_parents = all->point_parents + all->regions[group].point_base;
+    out.border_parents = all->point_parents + tree->border_base;
+    out.cell_points = cell_points;
+    out.region = group;
+    out.node_base = tree->node_base;
+    out.low = max((int3)(0), (margin - origin) * (int)VERTEX_LATTICE);
+    out.high = min((int3)(32), last - margin - origin) * (int)VERTEX_LATTICE;
+    out.per_length = exact_quotient(1.0f, fmin(fmin(args.grid.spacing[0], args.grid.spacing[1]), args.grid.spacing[2]));
+    return out;
+}
+
+// Makes a cluster of each point of a region, with its ring and quadric.
+INLINED void begin_clusters(const TreeBuildArgs args, const TreeBuffers *all, const TreeBlock *block, uint group, TreePoints own, int3 last,
+                            __local uint *scratch) {
+    const uint lid = get_local_id(0), count = block->alive_count;
+    __global const TreeRegion *tree = all->tree_regions + group;
+    TreeFans fans;
+    fans.triangles = all->triangles + 3 * tree->triangle_base;
+    fans.triangle_count = tree->triangle_count;
+    fans.corners = block->next_rings;
+    for (uint i = lid; i < count; i += WIDE_GROUP) {
+        const uint point = nth_point(own, i);
+        begin_cluster(block, all->nodes, all->vertex_records, i, all->points[point]);
+        all->point_parents[point] = NONE;
+    }
+    make_fans(block, &fans, scratch);
+    for (uint i = lid; i < count; i += WIDE_GROUP)
+        classify_point(args, block, &fans, i, own.count, all->points[nth_point(own, i)].xyz, last);
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (uint i = lid; i < count; i += WIDE_GROUP) {
+        block->positions[i].w = as_float(block->best[i]);
+        if (WIDE_GROUP == 1) block->best[i] = i; // all are new
+    }
+    barrier(CLK_GLOBAL_MEM_FENCE);
+}
+
+// Builds the tree of a region.
+INLINED void build_region(const TreeBuildArgs args, const TreeBuffers *all, uint group, __local uint *scratch, __local uint *failed_count) {
+    const uint lid = get_local_id(0);
+    __global TreeRegion *tree = all->tree_regions + group;
+    TreePoints own;
+    find_points(&own, all->regions + group, tree);
+    const uint count = count_points(own);
+    const int3 last = (int3)((int)args.grid.dims[0], (int)args.grid.dims[1], (int)args.grid.dims[2]) - 1;
+    TreeBlock block = find_block(args.grid, all, group, count);
+    begin_clusters(args, all, &block, group, own, last, scratch);
+    float area = 0.0f;
+    if (lid == 0)
+        for (uint i = 0; i < count; i++) area += block.clusters[i].quadric.k;
+
+    const TreeOutput out = find_output(args, all, group, own.count, block.origin, last);
+    uint node_count = 0, rounds = 0;
+    while (rounds < TREE_ROUNDS) {
+        find_pairs(&block, failed_count);
+        const uint merged = commit_pairs(&block, &out, node_count, scratch), before = block.alive_count;
+        node_count += merged;
+        if (lid == 0) all->round_ends[TREE_ROUNDS * group + rounds] = node_count;
+        rounds++;
+        compact_block(&block, scratch);
+        if (merged * MIN_PROGRESS < before || merged == 0) break;
+    }
+    if (lid > 0) return;
+    tree->nodes = node_count;
+    tree->rounds = rounds;
+    tree->area = area;
+}
 
 // Working memory: of the launch's regions. `rings`: two a region, `costs` beside them; the second one holds the corners around each
 // point at first. `lists`: three numbers a cluster. `tree_nodes`: from TreeRegion::node_base on; `round_ends`: how many of them there
@@ -140,85 +247,20 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
                 __global float4 *merged_positions, __global uint *lists, __global TreeNode *tree_nodes, __global uint *node_errors,
                 __global uchar *node_levels, __global uint *node_parents, __global uint *point_parents, __global uint *round_ends) {
     __local uint scratch[WIDE_GROUP], failed_count;
-    const uint lid = get_local_id(0);
-    const Grid grid = args.grid;
-    EACH_REGION(group) {
-        __global const Region *region = regions + group;
-        __global TreeRegion *tree = tree_regions + group;
-        TreePoints own;
-        find_points(&own, region, tree);
-        const uint cell_points = own.count, count = count_points(own);
-        const uint entries = 3 * tree->triangle_count + count, entry_base = 2 * (3 * tree->triangle_base + tree->cluster_base);
-        const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1;
-        TreeBlock block;
-        block.clusters = clusters + tree->cluster_base;
-        block.members = members + tree->cluster_base;
-        block.positions = positions + tree->cluster_base;
-        block.merged_positions = merged_positions + tree->cluster_base;
-        block.rings = rings + entry_base;
-        block.next_rings = block.rings + entries;
-        block.costs = costs + entry_base;
-        block.next_costs = block.costs + entries;
-        block.alive = lists + 3 * tree->cluster_base;
-        block.best = block.alive + count;
-        block.partners = block.best + count;
-        block.points = points;
-        block.origin = convert_int3(region_origin(grid, region->region));
-        block.scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / VERTEX_LATTICE;
-        block.alive_count = count;
-    #if WIDE_GROUP == 1
-        block.new_count = count;
-    #endif
-        TreeFans fans;
-        fans.triangles = triangles + 3 * tree->triangle_base;
-        fans.triangle_count = tree->triangle_count;
-        fans.corners = block.next_rings;
-        for (uint i = lid; i < count; i += WIDE_GROUP) {
-            const uint point = nth_point(own, i);
-            begin_cluster(&block, nodes, vertex_records, i, points[point]);
-            point_parents[point] = NONE;
-        }
-        make_fans(&block, &fans, scratch);
-        for (uint i = lid; i < count; i += WIDE_GROUP)
-            classify_point(args, &block, &fans, i, cell_points, points[nth_point(own, i)].xyz, last);
-        barrier(CLK_GLOBAL_MEM_FENCE);
-        for (uint i = lid; i < count; i += WIDE_GROUP) {
-            block.positions[i].w = as_float(block.best[i]);
-            if (WIDE_GROUP == 1) block.best[i] = i; // all are new
-        }
-        barrier(CLK_GLOBAL_MEM_FENCE);
-        float area = 0.0f;
-        if (lid == 0)
-            for (uint i = 0; i < count; i++) area += block.clusters[i].quadric.k;
-
-        TreeOutput out;
-        out.nodes = tree_nodes;
-        out.node_errors = node_errors;
-        out.node_levels = node_levels;
-        out.node_parents = node_parents;
-        out.point_parents = point_parents + region->point_base;
-        out.border_parents = point_parents + tree->border_base;
-        out.cell_points = cell_points;
-        out.region = group;
-        out.node_base = tree->node_base;
-        const int3 margin = (int3)(args.params.cap ? 1 : 0);
-        out.low = max((int3)(0), (margin - block.origin) * (int)VERTEX_LATTICE);
-        out.high = min((int3)(32), last - margin - block.origin) * (int)VERTEX_LATTICE;
-        out.per_length = exact_quotient(1.0f, fmin(fmin(grid.spacing[0], grid.spacing[1]), grid.spacing[2]));
-        uint node_count = 0, rounds = 0;
-        while (rounds < TREE_ROUNDS) {
-            find_pairs(&block, &failed_count);
-            const uint merged = commit_pairs(&block, &out, node_count, scratch), before = block.alive_count;
-            node_count += merged;
-            if (lid == 0) round_ends[TREE_ROUNDS * group + rounds] = node_count;
-            rounds++;
-            compact_block(&block, scratch);
-            if (merged * MIN_PROGRESS < before || merged == 0) break;
-        }
-        if (lid == 0) {
-            tree->nodes = node_count;
-            tree->rounds = rounds;
-            tree->area = area;
-        }
+    const TreeBuffers all = {
+        regions, nodes, vertex_records, points, tree_regions, triangles, rings, costs, clusters, members, positions, merged_positions,
+        lists, tree_nodes, node_errors, node_levels, node_parents, point_parents, round_ends,
+    };
+#if WIDE_GROUP == 1
+    // One region after another until none of the launch is left, those that take longest first: a driver may give half of the work-groups to
+    // one core of two beforehand, whatever they take.
+    for (;;) {
+        const uint n = atomic_inc(claimed + args.first_region);
+        if (n >= get_num_groups(0)) return;
+        build_region(args, &all, order[args.first_region + n], scratch, &failed_count);
     }
+#else
+    (void)order, (void)claimed;
+    build_region(args, &all, args.first_region + (uint)get_group_id(0), scratch, &failed_count);
+#endif
 }
