@@ -1,5 +1,8 @@
 //! How far a dual mesh is from the surface it stands for.
 
+mod sums;
+
+use self::sums::{Sums, both};
 use super::args::kernel_args;
 use super::{BRICK_GROUP, SlabWork, slab_work};
 use crate::buffer::Buffer;
@@ -154,61 +157,6 @@ const fn tasks_per_launch(region_group: usize) -> usize {
 
 /// Corners that one launch links, for the same reason.
 const LINKED_CORNERS: usize = 1 << 23;
-
-/// Weighted sums over distances of one kind.
-#[derive(Clone, Copy, Default)]
-struct Distances {
-    sum2: f64,
-    weight: f64,
-    max: f32,
-}
-
-impl Distances {
-    fn add(&mut self, more: &ErrorSum) {
-        self.sum2 += f64::from(more.sum2);
-        self.weight += f64::from(more.weight);
-        self.max = self.max.max(more.max);
-    }
-
-    fn mean2(&self) -> f64 {
-        if self.weight > 0.0 {
-            self.sum2 / self.weight
-        } else {
-            0.0
-        }
-    }
-}
-
-/// The distances both ways as one figure: the mean of the two mean squares, and the greater maximum.
-fn both(crossings: &Distances, samples: &Distances) -> SurfaceError {
-    SurfaceError {
-        rms: ((crossings.mean2() + samples.mean2()) / 2.0).sqrt() as f32,
-        max: crossings.max.max(samples.max),
-    }
-}
-
-/// Of each active region, and of the whole surface.
-#[derive(Default)]
-struct Sums {
-    regions: Vec<Distances>,
-    whole: Distances,
-}
-
-impl Sums {
-    fn new(regions: usize) -> Self {
-        Self {
-            regions: vec![Distances::default(); regions],
-            ..Self::default()
-        }
-    }
-
-    fn add(&mut self, tasks: &[ErrorTask], sums: &[ErrorSum]) {
-        for (task, sum) in tasks.iter().zip(sums) {
-            self.regions[task.region as usize].add(sum);
-            self.whole.add(sum);
-        }
-    }
-}
 
 /// The work of these regions in tasks; `items`: of each region.
 fn tasks(regions: Range<usize>, items: impl Fn(usize) -> u32) -> Vec<ErrorTask> {

@@ -11,7 +11,7 @@
 //! ```
 //!
 //! - **Edits.** An edit changes its surface's view at once and marks it as pending. When the device is free of the session's last job, the
-//!   view starts a new [`Generation`]. Edits that arrive before change the same view, so they coalesce.
+//!   view starts a new [`generation::Generation`]. Edits that arrive before change the same view, so they coalesce.
 //! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
 //!   (`jobs`). `pace` says how large a step may be.
 //! - **Turns.** First steps come before further ones of other surfaces, the surface that was edited last before others, and who has waited
@@ -48,8 +48,7 @@ mod sharing;
 mod shown;
 mod surface;
 mod time;
-
-use std::sync::Arc;
+mod writer;
 
 use axum::body::Bytes;
 use futures_util::StreamExt;
@@ -67,7 +66,6 @@ use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::metrics;
 use crate::volumes::VolumeStep;
 use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
-use generation::{Generation, Sending};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
 use open_pace::OpenPace;
 use open_volume::{OpenVolume, opening_progress};
@@ -75,8 +73,6 @@ use outbox::{Frame, Newest, Outbox};
 use pace::Pace;
 pub use pace::StepTimes;
 use questions::{Answered, Questions};
-use rest::Rest;
-use surface::Phase;
 use time::{Ahead, read_ahead};
 use trace::ConnectionId;
 
@@ -412,80 +408,6 @@ impl<B: Backend> Session<B> {
         self.outbox.drop_newest(Newest::Opening);
         let opening = ServerMessage::Opening { bytes, total_bytes };
         self.outbox.push_newest(Newest::Opening, opening.to_json());
-    }
-
-    fn generation(&mut self, surface: u8) -> Option<&mut Generation> {
-        self.opened.as_mut()?.surface_mut(surface)?.generation_mut()
-    }
-
-    /// Gives the writer one frame.
-    fn on_writer_ready(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
-        match self.outbox.pop_front() {
-            None => {}
-            Some(Frame::Control(text) | Frame::Newest(_, text)) => permit.send(Outgoing::Text(text)),
-            Some(Frame::Prefix(surface, frame)) => {
-                let sent = self.generation(surface).and_then(Generation::sent);
-                sent.map(|sent| sent.handed_over.get_or_insert_with(Instant::now));
-                permit.send(frame);
-            }
-            Some(Frame::Commit(surface, text)) => {
-                permit.send(Outgoing::Text(text));
-                self.on_commit(surface);
-            }
-            Some(Frame::Annotation(_, frame)) => permit.send(frame),
-            Some(Frame::Ping(number)) => permit.send(Outgoing::Ping(number)),
-            Some(Frame::Done(surface, text)) => {
-                permit.send(Outgoing::Text(text));
-                self.on_done(surface);
-            }
-        }
-    }
-
-    /// The client holds a step.
-    fn on_commit(&mut self, surface: u8) {
-        let opened = self.opened.as_mut();
-        let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
-            return;
-        };
-        let Phase::Working(generation) = &mut session.phase else {
-            return;
-        };
-        let Sending::Committing(sent, held) = std::mem::replace(&mut generation.sending, Sending::Idle) else {
-            return;
-        };
-        session.held = Arc::new(held);
-        session.shown = Some((generation.view.clone(), sent.cut));
-        session.shown_generation = generation.number;
-        session.holds_another_step = false;
-        generation.committed = true;
-        generation.can_improve = sent.can_improve;
-        let ends = generation.is_overtaken && !sent.is_final;
-        if sent.is_final {
-            session.kept = generation
-                .view
-                .budget
-                .map(|budget| budget.as_number(session.full_triangles()));
-        }
-        let ping = self
-            .pace
-            .handed_over(sent.bytes, sent.handed_over.unwrap_or(sent.began));
-        self.outbox.push_front(Frame::Ping(ping));
-        if ends {
-            self.end_generation(surface);
-        }
-    }
-
-    /// The client holds the final surface.
-    fn on_done(&mut self, surface: u8) {
-        let opened = self.opened.as_mut();
-        let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
-            return;
-        };
-        let Some(generation) = session.stop() else { return };
-        if !session.edit_pending {
-            let rest = Rest::new(generation.number, generation.view.clone(), generation.can_improve);
-            session.phase = Phase::Resting(Box::new(rest));
-        }
     }
 }
 

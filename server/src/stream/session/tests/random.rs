@@ -1,12 +1,13 @@
 //! Random clients against a device that answers at random: every frame against `PROTOCOL.md`, and in the end each surface is what its last
 //! edit asked for.
 
-use std::collections::{BTreeMap, HashMap};
+mod client;
+
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use futures_util::future::join_all;
 use isopeel_kernels::Region;
-use serde_json::Value;
 
 use super::super::draw_pause::DRAW_PAUSE;
 use super::super::rest::REST_AFTER;
@@ -16,7 +17,7 @@ use super::viewer::Viewer;
 use crate::extraction::{FullCount, Measurement, Refinement, WorkError};
 use crate::view::View;
 use crate::view::quality::{Budget, TriangleBudget};
-use crate::wire::chunk::decode;
+use client::Client;
 
 /// A linear congruential generator.
 struct Random(u64);
@@ -79,136 +80,6 @@ impl Wanted {
             hash.below(2);
         }
         std::array::from_fn(|_| hash.below(4) as i32)
-    }
-}
-
-/// A prefix that is not committed yet.
-struct Pending {
-    message: Value,
-    chunks: BTreeMap<u32, i32>,
-}
-
-#[derive(Default)]
-struct Held {
-    /// Shapes of regions.
-    map: BTreeMap<u32, i32>,
-    newest: u64,
-    /// Of the newest generation.
-    has_ended: bool,
-    final_committed: bool,
-    /// Of the last final surface.
-    triangles: u64,
-}
-
-/// What the client knows.
-#[derive(Default)]
-struct Client {
-    surfaces: HashMap<u64, Held>,
-    pending: Option<Pending>,
-    newest: u64,
-    /// What all final surfaces together may have.
-    max_triangles: Option<u64>,
-    /// Types, surfaces and generations of the messages, for who looks for a failure.
-    log: Vec<String>,
-}
-
-impl Client {
-    fn text(&mut self, text: &Value) {
-        let [surface, generation] = ["surface", "generation"].map(|name| text[name].to_string());
-        self.log.push(format!("{} {surface} {generation}", text["type"]));
-        let number = |name: &str| text[name].as_u64().unwrap_or_else(|| panic!("{name} in {text}"));
-        match text["type"].as_str().expect("a type") {
-            "prefix" => {
-                assert!(self.pending.is_none(), "prefixes mix: {text}");
-                let generation = number("generation");
-                let held = self.surfaces.entry(number("surface")).or_default();
-                assert!(
-                    generation > held.newest || !held.has_ended && generation == held.newest,
-                    "{text}"
-                );
-                if generation > held.newest {
-                    *held = Held {
-                        map: std::mem::take(&mut held.map),
-                        newest: generation,
-                        triangles: held.triangles,
-                        ..Held::default()
-                    };
-                }
-                self.newest = self.newest.max(generation);
-                let (message, chunks) = (text.clone(), BTreeMap::new());
-                self.pending = Some(Pending { message, chunks });
-            }
-            "committed" => {
-                let Pending { message, chunks } = self.pending.take().expect("a prefix before");
-                for name in ["surface", "generation", "level", "final"] {
-                    assert_eq!(message[name], text[name], "{name}");
-                }
-                assert_eq!(message["regions"], chunks.len());
-                let held = self.surfaces.get_mut(&number("surface")).expect("a surface");
-                let stay = held.map.keys().filter(|region| !chunks.contains_key(region));
-                assert_eq!(message["unchanged"], stay.count());
-                for (region, shape) in chunks {
-                    match shape {
-                        0 => held.map.remove(&region),
-                        _ => held.map.insert(region, shape),
-                    };
-                }
-                if text["final"] == true {
-                    held.final_committed = true;
-                    held.triangles = message["triangles"].as_u64().expect("a count");
-                    let sum: u64 = self.surfaces.values().map(|held| held.triangles).sum();
-                    assert!(
-                        self.max_triangles.is_none_or(|max| sum <= max),
-                        "{sum} triangles: {text}"
-                    );
-                }
-            }
-            "done" | "measured" => {
-                let held = &self.surfaces[&number("surface")];
-                assert!(held.final_committed && held.newest == number("generation"), "{text}");
-            }
-            "superseded" => {
-                let held = self.surfaces.entry(number("surface")).or_default();
-                let generation = number("generation");
-                assert!(generation > held.newest || !held.has_ended, "{text}");
-                (held.newest, held.has_ended, held.final_committed) = (generation, true, false);
-                if self
-                    .pending
-                    .as_ref()
-                    .is_some_and(|pending| pending.message["generation"] == generation)
-                {
-                    self.pending = None;
-                }
-            }
-            "removed" => {
-                let surface = number("surface");
-                let is_of = |pending: &Pending| pending.message["surface"] == surface;
-                assert!(!self.pending.as_ref().is_some_and(is_of), "{text}");
-                self.surfaces.remove(&surface);
-            }
-            "error" => assert!(
-                ["bad-edit", "unknown-surface"].iter().any(|code| text["code"] == *code),
-                "{text}"
-            ),
-            other => panic!("{other}"),
-        }
-    }
-
-    fn chunk(&mut self, bytes: &[u8]) {
-        let chunk = decode(bytes).expect("a valid chunk");
-        let Pending { message, chunks } = self.pending.as_mut().expect("a chunk in a prefix");
-        let of = chunk.header.prefix;
-        assert_eq!(message["surface"], of.surface);
-        assert_eq!(
-            (&message["generation"], &message["level"]),
-            (&of.generation.into(), &of.level.into())
-        );
-        let shape = chunk
-            .vertices
-            .iter()
-            .map(|vertex| i32::from(vertex.position[1]) / 64)
-            .max();
-        assert_eq!(chunks.insert(chunk.header.region[0], shape.unwrap_or(0)), None);
     }
 }
 
@@ -434,10 +305,7 @@ async fn play(seed: u64, decides: bool) {
             ..opening
         },
     };
-    let client = Client {
-        max_triangles: (!decides).then_some(3000),
-        ..Client::default()
-    };
+    let client = Client::new((!decides).then_some(3000));
     let (work, random) = (None, Random(seed));
     let mut play = Play {
         viewer,

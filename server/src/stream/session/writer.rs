@@ -1,0 +1,89 @@
+//! What happens when the writer takes a frame.
+
+use std::sync::Arc;
+
+use tokio::sync::mpsc;
+use tokio::time::Instant;
+
+use super::generation::{Generation, Sending};
+use super::outbox::Frame;
+use super::rest::Rest;
+use super::surface::Phase;
+use super::{Outgoing, Session};
+use crate::stream::backend::Backend;
+
+impl<B: Backend> Session<B> {
+    fn generation(&mut self, surface: u8) -> Option<&mut Generation> {
+        self.opened.as_mut()?.surface_mut(surface)?.generation_mut()
+    }
+
+    /// Gives the writer one frame.
+    pub(super) fn on_writer_ready(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
+        match self.outbox.pop_front() {
+            None => {}
+            Some(Frame::Control(text) | Frame::Newest(_, text)) => permit.send(Outgoing::Text(text)),
+            Some(Frame::Prefix(surface, frame)) => {
+                let sent = self.generation(surface).and_then(Generation::sent);
+                sent.map(|sent| sent.handed_over.get_or_insert_with(Instant::now));
+                permit.send(frame);
+            }
+            Some(Frame::Commit(surface, text)) => {
+                permit.send(Outgoing::Text(text));
+                self.on_commit(surface);
+            }
+            Some(Frame::Annotation(_, frame)) => permit.send(frame),
+            Some(Frame::Ping(number)) => permit.send(Outgoing::Ping(number)),
+            Some(Frame::Done(surface, text)) => {
+                permit.send(Outgoing::Text(text));
+                self.on_done(surface);
+            }
+        }
+    }
+
+    /// The client holds a step.
+    fn on_commit(&mut self, surface: u8) {
+        let opened = self.opened.as_mut();
+        let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
+            return;
+        };
+        let Phase::Working(generation) = &mut session.phase else {
+            return;
+        };
+        let Sending::Committing(sent, held) = std::mem::replace(&mut generation.sending, Sending::Idle) else {
+            return;
+        };
+        session.held = Arc::new(held);
+        session.shown = Some((generation.view.clone(), sent.cut));
+        session.shown_generation = generation.number;
+        session.holds_another_step = false;
+        generation.committed = true;
+        generation.can_improve = sent.can_improve;
+        let ends = generation.is_overtaken && !sent.is_final;
+        if sent.is_final {
+            session.kept = generation
+                .view
+                .budget
+                .map(|budget| budget.as_number(session.full_triangles()));
+        }
+        let ping = self
+            .pace
+            .handed_over(sent.bytes, sent.handed_over.unwrap_or(sent.began));
+        self.outbox.push_front(Frame::Ping(ping));
+        if ends {
+            self.end_generation(surface);
+        }
+    }
+
+    /// The client holds the final surface.
+    fn on_done(&mut self, surface: u8) {
+        let opened = self.opened.as_mut();
+        let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
+            return;
+        };
+        let Some(generation) = session.stop() else { return };
+        if !session.edit_pending {
+            let rest = Rest::new(generation.number, generation.view.clone(), generation.can_improve);
+            session.phase = Phase::Resting(Box::new(rest));
+        }
+    }
+}
