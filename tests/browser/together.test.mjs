@@ -62,7 +62,9 @@ test("a follower sees what the leader does, and control goes there and back", { 
   await setIso(leader.page, 4);
   await shows(leader.page, 4);
   const follower = await openPage(context, link);
-  await shows(follower.page, 4);
+  await shows(follower.page, 4).catch((error) => {
+    throw new Error(`${error.message}; messages: ${follower.messages.map(({ type }) => type).join(" ")}`);
+  });
   await leader.page.getByText("1 follows").waitFor();
   assert.equal(follower.page.url(), link, "what is copied is the way to the group");
 
