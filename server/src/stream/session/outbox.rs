@@ -116,9 +116,15 @@ impl Outbox {
     }
 
     /// In place of the one before of this kind.
+    /// Where that waits: what was queued after it may rest on it, as `opened` does on `led`.
     pub(super) fn push_newest(&mut self, kind: Newest, text: String) {
-        self.drop_newest(kind);
-        self.push_back(Frame::Newest(kind, text));
+        let frame = Frame::Newest(kind, text);
+        let Some(at) = self.frames.iter().position(|waiting| waiting.is_newest(kind)) else {
+            return self.push_back(frame);
+        };
+        self.kept_bytes += frame.bytes();
+        let before = std::mem::replace(&mut self.frames[at], frame);
+        self.kept_bytes -= before.bytes();
     }
 
     /// Drops the one of this kind.
@@ -160,6 +166,17 @@ impl Extend<Frame> for Outbox {
 #[cfg(test)]
 mod tests {
     use super::{Frame, Newest, Outbox, Outgoing};
+
+    #[test]
+    fn the_newest_waits_where_the_one_before_did() {
+        let mut outbox = Outbox::default();
+        outbox.push_newest(Newest::Led, "1".into());
+        outbox.push_back(Frame::Control("opened".into()));
+        outbox.push_newest(Newest::Led, "23".into());
+        assert!(matches!(outbox.pop_front(), Some(Frame::Newest(Newest::Led, text)) if text == "23"));
+        assert!(matches!(outbox.pop_front(), Some(Frame::Control(_))));
+        assert!(outbox.is_empty() && outbox.kept_bytes() == 0);
+    }
 
     #[test]
     fn bytes_are_those_of_the_frames_that_wait() {
