@@ -116,7 +116,7 @@ INLINED cell_bits intricate_cells(const CornerBits *b) {
 INLINED uint count_extra_sheets(const ClassifyTask *task, const CornerBits *b, cell_bits cells, int3 p) {
     uint extras = 0;
     for (cell_bits rest = cells; rest; rest &= rest - 1) {
-        const uint i = popcount((rest & -rest) - 1);
+        const uint i = lowest_cell_bit(rest);
         const uint signs = (uint)(b->c0 >> i & 1) | (uint)(b->c1 >> i & 1) << 1 | (uint)(b->c2 >> i & 1) << 2
             | (uint)(b->c3 >> i & 1) << 3 | (uint)(b->c4 >> i & 1) << 4 | (uint)(b->c5 >> i & 1) << 5 | (uint)(b->c6 >> i & 1) << 6
             | (uint)(b->c7 >> i & 1) << 7;

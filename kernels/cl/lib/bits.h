@@ -2,6 +2,8 @@
 #ifndef ISOPEEL_BITS_H
 #define ISOPEEL_BITS_H
 
+#include "lib/device.h"
+
 // Number of set bits below bit `b` of a 64-bit mask.
 inline uint rank64(uint low, uint high, uint b) {
     return b < 32 ? popcount(low & ((1u << b) - 1)) : popcount(low) + popcount(high & ((1u << (b - 32)) - 1));
@@ -20,7 +22,7 @@ inline uint mask8(int8 lanes) {
 }
 
 inline uint lowest_bit(uint mask) { return popcount((mask & -mask) - 1); }
-inline uint lowest_bit64(ulong mask) { return (uint)popcount((mask & -mask) - 1); }
+inline uint lowest_cell_bit(cell_bits mask) { return (uint)popcount((mask & -mask) - 1); }
 
 inline uint test_bit(__local const uint *words, uint i) { return words[i >> 5] >> (i & 31) & 1u; }
 

@@ -44,13 +44,13 @@ INLINED void list_inner_quads(const BrickMemory *memory) {
     uint n = 0;
     for (uint z = 0; z < 8; z++) {
         __local const ushort *rows = memory->inside_rows + 9 * z;
-        const ulong here = load_cell_rows(rows, 0), inner_y = ~0xfful, inner_x = 0xfefefefefefefefeul;
-        const ulong along_z = (here ^ load_cell_rows(rows + 9, 0)) & inner_x & inner_y;
-        for (ulong rest = along_z; rest; rest &= rest - 1) memory->quad_list[n++] = (ushort)(1024 | z << 6 | lowest_bit64(rest));
+        const cell_bits here = load_cell_rows(rows, 0), inner_y = ~0xfful, inner_x = 0xfefefefefefefefeul;
+        const cell_bits along_z = (here ^ load_cell_rows(rows + 9, 0)) & inner_x & inner_y;
+        for (cell_bits rest = along_z; rest; rest &= rest - 1) memory->quad_list[n++] = (ushort)(1024 | z << 6 | lowest_cell_bit(rest));
         if (z == 0) continue;
-        const ulong along_x = (here ^ load_cell_rows(rows, 1)) & inner_y, along_y = (here ^ load_cell_rows(rows + 1, 0)) & inner_x;
-        for (ulong rest = along_x; rest; rest &= rest - 1) memory->quad_list[n++] = (ushort)(z << 6 | lowest_bit64(rest));
-        for (ulong rest = along_y; rest; rest &= rest - 1) memory->quad_list[n++] = (ushort)(512 | z << 6 | lowest_bit64(rest));
+        const cell_bits along_x = (here ^ load_cell_rows(rows, 1)) & inner_y, along_y = (here ^ load_cell_rows(rows + 1, 0)) & inner_x;
+        for (cell_bits rest = along_x; rest; rest &= rest - 1) memory->quad_list[n++] = (ushort)(z << 6 | lowest_cell_bit(rest));
+        for (cell_bits rest = along_y; rest; rest &= rest - 1) memory->quad_list[n++] = (ushort)(512 | z << 6 | lowest_cell_bit(rest));
     }
     *memory->work_count = n;
     barrier(CLK_LOCAL_MEM_FENCE);

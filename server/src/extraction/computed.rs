@@ -12,7 +12,7 @@ use crate::view::EditError;
 use crate::volumes::VolumeStep;
 
 impl WorkerState {
-    /// Makes a field resident that is computed from others. Where distances are, others have a turn every 50 ms or so.
+    /// Makes a field resident that is computed from others. Other jobs have a turn every 50 ms or so.
     pub(super) fn compute(
         &mut self,
         volume: &VolumeStep,

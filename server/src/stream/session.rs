@@ -405,7 +405,6 @@ impl<B: Backend> Session<B> {
 
     /// The opening of a volume goes on. A client that does not read gets the newest state alone.
     fn on_progress(&mut self, OpeningProgress { bytes, total_bytes }: OpeningProgress) {
-        self.outbox.drop_newest(Newest::Opening);
         let opening = ServerMessage::Opening { bytes, total_bytes };
         self.outbox.push_newest(Newest::Opening, opening.to_json());
     }

@@ -115,8 +115,8 @@ impl Outbox {
         Some(frame)
     }
 
-    /// In place of the one before of this kind.
-    /// Where that waits: what was queued after it may rest on it, as `opened` does on `led`.
+    /// In place of the one before of this kind, where that waits: what was queued after it may follow from it, as `opened` does from
+    /// `led`.
     pub(super) fn push_newest(&mut self, kind: Newest, text: String) {
         let frame = Frame::Newest(kind, text);
         let Some(at) = self.frames.iter().position(|waiting| waiting.is_newest(kind)) else {
