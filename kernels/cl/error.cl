@@ -41,6 +41,7 @@
 #include "lib/surface_distance.h"
 #include "lib/tree_leaf.h"
 #include "lib/tree_node.h"
+#include "lib/tree_offset.h"
 #include "lib/triangle_samples.h"
 #include "lib/vertices.h"
 
@@ -63,11 +64,11 @@ void error_positions(const ErrorPositionsArgs args, __global const Region *regio
     }
 }
 
-// `stand_ins`: of cells and extra sheets. One group a region.
+// `stand_ins`: of cells and extra sheets. `offset_sums`: of tree_relax. One group a region.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
-                  __global const TreeNode *tree_nodes, __global const int4 *points, __global const uint *leaves,
-                  __global uint *stand_ins, __global float4 *positions) {
+                  __global const TreeNode *tree_nodes, __global const uint *offset_sums, __global const int4 *points,
+                  __global const uint *leaves, __global uint *stand_ins, __global float4 *positions) {
     const uint group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;
     TreePoints own;
@@ -78,10 +79,11 @@ void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __
         stand_ins[slot] = leaf < args.points ? slot : leaf == LEAF_REMOVED ? NONE : args.slots + leaf - args.points;
     }
     const float3 spacing = (float3)(args.grid.spacing[0], args.grid.spacing[1], args.grid.spacing[2]);
-    const int3 origin = convert_int3(region_origin(args.grid, regions[group].region)) * (int)VERTEX_LATTICE;
+    const int3 home = convert_int3(region_origin(args.grid, regions[group].region));
     for (uint i = get_local_id(0); i < tree->nodes; i += GROUP) {
         const TreeNode node = tree_nodes[tree->node_base + i];
-        const float3 x = convert_float3(tree_position(node) + origin) / VERTEX_LATTICE;
+        const int3 at = moved_position(args.grid, args.cap, node, home, offset_sums[tree->node_base + i]);
+        const float3 x = convert_float3(at + home * (int)VERTEX_LATTICE) / VERTEX_LATTICE;
         positions[args.slots + tree->node_base + i] = (float4)(x * spacing, length(spacing) * (float)(1u << tree_level(node.meta)));
     }
 }

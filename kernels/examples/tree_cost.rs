@@ -1,6 +1,6 @@
 //! What building the vertex tree costs: `sin` or `ml` closed, 256³ by default, isovalue 0.5. `cargo run --release --package
 //! isopeel-kernels --example tree_cost [ROUNDS [SHAPE [SIZE [MESH]]]]`. Prints the shortest wall, processor and device time of all
-//! rounds, and cuts of the tree: how far they are from the full surface, and a hash, by which two versions are compared. Writes the full
+//! rounds, and cuts of the tree: device time, how far they are from the full surface, and a hash, by which two versions are compared. Writes the full
 //! mesh to MESH for `simplify_peer`, which times meshoptimizer.
 
 mod common;
@@ -48,7 +48,10 @@ impl Tree<'_> {
             let (engine, volume, pyramid) = (self.engine, self.volume, self.pyramid);
             let measured =
                 engine.measure_tree_error(volume, pyramid, &self.tree, &self.params, &goal(triangles), &Never)?;
+            // The second time buffers are there.
+            self.surface(triangles)?;
             let surface = self.surface(triangles)?;
+            let milliseconds: f64 = surface.statistics.stages.iter().map(|stage| stage.milliseconds).sum();
             let mut hasher = DefaultHasher::new();
             for region in &surface.regions {
                 region.vertices.hash(&mut hasher);
@@ -56,7 +59,7 @@ impl Tree<'_> {
             }
             let error = measured.whole;
             println!(
-                "{share:4} {:9} triangles, rms {:.4}, max {:.3}, {:016x}",
+                "{share:4} {:9} triangles, {milliseconds:.1} ms, rms {:.4}, max {:.3}, {:016x}",
                 surface.statistics.triangles,
                 error.rms,
                 error.max,

@@ -203,6 +203,7 @@ typedef struct {
     uint slots; // Slots of the pyramid.
     uint cell_points; // Points of cells and sheets.
     uint points; // Points of the surface.
+    uint cap; // 1: the volume was padded by one sample on every side.
 } ErrorLeavesArgs;
 
 // Arguments of `error_seeds`, `error_regions` and `error_far`.
@@ -312,6 +313,24 @@ typedef struct {
     CutParams params; // What vertices depend on: the feature's range.
     uint points; // Points of the surface.
 } TreeVerticesArgs;
+
+// Arguments of `tree_offsets`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    float iso; // Isovalue in the field's units.
+    uint cap; // 1: the volume was padded by one sample on every side.
+    uint first_layer; // First layer of regions of the slab, counted in regions along z.
+    uint end_layer; // Layer of regions after the last.
+    uint points; // Points of the surface.
+} TreeOffsetsArgs;
+
+// Arguments of `tree_move`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint cap; // 1: the volume was padded by one sample on every side.
+    uint points; // Points of the surface.
+} TreeMoveArgs;
 
 // Arguments of `slice`.
 typedef struct {

@@ -51,12 +51,13 @@ inline int3 border_position(Grid grid, Node node, VertexRecord record, uint face
 
 inline uint unorm16(float v) { return (uint)(clamp(v, 0.0f, 1.0f) * 65535.0f + 0.5f); }
 
-// `normal`: as in VertexRecord; `at`: from the low corner of the region that the vertex is made for.
+// `at`: from the low corner of the region that the vertex is made for.
+INLINED int3 vertex_position(int3 at) { return at * (65536 / (int)VERTEX_LATTICE); }
+
+// `normal`: as in VertexRecord; `at`: as in vertex_position.
 INLINED Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
     Vertex vertex;
-    vertex.position[0] = at.x * (65536 / (int)VERTEX_LATTICE);
-    vertex.position[1] = at.y * (65536 / (int)VERTEX_LATTICE);
-    vertex.position[2] = at.z * (65536 / (int)VERTEX_LATTICE);
+    vstore3(vertex_position(at), 0, vertex.position);
     vertex.normal = widen_octahedral8(normal);
     vertex.attributes = unorm16(node.s) | unorm16(normalised_feature(params, node.f)) << 16;
     return vertex;
@@ -89,7 +90,7 @@ typedef struct {
     PointNumbers points;
 } MeshVertices;
 
-// Writes the vertex of a ghost, or a border vertex, and returns its index. `bit`: its name; `at`: as in make_vertex.
+// Writes the vertex of a ghost, or a border vertex, and returns its index. `bit`: its name; `at`: as in vertex_position.
 INLINED uint write_ghost(const MeshVertices *mesh, uint region, uint slot, uint bit, int3 at) {
     const uint word = region * HALO_WORDS + (bit >> 5);
     const uint index = mesh->ghost_base[word] + popcount(mesh->ghosts[word] & ((1u << (bit & 31)) - 1));

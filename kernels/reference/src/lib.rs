@@ -46,6 +46,7 @@ pub mod slice;
 pub mod tree;
 pub mod tree_cut;
 pub mod tree_part;
+pub mod tree_relax;
 mod trilinear;
 pub mod vertices;
 

@@ -276,7 +276,7 @@ impl Cutter<'_> {
     }
 }
 
-fn node_of(leaf: TreeLeaf) -> Option<NodeId> {
+pub(crate) fn node_of(leaf: TreeLeaf) -> Option<NodeId> {
     match leaf {
         TreeLeaf::Point(_) => None,
         TreeLeaf::Node(id) => Some(id),

@@ -9,6 +9,7 @@ use crate::cut::sum_levels;
 use crate::layout::{RegionMesh, TreeCutRegion};
 use crate::stages::fit::{INNER_BINS, Keys};
 use crate::stages::tree_cut::{CutWork, Cutter};
+use crate::stages::tree_relax::UnmovedMesh;
 use crate::stages::{cut, error, tree_cut};
 use crate::tree::{TreeCut, TreeGoal};
 use crate::{
@@ -218,6 +219,12 @@ impl Engine {
         let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut regions)?;
         let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
         cutter.vertices(&layout, &device_meshes, &vertex_leaves, &vertices)?;
+        let offset_sums = cutter.relax(&UnmovedMesh {
+            meshes: &device_meshes,
+            vertex_leaves: &vertex_leaves,
+            indices: &indices,
+            vertices: &vertices,
+        })?;
         self.cx.pause(tree_cut::STAGE, cancel)?;
         let errors = match &corner_slots {
             Some(corner_slots) => {
@@ -233,6 +240,7 @@ impl Engine {
                     tree: Some(error::TreeLeaves {
                         tree,
                         leaves: &work.leaves,
+                        offset_sums: &offset_sums,
                     }),
                 };
                 Some(error::run(cx, volume, pyramid, &input, cancel)?)

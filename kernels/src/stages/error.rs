@@ -35,6 +35,8 @@ kernel_args! {
         cell_points: u32,
         /// Points of the surface.
         points: u32,
+        /// 1: the volume was padded by one sample on every side.
+        cap: u32,
     }
     /// Arguments of `error_seeds`, `error_regions` and `error_far`.
     ErrorSeedsArgs {
@@ -114,6 +116,8 @@ pub struct TreeLeaves<'a> {
     pub tree: &'a VertexTree,
     /// Of each point.
     pub leaves: &'a Buffer<u32>,
+    /// Of each node how far it moves, of [`Cutter::relax`](super::tree_cut::Cutter::relax).
+    pub offset_sums: &'a Buffer<u32>,
 }
 
 /// The vertex of each corner as this stage numbers them. `corner_leaves`: the leaf of each.
@@ -143,6 +147,7 @@ fn leaves_args(volume: &Volume, pyramid: &Pyramid, tree: &VertexTree) -> ErrorLe
         slots: pyramid.nodes.len() as u32,
         cell_points: tree.cell_points,
         points: tree.point_count(),
+        cap: tree.cap.into(),
     }
 }
 
@@ -238,6 +243,7 @@ impl Measurement<'_> {
                     &pyramid.regions,
                     &cut.tree.built.regions,
                     &cut.tree.built.nodes,
+                    cut.offset_sums,
                     &cut.tree.points,
                     cut.leaves,
                     stand_ins,

@@ -50,6 +50,7 @@ stages! {
     tree_cut
     tree_test
     tree_mesh
+    tree_relax: samples
     slice: samples
     probe
     distribution

@@ -4,6 +4,7 @@ use super::tree::Planted;
 use super::*;
 use isopeel_kernels::layout;
 use isopeel_kernels::testing::{TreeContents, node_importances, read_tree};
+use isopeel_reference::octahedral;
 use isopeel_reference::tree::{BlockTree, FullMesh, LATTICE, Node, NodeId, Point, Tree};
 use isopeel_reference::tree_cut::{Cutter, OfNodes};
 use std::collections::BTreeMap;
@@ -14,6 +15,8 @@ pub struct HostTree {
     pub tree: Tree,
     /// The node that each triangle collapses with, by the region that emits it.
     pub collapsed_by: BTreeMap<[u32; 3], Vec<Option<NodeId>>>,
+    /// Unit normals of the nodes.
+    pub normals: BTreeMap<NodeId, [f32; 3]>,
     /// The first node of each region.
     node_bases: BTreeMap<[u32; 3], u32>,
 }
@@ -48,6 +51,7 @@ impl HostTree {
             mesh,
             tree: Tree { blocks, point_parents },
             collapsed_by: collapsed_by(&contents, &at),
+            normals: normals(&contents, &at),
             node_bases,
         }
     }
@@ -109,6 +113,22 @@ fn collapsed_by(contents: &TreeContents, at: &[[u32; 3]]) -> BTreeMap<[u32; 3], 
         numbers.iter().map(node).collect()
     };
     at.iter().copied().zip(contents.meshes.iter().map(of_region)).collect()
+}
+
+fn normal(normal_s: u32) -> [f32; 3] {
+    let [x, y, ..] = normal_s.to_le_bytes();
+    octahedral::decode([x, y].map(|b| f32::from(b.cast_signed()) / 127.0))
+}
+
+fn normals(contents: &TreeContents, at: &[[u32; 3]]) -> BTreeMap<NodeId, [f32; 3]> {
+    let of_region = |(region, &at): (&layout::TreeRegion, &[u32; 3])| {
+        let first = region.node_base as usize;
+        let nodes = contents.nodes[first..first + region.nodes as usize].iter().enumerate();
+        nodes
+            .map(move |(i, node)| ((at, i), normal(node.normal_s)))
+            .collect::<Vec<_>>()
+    };
+    contents.regions.iter().zip(at).flat_map(of_region).collect()
 }
 
 fn block(contents: &TreeContents, index: usize, at: [u32; 3]) -> BlockTree {

@@ -1,0 +1,47 @@
+// How far nodes of the vertex tree move in a cut (docs/algorithm.md#82-relaxation): sums of offsets, and what becomes of them.
+//
+// The offsets around a node are one number, so that they take one atomic operation: how many from bit COUNT_SHIFT on, and below, with a sign,
+// their sum in smallest spacings / OFFSET_STEPS. Sums of integers do not depend on the order. A node has at most 60 triangles around it.
+#ifndef ISOPEEL_TREE_OFFSET_H
+#define ISOPEEL_TREE_OFFSET_H
+
+#include "lib/precision.h"
+#include "lib/device.h"
+#include "lib/layout.h"
+#include "lib/octahedral.h"
+#include "lib/tree_node.h"
+
+#define COUNT_SHIFT 24
+#define OFFSET_STEPS 8192.0f
+#define OFFSET_SHARE 0.7f // of the mean offset that a node moves: its neighbours move too
+#define MOVED_MAX 0.04f // smallest spacings: further, surfaces that pass close by each other would meet
+
+inline float smallest_spacing(Grid grid) { return fmin(fmin(grid.spacing[0], grid.spacing[1]), grid.spacing[2]); }
+
+// A sum of one offset.
+inline uint pack_offset(int offset) { return (uint)offset + (1u << COUNT_SHIFT); }
+
+// The mean of the offsets of a sum, smallest spacings; 0 where there are none.
+INLINED float mean_offset(uint sum) {
+    const uint count = (sum + (1u << (COUNT_SHIFT - 1))) >> COUNT_SHIFT;
+    const int offsets = (int)(sum - (count << COUNT_SHIFT));
+    return count ? exact_quotient((float)offsets, OFFSET_STEPS * (float)count) : 0.0f;
+}
+
+// Position of a node in a cut, from the low corner of its region, `home` in cells, 1/VERTEX_LATTICE cell. `sum`: of its offsets. Those on
+// the volume's faces stay where they are.
+INLINED int3 moved_position(Grid grid, uint cap, TreeNode node, int3 home, uint sum) {
+    const int lattice = (int)VERTEX_LATTICE;
+    const int3 at = tree_position(node), margin = (int3)(cap ? lattice : 0);
+    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1;
+    const int3 first_face = margin - home * lattice, last_face = (last - home) * lattice - margin;
+    const int3 on_face = (at <= first_face) | (at >= last_face);
+    if (on_face.x | on_face.y | on_face.z) return at;
+    const float moved = clamp(OFFSET_SHARE * mean_offset(sum), -MOVED_MAX, MOVED_MAX) * smallest_spacing(grid);
+    const float3 way = decode_octahedral8(node.normal_s & 0xffffu) * moved
+                       / (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    const int3 to = at + convert_int3_rte(way * VERTEX_LATTICE);
+    return clamp(to, max(first_face, 0), min(last_face, 32 * lattice));
+}
+
+#endif
