@@ -127,11 +127,13 @@ soak: release ## 200 viewers that edit, leave and come again, for half an hour (
 test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISOPEEL_DATA names
 	cargo test --locked --workspace -- --ignored
 
-# TIMES: so many times the cases of test-rust, random ones. MUTATIONS: changed files of each format.
+# TIMES: so many times the cases of test-rust, random ones. MUTATIONS: changed files of each format, those in folders in memory:
+# on a disk they take 2 to 10 times as long.
 TIMES ?= 20
 MUTATIONS ?= 1000000
+FUZZ_FOLDER := $(or $(wildcard /dev/shm),$(TMPDIR),/tmp)
 fuzz: prerequisites-test web-client ## kernels against their twins on random volumes (TIMES), and readers on changed files (MUTATIONS a format); takes hours
-	ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel --test volumes -- changed noise
+	TMPDIR=$(FUZZ_FOLDER) ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel --test volumes -- changed noise --nocapture
 	ISOPEEL_TEST_TIMES=$(TIMES) cargo test --locked --package isopeel-reference --test device
 
 containers: ## both images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes a quarter of an hour

@@ -2,11 +2,11 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
-use std::sync::LazyLock;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use isopeel::volumes::{Field, OpenedFile, ReadError, Samples};
 use isopeel_kernels::SampleType;
+use rustix::time::{ClockId, clock_gettime};
 
 /// Counts the current and the maximum memory of the thread.
 struct Counting;
@@ -100,10 +100,8 @@ pub fn within<R>(limit: usize, work: impl FnOnce() -> R) -> R {
     result
 }
 
-/// Time that the thread has run, whatever else the machine does; where the system does not say it, that of the clock.
+/// Time that the thread has run, whatever else the machine does.
 fn own_time() -> Duration {
-    static START: LazyLock<Instant> = LazyLock::new(Instant::now);
-    let stated = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let nanoseconds = stated.and_then(|text| text.split_whitespace().next()?.parse().ok());
-    nanoseconds.map_or_else(|| START.elapsed(), Duration::from_nanos)
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
 }

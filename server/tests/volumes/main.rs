@@ -2,6 +2,7 @@
 
 mod bounds;
 mod catalog;
+mod changed;
 mod dicom;
 mod fixtures;
 mod formats;

@@ -3,8 +3,10 @@
 use std::path::Path;
 
 use proptest::prelude::*;
+use proptest::sample::Index;
 
-use crate::hostile::{mutations, read};
+use crate::changed;
+use crate::hostile::read;
 
 /// Files of `tests/fixtures/volumes`, format by format.
 const FILES: [&[&str]; 4] = [
@@ -88,33 +90,33 @@ fn what_failed_once_is_refused() {
     }
 }
 
-proptest! {
-    #![proptest_config(mutations(FILES.len(), 6000))]
+/// Perhaps a part that is copied over another: from where, to where, how many bytes.
+fn splice(probability: f64) -> impl Strategy<Value = Option<(Index, Index, usize)>> {
+    prop::option::weighted(probability, (any::<Index>(), any::<Index>(), 1..64usize))
+}
 
-    /// Bytes anywhere become others, mostly such as make counts and addresses false; or a part is copied over another.
-    #[test]
-    fn changed_bytes_never_panic(
-        format in 0..FILES.len(),
-        file in any::<prop::sample::Index>(),
-        changes in prop::collection::vec(
-            (any::<prop::sample::Index>(), prop_oneof![any::<u8>(), Just(0xff), Just(0)]),
-            1..8,
-        ),
-        splice in prop::option::weighted(0.2, (any::<prop::sample::Index>(), any::<prop::sample::Index>(), 1..64usize)),
-    ) {
-        let name = *file.get(FILES[format]);
-        let mut bytes = bytes(name);
-        let reach = reach(&bytes);
-        for (at, value) in changes {
-            let at = at.index(bytes.len());
-            bytes[at] = value;
-        }
-        if let Some((from, to, length)) = splice {
-            let (from, to) = (from.index(bytes.len()), to.index(bytes.len()));
-            let length = length.min(bytes.len() - from.max(to));
-            bytes.copy_within(from..from + length, to);
-        }
-        let _ = read(&[(name, bytes)], reach);
+fn copy_part(bytes: &mut [u8], splice: Option<(Index, Index, usize)>) {
+    if let Some((from, to, length)) = splice {
+        let (from, to) = (from.index(bytes.len()), to.index(bytes.len()));
+        let length = length.min(bytes.len() - from.max(to));
+        bytes.copy_within(from..from + length, to);
+    }
+}
+
+/// Bytes anywhere become others, mostly such as make counts and addresses false; or a part is copied over another.
+#[test]
+fn changed_bytes_never_panic() {
+    for files in FILES {
+        let files: Vec<_> = files.iter().map(|&name| (name, bytes(name))).collect();
+        let format = files[0].0;
+        let strategy = (0..files.len(), changed::extreme_bytes(8), splice(0.2));
+        changed::each(format, 6000, &strategy, |(which, changes, splice)| {
+            let (name, mut bytes) = files[which].clone();
+            let reach = reach(&bytes);
+            changed::change(&mut bytes, changes);
+            copy_part(&mut bytes, splice);
+            let _ = read(&[(name, bytes)], reach);
+        });
     }
 }
 
@@ -164,34 +166,17 @@ fn claims_of_dicom_are_not_allocated() {
 #[test]
 fn changed_dicom_never_panics() {
     let cases = dicom_cases();
-    let mut runner = proptest::test_runner::TestRunner::new(mutations(1, 1500));
-    let place = any::<prop::sample::Index>;
-    let strategy = (
-        0..cases.len(),
-        prop::collection::vec((place(), any::<u8>(), any::<bool>()), 1..8),
-        prop::option::weighted(0.3, (place(), place(), 1..64usize)),
-    );
-    type Index = prop::sample::Index;
-    type Change = (Index, u8, bool);
-    type Splice = (Index, Index, usize);
-    let test = |(which, changes, splice): (usize, Vec<Change>, Option<Splice>)| {
+    // Of these files the header is the longest part; its end is where sizes are.
+    let strategy = (0..cases.len(), changed::bytes(8), any::<bool>(), splice(0.3));
+    changed::each("dicom", 1500, &strategy, |(which, changes, in_header, splice)| {
         let mut bytes = cases[which].clone();
-        for (at, value, in_header) in changes {
-            // Of these files the header is the longest part; its end is where sizes are.
-            let at = if in_header {
-                700 + at.index(bytes.len().min(2600) - 700)
-            } else {
-                at.index(bytes.len())
-            };
-            bytes[at] = value;
-        }
-        if let Some((from, to, length)) = splice {
-            let from: usize = from.index(bytes.len() - length);
-            let to: usize = to.index(bytes.len() - length);
-            bytes.copy_within(from..from + length, to);
-        }
+        let part = if in_header {
+            700..bytes.len().min(2600)
+        } else {
+            0..bytes.len()
+        };
+        changed::change(&mut bytes[part], changes);
+        copy_part(&mut bytes, splice);
         let _ = read(&[("a.dcm", bytes)], DICOM_BYTES);
-        Ok(())
-    };
-    runner.run(&strategy, test).unwrap();
+    });
 }

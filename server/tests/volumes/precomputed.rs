@@ -5,10 +5,11 @@ use std::path::Path;
 
 use isopeel::volumes::{Dataset, ReadError, open_dataset};
 use proptest::prelude::*;
+use proptest::sample::Index;
 
 use crate::bounds::within;
-use crate::hostile::mutations;
-use crate::stores::{self, StoredFile};
+use crate::changed;
+use crate::stores::{self, Changing, StoredFile};
 use crate::write::gzip;
 
 const FOLDERS: [&str; 6] = [
@@ -200,45 +201,36 @@ fn claims_are_not_allocated() {
     refused(&folder, "data", "bytes in gzip");
 }
 
-proptest! {
-    #![proptest_config(mutations(1, 300))]
+/// Changed bytes in one file, then perhaps a cut.
+#[test]
+fn changed_bytes_never_panic() {
+    let folders = FOLDERS.map(|folder| Changing::new("a", files(folder)));
+    let strategy = (
+        0..folders.len(),
+        any::<Index>(),
+        changed::extreme_bytes(8),
+        changed::cut(),
+    );
+    changed::each("precomputed", 300, &strategy, |(which, file, changes, cut)| {
+        let folder = &folders[which];
+        let at = file.index(folder.files().len());
+        let mut bytes = folder.files()[at].1.clone();
+        changed::change_and_cut(&mut bytes, changes, cut);
+        let folder = folder.with(at, &bytes);
+        let _ = within(64 << 20, || read(folder));
+    });
+}
 
-    /// Changed bytes in one file, then perhaps a cut.
-    #[test]
-    fn changed_bytes_never_panic(
-        which in prop::sample::select(FOLDERS.to_vec()),
-        file in any::<prop::sample::Index>(),
-        changes in prop::collection::vec((any::<prop::sample::Index>(), prop_oneof![any::<u8>(), Just(0xff), Just(0)]), 1..8),
-        cut in prop::option::weighted(0.2, any::<prop::sample::Index>()),
-    ) {
-        let mut files = files(which);
-        let at = file.index(files.len());
-        let bytes = &mut files[at].1;
-        for (at, value) in changes {
-            let at = at.index(bytes.len());
-            bytes[at] = value;
-        }
-        if let Some(cut) = cut {
-            let cut = cut.index(bytes.len());
-            bytes.truncate(cut);
-        }
-        let folder = write(&files);
-        let _ = within(64 << 20, || read(&folder));
-    }
-
-    /// Digits of `info` replaced by digits.
-    #[test]
-    fn changed_numbers_never_panic(
-        which in prop::sample::select(FOLDERS.to_vec()),
-        changes in prop::collection::vec((any::<prop::sample::Index>(), prop::sample::select(b"0123456789-.e ".to_vec())), 1..4),
-    ) {
-        let mut files = files(which);
-        let bytes = &mut files[0].1;
-        let digits: Vec<usize> = (0..bytes.len()).filter(|&i| bytes[i].is_ascii_digit()).collect();
-        for (at, digit) in changes {
-            bytes[*at.get(&digits)] = digit;
-        }
-        let folder = write(&files);
-        let _ = within(64 << 20, || read(&folder));
-    }
+/// Digits of `info` replaced by digits.
+#[test]
+fn changed_numbers_never_panic() {
+    let folders = FOLDERS.map(|folder| Changing::new("a", files(folder)));
+    let strategy = (0..folders.len(), changed::digits());
+    changed::each("precomputed", 300, &strategy, |(which, changes)| {
+        let folder = &folders[which];
+        let mut bytes = folder.files()[0].1.clone();
+        changed::change_digits(&mut bytes, changes);
+        let folder = folder.with(0, &bytes);
+        let _ = within(64 << 20, || read(folder));
+    });
 }

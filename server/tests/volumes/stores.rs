@@ -1,5 +1,6 @@
 //! Volumes that are folders of many files, for the tests of their formats.
 
+use std::cell::Cell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -42,6 +43,43 @@ pub fn write(name: &str, files: &[StoredFile]) -> tempfile::TempDir {
         fs::write(path, bytes).unwrap();
     }
     folder
+}
+
+/// A folder on a disk, of which one file after the other is changed: writing all of them for each case would take most of its time.
+pub struct Changing<'a> {
+    folder: tempfile::TempDir,
+    name: &'a str,
+    files: Vec<StoredFile>,
+    /// The file that was changed last.
+    changed: Cell<usize>,
+}
+
+impl<'a> Changing<'a> {
+    /// Writes a folder of that name.
+    pub fn new(name: &'a str, files: Vec<StoredFile>) -> Self {
+        Self {
+            folder: write(name, &files),
+            name,
+            files,
+            changed: Cell::new(0),
+        }
+    }
+
+    /// The folder as it was written, but for one file. What the last case changed is put back by the next, since a case that fails has no end.
+    pub fn with(&self, at: usize, bytes: &[u8]) -> &tempfile::TempDir {
+        let write = |at: usize, bytes: &[u8]| {
+            fs::write(self.folder.path().join(self.name).join(&self.files[at].0), bytes).unwrap();
+        };
+        let last = self.changed.replace(at);
+        write(last, &self.files[last].1);
+        write(at, bytes);
+        &self.folder
+    }
+
+    /// Its files as they were written.
+    pub fn files(&self) -> &[StoredFile] {
+        &self.files
+    }
 }
 
 /// Opens that folder, and reads the first step of all fields.

@@ -5,10 +5,11 @@ use std::path::Path;
 
 use isopeel::volumes::{Dataset, LengthUnit, ReadError, open_dataset};
 use proptest::prelude::*;
+use proptest::sample::Index;
 
 use crate::bounds::within;
-use crate::hostile::mutations;
-use crate::stores::{self, StoredFile, files, fixture};
+use crate::changed;
+use crate::stores::{self, Changing, StoredFile, files, fixture};
 use crate::write::gzip;
 
 /// Writes a folder `a.zarr`.
@@ -245,48 +246,35 @@ const FOLDERS: [&str; 7] = [
     "image-0.5.ome.zarr",
 ];
 
-proptest! {
-    #![proptest_config(mutations(1, 150))]
+/// Changed bytes in one file, then perhaps a cut.
+#[test]
+fn changed_bytes_never_panic() {
+    let folders = FOLDERS.map(|folder| Changing::new("a.zarr", files(&fixture(folder))));
+    let strategy = (0..folders.len(), any::<Index>(), changed::bytes(8), changed::cut());
+    changed::each("zarr", 150, &strategy, |(which, file, changes, cut)| {
+        let folder = &folders[which];
+        let at = file.index(folder.files().len());
+        let mut bytes = folder.files()[at].1.clone();
+        changed::change_and_cut(&mut bytes, changes, cut);
+        let folder = folder.with(at, &bytes);
+        let _ = within(64 << 20, || read(folder));
+    });
+}
 
-    /// Changed bytes in one file, then perhaps a cut.
-    #[test]
-    fn changed_bytes_never_panic(
-        which in prop::sample::select(FOLDERS.to_vec()),
-        file in any::<prop::sample::Index>(),
-        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
-        cut in prop::option::weighted(0.2, any::<prop::sample::Index>()),
-    ) {
-        let mut files = files(&fixture(which));
-        let at = file.index(files.len());
-        let bytes = &mut files[at].1;
-        for (at, value) in changes {
-            let at = at.index(bytes.len());
-            bytes[at] = value;
-        }
-        if let Some(cut) = cut {
-            let cut = cut.index(bytes.len());
-            bytes.truncate(cut);
-        }
-        let folder = write(&files);
-        let _ = within(64 << 20, || read(&folder));
-    }
-
-    /// Digits of metadata replaced by digits.
-    #[test]
-    fn changed_numbers_never_panic(
-        which in prop::sample::select(FOLDERS.to_vec()),
-        changes in prop::collection::vec((any::<prop::sample::Index>(), prop::sample::select(b"0123456789-.e ".to_vec())), 1..4),
-    ) {
-        let mut files = files(&fixture(which));
-        let metadata = files.iter_mut().find(|(path, _)| {
+/// Digits of metadata replaced by digits.
+#[test]
+fn changed_numbers_never_panic() {
+    let folders = FOLDERS.map(|folder| Changing::new("a.zarr", files(&fixture(folder))));
+    let strategy = (0..folders.len(), changed::digits());
+    changed::each("zarr", 150, &strategy, |(which, changes)| {
+        let folder = &folders[which];
+        let metadata = folder.files().iter().position(|(path, _)| {
             path.ends_with(".zarray") || path.ends_with("zarr.json") && path.parent() == Some(Path::new(""))
         });
-        let bytes = &mut metadata.unwrap().1;
-        let digits: Vec<usize> = (0..bytes.len()).filter(|&i| bytes[i].is_ascii_digit()).collect();
-        for (at, digit) in changes {
-            bytes[*at.get(&digits)] = digit;
-        }
-        let folder = write(&files);
-        let _ = within(64 << 20, || read(&folder));
-    }
+        let metadata = metadata.unwrap();
+        let mut bytes = folder.files()[metadata].1.clone();
+        changed::change_digits(&mut bytes, changes);
+        let folder = folder.with(metadata, &bytes);
+        let _ = within(64 << 20, || read(folder));
+    });
 }
