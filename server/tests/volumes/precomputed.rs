@@ -12,11 +12,12 @@ use crate::changed;
 use crate::stores::{self, Changing, StoredFile};
 use crate::write::gzip;
 
-const FOLDERS: [&str; 6] = [
+const FOLDERS: [&str; 7] = [
     "precomputed-raw",
     "precomputed-gzip",
     "precomputed-channels",
     "precomputed-jpeg",
+    "precomputed-noise",
     "precomputed-labels",
     "precomputed-labels-shards",
 ];
@@ -199,6 +200,59 @@ fn claims_are_not_allocated() {
     let folder = large("[7,5,6]", "[4,3,3]");
     fs::write(folder.path().join("a/8_8_30/3-7_4-7_5-8"), gzip(&vec![0; 4 << 20])).unwrap();
     refused(&folder, "data", "bytes in gzip");
+}
+
+/// Its second chunk is the first as a progressive image.
+const NOISE: &str = "precomputed-noise";
+const BASELINE: &str = "8_8_30/0-16_0-8_0-6";
+const PROGRESSIVE: &str = "8_8_30/16-32_0-8_0-6";
+
+#[test]
+fn a_progressive_image_has_the_samples_of_a_baseline_one() {
+    let dataset = open_dataset(&stores::fixture(NOISE)).unwrap();
+    assert_eq!((dataset.geometry.dims, dataset.fields.len()), ([32, 8, 6], 3));
+    for field in &dataset.fields {
+        let samples = field.source.load(0).unwrap();
+        let row = |row: usize, from: usize| -> Vec<f32> { (0..16).map(|x| samples.get(32 * row + from + x)).collect() };
+        for y_z in 0..48 {
+            let baseline = row(y_z, 0);
+            assert!(baseline.iter().any(|&value| value != baseline[0]));
+            assert_eq!(row(y_z, 16), baseline, "{}, row {y_z}", field.name);
+        }
+    }
+}
+
+/// Each scan takes as long as the whole image, and a few bytes.
+#[test]
+fn images_of_many_scans_are_refused() {
+    for name in [BASELINE, PROGRESSIVE] {
+        let folder = write(&files(NOISE));
+        let path = folder.path().join("a").join(name);
+        let image = fs::read(&path).unwrap();
+        let last_scan = image.windows(2).rposition(|bytes| bytes == [0xff, 0xda]).unwrap();
+        let (before, scan) = image[..image.len() - 2].split_at(last_scan);
+        fs::write(&path, [before, &scan.repeat(101), &[0xff, 0xd9]].concat()).unwrap();
+        refused(&folder, "data", "scans, expected 100 at most");
+    }
+}
+
+#[test]
+fn large_progressive_images_are_refused() {
+    let mut files = files(NOISE);
+    let mut info: serde_json::Value = serde_json::from_slice(&files[0].1).unwrap();
+    info["scales"][0]["size"] = serde_json::json!([4096, 1536, 2]);
+    info["scales"][0]["chunk_sizes"][0] = serde_json::json!([4096, 1536, 2]);
+    files[0].1 = serde_json::to_vec(&info).unwrap();
+    let image = files
+        .iter_mut()
+        .find(|(path, _)| path == Path::new(PROGRESSIVE))
+        .unwrap();
+    image.0 = "8_8_30/0-4096_0-1536_0-2".into();
+    let size = image.1.windows(2).position(|bytes| bytes == [0xff, 0xc2]).unwrap() + 5;
+    image.1[size..size + 4].copy_from_slice(&[0x0c, 0, 0x10, 0]);
+    // As many bytes as samples ask for at least.
+    image.1.resize(4096, 0);
+    refused(&write(&files), "data", "a progressive JPEG of 37748736 coefficients");
 }
 
 /// Changed bytes in one file, then perhaps a cut.

@@ -24,6 +24,7 @@
 pub(super) mod ahead;
 pub mod dicom;
 pub(super) mod header;
+mod jpeg;
 pub mod metaimage;
 pub mod mrc;
 pub mod nifti;

@@ -11,6 +11,7 @@ use jpeg_decoder::{CodingProcess, ColorTransform, Decoder, PixelFormat};
 use super::data_set::{Fault, tag};
 use super::samples::{Color, SampleFormat};
 use super::syntax::Codec;
+use crate::volumes::formats::jpeg::check_scans;
 
 /// The samples of a compressed image, words with the least significant byte first, and the order of their components.
 pub fn decode(codec: Codec, encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fault> {
@@ -166,6 +167,7 @@ fn jpeg(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fault
         );
         return Err(fault(why));
     }
+    check_scans(encoded).map_err(fault)?;
     let mut decoder = Decoder::new(encoded);
     decoder.set_color_transform(color);
     decoder.set_max_decoding_buffer_size(2 * format.frame_bytes() as usize);

@@ -1,11 +1,13 @@
 //! From the bytes of a chunk to its samples: x fastest, then y, z, channel.
 
 use std::io::Read;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use jpeg_decoder::{CodingProcess, Decoder, PixelFormat};
 
 use super::{Info, Scale};
 use crate::volumes::codec::decoder;
+use crate::volumes::formats::jpeg::{check_progressive, check_scans};
 use crate::volumes::stored::{self, StoredType};
 
 /// What gzip begins with.
@@ -80,7 +82,11 @@ impl Encoding {
         match self {
             Self::Raw if stored.len() == expected => Ok(stored),
             Self::Raw => Err(format!("{} bytes of samples, expected {expected}", stored.len())),
-            Self::Jpeg => jpeg(&stored, shape),
+            Self::Jpeg => {
+                // The library panics on some false images; no other state is involved.
+                let decoded = catch_unwind(AssertUnwindSafe(|| jpeg(&stored, shape)));
+                decoded.unwrap_or_else(|_| Err("a false JPEG, its decoder gave up".to_owned()))
+            }
             Self::CompressedSegmentation(block) => labels(&stored, *block, shape),
         }
     }
@@ -105,6 +111,7 @@ pub(super) fn gunzip(packed: &[u8], limit: u64) -> Result<Vec<u8>, String> {
 
 /// An image of any width whose rows, one after the other, are the voxels.
 fn jpeg(encoded: &[u8], shape: Shape) -> Result<Vec<u8>, String> {
+    check_scans(encoded)?;
     let failed = |e: jpeg_decoder::Error| format!("no JPEG that is read: {e}");
     let mut decoder = Decoder::new(encoded);
     decoder.set_max_decoding_buffer_size(2 * shape.bytes() as usize);
@@ -116,15 +123,15 @@ fn jpeg(encoded: &[u8], shape: Shape) -> Result<Vec<u8>, String> {
         PixelFormat::RGB24 => 3,
         other => return Err(format!("a JPEG of {other:?}, expected 8 bits of grey or colours")),
     };
-    if info.coding_process == CodingProcess::DctProgressive {
-        return Err("a progressive JPEG, expected a baseline one".to_owned());
-    }
     if (pixels, channels) != (shape.voxels(), shape.channels) {
         let expected = (shape.voxels(), shape.channels);
         return Err(format!(
             "a JPEG of {pixels} pixels in {channels} channels, expected {} in {}",
             expected.0, expected.1
         ));
+    }
+    if info.coding_process == CodingProcess::DctProgressive {
+        check_progressive(info.width, info.height, channels)?;
     }
     let decoded = decoder.decode().map_err(failed)?;
     if decoded.len() as u64 != shape.bytes() {
