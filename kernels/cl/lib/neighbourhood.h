@@ -95,56 +95,54 @@ INLINED real gradient_magnitude(__local const float *at, Steps steps) {
 }
 #endif
 
-INLINED Real3 cross_real3(Real3 a, Real3 b) {
-    return make_real3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+// Of t^3 - 3t - 2r the root that is apart from the others, between the root of 3 and 2, for r from 0 to 1: 2 cos(acos(r) / 3), which is smooth
+// there. A polynomial by interpolation, off by 1e-7 at most, takes less than a few steps of Newton's method, which divide.
+INLINED real root_apart(real r) {
+#pragma OPENCL FP_CONTRACT ON
+    real t = 0.00110735965f * r - 0.00592397386f;
+    t = t * r + 0.0154376272f;
+    t = t * r - 0.0286545940f;
+    t = t * r + 0.0488116816f;
+    t = t * r - 0.0961592942f;
+    t = t * r + 0.333330393f;
+    return t * r + 1.73205078f;
 }
 
-// Sum of products of components.
-INLINED real along_real3(Real3 a, Real3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-
-// One over the root of a number, 0 of 0.
-INLINED real inverse_length(real square) { return PICK(square > 0.0f, 1.0f / sqrt(PICK(square > 0.0f, square, 1.0f)), 0.0f); }
-
 // The middle eigenvalue of a symmetric matrix with the rows (xx, xy, xz), (xy, yy, yz), (xz, yz, zz). The closed form alone loses half of the
-// digits where two eigenvalues are near each other: here it finds the third one, then the two in the plane across its eigenvector.
+// digits where two eigenvalues are near each other: here it finds the third one, and the matrix without that has the distance of the two.
 INLINED real middle_eigenvalue(real xx, real yy, real zz, real xy, real xz, real yz) {
-    const real mean = (xx + yy + zz) * (1.0f / 3.0f), x = xx - mean, y = yy - mean, z = zz - mean;
+#pragma OPENCL FP_CONTRACT ON
+    const real mean = (xx + yy + zz) * (1.0f / 3.0f);
+    real x = xx - mean, y = yy - mean, z = zz - mean;
     // Divided by the spread, the eigenvalues without their mean are roots t of t^3 - 3t - 2r.
     const real square = (x * x + y * y + z * z + 2.0f * (xy * xy + xz * xz + yz * yz)) * (1.0f / 6.0f);
-    const real per = inverse_length(square), spread = square * per;
-    const Real3 a = make_real3(x * per, xy * per, xz * per), b = make_real3(xy * per, y * per, yz * per);
-    const Real3 c = make_real3(xz * per, yz * per, z * per);
-    const real r = 0.5f * along_real3(a, cross_real3(b, c)), size = fmin(fabs(r), 1.0f);
-    // The one apart from the others, by Newton's method: it lies between the root of 3 and 2, where the derivative is 6 at least.
-    real t = 1.7320508f + 0.2679492f * size;
-    for (uint step = 0; step < 3; step++) t -= (t * t * t - 3.0f * t - 2.0f * size) / (3.0f * t * t - 3.0f);
-    const real apart = PICK(r < 0.0f, -t, t);
-    // Its eigenvector is across all rows of the matrix without it: the longest of their products.
-    const Real3 p = make_real3(a.x - apart, a.y, a.z), q = make_real3(b.x, b.y - apart, b.z), s = make_real3(c.x, c.y, c.z - apart);
-    const Real3 pq = cross_real3(p, q), ps = cross_real3(p, s), qs = cross_real3(q, s);
-    const real of_pq = along_real3(pq, pq), of_ps = along_real3(ps, ps), of_qs = along_real3(qs, qs);
-    const Real3 longer = pick_real3(of_ps > of_pq, ps, pq);
-    const Real3 longest = pick_real3(of_qs > fmax(of_pq, of_ps), qs, longer);
-    const Real3 v = scale_real3(longest, inverse_length(along_real3(longest, longest)));
-    const Real3 side = pick_real3(fabs(v.x) > fabs(v.y), make_real3(-v.z, 0.0f * v.x, v.x), make_real3(0.0f * v.x, v.z, -v.y));
-    const Real3 u = scale_real3(side, inverse_length(along_real3(side, side))), w = cross_real3(v, u);
-    const Real3 au = make_real3(along_real3(a, u), along_real3(b, u), along_real3(c, u));
-    // The matrix in the plane; its trace is what the other eigenvalue leaves of 0.
-    const real uu = along_real3(u, au), uw = along_real3(w, au), half_gap = uu + 0.5f * apart;
-    const real half_distance = sqrt(half_gap * half_gap + uw * uw);
-    return mean + spread * (PICK(r < 0.0f, -half_distance, half_distance) - 0.5f * apart);
+    const real per = 1.0f / sqrt(fmax(square, FLT_MIN)), spread = square * per;
+    x *= per, y *= per, z *= per, xy *= per, xz *= per, yz *= per;
+    const real r = 0.5f * (x * (y * z - yz * yz) + xy * (xz * yz - xy * z) + xz * (xy * yz - xz * y));
+    const real size = root_apart(fmin(fabs(r), 1.0f)), apart = PICK(r < 0.0f, -size, size), half_apart = 0.5f * apart;
+    // The matrix p less `apart` has the adjugate (3 apart^2 - 3) v v', v the eigenvector. Less 3/2 apart v v', and with half of `apart` on the
+    // diagonal, p has the eigenvalues 0 and plus and minus half the distance of the other two: its squares sum up to twice that, squared.
+    const real px = x - apart, py = y - apart, pz = z - apart, less = half_apart / (size * size - 1.0f);
+    const real qx = (x + half_apart) - less * (py * pz - yz * yz), qy = (y + half_apart) - less * (px * pz - xz * xz);
+    const real qz = (z + half_apart) - less * (px * py - xy * xy), q_xy = xy - less * (xz * yz - xy * pz);
+    const real q_xz = xz - less * (xy * yz - xz * py), q_yz = yz - less * (xy * xz - yz * px);
+    const real half_distance = sqrt(0.5f * (qx * qx + qy * qy + qz * qz) + (q_xy * q_xy + q_xz * q_xz + q_yz * q_yz));
+    return mean + spread * (PICK(r < 0.0f, -half_distance, half_distance) - half_apart);
 }
 
 // The middle eigenvalue of the symmetric part of the square of a matrix of derivatives.
 INLINED real lambda_2(Real3 du, Real3 dv, Real3 dw) {
+#pragma OPENCL FP_CONTRACT ON
     const real size = fabs(du.x) + fabs(du.y) + fabs(du.z) + fabs(dv.x) + fabs(dv.y) + fabs(dv.z) + fabs(dw.x) + fabs(dw.y) + fabs(dw.z);
-    const real scale = PICK(size > 0.0f, 1.0f / PICK(size > 0.0f, size, 1.0f), 0.0f);
+    // Scaled by a power of two, `unit`: squares stay in range.
+    const integer exponent = min(AS_INT(size) & 0x7f800000, (integer)0x7e800000);
+    const real unit = AS_REAL(exponent), scale = AS_REAL(0x7f000000 - exponent);
     const Real3 u = scale_real3(du, scale), v = scale_real3(dv, scale), w = scale_real3(dw, scale);
     const real xx = u.x * u.x + u.y * v.x + u.z * w.x, yy = u.y * v.x + v.y * v.y + v.z * w.y, zz = u.z * w.x + v.z * w.y + w.z * w.z;
     const real xy = 0.5f * ((u.x + v.y) * (u.y + v.x) + u.z * w.y + v.z * w.x);
     const real xz = 0.5f * ((u.x + w.z) * (u.z + w.x) + u.y * v.z + w.y * v.x);
     const real yz = 0.5f * ((v.y + w.z) * (v.z + w.y) + v.x * u.z + w.x * u.y);
-    return size * (size * middle_eigenvalue(xx, yy, zz, xy, xz, yz));
+    return unit * (unit * middle_eigenvalue(xx, yy, zz, xy, xz, yz));
 }
 
 // A feature of a vector field from the blocks of its components, DERIVE_BLOCK apart. Each takes the derivatives that it needs alone.
