@@ -20,13 +20,14 @@
 
 #define FACE_MARGIN (1.0f / 256.0f) // cells: nearer to a face of a capped volume a triangle lies in the face
 #define POSITION_STEPS 65536.0f     // of Vertex::position in a cell
+#define OFFSET_MAX 0.25f // smallest spacings: the further beyond, the less the slope leads to the surface
 #define UNKNOWN (2.0f * OFFSET_STEPS)
 
 // LANES triangles, in cells from the region's low corner.
 typedef struct {
-    uint first;          // triangle of the region's mesh
+    uint first; // triangle of the region's mesh
     Real3 centroid;
-    Real3 normal;        // in world units, of length 1
+    Real3 normal;         // in world units, of length 1
     float low[3 * LANES]; // rows of the low corners of the cells with the centroids
 } LaneTriangles;
 
@@ -40,13 +41,16 @@ typedef struct {
 } OffsetField;
 
 // The low corner of the cell at a coordinate, along one axis, from the region's.
-INLINED real low_corner(real x, int origin, int first, int last) { return clamp(floor(x), (real)(float)(first - origin), (real)(float)(last - origin)); }
+INLINED real low_corner(real x, int origin, int first, int last) {
+    return clamp(floor(x), (real)(float)(first - origin), (real)(float)(last - origin));
+}
 
 // Lane by lane: whether a coordinate is near a face of a capped volume, or beyond it.
 INLINED integer is_in_face(real x, int origin, uint samples) {
     return (x < (float)(1 - origin) + FACE_MARGIN) | (x > (float)((int)samples - 2 - origin) - FACE_MARGIN);
 }
 
+// The sample at the low corner of the cell with a triangle's centroid.
 INLINED __global const SAMPLE *low_sample(const OffsetField *field, const LaneTriangles *triangles, uint lane) {
     const float *low = triangles->low + lane;
     const int3 at = convert_int3((float3)(low[0], low[LANES], low[2 * LANES])) + field->origin;
@@ -121,7 +125,8 @@ INLINED real measure_offsets(const TreeOffsetsArgs *args, const OffsetField *fie
     const float begin = (float)(32 * (int)args->first_layer - origin.z);
     const float end = args->end_layer < grid.regions[2] ? (float)(32 * (int)args->end_layer - origin.z) : INFINITY;
     const integer in_slab = (x.z >= begin) & (x.z < end);
-    return PICK(in_slab & (offset == offset), rint(clamp(offset, -OFFSET_STEPS, OFFSET_STEPS)), UNKNOWN);
+    const real length = fabs(offset), near = fmax(fmin(length, 2.0f * OFFSET_MAX * OFFSET_STEPS - length), 0.0f);
+    return PICK(in_slab & (offset == offset), rint(PICK(offset < 0.0f, -near, near)), UNKNOWN);
 }
 
 // Adds the offsets of triangles to the sums of their vertices.

@@ -10,6 +10,8 @@ use crate::trilinear::{corners, interpolate};
 
 /// Parts of a smallest spacing that an offset is rounded to.
 const OFFSET_STEPS: f64 = 8192.0;
+/// Smallest spacings: offsets beyond count for less and less.
+const OFFSET_MAX: f64 = 0.25;
 /// Smallest spacings that a node moves at most.
 const MOVED_MAX: f64 = 0.04;
 /// Cells: nearer to a face of a capped volume a triangle lies in the face.
@@ -108,7 +110,12 @@ impl Relaxer<'_> {
         }
         let gradient: Vector = std::array::from_fn(|i| per_cell[i] / f64::from(grid.spacing[i]));
         let offset = -value * dot(gradient, normal) / dot(gradient, gradient) / f64::from(grid.smallest_spacing());
-        (!offset.is_nan()).then(|| (offset.clamp(-1.0, 1.0) * OFFSET_STEPS).round_ties_even() as i64)
+        let near = offset
+            .abs()
+            .min(2.0 * OFFSET_MAX - offset.abs())
+            .max(0.0)
+            .copysign(offset);
+        (!offset.is_nan()).then(|| (near * OFFSET_STEPS).round_ties_even() as i64)
     }
 
     fn moved(&self, node: NodeId, sum: Sum) -> [i32; 3] {
