@@ -1,14 +1,18 @@
 //! Several surfaces: whose turn it is, and what ends what.
 
+use std::time::Duration;
+
 use isopeel_kernels::SurfaceError;
+use tokio::time::Instant;
 
 use super::super::draw_pause::DRAW_PAUSE;
+use super::super::rest::REST_AFTER;
 use super::scripted::{Answer, Job, shapes};
 use super::viewer::{Viewer, committed, committed_of, prefix, prefix_of};
 use crate::extraction::{CutId, Measurement, Refinement, Shown, WorkError};
 use crate::view::View;
 
-pub(super) fn iso(job: &Job<Refinement>) -> f32 {
+pub(super) fn iso<T>(job: &Job<T>) -> f32 {
     job.view.iso.expect("an isovalue").get()
 }
 
@@ -19,6 +23,17 @@ impl Viewer {
             .await;
         self.step().await.answer(Answer::last(cut, shapes(regions)));
         assert_eq!(self.until("done").await["surface"], surface);
+    }
+
+    /// The next improvement, which comes after a rest from now and no later. Where the clock stands still while there is something to do.
+    async fn improvement_after_rest(&mut self) -> Job<Option<Refinement>> {
+        let now = Instant::now();
+        let job = self.improvements.recv().await.expect("an improvement");
+        // Tokio's timers count whole milliseconds.
+        let rested = now.elapsed();
+        let range = REST_AFTER..=REST_AFTER + Duration::from_millis(1);
+        assert!(range.contains(&rested), "{rested:?}");
+        job
     }
 
     /// Surfaces 0 and 1 of isovalues 10 and 20, each with a final surface; β decides. Generations 1 and 2, cuts 1 and 2.
@@ -288,7 +303,7 @@ async fn a_pause_to_draw_one_surface_does_not_delay_the_first_picture_of_another
     viewer.say(r#"{"type":"edit","surface":0,"iso":11}"#).await;
     viewer.step().await.answer(Answer::prefix(3, shapes(&[5])));
     viewer.until("committed").await;
-    let said = std::time::Instant::now();
+    let said = Instant::now();
     viewer.say(r#"{"type":"edit","surface":1,"iso":21}"#).await;
     let first = viewer.step().await;
     assert_eq!(iso(&first), 21.0);
@@ -303,7 +318,8 @@ async fn a_pause_to_draw_one_surface_does_not_delay_the_first_picture_of_another
     assert!(said.elapsed() < DRAW_PAUSE, "the pause went on");
 }
 
-#[tokio::test]
+/// With a clock that goes on only when there is nothing to do: a rest is then as long as it is said to be, however busy the machine is.
+#[tokio::test(start_paused = true)]
 async fn each_surface_that_rests_is_improved_and_measured_and_an_edit_postpones_it() {
     let mut viewer = Viewer::opened().await;
     for (surface, cut) in [(0, 1), (1, 2)] {
@@ -316,8 +332,8 @@ async fn each_surface_that_rests_is_improved_and_measured_and_an_edit_postpones_
         viewer.until("done").await;
     }
     // The one that was edited last comes first.
-    let job = viewer.improvements.recv().await.expect("an improvement");
-    assert_eq!(job.view.iso.expect("an isovalue").get(), 2.0);
+    let job = viewer.improvement_after_rest().await;
+    assert_eq!(iso(&job), 2.0);
     viewer.say(r#"{"type":"edit","surface":0,"alpha":0.1}"#).await;
     job.token.cancelled().await;
     assert!(job.reply.send(Err(WorkError::Cancelled)).is_ok());
@@ -325,8 +341,8 @@ async fn each_surface_that_rests_is_improved_and_measured_and_an_edit_postpones_
     assert_eq!(viewer.until("done").await["surface"], 0);
 
     // It begins anew; a better surface before any measurement.
-    let job = viewer.improvements.recv().await.expect("an improvement");
-    assert_eq!(job.view.iso.expect("an isovalue").get(), 2.0);
+    let job = viewer.improvement_after_rest().await;
+    assert_eq!(iso(&job), 2.0);
     assert!(!job.token.is_cancelled());
     let better = Answer::last(4, shapes(&[2])).refinement(&job.view);
     assert!(job.reply.send(Ok(Some(better))).is_ok());
