@@ -3,10 +3,23 @@
 import { request as send } from "./credentials";
 import type { Edit, Problem, VolumeSummary } from "../protocol/types";
 
-/** Volumes the server has. */
-export async function listVolumes(base: URL): Promise<readonly VolumeSummary[]> {
-  const response = await ask(new URL("api/v1/volumes", base), { headers: { accept: "application/json" } });
-  return (await response.json()) as readonly VolumeSummary[];
+/** How long the server may take for the list of volumes, which is in its memory; a slow line, too. */
+const LIST_LIMIT_MS = 15_000;
+
+/**
+ * Volumes the server has.
+ *
+ * @throws also where not all of it is there in time
+ */
+export async function listVolumes(base: URL, limitMs = LIST_LIMIT_MS): Promise<readonly VolumeSummary[]> {
+  const signal = AbortSignal.timeout(limitMs);
+  try {
+    const response = await ask(new URL("api/v1/volumes", base), { headers: { accept: "application/json" }, signal });
+    return (await response.json()) as readonly VolumeSummary[];
+  } catch (error) {
+    if (signal.aborted) throw new Error(`the server has not answered within ${limitMs / 1000} s`);
+    throw error;
+  }
 }
 
 /** The mesh of a view as a file. */

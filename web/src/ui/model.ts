@@ -123,6 +123,8 @@ type Stay = "brief" | "lasting";
 export interface Toast {
   readonly text: string;
   readonly good: boolean;
+  /** Does once more what has failed, where that may help. */
+  readonly retry?: () => void;
 }
 
 export interface Connection {
@@ -291,10 +293,24 @@ export class Model {
 
   /** An error, unless it says how long it stays. */
   toast(text: string, stay?: Stay): void {
-    const others = this.toasts().filter((toast) => toast.text !== text);
-    this.set.setToasts([...others, { text, good: stay !== undefined }].slice(-MAX_TOASTS));
+    this.addToast({ text, good: stay !== undefined });
     if (stay === undefined) this.onError?.(text);
     if (stay === "brief") setTimeout(() => this.dismiss(text), BRIEF_MS);
+  }
+
+  /** An error, and a way to try again. */
+  offerRetry(text: string, act: () => void): void {
+    const retry = () => {
+      this.dismiss(text);
+      act();
+    };
+    this.addToast({ text, good: false, retry });
+    this.onError?.(text);
+  }
+
+  private addToast(toast: Toast): void {
+    const others = this.toasts().filter(({ text }) => text !== toast.text);
+    this.set.setToasts([...others, toast].slice(-MAX_TOASTS));
   }
 
   /** Something that the user may not do: it stays beyond the next surface, and the page around hears of it. */

@@ -14,7 +14,7 @@ export function showNoWebGl(root: HTMLElement, base: URL, reason: string): void 
 }
 
 function NoWebGl(props: { readonly base: URL; readonly reason: string }) {
-  const [volumes] = createResource(() => listVolumes(props.base));
+  const [volumes, { refetch }] = createResource(() => listVolumes(props.base));
   const [note, setNote] = createSignal("");
   const download = async (volume: string, format: string) => {
     setNote("The mesh is being made");
@@ -30,11 +30,20 @@ function NoWebGl(props: { readonly base: URL; readonly reason: string }) {
       <h1>isopeel cannot draw here</h1>
       <p role="alert">The picture needs WebGL 2, and this browser does not offer it: {props.reason}</p>
       <p>Turn on hardware acceleration in the browser's settings, or try another browser. The surfaces can be downloaded without it:</p>
-      <Show when={volumes.error === undefined} fallback={<p>The list of volumes could not be read.</p>}>
+      <Show when={volumes.error === undefined} fallback={<Unlisted error={volumes.error as unknown} onRetry={() => void refetch()} />}>
         <For each={volumes() ?? []}>{(volume) => <Downloads volume={volume} onChoose={(format) => void download(volume.id, format)} />}</For>
       </Show>
       <p role="status">{note()}</p>
     </main>
+  );
+}
+
+function Unlisted(props: { readonly error: unknown; readonly onRetry: () => void }) {
+  return (
+    <p class="downloads">
+      <span>The list of volumes could not be read: {props.error instanceof Error ? props.error.message : String(props.error)}</span>
+      <Button onClick={props.onRetry}>Try again</Button>
+    </p>
   );
 }
 

@@ -1,6 +1,6 @@
 /** Messages to the user, in a corner of the picture. */
 
-import { For } from "solid-js";
+import { For, Show } from "solid-js";
 import { useModel } from "./model";
 import { Button } from "./widgets/button";
 
@@ -12,6 +12,13 @@ export function Toasts() {
         {(toast) => (
           <div class="toast" classList={{ good: toast.good }}>
             <p>{toast.text}</p>
+            <Show when={toast.retry}>
+              {(retry) => (
+                <Button quiet onClick={retry()}>
+                  Try again
+                </Button>
+              )}
+            </Show>
             <Button quiet onClick={() => model.dismiss(toast.text)}>
               Dismiss
             </Button>

@@ -13,6 +13,8 @@ const NO_TOKEN = "the server asks for a token: open the address that it printed 
 
 export class Connecting {
   private watching: ReturnType<typeof setInterval> | undefined;
+  /** The server was asked and has not answered yet. */
+  private isLooking = false;
   /** The last list, as text. */
   private listed = "";
 
@@ -74,8 +76,10 @@ export class Connecting {
 
   /** A list that cannot be read now may be the next time. */
   private async look(): Promise<void> {
-    if (document.hidden || !this.model.connection().isConnected) return;
+    if (this.isLooking || document.hidden || !this.model.connection().isConnected) return;
+    this.isLooking = true;
     const volumes = await listVolumes(this.base).catch(() => undefined);
+    this.isLooking = false;
     if (volumes !== undefined && JSON.stringify(volumes) !== this.listed) this.take(volumes);
   }
 
@@ -90,7 +94,8 @@ export class Connecting {
     try {
       volumes = await listVolumes(this.base);
     } catch (error) {
-      this.model.toast(`The list of volumes could not be read: ${error instanceof Error ? error.message : String(error)}`);
+      const reason = error instanceof Error ? error.message : String(error);
+      this.model.offerRetry(`The list of volumes could not be read: ${reason}`, () => void this.loadVolumes());
       return;
     }
     this.take(volumes);
