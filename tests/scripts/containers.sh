@@ -88,9 +88,21 @@ chmod a+x "$work"
 export ISOPEEL_HOME=$work/home
 cat >"$work/isopeel" <<'SCRIPT'
 #!/bin/bash
-# The tests make folders for themselves alone.
-for path; do [ -e "$path" ] && chmod -R a+rX "$path" "$(dirname "$path")"; done
-exec podman run --rm --interactive --runtime runc --network host --ulimit nofile=4096:4096 --ulimit nproc=4096:4096 --read-only \
+# The tests make folders for themselves alone: what the server reads becomes readable, what it writes to its user's.
+before=
+for word; do
+    case $before in
+    --state-folder | --uploads | --save) mkdir -p "$word" && chown 10001 "$word" ;;
+    *) [ -e "$word" ] && chmod -R a+rX "$word" ;;
+    esac
+    folder=$(dirname -- "$word")
+    [[ $folder == /tmp/* ]] && chmod -R a+rX "$folder"
+    before=$word
+done
+# Who kills podman means the server.
+name=isopeel-$$
+(while kill -0 $$; do sleep 0.1; done; podman kill "$name") >/dev/null 2>&1 &
+exec podman run --rm --interactive --name "$name" --runtime runc --network host --ulimit nofile=4096:4096 --ulimit nproc=4096:4096 --read-only \
     --read-only-tmpfs=false --cap-drop all --security-opt no-new-privileges --volume "$ISOPEEL_HOME:/home/isopeel" --volume /tmp:/tmp \
     localhost/isopeel:cpu "$@"
 SCRIPT
