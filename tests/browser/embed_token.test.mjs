@@ -102,7 +102,8 @@ test("a page hands a token to the frame, which asks for the next one before it e
   const { context, page, faults, addresses, frame, counted } = await open(`${at.lab.origin}/`);
   await counted("settled");
   const first = await page.evaluate(() => ({ reasons: events.filter(({ type }) => type === "token").map(({ reason }) => reason), replies }));
-  assert.deepEqual(first.reasons, ["wanted"]);
+  // On a slow machine more than five seconds have passed.
+  assert.deepEqual(first.reasons.filter((reason) => reason !== "expiring"), ["wanted"]);
   assert.deepEqual([first.replies[0].ok, first.replies[0].value.roles], [true, ["view"]], JSON.stringify(first.replies));
   await saveScreenshot(page, "embedded-token");
   await page.waitForFunction(() => replies.length === 2 && events.some(({ reason }) => reason === "expiring"));
