@@ -1,7 +1,7 @@
 //! What building the vertex tree costs: `sin` or `ml` closed, 256³ by default, isovalue 0.5. `cargo run --release --package
 //! isopeel-kernels --example tree_cost [ROUNDS [SHAPE [SIZE [MESH]]]]`. Prints the shortest wall, processor and device time of all
-//! rounds, and cuts of the tree: device time, how far they are from the full surface, and a hash, by which two versions are compared. Writes the full
-//! mesh to MESH for `simplify_peer`, which times meshoptimizer.
+//! rounds, and cuts of the tree: device time, how far they are from the full surface, and a hash, by which two versions are compared.
+//! Writes the full mesh to MESH for `simplify_peer`, which times meshoptimizer.
 
 mod common;
 
