@@ -219,6 +219,17 @@ describe("the stream client", () => {
     expect(client.scene.triangles).toBe(triangles);
   });
 
+  test("connects anew before the server has opened anything", async () => {
+    const count = (state: string) => client.states.filter((one) => one === state).length;
+    client.stream.start();
+    await vi.waitFor(() => expect(count("connected")).toBe(1));
+    // A volume may take longer to open than the token lives that the socket has.
+    client.stream.reconnect();
+    await vi.waitFor(() => expect(count("connected")).toBe(2));
+    client.stream.open("ball", 0);
+    await client.done();
+  });
+
   test("another step keeps the edit, another volume brings its own", async () => {
     client.stream.open("ball-mirrored", 0);
     client.stream.start();

@@ -53,6 +53,11 @@ export class Connection {
     return this.sent;
   }
 
+  /** Whether a pause is running. */
+  get isWaiting(): boolean {
+    return this.timer !== undefined;
+  }
+
   start(): void {
     this.stopped = false;
     this.connect();
@@ -74,7 +79,7 @@ export class Connection {
 
   /** Connects at once if a pause is running. */
   retryNow(): void {
-    if (this.timer === undefined) return;
+    if (!this.isWaiting) return;
     clearTimeout(this.timer);
     this.connect();
   }

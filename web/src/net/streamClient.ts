@@ -131,8 +131,8 @@ export class StreamClient {
 
   /** Connects anew, or at once where a pause is running. */
   reconnect(): void {
-    if (this.opened) this.restart();
-    else this.retryNow();
+    if (this.connection.isWaiting) this.retryNow();
+    else this.restart();
   }
 
   /** Connects anew and repeats `open` and the edits. */
