@@ -172,13 +172,20 @@ fn check(region: &Region) -> Result<(), EncodeError> {
     Ok(())
 }
 
-/// Hash of a region's mesh before it is quantised: a region whose hash the client holds is not sent again. Two different meshes of one
-/// region collide once in 10¹⁹ times.
+/// Hash of a region's mesh with its vertices as they are sent: a region whose hash the client holds is not sent again. Two different meshes
+/// of one region collide once in 10¹⁹ times.
 pub fn content_hash(region: &Region) -> u64 {
     let mut hash = Xxh3::new();
+    let mut sent = [WireVertex::default(); 64];
     hash.update(&(region.vertices.len() as u64).to_le_bytes());
     hash.update(bytemuck::cast_slice(&region.level_triangles));
-    hash.update(bytemuck::cast_slice(&region.vertices));
+    for vertices in region.vertices.chunks(sent.len()) {
+        let sent = &mut sent[..vertices.len()];
+        sent.iter_mut()
+            .zip(vertices)
+            .for_each(|(to, from)| *to = WireVertex::quantise(from));
+        hash.update(bytemuck::cast_slice(&*sent));
+    }
     hash.update(bytemuck::cast_slice(&region.indices));
     hash.digest()
 }

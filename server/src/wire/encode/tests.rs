@@ -141,13 +141,20 @@ fn what_does_not_fit_together_is_refused() {
 }
 
 #[test]
-fn the_hash_sees_everything_but_generation_and_prefix() {
+fn the_hash_sees_everything_that_is_sent_but_generation_and_prefix() {
     let base = small_region();
     let hash = content_hash(&base);
     assert_eq!(content_hash(&base.clone()), hash);
     let mut other = base.clone();
-    other.vertices.to_mut()[0].feature -= 1;
+    other.vertices.to_mut()[0].feature -= 256;
     assert_ne!(content_hash(&other), hash);
+    let mut other = base.clone();
+    other.vertices.to_mut()[0].position[0] += super::LATTICE_RATIO;
+    assert_ne!(content_hash(&other), hash);
+    // Less than is sent.
+    let mut other = base.clone();
+    other.vertices.to_mut()[0].position[0] += 1;
+    assert_eq!(content_hash(&other), hash);
     let mut other = base.clone();
     other.indices.to_mut().swap(0, 1);
     assert_ne!(content_hash(&other), hash);
