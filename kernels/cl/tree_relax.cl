@@ -50,13 +50,6 @@ INLINED integer is_in_face(real x, int origin, uint samples) {
     return (x < (float)(1 - origin) + FACE_MARGIN) | (x > (float)((int)samples - 2 - origin) - FACE_MARGIN);
 }
 
-// The sample at the low corner of the cell with a triangle's centroid.
-INLINED __global const SAMPLE *low_sample(const OffsetField *field, const LaneTriangles *triangles, uint lane) {
-    const float *low = triangles->low + lane;
-    const int3 at = convert_int3((float3)(low[0], low[LANES], low[2 * LANES])) + field->origin;
-    return field->samples + sample_index(field->grid, field->z0, at);
-}
-
 // Loads triangles of a region's mesh. Past the end it is the last one.
 INLINED void load_triangles(LaneTriangles *triangles, const OffsetField *field, __global const Vertex *vertices, __global const uint *corners,
                             uint first, uint count) {
@@ -81,26 +74,13 @@ INLINED void load_triangles(LaneTriangles *triangles, const OffsetField *field, 
     STORE_LANES(low_corner(x.z, origin.z, begin.z, last.z), triangles->low + 2 * LANES);
 }
 
-// Loads the samples at the corners of the cells with the centroids into rows.
-INLINED void load_corner_samples(const OffsetField *field, const LaneTriangles *triangles, float *rows) {
-    const ulong row = field->grid.dims[0], plane = row * field->grid.dims[1];
+// Loads the cells with the centroids into rows.
+INLINED void load_cells(const OffsetField *field, const LaneTriangles *triangles, float *rows) {
     for (uint i = 0; i < LANES; i++) {
-        __global const SAMPLE *from = low_sample(field, triangles, i);
-        rows[i] = (float)from[0];
-        rows[LANES + i] = (float)from[1];
-        rows[2 * LANES + i] = (float)from[row];
-        rows[3 * LANES + i] = (float)from[row + 1];
-        rows[4 * LANES + i] = (float)from[plane];
-        rows[5 * LANES + i] = (float)from[plane + 1];
-        rows[6 * LANES + i] = (float)from[plane + row];
-        rows[7 * LANES + i] = (float)from[plane + row + 1];
+        const float *low = triangles->low + i;
+        const int3 at = convert_int3((float3)(low[0], low[LANES], low[2 * LANES])) + field->origin;
+        load_cell(field->grid, field->samples, field->z0, field->box.iso, at, rows + i);
     }
-}
-
-// LANES samples less the isovalue.
-INLINED real less_iso(const OffsetField *field, const float *row) {
-    const real v = LOAD_LANES(row);
-    return PICK(v == field->grid.missing, NAN, v - field->box.iso);
 }
 
 // Offsets of triangles: how far it is from their centroids to the surface, by the slope of the field, along their normals, in smallest
@@ -110,8 +90,7 @@ INLINED real measure_offsets(const TreeOffsetsArgs *args, const OffsetField *fie
     const int3 origin = field->origin;
     const Real3 x = triangles->centroid, low = LOAD_REAL3(triangles->low, LANES);
     float rows[8 * LANES];
-    load_corner_samples(field, triangles, rows);
-    for (uint corner = 0; corner < 8; corner++) STORE_LANES(less_iso(field, rows + corner * LANES), rows + corner * LANES);
+    load_cells(field, triangles, rows);
     const Cells cells = LOAD_CELLS(rows, LANES);
     const Field here = field_in_cells(&cells, make_real3(x.x - low.x, x.y - low.y, x.z - low.z), 1.0f / field->box.spacing);
     const real along = dot_real3(here.gradient, triangles->normal), slope2 = dot_real3(here.gradient, here.gradient);

@@ -62,18 +62,23 @@ typedef struct {
     float active[LANES];       // 1: more steps are wanted
 } SurfaceSearch;
 
+// Loads the samples at the corners of a cell, less the isovalue, into a column of eight rows. `low`: its low corner.
+INLINED void load_cell(Grid grid, SLAB, float iso, int3 low, float *column) {
+    __global const SAMPLE *first = samples + sample_index(grid, z0, low);
+    const ulong row = grid.dims[0], plane = row * grid.dims[1];
+    for (uint corner = 0; corner < 8; corner++) {
+        const float v = (float)first[(corner & 1) + (corner >> 1 & 1) * row + (corner >> 2) * plane];
+        column[corner * LANES] = v == grid.missing ? NAN : v - iso;
+    }
+}
+
 // Loads the cells around the points that still move: corner values into rows, the points' place in their cell behind them.
 INLINED void load_active_cells(Grid grid, SLAB, const FieldBox *box, const SurfaceSearch *search, uint count, float *rows) {
     for (uint i = 0; i < LANES; i++) {
         if (i >= count || !(search->active[i] > 0.0f)) continue;
         const float3 x = (float3)(search->at[i], search->at[LANES + i], search->at[2 * LANES + i]);
         const int3 low = clamp(convert_int3(x), box->first, box->last);
-        const ulong first = sample_index(grid, z0, low);
-        const ulong row = grid.dims[0], plane = row * grid.dims[1];
-        for (uint corner = 0; corner < 8; corner++) {
-            const float v = (float)samples[first + (corner & 1) + (corner >> 1 & 1) * row + (corner >> 2) * plane];
-            rows[corner * LANES + i] = v == grid.missing ? NAN : v - box->iso;
-        }
+        load_cell(grid, SLAB_ARGS, box->iso, low, rows + i);
         const float3 t = x - convert_float3(low);
         rows[8 * LANES + i] = t.x;
         rows[9 * LANES + i] = t.y;

@@ -16,7 +16,6 @@ const OFFSET_MAX: f64 = 0.25;
 const MOVED_MAX: f64 = 0.04;
 /// Cells: nearer to a face of a capped volume a triangle lies in the face.
 const FACE_MARGIN: f32 = 1.0 / 256.0;
-
 /// Part of the mean offset that a node moves.
 const OFFSET_SHARE: f64 = 0.7;
 /// Steps of a vertex' position in a cell.

@@ -27,7 +27,7 @@ pub fn each<S: Strategy>(format: &str, cases: u32, strategy: &S, test: impl Fn(S
 }
 
 /// Where a byte changes, and what it becomes.
-type Change = (Index, u8);
+pub type Change = (Index, u8);
 
 /// Fewer than so many bytes, anywhere.
 pub fn bytes(end: usize) -> impl Strategy<Value = Vec<Change>> {

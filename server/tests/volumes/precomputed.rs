@@ -4,8 +4,6 @@ use std::fs;
 use std::path::Path;
 
 use isopeel::volumes::{Dataset, ReadError, open_dataset};
-use proptest::prelude::*;
-use proptest::sample::Index;
 
 use crate::bounds::within;
 use crate::changed;
@@ -259,32 +257,12 @@ fn large_progressive_images_are_refused() {
 #[test]
 fn changed_bytes_never_panic() {
     let folders = FOLDERS.map(|folder| Changing::new("a", files(folder)));
-    let strategy = (
-        0..folders.len(),
-        any::<Index>(),
-        changed::extreme_bytes(8),
-        changed::cut(),
-    );
-    changed::each("precomputed", 300, &strategy, |(which, file, changes, cut)| {
-        let folder = &folders[which];
-        let at = file.index(folder.files().len());
-        let mut bytes = folder.files()[at].1.clone();
-        changed::change_and_cut(&mut bytes, changes, cut);
-        let folder = folder.with(at, &bytes);
-        let _ = within(64 << 20, || read(folder));
-    });
+    stores::change_bytes("precomputed", 300, &folders, changed::extreme_bytes(8), read);
 }
 
 /// Digits of `info` replaced by digits.
 #[test]
 fn changed_numbers_never_panic() {
     let folders = FOLDERS.map(|folder| Changing::new("a", files(folder)));
-    let strategy = (0..folders.len(), changed::digits());
-    changed::each("precomputed", 300, &strategy, |(which, changes)| {
-        let folder = &folders[which];
-        let mut bytes = folder.files()[0].1.clone();
-        changed::change_digits(&mut bytes, changes);
-        let folder = folder.with(0, &bytes);
-        let _ = within(64 << 20, || read(folder));
-    });
+    stores::change_digits("precomputed", 300, &folders, |_| 0, read);
 }

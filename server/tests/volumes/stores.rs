@@ -5,6 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use isopeel::volumes::{Dataset, ReadError, open_dataset};
+use proptest::prelude::*;
+use proptest::sample::Index;
+
+use crate::bounds::within;
+use crate::changed;
 
 /// Path in the folder, and content.
 pub type StoredFile = (PathBuf, Vec<u8>);
@@ -66,7 +71,7 @@ impl<'a> Changing<'a> {
     }
 
     /// The folder as it was written, but for one file. What the last case changed is put back by the next, since a case that fails has no end.
-    pub fn with(&self, at: usize, bytes: &[u8]) -> &tempfile::TempDir {
+    fn with(&self, at: usize, bytes: &[u8]) -> &tempfile::TempDir {
         let write = |at: usize, bytes: &[u8]| {
             fs::write(self.folder.path().join(self.name).join(&self.files[at].0), bytes).unwrap();
         };
@@ -75,11 +80,44 @@ impl<'a> Changing<'a> {
         write(at, bytes);
         &self.folder
     }
+}
 
-    /// Its files as they were written.
-    pub fn files(&self) -> &[StoredFile] {
-        &self.files
-    }
+/// Changes bytes of one file of one of these folders, of so many random cases of a format, then perhaps cuts it, and reads the folder.
+pub fn change_bytes<T>(
+    format: &str,
+    cases: u32,
+    folders: &[Changing<'_>],
+    bytes: impl Strategy<Value = Vec<changed::Change>>,
+    read: impl Fn(&tempfile::TempDir) -> T,
+) {
+    let strategy = (0..folders.len(), any::<Index>(), bytes, changed::cut());
+    changed::each(format, cases, &strategy, |(which, file, changes, cut)| {
+        let folder = &folders[which];
+        let at = file.index(folder.files.len());
+        let mut bytes = folder.files[at].1.clone();
+        changed::change_and_cut(&mut bytes, changes, cut);
+        let folder = folder.with(at, &bytes);
+        let _ = within(64 << 20, || read(folder));
+    });
+}
+
+/// The same with digits of the file at an index, of each folder's own.
+pub fn change_digits<T>(
+    format: &str,
+    cases: u32,
+    folders: &[Changing<'_>],
+    file: impl Fn(&[StoredFile]) -> usize,
+    read: impl Fn(&tempfile::TempDir) -> T,
+) {
+    let strategy = (0..folders.len(), changed::digits());
+    changed::each(format, cases, &strategy, |(which, changes)| {
+        let folder = &folders[which];
+        let at = file(&folder.files);
+        let mut bytes = folder.files[at].1.clone();
+        changed::change_digits(&mut bytes, changes);
+        let folder = folder.with(at, &bytes);
+        let _ = within(64 << 20, || read(folder));
+    });
 }
 
 /// Opens that folder, and reads the first step of all fields.

@@ -4,8 +4,6 @@ use std::fs;
 use std::path::Path;
 
 use isopeel::volumes::{Dataset, LengthUnit, ReadError, open_dataset};
-use proptest::prelude::*;
-use proptest::sample::Index;
 
 use crate::bounds::within;
 use crate::changed;
@@ -250,31 +248,18 @@ const FOLDERS: [&str; 7] = [
 #[test]
 fn changed_bytes_never_panic() {
     let folders = FOLDERS.map(|folder| Changing::new("a.zarr", files(&fixture(folder))));
-    let strategy = (0..folders.len(), any::<Index>(), changed::bytes(8), changed::cut());
-    changed::each("zarr", 150, &strategy, |(which, file, changes, cut)| {
-        let folder = &folders[which];
-        let at = file.index(folder.files().len());
-        let mut bytes = folder.files()[at].1.clone();
-        changed::change_and_cut(&mut bytes, changes, cut);
-        let folder = folder.with(at, &bytes);
-        let _ = within(64 << 20, || read(folder));
-    });
+    stores::change_bytes("zarr", 150, &folders, changed::bytes(8), read);
 }
 
 /// Digits of metadata replaced by digits.
 #[test]
 fn changed_numbers_never_panic() {
     let folders = FOLDERS.map(|folder| Changing::new("a.zarr", files(&fixture(folder))));
-    let strategy = (0..folders.len(), changed::digits());
-    changed::each("zarr", 150, &strategy, |(which, changes)| {
-        let folder = &folders[which];
-        let metadata = folder.files().iter().position(|(path, _)| {
+    let metadata = |files: &[StoredFile]| {
+        let found = files.iter().position(|(path, _)| {
             path.ends_with(".zarray") || path.ends_with("zarr.json") && path.parent() == Some(Path::new(""))
         });
-        let metadata = metadata.unwrap();
-        let mut bytes = folder.files()[metadata].1.clone();
-        changed::change_digits(&mut bytes, changes);
-        let folder = folder.with(metadata, &bytes);
-        let _ = within(64 << 20, || read(folder));
-    });
+        found.unwrap()
+    };
+    stores::change_digits("zarr", 150, &folders, metadata, read);
 }
