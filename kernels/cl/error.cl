@@ -67,7 +67,7 @@ void error_positions(const ErrorPositionsArgs args, __global const Region *regio
 // `stand_ins`: of cells and extra sheets. `offset_sums`: of tree_relax. One group a region.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_leaves(const ErrorLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
-                  __global const TreeNode *tree_nodes, __global const uint *offset_sums, __global const int4 *points,
+                  __global const TreeNode *tree_nodes, __global const uint2 *offset_sums, __global const int4 *points,
                   __global const uint *leaves, __global uint *stand_ins, __global float4 *positions) {
     const uint group = (uint)get_group_id(0);
     __global const TreeRegion *tree = tree_regions + group;

@@ -16,6 +16,7 @@
 #include "lib/tree_edges.h"
 #include "lib/tree_leaf.h"
 #include "lib/tree_node.h"
+#include "lib/tree_offset.h"
 #include "lib/vertices.h"
 
 // Writes a region's triangles by level, finest first, inside a level in the order of the full mesh. `left`: of tree_test.
@@ -129,16 +130,32 @@ void tree_index(const uint points, __global const Region *regions, __global cons
     if (lid == 0) cut_meshes[group].vertices = vertices;
 }
 
+#define VERTICES_AHEAD 8 // that a CPU's caches are asked for what a vertex is made of: without, it waits for memory half of the time
+
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, __global const Node *nodes,
                    __global const VertexRecord *vertex_records, __global const TreeNode *tree_nodes, __global const int4 *points,
-                   __global const RegionMesh *cut_meshes, __global const uint *vertex_leaves, __global Vertex *vertices) {
+                   __global const uint2 *offset_sums, __global const RegionMesh *cut_meshes, __global const uint *vertex_leaves,
+                   __global Vertex *vertices) {
     const Grid grid = args.grid;
     const uint group = (uint)get_group_id(0);
     const RegionMesh mesh = cut_meshes[group];
     const int3 origin = convert_int3(region_origin(grid, regions[group].region));
     for (uint i = get_local_id(0); i < mesh.vertices; i += WIDE_GROUP) {
         const uint leaf = vertex_leaves[3 * mesh.triangle_base + i];
+        // First a point or node, then the cell that a point leads to.
+        const uint far = vertex_leaves[3 * mesh.triangle_base + min(i + 2 * VERTICES_AHEAD, mesh.vertices - 1)];
+        const uint near = vertex_leaves[3 * mesh.triangle_base + min(i + VERTICES_AHEAD, mesh.vertices - 1)];
+        if (far < args.points) prefetch_line(points + far);
+        else {
+            prefetch_line(tree_nodes + far - args.points);
+            prefetch_line(offset_sums + far - args.points);
+        }
+        if (near < args.points) {
+            const uint slot = (uint)points[near].w;
+            prefetch_line(nodes + slot);
+            prefetch_line(vertex_records + slot);
+        }
         Node node;
         uint normal;
         int3 at;
@@ -153,7 +170,7 @@ void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, 
             node.s = (float)(merged.normal_s >> 16) / 65535.0f;
             node.f = merged.f;
             normal = merged.normal_s & 0xffffu;
-            at = tree_position(merged) + (home - origin) * (int)VERTEX_LATTICE;
+            at = moved_position(grid, args.cap, merged, home, offset_sums[leaf - args.points]) + (home - origin) * (int)VERTEX_LATTICE;
         }
         vertices[mesh.vertex_base + i] = make_vertex(args.params, node, normal, at);
     }

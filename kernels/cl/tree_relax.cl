@@ -1,9 +1,7 @@
-// tree_relax: the nodes of a cut of the vertex tree move towards where its triangles are nearest to the isosurface
-// (docs/algorithm.md#82-relaxation). One work-group a region.
+// tree_relax: how far the nodes of a cut of the vertex tree move (docs/algorithm.md#82-relaxation). One work-group a region.
 //
 //   kernel        writes
-//   tree_offsets  of each node the sum of the offsets around it
-//   tree_move     positions of vertices
+//   tree_offsets  of each node the sums of the offsets around it
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -11,162 +9,138 @@
 #include "lib/grid.h"
 #include "lib/lanes.h"
 #include "lib/layout.h"
-#include "lib/samples.h"
-#include "lib/surface_distance.h"
+#include "lib/tree_around.h"
+#include "lib/tree_leaf.h"
 #include "lib/tree_node.h"
 #include "lib/tree_offset.h"
-#include "lib/trilinear.h"
-#include "lib/vertices.h"
 
-#define FACE_MARGIN (1.0f / 256.0f) // cells: nearer to a face of a capped volume a triangle lies in the face
-#define POSITION_STEPS 65536.0f     // of Vertex::position in a cell
-#define OFFSET_MAX 0.25f // smallest spacings: the further beyond, the less the slope leads to the surface
-#define UNKNOWN (2.0f * OFFSET_STEPS)
-
-// LANES triangles, in cells from the region's low corner.
-typedef struct {
-    uint first; // triangle of the region's mesh
-    Real3 centroid;
-    Real3 normal;         // in world units, of length 1
-    float low[3 * LANES]; // rows of the low corners of the cells with the centroids
-} LaneTriangles;
-
-// What offsets are measured in.
+// A cut, seen from a region.
 typedef struct {
     Grid grid;
-    __global const SAMPLE *samples;
-    uint z0;
-    FieldBox box;
+    uint group, point_count;
     int3 origin; // of the region
-} OffsetField;
+    CutView cut;
+    __global const Region *regions;
+    __global const TreeRegion *tree;
+    __global const TreeNode *nodes;
+    __global const int4 *points;
+    __global uint *sums;
+} RelaxedCut;
 
-// The low corner of the cell at a coordinate, along one axis, from the region's.
-INLINED real low_corner(real x, int origin, int first, int last) {
-    return clamp(floor(x), (real)(float)(first - origin), (real)(float)(last - origin));
-}
-
-// Lane by lane: whether a coordinate is near a face of a capped volume, or beyond it.
-INLINED integer is_in_face(real x, int origin, uint samples) {
-    return (x < (float)(1 - origin) + FACE_MARGIN) | (x > (float)((int)samples - 2 - origin) - FACE_MARGIN);
-}
-
-// Loads triangles of a region's mesh. Past the end it is the last one.
-INLINED void load_triangles(LaneTriangles *triangles, const OffsetField *field, __global const Vertex *vertices, __global const uint *corners,
-                            uint first, uint count) {
-    float rows[9 * LANES];
-    for (uint i = 0; i < LANES; i++)
-        for (uint k = 0; k < 3; k++) {
-            __global const Vertex *vertex = vertices + corners[3 * min(first + i, count - 1) + k];
-            for (uint axis = 0; axis < 3; axis++) rows[(3 * k + axis) * LANES + i] = (float)vertex->position[axis];
-        }
-    const Real3 a = LOAD_REAL3(rows, LANES), b = LOAD_REAL3(rows + 3 * LANES, LANES), c = LOAD_REAL3(rows + 6 * LANES, LANES);
-    const float3 spacing = field->box.spacing;
-    const Real3 u = make_real3((b.x - a.x) * spacing.x, (b.y - a.y) * spacing.y, (b.z - a.z) * spacing.z);
-    const Real3 v = make_real3((c.x - a.x) * spacing.x, (c.y - a.y) * spacing.y, (c.z - a.z) * spacing.z);
-    const Real3 n = make_real3(u.y * v.z - u.z * v.y, u.z * v.x - u.x * v.z, u.x * v.y - u.y * v.x);
-    const Real3 x = scale_real3(make_real3(a.x + b.x + c.x, a.y + b.y + c.y, a.z + b.z + c.z), 1.0f / (3.0f * POSITION_STEPS));
-    triangles->first = first;
-    triangles->normal = scale_real3(n, rsqrt(dot_real3(n, n)));
-    triangles->centroid = x;
-    const int3 origin = field->origin, begin = field->box.first, last = field->box.last;
-    STORE_LANES(low_corner(x.x, origin.x, begin.x, last.x), triangles->low);
-    STORE_LANES(low_corner(x.y, origin.y, begin.y, last.y), triangles->low + LANES);
-    STORE_LANES(low_corner(x.z, origin.z, begin.z, last.z), triangles->low + 2 * LANES);
-}
-
-// Loads the cells with the centroids into rows.
-INLINED void load_cells(const OffsetField *field, const LaneTriangles *triangles, float *rows) {
-    for (uint i = 0; i < LANES; i++) {
-        const float *low = triangles->low + i;
-        const int3 at = convert_int3((float3)(low[0], low[LANES], low[2 * LANES])) + field->origin;
-        load_cell(field->grid, field->samples, field->z0, field->box.iso, at, rows + i);
-    }
-}
-
-// Offsets of triangles: how far it is from their centroids to the surface, by the slope of the field, along their normals, in smallest
-// spacings / OFFSET_STEPS. UNKNOWN where the field has no slope or the slab no samples.
-INLINED real measure_offsets(const TreeOffsetsArgs *args, const OffsetField *field, const LaneTriangles *triangles) {
-    const Grid grid = field->grid;
-    const int3 origin = field->origin;
-    const Real3 x = triangles->centroid, low = LOAD_REAL3(triangles->low, LANES);
-    float rows[8 * LANES];
-    load_cells(field, triangles, rows);
-    const Cells cells = LOAD_CELLS(rows, LANES);
-    const Field here = field_in_cells(&cells, make_real3(x.x - low.x, x.y - low.y, x.z - low.z), 1.0f / field->box.spacing);
-    const real along = dot_real3(here.gradient, triangles->normal), slope2 = dot_real3(here.gradient, here.gradient);
-    real offset = here.value * along / slope2 * (-OFFSET_STEPS / smallest_spacing(grid));
-    if (args->cap) {
-        const integer in_face = is_in_face(x.x, origin.x, grid.dims[0]) | is_in_face(x.y, origin.y, grid.dims[1])
-                                | is_in_face(x.z, origin.z, grid.dims[2]);
-        offset = PICK(in_face & (here.value == here.value), 0.0f, offset);
-    }
-    // The slab with the centroid's layer of regions has it.
-    const float begin = (float)(32 * (int)args->first_layer - origin.z);
-    const float end = args->end_layer < grid.regions[2] ? (float)(32 * (int)args->end_layer - origin.z) : INFINITY;
-    const integer in_slab = (x.z >= begin) & (x.z < end);
-    const real length = fabs(offset), near = fmax(fmin(length, 2.0f * OFFSET_MAX * OFFSET_STEPS - length), 0.0f);
-    return PICK(in_slab & (offset == offset), rint(PICK(offset < 0.0f, -near, near)), UNKNOWN);
-}
-
-// Adds the offsets of triangles to the sums of their vertices.
-INLINED void add_offsets(const TreeOffsetsArgs *args, const OffsetField *field, const LaneTriangles *triangles,
-                         __global const uint *corners, uint count, __global uint *vertex_sums) {
+// At most LANES triangles of a cut. Positions: from the region's low corner, 1/VERTEX_LATTICE cell.
+typedef struct {
+    uint count;
+    uint numbers[LANES]; // in the full mesh
+    CutTriangle triangles[LANES];
+    float leaves[9 * LANES]; // x, y, z of three leaves
+    float points[3 * LANES]; // of the full mesh, summed up
     float offsets[LANES];
-    STORE_LANES(measure_offsets(args, field, triangles), offsets);
-    for (uint i = 0; i < min((uint)LANES, count - triangles->first); i++) {
-        if (offsets[i] == UNKNOWN) continue;
-        const uint sum = pack_offset((int)offsets[i]);
-        for (uint k = 0; k < 3; k++) add_global(&vertex_sums[corners[3 * (triangles->first + i) + k]], sum);
+} LaneTriangles;
+
+INLINED int3 point_position(const RelaxedCut *in, uint point) { return in->points[point].xyz - in->origin * (int)VERTEX_LATTICE; }
+
+INLINED int3 leaf_position(const RelaxedCut *in, uint leaf) {
+    if (leaf < in->point_count) return point_position(in, leaf);
+    const TreeNode node = in->nodes[leaf - in->point_count];
+    const uint region = tree_node_region(node.meta);
+    const int3 at = tree_position(node);
+    if (region == in->group) return at;
+    return at + (convert_int3(region_origin(in->grid, in->regions[region].region)) - in->origin) * (int)VERTEX_LATTICE;
+}
+
+// Adds an offset to the sums of a triangle's nodes. Only this work-group adds to the first sum of the region's own nodes.
+INLINED void add_offset_around(const RelaxedCut *in, const CutTriangle *triangle, int offset) {
+    const uint leaves[3] = {triangle->a, triangle->b, triangle->c};
+    for (uint k = 0; k < 3; k++) {
+        if (leaves[k] < in->point_count) continue;
+        const uint node = leaves[k] - in->point_count;
+        if (node - in->tree->node_base < in->tree->nodes) add_global(&in->sums[2 * node], pack_offset(offset));
+        else atomic_add(&in->sums[2 * node + 1], pack_offset(offset));
     }
 }
 
-// `vertex_sums`: of each vertex; working memory. `sums`: of each node, which meshes of several regions may have.
-__kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
-void tree_offsets(const TreeOffsetsArgs args, __global const SAMPLE *samples, __global const Region *regions,
-                  __global const RegionMesh *cut_meshes, __global const uint *vertex_leaves, __global const uint *indices,
-                  __global const Vertex *all_vertices, __global uint *vertex_sums, __global uint *sums) {
-    const uint lid = get_local_id(0), group = (uint)get_group_id(0);
-    const RegionMesh mesh = cut_meshes[group];
-    OffsetField field;
-    field.grid = args.grid;
-    field.samples = samples;
-    field.z0 = args.z0;
-    field.box = make_field_box(args.grid, args.iso, args.cap, args.first_layer, args.end_layer);
-    field.origin = convert_int3(region_origin(args.grid, regions[group].region));
-    __global const Vertex *vertices = all_vertices + mesh.vertex_base;
-    __global const uint *corners = indices + 3 * (mesh.triangle_base + mesh.triangles[0]);
-    __global uint *own_sums = vertex_sums + mesh.vertex_base;
-    uint count = 0;
-    for (uint level = 1; level < 6; level++) count += mesh.triangles[level];
-    for (uint i = lid; i < mesh.vertices; i += WIDE_GROUP) own_sums[i] = 0;
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    // Those of level 0, which come first, are as fine as the full mesh. The first slab counts them.
-    for (uint i = lid; i < (args.first_layer == 0 ? 3 * mesh.triangles[0] : 0); i += WIDE_GROUP)
-        add_global(&own_sums[indices[3 * mesh.triangle_base + i]], pack_offset(0));
-    for (uint first = LANES * lid; first < count; first += LANES * WIDE_GROUP) {
-        LaneTriangles triangles;
-        load_triangles(&triangles, &field, vertices, corners, first, count);
-        add_offsets(&args, &field, &triangles, corners, count, own_sums);
-    }
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    for (uint i = lid; i < mesh.vertices; i += WIDE_GROUP) {
-        const uint leaf = vertex_leaves[3 * mesh.triangle_base + i];
-        if (leaf >= args.points) atomic_add(&sums[leaf - args.points], own_sums[i]);
+// Finds the triangles to measure among `count` of a region. `left`: their numbers. Those of level 0 are as fine as the full mesh: their offset
+// is 0.
+INLINED void find_triangles(LaneTriangles *lanes, const RelaxedCut *in, __global const uint *left, uint count) {
+    lanes->count = 0;
+    for (uint i = 0; i < count; i++) {
+        CutTriangle *triangle = lanes->triangles + lanes->count;
+        nth_triangle(triangle, &in->cut, left[i]);
+        if (triangle->level == 0) {
+            add_offset_around(in, triangle, 0);
+            continue;
+        }
+        lanes->numbers[lanes->count++] = left[i];
+        const uint leaves[3] = {triangle->a, triangle->b, triangle->c};
+        for (uint k = 0; k < 3; k++)
+            if (leaves[k] >= in->point_count) prefetch_line(in->nodes + leaves[k] - in->point_count);
     }
 }
 
+// Loads the positions of triangles. Those of lanes past the end are the last one's.
+INLINED void load_positions(LaneTriangles *lanes, const RelaxedCut *in) {
+    for (uint i = 0; i < LANES; i++) {
+        const uint from = min(i, lanes->count - 1);
+        const CutTriangle triangle = lanes->triangles[from];
+        const int3 at[3] = {leaf_position(in, triangle.a), leaf_position(in, triangle.b), leaf_position(in, triangle.c)};
+        __global const uint *corners = in->cut.corners + 3 * lanes->numbers[from];
+        const int3 sum = point_position(in, corners[0]) + point_position(in, corners[1]) + point_position(in, corners[2]);
+        for (uint k = 0; k < 3; k++) {
+            lanes->leaves[3 * k * LANES + i] = (float)at[k].x;
+            lanes->leaves[(3 * k + 1) * LANES + i] = (float)at[k].y;
+            lanes->leaves[(3 * k + 2) * LANES + i] = (float)at[k].z;
+        }
+        lanes->points[i] = (float)sum.x;
+        lanes->points[LANES + i] = (float)sum.y;
+        lanes->points[2 * LANES + i] = (float)sum.z;
+    }
+}
+
+INLINED Real3 scaled_way(Real3 from, Real3 to, float3 scale) {
+    return make_real3((to.x - from.x) * scale.x, (to.y - from.y) * scale.y, (to.z - from.z) * scale.z);
+}
+
+// Measures the offsets of triangles: how high above their plane the centroid of the full mesh's triangle is, smallest spacings /
+// OFFSET_STEPS. 0 where they have no plane.
+INLINED void measure_offsets(LaneTriangles *lanes, Grid grid) {
+    const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / (smallest_spacing(grid) * VERTEX_LATTICE);
+    const Real3 a = LOAD_REAL3(lanes->leaves, LANES), b = LOAD_REAL3(lanes->leaves + 3 * LANES, LANES);
+    const Real3 c = LOAD_REAL3(lanes->leaves + 6 * LANES, LANES), centroid = scale_real3(LOAD_REAL3(lanes->points, LANES), 1.0f / 3.0f);
+    const Real3 u = scaled_way(a, b, scale), v = scaled_way(a, c, scale), p = scaled_way(a, centroid, scale);
+    const Real3 n = make_real3(u.y * v.z - u.z * v.y, u.z * v.x - u.x * v.z, u.x * v.y - u.y * v.x);
+    const real height = dot_real3(p, n) * rsqrt(dot_real3(n, n));
+    const real offset = rint(clamp(height, -OFFSET_MAX, OFFSET_MAX) * OFFSET_STEPS);
+    STORE_LANES(PICK(height == height, offset, 0.0f), lanes->offsets);
+}
+
+// `sums`: two of each node, cleared: of triangles in its own region, and of those in others.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
-void tree_move(const TreeMoveArgs args, __global const Region *regions, __global const TreeNode *tree_nodes, __global const uint *sums,
-               __global const RegionMesh *cut_meshes, __global const uint *vertex_leaves, __global Vertex *vertices) {
+void tree_offsets(const TreeOffsetsArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
+                  __global const RegionMesh *meshes, __global const uint *corners, __global const uint *leaves,
+                  __global const uint *left, __global const RegionMesh *cut_meshes, __global const TreeNode *tree_nodes,
+                  __global const int4 *points, __global uint *sums) {
     const uint group = (uint)get_group_id(0);
-    const RegionMesh mesh = cut_meshes[group];
-    const int3 origin = convert_int3(region_origin(args.grid, regions[group].region));
-    for (uint i = get_local_id(0); i < mesh.vertices; i += WIDE_GROUP) {
-        const uint leaf = vertex_leaves[3 * mesh.triangle_base + i];
-        if (leaf < args.points) continue;
-        const TreeNode node = tree_nodes[leaf - args.points];
-        const int3 home = convert_int3(region_origin(args.grid, regions[tree_node_region(node.meta)].region));
-        const int3 at = moved_position(args.grid, args.cap, node, home, sums[leaf - args.points]) + (home - origin) * (int)VERTEX_LATTICE;
-        vstore3(vertex_position(at), 0, vertices[mesh.vertex_base + i].position);
+    RelaxedCut in;
+    in.grid = args.grid;
+    in.group = group;
+    in.point_count = args.points;
+    in.origin = convert_int3(region_origin(args.grid, regions[group].region));
+    in.cut.corners = corners;
+    in.cut.leaves = leaves;
+    in.regions = regions;
+    in.tree = tree_regions + group;
+    in.nodes = tree_nodes;
+    in.points = points;
+    in.sums = sums;
+    __global const uint *own_left = left + meshes[group].triangle_base + in.tree->beside_base;
+    uint count = 0;
+    for (uint level = 0; level < 6; level++) count += cut_meshes[group].triangles[level];
+    for (uint first = LANES * (uint)get_local_id(0); first < count; first += LANES * WIDE_GROUP) {
+        LaneTriangles lanes;
+        find_triangles(&lanes, &in, own_left + first, min((uint)LANES, count - first));
+        if (lanes.count == 0) continue;
+        load_positions(&lanes, &in);
+        measure_offsets(&lanes, args.grid);
+        for (uint i = 0; i < lanes.count; i++) add_offset_around(&in, lanes.triangles + i, (int)lanes.offsets[i]);
     }
 }

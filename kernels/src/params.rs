@@ -130,6 +130,14 @@ impl CutParams {
             || self.interest.iter().any(|interest| interest.importance > 0.0)
     }
 
+    /// Whether what importance depends on is as in `other`.
+    pub(crate) fn has_importance_of(&self, other: &Self) -> bool {
+        self.alpha == other.alpha
+            && self.feature_range == other.feature_range
+            && self.transfer == other.transfer
+            && self.interest == other.interest
+    }
+
     /// Whether the cut is the full surface of the dual mesher, which needs no node above the cells.
     pub fn is_full(&self, prefix: Level) -> bool {
         self.beta < 0.0 && self.tolerance.is_none() && prefix == Level::FINEST && self.mesher == Mesher::Dual

@@ -39,6 +39,17 @@ pub struct VertexTree {
     pub(crate) left_out: RefCell<Option<Rc<LeftOut>>>,
     /// The last cut, for questions about the surface that was made of it.
     pub(crate) last_cut: RefCell<Option<Rc<TreeCut>>>,
+    /// What nodes were weighed by last: budgets and tolerances are dragged on under the same importance.
+    pub(crate) importances: RefCell<Option<Importances>>,
+}
+
+/// The maximum importance of the points below each node.
+#[derive(Clone)]
+pub struct Importances {
+    /// What it was made for; importance alone counts.
+    pub(crate) params: CutParams,
+    /// Bits of floats of 0 or more, which are ordered as the floats are.
+    pub(crate) bits: Rc<Buffer<u32>>,
 }
 
 /// How far a tree is cut.
@@ -105,11 +116,7 @@ pub struct TreeCut {
 impl TreeCut {
     /// Whether this is the cut of a goal with the importance of these parameters.
     pub(crate) fn is_for(&self, params: &CutParams, goal: &TreeGoal) -> bool {
-        let importance = |of: &CutParams| (of.alpha, of.feature_range);
-        self.goal == *goal
-            && importance(&self.params) == importance(params)
-            && self.params.transfer == params.transfer
-            && self.params.interest == params.interest
+        self.goal == *goal && self.params.has_importance_of(params)
     }
 }
 
@@ -161,9 +168,9 @@ impl VertexTree {
         self.full_triangles
     }
 
-    /// Bytes it holds on the device, with those that its last cut takes.
+    /// Bytes it holds on the device, with those that its last cut and the importances of its nodes take.
     pub fn device_bytes(&self) -> u64 {
-        let last_cut = self.leaf_count() * size_of::<u32>();
+        let last_cut = (self.leaf_count() + self.built.nodes.len()) * size_of::<u32>();
         last_cut as u64
             + self.built.regions.bytes()
             + self.built.nodes.bytes()

@@ -311,26 +311,15 @@ typedef struct {
 typedef struct {
     Grid grid; // Extent of the volume.
     CutParams params; // What vertices depend on: the feature's range.
+    uint cap; // 1: the volume was padded by one sample on every side.
     uint points; // Points of the surface.
 } TreeVerticesArgs;
 
 // Arguments of `tree_offsets`.
 typedef struct {
     Grid grid; // Extent of the volume.
-    uint z0; // First plane of the slab.
-    float iso; // Isovalue in the field's units.
-    uint cap; // 1: the volume was padded by one sample on every side.
-    uint first_layer; // First layer of regions of the slab, counted in regions along z.
-    uint end_layer; // Layer of regions after the last.
     uint points; // Points of the surface.
 } TreeOffsetsArgs;
-
-// Arguments of `tree_move`.
-typedef struct {
-    Grid grid; // Extent of the volume.
-    uint cap; // 1: the volume was padded by one sample on every side.
-    uint points; // Points of the surface.
-} TreeMoveArgs;
 
 // Arguments of `slice`.
 typedef struct {

@@ -14,6 +14,7 @@
 #define COUNT_SHIFT 24
 #define OFFSET_STEPS 8192.0f
 #define OFFSET_SHARE 0.7f // of the mean offset that a node moves: its neighbours move too
+#define OFFSET_MAX 0.25f  // smallest spacings: those beyond count as this one
 #define MOVED_MAX 0.04f // smallest spacings: further, surfaces that pass close by each other would meet
 
 inline float smallest_spacing(Grid grid) { return fmin(fmin(grid.spacing[0], grid.spacing[1]), grid.spacing[2]); }
@@ -28,16 +29,16 @@ INLINED float mean_offset(uint sum) {
     return count ? exact_quotient((float)offsets, OFFSET_STEPS * (float)count) : 0.0f;
 }
 
-// Position of a node in a cut, from the low corner of its region, `home` in cells, 1/VERTEX_LATTICE cell. `sum`: of its offsets. Those on
+// Position of a node in a cut, from the low corner of its region, `home` in cells, 1/VERTEX_LATTICE cell. `sums`: of its offsets. Those on
 // the volume's faces stay where they are.
-INLINED int3 moved_position(Grid grid, uint cap, TreeNode node, int3 home, uint sum) {
+INLINED int3 moved_position(Grid grid, uint cap, TreeNode node, int3 home, uint2 sums) {
     const int lattice = (int)VERTEX_LATTICE;
     const int3 at = tree_position(node), margin = (int3)(cap ? lattice : 0);
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 1;
     const int3 first_face = margin - home * lattice, last_face = (last - home) * lattice - margin;
     const int3 on_face = (at <= first_face) | (at >= last_face);
     if (on_face.x | on_face.y | on_face.z) return at;
-    const float moved = clamp(OFFSET_SHARE * mean_offset(sum), -MOVED_MAX, MOVED_MAX) * smallest_spacing(grid);
+    const float moved = clamp(OFFSET_SHARE * mean_offset(sums.x + sums.y), -MOVED_MAX, MOVED_MAX) * smallest_spacing(grid);
     const float3 way = decode_octahedral8(node.normal_s & 0xffffu) * moved
                        / (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const int3 to = at + convert_int3_rte(way * VERTEX_LATTICE);

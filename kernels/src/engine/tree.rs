@@ -144,6 +144,7 @@ impl Engine {
             parts: Default::default(),
             left_out: Default::default(),
             last_cut: Default::default(),
+            importances: Default::default(),
         })
     }
 

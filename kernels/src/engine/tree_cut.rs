@@ -9,7 +9,6 @@ use crate::cut::sum_levels;
 use crate::layout::{RegionMesh, TreeCutRegion};
 use crate::stages::fit::{INNER_BINS, Keys};
 use crate::stages::tree_cut::{CutWork, Cutter};
-use crate::stages::tree_relax::UnmovedMesh;
 use crate::stages::{cut, error, tree_cut};
 use crate::tree::{TreeCut, TreeGoal};
 use crate::{
@@ -112,7 +111,7 @@ impl Engine {
         params.check()?;
         let importances = cutter.importances(params)?;
         let limit = goal.max_tolerance.min(f32::MAX);
-        let (work, tolerance, first) = self.repaired_cut(cutter, importances.as_ref(), goal, limit, cancel)?;
+        let (work, tolerance, first) = self.repaired_cut(cutter, importances.as_deref(), goal, limit, cancel)?;
         let has_budget = cutter.full_triangles() > goal.max_triangles;
         if !has_budget || first >= limit || cutter.triangles(&work)? <= goal.max_triangles {
             return Ok((work, tolerance));
@@ -123,7 +122,7 @@ impl Engine {
             tolerance: limit,
             ..goal.clone()
         };
-        let (work, tolerance, _) = self.repaired_cut(cutter, importances.as_ref(), &goal, limit, cancel)?;
+        let (work, tolerance, _) = self.repaired_cut(cutter, importances.as_deref(), &goal, limit, cancel)?;
         Ok((work, tolerance))
     }
 
@@ -218,13 +217,8 @@ impl Engine {
         check(cancel)?;
         let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut regions)?;
         let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
-        cutter.vertices(&layout, &device_meshes, &vertex_leaves, &vertices)?;
-        let offset_sums = cutter.relax(&UnmovedMesh {
-            meshes: &device_meshes,
-            vertex_leaves: &vertex_leaves,
-            indices: &indices,
-            vertices: &vertices,
-        })?;
+        let offset_sums = cutter.offsets(work, &device_meshes)?;
+        cutter.vertices(&layout, &offset_sums, &device_meshes, &vertex_leaves, &vertices)?;
         self.cx.pause(tree_cut::STAGE, cancel)?;
         let errors = match &corner_slots {
             Some(corner_slots) => {

@@ -116,7 +116,7 @@ pub struct TreeLeaves<'a> {
     pub tree: &'a VertexTree,
     /// Of each point.
     pub leaves: &'a Buffer<u32>,
-    /// Of each node how far it moves, of [`Cutter::relax`](super::tree_cut::Cutter::relax).
+    /// Of each node how far it moves, of [`Cutter::offsets`](super::tree_cut::Cutter::offsets).
     pub offset_sums: &'a Buffer<u32>,
 }
 

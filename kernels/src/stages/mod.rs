@@ -50,7 +50,7 @@ stages! {
     tree_cut
     tree_test
     tree_mesh
-    tree_relax: samples
+    tree_relax
     slice: samples
     probe
     distribution

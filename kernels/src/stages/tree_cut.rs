@@ -6,7 +6,7 @@ use crate::context::{Arg, Context};
 use crate::layout::{CutParams, RegionMesh, TreeCutRegion};
 use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
-use crate::tree::{LeftOut, VertexTree};
+use crate::tree::{Importances, LeftOut, VertexTree};
 use crate::{Level, Pyramid, Result, Volume, constants};
 use std::rc::Rc;
 
@@ -132,11 +132,20 @@ impl Cutter<'_> {
     }
 
     /// The bits of the maximum importance of the points below each node; `None` where all are 0.
-    pub fn importances(&self, params: &crate::CutParams) -> Result<Option<Buffer<u32>>> {
+    pub fn importances(&self, params: &crate::CutParams) -> Result<Option<Rc<Buffer<u32>>>> {
         if !params.has_importance() {
             return Ok(None);
         }
-        self.weigh(&Criterion::upload(self.cx, params, Level::FINEST)?).map(Some)
+        let last = self.tree.importances.borrow().clone();
+        if let Some(last) = last.filter(|last| last.params.has_importance_of(params)) {
+            return Ok(Some(last.bits));
+        }
+        let bits = Rc::new(self.weigh(&Criterion::upload(self.cx, params, Level::FINEST)?)?);
+        self.tree.importances.replace(Some(Importances {
+            params: params.clone(),
+            bits: Rc::clone(&bits),
+        }));
+        Ok(Some(bits))
     }
 
     fn weigh(&self, criterion: &Criterion) -> Result<Buffer<u32>> {

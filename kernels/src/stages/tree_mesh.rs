@@ -13,6 +13,8 @@ kernel_args! {
         grid: Grid,
         /// What vertices depend on: the feature's range.
         params: CutParams,
+        /// 1: the volume was padded by one sample on every side.
+        cap: u32,
         /// Points of the surface.
         points: u32,
     }
@@ -78,10 +80,11 @@ impl Cutter<'_> {
         Ok((indices, vertex_leaves, meshes))
     }
 
-    /// Fills `vertices`.
+    /// Fills `vertices`. `offset_sums`: of [`Cutter::offsets`].
     pub fn vertices(
         &self,
         params: &CutParams,
+        offset_sums: &Buffer<u32>,
         meshes: &Buffer<RegionMesh>,
         vertex_leaves: &Buffer<u32>,
         vertices: &Buffer<Vertex>,
@@ -89,6 +92,7 @@ impl Cutter<'_> {
         let args = TreeVerticesArgs {
             grid: self.volume.layout(),
             params: *params,
+            cap: self.tree.cap.into(),
             points: self.tree.point_count(),
         };
         self.launch_wide(
@@ -100,6 +104,7 @@ impl Cutter<'_> {
                 &self.pyramid.vertex_records,
                 &self.tree.built.nodes,
                 &self.tree.points,
+                offset_sums,
                 meshes,
                 vertex_leaves,
                 vertices,

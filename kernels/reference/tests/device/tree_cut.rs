@@ -92,7 +92,7 @@ fn same_triangle(got: &[[i64; 3]; 3], want: &[[i64; 3]; 3]) -> bool {
 /// The device's triangles are the twin's, in order.
 fn check_surface(relaxer: &Relaxer<'_>, surface: &Surface, want: &TreeCut) -> Result<(), TestCaseError> {
     let cutter = &relaxer.cutter;
-    let moved = relaxer.positions(&want.triangles);
+    let moved = relaxer.positions(&want.leaves);
     let position = |leaf: TreeLeaf| match leaf {
         TreeLeaf::Node(node) => moved[&node],
         TreeLeaf::Point(_) => cutter.position(leaf),
@@ -217,8 +217,7 @@ pub fn check_cuts_without(
     };
     let relaxer = Relaxer {
         cutter,
-        field: &planted.loaded.field,
-        iso: planted.pyramid.iso(),
+        grid: &planted.loaded.field.grid,
         normals: &host.normals,
     };
     let full_triangles = full_triangles(&cutter);
