@@ -120,6 +120,8 @@ enum EditName {
     Alpha,
     /// Transfer function
     TransferFunction,
+    /// Budget, weight of the feature and transfer function after a rest, in which the vertex tree was built
+    Rested,
     /// Feature on and off
     Feature,
     /// Time step, new and resident

@@ -263,19 +263,14 @@ impl Bench<'_> {
             self.budget_and_beta(setting).await?;
         }
         if wants(EditName::Alpha) {
-            let alpha = setting.edit.alpha.unwrap_or(0.0);
-            let alphas = [alpha + 0.05, alpha].map(|alpha| Edit {
-                alpha: Some(alpha),
-                ..Edit::default()
-            });
-            self.alternate(setting, "alpha", &alphas).await?;
+            self.alternate(setting, "alpha", &alphas(setting)).await?;
         }
         if wants(EditName::TransferFunction) {
-            let functions = [other_transfer(), TransferFunctionJson::default()].map(|transfer| Edit {
-                transfer_function: Some(transfer),
-                ..Edit::default()
-            });
-            self.alternate(setting, "transfer function", &functions).await?;
+            self.alternate(setting, "transfer function", &transfer_functions())
+                .await?;
+        }
+        if wants(EditName::Rested) {
+            self.rested(setting).await?;
         }
         if wants(EditName::Feature) {
             self.feature(setting, "feature on", "gradient-magnitude", "none")
@@ -318,11 +313,7 @@ impl Bench<'_> {
             };
             return self.between(setting, "beta", &quarter, &of_beta(-1.0)).await;
         }
-        if let [Some(tight), Some(wide)] = [setting.budget(0.9), setting.budget(1.0)] {
-            let budgets = [tight, wide].map(|triangles| Edit {
-                triangles: Some(TriangleBudget::AtMost(triangles)),
-                ..Edit::default()
-            });
+        if let Some(budgets) = budgets(setting) {
             return self.alternate(setting, "budget", &budgets).await;
         }
         let betas = [0.03, 0.02];
@@ -336,6 +327,27 @@ impl Bench<'_> {
     async fn alternate(&mut self, setting: &Setting, name: &'static str, edits: &[Edit; 2]) -> Result<(), BenchError> {
         let start = self.fresh(&setting.edit);
         self.client.edit(&start).await?;
+        self.in_turns(setting, name, edits).await
+    }
+
+    /// Edits after the viewer has rested: the vertex tree is there, where an error or a budget decides.
+    async fn rested(&mut self, setting: &Setting) -> Result<(), BenchError> {
+        if setting.is_full() || self.args.mesher != MesherName::Dual {
+            return Ok(());
+        }
+        let start = self.fresh(&setting.edit);
+        self.client.edit(&start).await?;
+        self.client.rest().await?;
+        if let Some(budgets) = budgets(setting) {
+            self.in_turns(setting, "budget, rested", &budgets).await?;
+        }
+        self.in_turns(setting, "alpha, rested", &alphas(setting)).await?;
+        self.in_turns(setting, "transfer function, rested", &transfer_functions())
+            .await
+    }
+
+    /// Two edits in turns, at the isovalue that is shown.
+    async fn in_turns(&mut self, setting: &Setting, name: &'static str, edits: &[Edit; 2]) -> Result<(), BenchError> {
         self.client.edit(&edits[1]).await?;
         let mut runs = Vec::new();
         for i in 0..=self.args.repeats {
@@ -433,6 +445,30 @@ impl Bench<'_> {
     fn print(&self, setting: &Setting, edit: &'static str, runs: &[Streamed]) -> Result<(), BenchError> {
         print(&StreamLine::new(self.args, self.recipe, setting, edit, runs))
     }
+}
+
+/// Two budgets, a tenth apart, where the setting is one.
+fn budgets(setting: &Setting) -> Option<[Edit; 2]> {
+    let tight = setting.budget(0.9)?;
+    Some([tight, setting.budget(1.0)?].map(|triangles| Edit {
+        triangles: Some(TriangleBudget::AtMost(triangles)),
+        ..Edit::default()
+    }))
+}
+
+fn alphas(setting: &Setting) -> [Edit; 2] {
+    let alpha = setting.edit.alpha.unwrap_or(0.0);
+    [alpha + 0.05, alpha].map(|alpha| Edit {
+        alpha: Some(alpha),
+        ..Edit::default()
+    })
+}
+
+fn transfer_functions() -> [Edit; 2] {
+    [other_transfer(), TransferFunctionJson::default()].map(|transfer| Edit {
+        transfer_function: Some(transfer),
+        ..Edit::default()
+    })
 }
 
 /// Not monotonic: with a budget, a monotonic one gives the cut of the identity at another β.

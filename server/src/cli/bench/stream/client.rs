@@ -229,6 +229,15 @@ impl Client {
             }
         }
         seen.longest_gap = seen.longest_gap.max(last_commit.elapsed());
+        self.settle(seen, last_edit).await
+    }
+
+    /// Reads until the server has nothing more to do for this viewer, what it does while a viewer rests included.
+    pub async fn rest(&mut self) -> Result<(), StreamError> {
+        self.settle(Dragged::default(), Instant::now()).await.map(drop)
+    }
+
+    async fn settle(&mut self, mut seen: Dragged, last_edit: Instant) -> Result<Dragged, StreamError> {
         loop {
             // In the midst of a generation the server may be silent for longer.
             let limit = if seen.working { FRAME_TIMEOUT } else { QUIET };
