@@ -91,6 +91,19 @@ INLINED uint cut_cells(__global const Region *region, __global const Brick *bric
     return cells;
 }
 
+// All active cells are leaves: there are no nodes above them. Returns how many.
+INLINED uint cut_all_cells(__global const Region *region, __global const Node *nodes, __global const VertexRecord *vertex_records,
+                           __global uchar *state, LeafSums *sums) {
+    uint cells = 0;
+    for (uint i = region->level_base[0] + get_local_id(0); i < region->level_base[1]; i += GROUP) {
+        const uint slot = region->slot_base + i;
+        state[slot] = 0;
+        add_leaf(sums, nodes[slot].count & 0xffu, vertex_records[slot].error);
+        cells++;
+    }
+    return cells;
+}
+
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void cut(const CutArgs args, __constant float2 *points, __constant Interest *interests, __global const Region *regions,
          __global const Brick *bricks, __global const Node *nodes, __global const VertexRecord *vertex_records,
@@ -105,7 +118,8 @@ void cut(const CutArgs args, __constant float2 *points, __constant Interest *int
     CutCriterion criterion;
     find_criterion(&criterion, args.grid, args.params, points, interests, region->region);
     cut_cubes(&criterion, args.whole_pyramid, region, bricks, nodes, vertex_records, state, leaves, undecided, &lost, &sums);
-    const uint cells = cut_cells(region, bricks, nodes, vertex_records, state, &sums);
+    const uint cells = args.whole_pyramid ? cut_cells(region, bricks, nodes, vertex_records, state, &sums)
+                                          : cut_all_cells(region, nodes, vertex_records, state, &sums);
     if (cells) atomic_add(&leaves[0], cells);
     errors2[lid] = sums.error2;
     worsts[lid] = sums.worst;
