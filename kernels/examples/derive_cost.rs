@@ -31,9 +31,7 @@ fn main() -> Result<()> {
     let rectilinear = RectilinearGrid::uneven(grid, [along(), along(), along()])?;
     let make_uneven = |volume: &Volume| {
         let samples = engine.download(volume, 0..SIZE)?;
-        let mut upload = engine.begin_upload(&rectilinear, SampleType::F32, None)?;
-        engine.continue_upload(&mut upload, &samples)?;
-        engine.finish_upload(upload)
+        engine.upload(rectilinear.clone(), &samples, None)
     };
     let uneven = [make_uneven(&even[0])?, make_uneven(&even[1])?, make_uneven(&even[2])?];
     let iso = Isovalue::new(Shape::Sin.isovalue(SampleType::F32))?;

@@ -3,7 +3,7 @@
 //! has the shortest time of all rounds, which are in turns.
 
 use isopeel_kernels::expression::{Comparison, Op};
-use isopeel_kernels::{Engine, Expression, Grid, Never, RectilinearGrid, Result, SampleType, Samples, Volume};
+use isopeel_kernels::{Engine, Expression, Grid, Never, RectilinearGrid, Result, Samples, Volume};
 
 /// Samples along each axis.
 const SIZE: u32 = 256;
@@ -65,7 +65,5 @@ fn labels(engine: &Engine, grid: &RectilinearGrid, rarity: u64) -> Result<Volume
     let count = grid.grid().sample_count();
     let is_in = |i: u64| i == count / 2 || ((i + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 20).is_multiple_of(rarity);
     let samples = Samples::U8((0..count).map(|i| is_in(i).into()).collect());
-    let mut upload = engine.begin_upload(grid, SampleType::U8, None)?;
-    engine.continue_upload(&mut upload, &samples)?;
-    engine.finish_upload(upload)
+    engine.upload(grid.clone(), &samples, None)
 }

@@ -288,9 +288,9 @@ fn main() -> Result<()> {
                 let (samples, missing, iso) = small.make();
                 engine.warm_up(samples.sample_type())?;
                 engine.record_launches();
-                let volume = engine.upload(&grid, &samples, missing)?;
+                let volume = engine.upload(grid, &samples, missing)?;
                 // The feature's field: the same numbers, others of them missing.
-                let other = engine.upload(&grid, &samples, Some(iso))?;
+                let other = engine.upload(grid, &samples, Some(iso))?;
                 print(&engine, index, setting, "upload");
                 run(&engine, index, setting, &volume, &other, iso)?;
                 eprintln!("{setting}: volume {index} of {}", VOLUMES.len());

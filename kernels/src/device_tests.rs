@@ -200,7 +200,7 @@ fn a_field_that_comes_in_pieces_is_the_same() {
     let grid = Grid::new([37, 29, 150], [1.0; 3]).expect("a grid");
     let values: Vec<i16> = (0..grid.sample_count()).map(|i| (i * 7919 % 4001) as i16).collect();
     let whole = engine
-        .upload(&grid, &Samples::I16(values.clone()), None)
+        .upload(grid, &Samples::I16(values.clone()), None)
         .expect("a volume");
     assert!(whole.slabs.len() > 1);
     let mut upload = engine

@@ -102,7 +102,7 @@ impl Engine {
             SampleType::I16 => Samples::I16(range.map(|i| bump(i).into()).collect()),
             SampleType::F32 => Samples::F32(range.map(|i| bump(i).into()).collect()),
         };
-        let volume = self.upload(&grid, &samples, None)?;
+        let volume = self.upload(grid, &samples, None)?;
         let feature = Feature::Derived(DerivedFeature::GradientMagnitude);
         self.histogram(&volume, feature)?;
         let pyramid = self.build_pyramid(&volume, feature, iso, &Never)?;

@@ -112,7 +112,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         &refined(&pipeline, &march::march(&field, &pipeline.pyramid, ISO, &cut)),
     )?;
 
-    let volume = engine.upload(&grid, &samples, None)?;
+    let volume = engine.upload(grid, &samples, None)?;
     let pyramid = engine.build_pyramid(&volume, Feature::None, Isovalue::new(ISO)?, &Never)?;
     for (name, beta) in [("patched.bin", beta), ("full.bin", -1.0)] {
         let surface = engine.peel(&volume, &pyramid, &CutParams::paper(beta), Level::FINEST, &Never)?;

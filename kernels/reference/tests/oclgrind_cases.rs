@@ -35,9 +35,9 @@ fn values(dims: [u32; 3]) -> Vec<u8> {
 fn extract(samples: &Samples, missing: Option<f32>, iso: f32, all: bool) {
     let Some(engine) = device() else { return };
     let grid = Grid::new(DIMS, [1.0, 0.5, 2.0]).expect("a grid");
-    let volume = engine.upload(&grid, samples, missing).expect("upload");
+    let volume = engine.upload(grid, samples, missing).expect("upload");
     let other = engine
-        .upload(&grid, &Samples::U8(values(DIMS)), Some(180.0))
+        .upload(grid, &Samples::U8(values(DIMS)), Some(180.0))
         .expect("upload the feature");
     let histogram = engine
         .histogram(&volume, Feature::Derived(DerivedFeature::GradientMagnitude))
@@ -85,7 +85,7 @@ fn extract(samples: &Samples, missing: Option<f32>, iso: f32, all: bool) {
 fn derived_features_run() {
     let Some(engine) = device() else { return };
     let grid = Grid::new(DERIVED_DIMS, [1.0, 0.5, 2.0]).expect("a grid");
-    let upload = |samples, missing| engine.upload(&grid, &samples, missing).expect("upload");
+    let upload = |samples, missing| engine.upload(grid, &samples, missing).expect("upload");
     let volume = upload(Samples::U8(values(DERIVED_DIMS)), Some(180.0));
     let [x, y] = [
         upload(Samples::F32(of_values(DERIVED_DIMS, f32::from)), None),
@@ -121,12 +121,8 @@ fn derived_features_of_uneven_axes_run() {
     let along = |axis: usize| (1..DERIVED_DIMS[axis]).map(|i| 0.25 * (1 + i % 3) as f32).collect();
     let rectilinear = RectilinearGrid::uneven(grid, [along(0), along(1), along(2)]).expect("lengths of cells");
     let samples = Samples::U8(values(DERIVED_DIMS));
-    let mut upload = engine
-        .begin_upload(&rectilinear, samples.sample_type(), Some(180.0))
-        .expect("memory");
-    engine.continue_upload(&mut upload, &samples).expect("samples");
-    let volume = engine.finish_upload(upload).expect("upload");
-    let other = engine.upload(&grid, &Samples::F32(of_values(DERIVED_DIMS, f32::from)), None);
+    let volume = engine.upload(rectilinear, &samples, Some(180.0)).expect("upload");
+    let other = engine.upload(grid, &Samples::F32(of_values(DERIVED_DIMS, f32::from)), None);
     let other = other.expect("upload");
     for feature in [
         Feature::Derived(DerivedFeature::MeanCurvature),

@@ -101,8 +101,8 @@ impl Engine {
     ///
     /// # Errors
     /// Too few samples for the grid, or no device memory.
-    pub fn upload(&self, grid: &Grid, samples: &Samples, missing: Option<f32>) -> Result<Volume> {
-        let mut upload = self.begin_upload(&(*grid).into(), samples.sample_type(), missing)?;
+    pub fn upload(&self, grid: impl Into<RectilinearGrid>, samples: &Samples, missing: Option<f32>) -> Result<Volume> {
+        let mut upload = self.begin_upload(&grid.into(), samples.sample_type(), missing)?;
         self.continue_upload(&mut upload, samples)?;
         self.finish_upload(upload)
     }

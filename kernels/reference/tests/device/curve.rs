@@ -142,7 +142,7 @@ fn volumes(engine: &Engine) -> [Planted; 2] {
     let grid = Grid::new(dims, [0.5, 0.5, 0.9]).expect("a grid");
     let samples = Samples::F32((0..dims.iter().product()).map(value).collect());
     let head = Loaded {
-        volume: engine.upload(&grid, &samples, None).expect("upload"),
+        volume: engine.upload(grid, &samples, None).expect("upload"),
         field: Field::from_samples(grid, &samples, None),
         iso: 300.0,
     };

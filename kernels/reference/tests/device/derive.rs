@@ -91,11 +91,7 @@ fn upload_uneven(
     missing: Option<f32>,
 ) -> Volume {
     let uneven = RectilinearGrid::uneven(grid, lengths).expect("lengths of cells");
-    let mut upload = engine
-        .begin_upload(&uneven, samples.sample_type(), missing)
-        .expect("memory");
-    engine.continue_upload(&mut upload, samples).expect("samples");
-    engine.finish_upload(upload).expect("upload")
+    engine.upload(uneven, samples, missing).expect("upload")
 }
 
 /// As [`load`], with cells of these lengths.

@@ -80,7 +80,7 @@ fn distances_to_a_ball_are_known() {
     let samples = isopeel_kernels::Samples::F32((0..dims.iter().product()).map(value).collect());
     let grid = Grid::new(dims, [1.0; 3]).expect("a grid");
     for engine in [&*engine, &of_gpu] {
-        let volume = engine.upload(&grid, &samples, None).expect("upload");
+        let volume = engine.upload(grid, &samples, None).expect("upload");
         let iso = Isovalue::new(0.0).expect("finite");
         let pyramid = engine
             .build_pyramid(&volume, Feature::None, iso, &Never)

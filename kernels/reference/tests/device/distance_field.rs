@@ -79,11 +79,7 @@ impl Labels {
             Some(lengths) => RectilinearGrid::uneven(grid, lengths.clone()).expect("lengths"),
         };
         let samples = self.samples();
-        let mut upload = engine
-            .begin_upload(&rectilinear, samples.sample_type(), Some(255.0))
-            .expect("memory");
-        engine.continue_upload(&mut upload, &samples).expect("samples");
-        engine.finish_upload(upload).expect("upload")
+        engine.upload(rectilinear, &samples, Some(255.0)).expect("upload")
     }
 
     /// The twin's distances, and the length of the volume's diagonal.

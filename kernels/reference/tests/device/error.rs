@@ -145,7 +145,7 @@ fn capped_volumes_end_on_their_faces() {
         let inner = load(&engine, &Recipe::plain(dims, pattern, seed));
         let grid = Grid::new(dims.map(|n| n + 2), [1.0; 3]).expect("a grid");
         let samples = isopeel_kernels::Samples::F32(padded(&inner.field));
-        let volume = engine.upload(&grid, &samples, None).expect("upload");
+        let volume = engine.upload(grid, &samples, None).expect("upload");
         let loaded = Loaded { volume, field: Field::from_samples(grid, &samples, None), iso: inner.iso };
         check(&engine, &loaded, seed, Topology::Free, true)?;
     });
@@ -171,7 +171,7 @@ fn parts_that_vanish_count_with_their_distance_to_what_is_left() {
     }
     let grid = Grid::new(dims, [1.0; 3]).expect("a grid");
     let samples = isopeel_kernels::Samples::F32(samples);
-    let volume = engine.upload(&grid, &samples, None).expect("upload");
+    let volume = engine.upload(grid, &samples, None).expect("upload");
     let loaded = Loaded {
         volume,
         field: Field::from_samples(grid, &samples, None),

@@ -64,7 +64,7 @@ struct Loaded {
 fn load(engine: &Engine, recipe: &Recipe) -> Loaded {
     let (grid, samples, missing, iso) = recipe.make();
     Loaded {
-        volume: engine.upload(&grid, &samples, missing).expect("upload"),
+        volume: engine.upload(grid, &samples, missing).expect("upload"),
         field: Field::from_samples(grid, &samples, missing),
         iso,
     }

@@ -171,7 +171,7 @@ fn sphere_and_torus_keep_their_topology_at_any_beta() {
     let Some(engine) = device() else { return };
     for (torus, characteristic) in [(false, 2), (true, 0)] {
         let (grid, samples) = solid(torus);
-        let volume = engine.upload(&grid, &samples, None).expect("upload");
+        let volume = engine.upload(grid, &samples, None).expect("upload");
         let iso = Isovalue::new(0.0).expect("finite");
         let pyramid = engine
             .build_pyramid(&volume, Feature::None, iso, &Never)

@@ -25,7 +25,7 @@ pub fn plant(engine: &Engine, recipe: &Recipe, cap: bool) -> Planted {
         (grid, samples)
     };
     let loaded = Loaded {
-        volume: engine.upload(&grid, &samples, missing).expect("upload"),
+        volume: engine.upload(grid, &samples, missing).expect("upload"),
         field: Field::from_samples(grid, &samples, missing),
         iso,
     };

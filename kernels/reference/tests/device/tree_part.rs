@@ -189,7 +189,7 @@ fn ball_and_speck(engine: &Engine) -> Planted {
         Samples::F32((0..dims.iter().product()).map(value).collect()),
     );
     let loaded = Loaded {
-        volume: engine.upload(&grid, &samples, None).expect("upload"),
+        volume: engine.upload(grid, &samples, None).expect("upload"),
         field: Field::from_samples(grid, &samples, None),
         iso: 0.0,
     };

@@ -137,7 +137,7 @@ fn check_device(engine: &Engine, fixture: &str, load: impl Fn(&str) -> (Grid, Sa
     let rows = rows(fixture);
     let volumes: HashMap<&str, Volume> = load_all(&rows, |name| {
         let (grid, samples) = load(name);
-        engine.upload(&grid, &samples, None).expect("upload")
+        engine.upload(grid, &samples, None).expect("upload")
     });
     for group in groups(&rows) {
         let volume = &volumes[group[0].volume.as_str()];
