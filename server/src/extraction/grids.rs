@@ -10,19 +10,9 @@ pub(super) fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<Rectiline
     let dataset = volume.dataset();
     let dims = dataset.geometry.dims.map(|n| if padded { n + 2 } else { n });
     let grid = Grid::new(dims, dataset.cell_lengths().map(|s| s as f32))?;
-    let Some(uneven) = &dataset.uneven else {
+    if dataset.uneven.is_none() {
         return Ok(grid.into());
-    };
-    let uneven = if padded { &uneven.padded() } else { &**uneven };
-    let along = |axis: usize| {
-        let spacing = dataset.geometry.spacing[axis];
-        match uneven.of_axis(axis) {
-            Some(even) => even
-                .windows(2)
-                .map(|pair| ((pair[1] - pair[0]) * spacing) as f32)
-                .collect(),
-            None => vec![spacing as f32; dims[axis] as usize - 1],
-        }
-    };
-    Ok(RectilinearGrid::uneven(grid, [along(0), along(1), along(2)])?)
+    }
+    let lengths = |along: Vec<f64>| along.windows(2).map(|pair| (pair[1] - pair[0]) as f32).collect();
+    Ok(RectilinearGrid::uneven(grid, dataset.positions(padded).map(lengths))?)
 }

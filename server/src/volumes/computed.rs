@@ -44,7 +44,7 @@ impl Dataset {
         let source = Computed {
             expression: found.expression,
             fields,
-            positions: found.is_distance.then(|| Box::new(self.positions())),
+            positions: found.is_distance.then(|| Box::new(self.positions(false))),
         };
         Some(Field {
             name: text.to_owned(),
@@ -53,19 +53,6 @@ impl Dataset {
             missing: None,
             unit,
             source: Arc::new(source),
-        })
-    }
-
-    /// Where the samples are along the axes, world units from the first one.
-    fn positions(&self) -> [Vec<f64>; 3] {
-        let geometry = self.geometry;
-        std::array::from_fn(|axis| {
-            let uneven = self.uneven.as_ref().and_then(|uneven| uneven.of_axis(axis));
-            let spacing = geometry.spacing[axis];
-            match uneven {
-                Some(even) => even.iter().map(|at| at * spacing).collect(),
-                None => (0..geometry.dims[axis]).map(|i| f64::from(i) * spacing).collect(),
-            }
         })
     }
 }

@@ -139,6 +139,21 @@ impl Dataset {
         }
     }
 
+    /// Where the samples are along the axes, world units from the first one; `padded`: with one more sample at each end.
+    pub fn positions(&self, padded: bool) -> [Vec<f64>; 3] {
+        let uneven = self.uneven.as_deref();
+        let with_padding = uneven.filter(|_| padded).map(UnevenAxes::padded);
+        let uneven = with_padding.as_ref().or(uneven);
+        std::array::from_fn(|axis| {
+            let spacing = self.geometry.spacing[axis];
+            let count = self.geometry.dims[axis] + if padded { 2 } else { 0 };
+            match uneven.and_then(|uneven| uneven.of_axis(axis)) {
+                Some(even) => even.iter().map(|at| at * spacing).collect(),
+                None => (0..count).map(|i| f64::from(i) * spacing).collect(),
+            }
+        })
+    }
+
     /// Lengths of a cell in which surfaces are cut and measured: of the largest one along each axis. So no distance, area or error in them is
     /// below that in the world.
     pub fn cell_lengths(&self) -> [f64; 3] {
