@@ -67,6 +67,25 @@ pub struct Config {
     pub jobs: Option<(StateFolder, Limits)>,
 }
 
+impl Config {
+    /// A server of these volumes on this device, with its defaults: without a limit of triangles, TLS, metrics of their own, jobs and uploads.
+    pub fn new(catalog: SharedCatalog, worker: DeviceWorker, access: Access) -> Self {
+        Self {
+            catalog,
+            worker,
+            ceiling_triangles: u64::MAX,
+            live: LiveOptions::default(),
+            deadlines: Deadlines::default(),
+            access,
+            tls: None,
+            connections: ConnectionLimits::default(),
+            metrics: None,
+            uploads: None,
+            jobs: None,
+        }
+    }
+}
+
 /// Why a server ended on its own.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

@@ -20,7 +20,7 @@ use crate::extraction::DeviceWorker;
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
-use crate::stream::{Deadlines, LiveOptions};
+use crate::stream::LiveOptions;
 use crate::uploads::FolderError;
 use crate::volumes::watch::{INTERVAL, Watcher};
 use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
@@ -279,11 +279,14 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let access = access(args, &address, token.as_ref(), tokens.as_ref());
         let access = access.with_oidc(oidc).with_audit(audit.clone());
         let config = Config {
-            jobs,
-            uploads,
+            ceiling_triangles: args.ceiling_triangles,
+            live: args.live(),
             tls,
+            connections: ConnectionLimits::of_process(),
             metrics,
-            ..config(args, access, catalog, worker.clone())
+            uploads,
+            jobs,
+            ..Config::new(catalog, worker.clone(), access)
         };
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
         let looking = tokens.map(|tokens| tokio::spawn(tokens.run()));
@@ -444,30 +447,18 @@ fn access(args: &Args, address: &ListenAddress, token: Option<&Token>, tokens: O
     }
 }
 
-fn config(args: &Args, access: Access, catalog: SharedCatalog, worker: DeviceWorker) -> Config {
-    Config {
-        catalog,
-        live: LiveOptions {
-            ahead_bytes: args.memory.ahead_bytes(),
-            shared_bytes: args.memory.shared_bytes(),
-            watches: args.watch,
-        },
-        worker,
-        ceiling_triangles: args.ceiling_triangles,
-        deadlines: Deadlines::default(),
-        access,
-        tls: None,
-        metrics: None,
-        connections: ConnectionLimits::of_process(),
-        jobs: None,
-        uploads: None,
-    }
-}
-
 impl Args {
     /// `--demo` comes before what the environment or a file says.
     fn has_demo(&self) -> bool {
         self.demo || !self.no_demo
+    }
+
+    fn live(&self) -> LiveOptions {
+        LiveOptions {
+            ahead_bytes: self.memory.ahead_bytes(),
+            shared_bytes: self.memory.shared_bytes(),
+            watches: self.watch,
+        }
     }
 
     fn job_limits(&self) -> Limits {

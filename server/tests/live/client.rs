@@ -8,7 +8,7 @@ use std::time::Duration;
 use futures_util::{SinkExt, StreamExt};
 use isopeel::access::Access;
 use isopeel::extraction::DeviceWorker;
-use isopeel::serve::{Config, ConnectionLimits, run};
+use isopeel::serve::{Config, run};
 use isopeel::stream::{Deadlines, LiveOptions, StepTimes};
 use isopeel::volumes::Catalog;
 use isopeel::wire::chunk::{ChunkKind, DecodedChunk, LATTICE, decode};
@@ -56,25 +56,18 @@ impl Server {
         let catalog = Catalog::open(paths, demo).expect("readable volumes").into();
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         let address = listener.local_addr().expect("an address");
+        let worker = DeviceWorker::start(None).expect("a thread");
         let config = Config {
-            catalog,
             live: LiveOptions {
                 ahead_bytes: 1 << 30,
                 shared_bytes: 1 << 28,
                 watches: false,
             },
-            worker: DeviceWorker::start(None).expect("a thread"),
-            ceiling_triangles: u64::MAX,
             deadlines: Deadlines {
                 steps,
                 ..Deadlines::default()
             },
-            access: Access::new(address, None, &[]),
-            tls: None,
-            metrics: None,
-            connections: ConnectionLimits::default(),
-            jobs: None,
-            uploads: None,
+            ..Config::new(catalog, worker, Access::new(address, None, &[]))
         };
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(run(listener, config, shutdown.clone().cancelled_owned()));

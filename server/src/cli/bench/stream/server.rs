@@ -9,8 +9,7 @@ use tokio_util::sync::CancellationToken;
 use super::StreamError;
 use crate::access::Access;
 use crate::extraction::DeviceWorker;
-use crate::serve::{self, Config, ConnectionLimits, ServeError};
-use crate::stream::{Deadlines, LiveOptions};
+use crate::serve::{self, Config, ServeError};
 use crate::volumes::{Catalog, Dataset};
 
 /// A server of one dataset.
@@ -28,19 +27,8 @@ impl Server {
         catalog.add(dataset);
         let listener = TcpListener::bind("127.0.0.1:0").await?;
         let address = listener.local_addr()?;
-        let config = Config {
-            catalog: catalog.into(),
-            live: LiveOptions::default(),
-            worker: DeviceWorker::start_warm(device, types)?,
-            ceiling_triangles: u64::MAX,
-            deadlines: Deadlines::default(),
-            access: Access::new(address, None, &[]),
-            tls: None,
-            metrics: None,
-            connections: ConnectionLimits::default(),
-            jobs: None,
-            uploads: None,
-        };
+        let worker = DeviceWorker::start_warm(device, types)?;
+        let config = Config::new(catalog.into(), worker, Access::new(address, None, &[]));
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(serve::run(listener, config, shutdown.clone().cancelled_owned()));
         Ok(Self {
