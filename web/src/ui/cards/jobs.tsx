@@ -1,6 +1,6 @@
 /** Batch jobs: the view that is shown is made for other isovalues, while the page does other things or is closed. */
 
-import { createSignal, createUniqueId, For, onCleanup, Show } from "solid-js";
+import { createSignal, For, onCleanup, Show } from "solid-js";
 import { createStore, reconcile } from "solid-js/store";
 import type { JobInfo } from "../../protocol/types";
 import { isFinished, isovaluesOf, justFinished } from "../../state/jobs";
@@ -9,6 +9,7 @@ import { formatValue } from "../format";
 import { useModel, type JobActions, type MeshFormat } from "../model";
 import { Button } from "../widgets/button";
 import { Choice } from "../widgets/choice";
+import { TextRow } from "../widgets/textRow";
 import { finishedText, jobText } from "./jobWords";
 import "../style/jobs.css";
 
@@ -51,7 +52,6 @@ function Jobs(props: { readonly actions: JobActions }) {
 function Submit(props: { readonly onSubmit: (isovalues: readonly number[]) => Promise<void> }) {
   const { say, view } = useModel();
   const [isSending, setSending] = createSignal(false);
-  const id = createUniqueId();
   const text = () => typed() ?? formatValue(view()?.iso ?? 0);
   const isWrong = () => typeof isovaluesOf(text()) === "string";
   const submit = (event: SubmitEvent) => {
@@ -64,20 +64,7 @@ function Submit(props: { readonly onSubmit: (isovalues: readonly number[]) => Pr
   };
   return (
     <form on:submit={submit}>
-      <div class="control row">
-        <label for={id}>Isovalues</label>
-        <input
-          id={id}
-          class="text"
-          classList={{ invalid: isWrong() }}
-          type="text"
-          autocomplete="off"
-          spellcheck={false}
-          aria-invalid={isWrong()}
-          value={text()}
-          on:input={(event) => setTyped(event.currentTarget.value)}
-        />
-      </div>
+      <TextRow label="Isovalues" value={text()} isInvalid={isWrong()} onInput={setTyped} />
       <div class="control row">
         <span class="label">Format</span>
         <Choice<MeshFormat> label="Format of the files" value={format()} options={OPTIONS} onChange={setFormat} />

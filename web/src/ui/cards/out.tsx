@@ -1,6 +1,6 @@
 /** What is taken along: images, a turntable, the mesh, the link, the command line. */
 
-import { createSignal, createUniqueId, For, Show } from "solid-js";
+import { createSignal, For, Show } from "solid-js";
 import { formatPercent } from "../format";
 import { FORMATS } from "../exportMenu";
 import { useModel, type ImageRequest } from "../model";
@@ -9,6 +9,7 @@ import { Needs } from "../needs";
 import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
+import { TextRow } from "../widgets/textRow";
 
 const SCALES = [1, 2, 3, 4].map((scale) => ({ value: scale, text: `${scale} ×`, hint: `${scale} pixels for one of the page` }));
 /** As `MAX_FRAMES` of the turntable. */
@@ -44,7 +45,7 @@ export default function Body() {
           <Toggle label="Colour bar" on={request().colorBar} onChange={(colorBar) => change({ colorBar })} />
         </Show>
       </div>
-      <Caption value={request().caption} onChange={(caption) => change({ caption })} />
+      <TextRow label="Caption" value={request().caption} maxLength={300} placeholder="none" onInput={(caption) => change({ caption })} />
       <div class="control row">
         <span class="label">Image</span>
         <Button onClick={() => actions.saveImage(request())}>Save PNG</Button>
@@ -92,16 +93,6 @@ function All() {
         </button>
       </div>
     </Show>
-  );
-}
-
-function Caption(props: { readonly value: string; readonly onChange: (caption: string) => void }) {
-  const id = createUniqueId();
-  return (
-    <div class="control row">
-      <label for={id}>Caption</label>
-      <input id={id} class="text" type="text" maxlength={300} placeholder="none" value={props.value} on:input={(event) => props.onChange(event.currentTarget.value)} />
-    </div>
   );
 }
 

@@ -1,10 +1,11 @@
 /** A group: others join by a link and are shown what one of them does. */
 
-import { createSignal, createUniqueId, For, Match, Show, Switch } from "solid-js";
+import { createSignal, For, Match, Show, Switch } from "solid-js";
 import { AWAY, followerName, followersText, isLed, LEADER, type GroupState } from "../../state/group";
 import { useModel } from "../model";
 import { Needs } from "../needs";
 import { Button } from "../widgets/button";
+import { TextRow } from "../widgets/textRow";
 
 /** Kept while the page is open: the card may be folded in between. */
 const [name, setName] = createSignal("");
@@ -140,22 +141,9 @@ function GiveBack() {
 
 function Name() {
   const { actions } = useModel();
-  const id = createUniqueId();
-  return (
-    <div class="control row">
-      <label for={id}>Your name, for the leader</label>
-      <input
-        id={id}
-        class="text"
-        type="text"
-        maxlength={40}
-        placeholder="none"
-        value={name()}
-        on:change={(event) => {
-          setName(event.currentTarget.value);
-          actions.group({ type: "name", name: event.currentTarget.value });
-        }}
-      />
-    </div>
-  );
+  const change = (chosen: string) => {
+    setName(chosen);
+    actions.group({ type: "name", name: chosen });
+  };
+  return <TextRow label="Your name, for the leader" value={name()} maxLength={40} placeholder="none" onChange={change} />;
 }
