@@ -25,7 +25,7 @@ test("all visible surfaces are one valid GLB, in their colours", { ...MORE, time
   const { page, faults } = await openPage(at.browser, `${at.server.url}/${TWO}`);
   const { triangles } = await rested(page);
   await page.getByRole("button", { name: "Share and export" }).click();
-  const { name, bytes } = await saved(page, () => page.getByRole("menuitem", { name: "GLB of all 2 visible surfaces" }).click());
+  const { name, bytes } = await saved(page, () => page.getByRole("menuitem", { name: "GLB of both visible surfaces" }).click());
   assert.equal(name, "bumpy-surfaces.glb");
   const { issues, info } = await validator.validateBytes(new Uint8Array(bytes), { maxIssues: 20 });
   assert.deepEqual([issues.numErrors, issues.numWarnings], [0, 0], JSON.stringify(issues.messages, null, 1));

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { formatBytes, formatCount, formatMs, formatPercent, formatShare, formatValue, parseValue } from "../src/ui/format";
+import { digitsBetween, formatBytes, formatCount, formatMs, formatPercent, formatShare, formatValue, parseValue } from "../src/ui/format";
 import { histogramPath } from "../src/ui/plots/histogram";
 import { criterion, gaveWayText, inSpacings, trianglesOf } from "../src/ui/cards/criterion";
 import { BETA_SCALE, ERROR_SCALE } from "../src/ui/cards/scales";
@@ -47,6 +47,17 @@ describe("numbers", () => {
     expect([0, 999, 1000, 252082, 9_960_000, 1.5e9].map(formatBytes)).toEqual(["0 B", "999 B", "1.0 kB", "252 kB", "10 MB", "1.5 GB"]);
     expect([12.4, 999.4, 2310].map(formatMs)).toEqual(["12 ms", "999 ms", "2.31 s"]);
     expect([0.30000001, 1234567, 1234567.5, -33.0171, NaN].map((v) => formatValue(v))).toEqual(["0.3", "1234567", "1234600", "-33.017", ""]);
+    // No rows of zeros, which would have to be counted, and of which a field has no place for the last.
+    expect([3.0142966e-10, 0.0000391234, 0.0001, 0.043271, 1000000300000, -2.5e11].map((v) => formatValue(v))).toEqual(["3.0143e-10", "3.9123e-5", "0.0001", "0.043271", "1e12", "-2.5e11"]);
+    expect(parseValue(formatValue(-2.5e11))).toBe(-2.5e11);
+  });
+
+  test("have as many digits as tell values of a range apart", () => {
+    expect([digitsBetween(0, 255), digitsBetween(-1, 1), digitsBetween(7, 7), digitsBetween(0, 0)]).toEqual([4, 4, 4, 4]);
+    const [low, high] = [101324.18, 101443.44];
+    expect([low, high].map((v) => formatValue(v, digitsBetween(low, high)))).toEqual(["101324", "101443"]);
+    const offset = [1e12, 1e12 + 1e6].map((v) => formatValue(v, digitsBetween(1e12, 1e12 + 1e6)));
+    expect(offset).toEqual(["1e12", "1.000001e12"]);
   });
 });
 
@@ -99,6 +110,7 @@ test("regions of interest are counted", () => {
   expect([1, 2, 64].map(interestText)).toEqual(["1 region of interest", "2 regions of interest", "64 regions of interest"]);
   const importance = 0.95;
   expect(regionText({ sphere: { center: [1.2345, -2, 30], radius: 5.5 }, importance })).toBe("Radius 5.5 at 1.23, -2, 30");
+  expect(regionText({ sphere: { center: [1, 2, 3], radius: 5.5 }, importance }, "mm")).toBe("Radius 5.5 mm at 1, 2, 3");
   expect(regionText({ box: { min: [0, 0, 0], max: [1, 2, 3] }, importance })).toBe("Box from 0, 0, 0 to 1, 2, 3");
 });
 
@@ -141,6 +153,12 @@ describe("the top line", () => {
 test("a view without a surface is explained", () => {
   const open = { ...INITIAL_STATE, connection: "connected" as const, volume: VOLUMES[0], view: OPENING, shown: { generation: 1, level: 0, final: true } };
   expect(hintText(open, false)).toMatch(/^No surface at isovalue 0: no sample on one side of it. Values go from /);
+  const values = (value: number, count: number) => {
+    const fields = VOLUMES[0]!.fields.map((field) => ({ ...field, range: [value, value] as const, histogram: { min: value, max: value, counts: [count] } }));
+    return { ...open, volume: { ...VOLUMES[0]!, fields } };
+  };
+  expect(hintText(values(7, 99), false)).toBe("All values are 7: there is no surface");
+  expect(hintText(values(0, 0), false)).toBe("No sample has a value: there is no surface");
   const thin = { ...VOLUMES[0]!, geometry: { ...VOLUMES[0]!.geometry, dims: [1, 9, 9] as const } };
   expect(hintText({ ...open, volume: thin }, false)).toMatch(/one sample thin/);
   expect(hintText({ ...open, view: { ...OPENING, minPart: 7 }, statistics: { ...statistics(0), removedParts: 3 } }, false)).toMatch(/All 3 parts are smaller than 7/);

@@ -48,7 +48,7 @@ export function ExportMenu() {
             </Show>
             <Show when={visible() > 1 && mayDownload()}>
               <DropdownMenu.Item class="menu-item" onSelect={() => actions.downloadAll()}>
-                GLB of all {visible()} visible surfaces
+                {visible() === 2 ? "GLB of both visible surfaces" : `GLB of all ${visible()} visible surfaces`}
               </DropdownMenu.Item>
             </Show>
           </DropdownMenu.Group>

@@ -28,12 +28,27 @@ export function formatMs(ms: number): string {
   return ms < 1000 ? `${Math.round(ms)} ms` : `${(ms / 1000).toFixed(2)} s`;
 }
 
-/** A value as short as four or five digits allow, whole numbers in full: what a number field shows. */
+/** Characters up to which a number is written without a power of ten. */
+const MAX_PLAIN = 8;
+
+/**
+ * A value as short as four or five digits allow, whole numbers in full: what a number field shows. With a power of ten, `3.9e-5`, where that
+ * is shorter than a row of zeros.
+ */
 export function formatValue(value: number, digits = 5): string {
   if (!Number.isFinite(value)) return "";
   // Whole numbers in full: a budget that is rounded up would look broken.
   if (Number.isInteger(value) && Math.abs(value) < 1e9) return String(value);
-  return String(Number(value.toPrecision(digits)));
+  const rounded = Number(value.toPrecision(digits));
+  const [plain, power] = [String(rounded), rounded.toExponential().replace("e+", "e")];
+  return plain.length <= MAX_PLAIN || plain.length <= power.length ? plain : power;
+}
+
+/** Digits that tell a thousand values between two others apart: more than four where these differ by little, as pressures in Pa do. */
+export function digitsBetween(low: number, high: number): number {
+  const size = Math.max(Math.abs(low), Math.abs(high));
+  // A 32-bit float has no more than nine.
+  return high > low ? Math.min(9, Math.max(4, Math.ceil(Math.log10(size / (high - low))) + 3)) : 4;
 }
 
 /**

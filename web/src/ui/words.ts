@@ -9,7 +9,8 @@ import { surfacesOf, type SurfaceState } from "../state/surfaceState";
 import type { ViewerState } from "../state/viewer";
 import type { Uploading } from "./model";
 import { surfaceName } from "./surfaceNames";
-import { formatBytes, formatCount, formatLength, formatMs, formatPercent, formatShare, formatValue } from "./format";
+import { digitsBetween, formatBytes, formatCount, formatLength, formatMs, formatPercent, formatShare, formatValue } from "./format";
+import { hasValues } from "./plots/histogram";
 
 /** How far surfaces are off, with what is known of each: a full triangle is about an equal area, whatever its surface. */
 function overallError(all: readonly ErrorsOf[]): { readonly rms: number; readonly isEstimate: boolean } | undefined {
@@ -130,8 +131,11 @@ function emptyText({ statistics, volume }: ViewerState, view: View): string {
   }
   if (minPart > 0 && (statistics?.removedParts ?? 0) > 0) return `All ${formatCount(statistics?.removedParts ?? 0)} parts are smaller than ${formatValue(minPart)}: lower that under Detail, Expert`;
   if (mask !== null) return `No surface at isovalue ${formatValue(iso)} where ${mask}: see Mask under Surface`;
-  const range = volume?.fields.find(({ name }) => name === view.field)?.range;
-  const values = range === undefined ? "" : `. Values go from ${formatValue(range[0])} to ${formatValue(range[1])}`;
+  const field = volume?.fields.find(({ name }) => name === view.field);
+  if (field !== undefined && !hasValues(field)) return "No sample has a value: there is no surface";
+  const [low, high] = field?.range ?? [];
+  if (low !== undefined && low === high) return `All values are ${formatValue(low)}: there is no surface`;
+  const values = low === undefined || high === undefined ? "" : `. Values go from ${formatValue(low, digitsBetween(low, high))} to ${formatValue(high, digitsBetween(low, high))}`;
   return `No surface at isovalue ${formatValue(iso)}: no sample on one side of it${values}`;
 }
 

@@ -156,6 +156,7 @@ function Guards(props: { readonly view: View }) {
 
 function MesherRows(props: { readonly view: View }) {
   const { actions } = useModel();
+  const scale = useScale();
   const levels = Array.from({ length: LEVELS }, (_, level) => ({ value: level, text: String(level), hint: level === 0 ? "No cube is merged" : `Cubes of up to ${2 ** level} cells per axis` }));
   return (
     <>
@@ -176,7 +177,7 @@ function MesherRows(props: { readonly view: View }) {
       <Row label="Drop parts below">
         <span class="with-unit">
           <NumberField label="Area below which parts are dropped" value={props.view.minPart ?? 0} min={0} step={1} disabled={!cutsTree(props.view)} onChange={(minPart) => actions.edit({ minPart })} />
-          <span class="unit">area</span>
+          <span class="unit">{scale().unit === undefined ? "area" : unitWord(scale().unit, 2)}</span>
         </span>
       </Row>
     </>

@@ -5,7 +5,7 @@ import type { View } from "../../protocol/types";
 import { MAX_REGIONS } from "../../state/interest";
 import { lengthUnit, unitWord } from "../../state/lengths";
 import { formatValue } from "../format";
-import { useModel } from "../model";
+import { useModel, useScale } from "../model";
 import { Button } from "../widgets/button";
 import { Icon } from "../widgets/icon";
 import { Slider, type Scale } from "../widgets/slider";
@@ -23,9 +23,9 @@ const TOOLS = [
 ] as const;
 
 /** Sphere or box, where and how large. */
-export function regionText({ sphere, box }: Region): string {
+export function regionText({ sphere, box }: Region, unit?: string): string {
   const place = (numbers: readonly number[]) => numbers.map((n) => formatValue(n, 3)).join(", ");
-  if (sphere !== undefined) return `Radius ${formatValue(sphere.radius, 3)} at ${place(sphere.center)}`;
+  if (sphere !== undefined) return `Radius ${formatValue(sphere.radius, 3)}${unit === undefined ? "" : ` ${unit}`} at ${place(sphere.center)}`;
   return box === undefined ? "" : `Box from ${place(box.min)} to ${place(box.max)}`;
 }
 
@@ -81,6 +81,7 @@ export function interestText(count: number): string {
 /** What the list has is outlined in the picture while it is there, and what is pointed at in it more than the rest. */
 function Regions(props: { readonly regions: View["interest"] }) {
   const { actions } = useModel();
+  const scale = useScale();
   const [pointedAt, setPointedAt] = createSignal<number>();
   createEffect(() => actions.changePage({ outlined: pointedAt() ?? "all" }));
   onCleanup(() => actions.changePage({ outlined: undefined }));
@@ -109,7 +110,7 @@ function Regions(props: { readonly regions: View["interest"] }) {
               on:focusin={() => setPointedAt(index())}
               on:focusout={() => setPointedAt(undefined)}
             >
-              <span>{regionText(region)}</span>
+              <span>{regionText(region, scale().unit)}</span>
               <button type="button" class="icon-button" aria-label={`Remove region ${index() + 1}`} on:click={() => remove(index())}>
                 <Icon name="close" />
               </button>

@@ -3,9 +3,10 @@
 import { createMemo, createSignal, For, Show, type JSX } from "solid-js";
 import type { Edit, FieldInfo, View, VolumeInfo } from "../../protocol/types";
 import { useDescribed } from "../expressions";
-import { formatValue } from "../format";
+import { digitsBetween, formatValue } from "../format";
 import { useModel } from "../model";
 import { Needs } from "../needs";
+import { hasValues } from "../plots/histogram";
 import { HistogramSlider } from "../plots/histogramSlider";
 import { landmarks } from "../plots/landmarks";
 import { Button } from "../widgets/button";
@@ -96,8 +97,9 @@ function Isovalue(props: { readonly field: FieldInfo; readonly iso: number; read
       return [several() ? { ...of, label: `Isovalue of ${surfaceName(surfaces(), number)}`, mark: String(placeOf(surfaces(), number)) } : { ...of, color: undefined, label: "Isovalue", mark: "" }];
     });
   const range = () => props.field.histogram.max - props.field.histogram.min;
+  const digits = () => digitsBetween(props.field.histogram.min, props.field.histogram.max);
   const axisNote = () => {
-    if (!(range() > 0)) return "All values are equal: there is no surface";
+    if (!(range() > 0)) return hasValues(props.field) ? "All values are equal: there is no surface" : "No sample has a value: there is no surface";
     return several() ? "" : openingText(props.field, props.iso);
   };
   return (
@@ -106,7 +108,7 @@ function Isovalue(props: { readonly field: FieldInfo; readonly iso: number; read
         {props.children}
         <span class="spring" />
         <Show when={!several()}>
-          <NumberField label="Isovalue" value={props.iso} step={range() / 256 || 1} onChange={(iso) => actions.edit({ iso })} />
+          <NumberField label="Isovalue" value={props.iso} digits={digits() + 1} step={range() / 256 || 1} onChange={(iso) => actions.edit({ iso })} />
           <span class="unit">{unit()}</span>
         </Show>
       </div>
@@ -120,9 +122,9 @@ function Isovalue(props: { readonly field: FieldInfo; readonly iso: number; read
         onEnd={actions.endGesture}
       />
       <div class="axis-labels">
-        <span>{formatValue(props.field.histogram.min, 4)}</span>
+        <span>{formatValue(props.field.histogram.min, digits())}</span>
         <span>{axisNote()}</span>
-        <span>{formatValue(props.field.histogram.max, 4)}</span>
+        <span>{formatValue(props.field.histogram.max, digits())}</span>
       </div>
       <Landmarks field={props.field} iso={props.iso} />
     </div>

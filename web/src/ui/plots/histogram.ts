@@ -1,6 +1,6 @@
 /** Histograms as curves. Pure. */
 
-import type { Histogram } from "../../protocol/types";
+import type { FieldInfo, Histogram } from "../../protocol/types";
 
 /** Columns of a curve. */
 const STEPS = 104;
@@ -33,4 +33,9 @@ function columns({ counts, min, max }: Histogram, low: number, high: number): re
     const covered = counts.slice(first, last);
     return covered.length === 0 ? 0 : covered.reduce((sum, n) => sum + n, 0) / covered.length;
   });
+}
+
+/** Whether any sample has a value: a volume may be all NaN, or all missing. */
+export function hasValues({ histogram }: FieldInfo): boolean {
+  return histogram.counts.some((count) => count > 0);
 }

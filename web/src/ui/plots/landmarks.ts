@@ -1,7 +1,7 @@
 /** Isovalues worth trying: the one a field opens with, the threshold between two classes of values, and peaks. Pure. */
 
 import type { FieldInfo, Histogram } from "../../protocol/types";
-import { formatValue } from "../format";
+import { digitsBetween, formatValue } from "../format";
 
 export interface Landmark {
   readonly name: string;
@@ -39,7 +39,7 @@ export function landmarks(field: FieldInfo, brought?: number): readonly Landmark
   const found: Landmark[] = [];
   const peaked = peaks(histogram).slice(0, MAX_PEAKS).map((peak): Landmark => {
     const iso = readable(peak, width);
-    return { name: `peak ${formatValue(iso, 3)}`, iso, why: "Values that occur often: a material, or noise around one" };
+    return { name: `peak ${formatValue(iso, digitsBetween(histogram.min, histogram.max) - 1)}`, iso, why: "Values that occur often: a material, or noise around one" };
   });
   const { min, max } = histogram;
   // Where tissues have names, what separates the values best has none.

@@ -14,6 +14,8 @@ export interface NumberFieldProps {
   readonly step?: number;
   readonly disabled?: boolean;
   readonly wide?: boolean;
+  /** Digits that are shown. */
+  readonly digits?: number;
   readonly onChange: (value: number) => void;
 }
 
@@ -33,27 +35,27 @@ function stepOf({ key, shiftKey }: KeyboardEvent, step = 1): number | undefined 
 
 export function NumberField(props: NumberFieldProps) {
   const { say } = useModel();
-  const [text, setText] = createSignal(formatValue(props.value));
+  const format = (value: number) => formatValue(value, props.digits);
+  const [text, setText] = createSignal(format(props.value));
   const [isTyping, setTyping] = createSignal(false);
   const clamp = (value: number) => Math.min(props.max ?? Infinity, Math.max(props.min ?? -Infinity, value));
   const show = () => {
     setTyping(false);
-    setText(formatValue(props.value));
+    setText(format(props.value));
   };
   // The user's unfinished text is not overwritten.
-  const follow = () => isTyping() || show();
-  createEffect(on(() => props.value, follow, { defer: true }));
+  createEffect(on(() => props.value, () => isTyping() || show(), { defer: true }));
   const accept = (value: number) => {
-    const rounded = Number(formatValue(value, 7));
+    const rounded = Number(formatValue(value, Math.max(7, props.digits ?? 0)));
     setTyping(false);
-    setText(formatValue(rounded));
+    setText(format(rounded));
     if (rounded !== props.value) props.onChange(rounded);
   };
   const commit = () => {
     const typed = parseValue(text());
     // A value out of bounds becomes the bound; text that is no number is replaced by the value before.
     if (isTyping()) say(refusedText(text(), props, typed === undefined ? props.value : clamp(typed)));
-    if (!isTyping() || typed === undefined || text() === formatValue(props.value)) show();
+    if (!isTyping() || typed === undefined || text() === format(props.value)) show();
     else accept(clamp(typed));
   };
   const invalid = () => isTyping() && parseValue(text()) !== clamp(parseValue(text()) ?? NaN);
@@ -73,6 +75,7 @@ export function NumberField(props: NumberFieldProps) {
     <input
       class="number"
       classList={{ invalid: invalid(), wide: props.wide ?? false }}
+      style={{ "--characters": String(text().length) }}
       type="text"
       inputmode="decimal"
       autocomplete="off"
