@@ -10,7 +10,7 @@ import { MAX_REGIONS, paint, type Interest } from "../src/state/interest";
 import { probeRows } from "../src/ui/probeReadout";
 import { shareWords } from "../src/ui/cards/detail";
 import { curveWords } from "../src/ui/plots/curvePlot";
-import { corrected, correctionOf, errorAt, linePath, NO_CORRECTION, toX, toY, trianglesFor } from "../src/ui/plots/errorCurve";
+import { corrected, correctionOf, errorAt, fineSide, linePath, meetsAxisText, NO_CORRECTION, toX, toY, trianglesFor } from "../src/ui/plots/errorCurve";
 import { CURVE, FixtureServer, statistics, VOLUMES, voxels } from "./fixture";
 
 class Canvas {
@@ -387,6 +387,17 @@ describe("the curve of the error", () => {
     expect([5, 0.005, 0, 100].map((error) => toY(error, size))).toEqual([0, 60, 60, 0]);
     expect(linePath(CURVE, 4000, 1, size)).toMatch(/^M59\.9 .*L100\.0 60\.0$/);
     expect(linePath([], 4000, 1, size)).toBe("");
+  });
+
+  test("has texts that stay in it and off each other", () => {
+    const plot = { width: 296, height: 46 };
+    // Beside its line on the left; on the right of it where the left is taken; nowhere else.
+    expect(fineSide("0.1 mm", 200, 250, plot)).toBe("end");
+    expect([fineSide("0.1 mm", 10, 250, plot), fineSide("0.1 mm", 240, 235, plot)]).toEqual(["start", "start"]);
+    expect(fineSide("0.1 voxels", 270, 235, plot)).toBeUndefined();
+    const meets = (x: number, error: number) => meetsAxisText("1 voxel", "≈ 0.33 voxels", x, error, plot);
+    expect([meets(236, 0.33), meets(236, 0.02), meets(60, 0.33)]).toEqual([true, false, false]);
+    expect(meetsAxisText("1 voxel", "", 236, 0, plot)).toBe(false);
   });
 
   test("is said in words", () => {

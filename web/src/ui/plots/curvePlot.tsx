@@ -4,17 +4,11 @@ import { createMemo, createUniqueId, Show } from "solid-js";
 import type { Curve } from "../../protocol/types";
 import type { LengthScale } from "../../state/lengths";
 import { formatCount, formatLength, formatShare } from "../format";
-import { errorAt, FINE_ERROR, linePath, toX, toY, trianglesFor } from "./errorCurve";
+import { errorAt, FINE_ERROR, fineSide, linePath, meetsAxisText, nowFits, toX, toY, trianglesFor } from "./errorCurve";
 
 const SIZE = { width: 296, height: 46 };
 /** Lines of equal error, in voxels. */
 const GRID = [0.01, 0.1, 1];
-/** Width of a character of a text beside a mark, at most. */
-const CHARACTER = 6.5;
-const MARGIN = 6;
-
-const widthOf = (text: string) => text.length * CHARACTER + MARGIN;
-
 export interface CurvePlotProps {
   readonly points: Curve["points"];
   /** Triangles of the full surface. */
@@ -33,6 +27,7 @@ export function CurvePlot(props: CurvePlotProps) {
   const right = () => toX(Math.min(1, (props.maximum ?? Infinity) / props.full), SIZE);
   const now = () => errorAt(props.points, props.share * props.full);
   const nowX = () => toX(props.share, SIZE);
+  const nowText = () => (now() === undefined ? "" : `≈ ${formatLength(now() ?? 0, props.lengths)}`);
   const voxels = (count: number) => formatLength(count * props.lengths.spacing, props.lengths);
   return (
     <svg class="curve-plot" viewBox={`0 0 ${SIZE.width} ${SIZE.height}`} role="img" aria-label={curveWords(props)}>
@@ -45,15 +40,17 @@ export function CurvePlot(props: CurvePlotProps) {
       <path class="error-area" d={`${line()}L${SIZE.width} ${SIZE.height}L${left()} ${SIZE.height}Z`} />
       <path class="error-line" d={line()} />
       <Show when={trianglesFor(props.points, FINE_ERROR * props.lengths.spacing)}>{(triangles) => <FineMark x={toX(triangles() / props.full, SIZE)} besides={nowX()} text={voxels(FINE_ERROR)} />}</Show>
-      <text class="axis-text" x={SIZE.width - 5} y={toY(1, SIZE) - 3} text-anchor="end">
-        {voxels(1)}
-      </text>
+      <Show when={!meetsAxisText(voxels(1), nowText(), nowX(), (now() ?? 0) / props.lengths.spacing, SIZE)}>
+        <text class="axis-text" x={SIZE.width - 5} y={toY(1, SIZE) - 3} text-anchor="end">
+          {voxels(1)}
+        </text>
+      </Show>
       <Show when={now()}>
         {(rms) => (
           <g transform={`translate(${nowX()} ${toY(rms() / props.lengths.spacing, SIZE)})`}>
             <line class="drop" y2={SIZE.height - toY(rms() / props.lengths.spacing, SIZE)} />
             <circle class="now" r={4.5} />
-            <NowText text={`≈ ${formatLength(rms(), props.lengths)}`} x={nowX()} />
+            <NowText text={nowText()} x={nowX()} />
           </g>
         )}
       </Show>
@@ -63,7 +60,7 @@ export function CurvePlot(props: CurvePlotProps) {
 
 /** The error at the point: above the falling curve, to its right, but not out of the plot. */
 function NowText(props: { readonly text: string; readonly x: number }) {
-  const fits = () => props.x + widthOf(props.text) < SIZE.width;
+  const fits = () => nowFits(props.text, props.x, SIZE);
   return (
     <text class="now-text" x={fits() ? 6 : SIZE.width - props.x - 2} y={-7} text-anchor={fits() ? "start" : "end"}>
       {props.text}
@@ -87,16 +84,17 @@ function Unreachable(props: { readonly from: number; readonly to: number; readon
 
 /** Where the error reaches a tenth of a voxel. `besides`: where a line goes down from the curve, which the text leaves free. */
 function FineMark(props: { readonly x: number; readonly besides: number; readonly text: string }) {
-  const isRight = () => {
-    const width = widthOf(props.text);
-    return props.x < width || (props.besides <= props.x && props.besides > props.x - width);
-  };
+  const side = () => fineSide(props.text, props.x, props.besides, SIZE);
   return (
     <g class="fine-mark">
       <line x1={props.x} x2={props.x} y1={toY(FINE_ERROR, SIZE)} y2={SIZE.height - 1} />
-      <text x={props.x + (isRight() ? 4 : -4)} y={SIZE.height - 4} text-anchor={isRight() ? "start" : "end"}>
-        {props.text}
-      </text>
+      <Show when={side()}>
+        {(anchor) => (
+          <text x={props.x + (anchor() === "start" ? 4 : -4)} y={SIZE.height - 4} text-anchor={anchor()}>
+            {props.text}
+          </text>
+        )}
+      </Show>
     </g>
   );
 }

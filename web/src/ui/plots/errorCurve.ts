@@ -71,3 +71,31 @@ export function linePath(points: Points, full: number, spacing: number, size: Si
   const places = points.map(({ triangles, rms }) => `${toX(triangles / full, size).toFixed(1)} ${toY(rms / spacing, size).toFixed(1)}`);
   return places.length === 0 ? "" : `M${places.toReversed().join("L")}`;
 }
+
+/** Width of a character of a text beside a mark, at most. */
+const CHARACTER = 6.5;
+const MARGIN = 6;
+/** Two lines of text that are nearer meet. */
+const LINE = 12;
+
+const widthOf = (text: string) => text.length * CHARACTER + MARGIN;
+
+/** Whether the text of the point at `x` fits to its right. */
+export const nowFits = (text: string, x: number, { width }: Size): boolean => x + widthOf(text) < width;
+
+/** Whether the text of the point, at `x` and an error in voxels, is over that of the axis, at the right end of the line of one voxel. */
+export function meetsAxisText(axisText: string, text: string, x: number, error: number, size: Size): boolean {
+  const end = nowFits(text, x, size) ? x + widthOf(text) : size.width;
+  return text !== "" && end > size.width - widthOf(axisText) && Math.abs(toY(error, size) - 4 - toY(1, size)) < LINE;
+}
+
+/**
+ * On which side of a line at `x` its text is, as an anchor; `undefined` where there is no place for it.
+ * @param besides where a line goes down from the curve, which the text leaves free
+ */
+export function fineSide(text: string, x: number, besides: number, { width }: Size): "start" | "end" | undefined {
+  const own = widthOf(text);
+  const isFree = (from: number, to: number) => from >= 0 && to <= width && (besides < from || besides > to);
+  if (isFree(x - own, x)) return "end";
+  return isFree(x, x + own) ? "start" : undefined;
+}
