@@ -257,7 +257,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
   });
 
   test("the tour comes once, and can be left", MORE, async () => {
-    const { page } = await openAt("desktop", "dark", { tour: true });
+    const { page, faults } = await openAt("desktop", "dark", { tour: true });
     await settled(page);
     const tour = page.getByRole("dialog", { name: "Tour" });
     await tour.getByText("1 of 3").waitFor();
@@ -271,6 +271,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     await settled(page);
     await page.waitForTimeout(500);
     assert.equal(await tour.isVisible(), false);
+    assert.deepEqual(faults, []);
     await page.context().close();
   });
 

@@ -24,10 +24,11 @@ const STEPS: readonly Step[] = [
       return `isopeel makes the surface inside a volume with only the triangles that show something: here ${share}${full}. Drag to turn it, scroll to come nearer.`;
     },
   },
-  { at: "detail", title: "How fine", text: () => "Drag this slider: from a hundredth of the triangles to all of them. The line above says how far the surface is off." },
+  { at: "detail", title: "How fine", text: () => "Drag this slider: from a thousandth of the triangles to all of them. The line above says how far the surface is off." },
   { at: "matters", title: "What stays fine", text: () => "Say what matters: the shape, edges in the data, or another field. High points keep their triangles, low ones give them up." },
 ];
 
+/** As in `over.css`: as a style here it would be a constant, which is put in the page's text, where the page's policy forbids it. */
 const WIDTH = 320;
 const GAP = 14;
 
@@ -65,7 +66,7 @@ export default function Tour(props: { readonly onEnd: () => void }) {
       class="tour"
       role="dialog"
       aria-label="Tour"
-      style={{ left: `${corner().left}px`, top: `${corner().top}px`, width: `min(${WIDTH}px, calc(100vw - ${2 * GAP}px))` }}
+      style={{ left: `${corner().left}px`, top: `${corner().top}px` }}
       on:keydown={(event) => {
         if (event.key === "Escape") end();
       }}
