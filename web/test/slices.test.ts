@@ -2,7 +2,7 @@ import { expect, test } from "vitest";
 import { readPlane, type Plane, type PlaneRequest } from "../src/net/slices";
 import type { Slice } from "../src/scene/slices";
 import { SliceLoader } from "../src/wiring/sliceLoader";
-import { boundsOf, reach } from "../src/state/bounds";
+import { boundsOf, reach, usualWindow } from "../src/state/bounds";
 import { NO_SLICES } from "../src/state/look";
 import { VOLUMES } from "./fixture";
 
@@ -116,4 +116,16 @@ test("of an expression the window is that of what is shown", async () => {
   asked[0]?.answer({ ...plane, samples: Float32Array.from([3, NaN, -2, 7]), size: [2, 2] });
   await settle();
   expect(shown.at(-1)?.map(({ window }) => window)).toEqual([[-2, 7]]);
+});
+
+test("slices are as bright as most values are, whatever single ones are", () => {
+  const of = (counts: readonly number[]) => {
+    const fields = volume.fields.map((field) => ({ ...field, histogram: { min: 0, max: counts.length, counts } }));
+    return usualWindow({ ...volume, fields }, source.field);
+  };
+  // Tissue, bone, and a screw.
+  expect(of([0, 500, 400, 100, 0, 0, 0, 0, 0, 2])).toEqual([1, 4]);
+  expect(of([3, 500, 400, 100, 0, 0, 0, 0, 0, 2])).toEqual([1, 4]);
+  // A mask, even of a few samples, and all values alike.
+  expect([of([90, 0, 0, 10]), of([9999, 0, 0, 1]), of([0, 0])]).toEqual([[0, 4], [0, 4], [0, 2]]);
 });

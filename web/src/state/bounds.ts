@@ -33,3 +33,23 @@ export function sampleRange({ fields }: VolumeInfo, field: string | undefined): 
   const histogram = fields.find(({ name }) => name === field)?.histogram;
   return histogram === undefined ? [0, 1] : [histogram.min, histogram.max];
 }
+
+/** Share of the samples at either end that are black or white alike: metal, and single bright samples, would leave all else in the dark. */
+const TAIL = 0.005;
+
+/** What lies between black and white until somebody says so: a field's values but for the rarest at both ends; all where few are others. */
+export function usualWindow(volume: VolumeInfo, field: string | undefined): readonly [number, number] {
+  const whole = sampleRange(volume, field);
+  const counts = volume.fields.find(({ name }) => name === field)?.histogram.counts ?? [];
+  const tail = TAIL * counts.reduce((sum, n) => sum + n, 0);
+  const first = binPast(counts, tail);
+  const last = counts.length - 1 - binPast(counts.toReversed(), tail);
+  const bin = (whole[1] - whole[0]) / counts.length;
+  return last > first ? [whole[0] + first * bin, last === counts.length - 1 ? whole[1] : whole[0] + (last + 1) * bin] : whole;
+}
+
+/** The first bin up to which there are more than so many samples. */
+function binPast(counts: readonly number[], tail: number): number {
+  let sum = 0;
+  return Math.max(0, counts.findIndex((n) => (sum += n) > tail));
+}

@@ -3,7 +3,7 @@
 import { fetchSlice, type Plane } from "../net/slices";
 import type { VolumeInfo } from "../protocol/types";
 import type { Slice } from "../scene/slices";
-import { sampleRange } from "../state/bounds";
+import { usualWindow } from "../state/bounds";
 import type { SliceChoice } from "../state/look";
 import { unevenOf, type Uneven } from "../world/uneven";
 
@@ -71,7 +71,7 @@ export class SliceLoader {
     const planes = sourceOf(this.loaded) === sourceOf(keyOf(this.wanted)) ? this.planes : [];
     const isListed = source.volume.fields.some(({ name }) => name === source.field);
     // Of an expression nothing is known here but what is shown.
-    const [black, white] = choice.window ?? (isListed ? sampleRange(source.volume, source.field) : rangeOf(planes));
+    const [black, white] = choice.window ?? (isListed ? usualWindow(source.volume, source.field) : rangeOf(planes));
     const state = [black, white, ...planes];
     if (state.length === this.shown.length && state.every((value, i) => value === this.shown[i])) return;
     // Without planes the window does not matter.

@@ -2,7 +2,7 @@
 
 import { Show } from "solid-js";
 import type { VolumeInfo } from "../../protocol/types";
-import { sampleRange } from "../../state/bounds";
+import { sampleRange, usualWindow } from "../../state/bounds";
 import type { SliceChoice } from "../../state/look";
 import { formatValue } from "../format";
 import { useModel } from "../model";
@@ -68,7 +68,7 @@ function WindowLevel(props: { readonly volume: VolumeInfo }) {
   const { actions, look, view } = useModel();
   const range = () => sampleRange(props.volume, view()?.field);
   const size = () => range()[1] - range()[0] || 1;
-  const shown = () => look().slices.window ?? range();
+  const shown = () => look().slices.window ?? usualWindow(props.volume, view()?.field);
   const width = () => shown()[1] - shown()[0];
   const level = () => (shown()[0] + shown()[1]) / 2;
   const change = (of: { readonly width?: number; readonly level?: number }, gesture?: string) => {
@@ -100,8 +100,8 @@ function WindowLevel(props: { readonly volume: VolumeInfo }) {
         onChange={(value, gesture) => change({ level: value }, gesture)}
         onEnd={actions.endGesture}
       />
-      <Show when={look().slices.window !== undefined}>
-        <Button quiet onClick={() => actions.changeLook({ slices: { ...look().slices, window: undefined } })}>
+      <Show when={shown()[0] !== range()[0] || shown()[1] !== range()[1]}>
+        <Button quiet onClick={() => actions.changeLook({ slices: { ...look().slices, window: range() } })}>
           Whole range
         </Button>
       </Show>
