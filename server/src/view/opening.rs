@@ -24,6 +24,8 @@ pub struct OpeningIso {
 pub enum IsoReason {
     /// The values are those of computed tomography: bone.
     Bone,
+    /// The values are a few labels: all that is not background, which is the lowest one.
+    Labels,
     /// The two classes of the histogram without the background's peak.
     BackgroundLeftOut,
     /// The two classes of the whole histogram.
@@ -50,6 +52,12 @@ const MIN_BACKGROUND: f64 = 0.25;
 const MIN_REST: f64 = 0.01;
 /// Minimum different values beside the background; fewer are labels, of which the background is one.
 const MIN_REST_BINS: usize = 8;
+/// Bins with samples of a volume of labels: two are a mask, and more than these are measured values.
+const LABEL_BINS: std::ops::RangeInclusive<usize> = 3..=16;
+/// Bins with samples that follow each other, up to which they are labels where a bin has several whole numbers; more are a peak.
+const MAX_LABEL_RUN: usize = 4;
+/// A bin's ends are known to this much of the values' unit.
+const ROUNDING: f64 = 1e-3;
 /// Up to this multiple of the lowest bin a valley is level.
 const VALLEY_FLOOR: f64 = 1.5;
 /// Bins before and after one that are averaged with it.
@@ -68,6 +76,10 @@ impl OpeningIso {
         if bins.is_hounsfield(unit) {
             let why = "bone, in the Hounsfield units of computed tomography".to_owned();
             return choice(BONE, IsoReason::Bone, why);
+        }
+        if bins.are_labels() {
+            let why = "around all labels: few different values, of which the lowest is the background".to_owned();
+            return choice(bins.low + 0.5, IsoReason::Labels, why);
         }
         let background = bins.background();
         let without = |background| bins.otsu(background).map(|value| (background, value));
@@ -164,6 +176,27 @@ impl<'a> Bins<'a> {
         let is_tissue = mode.is_some_and(|bin| near(bin, -150.0, 150.0));
         let reaches = (-4096.0..=-900.0).contains(&self.low) && self.range[1] >= 1000.0;
         reaches && air >= MIN_AIR && is_tissue
+    }
+
+    /// Whether these are labels: few different whole numbers, of which the lowest is that of the background. Where a bin has several whole
+    /// numbers, bins tell it less surely: then a peak, and single samples far away, are those of measured values.
+    fn are_labels(&self) -> bool {
+        let occupied: Vec<usize> = (0..self.counts.len()).filter(|&bin| self.counts[bin] > 0).collect();
+        let is_whole = |value: f32| value.fract() == 0.0;
+        if !self.range.into_iter().all(is_whole)
+            || !LABEL_BINS.contains(&occupied.len())
+            || self.share(0, 1) < MIN_BACKGROUND
+        {
+            return false;
+        }
+        if self.width <= 1.0 {
+            let has_whole =
+                |&bin: &usize| (self.start(bin as f64) - ROUNDING).ceil() <= self.start(bin as f64 + 1.0) + ROUNDING;
+            return occupied.iter().all(has_whole);
+        }
+        let mut runs = occupied.chunk_by(|a, b| a + 1 == *b);
+        let first = runs.clone().next().map_or(0, <[usize]>::len);
+        runs.all(|run| run.len() <= MAX_LABEL_RUN) && self.share(first, self.counts.len()) >= MIN_REST
     }
 
     /// The bin where the background's peak ends, where there is one: a high and narrow one at the low end, with much beside it.

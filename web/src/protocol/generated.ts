@@ -355,7 +355,7 @@ export type Interest = {
 };
 
 /** What an isovalue was chosen by. */
-export type IsoReason = "bone" | "background-left-out" | "whole-histogram" | "no-surface";
+export type IsoReason = "bone" | "labels" | "background-left-out" | "whole-histogram" | "no-surface";
 
 /** A batch job. */
 export type JobInfo = {

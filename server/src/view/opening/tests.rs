@@ -170,10 +170,33 @@ fn masks_and_labels_open_between_two_values() {
     assert_eq!(of(1.0, &[(0, 9_000_000), (255, 10)]), (0.5, IsoReason::WholeHistogram));
     assert_eq!(of(1.0, &[(0, 10), (255, 9_000_000)]), (0.5, IsoReason::WholeHistogram));
     assert_eq!(of(255.0, &[(0, 800), (255, 200)]), (127.5, IsoReason::WholeHistogram));
-    let (iso, _) = of(3.0, &[(0, 9_000_000), (85, 3000), (170, 3000), (255, 3000)]);
+    // Around all of them: any other isovalue cuts off those whose numbers happen to be low.
+    let three = [(0, 9_000_000), (85, 3000), (170, 3000), (255, 3000)];
+    assert_eq!(of(3.0, &three), (0.5, IsoReason::Labels));
+    // Several labels in a bin, and one whose number is far from the others.
+    let brain = [(0, 700), (1, 100), (4, 50), (10, 50), (13, 60), (255, 40)];
+    assert_eq!(of(1024.0, &brain), (0.5, IsoReason::Labels));
+    // Values between whole numbers, a background of a few samples, a peak of measured values, and a few samples that are too bright.
+    let measured = [
+        of(3.0, &[(0, 9_000_000), (40, 3000), (120, 3000), (255, 3000)]),
+        of(3.0, &[(0, 10), (85, 3000), (170, 3000), (255, 3000)]),
+        of(
+            65_535.0,
+            &[
+                (0, 700),
+                (160, 40),
+                (161, 90),
+                (162, 160),
+                (163, 90),
+                (164, 40),
+                (255, 1),
+            ],
+        ),
+        of(65_535.0, &[(0, 99_000), (1, 2000), (2, 100), (200, 1), (255, 2)]),
+    ];
     assert!(
-        [1, 2, 3].iter().any(|&label| (label as f32 - 0.5 - iso).abs() < 0.01),
-        "{iso}"
+        measured.iter().all(|&(_, reason)| reason != IsoReason::Labels),
+        "{measured:?}"
     );
 }
 
