@@ -202,26 +202,31 @@ impl FieldReport {
         writeln!(out, "field {}", self.name)?;
         writeln!(
             out,
-            "  type        {} in the file, {} on the device ({:.1} MiB)",
+            "  type        {} in the file, {} on the device ({})",
             self.stored_type,
             self.sample_type,
-            self.bytes as f64 / 1_048_576.0
+            size(self.bytes)
         )?;
         match self.range {
             Some([low, high]) => {
-                writeln!(out, "  range       {low} to {high}{unit}")?;
+                writeln!(out, "  range       {} to {}{unit}", number(low), number(high))?;
                 writeln!(
                     out,
                     "  histogram   {}  (64 bins, logarithmic)",
                     sparkline(&self.histogram)
                 )?;
                 let OpeningIso { iso, explanation, .. } = &self.opening_iso;
-                writeln!(out, "  isovalue    {iso}{unit} opens it: {explanation}")?;
+                writeln!(out, "  isovalue    {}{unit} opens it: {explanation}", number(*iso))?;
             }
             None => writeln!(out, "  range       none: no sample has a value")?,
         }
         if let Some(missing) = self.missing {
-            writeln!(out, "  missing     {missing}, {} samples", self.missing_samples)?;
+            writeln!(
+                out,
+                "  missing     {}, {} samples",
+                number(missing),
+                self.missing_samples
+            )?;
         }
         if self.not_finite_samples > 0 {
             writeln!(out, "  not finite  {} samples", self.not_finite_samples)?;
@@ -230,8 +235,32 @@ impl FieldReport {
     }
 }
 
+/// Three numbers of eight digits: what a file computed in single precision has noise behind them.
 fn triple(values: [f64; 3]) -> String {
-    values.map(|v| v.to_string()).join(" ")
+    // What was written with an exponent is a number.
+    let rounded = |v: f64| format!("{v:.7e}").parse().unwrap_or(v);
+    values.map(|v| number(rounded(v))).join(" ")
+}
+
+/// A number in full, or with a power of ten where that would be a row of zeros.
+fn number<T: Copy + Into<f64> + std::fmt::Display + std::fmt::LowerExp>(value: T) -> String {
+    let size = value.into().abs();
+    if size == 0.0 || (1e-5..1e9).contains(&size) {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
+}
+
+/// Bytes in KiB below a tenth of a MiB, which would be 0.0 MiB.
+fn size(bytes: u64) -> String {
+    const MIB: f64 = 1_048_576.0;
+    let bytes = bytes as f64;
+    if bytes < MIB / 10.0 {
+        format!("{:.1} KiB", bytes / 1024.0)
+    } else {
+        format!("{:.1} MiB", bytes / MIB)
+    }
 }
 
 /// 256 bins as 64 characters. Logarithmic, or a volume's background would dominate.
@@ -313,6 +342,16 @@ mod tests {
             (&json["dims"], &field["missingSamples"]),
             (&serde_json::json!([4, 4, 4]), &1.into())
         );
+    }
+
+    #[test]
+    fn numbers_are_read_without_counting_zeros() {
+        assert_eq!(
+            [3.014_296_6e-10_f32, 9.969_21e36, 0.0, -300.5, 1e-4, 65_535.0].map(number),
+            ["3.0142966e-10", "9.96921e36", "0", "-300.5", "0.0001", "65535"]
+        );
+        assert_eq!(triple([1.060_000_016_954_21, 0.1, 1e-9]), "1.06 0.1 1e-9");
+        assert_eq!([500, 32_000, 2_916_000].map(size), ["0.5 KiB", "31.2 KiB", "2.8 MiB"]);
     }
 
     #[test]
