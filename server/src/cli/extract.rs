@@ -9,13 +9,15 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ArgGroup;
-use isopeel_kernels::MAX_LEVEL;
+use isopeel_kernels::{Histogram, MAX_LEVEL};
 use tokio_util::sync::CancellationToken;
 
 use crate::export::{ExportError, Format};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
-use crate::view::{ChosenPartsJson, Edit, EditError, InterestJson, TransferFunctionJson, View, parse_position};
+use crate::view::{
+    ChosenPartsJson, Edit, EditError, FeatureName, InterestJson, TransferFunctionJson, View, parse_position,
+};
 use crate::volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
@@ -257,9 +259,17 @@ async fn extract(
         ));
         let colored = args.transfer_function.is_some();
         // This thread waits for Ctrl-C.
+        let volume = volume.clone();
         let written =
             tokio::task::spawn_blocking(move || output.write(extraction, &volume, (colored, &device.name), &token));
         written.await.map_err(io::Error::from)??;
+    }
+    if statistics.triangles == 0 && statistics.full_triangles == 0 {
+        let histogram = extractor
+            .worker()
+            .histogram(&volume, &view.field, &FeatureName::None)
+            .await?;
+        eprintln!("isopeel: {}", no_surface(args.iso, &view, &histogram));
     }
     for line in removed(args.min_part, args.parts().as_ref(), &statistics) {
         eprintln!("isopeel: {line}");
@@ -314,6 +324,22 @@ impl Args {
         let given = |positions: &Vec<_>| (!positions.is_empty()).then(|| positions.clone());
         let hide = given(&self.hide_part).map(ChosenPartsJson::Hide);
         hide.or_else(|| given(&self.keep_part).map(ChosenPartsJson::Keep))
+    }
+}
+
+/// Why a mesh is empty: files without triangles are written too, so that a row of isovalues or steps goes on.
+fn no_surface(iso: f32, view: &View, histogram: &Histogram) -> String {
+    let nowhere = format!("no surface at isovalue {iso}");
+    let field = &view.field;
+    let [low, high] = histogram.range;
+    match &view.mask {
+        _ if histogram.bins.iter().all(|&samples| samples == 0) => {
+            format!("no surface: no sample of {field:?} has a value")
+        }
+        // The same test as the kernels': samples at the isovalue are inside.
+        _ if iso <= low || iso > high => format!("{nowhere}: values of {field:?} go from {low} to {high}"),
+        Some(mask) => format!("{nowhere} where {}", mask.as_str()),
+        None => format!("{nowhere}: samples on both sides of it are parted by missing ones"),
     }
 }
 

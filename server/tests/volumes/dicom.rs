@@ -106,8 +106,8 @@ fn an_image_beside_the_line_is_refused() {
 fn single_images_are_no_volume() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::copy(fixture("ct/IM0"), folder.path().join("scout")).unwrap();
-    assert!(refused(folder.path()).contains("1 single images, expected a series of 2 or more"));
-    assert!(refused(&folder.path().join("scout")).contains("single images"));
+    assert!(refused(folder.path()).contains("a single image, expected a series of 2 or more"));
+    assert!(refused(&folder.path().join("scout")).contains("by the name of its folder"));
     std::fs::copy(fixture("ct/DICOMDIR"), folder.path().join("scout")).unwrap();
     assert!(refused(folder.path()).contains("no image with a place in space"));
 }

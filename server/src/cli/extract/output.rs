@@ -37,7 +37,13 @@ impl Output {
             if path.is_dir() {
                 return Err(io::ErrorKind::IsADirectory.into());
             }
-            builder.tempfile_in(folder.unwrap_or(Path::new(".")))
+            let folder = folder.unwrap_or(Path::new("."));
+            // The error would name the temporary file, which nobody has asked for.
+            if !folder.exists() {
+                let why = format!("there is no folder {}", folder.display());
+                return Err(io::Error::new(io::ErrorKind::NotFound, why));
+            }
+            builder.tempfile_in(folder)
         };
         let file = create().map_err(|source| ExtractError::Output {
             path: path.to_owned(),

@@ -5,7 +5,6 @@ use clap::Parser;
 use super::super::{Cli, Command};
 use super::*;
 use crate::extraction::Extraction;
-use crate::view::FeatureName;
 use crate::volumes::testing;
 
 fn parse(line: &str) -> Result<Args, clap::Error> {
@@ -331,4 +330,49 @@ fn the_output_appears_whole_or_not_at_all() {
         .unwrap();
     assert_eq!(files(), 1);
     assert_eq!(&std::fs::read(&path).unwrap()[..4], b"glTF");
+}
+
+#[test]
+fn a_folder_that_is_not_there_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let missing = folder.path().join("meshes");
+    let Err(ExtractError::Output { source, .. }) = Output::create(&missing.join("a.glb"), Format::Glb) else {
+        panic!("there is no folder to write to");
+    };
+    assert_eq!(source.to_string(), format!("there is no folder {}", missing.display()));
+}
+
+#[test]
+fn an_empty_mesh_says_why_it_is_empty() {
+    let view = |options: &str| {
+        let args = parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).unwrap();
+        args.view(&dataset()).unwrap()
+    };
+    let histogram = |samples| Histogram {
+        range: if samples > 0 { [0.0, 255.0] } else { [0.0; 2] },
+        bins: vec![samples; 256],
+    };
+    let (plain, masked) = (view(""), view("--mask gm>=3"));
+    for (iso, view, expected) in [
+        (
+            300.0,
+            &plain,
+            "no surface at isovalue 300: values of \"t1\" go from 0 to 255",
+        ),
+        (
+            0.0,
+            &masked,
+            "no surface at isovalue 0: values of \"t1\" go from 0 to 255",
+        ),
+        (9.0, &masked, "no surface at isovalue 9 where gm>=3"),
+        (
+            9.0,
+            &plain,
+            "no surface at isovalue 9: samples on both sides of it are parted by missing ones",
+        ),
+    ] {
+        assert_eq!(no_surface(iso, view, &histogram(9)), expected);
+    }
+    let none = no_surface(0.0, &plain, &histogram(0));
+    assert_eq!(none, "no surface: no sample of \"t1\" has a value");
 }

@@ -94,10 +94,16 @@ pub fn volumes(label: &FileLabel, files: Vec<Found>) -> Result<Vec<FolderVolume>
         }
     }
     if single > 0 {
-        tracing::info!(path = %label.asked.display(), "{single} single images are no volume, passed over");
+        tracing::info!(path = %label.asked.display(), images = single, "single images are no volume, passed over");
     }
     if volumes.is_empty() {
-        let why = format!("{single} single images, expected a series of 2 or more that lie behind each other");
+        let found = if single == 1 {
+            "a single image".to_owned()
+        } else {
+            format!("{single} single images")
+        };
+        let why =
+            format!("{found}, expected a series of 2 or more that lie behind each other, by the name of its folder");
         let none = || label.error("images", why);
         return Err(refused.into_iter().next().unwrap_or_else(none));
     }
