@@ -170,6 +170,8 @@ test("why a field opens with its isovalue is said as long as that is in force", 
   const depth = VOLUMES[0]!.fields[0]!;
   const { openingIso } = depth;
   expect(openingText(depth, openingIso!.iso)).toBe("Opens here: between two classes of values");
+  const explanation = "without the background (92 % of the samples)";
+  expect(openingText({ ...depth, openingIso: { ...openingIso!, explanation } }, openingIso!.iso)).toBe("Opens here: without the background (92\u00a0% of the samples)");
   expect(openingText(depth, openingIso!.iso + 1)).toBe("");
   expect(openingText(undefined, 0)).toBe("");
 });

@@ -21,7 +21,8 @@ import { broughtIsovalue, SurfaceRows } from "./surfaceRows";
 /** Why a field opens with this isovalue; empty where it is another one. */
 export function openingText(field: FieldInfo | undefined, iso: number): string {
   const opening = field?.openingIso;
-  return opening?.iso === iso ? `Opens here: ${opening.explanation}` : "";
+  // A number stays beside its sign where the line breaks.
+  return opening?.iso === iso ? `Opens here: ${opening.explanation.replaceAll(" %", "\u00a0%")}` : "";
 }
 
 /** The edit that shows another field's surface: with the isovalue that it opens with, and what is derived from it. */
