@@ -256,6 +256,24 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     await page.context().close();
   });
 
+  test("a page says that it is loading while its program is on its way", async () => {
+    const page = await at.browser.newPage({ colorScheme: "light" });
+    let pass;
+    const held = new Promise((done) => (pass = done));
+    await page.route("**/assets/index-*.js", async (route) => {
+      await held;
+      await route.continue();
+    });
+    await page.goto(at.server.url, { waitUntil: "commit" });
+    const loading = page.getByText("Loading isopeel");
+    await loading.waitFor();
+    assert.equal(await page.locator("body").evaluate((body) => getComputedStyle(body).backgroundColor), "rgb(255, 255, 255)");
+    pass();
+    await settled(page);
+    assert.equal(await loading.count(), 0);
+    await page.close();
+  });
+
   test("the tour comes once, and can be left", MORE, async () => {
     const { page, faults } = await openAt("desktop", "dark", { tour: true });
     await settled(page);

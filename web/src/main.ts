@@ -19,6 +19,8 @@ takeRefusal();
 window.addEventListener("hashchange", () => {
   if (withoutToken(window.location.href).token !== undefined) void enter(base).then(() => window.location.reload());
 });
+// It says that the page is loading.
+root.replaceChildren();
 try {
   new App(root, base).start();
 } catch (error) {
