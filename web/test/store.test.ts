@@ -116,6 +116,17 @@ describe("the store", () => {
     expect(store.view).toMatchObject({ error: OPENING.error, triangles: OPENING.triangles, beta: undefined });
   });
 
+  test("a link with another field and no isovalue shows it as it opens", () => {
+    const [store, wish] = [new Store(), decodeLink("#volume=ball&field=height")!];
+    open(store, "ball", wish);
+    const height = VOLUMES[0]!.fields.find(({ name }) => name === "height")!;
+    expect(store.view).toMatchObject({ field: "height", iso: height.openingIso!.iso, featureRange: OPENING.featureRange });
+    open(store, "ball-mirrored", decodeLink("#volume=ball-mirrored&field=height&iso=3&feature=gradient-magnitude"));
+    expect(store.view).toMatchObject({ field: "height", iso: 3 });
+    store.replace(decodeLink("#volume=ball-mirrored&field=height&feature=gradient-magnitude")!);
+    expect(store.view?.featureRange).toEqual(height.derivedFeatures["gradient-magnitude"]!.range);
+  });
+
   test("keeps each volume's work, with its history and its camera", () => {
     const store = new Store();
     open(store, "ball");

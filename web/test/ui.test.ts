@@ -3,7 +3,8 @@ import { digitsBetween, formatBytes, formatCount, formatMs, formatPercent, forma
 import { histogramPath } from "../src/ui/plots/histogram";
 import { criterion, gaveWayText, inSpacings, trianglesOf } from "../src/ui/cards/criterion";
 import { BETA_SCALE, ERROR_SCALE } from "../src/ui/cards/scales";
-import { derivedFeature, featureInfo, label, otherFeatures, ownRange } from "../src/ui/cards/features";
+import { derivedFeature, ownRange } from "../src/state/fields";
+import { featureInfo, label, otherFeatures } from "../src/ui/cards/features";
 import { limitsOf } from "../src/ui/cards/limits";
 import { alphaText, coarseText, onSurface } from "../src/ui/cards/matters";
 import { interestText, regionText } from "../src/ui/cards/paintTools";

@@ -8,6 +8,7 @@ import { History } from "./history";
 import { DEFAULT_LOOK, openingLook, type Look, type Pose } from "./look";
 import type { MeasureKind } from "./measure";
 import { PARTS_GESTURE, placesOf, type PartTool } from "./parts";
+import { ofItsField } from "./fields";
 import { added, besides, DEFAULT_STYLE, edited, limited, listOf, removed, styled, type Surface, type SurfaceList, type SurfaceStyle } from "./surfaceList";
 import { INITIAL_STATE, reduce, type ViewerEvent, type ViewerState } from "./viewer";
 
@@ -301,7 +302,11 @@ export class Store {
   }
 
   private wished({ surfaces, selected, look, step }: Omit<Wish, "pose">, opening: View): Work {
-    const list = listOf(opening, surfaces);
+    const { volume } = this.viewerState;
+    const list = listOf(
+      opening,
+      surfaces.map(({ edit, style }) => ({ edit: ofItsField(edit, opening, volume), style })),
+    );
     return { surfaces: list, selected: list[selected]?.number ?? 0, look: { ...this.openingLook, ...look }, step: step ?? this.step };
   }
 

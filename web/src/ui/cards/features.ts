@@ -1,19 +1,12 @@
 /** Names of features, and what is known of them. Pure. */
 
-import type { DerivedInfo, View, VolumeInfo } from "../../protocol/types";
+import type { DerivedInfo, VolumeInfo } from "../../protocol/types";
+import { derivedFeature, type Chosen } from "../../state/fields";
 
 /** No feature: importance is smoothness alone. */
 export const NO_FEATURE = "none";
 /** The magnitude of the gradient of the field whose surface is shown. */
 export const GRADIENT = "gradient-magnitude";
-
-type Chosen = Pick<View, "feature" | "field">;
-
-/** The view's feature, where it is derived from the field whose isosurface is shown. */
-export function derivedFeature(volume: VolumeInfo, { feature, field }: Chosen): DerivedInfo | undefined {
-  const derived = volume.fields.find((f) => f.name === field)?.derivedFeatures ?? {};
-  return Object.hasOwn(derived, feature) ? derived[feature] : undefined;
-}
 
 /** What is known of a view's feature; `undefined` where the server does not know it. */
 export function featureInfo(volume: VolumeInfo, view: Chosen): DerivedInfo | undefined {
@@ -24,17 +17,6 @@ export function featureInfo(volume: VolumeInfo, view: Chosen): DerivedInfo | und
 /** A feature that is computed from a vector field. */
 function vectorFeature(volume: VolumeInfo, feature: string): DerivedInfo | undefined {
   return volume.vectors.map(({ features }) => (Object.hasOwn(features, feature) ? features[feature] : undefined)).find((info) => info !== undefined);
-}
-
-/** The feature's own range, where it is known and not empty. Of a computed one with both signs the server chooses: magnitudes count. */
-export function ownRange(info: DerivedInfo | undefined): readonly [number, number] | undefined {
-  const range = info?.range;
-  if (range === undefined || !(range[0] < range[1])) return undefined;
-  return range[0] < 0 && !isField(info) ? undefined : range;
-}
-
-function isField(info: DerivedInfo | undefined): boolean {
-  return info !== undefined && "name" in info;
 }
 
 /** Names of the features to choose from beside the shape and the gradient's magnitude: computed from the shown field, from vectors, fields. */

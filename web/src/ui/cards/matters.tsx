@@ -1,9 +1,10 @@
 /** Where the surface stays fine: a feature, its weight against the shape, the transfer function, and regions of interest. */
 
 import { createMemo, createSignal, Show } from "solid-js";
-import { GRADIENT, NO_FEATURE, featureInfo, label, otherFeatures, ownRange } from "./features";
+import { GRADIENT, NO_FEATURE, featureInfo, label, otherFeatures } from "./features";
 import type { DerivedInfo, Distribution, FieldInfo, View, VolumeInfo } from "../../protocol/types";
 import { isExpression } from "../../state/expressions";
+import { ownRange } from "../../state/fields";
 import { useDescribed } from "../expressions";
 import { formatShare } from "../format";
 import { useModel } from "../model";

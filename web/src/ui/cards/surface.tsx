@@ -1,7 +1,8 @@
 /** Which isosurfaces are shown: field and isovalue of each, and how it looks. */
 
 import { createMemo, createSignal, For, Show, type JSX } from "solid-js";
-import type { Edit, FieldInfo, View, VolumeInfo } from "../../protocol/types";
+import type { FieldInfo } from "../../protocol/types";
+import { fieldEdit } from "../../state/fields";
 import { useDescribed } from "../expressions";
 import { digitsBetween, formatValue } from "../format";
 import { useModel } from "../model";
@@ -9,13 +10,12 @@ import { Needs } from "../needs";
 import { hasValues } from "../plots/histogram";
 import { HistogramSlider } from "../plots/histogramSlider";
 import { landmarks } from "../plots/landmarks";
-import { Button } from "../widgets/button";
 import { Select } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { placeOf, surfaceName } from "../surfaceNames";
 import type { Card } from "./card";
 import { ExpressionEditor } from "./expressionEditor";
-import { derivedFeature, label, ownRange } from "./features";
+import { label } from "./features";
 import { broughtIsovalue, SurfaceRows } from "./surfaceRows";
 
 /** Why a field opens with this isovalue; empty where it is another one. */
@@ -23,14 +23,6 @@ export function openingText(field: FieldInfo | undefined, iso: number): string {
   const opening = field?.openingIso;
   // A number stays beside its sign where the line breaks.
   return opening?.iso === iso ? `Opens here: ${opening.explanation.replaceAll(" %", "\u00a0%")}` : "";
-}
-
-/** The edit that shows another field's surface: with the isovalue that it opens with, and what is derived from it. */
-function fieldEdit(volume: VolumeInfo, view: View, name: string): Edit {
-  const field = volume.fields.find((f) => f.name === name);
-  const derived = derivedFeature(volume, { feature: view.feature, field: name });
-  const iso = field?.openingIso?.iso ?? view.iso;
-  return { field: name, iso, ...(derived === undefined ? {} : { featureRange: ownRange(derived) }) };
 }
 
 function Body() {
@@ -45,6 +37,7 @@ function Body() {
     return fields().length === 0 || name === undefined || named(name) !== undefined ? undefined : name;
   };
   const described = useDescribed(expression);
+  const isEditing = () => editing() || (expression() !== undefined && described()?.info === undefined);
   const field = createMemo(() => named(view()?.field) ?? described()?.info);
   const choose = (name: string) => {
     const [now, inForce] = [volume(), view()];
@@ -66,23 +59,27 @@ function Body() {
               </Show>
             </Isovalue>
           </Needs>
-          <SurfaceRows />
+          <SurfaceRows>
+            <Show when={model.may("edit") && !isEditing()}>
+              <Compute isChange={expression() !== undefined} onClick={() => setEditing(true)} />
+            </Show>
+          </SurfaceRows>
         </>
       )}
     </Show>
-    <Show when={model.may("edit")}>
-      <Show
-        when={editing() || (expression() !== undefined && described()?.info === undefined)}
-        fallback={
-          <Button quiet class="compute" onClick={() => setEditing(true)}>
-            {expression() === undefined ? "Compute a field…" : "Change the expression…"}
-          </Button>
-        }
-      >
-        <ExpressionEditor label="Expression of the field" value={expression() ?? ""} onUse={use} onClose={() => setEditing(false)} />
-      </Show>
+    <Show when={model.may("edit") && isEditing()}>
+      <ExpressionEditor label="Expression of the field" value={expression() ?? ""} onUse={use} onClose={() => setEditing(false)} />
     </Show>
     </>
+  );
+}
+
+/** One word: beside the other buttons it takes no line of its own, for which a small window has no place. */
+function Compute(props: { readonly isChange: boolean; readonly onClick: () => void }) {
+  return (
+    <button type="button" class="button quiet" aria-label={props.isChange ? "Change the expression…" : "Compute a field…"} title="A field computed from others, by an expression" on:click={() => props.onClick()}>
+      {props.isChange ? "Change" : "Compute"}
+    </button>
   );
 }
 

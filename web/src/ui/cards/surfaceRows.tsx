@@ -1,6 +1,6 @@
 /** The list of surfaces, how the selected one looks, which of its parts are shown, and the button for a further one. */
 
-import { createSignal, Index, Show } from "solid-js";
+import { createSignal, Index, Show, type JSX } from "solid-js";
 import { freeColor, MAX_SURFACES, type Surface } from "../../state/surfaceList";
 import { surfacesOf, type SurfaceState } from "../../state/surfaceState";
 import type { VolumeInfo } from "../../protocol/types";
@@ -35,7 +35,8 @@ function createPanel(hasContent: () => boolean): readonly [isOpen: () => boolean
   return [isOpen, () => setWish(!isOpen())];
 }
 
-export function SurfaceRows() {
+/** `children` come before the other buttons. */
+export function SurfaceRows(props: { readonly children: JSX.Element }) {
   const model = useModel();
   const { selected, surfaces, view, viewer, volume } = model;
   const several = () => surfaces().length > 1;
@@ -68,6 +69,7 @@ export function SurfaceRows() {
         <Show when={note()}>
           <span class="note">{note()}</span>
         </Show>
+        {props.children}
         <Show when={offersPartTools()}>
           <button type="button" class="button quiet" aria-label="Parts of the surface" title="Hide pieces, or keep one alone" aria-expanded={isPartsOpen()} on:click={togglePartsOpen}>
             Parts
