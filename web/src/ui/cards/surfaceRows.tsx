@@ -4,7 +4,7 @@ import { createSignal, Index, Show, type JSX } from "solid-js";
 import { freeColor, MAX_SURFACES, type Surface } from "../../state/surfaceList";
 import { surfacesOf, type SurfaceState } from "../../state/surfaceState";
 import type { VolumeInfo } from "../../protocol/types";
-import { formatCount } from "../format";
+import { digitsBetween, formatCount } from "../format";
 import { useModel } from "../model";
 import { furtherIsovalue } from "../plots/landmarks";
 import { inkOn, surfaceName, useSurfaceName } from "../surfaceNames";
@@ -118,7 +118,8 @@ function Row(props: { readonly surface: Surface; readonly place: number; readonl
   const name = () => surfaceName(surfaces(), number()) || "the surface";
   const style = () => props.surface.style;
   const field = () => volume()?.fields.find(({ name }) => name === props.surface.view.field);
-  const range = () => (field()?.histogram.max ?? 1) - (field()?.histogram.min ?? 0);
+  const ends = () => [field()?.histogram.min ?? 0, field()?.histogram.max ?? 1] as const;
+  const range = () => ends()[1] - ends()[0];
   const triangles = () => (facts().levelTrianglesBySurface[number()] ?? []).reduce((sum, n) => sum + n, 0);
   const words = () => rowText(surfacesOf(viewer()).get(number()), triangles());
   const colors = () => {
@@ -134,7 +135,7 @@ function Row(props: { readonly surface: Surface; readonly place: number; readonl
       <button type="button" class="surface-disc" style={colors()} aria-label={`Select ${name()}`} aria-pressed={props.isSelected} title="The cards are about the selected surface" on:click={() => actions.selectSurface(number())}>
         {props.place + 1}
       </button>
-      <NumberField label={`Isovalue of ${name()}`} value={props.surface.view.iso} step={range() / 256 || 1} disabled={!model.may("edit")} onChange={change} />
+      <NumberField label={`Isovalue of ${name()}`} value={props.surface.view.iso} digits={digitsBetween(...ends()) + 1} step={range() / 256 || 1} disabled={!model.may("edit")} onChange={change} />
       <span class="unit">{field()?.unit ?? ""}</span>
       <span class="note clipped" title={`${label(props.surface.view.field)}, ${formatCount(triangles())} triangles`}>
         <Show when={(volume()?.fields.length ?? 1) > 1}>{label(props.surface.view.field)} · </Show>
