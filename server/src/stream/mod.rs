@@ -42,6 +42,10 @@ use viewers::Viewers;
 /// a longer one ends the connection.
 const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 
+/// Bytes that are read at once: edits have some hundred. Each connection keeps as many, and each read clears them first; the library's
+/// default is 128 KiB, for servers to which much is sent.
+const READ_BUFFER_BYTES: usize = 4 << 10;
+
 /// What sessions have in common; clones are cheap.
 #[derive(Clone)]
 struct Common {
@@ -125,6 +129,7 @@ async fn upgrade<B: Backend>(
     socket
         .max_message_size(MAX_READ_BYTES)
         .max_frame_size(MAX_READ_BYTES)
+        .read_buffer_size(READ_BUFFER_BYTES)
         .on_upgrade(move |socket| {
             tasks.track_future(async move {
                 let StreamState {

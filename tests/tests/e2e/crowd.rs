@@ -58,16 +58,6 @@ async fn until(socket: &mut Socket, name: &str) -> Value {
     }
 }
 
-/// An edit of the leader: when it was sent, and how long it took to the first and the last commit.
-async fn edit(leader: &mut Socket, iso: f64) -> (Instant, Duration, Duration) {
-    let start = Instant::now();
-    say(leader, json!({"type": "edit", "iso": iso})).await;
-    until(leader, "committed").await;
-    let first = start.elapsed();
-    until(leader, "done").await;
-    (start, first, start.elapsed())
-}
-
 /// One who follows: says when it has the first of each isovalue, until the group ends.
 async fn follow(address: SocketAddr, group: String, seen: mpsc::Sender<(u64, Instant)>) {
     let mut socket = connect(address, Some("isopeel.v2")).await.expect("a handshake");
@@ -106,6 +96,8 @@ fn iso(n: usize) -> f64 {
 struct Crowd {
     server: Process,
     leader: Socket,
+    /// Of the leader's last edit.
+    generation: u64,
     followers: usize,
     all: mpsc::Receiver<(u64, Instant)>,
     tasks: JoinSet<()>,
@@ -125,6 +117,7 @@ impl Crowd {
         Some(Self {
             server,
             leader,
+            generation: 0,
             followers: 0,
             all: mpsc::channel(1).1,
             tasks: JoinSet::new(),
@@ -150,6 +143,22 @@ impl Crowd {
         }
     }
 
+    /// An edit of the leader: when it was sent, and how long it took to its first commit.
+    async fn edit(&mut self, iso: f64) -> (Instant, Duration) {
+        let start = Instant::now();
+        say(&mut self.leader, json!({"type": "edit", "iso": iso})).await;
+        // The surface before may become a better one meanwhile.
+        let before = self.generation;
+        while self.generation == before {
+            let committed = until(&mut self.leader, "committed").await;
+            self.generation = committed["generation"].as_u64().expect("a number").max(before);
+        }
+        let first = start.elapsed();
+        let is_of_edit = |done: &Value| done["generation"].as_u64() == Some(self.generation);
+        while !is_of_edit(&until(&mut self.leader, "done").await) {}
+        (start, first)
+    }
+
     /// The next first commit of a follower.
     async fn next(&mut self) -> (u64, Instant) {
         let next = tokio::time::timeout(PATIENCE, self.all.recv()).await;
@@ -160,7 +169,7 @@ impl Crowd {
     async fn edits(&mut self, isovalues: impl IntoIterator<Item = f64>) -> Vec<Duration> {
         let mut times = Vec::new();
         for iso in isovalues {
-            let (start, ..) = edit(&mut self.leader, iso).await;
+            let (start, _) = self.edit(iso).await;
             for _ in 0..self.followers {
                 let (of, at) = self.next().await;
                 assert_eq!(f64::from_bits(of), iso);
@@ -191,7 +200,7 @@ async fn a_crowd_that_follows_sees_an_edit_soon_and_costs_little() {
     let followers = std::env::var("ISOPEEL_FOLLOWERS").map_or(FOLLOWERS, |n| n.parse().expect("a number"));
     let mut alone = Vec::new();
     for n in 0..EDITS {
-        alone.push(edit(&mut crowd.leader, iso(n)).await.1);
+        alone.push(crowd.edit(iso(n)).await.1);
         tokio::time::sleep(PAUSE).await;
     }
     let alone = percentile(&mut alone, 50);
@@ -278,7 +287,7 @@ const MAX_PROCESSORS: f64 = 0.2;
 #[tokio::test(flavor = "multi_thread")]
 async fn a_crowd_goes_on_beside_those_who_stall_or_flood() {
     let Some(mut crowd) = Crowd::start().await else { return };
-    edit(&mut crowd.leader, iso(0)).await;
+    crowd.edit(iso(0)).await;
     crowd.join(FOLLOWERS).await;
     let (mut alone, mut beside, mut next) = (Vec::new(), Vec::new(), 1);
     let mut isovalues = || {
