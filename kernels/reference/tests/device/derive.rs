@@ -157,12 +157,8 @@ fn cells_and_histograms_have_the_twins_features() {
 #[test]
 fn every_extent_has_the_twins_features() {
     let Some(engine) = device() else { return };
-    for (i, dims) in DIMS.into_iter().enumerate() {
-        let recipe = Recipe {
-            missing: i % 2 == 1,
-            spacing: [1.0, 0.3, 7.0],
-            ..Recipe::plain(dims, Pattern::Waves(20), i as u64)
-        };
+    for i in 0..DIMS.len() {
+        let recipe = Recipe::waves_on(i);
         check_all(&engine, &recipe).expect("the same features");
     }
 }
@@ -178,12 +174,8 @@ fn uneven_axes_have_the_twins_features() {
 fn uneven_axes_of_every_extent_have_the_twins_features() {
     let Some(engine) = device() else { return };
     let of_gpu = Engine::open_tuned(Some(&engine.device().name), None, Some(Tuning::GPU)).expect("open");
-    for (i, dims) in DIMS.into_iter().enumerate() {
-        let recipe = Recipe {
-            missing: i % 2 == 1,
-            spacing: [1.0, 0.3, 7.0],
-            ..Recipe::plain(dims, Pattern::Waves(20), i as u64)
-        };
+    for i in 0..DIMS.len() {
+        let recipe = Recipe::waves_on(i);
         check_uneven(if i % 3 == 2 { &of_gpu } else { &engine }, &recipe).expect("the same features");
     }
 }

@@ -1,6 +1,6 @@
 //! The measured error of any cut's dual mesh, region by region, against brute force.
 
-use super::recipes::{Pattern, kinds, surfaces};
+use super::recipes::{Pattern, recipes_of, surfaces};
 use super::*;
 use isopeel_kernels::{SampleType, SurfaceError, Tuning};
 use isopeel_reference::error::{Triangle, minimum_errors};
@@ -12,23 +12,7 @@ const DIMS: [[u32; 3]; 6] = [[2, 2, 2], [2, 9, 13], [7, 34, 5], [9, 10, 11], [35
 
 fn small_recipes() -> impl Strategy<Value = Recipe> {
     let spacing = prop_oneof![Just([1.0f32; 3]), Just([1.0, 0.3, 7.0]), Just([0.5, 0.5, 1.25])];
-    let dims = proptest::sample::select(DIMS.to_vec());
-    (
-        dims,
-        spacing,
-        surfaces(),
-        kinds(),
-        proptest::bool::weighted(0.3),
-        any::<u64>(),
-    )
-        .prop_map(|(dims, spacing, pattern, kind, missing, seed)| Recipe {
-            dims,
-            spacing,
-            pattern,
-            kind,
-            missing,
-            seed,
-        })
+    recipes_of(proptest::sample::select(DIMS.to_vec()), spacing, surfaces())
 }
 
 /// Not less than what brute force finds, but for rounding, and not much more: a search may miss the nearest triangle, and goes to

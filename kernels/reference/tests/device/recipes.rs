@@ -60,6 +60,15 @@ impl Recipe {
         }
     }
 
+    /// Waves on `DIMS[i]`, samples missing in every other one.
+    pub fn waves_on(i: usize) -> Self {
+        Self {
+            missing: i % 2 == 1,
+            spacing: [1.0, 0.3, 7.0],
+            ..Self::plain(DIMS[i], Pattern::Waves(20), i as u64)
+        }
+    }
+
     /// Grid, samples, the value that counts as missing, and an isovalue that is one of the values where it can be.
     pub fn make(&self) -> (Grid, Samples, Option<f32>, f32) {
         let grid = Grid::new(self.dims, self.spacing).expect("a valid grid");
@@ -197,7 +206,15 @@ pub fn recipes(patterns: impl Strategy<Value = Pattern>) -> impl Strategy<Value 
         3 => proptest::sample::select(DIMS.to_vec()),
         1 => [2..50u32, 2..50u32, 2..50u32],
     ];
-    let spacing = prop_oneof![Just([1.0f32; 3]), Just([1.0, 0.3, 7.0])];
+    recipes_of(dims, prop_oneof![Just([1.0f32; 3]), Just([1.0, 0.3, 7.0])], patterns)
+}
+
+/// Recipes with these extents and spacings.
+pub fn recipes_of(
+    dims: impl Strategy<Value = [u32; 3]>,
+    spacing: impl Strategy<Value = [f32; 3]>,
+    patterns: impl Strategy<Value = Pattern>,
+) -> impl Strategy<Value = Recipe> {
     (
         dims,
         spacing,
