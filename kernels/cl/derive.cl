@@ -19,8 +19,17 @@
 #include "lib/slots.h"
 #include "lib/steps.h"
 
-// How far around a sample its feature reads.
-INLINED uint feature_reach(uint kind) { return kind == FEATURE_VECTOR_MAGNITUDE ? 0 : 1; }
+// Which neighbours of a sample its feature reads: none, those along the axes, or all of 3^3.
+#define NEIGHBOURS_NONE 0
+#define NEIGHBOURS_AXES 1
+#define NEIGHBOURS_ALL 2
+INLINED uint feature_neighbours(uint kind) {
+    switch (kind) {
+        case FEATURE_VECTOR_MAGNITUDE: return NEIGHBOURS_NONE;
+        case FEATURE_MEAN_CURVATURE: case FEATURE_GAUSSIAN_CURVATURE: case FEATURE_LOCAL_VARIANCE: return NEIGHBOURS_ALL;
+        default: return NEIGHBOURS_AXES;
+    }
+}
 
 // Which cells along y have an active one in a brick's layer `z` of cells, one bit each. A word of 32 cells has 4 x 4 x 2 of them, in
 // Morton order.
@@ -35,17 +44,23 @@ INLINED uint active_cell_rows(__global const Brick *brick, uint z) {
     return rows;
 }
 
-// Phases: the rows of a block that are read for the active cells of a brick: of each plane along z one bit a row.
-INLINED void want_rows(__global const Brick *brick, uint kind, __local uint *cell_rows, __local uint *rows) {
+// Phases: the rows of a block that corners of active cells are in, and those that features there are computed from: of each plane along z one
+// bit a row.
+INLINED void want_rows(__global const Brick *brick, uint kind, __local uint *cell_rows, __local uint *corners, __local uint *loaded) {
     ROLLED for (uint z = get_local_id(0); z < 8; z += BRICK_GROUP) cell_rows[z] = active_cell_rows(brick, z);
     barrier(CLK_LOCAL_MEM_FENCE);
-    const int reach = (int)feature_reach(kind);
     // The corners of cell i are samples i + 1 and i + 2 of a block.
-    ROLLED for (int plane = (int)get_local_id(0); plane < BLOCK_ROW; plane += BRICK_GROUP) {
-        uint wanted = 0;
-        for (int z = max(plane - 2 - reach, 0); z <= min(plane - 1 + reach, 7); z++)
-            for (int y = 1 - reach; y <= 2 + reach; y++) wanted |= cell_rows[z] << y;
-        rows[plane] = wanted;
+    ROLLED for (uint plane = get_local_id(0); plane < BLOCK_ROW; plane += BRICK_GROUP) {
+        const uint cells = (plane >= 2 && plane < 10 ? cell_rows[plane - 2] : 0) | (plane >= 1 && plane < 9 ? cell_rows[plane - 1] : 0);
+        corners[plane] = cells << 1 | cells << 2;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    const uint neighbours = feature_neighbours(kind);
+    ROLLED for (uint plane = get_local_id(0); plane < BLOCK_ROW; plane += BRICK_GROUP) {
+        const uint own = corners[plane], beside = (plane > 0 ? corners[plane - 1] : 0) | (plane < BLOCK_ROW - 1 ? corners[plane + 1] : 0);
+        const uint all = own | beside;
+        loaded[plane] = neighbours == NEIGHBOURS_NONE ? own
+            : neighbours == NEIGHBOURS_AXES ? all | own << 1 | own >> 1 : all | all << 1 | all >> 1;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 }
@@ -64,13 +79,24 @@ INLINED void load_components(DeriveArgs args, int3 origin, __global const void *
     }
 }
 
-// Bytes that say which samples of a brick are wanted.
-#define WANTED ((BLOCK_END - BLOCK_FIRST + LANES - 1) / LANES)
+// Bytes of a sample of this type.
+INLINED uint sample_bytes(uint type) { return type == TYPE_U8 || type == TYPE_I8 ? 1 : type == TYPE_F32 ? 4 : 2; }
 
-// Phase: whether samples are wanted, all or none of them.
-INLINED void want_samples(bool all, __local uchar *wanted) {
-    ROLLED for (uint i = get_local_id(0); i < WANTED; i += BRICK_GROUP) wanted[i] = all;
-    barrier(CLK_LOCAL_MEM_FENCE);
+// Phase on a CPU: loads the rows that load_components will read into the caches, both ends of each.
+INLINED void prefetch_components(DeriveArgs args, int3 origin, __global const void *samples_x, __global const void *samples_y,
+                                 __global const void *samples_z, __local const uint *rows) {
+    __global const void *samples[3] = {samples_x, samples_y, samples_z};
+    const uint bytes[3] = {sample_bytes(args.type_x), sample_bytes(args.type_y), sample_bytes(args.type_z)};
+    for (uint plane = 0; PREFETCHES && plane < BLOCK_ROW; plane++)
+        for (uint rest = rows[plane]; rest; rest &= rest - 1) {
+            const long along_z = (long)(origin.z - (int)args.z0 + (int)plane - 1) * args.grid.dims[1];
+            const long first = (along_z + origin.y + (int)lowest_bit(rest) - 1) * args.grid.dims[0] + origin.x - 1;
+            for (uint i = 0; i < args.components; i++) {
+                __global const uchar *row = (__global const uchar *)samples[i] + first * bytes[i];
+                prefetch_line(row);
+                prefetch_line(row + (BLOCK_ROW - 1) * bytes[i]);
+            }
+        }
 }
 
 // A corner of a cell from its low one, in samples of a block.
@@ -82,33 +108,24 @@ INLINED uint cube_sample(uint cube) {
     return p.z * BLOCK_PLANE + p.y * BLOCK_ROW + p.x;
 }
 
-// Phase: the corners of active cells are wanted.
-INLINED void want_cells(__global const Brick *brick, __local uchar *wanted) {
-    ROLLED for (uint cube = get_local_id(0); cube < 64; cube += BRICK_GROUP) {
-        const uint first = cube_sample(cube);
-        ROLLED for (uint rest = level1_cells(brick, cube); rest; rest &= rest - 1) {
-            const uint low = first + corner_step(lowest_bit(rest));
-            for (uint corner = 0; corner < 8; corner++) wanted[(low + corner_step(corner)) / LANES] = 1;
-        }
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-}
+// Parts of LANES samples of a brick's plane, those of its block between its first and last sample.
+#define PLANE_PARTS ((9 * BLOCK_ROW - 2 + LANES - 1) / LANES)
 
-// Phases: loads the components, then computes the feature at the samples of the brick into the last block, which it returns. In `wanted`
-// each LANES samples from the first on have a byte: 0 where none of them is wanted. `rows`: see want_rows.
-INLINED __local float *derive_block(DeriveArgs args, LENGTHS int3 origin, __global const void *x, __global const void *y,
-                                    __global const void *z, __local const uchar *wanted, __local const uint *rows,
-                                    __local float *blocks) {
+// Phases: computes the feature at samples of the brick into the last block, which it returns, where the components have been loaded: at those
+// of the rows `wanted`, and at what lies beside them in the same part.
+INLINED __local float *derive_block(DeriveArgs args, LENGTHS int3 origin, __local const uint *wanted, __local float *blocks) {
     const uint lid = get_local_id(0);
     __local float *values = blocks + args.components * DERIVE_BLOCK, *tables = values + DERIVE_BLOCK;
-    load_components(args, origin, x, y, z, rows, blocks);
     load_step_tables(args.grid, LENGTHS_ARGS origin, tables);
     barrier(CLK_LOCAL_MEM_FENCE);
-    ROLLED for (uint i = lid * LANES; i < BLOCK_END - BLOCK_FIRST; i += BRICK_GROUP * LANES)
-        if (wanted[i / LANES]) {
-            const uint at = BLOCK_FIRST + i;
-            STORE_LANES(neighbourhood_feature(args.kind, blocks + at, load_steps(args.grid, tables, at)), values + at);
-        }
+    ROLLED for (uint i = lid; i < 9 * PLANE_PARTS; i += BRICK_GROUP) {
+        // The first part of a plane begins with its first row that is wanted.
+        const uint plane = i / PLANE_PARTS + 1, rows = wanted[plane], in_plane = BLOCK_ROW * lowest_bit(rows) + 1 + i % PLANE_PARTS * LANES;
+        const uint first_row = in_plane / BLOCK_ROW, last_row = (in_plane + LANES - 1) / BLOCK_ROW;
+        if (!(rows & ((2u << last_row) - (1u << first_row)))) continue;
+        const uint at = BLOCK_PLANE * plane + in_plane;
+        STORE_LANES(neighbourhood_feature(args.kind, blocks + at, load_steps(args.grid, tables, plane, in_plane)), values + at);
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
     return values;
 }
@@ -135,12 +152,15 @@ void derive(const DeriveArgs args, LENGTHS __global const void *x, __global cons
     __global const Brick *brick = bricks + args.first + get_group_id(0);
     __global const Region *region = regions + brick->region;
     const int3 origin = convert_int3(brick_origin(args.grid, region->region, brick->morton));
-    __local uchar wanted[WANTED];
-    __local uint cell_rows[8], rows[BLOCK_ROW];
-    want_samples(false, wanted);
-    want_cells(brick, wanted);
-    want_rows(brick, args.kind, cell_rows, rows);
-    __local const float *values = derive_block(args, LENGTHS_ARGS origin, x, y, z, wanted, rows, blocks);
+    __local uint cell_rows[8], wanted[BLOCK_ROW], next_wanted[BLOCK_ROW], loaded[BLOCK_ROW];
+    want_rows(brick, args.kind, cell_rows, wanted, loaded);
+    load_components(args, origin, x, y, z, loaded, blocks);
+    if (PREFETCHES) { // for the next work-group
+        __global const Brick *next = brick + (get_group_id(0) + 1 < get_num_groups(0));
+        want_rows(next, args.kind, cell_rows, next_wanted, loaded);
+        prefetch_components(args, convert_int3(brick_origin(args.grid, regions[next->region].region, next->morton)), x, y, z, loaded);
+    }
+    __local const float *values = derive_block(args, LENGTHS_ARGS origin, wanted, blocks);
     __global Node *cells = nodes + region->slot_base + brick->level_base[0];
     ROLLED for (uint cube = get_local_id(0); cube < 64; cube += BRICK_GROUP) {
         if (!level1_cells(brick, cube)) continue;
@@ -159,12 +179,14 @@ void derive_samples(const DeriveArgs args, LENGTHS __global const void *x, __glo
     const uint group = (uint)get_group_id(0), column = group % across, row = group / across % along, layer = group / across / along;
     const uint3 low = (uint3)(8 * column, 8 * row, 8 * layer);
     const int3 origin = convert_int3(low) + (int3)(0, 0, (int)args.first);
-    __local uchar wanted[WANTED];
-    __local uint rows[BLOCK_ROW];
-    want_samples(true, wanted);
-    ROLLED for (uint i = get_local_id(0); i < BLOCK_ROW; i += BRICK_GROUP) rows[i] = ~0u;
+    __local uint loaded[BLOCK_ROW], wanted[BLOCK_ROW];
+    ROLLED for (uint i = get_local_id(0); i < BLOCK_ROW; i += BRICK_GROUP) {
+        loaded[i] = (1u << BLOCK_ROW) - 1;
+        wanted[i] = ((1u << 9) - 1) << 1;
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
-    __local const float *values = derive_block(args, LENGTHS_ARGS origin, x, y, z, wanted, rows, blocks);
+    load_components(args, origin, x, y, z, loaded, blocks);
+    __local const float *values = derive_block(args, LENGTHS_ARGS origin, wanted, blocks);
     ROLLED for (uint i = get_local_id(0); i < 512; i += BRICK_GROUP) {
         const uint3 p = low + (uint3)(i & 7u, i >> 3 & 7u, i >> 6);
         if (p.x >= nx || p.y >= ny || p.z >= args.planes) continue;

@@ -79,9 +79,9 @@ constants! {
     /// Maximum fields of an expression.
     EXPRESSION_FIELDS: u32 = 8;
     /// Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
-    DERIVE_BLOCK: u32 = 1344;
+    DERIVE_BLOCK: u32 = 1360;
     /// Floats of the tables of `cl/lib/steps.h`, with uneven axes.
-    STEP_TABLES: u32 = 336;
+    STEP_TABLES: u32 = 188;
 
     /// Sample type of a feature's field: 8-bit unsigned.
     TYPE_U8: u32 = 0;

@@ -41,9 +41,9 @@
 // Maximum fields of an expression.
 #define EXPRESSION_FIELDS 8u
 // Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
-#define DERIVE_BLOCK 1344u
+#define DERIVE_BLOCK 1360u
 // Floats of the tables of `cl/lib/steps.h`, with uneven axes.
-#define STEP_TABLES 336u
+#define STEP_TABLES 188u
 // Sample type of a feature's field: 8-bit unsigned.
 #define TYPE_U8 0u
 // Sample type of a feature's field: 8-bit signed.

@@ -20,12 +20,12 @@ typedef struct {
 
 // Row `row` of a block around the brick at `origin`, y fastest.
 INLINED BlockRow find_block_row(Grid grid, uint z0, int3 origin, uint row) {
-    const int3 p = origin + (int3)(0, (int)(row % 11) - 1, (int)(row / 11) - 1);
+    const int y = origin.y + (int)(row % 11) - 1, z = origin.z + (int)(row / 11) - 1;
     BlockRow from = {0, 0, -1};
-    if (p.y < 0 || p.z < 0 || p.y >= (int)grid.dims[1] || p.z >= (int)grid.dims[2]) return from;
-    from.index = sample_index(grid, z0, p);
-    from.first = p.x > 0 ? -1 : 0;
-    from.last = min((int)grid.dims[0] - 1 - p.x, 9);
+    if (y < 0 || z < 0 || y >= (int)grid.dims[1] || z >= (int)grid.dims[2]) return from;
+    from.index = sample_index(grid, z0, (int3)(origin.x, y, z));
+    from.first = origin.x > 0 ? -1 : 0;
+    from.last = min((int)grid.dims[0] - 1 - origin.x, 9);
     return from;
 }
 
@@ -33,9 +33,9 @@ INLINED BlockRow find_block_row(Grid grid, uint z0, int3 origin, uint row) {
 #define COPY_BLOCK_ROW(from, samples, missing, to)                                                                     \
     if ((from).first == -1 && (from).last == 9) {                                                                      \
         const float8 v = convert_float8(vload8(0, (samples) + (from).index - 1));                                      \
-        const float3 end = convert_float3(vload3(0, (samples) + (from).index + 7));                                    \
+        const float4 end = convert_float4(vload4(0, (samples) + (from).index + 6)); /* one of them again */             \
         vstore8(select(v, (float8)(NAN), v == (missing)), 0, to);                                                      \
-        vstore3(select(end, (float3)(NAN), end == (missing)), 0, (to) + 8);                                            \
+        vstore4(select(end, (float4)(NAN), end == (missing)), 0, (to) + 7);                                            \
     } else for (int x = -1; x < 10; x++) {                                                                             \
         float v = NAN;                                                                                                 \
         if (x >= (from).first && x <= (from).last) v = (float)(samples)[(from).index + (ulong)(long)x];                \

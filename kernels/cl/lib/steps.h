@@ -26,13 +26,15 @@ typedef struct {
 } Steps;
 typedef real Resolution;
 
-// Lanes cross rows and planes of a block. So there are tables by the index of a sample in a row, in a plane, and whether that is behind the
-// plane; of z by the plane. They hold the cell before the sample: the one after is the next sample's.
+// Lanes cross rows of a block. So there are tables by the index of a sample in a row and in a plane; of z by the plane. They hold the cell
+// before the sample: the one after is the next sample's.
 #define STEPS_X 0
 #define STEPS_Y (STEPS_X + BLOCK_ROW + 1 + LANES)
-#define STEPS_NEXT_PLANE (STEPS_Y + BLOCK_PLANE + BLOCK_ROW + LANES)
-#define STEPS_Z (STEPS_NEXT_PLANE + BLOCK_PLANE + LANES)
-#define STEPS_END (STEPS_Z + BLOCK_ROW + 2)
+#define STEPS_Z (STEPS_Y + BLOCK_PLANE + BLOCK_ROW + LANES)
+#define STEPS_END (STEPS_Z + BLOCK_ROW + 1)
+#if STEPS_END > STEP_TABLES
+#error "STEP_TABLES is too small"
+#endif
 
 // Of the cell before sample `i` of a block, whose first sample is one before `origin`; of the nearest cell where there is none. `lengths`:
 // of the cells along the axis, one fewer than `samples`.
@@ -46,9 +48,8 @@ INLINED void load_step_tables(Grid grid, LENGTHS int3 origin, __local float *tab
     __global const float *along_y = inverse_lengths + (nx - 1), *along_z = along_y + (ny - 1);
     ROLLED for (uint i = lid; i < STEPS_Y - STEPS_X; i += BRICK_GROUP)
         tables[STEPS_X + i] = step_before(inverse_lengths, nx, origin.x, i % BLOCK_ROW);
-    ROLLED for (uint i = lid; i < STEPS_NEXT_PLANE - STEPS_Y; i += BRICK_GROUP)
-        tables[STEPS_Y + i] = step_before(along_y, ny, origin.y, i / BLOCK_ROW % BLOCK_ROW);
-    ROLLED for (uint i = lid; i < STEPS_Z - STEPS_NEXT_PLANE; i += BRICK_GROUP) tables[STEPS_NEXT_PLANE + i] = i >= BLOCK_PLANE;
+    ROLLED for (uint i = lid; i < STEPS_Z - STEPS_Y; i += BRICK_GROUP)
+        tables[STEPS_Y + i] = step_before(along_y, ny, origin.y, i / BLOCK_ROW);
     ROLLED for (uint i = lid; i < STEPS_END - STEPS_Z; i += BRICK_GROUP) tables[STEPS_Z + i] = step_before(along_z, nz, origin.z, i);
 }
 
@@ -60,16 +61,14 @@ INLINED AxisStep make_step(real before, real after) {
     return step;
 }
 
-// Of sample `at` of a block and those behind it.
-INLINED Steps load_steps(Grid grid, __local const float *tables, uint at) {
+// Of sample `in_plane` of a plane of a block and those behind it.
+INLINED Steps load_steps(Grid grid, __local const float *tables, uint plane, uint in_plane) {
     (void)grid;
-    const uint in_plane = at % BLOCK_PLANE;
-    __local const float *x = tables + STEPS_X + at % BLOCK_ROW, *y = tables + STEPS_Y + in_plane, *z = tables + STEPS_Z + at / BLOCK_PLANE;
-    const real next = LOAD_LANES(tables + STEPS_NEXT_PLANE + in_plane);
+    __local const float *x = tables + STEPS_X + in_plane % BLOCK_ROW, *y = tables + STEPS_Y + in_plane, *z = tables + STEPS_Z + plane;
     Steps steps;
     steps.x = make_step(LOAD_LANES(x), LOAD_LANES(x + 1));
     steps.y = make_step(LOAD_LANES(y), LOAD_LANES(y + BLOCK_ROW));
-    steps.z = make_step(PICK(next > 0.0f, z[1], z[0]), PICK(next > 0.0f, z[2], z[1]));
+    steps.z = make_step((real)z[0], (real)z[1]);
     return steps;
 }
 
@@ -120,8 +119,8 @@ typedef float Resolution;
 
 INLINED void load_step_tables(Grid grid, int3 origin, __local float *tables) { (void)grid, (void)origin, (void)tables; }
 
-INLINED Steps load_steps(Grid grid, __local const float *tables, uint at) {
-    (void)tables, (void)at;
+INLINED Steps load_steps(Grid grid, __local const float *tables, uint plane, uint in_plane) {
+    (void)tables, (void)plane, (void)in_plane;
     return 1.0f / (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
 }
 
