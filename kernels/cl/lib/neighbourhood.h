@@ -114,35 +114,36 @@ INLINED real middle_eigenvalue(real xx, real yy, real zz, real xy, real xz, real
 #pragma OPENCL FP_CONTRACT ON
     const real mean = (xx + yy + zz) * (1.0f / 3.0f);
     real x = xx - mean, y = yy - mean, z = zz - mean;
-    // Divided by the spread, the eigenvalues without their mean are roots t of t^3 - 3t - 2r.
+    // Scaled by a power of two, `unit`: products stay in range.
+    const real size = (fabs(x) + fabs(y) + fabs(z)) + (fabs(xy) + fabs(xz) + fabs(yz));
+    const integer exponent = min(AS_INT(size) & 0x7f800000, (integer)0x7e800000);
+    const real unit = AS_REAL(exponent), scale = AS_REAL(0x7f000000 - exponent);
+    x *= scale, y *= scale, z *= scale, xy *= scale, xz *= scale, yz *= scale;
+    // Divided by the spread, the eigenvalues are roots t of t^3 - 3t - 2r.
     const real square = (x * x + y * y + z * z + 2.0f * (xy * xy + xz * xz + yz * yz)) * (1.0f / 6.0f);
-    const real per = 1.0f / sqrt(fmax(square, FLT_MIN)), spread = square * per;
-    x *= per, y *= per, z *= per, xy *= per, xz *= per, yz *= per;
-    const real r = 0.5f * (x * (y * z - yz * yz) + xy * (xz * yz - xy * z) + xz * (xy * yz - xz * y));
-    const real size = root_apart(fmin(fabs(r), 1.0f)), apart = PICK(r < 0.0f, -size, size), half_apart = 0.5f * apart;
-    // The matrix p less `apart` has the adjugate (3 apart^2 - 3) v v', v the eigenvector. Less 3/2 apart v v', and with half of `apart` on the
-    // diagonal, p has the eigenvalues 0 and plus and minus half the distance of the other two: its squares sum up to twice that, squared.
-    const real px = x - apart, py = y - apart, pz = z - apart, less = half_apart / (size * size - 1.0f);
+    // The spread is 0.19 at least, or the matrix is 0.
+    const real spread = sqrt(square), per = 1.0f / fmax(spread, 0.125f), per_square = per * per;
+    const real r = 0.5f * per * per_square * (x * (y * z - yz * yz) + xy * (xz * yz - xy * z) + xz * (xy * yz - xz * y));
+    const real t = root_apart(fmin(fabs(r), 1.0f)), apart = spread * PICK(r < 0.0f, -t, t);
+    const real half_apart = 0.5f * apart;
+    // The matrix p less `apart` has the adjugate (3 apart^2 - 3 spread^2) v v', v the eigenvector. Less 3/2 apart v v', and with half of `apart` on
+    // the diagonal, p has the eigenvalues 0 and plus and minus half the distance of the other two: its squares sum up to twice that, squared.
+    const real px = x - apart, py = y - apart, pz = z - apart, less = half_apart * per_square / (t * t - 1.0f);
     const real qx = (x + half_apart) - less * (py * pz - yz * yz), qy = (y + half_apart) - less * (px * pz - xz * xz);
     const real qz = (z + half_apart) - less * (px * py - xy * xy), q_xy = xy - less * (xz * yz - xy * pz);
     const real q_xz = xz - less * (xy * yz - xz * py), q_yz = yz - less * (xy * xz - yz * px);
     const real half_distance = sqrt(0.5f * (qx * qx + qy * qy + qz * qz) + (q_xy * q_xy + q_xz * q_xz + q_yz * q_yz));
-    return mean + spread * (PICK(r < 0.0f, -half_distance, half_distance) - half_apart);
+    return mean + unit * (PICK(r < 0.0f, -half_distance, half_distance) - half_apart);
 }
 
 // The middle eigenvalue of the symmetric part of the square of a matrix of derivatives.
-INLINED real lambda_2(Real3 du, Real3 dv, Real3 dw) {
+INLINED real lambda_2(Real3 u, Real3 v, Real3 w) {
 #pragma OPENCL FP_CONTRACT ON
-    const real size = fabs(du.x) + fabs(du.y) + fabs(du.z) + fabs(dv.x) + fabs(dv.y) + fabs(dv.z) + fabs(dw.x) + fabs(dw.y) + fabs(dw.z);
-    // Scaled by a power of two, `unit`: squares stay in range.
-    const integer exponent = min(AS_INT(size) & 0x7f800000, (integer)0x7e800000);
-    const real unit = AS_REAL(exponent), scale = AS_REAL(0x7f000000 - exponent);
-    const Real3 u = scale_real3(du, scale), v = scale_real3(dv, scale), w = scale_real3(dw, scale);
     const real xx = u.x * u.x + u.y * v.x + u.z * w.x, yy = u.y * v.x + v.y * v.y + v.z * w.y, zz = u.z * w.x + v.z * w.y + w.z * w.z;
     const real xy = 0.5f * ((u.x + v.y) * (u.y + v.x) + u.z * w.y + v.z * w.x);
     const real xz = 0.5f * ((u.x + w.z) * (u.z + w.x) + u.y * v.z + w.y * v.x);
     const real yz = 0.5f * ((v.y + w.z) * (v.z + w.y) + v.x * u.z + w.x * u.y);
-    return unit * (unit * middle_eigenvalue(xx, yy, zz, xy, xz, yz));
+    return middle_eigenvalue(xx, yy, zz, xy, xz, yz);
 }
 
 // A feature of a vector field from the blocks of its components, DERIVE_BLOCK apart. Each takes the derivatives that it needs alone.
