@@ -91,23 +91,7 @@ impl Server {
             closed: false,
             opened: Value::Null,
         };
-        viewer.say(&format!(r#"{{"type":"open","volume":"{volume}"}}"#)).await;
-        let mut read_bytes = 0;
-        let opened = loop {
-            let message = viewer.text().await;
-            if message["type"] != "opening" {
-                break message;
-            }
-            let (bytes, total) = (message["bytes"].as_u64(), message["totalBytes"].as_u64());
-            assert!(
-                bytes >= Some(read_bytes) && bytes <= total,
-                "{message} after {read_bytes}"
-            );
-            read_bytes = bytes.expect("a number");
-        };
-        assert_eq!(opened["type"], "opened", "{opened}");
-        assert_eq!(opened["volume"]["id"], volume);
-        viewer.opened = opened["edit"].clone();
+        viewer.open(volume, 0).await;
         viewer
     }
 
@@ -166,6 +150,29 @@ pub struct Prefix {
 }
 
 impl Viewer {
+    /// Opens a step of a volume. Where it takes long, messages before `opened` say how much was read.
+    pub async fn open(&mut self, volume: &str, step: u32) {
+        self.say(&format!(r#"{{"type":"open","volume":"{volume}","step":{step}}}"#))
+            .await;
+        self.held.clear();
+        let mut read_bytes = 0;
+        let opened = loop {
+            let message = self.text().await;
+            if message["type"] != "opening" {
+                break message;
+            }
+            let (bytes, total) = (message["bytes"].as_u64(), message["totalBytes"].as_u64());
+            assert!(
+                bytes >= Some(read_bytes) && bytes <= total,
+                "{message} after {read_bytes}"
+            );
+            read_bytes = bytes.expect("a number");
+        };
+        assert_eq!(opened["type"], "opened", "{opened}");
+        assert_eq!(opened["volume"]["id"], volume);
+        self.opened = opened["edit"].clone();
+    }
+
     pub async fn say(&mut self, text: &str) {
         self.socket.send(Message::text(text)).await.expect("sent");
     }

@@ -117,11 +117,7 @@ async fn every_commit_of_a_session_is_a_closed_surface() {
     let mut commits = 0;
     for step in [0, 1] {
         if step > 0 {
-            viewer
-                .say(&format!(r#"{{"type":"open","volume":"closed","step":{step}}}"#))
-                .await;
-            viewer.held.clear();
-            assert_eq!(viewer.text().await["type"], "opened");
+            viewer.open("closed", step).await;
         }
         for edit in [
             r#""iso":120"#,
