@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
 import { violations } from "./accessibility.mjs";
-import { difference, MORE, openPage, picture, saveScreenshot, settled, skipTour, status, TIMEOUT_MS } from "./harness.mjs";
+import { difference, MORE, openPage, picture, rested, saveScreenshot, settled, skipTour, status, TIMEOUT_MS } from "./harness.mjs";
 import { setUp } from "./setup.mjs";
 
 const at = setUp();
@@ -71,10 +71,11 @@ describe("several surfaces", { ...MORE, timeout: 6 * TIMEOUT_MS }, () => {
     await hashOf(page, "s2.iso=0");
     await hashOf(page, "s2.opacity=0.35");
     await page.waitForTimeout(1000);
-    const made = await surfaces(page, 2);
+    const made = await rested(page);
     const [link, seen] = [page.url(), await picture(page)];
     const other = await openPage(at.browser, link);
-    const again = await surfaces(other.page, 2);
+    await surfaces(other.page, 2);
+    const again = await rested(other.page);
     // The range of a feature that is none is not kept.
     const values = ({ edit: { featureRange: _, ...edit }, style }) => JSON.parse(JSON.stringify({ edit, style }));
     assert.deepEqual(again.surfaces.map(values), made.surfaces.map(values));
@@ -92,7 +93,8 @@ describe("several surfaces", { ...MORE, timeout: 6 * TIMEOUT_MS }, () => {
     assert.ok(one.regions < regions && one.geometries <= opened.geometries + 2, JSON.stringify([opened.geometries, geometries, one.geometries]));
     assert.equal(await page.evaluate(() => document.activeElement.textContent.trim()), "Add a surface");
     await page.keyboard.press("Control+z");
-    const back = await surfaces(page, 2);
+    await surfaces(page, 2);
+    const back = await rested(page);
     assert.deepEqual(back.surfaces.map(({ triangles }) => triangles), made.surfaces.map(({ triangles }) => triangles));
     assert.deepEqual(faults, []);
     await page.context().close();
