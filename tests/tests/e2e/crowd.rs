@@ -278,8 +278,10 @@ const KINDS: usize = 6;
 const ROUNDS: usize = 2;
 /// Edits of each.
 const EDITS_OF_A_ROUND: usize = 2;
-/// Beside them an edit may take so many times as long as without: they have a share of the device, as any viewer has.
+/// Beside them an edit may take so many times as long as without, for they have a share of the device, as any viewer has; and the time of two
+/// turns of it, of 50 ms or so: without them an edit may take less than one.
 const MAX_RATIO: f64 = 4.0;
+const TWO_TURNS: Duration = Duration::from_millis(100);
 /// How long they are alone, after what they may do at once, and the part of a processor that all of them together may use then.
 const ALONE: Duration = Duration::from_secs(2);
 const MAX_PROCESSORS: f64 = 0.2;
@@ -316,7 +318,7 @@ async fn a_crowd_goes_on_beside_those_who_stall_or_flood() {
     let metrics = crowd.metrics();
     assert_eq!(counted(&metrics, "isopeel_stream_errors_total", r#"code="busy""#), 0.0);
     assert!(
-        beside < alone.mul_f64(MAX_RATIO),
+        beside < alone.mul_f64(MAX_RATIO) + TWO_TURNS,
         "{beside:?} beside them, {alone:?} without"
     );
     assert!(processors < MAX_PROCESSORS, "{processors:.2} processors");
