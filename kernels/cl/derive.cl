@@ -124,7 +124,9 @@ INLINED __local float *derive_block(DeriveArgs args, LENGTHS int3 origin, __loca
         const uint first_row = in_plane / BLOCK_ROW, last_row = (in_plane + LANES - 1) / BLOCK_ROW;
         if (!(rows & ((2u << last_row) - (1u << first_row)))) continue;
         const uint at = BLOCK_PLANE * plane + in_plane;
-        STORE_LANES(neighbourhood_feature(args.kind, blocks + at, load_steps(args.grid, tables, plane, in_plane)), values + at);
+        Steps steps;
+        load_steps(&steps, args.grid, tables, plane, in_plane);
+        STORE_LANES(neighbourhood_feature(args.kind, blocks + at, steps), values + at);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     return values;

@@ -53,23 +53,20 @@ INLINED void load_step_tables(Grid grid, LENGTHS int3 origin, __local float *tab
     ROLLED for (uint i = lid; i < STEPS_END - STEPS_Z; i += BRICK_GROUP) tables[STEPS_Z + i] = step_before(along_z, nz, origin.z, i);
 }
 
-INLINED AxisStep make_step(real before, real after) {
-    AxisStep step;
-    step.before = before;
-    step.after = after;
-    step.inverse_sum = 1.0f / (before + after);
-    return step;
+INLINED void set_step(AxisStep *step, real before, real after) {
+    step->before = before;
+    step->after = after;
+    step->inverse_sum = 1.0f / (before + after);
 }
 
-// Of sample `in_plane` of a plane of a block and those behind it.
-INLINED Steps load_steps(Grid grid, __local const float *tables, uint plane, uint in_plane) {
+// Of sample `in_plane` of a plane of a block and those behind it. By address, not as a result: Oclgrind fails on that here
+// (llvm.experimental.noalias.scope.decl).
+INLINED void load_steps(Steps *steps, Grid grid, __local const float *tables, uint plane, uint in_plane) {
     (void)grid;
     __local const float *x = tables + STEPS_X + in_plane % BLOCK_ROW, *y = tables + STEPS_Y + in_plane, *z = tables + STEPS_Z + plane;
-    Steps steps;
-    steps.x = make_step(LOAD_LANES(x), LOAD_LANES(x + 1));
-    steps.y = make_step(LOAD_LANES(y), LOAD_LANES(y + BLOCK_ROW));
-    steps.z = make_step((real)z[0], (real)z[1]);
-    return steps;
+    set_step(&steps->x, LOAD_LANES(x), LOAD_LANES(x + 1));
+    set_step(&steps->y, LOAD_LANES(y), LOAD_LANES(y + BLOCK_ROW));
+    set_step(&steps->z, (real)z[0], (real)z[1]);
 }
 
 // One over the length of the smallest cell beside the samples.
@@ -119,9 +116,9 @@ typedef float Resolution;
 
 INLINED void load_step_tables(Grid grid, int3 origin, __local float *tables) { (void)grid, (void)origin, (void)tables; }
 
-INLINED Steps load_steps(Grid grid, __local const float *tables, uint plane, uint in_plane) {
+INLINED void load_steps(Steps *steps, Grid grid, __local const float *tables, uint plane, uint in_plane) {
     (void)tables, (void)plane, (void)in_plane;
-    return 1.0f / (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    *steps = 1.0f / (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
 }
 
 INLINED Resolution resolution(Steps steps) { return fmax(steps.x, fmax(steps.y, steps.z)); }
