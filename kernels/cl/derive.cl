@@ -87,7 +87,7 @@ INLINED void prefetch_components(DeriveArgs args, int3 origin, __global const vo
                                  __global const void *samples_z, __local const uint *rows) {
     __global const void *samples[3] = {samples_x, samples_y, samples_z};
     const uint bytes[3] = {sample_bytes(args.type_x), sample_bytes(args.type_y), sample_bytes(args.type_z)};
-    for (uint plane = 0; PREFETCHES && plane < BLOCK_ROW; plane++)
+    for (uint plane = 0; plane < BLOCK_ROW; plane++)
         for (uint rest = rows[plane]; rest; rest &= rest - 1) {
             const long along_z = (long)(origin.z - (int)args.z0 + (int)plane - 1) * args.grid.dims[1];
             const long first = (along_z + origin.y + (int)lowest_bit(rest) - 1) * args.grid.dims[0] + origin.x - 1;

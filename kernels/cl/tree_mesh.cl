@@ -26,7 +26,7 @@ void tree_emit(__global const TreeRegion *tree_regions, __global const RegionMes
                __global uint *cut_corners) {
     __local uint scratch[WIDE_GROUP];
     const uint lid = get_local_id(0), group = (uint)get_group_id(0);
-    const uint first = meshes[group].triangle_base + tree_regions[group].beside_base;
+    const uint first = list_base(meshes + group, tree_regions + group);
     CutView cut;
     cut.corners = corners;
     cut.leaves = leaves;
@@ -110,8 +110,8 @@ void tree_index(const uint points, __global const Region *regions, __global cons
     of.own_numbers = own_numbers;
     of.other_leaves = table_leaves + table_bases[group];
     of.other_numbers = table_numbers + table_bases[group];
-    uint count = 0, own_others = 0;
-    for (uint level = 0; level < 6; level++) count += 3 * cut_meshes[group].triangles[level];
+    const uint count = 3 * count_triangles(cut_meshes + group);
+    uint own_others = 0;
     if (lid == 0) others = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     // Only what is used of the memory is cleared, by whoever uses it.
@@ -130,7 +130,7 @@ void tree_index(const uint points, __global const Region *regions, __global cons
     if (lid == 0) cut_meshes[group].vertices = vertices;
 }
 
-#define VERTICES_AHEAD 8 // that a CPU's caches are asked for what a vertex is made of: without, it waits for memory half of the time
+#define VERTICES_AHEAD 8 // vertices whose data is prefetched: without, a CPU waits for memory half of the time
 
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, __global const Node *nodes,
@@ -143,7 +143,7 @@ void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, 
     const int3 origin = convert_int3(region_origin(grid, regions[group].region));
     for (uint i = get_local_id(0); i < mesh.vertices; i += WIDE_GROUP) {
         const uint leaf = vertex_leaves[3 * mesh.triangle_base + i];
-        // First a point or node, then the cell that a point leads to.
+        // First the point or node, then the cell whose slot the point has.
         const uint far = vertex_leaves[3 * mesh.triangle_base + min(i + 2 * VERTICES_AHEAD, mesh.vertices - 1)];
         const uint near = vertex_leaves[3 * mesh.triangle_base + min(i + VERTICES_AHEAD, mesh.vertices - 1)];
         if (far < args.points) prefetch_line(points + far);

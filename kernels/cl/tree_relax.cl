@@ -14,7 +14,7 @@
 #include "lib/tree_node.h"
 #include "lib/tree_offset.h"
 
-// A cut, seen from a region.
+// What a work-group reads of the tree, the full mesh and the cut, and the sums that it adds to.
 typedef struct {
     Grid grid;
     uint group, point_count;
@@ -96,8 +96,9 @@ INLINED void load_positions(LaneTriangles *lanes, const RelaxedCut *in) {
     }
 }
 
-INLINED Real3 scaled_way(Real3 from, Real3 to, float3 scale) {
-    return make_real3((to.x - from.x) * scale.x, (to.y - from.y) * scale.y, (to.z - from.z) * scale.z);
+INLINED Real3 scaled_difference(Real3 a, Real3 b, float3 scale) {
+    const Real3 d = minus_real3(a, b);
+    return make_real3(d.x * scale.x, d.y * scale.y, d.z * scale.z);
 }
 
 // Measures the offsets of triangles: how high above their plane the centroid of the full mesh's triangle is, smallest spacings /
@@ -106,8 +107,8 @@ INLINED void measure_offsets(LaneTriangles *lanes, Grid grid) {
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / (smallest_spacing(grid) * VERTEX_LATTICE);
     const Real3 a = LOAD_REAL3(lanes->leaves, LANES), b = LOAD_REAL3(lanes->leaves + 3 * LANES, LANES);
     const Real3 c = LOAD_REAL3(lanes->leaves + 6 * LANES, LANES), centroid = scale_real3(LOAD_REAL3(lanes->points, LANES), 1.0f / 3.0f);
-    const Real3 u = scaled_way(a, b, scale), v = scaled_way(a, c, scale), p = scaled_way(a, centroid, scale);
-    const Real3 n = make_real3(u.y * v.z - u.z * v.y, u.z * v.x - u.x * v.z, u.x * v.y - u.y * v.x);
+    const Real3 p = scaled_difference(centroid, a, scale);
+    const Real3 n = cross_real3(scaled_difference(b, a, scale), scaled_difference(c, a, scale));
     const real height = dot_real3(p, n) * rsqrt(dot_real3(n, n));
     const real offset = rint(clamp(height, -OFFSET_MAX, OFFSET_MAX) * OFFSET_STEPS);
     STORE_LANES(PICK(height == height, offset, 0.0f), lanes->offsets);
@@ -132,9 +133,8 @@ void tree_offsets(const TreeOffsetsArgs args, __global const Region *regions, __
     in.nodes = tree_nodes;
     in.points = points;
     in.sums = sums;
-    __global const uint *own_left = left + meshes[group].triangle_base + in.tree->beside_base;
-    uint count = 0;
-    for (uint level = 0; level < 6; level++) count += cut_meshes[group].triangles[level];
+    __global const uint *own_left = left + list_base(meshes + group, in.tree);
+    const uint count = count_triangles(cut_meshes + group);
     for (uint first = LANES * (uint)get_local_id(0); first < count; first += LANES * WIDE_GROUP) {
         LaneTriangles lanes;
         find_triangles(&lanes, &in, own_left + first, min((uint)LANES, count - first));

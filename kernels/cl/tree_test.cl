@@ -67,9 +67,6 @@ INLINED void set_own(OwnLeaves *own, const TreeTestArgs args, __global const Reg
     own->global_around = around + 2 * tree->node_base;
 }
 
-// A region's entries in lists of all triangles and of those beside regions.
-inline uint list_base(__global const RegionMesh *mesh, __global const TreeRegion *tree) { return mesh->triangle_base + tree->beside_base; }
-
 INLINED void set_point_corners(PointCorners *at, __global const uint *numbers, __global const uint *ends, uint list_base) {
     at->numbers = numbers;
     at->ends = ends;

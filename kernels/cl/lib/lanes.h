@@ -37,6 +37,10 @@ INLINED Real3 pick_real3(integer condition, Real3 yes, Real3 no) {
 }
 
 INLINED Real3 scale_real3(Real3 v, real by) { return make_real3(v.x * by, v.y * by, v.z * by); }
+INLINED Real3 minus_real3(Real3 a, Real3 b) { return make_real3(a.x - b.x, a.y - b.y, a.z - b.z); }
+INLINED Real3 cross_real3(Real3 a, Real3 b) {
+    return make_real3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+}
 
 // From components along an edge's own axis and the next two (x y z, y z x or z x y) to x, y, z.
 INLINED Real3 permute_from_axis(Real3 v, uint axis) {

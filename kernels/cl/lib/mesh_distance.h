@@ -94,10 +94,6 @@ INLINED void add_pair(Pairs *pairs, Grid grid, const MeshFans *mesh, float3 p, f
     pairs->triangle[column] = triangle;
 }
 
-INLINED Real3 minus_real3(Real3 a, Real3 b) { return make_real3(a.x - b.x, a.y - b.y, a.z - b.z); }
-INLINED Real3 cross_real3(Real3 a, Real3 b) {
-    return make_real3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
-}
 
 // Squared distance to a side `along` from the corner from which `to` leads to the point.
 INLINED real side_distance2(Real3 along, Real3 to) {

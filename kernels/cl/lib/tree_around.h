@@ -54,6 +54,15 @@ INLINED bool triangle_at(CutTriangle *out, const CutView *cut, uint corner) {
     return true;
 }
 
+// Where a region's entries begin in lists of all triangles and of those beside regions.
+inline uint list_base(__global const RegionMesh *mesh, __global const TreeRegion *tree) { return mesh->triangle_base + tree->beside_base; }
+
+inline uint count_triangles(__global const RegionMesh *mesh) {
+    uint count = 0;
+    for (uint level = 0; level < 6; level++) count += mesh->triangles[level];
+    return count;
+}
+
 #if WIDE_GROUP > 1
 #define LISTED_RUN 4 // triangles in a row of one work-item: one prefix sum for all of them
 #else

@@ -64,10 +64,7 @@ INLINED Real3 load_turn(const float4 *rows) {
     return make_real3(AS_REAL(x), AS_REAL(y), AS_REAL(z));
 }
 
-INLINED Real3 cross_from(Real3 p, Real3 q, Real3 from) {
-    const Real3 a = make_real3(p.x - from.x, p.y - from.y, p.z - from.z), b = make_real3(q.x - from.x, q.y - from.y, q.z - from.z);
-    return make_real3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
-}
+INLINED Real3 cross_from(Real3 p, Real3 q, Real3 from) { return cross_real3(minus_real3(p, from), minus_real3(q, from)); }
 
 // The columns of pairs one of whose triangles turns too far, a bit each. Empties the batch.
 INLINED uint failed_turns(TurnBatch *batch) {

@@ -116,7 +116,7 @@ pub struct TreeLeaves<'a> {
     pub tree: &'a VertexTree,
     /// Of each point.
     pub leaves: &'a Buffer<u32>,
-    /// Of each node how far it moves, of [`Cutter::offsets`](super::tree_cut::Cutter::offsets).
+    /// Of each node the two sums of offsets that say how far it moves, of [`Cutter::offsets`](super::tree_cut::Cutter::offsets).
     pub offset_sums: &'a Buffer<u32>,
 }
 

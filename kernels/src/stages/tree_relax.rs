@@ -17,7 +17,8 @@ kernel_args! {
 }
 
 impl Cutter<'_> {
-    /// Two sums of offsets of each node (`cl/lib/tree_offset.h`): of the triangles of its own region, and of those of others. `meshes`: how many triangles each region's mesh has.
+    /// Two sums of offsets of each node (`cl/lib/tree_offset.h`): of the triangles of its own region, and of those of others.
+    /// `meshes`: how many triangles each region's mesh has.
     pub fn offsets(&self, work: &CutWork, meshes: &Buffer<RegionMesh>) -> Result<Buffer<u32>> {
         let Self { cx, volume, pyramid, tree, .. } = *self;
         let sums = cx.zeroed(STAGE, 2 * tree.built.nodes.len())?;
