@@ -267,7 +267,8 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     await page.goto(at.server.url, { waitUntil: "commit" });
     const loading = page.getByText("Loading isopeel");
     await loading.waitFor();
-    assert.equal(await page.locator("body").evaluate((body) => getComputedStyle(body).backgroundColor), "rgb(255, 255, 255)");
+    // The text is in the page itself, its style sheet a file that comes after: until then nothing is painted.
+    await page.waitForFunction(() => getComputedStyle(document.body).backgroundColor === "rgb(255, 255, 255)");
     pass();
     await settled(page);
     assert.equal(await loading.count(), 0);
