@@ -117,7 +117,7 @@ load: release ## many viewers at half of what the server can do (VIEWERS), a hun
 	cargo run --locked --release --package isopeel-tests --example viewers -- $(BINARY) --viewers $(VIEWERS)
 	cargo run --locked --release --package isopeel-tests --example viewers -- $(BINARY) --viewers 100 --beside --seconds 10 --rounds 4
 	ISOPEEL_KILLS=$(KILLS) cargo test --locked --workspace --test e2e -- kills:: --nocapture
-	ISOPEEL_FOLLOWERS=$(FOLLOWERS) cargo test --locked --workspace --test e2e -- crowd:: --nocapture
+	ISOPEEL_FOLLOWERS=$(FOLLOWERS) cargo test --locked --release --package isopeel-tests --test e2e -- crowd:: --nocapture
 
 SOAK_SECONDS ?= 1800
 soak: release ## 200 viewers that edit, leave and come again, for half an hour (SOAK_SECONDS): memory stays as it is

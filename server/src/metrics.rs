@@ -6,7 +6,7 @@
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use ::metrics::{Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use ::metrics::{Counter, Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle};
 
 /// Bounds of all histograms, in seconds: from a kernel of a small volume to an export of the largest.
@@ -46,6 +46,16 @@ const BUILD: &str = "isopeel_build_info";
 
 static RECORDER: OnceLock<PrometheusHandle> = OnceLock::new();
 
+/// Those of each frame of each viewer: to find one by its labels would take longer than all else that is done for a small frame.
+struct FrameCounters {
+    chunk_bytes: Counter,
+    message_bytes: Counter,
+    chunks_found: Counter,
+    chunks_made: Counter,
+}
+
+static FRAMES: OnceLock<FrameCounters> = OnceLock::new();
+
 /// Counts from now on, for the whole process. Further calls do nothing.
 ///
 /// # Errors
@@ -60,6 +70,12 @@ pub fn start() -> Result<(), BuildError> {
     let recorder = PrometheusBuilder::new().set_buckets(&BOUNDS)?.install_recorder()?;
     if RECORDER.set(recorder).is_ok() {
         describe();
+        FRAMES.get_or_init(|| FrameCounters {
+            chunk_bytes: counter!(SENT_BYTES, "kind" => "chunk"),
+            message_bytes: counter!(SENT_BYTES, "kind" => "message"),
+            chunks_found: counter!(CACHE, "what" => "chunk", "result" => "hit"),
+            chunks_made: counter!(CACHE, "what" => "chunk", "result" => "miss"),
+        });
         gauge!(BUILD, "version" => env!("CARGO_PKG_VERSION")).set(1.0);
     }
     Ok(())
@@ -187,9 +203,24 @@ pub fn follower(more: f64) {
     gauge!(FOLLOWERS).increment(more);
 }
 
-/// The network has taken a frame of a stream.
-pub fn sent(is_chunk: bool, bytes: usize) {
-    counter!(SENT_BYTES, "kind" => if is_chunk { "chunk" } else { "message" }).increment(bytes as u64);
+/// The network has taken frames of a stream: so many bytes of chunks, and of messages.
+pub fn sent(chunk_bytes: usize, message_bytes: usize) {
+    if let Some(frames) = FRAMES.get() {
+        frames.chunk_bytes.increment(chunk_bytes as u64);
+        frames.message_bytes.increment(message_bytes as u64);
+    }
+}
+
+/// A chunk was looked for among those that were made for others.
+pub fn looked_up_chunk(was_there: bool) {
+    if let Some(frames) = FRAMES.get() {
+        let counter = if was_there {
+            &frames.chunks_found
+        } else {
+            &frames.chunks_made
+        };
+        counter.increment(1);
+    }
 }
 
 /// A surface was begun for a viewer.

@@ -97,12 +97,12 @@ async function open(url) {
 }
 
 test("a page hands a token to the frame, which asks for the next one before it ends", { timeout: 4 * TIMEOUT_MS }, async () => {
-  // The first one is asked for anew after five seconds.
-  at.lifetimes.push(10);
+  // The first one is asked for anew after ten seconds.
+  at.lifetimes.push(20);
   const { context, page, faults, addresses, frame, counted } = await open(`${at.lab.origin}/`);
   await counted("settled");
   const first = await page.evaluate(() => ({ reasons: events.filter(({ type }) => type === "token").map(({ reason }) => reason), replies }));
-  // On a slow machine more than five seconds have passed.
+  // On a slow machine more than ten seconds have passed.
   assert.deepEqual(first.reasons.filter((reason) => reason !== "expiring"), ["wanted"]);
   assert.deepEqual([first.replies[0].ok, first.replies[0].value.roles], [true, ["view"]], JSON.stringify(first.replies));
   await saveScreenshot(page, "embedded-token");
@@ -116,7 +116,7 @@ test("a page hands a token to the frame, which asks for the next one before it e
   assert.equal(new Set(streams()).size, streams().length, "a ticket each");
   // What the first was good for has ended, what the second is good for has not.
   for (const began = Date.now(); (await sessionOf(at.made.at(-2))) !== 401; ) {
-    assert.ok(Date.now() - began < 15_000, "the first has not ended");
+    assert.ok(Date.now() - began < 25_000, "the first has not ended");
     await new Promise((done) => setTimeout(done, 200));
   }
   assert.equal(await sessionOf(at.made.at(-1)), 200);

@@ -81,11 +81,11 @@ build cpu isopeel:cpu
 build gpu isopeel
 
 say "the CPU image, read-only, not root, without capabilities"
-# Takes the place of the binary: the tests' volumes are in /tmp. Its home is the only place that it writes to: PoCL keeps compiled
+# Takes the place of the binary: the tests' volumes are in /tmp or the fixtures. Its home is the only place that it writes to: PoCL keeps compiled
 # kernels there, and loads them as libraries. Limits of its own, as podman's may be above this machine's.
 mkdir -m 0777 "$work/home"
 chmod a+x "$work"
-export ISOPEEL_HOME=$work/home
+export ISOPEEL_HOME=$work/home FIXTURES=$PWD/tests/fixtures
 cat >"$work/isopeel" <<'SCRIPT'
 #!/bin/bash
 # The tests make folders for themselves alone: what the server reads becomes readable, what it writes to its user's.
@@ -104,6 +104,7 @@ name=isopeel-$$
 (while kill -0 $$; do sleep 0.1; done; podman kill "$name") >/dev/null 2>&1 &
 exec podman run --rm --interactive --name "$name" --runtime runc --network host --ulimit nofile=4096:4096 --ulimit nproc=4096:4096 --read-only \
     --read-only-tmpfs=false --cap-drop all --security-opt no-new-privileges --volume "$ISOPEEL_HOME:/home/isopeel" --volume /tmp:/tmp \
+    --volume "$FIXTURES:$FIXTURES:ro" \
     localhost/isopeel:cpu "$@"
 SCRIPT
 chmod +x "$work/isopeel"
@@ -113,6 +114,9 @@ podman run --rm --runtime runc --network host --ulimit nofile=4096:4096 --ulimit
 say "browser tests against it"
 tests=("$@")
 [ ${#tests[@]} -gt 0 ] || mapfile -t tests < <(cd tests/browser && ls ./*.test.mjs)
-[ -d tests/browser/node_modules ] || (cd tests/browser && npm ci --no-audit --no-fund --loglevel=error)
+# Some draw with the viewer's own modules, which web has tools for.
+for folder in web tests/browser; do
+    [ -d "$folder/node_modules" ] || (cd "$folder" && npm ci --no-audit --no-fund --loglevel=error)
+done
 cd tests/browser
 ISOPEEL_BINARY="$work/isopeel" node --test --test-concurrency=1 "${tests[@]}"

@@ -4,6 +4,7 @@
 //! looks at is passed on, always the newest of it alone. When the leader leaves, the group ends; where its connection is lost, the group waits for it
 //! to come back with the key that it alone has.
 
+mod first_steps;
 mod leader;
 
 use std::collections::{BTreeMap, HashMap};
@@ -14,6 +15,10 @@ use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
+pub(super) use first_steps::FirstStep;
+use first_steps::FirstSteps;
+#[cfg(test)]
+pub(super) use first_steps::LONGEST_WAIT;
 pub(super) use leader::Leader;
 use leader::PAUSE;
 
@@ -64,6 +69,7 @@ struct Group {
     scene: watch::Sender<Option<Arc<Scene>>>,
     pose: watch::Sender<Option<Arc<Pose>>>,
     members: watch::Sender<Members>,
+    first_steps: FirstSteps,
     expires: Instant,
     ended: CancellationToken,
 }
@@ -178,6 +184,7 @@ impl Groups {
             scene: watch::Sender::new(None),
             pose: watch::Sender::new(None),
             members: watch::Sender::new(Members::default()),
+            first_steps: FirstSteps::default(),
             expires: Instant::now() + MAX_AGE,
             ended: CancellationToken::new(),
         });
@@ -261,6 +268,11 @@ impl Member {
         !self.connection.is_cancelled() && self.members.borrow().control == self.number
     }
 
+    /// How many follow, whoever has control.
+    pub(super) fn followers(&self) -> u32 {
+        self.members.borrow().followers.len() as u32
+    }
+
     /// The next thing that has happened. Scenes and poses are of others: who has control knows its own.
     async fn event(&mut self) -> GroupEvent {
         let follows = !self.controls();
@@ -270,8 +282,7 @@ impl Member {
             () = sleep_until(self.group.expires) => GroupEvent::Ended("it is 12 hours old"),
             Ok(()) = self.scene.changed(), if follows => GroupEvent::Scene,
             Ok(()) = changed_from(&mut self.pose, self.pose_due), if follows => {
-                let followers = self.members.borrow().followers.len() as u32;
-                self.pose_due = Instant::now() + POSE_INTERVAL.max(POSE_INTERVAL_EACH * followers);
+                self.pose_due = Instant::now() + POSE_INTERVAL.max(POSE_INTERVAL_EACH * self.followers());
                 GroupEvent::Pose(self.pose.borrow_and_update().clone().unwrap_or_default())
             }
             Ok(()) = changed_from(&mut self.members, self.members_due) => {

@@ -18,6 +18,9 @@ const BATCH_TRIANGLES: usize = 25_000;
 /// Chunks in a batch for each thread; bounds the frames that wait for the socket. The coarsest prefixes are many tiny chunks.
 const BATCH_CHUNKS: usize = 128;
 
+/// Regions of two surfaces that are compared at once: of so few, work on the pool would take longer to begin than to do. It takes some 20 µs.
+const FEW_REGIONS: usize = 512;
+
 /// Why a prefix could not be made.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PrefixError {
@@ -58,6 +61,21 @@ impl Part {
             Self::Gone(_) => 0,
         }
     }
+
+    /// Whether its chunk is at hand, but for the prefix that it names.
+    fn is_encoded(self, step: &SharedStep) -> bool {
+        match self {
+            Self::Made(region) => step.regions[region].is_encoded(),
+            Self::Gone(_) => true,
+        }
+    }
+
+    fn encode(self, step: &SharedStep, prefix: PrefixId, kept: &Kept) -> Result<Bytes, EncodeError> {
+        match self {
+            Self::Made(region) => step.chunk(region, prefix, kept),
+            Self::Gone(coords) => encode::encode_gone(coords, prefix),
+        }
+    }
 }
 
 /// Keeps what of a surface, or of what was made anew of it, differs from `held`.
@@ -66,43 +84,48 @@ pub(super) async fn compare(
     held: Arc<RegionHashes>,
     token: CancellationToken,
 ) -> Result<Changes, PrefixError> {
-    pool::run(move || {
-        if token.is_cancelled() {
-            return Err(PrefixError::Cancelled);
-        }
-        let made: FxHashSet<[u32; 3]> = step.regions.iter().map(|region| region.coords).collect();
-        let remade = step.made.surface.remade.as_ref();
-        let mut gone: Vec<[u32; 3]> = match remade {
-            Some(remade) => remade.iter().filter(|c| held.contains_key(*c)).copied().collect(),
-            None => held.keys().copied().collect(),
-        };
-        gone.retain(|coords| !made.contains(coords));
-        gone.sort_unstable();
-        let mut after = if remade.is_some() {
-            (*held).clone()
-        } else {
-            RegionHashes::default()
-        };
-        for coords in &gone {
-            after.remove(coords);
-        }
-        let mut changed = Vec::new();
-        for (number, region) in step.regions.iter().enumerate() {
-            after.insert(region.coords, region.hash);
-            if held.get(&region.coords) != Some(&region.hash) {
-                changed.push(Part::Made(number));
-            }
-        }
-        let unchanged = after.len() - changed.len();
-        changed.extend(gone.into_iter().map(Part::Gone));
-        Ok(Changes {
-            step,
-            changed,
-            unchanged,
-            held: after,
-        })
+    if step.regions.len() + held.len() <= FEW_REGIONS {
+        return Ok(differences(step, &held));
+    }
+    pool::run(move || match token.is_cancelled() {
+        true => Err(PrefixError::Cancelled),
+        false => Ok(differences(step, &held)),
     })
     .await?
+}
+
+fn differences(step: Arc<SharedStep>, held: &RegionHashes) -> Changes {
+    let made: FxHashSet<[u32; 3]> = step.regions.iter().map(|region| region.coords).collect();
+    let remade = step.made.surface.remade.as_ref();
+    let mut gone: Vec<[u32; 3]> = match remade {
+        Some(remade) => remade.iter().filter(|c| held.contains_key(*c)).copied().collect(),
+        None => held.keys().copied().collect(),
+    };
+    gone.retain(|coords| !made.contains(coords));
+    gone.sort_unstable();
+    let mut after = if remade.is_some() {
+        held.clone()
+    } else {
+        RegionHashes::default()
+    };
+    for coords in &gone {
+        after.remove(coords);
+    }
+    let mut changed = Vec::new();
+    for (number, region) in step.regions.iter().enumerate() {
+        after.insert(region.coords, region.hash);
+        if held.get(&region.coords) != Some(&region.hash) {
+            changed.push(Part::Made(number));
+        }
+    }
+    let unchanged = after.len() - changed.len();
+    changed.extend(gone.into_iter().map(Part::Gone));
+    Changes {
+        step,
+        changed,
+        unchanged,
+        held: after,
+    }
 }
 
 /// Takes the next batch off the end of a step's `parts`, the last one first. At least one, while there is one.
@@ -122,7 +145,8 @@ fn take_batch_for<P>(threads: usize, triangles_of: impl Fn(&P) -> usize, parts: 
     batch
 }
 
-/// The chunks of a batch of a step: those are quantised and encoded, in parallel, that nobody has needed before.
+/// The chunks of a batch of a step: those are quantised and encoded, in parallel, that nobody has needed before. Where there are none, nothing
+/// waits for the pool.
 pub(super) async fn encode(
     step: Arc<SharedStep>,
     batch: Vec<Part>,
@@ -130,11 +154,14 @@ pub(super) async fn encode(
     kept: Arc<Kept>,
     token: CancellationToken,
 ) -> Result<Vec<Bytes>, PrefixError> {
+    if batch.iter().all(|part| part.is_encoded(&step)) {
+        let chunks = batch.into_iter().map(|part| part.encode(&step, prefix, &kept));
+        return Ok(chunks.collect::<Result<_, _>>()?);
+    }
     pool::run(move || {
         let encode = |part: Part| match part {
             _ if token.is_cancelled() => Err(PrefixError::Cancelled),
-            Part::Made(region) => Ok(step.chunk(region, prefix, &*kept)?),
-            Part::Gone(coords) => Ok(encode::encode_gone(coords, prefix)?),
+            part => Ok(part.encode(&step, prefix, &kept)?),
         };
         batch
             .into_par_iter()

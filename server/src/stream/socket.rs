@@ -24,6 +24,9 @@ const INBOX: usize = 16;
 /// network.
 const OUTGOING: usize = 32;
 
+/// Bytes of frames that are sent within one deadline, and a last frame: a line that takes fewer in that time is of no use.
+const TOGETHER_BYTES: usize = 64 << 10;
+
 /// Messages that are read in a window of time, pings and pongs included: several times those of a slider that is dragged on a fast screen. Of a
 /// client that sends more, TCP holds them back, so that reading them costs others nothing.
 const MAX_WINDOW_MESSAGES: u32 = 50;
@@ -40,7 +43,7 @@ const TOKEN_GRACE: Duration = Duration::from_secs(2);
 /// Deadlines of a connection.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadlines {
-    /// For a frame to be taken by the network.
+    /// For a frame, or some small ones, to be taken by the network.
     pub send: Duration,
     /// Between two pings.
     pub ping: Duration,
@@ -157,7 +160,7 @@ fn violation(error: axum::Error) -> Option<CloseCode> {
     }
 }
 
-/// Sends the session's frames, each within its deadline, and pings.
+/// Sends the session's frames, so many at a time within a deadline, and pings.
 async fn write<S>(mut sink: S, mut frames: mpsc::Receiver<Outgoing>, deadlines: Deadlines)
 where
     S: Sink<Message, Error = axum::Error> + Unpin,
@@ -166,28 +169,16 @@ where
     ping.set_missed_tick_behavior(MissedTickBehavior::Delay);
     ping.reset();
     loop {
-        let message = tokio::select! {
+        let first = tokio::select! {
             frame = frames.recv() => match frame {
                 None => return,
-                Some(Outgoing::Text(text)) => Message::Text(text.into()),
-                Some(Outgoing::Binary(bytes)) => Message::Binary(bytes),
-                Some(Outgoing::Ping(number)) => Message::Ping(number.to_le_bytes().to_vec().into()),
-                Some(Outgoing::Close(code)) => return close(sink, code, deadlines.close).await,
+                Some(frame) => message(frame),
             },
-            _ = ping.tick() => Message::Ping(Default::default()),
+            _ = ping.tick() => Ok(Message::Ping(Default::default())),
         };
-        let (is_chunk, bytes) = match &message {
-            Message::Binary(bytes) => (true, bytes.len()),
-            Message::Text(text) => (false, text.len()),
-            Message::Ping(_) | Message::Pong(_) | Message::Close(_) => (false, 0),
-        };
-        // What waits in the queue goes to the network together: a coarse prefix is thousands of frames of some hundred bytes.
-        let send = async {
-            sink.feed(message).await?;
-            if frames.is_empty() { sink.flush().await } else { Ok(()) }
-        };
-        match timeout(deadlines.send, send).await {
-            Ok(Ok(())) => metrics::sent(is_chunk, bytes),
+        match timeout(deadlines.send, send(&mut sink, first, &mut frames)).await {
+            Ok(Ok(None)) => {}
+            Ok(Ok(Some(code))) => return close(sink, code, deadlines.close).await,
             Ok(Err(_)) => return,
             Err(_) => {
                 // The session ends when this queue closes, before the close frame is sent.
@@ -197,6 +188,48 @@ where
             }
         }
     }
+}
+
+/// Sends a message and those that wait behind it, up to [`TOGETHER_BYTES`]. Returns with what the connection is to be closed, where that comes next.
+async fn send<S>(
+    sink: &mut S,
+    first: Result<Message, CloseCode>,
+    frames: &mut mpsc::Receiver<Outgoing>,
+) -> Result<Option<CloseCode>, axum::Error>
+where
+    S: Sink<Message, Error = axum::Error> + Unpin,
+{
+    let (mut next, mut chunk_bytes, mut text_bytes) = (Some(first), 0, 0);
+    while let Some(message) = next {
+        let message = match message {
+            Ok(message) => message,
+            Err(code) => return Ok(Some(code)),
+        };
+        match &message {
+            Message::Binary(bytes) => chunk_bytes += bytes.len(),
+            Message::Text(text) => text_bytes += text.len(),
+            Message::Ping(_) | Message::Pong(_) | Message::Close(_) => {}
+        }
+        sink.feed(message).await?;
+        let has_space = chunk_bytes + text_bytes < TOGETHER_BYTES;
+        next = has_space.then(|| frames.try_recv().ok()).flatten().map(self::message);
+    }
+    // What waits in the queue goes to the network together: a coarse prefix is thousands of frames of some hundred bytes.
+    if frames.is_empty() {
+        sink.flush().await?;
+    }
+    metrics::sent(chunk_bytes, text_bytes);
+    Ok(None)
+}
+
+/// A frame as a message, or with what the connection is to be closed.
+fn message(frame: Outgoing) -> Result<Message, CloseCode> {
+    Ok(match frame {
+        Outgoing::Text(text) => Message::Text(text.into()),
+        Outgoing::Binary(bytes) => Message::Binary(bytes),
+        Outgoing::Ping(number) => Message::Ping(number.to_le_bytes().to_vec().into()),
+        Outgoing::Close(code) => return Err(code),
+    })
 }
 
 async fn close<S>(mut sink: S, code: CloseCode, deadline: Duration)

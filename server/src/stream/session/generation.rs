@@ -16,6 +16,7 @@ use isopeel_kernels::{StageTime, SurfaceStatistics};
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
+use super::super::groups::FirstStep;
 use super::super::prefix::{Changes, Part};
 use super::super::shared::{Offered, RegionHashes, SharedStep};
 use super::draw_pause::DrawPause;
@@ -53,6 +54,8 @@ pub(super) struct Generation {
     pub draw_pause: DrawPause,
     /// Which of the connection's jobs was the last before it began to wait for its next.
     pub waits_since: u64,
+    /// Until its first step is ready to be sent, where the viewer is in a group.
+    pub first_step: Option<FirstStep>,
     /// When it was begun, where an edit has asked for it; a surface that is improved at rest has none.
     begun: Option<Instant>,
     pub token: CancellationToken,
@@ -132,6 +135,7 @@ impl Generation {
             stages: Vec::new(),
             draw_pause: DrawPause::default(),
             waits_since: 0,
+            first_step: None,
             begun: None,
             _cancel: token.clone().drop_guard(),
             token,
@@ -148,7 +152,8 @@ impl Generation {
     }
 
     /// A step is ready to be committed.
-    pub(super) fn note_commit(&self, is_final: bool) {
+    pub(super) fn note_commit(&mut self, is_final: bool) {
+        self.first_step = None;
         let Some(begun) = self.begun else { return };
         if !self.committed {
             metrics::edit_committed(begun.elapsed());

@@ -9,6 +9,7 @@ use tokio::sync::watch;
 use tracing::Instrument;
 
 use super::super::backend::{Backend, Opening};
+use super::super::groups::Member;
 use super::super::prefix::{Changes, PrefixError, compare, encode, take_batch};
 use super::super::shared::{Offered, Outcome, Wanted};
 use super::generation::{Generation, Making, Sending};
@@ -25,6 +26,9 @@ use crate::metrics;
 use crate::view::quality::Budget;
 use crate::wire::chunk::ChunkKind;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
+
+/// Triangles of a new surface's first steps for all of a group: so many are copied to sockets within some 40 ms.
+const FOLLOWED_TRIANGLES: u64 = 2_000_000;
 
 /// Batches that are encoded at once: the next one fills the threads that have nothing left to do of the one before.
 const MAX_BATCHES: usize = 2;
@@ -358,7 +362,9 @@ impl<B: Backend> Session<B> {
         for (number, surface) in opened.surfaces_mut() {
             if surface.edit_pending && surface.generation().is_none() {
                 self.last_generation += 1;
-                surface.begin(number, self.last_generation, self.jobs);
+                // Who does not read waits for nothing that is made now.
+                let waiting = self.member.as_ref().filter(|_| !self.pace.is_line_full());
+                surface.begin(number, self.last_generation, self.jobs, waiting.map(Member::first_step));
             }
         }
         if self.start_describing() {
@@ -395,6 +401,9 @@ impl<B: Backend> Session<B> {
         let generation = session.generation_mut()?;
         generation.making = Making::OnDevice;
         generation.waits_since = self.jobs;
+        // What others follow is made meanwhile.
+        let waits = |member: &&Member| job == NextJob::Further && !member.controls();
+        let others_first = self.member.as_ref().filter(waits).map(Member::others_first);
         let (number, token) = (generation.number, generation.token.clone());
         let wanted = wanted(generation.view.clone());
         let span = self.id.trace(number).span();
@@ -405,12 +414,23 @@ impl<B: Backend> Session<B> {
         let step = Step {
             shown: generation.shown,
             target: generation.target,
-            fresh_triangles: self.pace.fresh(),
+            fresh_triangles: self.fresh_triangles(),
             triangles: self.pace.changing(job == NextJob::First),
             bytes: self.pace.bytes(),
         };
-        let refine = async move { DeviceDone::Refined(number, shared.refine(wanted, step, &token).await) };
+        let refine = async move {
+            if let Some(others) = others_first {
+                token.run_until_cancelled(others.made()).await;
+            }
+            DeviceDone::Refined(number, shared.refine(wanted, step, &token).await)
+        };
         Some(Box::pin(refine.instrument(span)))
+    }
+
+    /// Triangles of the first step of a new surface: with many who follow, as few as reach all of them soon.
+    fn fresh_triangles(&self) -> u64 {
+        let followers = self.member.as_ref().map_or(0, Member::followers);
+        self.pace.fresh().min(FOLLOWED_TRIANGLES / u64::from(followers.max(1)))
     }
 
     fn start_opening(&mut self) {

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::super::groups::FirstStep;
 use super::super::shared::RegionHashes;
 use super::generation::Generation;
 use super::rest::Rest;
@@ -92,8 +93,8 @@ impl SurfaceSession {
         }
     }
 
-    /// Begins the generation of the view.
-    pub(super) fn begin(&mut self, surface: u8, number: u32, jobs: u64) {
+    /// Begins the generation of the view. `first_step`: of a member of a group.
+    pub(super) fn begin(&mut self, surface: u8, number: u32, jobs: u64, first_step: Option<FirstStep>) {
         let mut view = self.view.clone();
         view.budget = view.budget.and(self.allotted.or(view.budget));
         // What differs replaces what is shown at once: a coarse surface in between would be sent as a whole, twice.
@@ -103,6 +104,7 @@ impl SurfaceSession {
         };
         let mut generation = Generation::of_edit(surface, number, view, shown);
         generation.waits_since = jobs;
+        generation.first_step = first_step;
         self.edit_pending = false;
         self.phase = Phase::Working(Box::new(generation));
     }

@@ -128,7 +128,7 @@ impl SharedStep {
             kept.keep(key, &chunk);
             Ok(chunk)
         });
-        metrics::looked_up("chunk", was_there);
+        metrics::looked_up_chunk(was_there);
         chunk
             .as_ref()
             .map(|chunk| with_prefix(chunk, prefix))
@@ -179,6 +179,11 @@ impl SharedRegion {
             mesh: Mutex::new(Some(mesh)),
             chunk: OnceLock::new(),
         }
+    }
+
+    /// Whether somebody has needed its chunk before.
+    pub(in crate::stream) fn is_encoded(&self) -> bool {
+        self.chunk.get().is_some()
     }
 
     /// Its mesh is not needed any more.

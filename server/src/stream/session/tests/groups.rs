@@ -1,6 +1,6 @@
 //! Groups: followers are shown what another does, whoever may edit, and control is handed over.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use tokio::sync::mpsc;
@@ -10,7 +10,7 @@ use super::faults::holder;
 use super::scripted::{Answer, shapes};
 use super::viewer::Viewer;
 use crate::access::{Identity, Role};
-use crate::stream::groups::{Groups, Leader, MAX_FOLLOWERS, MAX_GROUPS};
+use crate::stream::groups::{Groups, LONGEST_WAIT, Leader, MAX_FOLLOWERS, MAX_GROUPS};
 
 /// Messages about the group, in between others.
 async fn group_message(viewer: &mut Viewer, name: &str) -> Value {
@@ -139,6 +139,29 @@ async fn who_may_only_look_is_shown_what_the_leader_does() {
     );
     looks.say(&json!({"type": "join", "group": group}).to_string()).await;
     assert_eq!(looks.until("error").await["code"], "unknown-group");
+}
+
+#[tokio::test]
+async fn further_steps_of_followers_come_after_the_first_of_all() {
+    let common = Common::new(1 << 20);
+    let (mut leader, group) = leader(&common, 5.0).await;
+    let mut follows = follower(&common, Identity::without_token(), &group, 5.0).await;
+    let other = common.groups.join(&group, None, false).expect("space");
+    let mut waits = Some(other.first_step());
+    for iso in [6, 7] {
+        let began = Instant::now();
+        leader.say(&json!({"type": "edit", "iso": iso}).to_string()).await;
+        leader.step().await.answer(Answer::prefix(1, shapes(&[iso])));
+        // Who has control has its surface at once.
+        leader.step().await.answer(Answer::last(2, shapes(&[iso, iso])));
+        leader.until("done").await;
+        follows.until("committed").await;
+        follows.until("done").await;
+        assert!(follows.steps.try_recv().is_err(), "made once for all");
+        // One who comes to nothing holds the others up so long, and not for ever.
+        assert!(waits.is_none() || began.elapsed() >= LONGEST_WAIT);
+        waits = None;
+    }
 }
 
 #[tokio::test]

@@ -1,0 +1,117 @@
+//! Who of a group waits for the first step of a surface: further steps come after those.
+//!
+//! With a thousand followers a surface that is at hand is a tenth of a second of copies to sockets. Without an order the first followers would
+//! have all of it before the last have anything.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::task::yield_now;
+use tokio::time::timeout;
+
+use super::{Group, Member};
+
+/// Longest wait for the first steps of others: what the largest group takes.
+pub(in crate::stream) const LONGEST_WAIT: Duration = Duration::from_millis(100);
+
+/// Members that wait for a first step.
+pub(super) struct FirstSteps(watch::Sender<usize>);
+
+impl Default for FirstSteps {
+    fn default() -> Self {
+        Self(watch::Sender::new(0))
+    }
+}
+
+/// One that waits; dropped, it has it, or wants it no longer.
+pub(in crate::stream) struct FirstStep(Arc<Group>);
+
+impl Drop for FirstStep {
+    fn drop(&mut self) {
+        self.0.first_steps.0.send_if_modified(|waiting| {
+            *waiting -= 1;
+            *waiting == 0
+        });
+    }
+}
+
+/// The others' first steps.
+pub(in crate::stream) struct OthersFirst(watch::Receiver<usize>);
+
+impl OthersFirst {
+    /// Returns when they are on their way.
+    pub(in crate::stream) async fn made(mut self) {
+        // What has woken this member wakes others as well: they come to wait.
+        yield_now().await;
+        // Where it takes longer, or the group has ended, nothing is lost but the order.
+        let _ = timeout(LONGEST_WAIT, self.0.wait_for(|waiting| *waiting == 0)).await;
+    }
+}
+
+impl Member {
+    /// This one begins to wait.
+    pub(in crate::stream) fn first_step(&self) -> FirstStep {
+        self.group.first_steps.0.send_if_modified(|waiting| {
+            *waiting += 1;
+            false
+        });
+        FirstStep(Arc::clone(&self.group))
+    }
+
+    pub(in crate::stream) fn others_first(&self) -> OthersFirst {
+        OthersFirst(self.group.first_steps.0.subscribe())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::future::Future;
+    use std::pin::pin;
+    use std::time::Duration;
+
+    use futures_util::FutureExt;
+    use tokio::task::yield_now;
+    use tokio::time::advance;
+
+    use super::super::{Groups, Leader};
+    use super::LONGEST_WAIT;
+
+    /// Polls a few times.
+    async fn is_ready(waiting: &mut (impl Future<Output = ()> + Unpin)) -> bool {
+        for _ in 0..4 {
+            if waiting.now_or_never().is_some() {
+                return true;
+            }
+            yield_now().await;
+        }
+        false
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn further_steps_come_after_all_first_ones_but_wait_no_longer_than_they_may() {
+        let groups = Groups::default();
+        let who = Leader {
+            user: "ann".into(),
+            key: "1".into(),
+        };
+        let leader = groups.lead("1".into(), who).expect("a group");
+        let follower = groups.join("1", None, false).expect("space");
+        assert!(is_ready(&mut pin!(leader.others_first().made())).await, "nobody waits");
+
+        let (one, other) = (leader.first_step(), follower.first_step());
+        let mut made = pin!(leader.others_first().made());
+        assert!(!is_ready(&mut made).await);
+        drop(one);
+        assert!(!is_ready(&mut made).await);
+        drop(other);
+        assert!(is_ready(&mut made).await);
+
+        let _stalls = follower.first_step();
+        let mut made = pin!(leader.others_first().made());
+        advance(LONGEST_WAIT - Duration::from_millis(2)).await;
+        assert!(!is_ready(&mut made).await);
+        advance(LONGEST_WAIT).await;
+        assert!(is_ready(&mut made).await);
+    }
+}
