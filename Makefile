@@ -127,13 +127,14 @@ soak: release ## 200 viewers that edit, leave and come again, for half an hour (
 test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISOPEEL_DATA names
 	cargo test --locked --workspace -- --ignored
 
-# TIMES: so many times the cases of test-rust, random ones. MUTATIONS: changed files of each format, those in folders in memory:
-# on a disk they take 2 to 10 times as long.
+# TIMES: so many times the cases of test-rust, random ones. MUTATIONS: changed files of each format, frames and requests; files that are
+# in folders are in memory: on a disk they take 2 to 10 times as long.
 TIMES ?= 20
 MUTATIONS ?= 1000000
 FUZZ_FOLDER := $(or $(wildcard /dev/shm),$(TMPDIR),/tmp)
-fuzz: prerequisites-test web-client ## kernels against their twins on random volumes (TIMES), and readers on changed files (MUTATIONS a format); takes hours
+fuzz: prerequisites-test web-client ## kernels against their twins on random volumes (TIMES), readers on changed files (MUTATIONS a format), a server on as many changed frames and requests; takes hours
 	TMPDIR=$(FUZZ_FOLDER) ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel --test volumes -- changed noise --nocapture
+	ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel-tests --test e2e -- mutated:: --nocapture
 	ISOPEEL_TEST_TIMES=$(TIMES) cargo test --locked --package isopeel-reference --test device
 
 containers: ## both images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes a quarter of an hour

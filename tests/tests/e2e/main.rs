@@ -18,6 +18,7 @@ mod jobs;
 mod kills;
 mod memory;
 mod metrics;
+mod mutated;
 mod parts;
 mod questions;
 mod rest;

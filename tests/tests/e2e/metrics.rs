@@ -166,7 +166,7 @@ async fn an_edit_has_its_trace_in_a_log_of_json() {
         "--rate-peer",
         "0",
     ];
-    let Some((server, line)) = process::launch_logged(&options, &log) else {
+    let Some((server, line)) = process::launch_logged(&[], &options, "debug", &log) else {
         return;
     };
     assert!(!line.contains("token="), "{line}");

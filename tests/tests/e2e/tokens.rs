@@ -120,7 +120,7 @@ async fn a_ticket_opens_one_stream_and_is_in_no_log() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = folder.path().join("log");
     let page = ("origin", "https://viewer.example");
-    let Some((server, printed)) = process::launch_logged(&["--allow-origin", page.1], &log) else {
+    let Some((server, printed)) = process::launch_logged(&[], &["--allow-origin", page.1], "debug", &log) else {
         return;
     };
     let address = server.address;

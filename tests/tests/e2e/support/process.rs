@@ -55,12 +55,12 @@ pub fn begin(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> {
     spawn(Command::new(command::binary()), paths, options, Stdio::null())
 }
 
-/// As [`begin`], with all that it may say in a file.
-pub fn launch_logged(options: &[&str], log: &Path) -> Option<(Process, String)> {
+/// As [`begin`], with what it says at this level in a file, and panics.
+pub fn launch_logged(paths: &[PathBuf], options: &[&str], level: &str, log: &Path) -> Option<(Process, String)> {
     let mut command = Command::new(command::binary());
-    command.env("RUST_LOG", "debug");
+    command.env("RUST_LOG", level);
     let log = std::fs::File::create(log).expect("a file");
-    spawn(command, &[], options, log.into())
+    spawn(command, paths, options, log.into())
 }
 
 fn spawn(mut command: Command, paths: &[PathBuf], options: &[&str], log: Stdio) -> Option<(Process, String)> {
