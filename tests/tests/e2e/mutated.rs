@@ -27,7 +27,7 @@ const AT_ONCE: usize = 32;
 /// Frames of a connection: fewer than are read without a pause.
 const FRAMES_OF_ONE: u64 = 32;
 /// Longest wait for anything that comes.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(120);
 /// So long a client listens for more: what it has sent may be the beginning of something longer.
 const SILENCE: Duration = Duration::from_millis(300);
 
