@@ -94,7 +94,6 @@ INLINED void add_pair(Pairs *pairs, Grid grid, const MeshFans *mesh, float3 p, f
     pairs->triangle[column] = triangle;
 }
 
-
 // Squared distance to a side `along` from the corner from which `to` leads to the point.
 INLINED real side_distance2(Real3 along, Real3 to) {
     const real t = clamp(dot_real3(to, along) / fmax(dot_real3(along, along), (real)FLT_MIN), (real)0.0f, (real)1.0f);

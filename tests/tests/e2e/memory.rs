@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use crate::metrics::counted;
+use crate::metrics::{counted, metrics_of};
 use crate::support::viewer::Viewer;
 use crate::support::{command, data_file, demo, demo_file, http, process, server};
 
@@ -187,7 +187,7 @@ async fn the_server_says_what_holds_memory() {
 
 /// How often a pyramid, or a tree, was there and was not.
 fn looked_up(address: SocketAddr, what: &str) -> [f64; 2] {
-    let text = String::from_utf8(http::get(address, "/metrics").body).expect("UTF-8");
+    let text = metrics_of(address);
     ["hit", "miss"].map(|result| {
         let label = format!(r#"what="{what}",result="{result}""#);
         counted(&text, "isopeel_cache_requests_total", &label)

@@ -35,6 +35,11 @@ fn sum(series: &BTreeMap<&str, f64>, name: &str, label: &str) -> f64 {
     of_name.map(|(_, value)| value).sum()
 }
 
+/// What `GET /metrics` answers at an address.
+pub fn metrics_of(address: SocketAddr) -> String {
+    String::from_utf8(http::get(address, "/metrics").body).expect("UTF-8")
+}
+
 /// The same of what `GET /metrics` has answered.
 pub fn counted(text: &str, name: &str, label: &str) -> f64 {
     sum(&series(text), name, label)
@@ -56,7 +61,7 @@ async fn what_happens_is_counted_without_names() {
         return;
     };
     let address = server.address;
-    let text = || String::from_utf8(http::get(metrics, "/metrics").body).expect("UTF-8");
+    let text = || metrics_of(metrics);
     let before = text();
     assert_eq!(sum(&series(&before), "isopeel_edits_total", ""), 0.0);
 

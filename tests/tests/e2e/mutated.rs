@@ -13,10 +13,10 @@ use tokio::net::TcpStream;
 use tokio::task::JoinSet;
 use tokio::time::timeout;
 
-use crate::metrics::counted;
+use crate::metrics::{counted, metrics_of};
+use crate::support::ball;
 use crate::support::process::{self, Process};
 use crate::support::viewer::Viewer;
-use crate::support::{ball, http};
 
 /// Cases without `ISOPEEL_MUTATIONS`, the same in each run.
 const FRAMES: u64 = 4000;
@@ -51,6 +51,9 @@ const MESSAGES: [&str; 16] = [
     r#"{"type":"leave"}"#,
 ];
 
+/// Opens a stream; written as [`ASKED`].
+const UPGRADE: &str = "GET /api/v1/stream HTTP/1.1\nConnection: Upgrade\nUpgrade: websocket\nSec-WebSocket-Version: 13\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\nSec-WebSocket-Protocol: isopeel.v2\n\n";
+
 /// Requests, but for `Host`, in which `\n` ends a line; behind an empty line the body.
 const ASKED: [&str; 20] = [
     "GET /api/v1/volumes HTTP/1.1\n\n",
@@ -72,7 +75,7 @@ const ASKED: [&str; 20] = [
     "GET /api/v1/openapi.json HTTP/1.1\n\n",
     "GET /docs/glossary.txt HTTP/1.1\nRange: bytes=0-1\n\n",
     "OPTIONS /api/v1/volumes HTTP/1.1\nOrigin: http://a.example\nAccess-Control-Request-Method: GET\n\n",
-    "GET /api/v1/stream HTTP/1.1\nConnection: Upgrade\nUpgrade: websocket\nSec-WebSocket-Version: 13\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\nSec-WebSocket-Protocol: isopeel.v2\n\n",
+    UPGRADE,
 ];
 
 /// Takes the place of numbers and words.
@@ -109,20 +112,15 @@ fn frame(message: &str) -> Vec<u8> {
     bytes
 }
 
+/// One of [`ASKED`], with `Host` and the length of its body.
 fn request(asked: &str, address: SocketAddr) -> Vec<u8> {
     let (head, body) = asked.split_once("\n\n").expect("an empty line");
-    let head = head.replacen('\n', &format!("\nHost: {address}\n"), 1);
-    let head = match head.contains("\nHost") {
-        true => head,
-        false => format!("{head}\nHost: {address}"),
-    };
-    let length = match body.is_empty() {
-        true => String::new(),
-        false => format!("\nContent-Length: {}", body.len()),
-    };
-    format!("{head}{length}\n\n{body}")
-        .replacen('\n', "\r\n", head.lines().count() + 2)
-        .into_bytes()
+    let mut lines: Vec<_> = head.lines().map(str::to_owned).collect();
+    lines.push(format!("Host: {address}"));
+    if !body.is_empty() {
+        lines.push(format!("Content-Length: {}", body.len()));
+    }
+    format!("{}\r\n\r\n{body}", lines.join("\r\n")).into_bytes()
 }
 
 /// Takes a word or a number out of a text and puts an extreme in its place.
@@ -221,7 +219,7 @@ fn check_frames(mut bytes: &[u8]) {
 /// Opens the volume on a connection and says all of this, and reads until the server ends it or is silent.
 async fn converse(address: SocketAddr, said: Vec<u8>) {
     let mut socket = TcpStream::connect(address).await.expect("the server listens");
-    let mut opening = request(ASKED[ASKED.len() - 1], address);
+    let mut opening = request(UPGRADE, address);
     opening.extend(frame(MESSAGES[0]));
     socket.write_all(&opening).await.expect("it reads");
     let mut heard = Vec::new();
@@ -233,6 +231,7 @@ async fn converse(address: SocketAddr, said: Vec<u8>) {
     let saying = tokio::spawn(async move {
         // It may have closed the connection meanwhile.
         let _ = to.write_all(&said).await;
+        // Dropped, it would say that nothing follows, which ends the connection.
         to
     });
     while let Ok(Ok(1..)) = timeout(SILENCE, from.read_buf(&mut heard)).await {}
@@ -314,13 +313,7 @@ where
 /// The server is as it was: nobody is counted who has left, an edit is shown, and nothing has panicked.
 async fn check(server: &Process, log: &Path) {
     let begun = Instant::now();
-    let viewers = || {
-        counted(
-            &String::from_utf8(http::get(server.address, "/metrics").body).expect("UTF-8"),
-            "isopeel_viewers",
-            "",
-        )
-    };
+    let viewers = || counted(&metrics_of(server.address), "isopeel_viewers", "");
     while viewers() > 0.0 {
         assert!(begun.elapsed() < PATIENCE, "{} viewers are left", viewers());
         tokio::time::sleep(Duration::from_millis(100)).await;

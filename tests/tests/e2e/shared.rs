@@ -9,7 +9,7 @@ use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::Message;
 
-use crate::metrics::counted;
+use crate::metrics::{counted, metrics_of};
 use crate::support::viewer::connect;
 use crate::support::{ball, http, process};
 
@@ -58,7 +58,7 @@ async fn look(address: SocketAddr) -> Shown {
 
 /// What was made: surfaces on the device, steps, chunks; bytes that are kept.
 fn made(address: SocketAddr) -> [f64; 4] {
-    let text = String::from_utf8(http::get(address, "/metrics").body).expect("UTF-8");
+    let text = metrics_of(address);
     [
         ("isopeel_device_stage_seconds_count", r#"stage="construct""#),
         ("isopeel_cache_requests_total", r#"what="step",result="miss""#),
@@ -112,7 +112,7 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     let address = server.address;
     look(address).await;
     let made = || {
-        let text = String::from_utf8(http::get(address, "/metrics").body).expect("UTF-8");
+        let text = metrics_of(address);
         ["pyramid", "tree"].map(|what| {
             let counted = |result| {
                 counted(
