@@ -216,14 +216,14 @@ void classify(const ClassifyArgs args, __global const SAMPLE *samples, __global 
     read_rows(&task);
     if (PREFETCHES && get_group_id(0) + 1 < get_num_groups(0))
         prefetch_samples(grid, samples, args.z0, listed_brick_origin(grid, regions, list[index + 1]));
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     classify_rows(&task);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     for (uint word = get_local_id(0); word < 16; word += BRICK_GROUP) {
         cells[word] = gather_word(active_rows, word);
         holes[word] = holed_rows ? gather_word(hole_rows, word) : 0;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     store_brick(&task, packed, bricks + index);
 }
 

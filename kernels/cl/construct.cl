@@ -113,7 +113,7 @@ void construct(const ConstructArgs args, __global const SAMPLE *samples, __globa
         }
     }
     // Global too: the next phases read nodes of cells, and write vertices of those with several sheets again.
-    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     store_cube_vertices(&task, &memory);
     split_sheets(&task, &memory);
     relax_cells(&task, &memory);

@@ -48,13 +48,13 @@ INLINED uint active_cell_rows(__global const Brick *brick, uint z) {
 // bit a row.
 INLINED void want_rows(__global const Brick *brick, uint kind, __local uint *cell_rows, __local uint *corners, __local uint *loaded) {
     ROLLED for (uint z = get_local_id(0); z < 8; z += BRICK_GROUP) cell_rows[z] = active_cell_rows(brick, z);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     // The corners of cell i are samples i + 1 and i + 2 of a block.
     ROLLED for (uint plane = get_local_id(0); plane < BLOCK_ROW; plane += BRICK_GROUP) {
         const uint cells = (plane >= 2 && plane < 10 ? cell_rows[plane - 2] : 0) | (plane >= 1 && plane < 9 ? cell_rows[plane - 1] : 0);
         corners[plane] = cells << 1 | cells << 2;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     const uint neighbours = feature_neighbours(kind);
     ROLLED for (uint plane = get_local_id(0); plane < BLOCK_ROW; plane += BRICK_GROUP) {
         const uint own = corners[plane], beside = (plane > 0 ? corners[plane - 1] : 0) | (plane < BLOCK_ROW - 1 ? corners[plane + 1] : 0);
@@ -62,7 +62,7 @@ INLINED void want_rows(__global const Brick *brick, uint kind, __local uint *cel
         loaded[plane] = neighbours == NEIGHBOURS_NONE ? own
             : neighbours == NEIGHBOURS_AXES ? all | own << 1 | own >> 1 : all | all << 1 | all >> 1;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Phase: the samples of the components around the brick at `origin`, in the rows that are wanted.
@@ -117,7 +117,7 @@ INLINED __local float *derive_block(DeriveArgs args, LENGTHS int3 origin, __loca
     const uint lid = get_local_id(0);
     __local float *values = blocks + args.components * DERIVE_BLOCK, *tables = values + DERIVE_BLOCK;
     load_step_tables(args.grid, LENGTHS_ARGS origin, tables);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     ROLLED for (uint i = lid; i < 9 * PLANE_PARTS; i += BRICK_GROUP) {
         // The first part of a plane begins with its first row that is wanted.
         const uint plane = i / PLANE_PARTS + 1, rows = wanted[plane], in_plane = BLOCK_ROW * lowest_bit(rows) + 1 + i % PLANE_PARTS * LANES;
@@ -128,7 +128,7 @@ INLINED __local float *derive_block(DeriveArgs args, LENGTHS int3 origin, __loca
         load_steps(&steps, args.grid, tables, plane, in_plane);
         STORE_LANES(neighbourhood_feature(args.kind, blocks + at, steps), values + at);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     return values;
 }
 
@@ -186,7 +186,7 @@ void derive_samples(const DeriveArgs args, LENGTHS __global const void *x, __glo
         loaded[i] = (1u << BLOCK_ROW) - 1;
         wanted[i] = ((1u << 9) - 1) << 1;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     load_components(args, origin, x, y, z, loaded, blocks);
     __local const float *values = derive_block(args, LENGTHS_ARGS origin, wanted, blocks);
     ROLLED for (uint i = get_local_id(0); i < 512; i += BRICK_GROUP) {

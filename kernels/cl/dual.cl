@@ -102,11 +102,11 @@ void dual_count(const DualCountArgs args, __global const uint *parts, __global c
     begin_walk(&walk, part, regions + part.region, bricks);
     ROLLED while (walk.level < walk.end_level) {
         if (lid == 0) listed = 0;
-        barrier(CLK_LOCAL_MEM_FENCE);
+        brick_barrier(CLK_LOCAL_MEM_FENCE);
         count_leaves(grid, &cut, &part, &halo, &counts, &walk, has_missing, border, border_count, list, &listed);
-        barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+        brick_barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
         ROLLED for (uint i = lid; i < listed; i += BRICK_GROUP) count_listed(grid, &cut, &part, &halo, &counts, list[i]);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        brick_barrier(CLK_LOCAL_MEM_FENCE);
     }
     ROLLED for (uint i = lid; i < part.levels; i += BRICK_GROUP) brick_triangles[part.counts + i] = triangles[part.finest + i];
 }
@@ -227,9 +227,9 @@ void dual_emit(const DualEmitArgs args, __global const uint *parts, __global con
     }
     while (listed || walk.level < walk.end_level) {
         listed = list_emitted_edges(grid, &cut, &part, &walk, emitted_edges, brick_triangles, listed, list, scratch);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        brick_barrier(CLK_LOCAL_MEM_FENCE);
         emit_listed(&batch, grid, &cut, &halo, &part, &mesh, &out, first_triangle, &done, list, listed, scratch);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        brick_barrier(CLK_LOCAL_MEM_FENCE);
         listed = 0;
     }
     if (batch.count) emit_batch(&batch, &out);

@@ -132,9 +132,9 @@ void minmax(const MinmaxArgs args, __global const SAMPLE *samples, __global floa
         high[i] = -INFINITY;
         gap[i] = 0.0f;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     if (has_cells(&row)) scan_columns(&row, &columns);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     for (uint x = lid; x < 4 * RUN; x += BRICK_GROUP) {
         if (first_x + x / 4 >= grid.regions[0]) continue;
         const float3 extent = brick_extent(&row, &columns, x);

@@ -286,7 +286,6 @@ fn main() -> Result<()> {
             for (index, small) in volumes {
                 let grid = Grid::new(small.dims, small.spacing)?;
                 let (samples, missing, iso) = small.make();
-                engine.warm_up(samples.sample_type())?;
                 engine.record_launches();
                 let volume = engine.upload(grid, &samples, missing)?;
                 // The feature's field: the same numbers, others of them missing.

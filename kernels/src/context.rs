@@ -4,7 +4,7 @@ use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::cancel::{Cancel, check};
 use crate::device::{self, Found};
 use crate::error::OPEN;
-use crate::program::Kernels;
+use crate::program::{Program, Programs};
 use crate::sources::Source;
 use crate::{Error, Result, SampleType, StageTime, Tuning, layout};
 use bytemuck::Pod;
@@ -13,8 +13,7 @@ use opencl3::error_codes::ClError;
 use opencl3::event::Event;
 use opencl3::kernel::Kernel;
 use opencl3::types::{CL_BLOCKING, cl_event};
-use std::cell::{OnceCell, RefCell};
-use std::collections::HashMap;
+use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
@@ -93,11 +92,7 @@ pub(crate) struct Context {
     pub tuning: Tuning,
     pub context: opencl3::context::Context,
     pub queue: CommandQueue,
-    /// What its programs are made of.
-    sources: &'static [Source],
-    shared: OnceCell<Rc<Kernels>>,
-    uneven: OnceCell<Rc<Kernels>>,
-    programs: RefCell<HashMap<SampleType, Rc<Kernels>>>,
+    programs: Programs,
     pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
     /// Pinned memory that meshes are read to.
@@ -123,7 +118,6 @@ impl Context {
         let failed = |source| Error::Launch { stage: OPEN, source };
         let device = opencl3::device::Device::new(found.handle);
         let context = opencl3::context::Context::from_device(&device).map_err(failed)?;
-        let max_group = device.max_work_group_size().map_err(failed)?;
         // The deprecated call, because the newer one does not exist on OpenCL 1.2 drivers.
         #[allow(deprecated)]
         // SAFETY: the device belongs to the context just made.
@@ -132,14 +126,11 @@ impl Context {
         let limit_bytes = limit_bytes.unwrap_or(u64::MAX).min(found.info.max_allocation_bytes);
         let idle_limit = found.info.memory_bytes / IDLE_SHARE;
         Ok(Self {
-            tuning: tuning.unwrap_or(Tuning::of(found.info.kind, max_group)),
+            tuning: tuning.unwrap_or(Tuning::of(&found.info)),
             found,
             context,
             queue,
-            sources,
-            shared: OnceCell::new(),
-            uneven: OnceCell::new(),
-            programs: RefCell::default(),
+            programs: Programs::new(sources),
             pool: Rc::new(Pool::new(idle_limit)),
             events: RefCell::default(),
             blocks: RefCell::default(),
@@ -150,42 +141,34 @@ impl Context {
         })
     }
 
-    /// The kernels for a sample type, built on first use.
-    pub fn kernels(&self, sample_type: SampleType) -> Result<Rc<Kernels>> {
-        if let Some(kernels) = self.programs.borrow().get(&sample_type) {
-            return Ok(kernels.clone());
-        }
-        let shared = match self.shared.get() {
-            Some(shared) => shared.clone(),
-            None => {
-                let shared = Kernels::build_shared(&self.context, &self.found, self.tuning, self.sources)?;
-                self.shared.get_or_init(|| Rc::new(shared)).clone()
-            }
-        };
-        let kernels = Rc::new(Kernels::build(
-            &self.context,
-            &self.found,
-            self.tuning,
-            sample_type,
-            self.sources,
-            shared,
-        )?);
-        self.programs.borrow_mut().insert(sample_type, kernels.clone());
-        Ok(kernels)
+    /// The kernel of that name for samples of a type. Its stage's program is built if it is the first one wanted of it.
+    ///
+    /// # Errors
+    /// [`Error::Build`], or what the device says.
+    pub fn kernel(&self, sample_type: SampleType, name: &str) -> Result<Rc<Kernel>> {
+        self.find_kernel(name, Some(sample_type))
     }
 
-    /// The kernels that are others where axes are uneven, built on first use.
-    pub fn uneven_kernels(&self) -> Result<Rc<Kernels>> {
-        if let Some(kernels) = self.uneven.get() {
-            return Ok(kernels.clone());
-        }
-        let kernels = Kernels::build_uneven(&self.context, &self.found, self.tuning, self.sources)?;
-        Ok(self.uneven.get_or_init(|| Rc::new(kernels)).clone())
+    /// The kernel of that name for uneven axes; otherwise as [`Context::kernel`].
+    ///
+    /// # Errors
+    /// As [`Context::kernel`].
+    pub fn uneven_kernel(&self, name: &str) -> Result<Rc<Kernel>> {
+        self.find_kernel(name, None)
+    }
+
+    fn find_kernel(&self, name: &str, sample_type: Option<SampleType>) -> Result<Rc<Kernel>> {
+        let program = self.programs.of_kernel(name, sample_type, |source, options| {
+            let text = format!("#include \"{}\"\n", source.file);
+            let options = format!("-cl-std=CL1.2 {options} {}", self.tuning.defines());
+            Program::build(&self.context, &self.found, &text, &options, source.stage)
+        })?;
+        Ok(Rc::clone(program.get(name)))
     }
 
     /// Builds a program of any text, which may include files of `cl/`.
-    pub fn build(&self, source: &str, options: &str) -> Result<Kernels> {
-        Kernels::build_source(&self.context, &self.found, source, options, "custom program")
+    pub fn build(&self, source: &str, options: &str) -> Result<Program> {
+        Program::build(&self.context, &self.found, source, options, "custom program")
     }
 
     /// A buffer of `len` elements, contents undefined.
@@ -332,7 +315,7 @@ impl Context {
     pub fn launch(
         &self,
         stage: &'static str,
-        kernel: &Kernel,
+        kernel: &Rc<Kernel>,
         groups: usize,
         local: usize,
         args: &[&dyn Arg],

@@ -9,6 +9,9 @@ use std::sync::{Mutex, PoisonError};
 /// `clGetPlatformIDs` could not load the OpenCL library (a code of the `cl3` crate).
 const LIBRARY_NOT_LOADED: i32 = -2000;
 
+/// Platform of PoCL.
+pub(crate) const POCL: &str = "Portable Computing Language";
+
 /// What kind of processor a device is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceKind {
@@ -23,7 +26,7 @@ pub enum DeviceKind {
 /// A device as `isopeel devices` lists it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceInfo {
-    /// Position in the list, in order of preference: GPUs first, then by memory.
+    /// Position in the list, in order of preference: GPUs first, then by driver and memory.
     pub index: usize,
     /// Name of its platform.
     pub platform: String,
@@ -37,10 +40,38 @@ pub struct DeviceInfo {
     pub max_allocation_bytes: u64,
     /// Compute units.
     pub compute_units: u32,
+    /// Largest number of work-items in a work-group.
+    pub max_work_group: usize,
     /// Version string of the device, e.g. `OpenCL 3.0 CUDA`.
     pub version: String,
     /// Version string of its driver.
     pub driver: String,
+}
+
+impl DeviceInfo {
+    /// Orders devices, preferred first: GPUs; then by driver, as several may offer the same processor: PoCL, Intel's, others, Mesa's, which
+    /// compiles longest; then more memory before less.
+    pub fn preference(&self) -> impl Ord + use<> {
+        let driver = match self.platform.as_str() {
+            _ if self.kind == DeviceKind::Gpu => 0,
+            POCL => 0,
+            platform if platform.starts_with("Intel(R) OpenCL") => 1,
+            "rusticl" => 3,
+            _ => 2,
+        };
+        (
+            self.kind != DeviceKind::Gpu,
+            driver,
+            std::cmp::Reverse(self.memory_bytes),
+        )
+    }
+
+    /// Major version of PoCL, if that is the device's driver.
+    pub fn pocl_version(&self) -> Option<u32> {
+        let digits = self.driver.split(['.', '-', '+', ' ']).next()?;
+        (self.platform == POCL).then_some(())?;
+        digits.parse().ok()
+    }
 }
 
 /// A listed device and the driver's handle of it.
@@ -64,6 +95,7 @@ fn describe(platform: &str, handle: cl_device_id) -> std::result::Result<DeviceI
         memory_bytes: device.global_mem_size()?,
         max_allocation_bytes: device.max_mem_alloc_size()?,
         compute_units: device.max_compute_units()?,
+        max_work_group: device.max_work_group_size()?,
         version: device.version()?.trim().to_owned(),
         driver: device.driver_version()?.trim().to_owned(),
     })
@@ -73,7 +105,7 @@ fn describe(platform: &str, handle: cl_device_id) -> std::result::Result<DeviceI
 /// two threads make it do so at once.
 static LOOKING: Mutex<()> = Mutex::new(());
 
-/// All devices, preferred first: a GPU before anything else, then more memory before less.
+/// All devices, preferred first, by [`DeviceInfo::preference`].
 pub(crate) fn find() -> Result<Vec<Found>> {
     let _looking = LOOKING.lock().unwrap_or_else(PoisonError::into_inner);
     let platforms = get_platforms().map_err(|e| {
@@ -97,7 +129,7 @@ pub(crate) fn find() -> Result<Vec<Found>> {
             }
         }
     }
-    found.sort_by_key(|f| (f.info.kind != DeviceKind::Gpu, std::cmp::Reverse(f.info.memory_bytes)));
+    found.sort_by_key(|f| f.info.preference());
     for (index, f) in found.iter_mut().enumerate() {
         f.info.index = index;
     }
@@ -110,21 +142,26 @@ pub(crate) fn find() -> Result<Vec<Found>> {
     Ok(found)
 }
 
+/// Where the device is that `selector` names by index or by a part of its name or platform.
+pub fn position(devices: &[DeviceInfo], selector: &str) -> Option<usize> {
+    if let Ok(index) = selector.parse::<usize>() {
+        return (index < devices.len()).then_some(index);
+    }
+    let wanted = selector.to_lowercase();
+    let has = |text: &str| text.to_lowercase().contains(&wanted);
+    devices
+        .iter()
+        .position(|device| has(&device.name) || has(&device.platform))
+}
+
 /// The preferred device, or the one that `selector` names by index or by a part of its name or platform.
 pub(crate) fn select(selector: Option<&str>) -> Result<Found> {
     let mut found = find()?;
     let Some(wanted) = selector else {
         return Ok(found.remove(0));
     };
-    let at = match wanted.parse::<usize>() {
-        Ok(index) => (index < found.len()).then_some(index),
-        Err(_) => {
-            let wanted = wanted.to_lowercase();
-            found.iter().position(|f| {
-                f.info.name.to_lowercase().contains(&wanted) || f.info.platform.to_lowercase().contains(&wanted)
-            })
-        }
-    };
+    let infos: Vec<_> = found.iter().map(|f| f.info.clone()).collect();
+    let at = position(&infos, wanted);
     match at {
         Some(at) => Ok(found.remove(at)),
         None => Err(Error::NoDevice {

@@ -1,9 +1,10 @@
 //! Tests of the crate's inside that need a device: what its compiler makes of shared structs and of indices past 2³², and
 //! memory that meshes are read to.
 
+use crate::check::{self, Check};
 use crate::context::read_back::Blocks;
 use crate::testing::device;
-use crate::{Engine, Grid, SampleType, Samples, layout, stages};
+use crate::{Engine, Grid, SampleType, Samples, Tuning, layout, stages};
 
 #[test]
 fn device_and_host_lay_structs_out_alike() {
@@ -248,6 +249,33 @@ fn a_field_that_comes_in_pieces_is_the_same() {
     assert!(engine.finish_upload(short).is_err(), "fewer than the grid has");
 }
 
+fn check_all(engine: &Engine, sample_type: SampleType) {
+    let mut check = Check::new(engine, sample_type);
+    for step in check::STEPS {
+        if let Err(error) = check.run(step) {
+            panic!("{error}: {:?}", std::error::Error::source(&error));
+        }
+    }
+}
+
+#[test]
+fn the_check_finds_nothing_on_a_device_that_is_right() {
+    let Some(engine) = device() else { return };
+    check_all(&engine, SampleType::I8);
+    check_all(&engine, SampleType::F32);
+}
+
+/// The workaround for drivers that compile the kernels of their kind of device wrongly.
+#[test]
+fn the_check_finds_nothing_with_kernels_of_the_other_kind_or_small_groups() {
+    let Some(engine) = device() else { return };
+    let name = engine.device().name.clone();
+    for tuning in [Tuning::GPU, Tuning::GPU_SMALL] {
+        let engine = Engine::open_tuned(Some(&name), None, Some(tuning)).expect("a device");
+        check_all(&engine, SampleType::U8);
+    }
+}
+
 /// What the server relies on where a driver loses the device: that this is seen, and that it is said when it takes a new process to open it again.
 #[test]
 #[ignore = "a CPU's driver would end the process: on a GPU, cargo test -p isopeel-kernels -- --ignored lost"]
@@ -263,7 +291,7 @@ fn a_gpu_that_is_lost_is_noticed() {
     assert!(seen.is_err() && !engine.answers(), "the device is lost");
     drop((out, kernels, engine));
     match Engine::open(None) {
-        Ok(again) => again.warm_up(SampleType::F32).expect("it works again"),
+        Ok(again) => check_all(&again, SampleType::F32),
         Err(error) => assert!(error.needs_new_process(), "{error:?}"),
     }
 }

@@ -4,12 +4,8 @@ use crate::buffer::{Buffer, DeviceMemory};
 use crate::context::Context;
 use crate::stages::{self, histogram, minmax};
 use crate::volume::Slab;
-use crate::{
-    CutParams, DerivedFeature, DeviceInfo, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, PartFilter,
-    Result, SampleType, Samples, StageTime, TreeGoal, Tuning, Volume, tables,
-};
-use std::cell::{Cell, RefCell};
-use std::collections::HashSet;
+use crate::{DeviceInfo, Error, Feature, Grid, Histogram, Result, SampleType, StageTime, Tuning, Volume, tables};
+use std::cell::Cell;
 use std::rc::Rc;
 
 mod build;
@@ -31,7 +27,6 @@ pub struct Engine {
     pub(crate) cx: Context,
     pub(crate) cases: Buffer<u8>,
     pub(crate) case_facts: Buffer<u32>,
-    warm: RefCell<HashSet<SampleType>>,
     /// Programs of expressions, and that of distances.
     expressions: evaluate::Programs,
     /// Pyramids built so far: the number of the next one.
@@ -67,7 +62,6 @@ impl Engine {
             cx,
             cases,
             case_facts,
-            warm: RefCell::default(),
             expressions: evaluate::Programs::new(),
             pyramids: Cell::default(),
         })
@@ -83,54 +77,23 @@ impl Engine {
         self.cx.read("answers", &self.cases, 1).is_ok()
     }
 
-    /// Builds the kernels of a sample type and runs each of them once: drivers finish compiling at the first launch.
+    /// Names of the stages that have programs, in the order of execution.
+    pub fn stages() -> impl Iterator<Item = &'static str> {
+        stages::SOURCES.iter().map(|source| source.stage)
+    }
+
+    /// Builds the program of a stage for samples of a type, which else happens when the stage is first used.
     ///
     /// # Errors
-    /// [`Error::Build`], or what the device says.
-    pub fn warm_up(&self, sample_type: SampleType) -> Result<()> {
-        if !self.warm.borrow_mut().insert(sample_type) {
-            return Ok(());
-        }
-        // A step along x and a bump: leaves of several levels, vertices to patch.
-        let (grid, iso) = (Grid::new([18, 18, 18], [1.0; 3])?, Isovalue::new(0.5)?);
-        let bump = |i: usize| i % 18 > 8 || i == 18 * 18 * 9 + 18 * 9 + 3;
-        let range = 0..grid.sample_count() as usize;
-        let samples = match sample_type {
-            SampleType::U8 => Samples::U8(range.map(|i| bump(i).into()).collect()),
-            SampleType::I8 => Samples::I8(range.map(|i| bump(i).into()).collect()),
-            SampleType::U16 => Samples::U16(range.map(|i| bump(i).into()).collect()),
-            SampleType::I16 => Samples::I16(range.map(|i| bump(i).into()).collect()),
-            SampleType::F32 => Samples::F32(range.map(|i| bump(i).into()).collect()),
-        };
-        let volume = self.upload(grid, &samples, None)?;
-        let feature = Feature::Derived(DerivedFeature::GradientMagnitude);
-        self.histogram(&volume, feature)?;
-        let pyramid = self.build_pyramid(&volume, feature, iso, &Never)?;
-        for mesher in [Mesher::MarchingCubes, Mesher::Dual] {
-            let params = CutParams {
-                mesher,
-                ..CutParams::paper(0.01)
-            };
-            self.peel(&volume, &pyramid, &params, Level::FINEST, &Never)?;
-            if mesher == Mesher::Dual {
-                self.measure_error(&volume, &pyramid, &params, &Never)?;
-                let tree = self.build_tree(&volume, &pyramid, &params, &Never)?;
-                let params = CutParams {
-                    state_error: true,
-                    ..params
-                };
-                let goal = TreeGoal {
-                    tolerance: 0.0,
-                    max_triangles: tree.full_triangles() / 2,
-                    max_tolerance: f32::INFINITY,
-                    without: PartFilter {
-                        min_area: f32::MIN_POSITIVE,
-                        chosen: None,
-                    },
-                };
-                self.tree_surface(&volume, &pyramid, &tree, &params, &goal, &Never)?;
-            }
-        }
+    /// [`Error::Invalid`] if there is no such stage, [`Error::Build`], or what the device says.
+    pub fn build_stage(&self, stage: &str, sample_type: SampleType) -> Result<()> {
+        let source = stages::SOURCES.iter().find(|source| source.stage == stage);
+        let kernel = source.and_then(|source| source.kernel_names().next());
+        let kernel = kernel.ok_or_else(|| Error::Invalid {
+            what: "stage",
+            why: format!("{stage:?} has no program"),
+        })?;
+        self.cx.kernel(sample_type, kernel)?;
         Ok(())
     }
 

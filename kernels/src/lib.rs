@@ -8,6 +8,7 @@
 //! - [`engine`]: a device with its programs; loads volumes, builds pyramids, peels surfaces.
 //! - [`Cut`]: which nodes of a pyramid are leaves.
 //! - [`surface`]: the result, regions of indexed triangles.
+//! - [`check`]: whether a device computes what it should.
 //! - [`error`]: everything that can go wrong, by stage.
 //! - [`synthetic`]: volumes made of formulas, and the device's own speed: for benches.
 //! - [`tuning`]: what a CPU and a GPU are built and launched with.
@@ -19,6 +20,7 @@
 
 mod buffer;
 mod cancel;
+pub mod check;
 mod constants;
 mod context;
 mod cut;
@@ -71,6 +73,7 @@ pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use pyramid::Pyramid;
 pub use rectilinear::RectilinearGrid;
 pub use shared_slice::SharedSlice;
+pub use sources::build_id;
 pub use surface::{
     Count, ErrorEstimate, MeasuredError, Region, RemovedParts, StageTime, Surface, SurfaceError, SurfaceStatistics,
     Vertex,

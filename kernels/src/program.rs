@@ -1,20 +1,18 @@
-//! Device programs: one of the stages in `cl/` that read samples, built for each sample type, and one of all others.
+//! Device programs: one for each stage in `cl/`, built when one of its kernels is first wanted, so that a driver with a slow
+//! compiler compiles only what a surface needs.
 
 use crate::device::Found;
 use crate::sources::{self, Source};
-use crate::{Error, Result, SampleType, Tuning};
+use crate::{Error, Result, SampleType};
 use opencl3::context::Context;
 use opencl3::kernel::Kernel;
-use opencl3::program::Program;
+use std::cell::RefCell;
 use std::collections::HashMap;
 use std::rc::Rc;
 
-/// The kernels for volumes of one sample type.
-pub(crate) struct Kernels {
-    kernels: HashMap<String, Kernel>,
-    /// Those that are the same for all types.
-    shared: Option<Rc<Kernels>>,
-    _program: Program,
+/// A built program and its kernels.
+pub(crate) struct Program {
+    kernels: HashMap<String, Rc<Kernel>>,
 }
 
 pub(crate) fn sample_type_name(sample_type: SampleType) -> &'static str {
@@ -27,64 +25,12 @@ pub(crate) fn sample_type_name(sample_type: SampleType) -> &'static str {
     }
 }
 
-impl Kernels {
-    /// Builds the files in `cl/` that read samples, for samples of a type.
-    pub fn build(
-        context: &Context,
-        device: &Found,
-        tuning: Tuning,
-        sample_type: SampleType,
-        sources: &[Source],
-        shared: Rc<Kernels>,
-    ) -> Result<Self> {
-        let files = sources.iter().filter(|source| source.reads_samples);
-        let kernels = Self::build_files(context, device, tuning, sample_type, "", files)?;
-        Ok(Self {
-            shared: Some(shared),
-            ..kernels
-        })
-    }
-
-    /// Builds all other files.
-    pub fn build_shared(context: &Context, device: &Found, tuning: Tuning, sources: &[Source]) -> Result<Self> {
-        let files = sources.iter().filter(|source| !source.reads_samples);
-        // Of any type: headers want one.
-        Self::build_files(context, device, tuning, SampleType::F32, "", files)
-    }
-
-    /// Builds the files of which there is another program for uneven axes, for these.
-    pub fn build_uneven(context: &Context, device: &Found, tuning: Tuning, sources: &[Source]) -> Result<Self> {
-        let files = sources.iter().filter(|source| source.has_uneven);
-        Self::build_files(context, device, tuning, SampleType::F32, "-DUNEVEN ", files)
-    }
-
-    fn build_files<'a>(
-        context: &Context,
-        device: &Found,
-        tuning: Tuning,
-        sample_type: SampleType,
-        more: &str,
-        sources: impl Iterator<Item = &'a Source>,
-    ) -> Result<Self> {
-        let options = format!(
-            "-cl-std=CL1.2 {more}-DSAMPLE={} {}",
-            sample_type_name(sample_type),
-            tuning.defines()
-        );
-        let text: String = sources
-            .map(|source| format!("#include \"{}\"\n", source.file))
-            .collect();
-        Self::build_source(context, device, &text, &options, "program")
-    }
-
+impl Program {
     /// Builds any text, which may include files of `cl/`; `stage` names it in errors.
-    pub fn build_source(
-        context: &Context,
-        device: &Found,
-        source: &str,
-        options: &str,
-        stage: &'static str,
-    ) -> Result<Self> {
+    ///
+    /// # Errors
+    /// [`Error::Build`] with the compiler's log, or [`Error::Launch`].
+    pub fn build(context: &Context, device: &Found, source: &str, options: &str, stage: &'static str) -> Result<Self> {
         let failed = |e| Error::Launch { stage, source: e };
         let text = sources::resolve(stage, source);
         #[cfg(feature = "testing")]
@@ -102,31 +48,99 @@ impl Kernels {
         let kernels = opencl3::kernel::create_program_kernels(&program)
             .map_err(failed)?
             .into_iter()
-            .map(|kernel| Ok((kernel.function_name()?, kernel)))
+            .map(|kernel| Ok((kernel.function_name()?, Rc::new(kernel))))
             .collect::<std::result::Result<_, _>>()
             .map_err(failed)?;
-        Ok(Self {
-            kernels,
-            shared: None,
-            _program: program,
-        })
+        Ok(Self { kernels })
     }
 
-    fn find(&self, name: &str) -> Option<&Kernel> {
-        let shared = || self.shared.as_ref()?.find(name);
-        self.kernels.get(name).or_else(shared)
-    }
-
-    /// The kernel of that name; every name in this crate is a literal that stands in `cl/`.
-    pub fn get(&self, name: &str) -> &Kernel {
-        self.find(name)
-            .unwrap_or_else(|| panic!("no kernel named {name} in cl/"))
+    /// The kernel of that name.
+    ///
+    /// # Panics
+    /// The program has none of that name: every name in this crate is a literal that stands in its source.
+    pub fn get(&self, name: &str) -> &Rc<Kernel> {
+        let kernel = self.kernels.get(name);
+        kernel.unwrap_or_else(|| panic!("no kernel named {name} in its program"))
     }
 }
 
-fn build(context: &Context, device: &Found, text: &str, options: &str, stage: &'static str) -> Result<Program> {
+/// What a stage's program is built for.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+enum Variant {
+    /// Samples of a type.
+    Samples(SampleType),
+    /// Reads no samples: the same for all types.
+    Shared,
+    /// Uneven axes.
+    Uneven,
+}
+
+impl Variant {
+    fn options(self) -> String {
+        match self {
+            Self::Samples(sample_type) => format!("-DSAMPLE={}", sample_type_name(sample_type)),
+            // Of any type: headers want one.
+            Self::Shared => "-DSAMPLE=float".to_owned(),
+            Self::Uneven => "-DUNEVEN -DSAMPLE=float".to_owned(),
+        }
+    }
+}
+
+/// The kernels of a device's stages. A stage's program is built when one of its kernels is first wanted.
+pub(crate) struct Programs {
+    /// The source of each kernel.
+    source_of: HashMap<&'static str, &'static Source>,
+    built: RefCell<HashMap<(&'static str, Variant), Rc<Program>>>,
+}
+
+impl Programs {
+    pub fn new(sources: &'static [Source]) -> Self {
+        let names = |source: &'static Source| source.kernel_names().map(move |name| (name, source));
+        Self {
+            source_of: sources.iter().flat_map(names).collect(),
+            built: RefCell::default(),
+        }
+    }
+
+    /// The program of the stage that has this kernel, for samples of a type, or for uneven axes.
+    ///
+    /// # Errors
+    /// As [`Program::build`].
+    ///
+    /// # Panics
+    /// No stage has a kernel of that name: every name in this crate is a literal that stands in `cl/`.
+    pub fn of_kernel(
+        &self,
+        name: &str,
+        sample_type: Option<SampleType>,
+        build: impl FnOnce(&'static Source, &str) -> Result<Program>,
+    ) -> Result<Rc<Program>> {
+        let source = self.source_of.get(name);
+        let source = *source.unwrap_or_else(|| panic!("no kernel named {name} in cl/"));
+        let variant = match sample_type {
+            Some(sample_type) if source.reads_samples => Variant::Samples(sample_type),
+            Some(_) => Variant::Shared,
+            None => Variant::Uneven,
+        };
+        let key = (source.file, variant);
+        if let Some(program) = self.built.borrow().get(&key) {
+            return Ok(Rc::clone(program));
+        }
+        let program = Rc::new(build(source, &variant.options())?);
+        self.built.borrow_mut().insert(key, Rc::clone(&program));
+        Ok(program)
+    }
+}
+
+fn build(
+    context: &Context,
+    device: &Found,
+    text: &str,
+    options: &str,
+    stage: &'static str,
+) -> Result<opencl3::program::Program> {
     let failed = |e| Error::Launch { stage, source: e };
-    let mut program = Program::create_from_source(context, text).map_err(failed)?;
+    let mut program = opencl3::program::Program::create_from_source(context, text).map_err(failed)?;
     if program.build(&[device.handle], options).is_err() {
         let log = program
             .get_build_log(device.handle)
@@ -143,7 +157,8 @@ fn build(context: &Context, device: &Found, text: &str, options: &str, stage: &'
 /// Programs that this process has built. Tests open the device again and again, and not every driver keeps what it compiled.
 #[cfg(feature = "testing")]
 mod built {
-    use super::{Context, Found, Program};
+    use super::{Context, Found};
+    use opencl3::program::Program;
     use std::collections::HashMap;
     use std::sync::{LazyLock, Mutex, PoisonError};
 
@@ -171,7 +186,7 @@ mod built {
 
         /// Keeps a program, but not one of PoCL: that driver keeps more than the binary itself, the kernels of each work-group size too.
         pub(super) fn keep(self, program: &Program, device: &Found) {
-            if device.info.platform == "Portable Computing Language" {
+            if device.info.platform == crate::device::POCL {
                 return;
             }
             let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);

@@ -2,6 +2,7 @@
 
 use include_dir::{Dir, include_dir};
 use std::collections::HashSet;
+use std::hash::Hasher;
 
 /// Everything in `cl/`.
 static FILES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/cl");
@@ -9,10 +10,38 @@ static FILES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/cl");
 /// A file in `cl/`.
 pub(crate) struct Source {
     pub file: &'static str,
+    /// Its name in errors and times.
+    pub stage: &'static str,
     /// Its kernels are built for each type of samples. Those of the others, which read none of the volume's, are built once.
     pub reads_samples: bool,
-    /// Whether its kernels are others where axes are uneven: built with `UNEVEN` defined.
-    pub has_uneven: bool,
+}
+
+impl Source {
+    /// The names of its kernels.
+    pub fn kernel_names(&self) -> impl Iterator<Item = &'static str> {
+        let text = text_of(self.file).unwrap_or_else(|| panic!("cl/{} does not exist", self.file));
+        text.split("__kernel").skip(1).filter_map(|rest| {
+            let (_, name) = rest.split_once("void ")?;
+            Some(name.split_once('(')?.0.trim())
+        })
+    }
+}
+
+/// Hash of all kernels' sources.
+pub fn build_id() -> u64 {
+    let mut hasher = std::hash::DefaultHasher::new();
+    let mut folders = vec![&FILES];
+    while let Some(folder) = folders.pop() {
+        folders.extend(folder.dirs());
+        for file in folder.files() {
+            hasher.write(file.contents());
+        }
+    }
+    hasher.finish()
+}
+
+fn text_of(file: &str) -> Option<&'static str> {
+    FILES.get_file(file).and_then(|file| file.contents_utf8())
 }
 
 /// A program's text with its includes of files in `cl/` resolved. Each file stands once, where it is first included. `#line`
@@ -32,8 +61,8 @@ fn append(name: &str, source: &str, included: &mut HashSet<String>, out: &mut St
         match line.strip_prefix("#include \"").and_then(|rest| rest.strip_suffix('"')) {
             Some(path) => {
                 if included.insert(path.to_owned()) {
-                    let file = FILES.get_file(path).and_then(|file| file.contents_utf8());
-                    let source = file.unwrap_or_else(|| panic!("{name} includes cl/{path}, which does not exist"));
+                    let source =
+                        text_of(path).unwrap_or_else(|| panic!("{name} includes cl/{path}, which does not exist"));
                     append(&format!("cl/{path}"), source, included, out);
                 }
                 *out += &format!("#line {} \"{name}\"\n", number + 1);

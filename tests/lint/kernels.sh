@@ -5,8 +5,8 @@ set -euo pipefail
 cd "$(dirname "$0")/../../kernels/cl"
 
 # What kernels/src/tuning.rs has for a CPU and a GPU.
-cpu='-DGROUP=1 -DWIDE_GROUP=1 -DBRICK_GROUP=1 -DLANES=16 -DRUN=1'
-gpu='-DGROUP=256 -DWIDE_GROUP=512 -DBRICK_GROUP=64 -DLANES=1 -DRUN=8'
+cpu='-DGROUP=1 -DWIDE_GROUP=1 -DBRICK_GROUP=1 -DLANES=16 -DRUN=1 -DPREFETCHES=1'
+gpu='-DGROUP=256 -DWIDE_GROUP=512 -DBRICK_GROUP=64 -DLANES=1 -DRUN=8 -DPREFETCHES=0'
 
 # check FILE FLAG...: a header through a file that includes nothing else. Messages of one file stay together, and the first
 # file that fails ends the run.

@@ -48,7 +48,7 @@ INLINED void load_samples(const BrickTask *task, const BrickMemory *memory) {
         memory->inside_rows[row] = load_row(from, task->last.x, task->args.iso, grid.missing, memory->tile + 9 * row);
     }
     ROLLED for (uint i = lid; i < 512; i += BRICK_GROUP) memory->compact_index[i] = NO_CELL;
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Phase on a CPU: loads the samples of the next work-group's brick into the caches.
@@ -71,12 +71,12 @@ INLINED void solve_listed_cells(const BrickTask *task, const BrickMemory *memory
         in[(IN_LOW + 1) * CELLS] = (float)at.y - 4.0f;
         in[(IN_LOW + 2) * CELLS] = (float)at.z - 4.0f;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     const float3 spacing = task->spacing, centre = convert_float3(task->in_region + 4);
     const float smallest = fmin(spacing.x, fmin(spacing.y, spacing.z));
     ROLLED for (uint i = lid * LANES; i < run; i += BRICK_GROUP * LANES)
         solve_cells(memory->solver_in, memory->solver_out, i, centre, spacing, smallest / spacing);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // The sums over the cells of the level-1 cube at hand, where cells are summed while they are solved.
@@ -145,7 +145,7 @@ INLINED void store_cells(const BrickTask *task, const BrickMemory *memory, uint 
         solved[OUT_FEATURE * CELLS] = (float)n * f;
         solved[OUT_COUNT * CELLS] = (float)n;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Phase: adds the solved cells to their level-1 cubes' sums. The cells of a cube are neighbours in the list; a work-item adds up
@@ -163,7 +163,7 @@ INLINED void sum_cells(const BrickTask *task, const BrickMemory *memory, uint fi
             memory->cubes[row * CUBES + column] = sum;
         }
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 #endif

@@ -49,7 +49,7 @@ INLINED void sum_cubes(const BrickTask *task, const BrickMemory *memory, uint ro
         ROLLED for (uint j = from; j < to; j++) sum += cubes[row * CUBES + j];
         cubes[row * CUBES + level2_column(task, cube)] = sum;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     ROLLED for (uint row = lid; row < rows; row += BRICK_GROUP) {
         float sum = 0.0f;
         ROLLED for (uint j = level1_count; j < level2_end; j++) sum += cubes[row * CUBES + j];
@@ -87,13 +87,13 @@ INLINED bool find_mergeable(const BrickTask *task, const BrickMemory *memory) {
         box[4 * CUBES] = (float)high.y;
         box[5 * CUBES] = (float)high.z;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     ROLLED for (uint cube = lid; cube < 8; cube += BRICK_GROUP) {
         bool all_below = true;
         ROLLED for (uint i = 8 * cube; i < 8 * cube + 8; i++) all_below = all_below && memory->mergeable[i];
         if (!all_below) memory->mergeable[MERGEABLE_LEVEL2 + cube] = 0;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     bool brick = memory->mergeable[MERGEABLE_BRICK];
     for (uint cube = 0; cube < 8; cube++) brick = brick && memory->mergeable[MERGEABLE_LEVEL2 + cube];
     return brick;
@@ -129,7 +129,7 @@ INLINED void store_cube_vertices(const BrickTask *task, const BrickMemory *memor
     const uint lid = get_local_id(0), work = task->args.whole ? task->cube_count : 0;
     ROLLED for (uint column = lid * LANES; column < work; column += BRICK_GROUP * LANES)
         solve_cubes(memory->cubes, column, task->spacing);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     ROLLED for (uint column = lid; column < work; column += BRICK_GROUP) {
         __local const float *solved = memory->cubes + column;
         const float3 x = (float3)(solved[CUBE_VERTEX * CUBES], solved[(CUBE_VERTEX + 1) * CUBES], solved[(CUBE_VERTEX + 2) * CUBES]);

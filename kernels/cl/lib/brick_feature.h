@@ -27,7 +27,7 @@ INLINED void load_blocks(const BrickTask *task, __local float *samples, __local 
             COPY_TYPED_BLOCK_ROW(from, task->feature, task->args.feature_type, task->args.feature_missing, to)
         } else COPY_BLOCK_ROW(from, task->samples, task->args.grid.missing, to)
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Phase: a derived feature at the brick's samples, from those around them. Between two rows it is computed, too, for nothing.
@@ -40,7 +40,7 @@ INLINED void derive_feature(const BrickTask *task, __local const float *samples,
         const Real3 above = make_real3(LOAD_LANES(at + 1), LOAD_LANES(at + BLOCK_ROW), LOAD_LANES(at + BLOCK_PLANE));
         STORE_LANES(derived_in_lanes(kind, here, below, above, task->spacing), block + i);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Phase: the feature of each listed cell goes to its node. `corners`: 8 rows of CELLS columns.

@@ -25,7 +25,7 @@ INLINED void list_sheets(const BrickTask *task, const BrickMemory *memory) {
         const uint to = add_local(memory->work_count, sheets);
         ROLLED for (uint sheet = 0; sheet < sheets; sheet++) memory->sheet_list[to + sheet] = (ushort)(i << 2 | sheet);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Extra sheets of the listed cells before cell `i`: one for an even number of sheets, two more for three and four.
@@ -87,7 +87,7 @@ INLINED void split_sheets(const BrickTask *task, const BrickMemory *memory) {
             store_sheet(task, memory, &vertices, lane, memory->sheet_list[begin + lane], sheets[lane]);
         }
     }
-    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 }
 
 #endif

@@ -36,7 +36,7 @@ INLINED void list_cells_and_cubes(const BrickTask *task, const BrickMemory *memo
         column += task->brick->level2_mask >> cube & 1u;
     }
     memory->cube_ids[column] = 3 << 6;
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Lists the crossed edges with four cells of the brick around them, from rows of samples: a layer of 64 edges along an axis at once.
@@ -53,7 +53,7 @@ INLINED void list_inner_quads(const BrickMemory *memory) {
         for (cell_bits rest = along_y; rest; rest &= rest - 1) memory->quad_list[n++] = (ushort)(512 | z << 6 | lowest_cell_bit(rest));
     }
     *memory->work_count = n;
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 #endif

@@ -36,7 +36,7 @@ INLINED void list_cells_and_cubes(const BrickTask *task, const BrickMemory *memo
         if (i == 8) memory->cube_ids[task->cube_count - 1] = 3 << 6;
         else if (brick->level2_mask >> i & 1u) memory->cube_ids[level2_column(task, i)] = (uchar)(2 << 6 | i);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Lists the crossed edges with four cells of the brick around them, from rows of samples: y + 8 z, one bit a sample.
@@ -55,7 +55,7 @@ INLINED void list_inner_quads(const BrickMemory *memory) {
         for (uint rest = along_y; rest; rest &= rest - 1) quads[n++] = (ushort)(512 | i << 3 | lowest_bit(rest));
         for (uint rest = along_z; rest; rest &= rest - 1) quads[n++] = (ushort)(1024 | i << 3 | lowest_bit(rest));
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 #endif

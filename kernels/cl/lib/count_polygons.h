@@ -39,7 +39,7 @@ INLINED void count_all_quads(const Cut *cut, const Part *part, const Counts *cou
         counts->triangles[0] = wanted ? 2 * brick->quad_count : 0;
         *border_count = 0;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     const uint first = region->slot_base + brick->level_base[0], extra = region->slot_base + brick->level_base[3];
     const uint count = count_cells(brick);
     for (uint i = lid; wanted && i < count; i += BRICK_GROUP) counts->used[first + i] = 1;
@@ -56,7 +56,7 @@ INLINED void count_all_quads(const Cut *cut, const Part *part, const Counts *cou
         for (uint rest = cells & outer; rest; rest &= rest - 1)
             border[at++] = (ushort)(brick->cells_before[word] + popcount(cells & ((1u << lowest_bit(rest)) - 1)));
     }
-    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 }
 
 // Edges of a cell at the end of its region that belong to polygons of the next region.

@@ -29,7 +29,7 @@ INLINED void load_halo(const BrickTask *task, __local float *block) {
         __local float *to = block + BLOCK_ROW * row;
         COPY_BLOCK_ROW(from, task->samples, task->args.grid.missing, to)
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Of the cells `low` and `high` along an axis those that touch a point: at 0 the low ones, at 2 the high ones, at 1 both.
@@ -132,7 +132,7 @@ INLINED void sum_crossings(const BrickTask *task, const BrickMemory *memory, __l
         }
         store_rows(rows, memory->cubes + CUBE_QUADRIC * CUBES + column);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 #endif

@@ -9,6 +9,12 @@
 // Before a loop: no hint about unrolling.
 #define ROLLED
 
+// Waits until all work-items of a brick's group have come here. On a CPU the group is one work-item, which sees its own writes in program
+// order. Not left to the compiler: PoCL cuts a kernel at each barrier and keeps what is alive across it in memory, and PoCL 6.0 compiles
+// `construct` wrongly if it is cut. Kernels that work on a region keep their barriers: without them PoCL 7.1 compiles cuts of the tree
+// wrongly.
+#define brick_barrier(fences)
+
 // Adds to a counter that the work-items of a group share; its value is the one before.
 inline uint add_local(__local uint *counter, uint value) {
     const uint before = *counter;
@@ -41,9 +47,14 @@ inline uint claim_global(__global uint *at, uint expected, uint value) {
     return found;
 }
 
-// Loads the memory at an address into the caches, for later.
-#define PREFETCHES 1
+// Loads the memory at an address into the caches, for later. PREFETCHES is set where the compiler is known to take the intrinsic
+// (kernels/src/tuning.rs): Mesa's refuses it, and PoCL 7.1 (LLVM 21) compiles loops around it wrongly. OpenCL's own `prefetch` is
+// nothing in PoCL.
+#if PREFETCHES
 INLINED void prefetch_line(__global const void *at) { __builtin_prefetch((const void *)(ulong)at, 0, 2); }
+#else
+INLINED void prefetch_line(__global const void *at) { (void)at; }
+#endif
 
 // Cells of a level-1 cube are summed as they are solved where only the smoothness of the cells is needed.
 #define SUM_WHILE_SOLVING 1

@@ -9,6 +9,9 @@
 // Before a loop that a work-item passes once or twice: unrolled, it would push a large kernel out of the instruction cache.
 #define ROLLED _Pragma("unroll 1")
 
+// Waits until all work-items of a brick's group have come here.
+#define brick_barrier(fences) barrier(fences)
+
 // Adds to a counter that the work-items of a group share; its value is the one before.
 inline uint add_local(__local uint *counter, uint value) { return atomic_add(counter, value); }
 // OpenCL C 1.2 has no atomic addition of floats.
@@ -30,7 +33,6 @@ inline void write_shared(__global uint *at, uint value) { atomic_xchg(at, value)
 inline uint claim_global(__global uint *at, uint expected, uint value) { return atomic_cmpxchg(at, expected, value); }
 
 // Work-groups run side by side, so that one waits while others work.
-#define PREFETCHES 0
 INLINED void prefetch_line(__global const void *at) { (void)at; }
 
 // Cells of a level-1 cube are summed after all have been solved, by other work-items.

@@ -30,7 +30,7 @@ INLINED void find_halo(__local LeafHalo *halo, const Cut *cut, const Part *part,
         if (own == NONE) halo->cover[i] = HALO_EMPTY;
         else set_halo_cube(halo, i, cut->regions, cut->bricks, cut->state, index, cube, own);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Plain bricks are emitted like all others, one work-item a polygon. A macro, for a function would have nothing but unused

@@ -106,13 +106,13 @@ INLINED void classify_part(Part *part, Grid grid, __global const Region *regions
     const bool may_be_plain = part->brick != NONE && !has_missing;
     const uint lid = get_local_id(0);
     if (lid == 0) *found_coarse = 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     for (uint i = lid; may_be_plain && i < 27; i += BRICK_GROUP) {
         if (part->near[i] == NONE || fine[part->near[i]]) continue; // NONE: no active cells there
         atomic_or(found_coarse, 1u);
         break;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
     part->plain = may_be_plain && !*found_coarse;
     part->all_quads = part->plain && is_inside(grid, part->low) && is_inside(grid, part->low + 7);
     if (part->brick != NONE) {

@@ -45,7 +45,7 @@ INLINED void load_positions(const BrickTask *task, const BrickMemory *memory) {
         clear_offset_sum(memory->offset_sums, i);
     }
     if (lid == 0) *memory->work_count = 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // The vertex of a sheet of a cell of several, as load_position has it.
@@ -107,7 +107,7 @@ INLINED void sum_offsets(const BrickTask *task, const BrickMemory *memory) {
     const uint count = *memory->work_count;
     for (uint i = get_local_id(0); i < count; i += BRICK_GROUP)
         add_quad_offset(task, memory, memory->quad_list[i], low, unit, scale);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
 // Moves the vertices of cells with one sheet, inside the cell less its margin.

@@ -27,7 +27,7 @@ impl Engine {
             });
         }
         let options = format!("-cl-std=CL1.2 -DSAMPLE=float {}", self.cx.tuning.defines());
-        let kernels = self.expressions.get(PROGRAM, || self.cx.build(PROGRAM, &options))?;
+        let program = self.expressions.get(PROGRAM, || self.cx.build(PROGRAM, &options))?;
         let like = |slab: &Slab| {
             Ok(Slab {
                 samples: self.cx.buffer(STAGE, slab.samples.len())?,
@@ -39,7 +39,7 @@ impl Engine {
         let axes = self.axes(first)?;
         let work = Work {
             cx: &self.cx,
-            kernels: &kernels,
+            program: &program,
             grid: first.layout(),
             axes: &axes,
             cancel,

@@ -1,6 +1,6 @@
 //! Fields that an expression over resident ones gives.
 
-use crate::program::Kernels;
+use crate::program::Program;
 use crate::stages::evaluate;
 use crate::volume::{Slab, slab_planes};
 use crate::{Cancel, Engine, Error, Expression, Result, SampleType, Volume, constants};
@@ -11,7 +11,7 @@ use std::rc::Rc;
 const MAX_PROGRAMS: usize = 64;
 
 /// Programs by their text, the one used last at the end.
-pub(super) struct Programs<P = Kernels> {
+pub(super) struct Programs<P = Program> {
     kept: RefCell<Vec<(String, Rc<P>)>>,
 }
 
@@ -75,7 +75,6 @@ impl Engine {
                 grid.dims, other.grid.dims
             ));
         }
-        self.warm_up(SampleType::F32)?;
         let field = |i: usize| fields.get(i).unwrap_or(first);
         let mut text = expression.code();
         for i in 0..constants::EXPRESSION_FIELDS as usize {
@@ -87,7 +86,7 @@ impl Engine {
         text += &format!("#define FIELDS {count}\n#include \"evaluate.cl\"\n");
         // Of any type: headers want one.
         let build = || self.cx.build(&text, "-cl-std=CL1.2 -DSAMPLE=float");
-        let kernels = self.expressions.get(&text, build)?;
+        let program = self.expressions.get(&text, build)?;
         let plane = grid.dims[0] as usize * grid.dims[1] as usize * SampleType::F32.bytes();
         let mut slabs = Vec::new();
         // Fields of one grid have the same slabs.
@@ -96,7 +95,7 @@ impl Engine {
             let samples = self.cx.buffer(evaluate::STAGE, planes.len() * plane)?;
             let inputs = std::array::from_fn(|i| (&field(i).slabs[number].samples, field(i).missing));
             let grid = first.layout();
-            evaluate::run(&self.cx, &kernels, &grid, inputs, &samples, planes.clone(), cancel)?;
+            evaluate::run(&self.cx, &program, &grid, inputs, &samples, planes.clone(), cancel)?;
             slabs.push(Slab {
                 samples,
                 z0: planes.start,

@@ -24,7 +24,6 @@ impl Engine {
                 why: format!("{} samples, expected a finite number above 1", synthetic.period),
             });
         }
-        self.warm_up(sample_type)?;
         let (name, convert) = match sample_type {
             SampleType::U8 => ("uchar", "convert_uchar_sat_rte"),
             SampleType::I8 => ("char", "convert_char_sat_rte"),
@@ -33,7 +32,7 @@ impl Engine {
             SampleType::F32 => ("float", "convert_float"),
         };
         // Not part of the product's program, which a user waits for at the start.
-        let kernels = self.cx.build(
+        let program = self.cx.build(
             "#include \"generate.cl\"\n",
             &format!("-cl-std=CL1.2 -DSAMPLE={name} -DSTORE={convert}"),
         )?;
@@ -50,7 +49,7 @@ impl Engine {
             let samples = self.cx.buffer(generate::STAGE, planes.len() * plane as usize)?;
             generate::run(
                 &self.cx,
-                &kernels,
+                &program,
                 &layout,
                 synthetic,
                 stored(sample_type),

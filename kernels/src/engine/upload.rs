@@ -29,7 +29,6 @@ impl Engine {
     ) -> Result<Upload> {
         let Grid { dims, spacing } = *rectilinear.grid();
         let grid = Grid::new(dims, spacing)?;
-        self.warm_up(sample_type)?;
         let plane = plane_bytes(&grid, sample_type);
         let slabs = slab_layers(&grid, self.cx.limit_bytes)?.into_iter().map(|layers| {
             let planes = slab_planes(&grid, &layers);

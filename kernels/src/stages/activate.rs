@@ -15,10 +15,10 @@ kernel_args! {}
 pub fn run(cx: &Context, volume: &Volume, iso: f32) -> Result<Vec<[u32; 2]>> {
     let regions = volume.table.len() / 64;
     let masks: Buffer<[u32; 2]> = cx.buffer(STAGE, regions)?;
-    let kernels = cx.kernels(volume.sample_type)?;
+    let kernel = |name| cx.kernel(volume.sample_type, name);
     cx.launch(
         STAGE,
-        kernels.get("activate"),
+        &kernel("activate")?,
         regions,
         BRICK_GROUP,
         &[&iso, &volume.table, &masks],

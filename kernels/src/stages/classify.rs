@@ -34,13 +34,13 @@ pub fn run(
     regions: &Buffer<Region>,
     bricks: &Buffer<Brick>,
 ) -> Result<()> {
-    let kernels = cx.kernels(volume.sample_type)?;
+    let kernel = |name| cx.kernel(volume.sample_type, name);
     let grid = volume.layout();
     for slab in work {
         let args = ClassifyArgs { grid, z0: slab.z0, iso, first_brick: slab.bricks.start as u32 };
         cx.launch(
             STAGE,
-            kernels.get("classify"),
+            &kernel("classify")?,
             slab.bricks.len(),
             cx.tuning.brick_group,
             &[&args, slab.samples, list, regions, bricks],
@@ -50,7 +50,7 @@ pub fn run(
     let groups = regions.len().div_ceil(BRICK_GROUP);
     cx.launch(
         STAGE,
-        kernels.get("arrange"),
+        &kernel("arrange")?,
         groups,
         BRICK_GROUP,
         &[&count, regions, bricks],

@@ -101,7 +101,7 @@ pub fn run(
     vertex_records: &Buffer<VertexRecord>,
     cancel: &dyn Cancel,
 ) -> Result<Vec<u32>> {
-    let kernels = cx.kernels(input.volume.sample_type)?;
+    let kernel = |name| cx.kernel(input.volume.sample_type, name);
     let grid = input.volume.layout();
     let (kind, whole) = (input.feature.kind_after_derive(input.volume), u32::from(input.whole));
     let has_block = matches!(kind, constants::FEATURE_FIELD | constants::FEATURE_GRADIENT);
@@ -135,7 +135,7 @@ pub fn run(
         };
         cx.launch(
             STAGE,
-            kernels.get("construct"),
+            &kernel("construct")?,
             slab.bricks.len(),
             group,
             &[
@@ -163,7 +163,7 @@ pub fn run(
         };
         cx.launch(
             STAGE,
-            kernels.get("construct_top"),
+            &kernel("construct_top")?,
             slab.regions.len().div_ceil(BRICK_GROUP),
             BRICK_GROUP,
             &[
@@ -199,7 +199,7 @@ pub fn link(
     };
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("link"),
+        &cx.kernel(volume.sample_type, "link")?,
         (near.len() / 3).div_ceil(BRICK_GROUP),
         BRICK_GROUP,
         &[

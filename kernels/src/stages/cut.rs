@@ -89,7 +89,7 @@ pub fn run(
     };
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("cut"),
+        &cx.kernel(volume.sample_type, "cut")?,
         regions,
         cx.tuning.region_group,
         &[
@@ -120,7 +120,7 @@ pub fn compare(
     let differences: Buffer<u32> = cx.buffer(STAGE, regions)?;
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("cut_compare"),
+        &cx.kernel(volume.sample_type, "cut_compare")?,
         regions,
         cx.tuning.region_group,
         &[&pyramid.regions, &pyramid.nodes, before, after, &differences],
@@ -141,7 +141,7 @@ pub fn mix(
     let takes_after = cx.upload(STAGE, takes_after)?;
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("cut_mix"),
+        &cx.kernel(volume.sample_type, "cut_mix")?,
         pyramid.host_regions.len(),
         cx.tuning.region_group,
         &[&pyramid.regions, &takes_after, before, after, state],

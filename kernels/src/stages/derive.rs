@@ -5,9 +5,9 @@ use super::construct::{self, type_number};
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context, LocalBytes};
 use crate::layout::{Grid, Node};
-use crate::program::Kernels;
 use crate::volume::Slab;
 use crate::{Cancel, Feature, Result, Volume, constants};
+use opencl3::kernel::Kernel;
 use std::rc::Rc;
 
 /// Name of the stage.
@@ -97,10 +97,10 @@ impl<'a> Source<'a> {
     }
 
     /// Those of uneven axes are a program of their own, so that even ones pay nothing.
-    fn kernels(&self, cx: &Context) -> Result<Rc<Kernels>> {
+    fn kernel(&self, cx: &Context, name: &str) -> Result<Rc<Kernel>> {
         match self.inverse_lengths() {
-            Some(_) => cx.uneven_kernels(),
-            None => cx.kernels(self.fields[0].sample_type),
+            Some(_) => cx.uneven_kernel(name),
+            None => cx.kernel(self.fields[0].sample_type, name),
         }
     }
 
@@ -121,12 +121,12 @@ impl<'a> Source<'a> {
 
 /// Fills in the feature of the active cells.
 pub fn run(cx: &Context, source: &Source<'_>, input: &construct::Input<'_>, nodes: &Buffer<Node>, cancel: &dyn Cancel) -> Result<()> {
-    let (kernels, local) = (source.kernels(cx)?, source.local_bytes());
+    let (kernel, local) = (source.kernel(cx, "derive")?, source.local_bytes());
     for slab in input.work {
         let args = source.args(slab.z0, slab.bricks.start as u32, 0);
         let mut all = source.arguments(&args, slab.z0);
         all.extend([input.regions as &dyn Arg, input.bricks, nodes, &local]);
-        cx.launch(STAGE, kernels.get("derive"), slab.bricks.len(), cx.tuning.brick_group, &all)?;
+        cx.launch(STAGE, &kernel, slab.bricks.len(), cx.tuning.brick_group, &all)?;
         cx.pause(STAGE, cancel)?;
     }
     Ok(())
@@ -140,6 +140,6 @@ pub fn samples(cx: &Context, source: &Source<'_>, volume: &Volume, slab: &Slab, 
     let (groups, local) = (nx.div_ceil(8) * ny.div_ceil(8) * planes.div_ceil(8) as usize, source.local_bytes());
     let mut all = source.arguments(&args, slab.z0);
     all.extend([&values as &dyn Arg, &local]);
-    cx.launch(STAGE, source.kernels(cx)?.get("derive_samples"), groups, cx.tuning.brick_group, &all)?;
+    cx.launch(STAGE, &source.kernel(cx, "derive_samples")?, groups, cx.tuning.brick_group, &all)?;
     Ok(values)
 }

@@ -43,7 +43,7 @@ pub fn run(
     points: &[[f32; 4]],
     cancel: &dyn Cancel,
 ) -> Result<Vec<f32>> {
-    let kernels = cx.kernels(volume.sample_type)?;
+    let kernel = |name| cx.kernel(volume.sample_type, name);
     let device_points = cx.upload(STAGE, points)?;
     let distances = cx.buffer::<f32>(STAGE, points.len())?;
     for slab in &volume.slabs {
@@ -60,7 +60,7 @@ pub fn run(
             };
             cx.launch(
                 STAGE,
-                kernels.get("distance_points"),
+                &kernel("distance_points")?,
                 (end - first).div_ceil(BRICK_GROUP * cx.tuning.lanes),
                 BRICK_GROUP,
                 &[

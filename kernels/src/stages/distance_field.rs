@@ -5,7 +5,7 @@ use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::layout::Grid;
-use crate::program::Kernels;
+use crate::program::Program;
 use crate::volume::Slab;
 use crate::{Cancel, Result};
 
@@ -75,7 +75,7 @@ pub struct Axes {
 /// One volume's work.
 pub struct Work<'a> {
     pub cx: &'a Context,
-    pub kernels: &'a Kernels,
+    pub program: &'a Program,
     pub grid: Grid,
     pub axes: &'a Axes,
     pub cancel: &'a dyn Cancel,
@@ -153,7 +153,7 @@ impl Work<'_> {
     /// Others have a turn after each launch.
     fn launch(&self, kernel: &str, groups: usize, args: &[&dyn Arg]) -> Result<()> {
         self.cx
-            .launch(STAGE, self.kernels.get(kernel), groups, BRICK_GROUP, args)?;
+            .launch(STAGE, self.program.get(kernel), groups, BRICK_GROUP, args)?;
         self.cx.pause(STAGE, self.cancel)
     }
 }

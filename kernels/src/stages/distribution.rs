@@ -34,7 +34,7 @@ pub fn of_cut(
     let args = DistributionArgs { params, bins, points: 0 };
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("distribution_cut"),
+        &cx.kernel(volume.sample_type, "distribution_cut")?,
         pyramid.host_regions.len(),
         cx.tuning.region_group,
         &[&args, &pyramid.regions, &pyramid.bricks, &pyramid.nodes, state, &counts],
@@ -60,7 +60,7 @@ pub fn of_tree(
     };
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("distribution_tree"),
+        &cx.kernel(volume.sample_type, "distribution_tree")?,
         pyramid.host_regions.len(),
         cx.tuning.region_group,
         &[

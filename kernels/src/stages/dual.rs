@@ -128,11 +128,11 @@ pub fn count(
     // Regions without a mesh keep their zeros.
     let meshes = cx.upload(STAGE, &vec![RegionMesh::default(); regions])?;
     let made_regions = cx.upload(STAGE, &made)?;
-    let kernels = cx.kernels(volume.sample_type)?;
+    let kernel = |name| cx.kernel(volume.sample_type, name);
     let brick_count = bricks as u32;
     cx.launch(
         STAGE,
-        kernels.get("dual_begin"),
+        &kernel("dual_begin")?,
         regions,
         cx.tuning.region_group,
         &[
@@ -153,7 +153,7 @@ pub fn count(
     };
     cx.launch(
         STAGE,
-        kernels.get("dual_count"),
+        &kernel("dual_count")?,
         parts.len(),
         cx.tuning.brick_group,
         &[
@@ -176,7 +176,7 @@ pub fn count(
     )?;
     cx.launch(
         STAGE,
-        kernels.get("dual_scan"),
+        &kernel("dual_scan")?,
         made.len(),
         cx.tuning.region_group,
         &[
@@ -255,7 +255,7 @@ pub fn emit(
     };
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("dual_emit"),
+        &cx.kernel(volume.sample_type, "dual_emit")?,
         counted.mesh_parts,
         cx.tuning.brick_group,
         &[

@@ -133,7 +133,7 @@ pub fn tree_corners(
     let args = leaves_args(volume, pyramid, tree);
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("error_corners"),
+        &cx.kernel(volume.sample_type, "error_corners")?,
         corners.div_ceil(BRICK_GROUP),
         BRICK_GROUP,
         &[&args, &(corners as u32), &tree.points, corner_leaves, &corner_slots],
@@ -215,7 +215,7 @@ impl Measurement<'_> {
 
     fn find_fans(&self) -> Result<Fans> {
         let Self { cx, pyramid, input, .. } = *self;
-        let kernels = cx.kernels(self.volume.sample_type)?;
+        let kernel = |name| cx.kernel(self.volume.sample_type, name);
         let (slots, corners) = (pyramid.nodes.len(), input.corner_slots.len());
         let vertices = slots + input.tree.map_or(0, |cut| cut.tree.built.nodes.len());
         let fans = Fans {
@@ -227,7 +227,7 @@ impl Measurement<'_> {
         let args = ErrorPositionsArgs { grid: self.volume.layout(), params: *input.params, first_region: 0 };
         cx.launch(
             STAGE,
-            kernels.get("error_positions"),
+            &kernel("error_positions")?,
             pyramid.host_regions.len(),
             cx.tuning.region_group,
             &[&args, &pyramid.regions, &pyramid.vertex_records, &fans.positions],
@@ -235,7 +235,7 @@ impl Measurement<'_> {
         if let (Some(cut), Some(stand_ins)) = (input.tree, &fans.stand_ins) {
             cx.launch(
                 STAGE,
-                kernels.get("error_leaves"),
+                &kernel("error_leaves")?,
                 pyramid.host_regions.len(),
                 cx.tuning.region_group,
                 &[
@@ -255,7 +255,7 @@ impl Measurement<'_> {
             let count = LINKED_CORNERS.min(corners - first);
             cx.launch(
                 STAGE,
-                kernels.get("error_link"),
+                &kernel("error_link")?,
                 count.div_ceil(BRICK_GROUP),
                 BRICK_GROUP,
                 &[&(first as u32), &(count as u32), input.corner_slots, &fans.heads, &fans.next],
@@ -267,12 +267,11 @@ impl Measurement<'_> {
 
     fn find_seeds(&self, fans: &Fans) -> Result<Seeds> {
         let Self { cx, volume, pyramid, input, .. } = *self;
-        let kernels = cx.kernels(volume.sample_type)?;
         let (bricks, regions) = (pyramid.bricks.len(), pyramid.host_regions.len());
         let grid_regions = pyramid.region_index.len();
         let args = ErrorSeedsArgs { grid: volume.layout(), region_count: regions as u32, brick_count: bricks as u32, has_stand_ins: fans.stand_ins.is_some().into() };
         let launch = |kernel: &str, items: usize, args: &[&dyn crate::context::Arg]| {
-            cx.launch(STAGE, kernels.get(kernel), items.div_ceil(BRICK_GROUP), BRICK_GROUP, args)
+            cx.launch(STAGE, &cx.kernel(volume.sample_type, kernel)?, items.div_ceil(BRICK_GROUP), BRICK_GROUP, args)
         };
         let found = Seeds {
             seeds: cx.buffer(STAGE, 8 * bricks)?,
@@ -334,7 +333,7 @@ impl Measurement<'_> {
 
     fn measure_crossings(&self, slabs: &[SlabWork<'_>], fans: &Fans, seeds: &Seeds) -> Result<Sums> {
         let Self { cx, volume, pyramid, input, .. } = *self;
-        let kernels = cx.kernels(volume.sample_type)?;
+        let kernel = |name| cx.kernel(volume.sample_type, name);
         let mut sums = Sums::new(pyramid.host_regions.len());
         for slab in slabs {
             let tasks = tasks(slab.regions.clone(), |region| pyramid.host_regions[region].level_base[1]);
@@ -350,7 +349,7 @@ impl Measurement<'_> {
                 };
                 cx.launch(
                     STAGE,
-                    kernels.get("error_crossings"),
+                    &kernel("error_crossings")?,
                     count,
                     cx.tuning.region_group,
                     &[
@@ -383,7 +382,7 @@ impl Measurement<'_> {
     /// A triangle reaches at most one region beyond its own: a slab measures the samples that it holds, of those.
     fn measure_samples(&self, fans: &Fans) -> Result<Sums> {
         let Self { cx, volume, pyramid, input, .. } = *self;
-        let kernels = cx.kernels(volume.sample_type)?;
+        let kernel = |name| cx.kernel(volume.sample_type, name);
         let [rx, ry, _] = volume.grid.regions();
         let layer = |region: &crate::layout::Region| region.region / (rx * ry);
         let regions = &pyramid.host_regions;
@@ -405,7 +404,7 @@ impl Measurement<'_> {
                 };
                 cx.launch(
                     STAGE,
-                    kernels.get("error_samples"),
+                    &kernel("error_samples")?,
                     count,
                     cx.tuning.region_group,
                     &[

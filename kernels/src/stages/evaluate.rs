@@ -5,7 +5,7 @@ use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::layout::Grid;
-use crate::program::Kernels;
+use crate::program::Program;
 use crate::{Cancel, Result};
 use std::ops::Range;
 
@@ -48,7 +48,7 @@ const LAUNCH_SAMPLES: u64 = 1 << 23;
 /// Fills a slab that holds `planes`. `fields`: the samples of each field in the slab, and the value of missing ones; eight of them.
 pub fn run(
     cx: &Context,
-    kernels: &Kernels,
+    program: &Program,
     grid: &Grid,
     fields: [(&Buffer<u8>, f32); 8],
     out: &Buffer<u8>,
@@ -78,7 +78,7 @@ pub fn run(
         all.extend(fields.iter().map(|(samples, _)| *samples as &dyn Arg));
         all.push(out);
         let groups = (plane * u64::from(some)).div_ceil(BRICK_GROUP as u64) as usize;
-        cx.launch(STAGE, kernels.get("evaluate"), groups, BRICK_GROUP, &all)?;
+        cx.launch(STAGE, program.get("evaluate"), groups, BRICK_GROUP, &all)?;
         cx.pause(STAGE, cancel)?;
     }
     Ok(())

@@ -52,7 +52,7 @@ pub fn run(
     };
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("fit"),
+        &cx.kernel(volume.sample_type, "fit")?,
         pyramid.host_regions.len(),
         cx.tuning.region_group,
         &[

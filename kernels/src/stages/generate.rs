@@ -6,7 +6,7 @@ use crate::Result;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::Grid;
-use crate::program::Kernels;
+use crate::program::Program;
 use crate::synthetic::Synthetic;
 use std::ops::Range;
 
@@ -45,7 +45,7 @@ const LAUNCH_SAMPLES: u64 = 1 << 30;
 /// Fills a slab that holds `planes`; stored is `value * factor + offset`.
 pub fn run(
     cx: &Context,
-    kernels: &Kernels,
+    program: &Program,
     grid: &Grid,
     synthetic: &Synthetic,
     [factor, offset]: [f32; 2],
@@ -71,7 +71,7 @@ pub fn run(
         };
         cx.launch(
             STAGE,
-            kernels.get("generate"),
+            program.get("generate"),
             (plane * u64::from(some)).div_ceil(BRICK_GROUP as u64) as usize,
             BRICK_GROUP,
             &[&args, samples],

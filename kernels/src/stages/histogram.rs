@@ -127,7 +127,6 @@ fn for_each_launch(
 
 /// Range over finite values, then the bins.
 pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histogram> {
-    let kernels = cx.kernels(volume.sample_type)?;
     let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
     let ranges = cx.buffer::<[f32; 2]>(STAGE, GROUPS)?;
     for_each_launch(cx, volume, feature, |launch| {
@@ -138,7 +137,7 @@ pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histog
             first_plane: launch.first_plane,
             count: launch.count,
         };
-        let kernel = kernels.get("histogram_range");
+        let kernel = &cx.kernel(volume.sample_type, "histogram_range")?;
         cx.launch(STAGE, kernel, GROUPS, BRICK_GROUP, &[&args, launch.samples(), &ranges])?;
         for [low, high] in cx.read(STAGE, &ranges, GROUPS)? {
             lo = lo.min(low);
@@ -161,7 +160,7 @@ pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histog
             lo,
             hi,
         };
-        let kernel = kernels.get("histogram_bins");
+        let kernel = &cx.kernel(volume.sample_type, "histogram_bins")?;
         cx.launch(STAGE, kernel, GROUPS, BRICK_GROUP, &[&args, launch.samples(), &counters])?;
         for (bin, count) in bins.iter_mut().zip(cx.read(STAGE, &counters, 256)?) {
             *bin += u64::from(count);

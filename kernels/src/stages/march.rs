@@ -40,7 +40,7 @@ pub fn gather(
     state: &Buffer<u8>,
     cases: &Buffer<u8>,
 ) -> Result<(Marks, Vec<RegionMesh>)> {
-    let kernels = cx.kernels(volume.sample_type)?;
+    let kernel = |name| cx.kernel(volume.sample_type, name);
     let local = cx.tuning.region_group;
     let grid = volume.layout();
     let marks = Marks {
@@ -51,7 +51,7 @@ pub fn gather(
         let args = MarchArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32 };
         cx.launch(
             STAGE,
-            kernels.get("march_mark"),
+            &kernel("march_mark")?,
             slab.regions.len(),
             local,
             &[
@@ -69,7 +69,7 @@ pub fn gather(
     let meshes: Buffer<RegionMesh> = cx.buffer(STAGE, pyramid.host_regions.len())?;
     cx.launch(
         STAGE,
-        kernels.get("march_count"),
+        &kernel("march_count")?,
         pyramid.host_regions.len(),
         local,
         &[&pyramid.regions, &pyramid.nodes, state, cases, &marks.owners, &meshes],
@@ -96,7 +96,7 @@ pub fn assemble(
     vertices: &Buffer<WorkVertex>,
     indices: &Buffer<u32>,
 ) -> Result<()> {
-    let kernels = cx.kernels(volume.sample_type)?;
+    let kernel = |name| cx.kernel(volume.sample_type, name);
     let local = cx.tuning.region_group;
     let grid = volume.layout();
     let Gathered {
@@ -109,7 +109,7 @@ pub fn assemble(
         let args = MarchArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32 };
         cx.launch(
             STAGE,
-            kernels.get("march_vertices"),
+            &kernel("march_vertices")?,
             slab.regions.len(),
             local,
             &[
@@ -125,7 +125,7 @@ pub fn assemble(
     }
     cx.launch(
         STAGE,
-        kernels.get("march_triangles"),
+        &kernel("march_triangles")?,
         pyramid.host_regions.len(),
         local,
         &[

@@ -39,7 +39,7 @@ pub fn run(
     };
     cx.launch(
         STAGE,
-        cx.kernels(sample_type)?.get("minmax"),
+        &cx.kernel(sample_type, "minmax")?,
         slab.layers.len() * runs * 16,
         cx.tuning.brick_group,
         &[&args, &slab.samples, table, missing_masks],

@@ -13,8 +13,8 @@ macro_rules! stages {
         /// What the product's programs are made of.
         pub(crate) const SOURCES: &[crate::sources::Source] = &[$(crate::sources::Source {
             file: concat!(stringify!($stage), ".cl"),
+            stage: stringify!($stage),
             reads_samples: stages!(@reads $($built)?),
-            has_uneven: stages!(@has_uneven $($built)?),
         }),*];
 
         /// Structs of arguments of all kernels.
@@ -24,9 +24,7 @@ macro_rules! stages {
         }
     };
     (@reads samples) => { true };
-    (@reads $($other:ident)?) => { false };
-    (@has_uneven uneven) => { true };
-    (@has_uneven $($other:ident)?) => { false };
+    (@reads) => { false };
 }
 
 // In order of execution. A new stage is a line here, a file in `cl/`, its launcher and its twin.
@@ -35,7 +33,7 @@ stages! {
     histogram: samples
     activate
     classify: samples
-    derive: uneven
+    derive
     construct: samples
     cut
     fit

@@ -46,13 +46,13 @@ pub fn run(
     vertices: &Buffer<Vertex>,
     counters: &Buffer<Counters>,
 ) -> Result<()> {
-    let kernels = cx.kernels(volume.sample_type)?;
+    let kernel = |name| cx.kernel(volume.sample_type, name);
     let grid = volume.layout();
     for slab in slabs {
         let args = PackArgs { grid, z0: slab.z0, iso: pyramid.iso, params: *input.params, first_region: slab.regions.start as u32 };
         cx.launch(
             STAGE,
-            kernels.get("pack"),
+            &kernel("pack")?,
             slab.regions.len(),
             cx.tuning.region_group,
             &[

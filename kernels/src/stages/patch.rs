@@ -34,7 +34,7 @@ pub fn run(
     if levels == 0 {
         return Ok(());
     }
-    let kernels = cx.kernels(volume.sample_type)?;
+    let kernel = |name| cx.kernel(volume.sample_type, name);
     let local = cx.tuning.region_group;
     let groups = pyramid.host_regions.len();
     let grid = volume.layout();
@@ -43,7 +43,7 @@ pub fn run(
     } = gathered;
     cx.launch(
         STAGE,
-        kernels.get("patch_level"),
+        &kernel("patch_level")?,
         groups,
         local,
         &[
@@ -61,7 +61,7 @@ pub fn run(
     for level in (1..=levels).rev() {
         cx.launch(
             STAGE,
-            kernels.get("patch"),
+            &kernel("patch")?,
             groups,
             local,
             &[

@@ -38,7 +38,7 @@ pub fn run(
     let padded: Vec<[f32; 4]> = positions.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("probe"),
+        &cx.kernel(volume.sample_type, "probe")?,
         positions.len(),
         1,
         &[

@@ -35,7 +35,7 @@ pub fn run(cx: &Context, volume: &Volume, axis: usize, index: u32) -> Result<Vec
     let [nx, ny, nz] = volume.grid.dims;
     let (width, rows) = [(ny, nz), (nx, nz), (nx, ny)][axis];
     let out = cx.buffer::<u8>(STAGE, width as usize * rows as usize * volume.sample_type.bytes())?;
-    let kernels = cx.kernels(volume.sample_type)?;
+    let kernel = |name| cx.kernel(volume.sample_type, name);
     for slab in &volume.slabs {
         let planes = own_planes(volume, &slab.layers);
         // Across z a slab has all rows or none.
@@ -55,7 +55,7 @@ pub fn run(cx: &Context, volume: &Volume, axis: usize, index: u32) -> Result<Vec
             count,
         };
         let groups = (count as usize).div_ceil(BRICK_GROUP);
-        cx.launch(STAGE, kernels.get("slice"), groups, BRICK_GROUP, &[&args, &slab.samples, &out])?;
+        cx.launch(STAGE, &kernel("slice")?, groups, BRICK_GROUP, &[&args, &slab.samples, &out])?;
     }
     cx.read(STAGE, &out, out.len())
 }

@@ -41,7 +41,7 @@ pub fn borders(
     let counts = cx.buffer(STAGE, regions)?;
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("tree_borders"),
+        &cx.kernel(volume.sample_type, "tree_borders")?,
         regions,
         cx.tuning.region_group,
         &[borders, border_base, &counts],
@@ -66,7 +66,7 @@ pub fn points(
     };
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("tree_points"),
+        &cx.kernel(volume.sample_type, "tree_points")?,
         pyramid.host_regions.len(),
         cx.tuning.region_group,
         &[&args, &pyramid.regions, &pyramid.vertex_records, points],
@@ -104,7 +104,7 @@ pub fn gather(
     let [triangles, beside] = output.unwrap_or([mesh.corners; 2]);
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("tree_gather"),
+        &cx.kernel(volume.sample_type, "tree_gather")?,
         regions.len(),
         cx.tuning.region_group,
         &[
@@ -140,7 +140,7 @@ pub fn collapses(cx: &Context, volume: &Volume, mesh: &Mesh<'_>, built: &Built) 
     let collapsed_by = cx.buffer(STAGE, mesh.corners.len() / 3)?;
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("tree_collapse"),
+        &cx.kernel(volume.sample_type, "tree_collapse")?,
         mesh.meshes.len(),
         cx.tuning.region_group,
         &[
@@ -168,7 +168,7 @@ pub fn point_corners(
     let ends = cx.buffer(STAGE, mesh.points.len())?;
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("tree_corners"),
+        &cx.kernel(volume.sample_type, "tree_corners")?,
         pyramid.host_regions.len(),
         cx.tuning.region_group,
         &[
@@ -190,7 +190,7 @@ pub fn lives(cx: &Context, volume: &Volume, pyramid: &Pyramid, points: usize, bu
     let lives = cx.buffer(STAGE, 2 * (points + built.nodes.len()))?;
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("tree_lives"),
+        &cx.kernel(volume.sample_type, "tree_lives")?,
         pyramid.host_regions.len(),
         cx.tuning.region_group,
         &[

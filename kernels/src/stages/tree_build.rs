@@ -94,7 +94,7 @@ pub fn run(
     };
     cx.launch(
         STAGE,
-        cx.kernels(volume.sample_type)?.get("tree_build"),
+        &cx.kernel(volume.sample_type, "tree_build")?,
         regions.len(),
         cx.tuning.wide_group,
         &[

@@ -123,8 +123,7 @@ impl Cutter<'_> {
         local: usize,
         args: &[&dyn Arg],
     ) -> Result<()> {
-        let kernels = self.cx.kernels(self.volume.sample_type)?;
-        self.cx.launch(stage, kernels.get(kernel), groups, local, args)
+        self.cx.launch(stage, &self.cx.kernel(self.volume.sample_type, kernel)?, groups, local, args)
     }
 
     pub(super) fn regions(&self) -> usize {

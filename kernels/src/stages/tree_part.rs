@@ -44,9 +44,8 @@ impl Cutter<'_> {
 
     /// One work-item a point.
     fn launch_points(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
-        let kernels = self.cx.kernels(self.volume.sample_type)?;
         let groups = self.tree.points.len().div_ceil(BRICK_GROUP);
-        self.cx.launch(STAGE, kernels.get(kernel), groups, BRICK_GROUP, args)
+        self.cx.launch(STAGE, &self.cx.kernel(self.volume.sample_type, kernel)?, groups, BRICK_GROUP, args)
     }
 
     /// The part of each point, and its area.

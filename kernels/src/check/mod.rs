@@ -1,0 +1,405 @@
+//! A check of a device: all stages on a small volume whose answers are known. Drivers have compiled kernels wrongly without a word, so
+//! nothing that a new driver computes is believed before.
+//!
+//! The answers are those of drivers on which all stages agree with their twins (`kernels/reference`). Counts and topology are exact on
+//! every device; lengths, areas and errors may differ in their last digits.
+
+use crate::expression::{Binary, Comparison, Expression, Op};
+use crate::{
+    CutParams, DerivedFeature, Engine, Error, Feature, Isovalue, Level, Mesher, Never, PartFilter, Pyramid,
+    RectilinearGrid, SampleType, ShownCut, TreeGoal, VertexTree, Volume,
+};
+
+mod answers;
+mod volume;
+
+use answers::*;
+use volume::{DIMS, active_cells, grid, samples, values};
+
+/// Why a device is not to be believed.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckError {
+    /// The device failed.
+    #[error("stage {stage} fails")]
+    Failed {
+        /// Stage that failed.
+        stage: &'static str,
+        /// The driver's error.
+        #[source]
+        source: Error,
+    },
+    /// An answer is wrong.
+    #[error("stage {stage} computes wrong results: {what} is {found}, expected {expected}")]
+    Differs {
+        /// Stage whose answer is wrong.
+        stage: &'static str,
+        /// Which answer.
+        what: &'static str,
+        /// What the device says.
+        found: String,
+        /// The right answer.
+        expected: String,
+    },
+}
+
+/// What is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// What a first surface needs.
+    FirstSurface,
+    /// What all else needs.
+    Rest,
+}
+
+/// A step of the check: a stage, or several that need each other.
+pub struct Step {
+    /// Name of the stage.
+    pub stage: &'static str,
+    /// What needs it.
+    pub scope: Scope,
+    run: fn(&mut Check<'_>) -> Result<(), Finding>,
+}
+
+/// The steps in the order of need. A step uses results of those before it.
+pub const STEPS: &[Step] = &[
+    step("minmax", Scope::FirstSurface, |check| check.upload()),
+    step("construct", Scope::FirstSurface, |check| check.construct()),
+    step("dual", Scope::FirstSurface, |check| check.dual()),
+    step("histogram", Scope::FirstSurface, |check| check.histogram()),
+    step("fit", Scope::Rest, |check| check.fit()),
+    step("derive", Scope::Rest, |check| check.derive()),
+    step("tree", Scope::Rest, |check| check.tree()),
+    step("tree_cut", Scope::Rest, |check| check.tree_cut()),
+    step("error", Scope::Rest, |check| check.error()),
+    step("probe", Scope::Rest, |check| check.probe()),
+    step("slice", Scope::Rest, |check| check.slice()),
+    step("distribution", Scope::Rest, |check| check.distribution()),
+    step("curve", Scope::Rest, |check| check.curve()),
+    step("march", Scope::Rest, |check| check.march()),
+    step("distance", Scope::Rest, |check| check.distance()),
+    step("evaluate", Scope::Rest, |check| check.evaluate()),
+    step("distance_field", Scope::Rest, |check| check.distance_field()),
+];
+
+const fn step(stage: &'static str, scope: Scope, run: fn(&mut Check<'_>) -> Result<(), Finding>) -> Step {
+    Step { stage, scope, run }
+}
+
+/// What a step found wrong, without its stage.
+enum Finding {
+    Failed(Error),
+    Differs {
+        what: &'static str,
+        found: String,
+        expected: String,
+    },
+}
+
+impl From<Error> for Finding {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
+/// Runs one step after another on a device.
+pub struct Check<'a> {
+    engine: &'a Engine,
+    sample_type: SampleType,
+    volume: Option<Volume>,
+    pyramid: Option<Pyramid>,
+    tree: Option<VertexTree>,
+}
+
+impl<'a> Check<'a> {
+    /// A check with samples of a type, for which a device has programs of their own.
+    pub fn new(engine: &'a Engine, sample_type: SampleType) -> Self {
+        Self {
+            engine,
+            sample_type,
+            volume: None,
+            pyramid: None,
+            tree: None,
+        }
+    }
+
+    /// Runs the next step.
+    ///
+    /// # Errors
+    /// [`CheckError`] with the stage.
+    ///
+    /// # Panics
+    /// The steps before it have not run.
+    pub fn run(&mut self, step: &Step) -> Result<(), CheckError> {
+        let stage = step.stage;
+        (step.run)(self).map_err(|finding| match finding {
+            Finding::Failed(source) => CheckError::Failed { stage, source },
+            Finding::Differs { what, found, expected } => CheckError::Differs {
+                stage,
+                what,
+                found,
+                expected,
+            },
+        })
+    }
+
+    fn volume(&self) -> &Volume {
+        self.volume.as_ref().expect("step minmax has run")
+    }
+
+    fn pyramid(&self) -> &Pyramid {
+        self.pyramid.as_ref().expect("step construct has run")
+    }
+
+    fn built_tree(&self) -> &VertexTree {
+        self.tree.as_ref().expect("step tree has run")
+    }
+
+    fn upload(&mut self) -> Result<(), Finding> {
+        let samples = samples(self.sample_type);
+        let volume = self.engine.upload(grid()?, &samples, None)?;
+        let back = self.engine.download(&volume, 0..DIMS[2])?;
+        exact("samples that were uploaded and downloaded", back == samples, true)?;
+        self.volume = Some(volume);
+        Ok(())
+    }
+
+    fn construct(&mut self) -> Result<(), Finding> {
+        let iso = Isovalue::new(ISOVALUE)?;
+        let pyramid = self.engine.build_pyramid(self.volume(), Feature::None, iso, &Never)?;
+        exact("number of active bricks", pyramid.active_bricks(), ACTIVE_BRICKS)?;
+        exact("number of active cells", pyramid.active_cells(), active_cells())?;
+        exact("number of triangles", pyramid.full_triangles(), FULL_TRIANGLES)?;
+        self.pyramid = Some(pyramid);
+        Ok(())
+    }
+
+    fn dual(&mut self) -> Result<(), Finding> {
+        let full = CutParams {
+            mesher: Mesher::Dual,
+            ..CutParams::paper(-1.0)
+        };
+        let decimated = CutParams {
+            beta: BETA,
+            ..full.clone()
+        };
+        for (params, expected) in [(full, FULL), (decimated, DECIMATED)] {
+            let surface = self
+                .engine
+                .peel(self.volume(), self.pyramid(), &params, Level::FINEST, &Never)?;
+            expected.check(&surface)?;
+        }
+        Ok(())
+    }
+
+    fn histogram(&mut self) -> Result<(), Finding> {
+        let histogram = self.engine.histogram(self.volume(), Feature::None)?;
+        exact("range", histogram.range, [0.0, VALUE_END as f32])?;
+        let mut bins = vec![0; 256];
+        for value in values() {
+            bins[(value as usize * 256 / VALUE_END as usize).min(255)] += 1;
+        }
+        exact("bins", histogram.bins, bins)
+    }
+
+    fn fit(&mut self) -> Result<(), Finding> {
+        let params = CutParams {
+            mesher: Mesher::Dual,
+            ..CutParams::paper(0.0)
+        };
+        let (_, _, triangles) = self
+            .engine
+            .fit(self.volume(), self.pyramid(), &params, BUDGET, &Never)?;
+        exact("number of triangles", triangles, FITTED_TRIANGLES)
+    }
+
+    fn derive(&mut self) -> Result<(), Finding> {
+        let feature = Feature::Derived(DerivedFeature::GradientMagnitude);
+        near_histogram(&self.engine.histogram(self.volume(), feature)?, GRADIENT)?;
+        let iso = Isovalue::new(ISOVALUE)?;
+        let pyramid = self.engine.build_pyramid(self.volume(), feature, iso, &Never)?;
+        exact("number of triangles", pyramid.full_triangles(), FULL_TRIANGLES)?;
+        let curvature = Feature::Derived(DerivedFeature::MeanCurvature);
+        near_histogram(&self.engine.histogram(self.volume(), curvature)?, CURVATURE)?;
+        let lengths = DIMS.map(|n| (1..n).map(|i| 1.0 + (i % 3) as f32 / 4.0).collect());
+        let uneven = RectilinearGrid::uneven(grid()?, lengths)?;
+        let mut upload = self.engine.begin_upload(&uneven, self.sample_type, None)?;
+        self.engine.continue_upload(&mut upload, &samples(self.sample_type))?;
+        let uneven = self.engine.finish_upload(upload)?;
+        near_histogram(&self.engine.histogram(&uneven, feature)?, UNEVEN_GRADIENT)
+    }
+
+    fn tree(&mut self) -> Result<(), Finding> {
+        let params = CutParams {
+            mesher: Mesher::Dual,
+            ..CutParams::paper(0.0)
+        };
+        let tree = self.engine.build_tree(self.volume(), self.pyramid(), &params, &Never)?;
+        exact("number of triangles", tree.full_triangles(), FULL.triangles)?;
+        self.tree = Some(tree);
+        Ok(())
+    }
+
+    fn tree_cut(&mut self) -> Result<(), Finding> {
+        let surface = self.engine.tree_surface(
+            self.volume(),
+            self.pyramid(),
+            self.built_tree(),
+            &tree_params(),
+            &tree_goal(),
+            &Never,
+        )?;
+        TREE.check(&surface.0)
+    }
+
+    fn error(&mut self) -> Result<(), Finding> {
+        let params = CutParams {
+            mesher: Mesher::Dual,
+            beta: BETA,
+            ..CutParams::paper(0.0)
+        };
+        let measured = self
+            .engine
+            .measure_error(self.volume(), self.pyramid(), &params, &Never)?;
+        near("mean error", measured.whole.rms, ERROR[0])?;
+        near("largest error", measured.whole.max, ERROR[1])?;
+        let measured = self.engine.measure_tree_error(
+            self.volume(),
+            self.pyramid(),
+            self.built_tree(),
+            &tree_params(),
+            &tree_goal(),
+            &Never,
+        )?;
+        near("mean error of a tree's cut", measured.whole.rms, TREE_ERROR)
+    }
+
+    fn shown_cut(&self) -> Result<ShownCut<'_>, Finding> {
+        let (volume, pyramid) = (self.volume(), self.pyramid());
+        let cut =
+            self.engine
+                .shown_tree_cut(volume, pyramid, self.built_tree(), &tree_params(), &tree_goal(), &Never)?;
+        Ok(cut)
+    }
+
+    fn probe(&mut self) -> Result<(), Finding> {
+        let (volume, pyramid) = (self.volume(), self.pyramid());
+        // Beside the surface.
+        let at = [5.3, 17.5, 16.5];
+        let cut = self.shown_cut()?;
+        let probed = self.engine.probe(volume, pyramid, &tree_params(), at, Some(&cut))?;
+        let Some(probed) = probed else {
+            return exact("found a vertex", false, true);
+        };
+        near("distance", probed.distance, PROBED[0])?;
+        near("area of the part", probed.part.map_or(0.0, |part| part.area), PROBED[1])
+    }
+
+    fn slice(&mut self) -> Result<(), Finding> {
+        let bytes = self.engine.slice(self.volume(), 2, 11)?;
+        let plane = (DIMS[0] * DIMS[1]) as usize;
+        let expected: Vec<u8> = match self.sample_type {
+            SampleType::U8 | SampleType::I8 => values().map(|v| v as u8).skip(11 * plane).take(plane).collect(),
+            SampleType::U16 | SampleType::I16 => (values().skip(11 * plane).take(plane))
+                .flat_map(|v| (v as u16).to_ne_bytes())
+                .collect(),
+            SampleType::F32 => (values().skip(11 * plane).take(plane))
+                .flat_map(|v| (v as f32).to_ne_bytes())
+                .collect(),
+        };
+        exact("samples of a slice", bytes == expected, true)
+    }
+
+    fn distribution(&mut self) -> Result<(), Finding> {
+        let (volume, pyramid) = (self.volume(), self.pyramid());
+        let counts = self
+            .engine
+            .distribution(volume, pyramid, &tree_params(), &self.shown_cut()?, 8)?;
+        let sum = |bins: &[u32]| bins.iter().map(|&n| u64::from(n)).sum::<u64>();
+        exact("number of leaves", [sum(&counts.all), sum(&counts.coarse)], LEAVES)
+    }
+
+    fn curve(&mut self) -> Result<(), Finding> {
+        let (volume, pyramid) = (self.volume(), self.pyramid());
+        let curve = self
+            .engine
+            .error_curve(volume, pyramid, &tree_params(), &self.shown_cut()?, &Never)?;
+        let ends = [curve.first(), curve.last()].map(|point| point.map_or(0, |point| point.triangles));
+        exact("triangles at the ends", ends, CURVE)
+    }
+
+    fn march(&mut self) -> Result<(), Finding> {
+        let params = CutParams::paper(BETA);
+        let surface = self
+            .engine
+            .peel(self.volume(), self.pyramid(), &params, Level::FINEST, &Never)?;
+        exact("number of triangles", surface.statistics.triangles, MARCHED[0])?;
+        exact("number of vertices", surface.statistics.vertices, MARCHED[1])
+    }
+
+    fn distance(&mut self) -> Result<(), Finding> {
+        let (volume, pyramid) = (self.volume(), self.pyramid());
+        let params = CutParams {
+            mesher: Mesher::Dual,
+            beta: BETA,
+            ..CutParams::paper(0.0)
+        };
+        let surface = self.engine.peel(volume, pyramid, &params, Level::FINEST, &Never)?;
+        let distances = self
+            .engine
+            .vertex_distances(volume, pyramid, &surface.regions, &Never)?;
+        let distances = distances.into_iter().flatten();
+        near(
+            "largest distance of a vertex",
+            distances.fold(0.0, f32::max),
+            VERTEX_DISTANCE,
+        )
+    }
+
+    fn evaluate(&mut self) -> Result<(), Finding> {
+        // 2 v - v
+        let doubled = Expression::new(vec![
+            Op::Field(0),
+            Op::Number(2.0),
+            Op::Binary(Binary::Multiply, 0, 1),
+            Op::Binary(Binary::Subtract, 2, 0),
+        ])?;
+        let field = self.engine.evaluate(&doubled, &[self.volume()], &Never)?;
+        let found = self.engine.download(&field, 0..DIMS[2])?;
+        exact("an expression's values", found == samples(SampleType::F32), true)
+    }
+
+    fn distance_field(&mut self) -> Result<(), Finding> {
+        let inside = Expression::new(vec![
+            Op::Field(0),
+            Op::Number(1.0),
+            Op::Number(0.0),
+            Op::Compare(Comparison::Below, 0, 1),
+            Op::Select(3, 1, 2),
+        ])?;
+        let field = self.engine.distance_field(&inside, &[self.volume()], &Never)?;
+        let Some(field) = field else {
+            return exact("found a distance field", false, true);
+        };
+        let corner = self.engine.value_at(&field, [0.0; 3])?;
+        near("distance at a corner", corner.unwrap_or(f32::NAN), CORNER_DISTANCE)
+    }
+}
+
+fn tree_params() -> CutParams {
+    CutParams {
+        mesher: Mesher::Dual,
+        ..CutParams::paper(0.0)
+    }
+}
+
+fn tree_goal() -> TreeGoal {
+    TreeGoal {
+        tolerance: 0.0,
+        max_triangles: TREE_BUDGET,
+        max_tolerance: f32::INFINITY,
+        without: PartFilter {
+            min_area: f32::MIN_POSITIVE,
+            chosen: None,
+        },
+    }
+}
