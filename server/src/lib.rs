@@ -5,6 +5,7 @@
 //! - [`error`], `math`, `pool`, [`problem`]: error chains, vectors, the CPU pool, HTTP errors.
 //! - [`view`]: what a user asks for, as JSON.
 //! - [`volumes`]: file formats, datasets and the catalog.
+//! - [`device`]: which device is used, and whether it is to be believed.
 //! - [`extraction`]: from a view to a surface: the bounded queue to the device, budgets. Only this layer drives the
 //!   kernels' engine, apart from the commands `bench` and `devices`.
 //! - [`wire`]: messages and chunks of the stream, as bytes. Normative: `PROTOCOL.md`.
@@ -18,6 +19,7 @@
 
 pub mod access;
 pub mod cli;
+pub mod device;
 pub mod error;
 pub mod export;
 pub mod extraction;

@@ -7,6 +7,10 @@ use isopeel::cli::{self, LogFormat};
 use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
+    for (name, folder) in isopeel::device::cache::driver_folders() {
+        // SAFETY: this is the only thread so far.
+        unsafe { std::env::set_var(name, folder) };
+    }
     let cli = match cli::settings::parse() {
         Ok(cli) => cli,
         Err(error) => return failed(&error),

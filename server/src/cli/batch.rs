@@ -10,6 +10,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
 use super::jobs::{cost, file_name, first_failure, progress_bar, read_request_file};
+use crate::cli::device::DeviceArgs;
 use crate::extraction::{DeviceWorker, Extractor};
 use crate::jobs::{
     JobError, JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, OpenError, StateFolder, StateFolderError,
@@ -36,9 +37,8 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     state_folder: Option<PathBuf>,
 
-    /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
-    #[arg(long, value_name = "SEL")]
-    device: Option<String>,
+    #[command(flatten)]
+    device: DeviceArgs,
 
     /// Frame of all positions: LPS (left, back and head of a patient are positive), RAS (right, front, head), or index, which counts
     /// samples. Volumes that do not say where a patient's sides are keep their own axes in the first two
@@ -102,6 +102,7 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
     dataset.set_frame(args.frame);
     request.volume = dataset.id.clone();
     let mut catalog = Catalog::default();
+    let types = dataset.fields.iter().map(|field| field.sample_type).collect();
     catalog.add(dataset);
     let output = |source| BatchError::Output {
         path: args.output.clone(),
@@ -114,7 +115,7 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
     runtime.block_on(async {
         // Before the device is opened: PoCL's compiler ends the process in a handler of its own, unless it finds another one that it calls.
         let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-        let worker = DeviceWorker::start(args.device.clone())?;
+        let worker = DeviceWorker::start_with(args.device.options(types, |text| tracing::info!("{text}")))?;
         let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
         let stop = CancellationToken::new();
         // The store counts in 63 bits.

@@ -12,6 +12,7 @@ use clap::ArgGroup;
 use isopeel_kernels::{Histogram, MAX_LEVEL};
 use tokio_util::sync::CancellationToken;
 
+use crate::cli::device::DeviceArgs;
 use crate::export::{ExportError, Format};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
@@ -140,9 +141,8 @@ pub struct Args {
     #[arg(long, value_name = "FRAME", default_value = "LPS")]
     frame: Frame,
 
-    /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
-    #[arg(long, value_name = "SEL")]
-    device: Option<String>,
+    #[command(flatten)]
+    device: DeviceArgs,
 
     /// File to write; its extension is the format: .glb (in metres, Y up), .ply, .stl or .vtp
     #[arg(short, long, value_name = "OUT")]
@@ -239,7 +239,10 @@ async fn extract(
 ) -> Result<(), ExtractError> {
     let progress = Progress::new();
     progress.say("opening the device");
-    let worker = DeviceWorker::start(args.device.clone())?;
+    let types = volume.dataset().fields.iter().map(|field| field.sample_type).collect();
+    let preparing = progress.clone();
+    let options = args.device.options(types, move |text| preparing.say(text));
+    let worker = DeviceWorker::start_with(options)?;
     let device = worker.ready().await?;
     progress.say(&format!("extracting on {}", device.name.trim()));
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
@@ -395,7 +398,8 @@ fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, ExtractEr
     })
 }
 
-/// What is being done, on stderr where that is a terminal.
+/// What is being done, on stderr if that is a terminal.
+#[derive(Clone)]
 struct Progress {
     shown: bool,
     start: Instant,

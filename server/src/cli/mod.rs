@@ -2,6 +2,7 @@
 
 pub mod batch;
 pub mod bench;
+pub mod device;
 pub mod devices;
 pub mod extract;
 pub mod info;
@@ -55,8 +56,8 @@ pub enum Command {
     Batch(batch::Args),
     /// Say what a volume is: dimensions, type, spacing, range and histogram of every field
     Info(InfoArgs),
-    /// List the OpenCL devices, the preferred one first
-    Devices,
+    /// List the OpenCL devices, the preferred one first; with --check, say which of them compute rightly
+    Devices(devices::Args),
     /// Time every stage on volumes made on the device, against the device's own speed; one JSON object a line
     Bench(bench::Args),
 }
@@ -84,7 +85,7 @@ impl Command {
             | Self::Token(_)
             | Self::Batch(_)
             | Self::Info(_)
-            | Self::Devices
+            | Self::Devices(_)
             | Self::Bench(_) => "warn",
         }
     }
@@ -111,7 +112,7 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
             }
             Ok(print(&text)?)
         }
-        Command::Devices => Ok(devices::run()?),
+        Command::Devices(args) => devices::run(&args),
         Command::Bench(args) => Ok(bench::run(&args)?),
     }
 }

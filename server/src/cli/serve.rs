@@ -12,11 +12,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::device::{DeviceArgs, NextEnvironment};
 use crate::access::{
     Access, AllowedOrigin, Audit, AuditError, PublicUrl, Rates, Token, TokenError, TokenFile, TokenFileError,
     TokenWatch, TrustedProxy,
 };
-use crate::extraction::DeviceWorker;
+use crate::extraction::{DeviceOptions, DeviceWorker};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
@@ -46,9 +47,8 @@ pub struct Args {
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8417")]
     listen: ListenAddress,
 
-    /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
-    #[arg(long, value_name = "SEL")]
-    device: Option<String>,
+    #[command(flatten)]
+    device: DeviceArgs,
 
     /// Frame of all positions: LPS (left, back and head of a patient are positive), RAS (right, front, head), or index, which counts
     /// samples. Volumes that do not say where a patient's sides are keep their own axes in the first two
@@ -262,6 +262,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let jobs = folder.map(|folder| (folder, args.job_limits()));
     pool::start_exports()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let next = NextEnvironment::default();
     let (served, worker, address) = runtime.block_on(async {
         let listener = listen(before.as_ref().map_or(&args.listen, |before| &before.listen)).await?;
         let metrics = match &args.metrics_listen {
@@ -270,7 +271,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         };
         let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()))?;
         // After the listener: an address in use is found before a device is opened.
-        let worker = start_worker(args, &catalog, before.is_some())?;
+        let worker = start_worker(args, &catalog, before.is_some(), Arc::clone(&next))?;
         let address = listener.address()?;
         warn_of_network(args, &address);
         if before.is_none() {
@@ -304,7 +305,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let has_ended = worker.end_within(DEVICE_GRACE);
     if matches!(served, Err(ServeError::Spoiled)) {
         tracing::warn!("another process takes the place of this one");
-        return Err(Error::Relaunch(relaunch::relaunch(&address, token.as_ref())));
+        return Err(Error::Relaunch(relaunch::relaunch(&address, token.as_ref(), &next)));
     }
     if !has_ended {
         tracing::warn!("the device is at work still, the process ends without it");
@@ -409,12 +410,21 @@ fn warn_of_network(args: &Args, address: &ListenAddress) {
     }
 }
 
-fn start_worker(args: &Args, catalog: &SharedCatalog, is_patient: bool) -> std::io::Result<DeviceWorker> {
+fn start_worker(
+    args: &Args,
+    catalog: &SharedCatalog,
+    is_patient: bool,
+    next: NextEnvironment,
+) -> std::io::Result<DeviceWorker> {
     let now = catalog.now();
     let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
     let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
     let types = types.into_iter().collect();
-    DeviceWorker::start_with(args.device.clone(), types, is_patient, args.memory.surface_bytes())
+    DeviceWorker::start_with(DeviceOptions {
+        is_patient,
+        surface_bytes: args.memory.surface_bytes(),
+        ..args.device.server_options(types, next)
+    })
 }
 
 /// Who may use the server that listens there.

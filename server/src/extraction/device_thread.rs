@@ -8,7 +8,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use isopeel_kernels::{DeviceInfo, Engine, Error, SampleType};
+use isopeel_kernels::check::{Check, CheckError, STEPS, Scope};
+use isopeel_kernels::{DeviceInfo, Engine, Error, SampleType, Tuning};
 use tokio::sync::{mpsc, watch};
 
 use super::WorkError;
@@ -28,8 +29,8 @@ static OPENING: Mutex<()> = Mutex::new(());
 /// State of the device.
 #[derive(Clone, Debug)]
 pub enum DeviceState {
-    /// Being opened, its programs being built. Jobs wait.
-    Opening,
+    /// Being checked and opened, its programs being built. Jobs wait.
+    Opening(Preparation),
     /// Ready.
     Ready(DeviceInfo),
     /// It was lost, and could not be opened again so far; jobs fail until it can.
@@ -37,19 +38,108 @@ pub enum DeviceState {
     /// It was lost, and its driver is of no use to this process any more; every job fails.
     Spoiled,
     /// Could not be opened when the server started; every job fails.
-    Failed(Arc<Error>),
+    Failed(Arc<OpenError>),
 }
 
-/// What the thread is started with.
-pub(super) struct DeviceThread {
+/// How far a device is with what comes before its first surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Preparation {
+    /// Steps that are done.
+    pub done: usize,
+    /// Steps in all; 0 if that is not known.
+    pub of: usize,
+}
+
+/// Why a device could not be opened.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// There is none, or it does not open.
+    #[error(transparent)]
+    Device(#[from] Error),
+    /// It computes wrong results.
+    #[error(transparent)]
+    Check(#[from] CheckError),
+    /// It is not to be used; the text says why, and what to do.
+    #[error("{0}")]
+    Refused(String),
+}
+
+/// A device that was chosen.
+#[derive(Debug, Default)]
+pub struct Choice {
+    /// Index or a part of its name, as `isopeel devices` lists them; `None`: the first.
     pub selector: Option<String>,
-    /// Programs for these are built before the device is ready.
+    /// How its kernels are built and launched, if not by default.
+    pub tuning: Option<Tuning>,
+}
+
+/// Why there is none.
+#[derive(Debug)]
+pub enum NoChoice {
+    /// None may be used; the text says why, and what to do.
+    Refused(String),
+    /// Only another process can use it.
+    NewProcess,
+}
+
+/// Tells the device's state before it is opened, and what is found out about it later.
+#[derive(Clone)]
+pub struct Report(Arc<watch::Sender<DeviceState>>);
+
+impl Report {
+    /// The device is as far as that. Without effect once it is open.
+    pub fn progress(&self, done: usize, of: usize) {
+        self.0.send_if_modified(|state| {
+            let is_opening = matches!(state, DeviceState::Opening(_));
+            if is_opening {
+                *state = DeviceState::Opening(Preparation { done, of });
+            }
+            is_opening
+        });
+    }
+
+    /// The device is not to be used any more: the server ends with this text.
+    pub fn refuse(&self, why: String) {
+        self.0
+            .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
+    }
+}
+
+/// Chooses the device, on its thread, before it is opened the first time.
+pub type Choose = Box<dyn FnOnce(&Report) -> Result<Choice, NoChoice> + Send>;
+
+/// What a device's thread is started with.
+pub struct DeviceOptions {
+    /// Chooses the device.
+    pub choose: Choose,
+    /// A first surface of these sample types is made before the device is ready, so that no viewer waits for a compiler.
     pub types: Vec<SampleType>,
     /// A device that cannot be opened is waited for, as it was there before.
     pub is_patient: bool,
-    /// What may be kept of earlier edits, where that was set.
+    /// Maximum of what is kept of earlier edits, in bytes; by default [`super::PROCESSOR_BYTES`] if the device is this machine's
+    /// processors, else a third of its memory, and never more than a third.
     pub surface_bytes: Option<u64>,
-    pub state: watch::Sender<DeviceState>,
+}
+
+impl DeviceOptions {
+    /// The device that `selector` names, opened without a check.
+    pub fn unchecked(selector: Option<String>) -> Self {
+        Self {
+            choose: Box::new(|_| Ok(Choice { selector, tuning: None })),
+            types: Vec::new(),
+            is_patient: false,
+            surface_bytes: None,
+        }
+    }
+}
+
+/// A device's thread before it runs.
+pub(super) struct DeviceThread {
+    pub types: Vec<SampleType>,
+    pub is_patient: bool,
+    pub surface_bytes: Option<u64>,
+    pub state: Arc<watch::Sender<DeviceState>>,
     pub memory: watch::Sender<ThreadMemory>,
     pub histograms: Histograms,
     pub pins: Pins,
@@ -57,9 +147,21 @@ pub(super) struct DeviceThread {
 
 impl DeviceThread {
     /// Runs jobs until nobody can queue one any more, or the device cannot be opened.
-    pub(super) fn run(self, waiting: mpsc::Receiver<Job<WorkerState>>) {
+    pub(super) fn run(self, choose: Choose, waiting: mpsc::Receiver<Job<WorkerState>>) {
+        let choice = match choose(&Report(Arc::clone(&self.state))) {
+            Ok(choice) => choice,
+            Err(NoChoice::Refused(why)) => {
+                self.state
+                    .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
+                return;
+            }
+            Err(NoChoice::NewProcess) => {
+                self.state.send_replace(DeviceState::Spoiled);
+                return;
+            }
+        };
         let engine = loop {
-            match self.open() {
+            match self.open(&choice) {
                 Ok(engine) => break engine,
                 Err(error) if self.is_patient && !waiting.is_closed() => self.not_yet(&error),
                 Err(error) => {
@@ -83,25 +185,38 @@ impl DeviceThread {
         self.ready(device);
         Queue::new(waiting, state_memory).run(&mut worker_state, |state, queue| {
             if state.is_lost {
-                self.open_again(state, queue);
+                self.open_again(&choice, state, queue);
             }
         });
     }
 
-    fn open(&self) -> Result<Engine, Error> {
+    /// Opens the device, and makes a first surface of each type: drivers finish compiling when a kernel is first launched.
+    fn open(&self, choice: &Choice) -> Result<Engine, OpenError> {
         // PoCL 3.1 crashes or finds no device where two threads of a process open it at once.
         let _alone = lock(&OPENING);
-        let engine = Engine::open(self.selector.as_deref())?;
-        self.types.iter().try_for_each(|&kind| engine.warm_up(kind))?;
+        let engine = Engine::open_tuned(choice.selector.as_deref(), None, choice.tuning)?;
+        for &sample_type in &self.types {
+            let mut check = Check::new(&engine, sample_type);
+            for step in STEPS.iter().filter(|step| step.scope == Scope::FirstSurface) {
+                check.run(step)?;
+            }
+        }
         Ok(engine)
     }
 
     fn ready(&self, device: DeviceInfo) {
         tracing::info!(device = device.name, platform = device.platform, "device ready");
-        self.state.send_replace(DeviceState::Ready(device));
+        self.state.send_if_modified(|state| {
+            // The check that goes on may have refused it meanwhile.
+            let is_refused = matches!(state, DeviceState::Failed(_));
+            if !is_refused {
+                *state = DeviceState::Ready(device);
+            }
+            !is_refused
+        });
     }
 
-    fn not_yet(&self, error: &Error) {
+    fn not_yet(&self, error: &OpenError) {
         tracing::error!(
             error = crate::error::chain(error),
             "the device cannot be opened again so far"
@@ -115,15 +230,15 @@ impl DeviceThread {
     }
 
     /// Replaces a lost device by one that is opened anew, as soon as there is one.
-    fn open_again(&self, lost: &mut WorkerState, queue: &mut Queue<WorkerState>) {
-        self.state.send_replace(DeviceState::Opening);
+    fn open_again(&self, choice: &Choice, lost: &mut WorkerState, queue: &mut Queue<WorkerState>) {
+        self.state.send_replace(DeviceState::Opening(Preparation::default()));
         // What is held of a lost device may hinder the next one from being opened.
         discard(|| {
             lost.uploads.clear();
             lost.free_all_but(&[]);
         });
         loop {
-            match self.open() {
+            match self.open(choice) {
                 Ok(engine) => {
                     let device = engine.device().clone();
                     let old = std::mem::replace(lost, self.state_on(engine));
@@ -131,7 +246,7 @@ impl DeviceThread {
                     self.ready(device);
                     return;
                 }
-                Err(error) if error.needs_new_process() => {
+                Err(OpenError::Device(error)) if error.needs_new_process() => {
                     tracing::error!(
                         error = crate::error::chain(&error),
                         "the driver is of no use to this process any more"

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::device_thread::OpenError;
 use crate::error::chain;
 use crate::view::EditError;
 use crate::volumes::ReadError;
@@ -84,7 +85,7 @@ pub enum WorkError {
     Device(isopeel_kernels::Error),
     /// The device could not be opened.
     #[error(transparent)]
-    NoDevice(Arc<isopeel_kernels::Error>),
+    NoDevice(Arc<OpenError>),
     /// The device was lost with this job. It is opened again; what was on it is loaded again when it is asked for.
     #[error("the device was lost while it worked on this, and is opened again: try again")]
     DeviceLost,
@@ -128,7 +129,7 @@ impl WorkError {
         match self {
             Self::Unreadable(error) => error.without_folder(),
             Self::Device(error) => of_device(error),
-            Self::NoDevice(error) => of_device(error),
+            Self::NoDevice(error) => of_opening(error),
             other => chain(other),
         }
     }
@@ -141,6 +142,13 @@ impl WorkError {
             Self::OverBytes { triangles, .. } => Some(*triangles),
             _ => None,
         }
+    }
+}
+
+fn of_opening(error: &OpenError) -> String {
+    match error {
+        OpenError::Device(error) => of_device(error),
+        other => chain(other),
     }
 }
 

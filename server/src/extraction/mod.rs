@@ -49,7 +49,7 @@ mod volume_info;
 mod worker;
 mod worker_state;
 
-pub use device_thread::DeviceState;
+pub use device_thread::{Choice, Choose, DeviceOptions, DeviceState, NoChoice, OpenError, Preparation, Report};
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use host_memory::{limit_host_memory, return_freed_memory};

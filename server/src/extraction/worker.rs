@@ -11,11 +11,11 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{DeviceInfo, Histogram, SampleType};
+use isopeel_kernels::{DeviceInfo, Histogram};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::device_thread::{DeviceState, DeviceThread};
+use super::device_thread::{DeviceOptions, DeviceState, DeviceThread, Preparation};
 use super::keys::{HistogramKey, VolumeKey};
 use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
@@ -77,54 +77,43 @@ impl Drop for Shared {
 }
 
 impl DeviceWorker {
-    /// Starts the thread and returns at once; the device opens there ([`DeviceWorker::ready`] waits for it) and jobs
-    /// wait meanwhile. `selector` is an index or a part of a device's name, as `isopeel devices` lists them.
+    /// Starts the thread for the device that `selector` names, an index or a part of a name as `isopeel devices` lists them; otherwise as
+    /// [`DeviceWorker::start_with`].
     ///
     /// # Errors
     /// The thread cannot be started.
     pub fn start(selector: Option<String>) -> std::io::Result<Self> {
-        Self::start_warm(selector, Vec::new())
+        Self::start_with(DeviceOptions::unchecked(selector))
     }
 
-    /// As [`DeviceWorker::start`]. The device becomes ready when its programs for these sample types are built and were run once, so
-    /// that no viewer waits for a compiler.
+    /// Starts the thread and returns at once. The device is chosen and opened there, while jobs wait; [`DeviceWorker::ready`] waits for it.
     ///
     /// # Errors
     /// The thread cannot be started.
-    pub fn start_warm(selector: Option<String>, types: Vec<SampleType>) -> std::io::Result<Self> {
-        Self::start_with(selector, types, false, None)
-    }
-
-    /// As [`DeviceWorker::start_warm`]; where it `is_patient`, a device that cannot be opened is waited for. Keeps at most
-    /// `surface_bytes` of pyramids, trees, cuts and free buffers of earlier edits; by default [`super::PROCESSOR_BYTES`] where the device is this
-    /// machine's processors, else a third of its memory, and never more than a third.
-    ///
-    /// # Errors
-    /// The thread cannot be started.
-    pub fn start_with(
-        selector: Option<String>,
-        types: Vec<SampleType>,
-        is_patient: bool,
-        surface_bytes: Option<u64>,
-    ) -> std::io::Result<Self> {
+    pub fn start_with(options: DeviceOptions) -> std::io::Result<Self> {
+        let DeviceOptions {
+            choose,
+            types,
+            is_patient,
+            surface_bytes,
+        } = options;
         let (jobs, waiting) = mpsc::channel::<Job<WorkerState>>(QUEUED_JOBS);
-        let (state, watched) = watch::channel(DeviceState::Opening);
+        let (state, watched) = watch::channel(DeviceState::Opening(Preparation::default()));
         let (memory, watched_memory) = watch::channel(ThreadMemory::default());
         let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
         let pins = Pins::default();
         let thread = DeviceThread {
-            selector,
             types,
             is_patient,
             surface_bytes,
-            state,
+            state: Arc::new(state),
             memory,
             histograms: Arc::clone(&histograms),
             pins: pins.clone(),
         };
         let thread = std::thread::Builder::new()
             .name("isopeel-device".into())
-            .spawn(move || thread.run(waiting))?;
+            .spawn(move || thread.run(choose, waiting))?;
         Ok(Self {
             shared: Arc::new(Shared {
                 jobs: Some(jobs),
@@ -170,12 +159,12 @@ impl DeviceWorker {
     /// [`WorkError::NoDevice`]: it could not be opened; [`WorkError::Reopening`].
     pub async fn ready(&self) -> Result<DeviceInfo, WorkError> {
         let mut state = self.shared.state.clone();
-        let settled = state.wait_for(|s| !matches!(s, DeviceState::Opening)).await;
+        let settled = state.wait_for(|s| !matches!(s, DeviceState::Opening(_))).await;
         match settled.map(|s| s.clone()) {
             Ok(DeviceState::Ready(info)) => Ok(info),
             Ok(DeviceState::Failed(error)) => Err(WorkError::NoDevice(error)),
             Ok(DeviceState::Lost | DeviceState::Spoiled) => Err(WorkError::Reopening),
-            Ok(DeviceState::Opening) | Err(_) => Err(WorkError::Stopped),
+            Ok(DeviceState::Opening(_)) | Err(_) => Err(WorkError::Stopped),
         }
     }
 
@@ -438,7 +427,7 @@ impl DeviceWorker {
         match self.state() {
             DeviceState::Failed(error) => WorkError::NoDevice(error),
             DeviceState::Lost | DeviceState::Spoiled => WorkError::Reopening,
-            DeviceState::Opening | DeviceState::Ready(_) => WorkError::Stopped,
+            DeviceState::Opening(_) | DeviceState::Ready(_) => WorkError::Stopped,
         }
     }
 }

@@ -4,7 +4,7 @@ use axum::Json;
 use axum::extract::State;
 
 use super::ApiState;
-use crate::extraction::{DeviceState, MemoryUse, WorkError};
+use crate::extraction::{DeviceState, MemoryUse, Preparation, WorkError};
 use crate::problem::{ApiError, Problem};
 
 /// Whether the process answers.
@@ -31,7 +31,10 @@ pub async fn healthz() -> &'static str {
 pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiError> {
     match state.extractor.worker().state() {
         DeviceState::Ready(_) => Ok("ready\n"),
-        DeviceState::Opening => Err(ApiError::busy("the device is being opened")),
+        DeviceState::Opening(Preparation { of: 0, .. }) => Err(ApiError::busy("the device is being opened")),
+        DeviceState::Opening(Preparation { done, of }) => Err(ApiError::busy(format!(
+            "the device is being prepared: {done} of {of} steps are done"
+        ))),
         DeviceState::Lost | DeviceState::Spoiled => Err(WorkError::Reopening.into()),
         DeviceState::Failed(error) => Err(WorkError::NoDevice(error).into()),
     }

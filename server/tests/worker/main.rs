@@ -328,7 +328,10 @@ async fn without_its_device_every_job_says_why() {
     let WorkError::NoDevice(cause) = &error else {
         panic!("{error:?}");
     };
-    assert!(matches!(&**cause, Error::NoDevice { wanted: Some(name), .. } if name == "no such device"));
+    let OpenError::Device(Error::NoDevice { wanted, .. }) = &**cause else {
+        panic!("{cause:?}")
+    };
+    assert_eq!(wanted.as_deref(), Some("no such device"));
     let error = worker.histogram(&volume, "good", &FeatureName::None).await;
     assert!(matches!(error, Err(WorkError::NoDevice(_))));
 }

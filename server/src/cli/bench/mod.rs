@@ -14,9 +14,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use isopeel_kernels::{CutParams, Engine, Topology};
+use isopeel_kernels::{CutParams, Topology};
 use serde::Serialize;
 
+use crate::cli::device::{DeviceArgs, NoDevice};
 use crate::view::quality::MesherName;
 use crate::wire::encode::EncodeError;
 use volumes::{Recipe, TypeName, VolumeName};
@@ -69,9 +70,8 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
 
-    /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first]
-    #[arg(long, value_name = "SEL")]
-    device: Option<String>,
+    #[command(flatten)]
+    device: DeviceArgs,
 }
 
 fn fraction(text: &str) -> Result<f64, String> {
@@ -149,6 +149,9 @@ impl Args {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BenchError {
+    /// There is no device.
+    #[error(transparent)]
+    NoDevice(#[from] NoDevice),
     /// Work on the device failed.
     #[error(transparent)]
     Device(#[from] isopeel_kernels::Error),
@@ -324,7 +327,7 @@ pub fn run(args: &Args) -> Result<(), BenchError> {
 
 /// The device's line, the volumes' files, and the cases that need no server.
 fn stages(args: &Args, recipes: &[Recipe]) -> Result<(), BenchError> {
-    let engine = Engine::open(args.device.as_deref())?;
+    let engine = args.device.open()?;
     let speed = engine.measure()?;
     let info = engine.device();
     print(&DeviceLine {

@@ -10,7 +10,7 @@ mod server;
 use std::sync::Arc;
 use std::time::Duration;
 
-use isopeel_kernels::{Engine, SampleType};
+use isopeel_kernels::SampleType;
 use tokio_tungstenite::tungstenite;
 
 use super::reference::{Counts, count, equal};
@@ -137,7 +137,7 @@ pub(super) fn run(args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
         .map_err(StreamError::Connection)?;
     runtime.block_on(async {
         let id = dataset.id.clone();
-        let server = Server::start(dataset, args.device.clone()).await?;
+        let server = Server::start(dataset, &args.device).await?;
         let mut client = Client::connect(server.address, &id).await?;
         let opening = client.open(0).await?;
         let mut bench = Bench {
@@ -164,7 +164,7 @@ pub(super) fn run(args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
 
 /// The volume in host memory and the counts of its surface. Its engine is closed again: PoCL 3.1 fails with two engines in one process.
 fn dataset(args: &Args, recipe: &Recipe) -> Result<(Dataset, Counts), BenchError> {
-    let engine = Engine::open(args.device.as_deref())?;
+    let engine = args.device.open()?;
     let volume = recipe.generate(&engine)?;
     let counts = count(&engine, &volume, recipe.iso)?;
     let samples = Arc::new(recipe.download(&engine, &volume)?);

@@ -4,10 +4,12 @@
 use std::io;
 use std::os::unix::process::CommandExt;
 use std::process::Command;
+use std::sync::PoisonError;
 
 use serde::{Deserialize, Serialize};
 
 use crate::access::Token;
+use crate::cli::device::NextEnvironment;
 use crate::serve::ListenAddress;
 
 /// Says which file the next process finds [`Handed`] in.
@@ -41,7 +43,7 @@ pub(super) fn before() -> Option<Before> {
 
 /// Starts the next process; returns where that cannot be done.
 #[cfg(target_os = "linux")]
-pub(super) fn relaunch(listen: &ListenAddress, token: Option<&Token>) -> io::Error {
+pub(super) fn relaunch(listen: &ListenAddress, token: Option<&Token>, next: &NextEnvironment) -> io::Error {
     use std::io::Write;
     use std::os::fd::AsRawFd;
 
@@ -64,11 +66,12 @@ pub(super) fn relaunch(listen: &ListenAddress, token: Option<&Token>) -> io::Err
     Command::new("/proc/self/exe")
         .args(std::env::args_os().skip(1))
         .env(VARIABLE, file.as_raw_fd().to_string())
+        .envs(next.lock().unwrap_or_else(PoisonError::into_inner).drain(..))
         .exec()
 }
 
 /// Starts the next process; returns where that cannot be done.
 #[cfg(not(target_os = "linux"))]
-pub(super) fn relaunch(_: &ListenAddress, _: Option<&Token>) -> io::Error {
+pub(super) fn relaunch(_: &ListenAddress, _: Option<&Token>, _: &NextEnvironment) -> io::Error {
     io::ErrorKind::Unsupported.into()
 }

@@ -8,6 +8,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::StreamError;
 use crate::access::Access;
+use crate::cli::device::DeviceArgs;
 use crate::extraction::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
 use crate::volumes::{Catalog, Dataset};
@@ -21,13 +22,13 @@ pub struct Server {
 
 impl Server {
     /// As `isopeel serve` starts it, without a limit of triangles.
-    pub async fn start(dataset: Dataset, device: Option<String>) -> Result<Self, StreamError> {
+    pub async fn start(dataset: Dataset, device: &DeviceArgs) -> Result<Self, StreamError> {
         let types = dataset.fields.iter().map(|field| field.sample_type).collect();
         let mut catalog = Catalog::default();
         catalog.add(dataset);
         let listener = TcpListener::bind("127.0.0.1:0").await?;
         let address = listener.local_addr()?;
-        let worker = DeviceWorker::start_warm(device, types)?;
+        let worker = DeviceWorker::start_with(device.options(types, |_| ()))?;
         let config = Config::new(catalog.into(), worker, Access::new(address, None, &[]));
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(serve::run(listener, config, shutdown.clone().cancelled_owned()));

@@ -1,0 +1,129 @@
+//! Which device a command uses.
+
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use isopeel_kernels::{Engine, SampleType};
+
+use crate::device::{DeviceFailure, Prepared, Unprepared, Wanted, cache, prepare};
+use crate::extraction::{Choice, DeviceOptions, NoChoice, Report};
+
+/// Arguments of commands that use a device.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct DeviceArgs {
+    /// OpenCL device: an index or a part of a name, as `isopeel devices` lists them [default: the first that passes the check]
+    #[arg(long, value_name = "SEL")]
+    device: Option<String>,
+
+    /// Use the device of --device without a check, at your own risk: wrong surfaces are not noticed
+    #[arg(long, requires = "device")]
+    trust_device: bool,
+}
+
+/// Variables that the process needs that takes the place of this one.
+pub(super) type NextEnvironment = Arc<Mutex<Vec<(String, String)>>>;
+
+/// Why a command has no device.
+#[derive(Debug, thiserror::Error)]
+pub enum NoDevice {
+    /// No device passed.
+    #[error(transparent)]
+    Failed(#[from] DeviceFailure),
+    /// The device that passed does not open.
+    #[error(transparent)]
+    Open(#[from] isopeel_kernels::Error),
+    /// Another process with the environment that the device needs could not be started.
+    #[error("a process with the environment that the device needs could not be started")]
+    NewProcess(#[source] std::io::Error),
+}
+
+impl DeviceArgs {
+    fn wanted(&self, types: Vec<SampleType>, early: bool) -> Wanted {
+        Wanted {
+            selector: self.device.clone(),
+            types,
+            trusts: self.trust_device,
+            early,
+            folder: cache::folder(),
+        }
+    }
+
+    /// A worker's options for a command: all of the check comes before its first result.
+    pub(super) fn options(&self, types: Vec<SampleType>, say: impl Fn(&str) + Send + 'static) -> DeviceOptions {
+        let wanted = self.wanted(types.clone(), false);
+        let choose = move |_: &Report| {
+            let progress =
+                |done: usize, of: usize| say(&format!("preparing the device: {done} of {of} steps are done"));
+            match prepare(&wanted, &progress) {
+                Ok(prepared) => Ok(choice(&prepared)),
+                Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
+                Err(Unprepared::NewProcess(environment)) => Err(NoChoice::Refused(
+                    NoDevice::NewProcess(start_again(&environment)).to_string(),
+                )),
+            }
+        };
+        DeviceOptions {
+            choose: Box::new(choose),
+            types,
+            ..DeviceOptions::unchecked(None)
+        }
+    }
+
+    /// A worker's options for a server, which is ready for a first surface while the rest of the check runs.
+    pub(super) fn server_options(&self, types: Vec<SampleType>, next: NextEnvironment) -> DeviceOptions {
+        let wanted = self.wanted(types.clone(), true);
+        let choose = move |report: &Report| match prepare(&wanted, &|done, of| report.progress(done, of)) {
+            Ok(mut prepared) => {
+                if let Some(rest) = prepared.rest.take() {
+                    let report = report.clone();
+                    // Children end with the thread that started them: this one, which is the device's.
+                    std::thread::spawn(move || {
+                        if let Err(failure) = rest.wait(&|_, _| ()) {
+                            tracing::error!("{failure}");
+                            report.refuse(failure.to_string());
+                        }
+                    });
+                }
+                Ok(choice(&prepared))
+            }
+            Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
+            Err(Unprepared::NewProcess(environment)) => {
+                *next.lock().unwrap_or_else(PoisonError::into_inner) = environment;
+                Err(NoChoice::NewProcess)
+            }
+        };
+        DeviceOptions {
+            choose: Box::new(choose),
+            types,
+            ..DeviceOptions::unchecked(None)
+        }
+    }
+
+    /// Opens the device in this thread.
+    ///
+    /// # Errors
+    /// [`NoDevice`].
+    pub(super) fn open(&self) -> Result<Engine, NoDevice> {
+        match prepare(&self.wanted(Vec::new(), false), &|_, _| ()) {
+            Ok(prepared) => Ok(Engine::open_tuned(prepared.selector.as_deref(), None, prepared.tuning)?),
+            Err(Unprepared::Failed(failure)) => Err(failure.into()),
+            Err(Unprepared::NewProcess(environment)) => Err(NoDevice::NewProcess(start_again(&environment))),
+        }
+    }
+}
+
+fn choice(prepared: &Prepared) -> Choice {
+    Choice {
+        selector: prepared.selector.clone(),
+        tuning: prepared.tuning,
+    }
+}
+
+/// The same command in place of this process, with more in its environment. Returns if that fails.
+fn start_again(environment: &[(String, String)]) -> std::io::Error {
+    Command::new("/proc/self/exe")
+        .args(std::env::args_os().skip(1))
+        .envs(environment.iter().map(|(name, value)| (name, value)))
+        .exec()
+}

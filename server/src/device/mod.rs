@@ -1,0 +1,21 @@
+//! Which device is used, and whether it is to be believed.
+//!
+//! Drivers crash, hang and compile kernels wrongly. So this process neither lists nor tries a device that it does not know: children do
+//! ([`child`]), one of them each combination of device, driver version and isopeel version when it is first used. They compile its kernels
+//! at the same time, which the drivers keep on disk. What is found is kept ([`verdicts`]).
+//!
+//! - [`setup`]: ways to use a device, the workarounds among them.
+//! - [`child`]: what a child process does; [`run`]: how its parent sees it.
+//! - [`prepare`]: from a selector to a device that passed.
+//! - [`cache`]: the folder of compiled kernels and verdicts.
+
+pub mod cache;
+pub mod child;
+mod listing;
+pub mod prepare;
+mod run;
+pub mod setup;
+mod verdicts;
+
+pub use listing::{Listed, Unlisted, list};
+pub use prepare::{Checked, DeviceFailure, Prepared, Unprepared, Wanted, check_all, prepare};

@@ -1,0 +1,399 @@
+//! From a selector to a device that passed the check.
+
+use std::path::PathBuf;
+use std::thread::available_parallelism;
+
+use isopeel_kernels::{DeviceInfo, Engine, SampleType, Tuning};
+use serde::{Deserialize, Serialize};
+
+use super::child::{Message, Request};
+use super::listing::{Listed, list};
+use super::run::{Ended, Environment, Running};
+use super::setup::{DeviceId, Workaround, type_name};
+use super::verdicts::Verdicts;
+
+/// Names what a process has chosen for the one that takes its place: it checks nothing once more.
+const CHOSEN: &str = "ISOPEEL_DEVICE_CHOSEN";
+
+/// Programs that a first surface needs and that take longest to compile come first.
+const SLOW_STAGES: [&str; 4] = ["dual", "construct", "classify", "cut"];
+
+/// What is wanted.
+#[derive(Clone, Debug, Default)]
+pub struct Wanted {
+    /// Index or part of a name; `None`: the first that passes.
+    pub selector: Option<String>,
+    /// Types of the samples to be computed with.
+    pub types: Vec<SampleType>,
+    /// Use it without a check.
+    pub trusts: bool,
+    /// Return when a first surface can be made, and check the rest meanwhile.
+    pub early: bool,
+    /// Folder of verdicts; `None`: nothing is kept.
+    pub folder: Option<PathBuf>,
+}
+
+/// A device that may be opened.
+pub struct Prepared {
+    /// Which, for [`Engine::open_tuned`].
+    pub selector: Option<String>,
+    /// How its kernels are built and launched, if not by default.
+    pub tuning: Option<Tuning>,
+    /// The rest of the check, which still runs.
+    pub rest: Option<Rest>,
+}
+
+/// Why there is no device to be opened by this process.
+#[derive(Debug)]
+pub enum Unprepared {
+    /// No device passed.
+    Failed(DeviceFailure),
+    /// Another process can: one with these variables in its environment.
+    NewProcess(Environment),
+}
+
+/// Why no device is used.
+#[derive(Debug, thiserror::Error)]
+pub enum DeviceFailure {
+    /// No device passed the check.
+    #[error(
+        "no OpenCL device passes the check, so that none is used:\n{report}\nUpdate or replace the driver (docs/opencl-drivers.md says which \
+         were tested), choose another device with --device, or use one all the same, at your own risk, with --device and --trust-device"
+    )]
+    Unreliable {
+        /// A line for each way that was tried.
+        report: String,
+    },
+    /// No device can be listed.
+    #[error("{0}")]
+    Nothing(String),
+}
+
+/// A way to use a device that was tried, and what came of it.
+#[derive(Clone, Debug)]
+pub struct Checked {
+    /// The device.
+    pub device: DeviceInfo,
+    /// Each way that was tried, the one that passed last.
+    pub tried: Vec<(Workaround, Option<Ended>)>,
+}
+
+impl Checked {
+    /// The way that passed.
+    pub fn passed(&self) -> Option<Workaround> {
+        let (workaround, ended) = self.tried.last()?;
+        ended.is_none().then_some(*workaround)
+    }
+
+    /// Sentences for the ways that failed, a line each.
+    pub fn report(&self) -> String {
+        let device = DeviceId::of(&self.device);
+        let failed = self.tried.iter().filter_map(|(workaround, ended)| {
+            let ended = ended.as_ref()?;
+            Some(format!("  {device}, with {}: {ended}", workaround.text()))
+        });
+        failed.collect::<Vec<_>>().join("\n")
+    }
+}
+
+/// The rest of a check that runs while a device is in use.
+pub struct Rest {
+    child: Building,
+    device: DeviceId,
+    workaround: Workaround,
+    types: Vec<String>,
+    verdicts: Verdicts,
+}
+
+impl Rest {
+    /// Waits for its end, and keeps the verdict.
+    ///
+    /// # Errors
+    /// What was found wrong.
+    pub fn wait(mut self, progress: &dyn Fn(usize, usize)) -> Result<(), DeviceFailure> {
+        let ended = self.child.follow(progress, false).err();
+        match ended {
+            None => {
+                keep(&self.verdicts, &self.device, &self.types, self.workaround);
+                Ok(())
+            }
+            Some(ended) => {
+                self.verdicts.forget(&self.device);
+                Err(DeviceFailure::Unreliable {
+                    report: format!("  {}, with {}: {ended}", self.device, self.workaround.text()),
+                })
+            }
+        }
+    }
+}
+
+/// What a process hands to the one that takes its place.
+#[derive(Serialize, Deserialize)]
+struct Chosen {
+    index: usize,
+    workaround: Workaround,
+}
+
+/// Chooses a device: the one that is wanted, or the first that passes the check. `progress`: steps done, and steps in all.
+///
+/// # Errors
+/// [`Unprepared`].
+pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepared, Unprepared> {
+    if let Some(chosen) = chosen_before() {
+        return Ok(prepared_as(chosen));
+    }
+    let as_is = || Prepared {
+        selector: wanted.selector.clone(),
+        tuning: None,
+        rest: None,
+    };
+    let listed = list(wanted.folder.as_deref());
+    for broken in &listed.broken {
+        tracing::warn!(
+            "the OpenCL driver of {} is left out: {}",
+            broken.icd.display(),
+            broken.why
+        );
+    }
+    let candidates = candidates(wanted, &listed);
+    if candidates.is_empty() {
+        if !listed.broken.is_empty() {
+            return Err(nothing(&listed));
+        }
+        // The loader's own words are right: no loader, no driver, no such device.
+        return Ok(as_is());
+    }
+    if wanted.trusts {
+        return with_environment(&listed, candidates[0], Workaround::None, None);
+    }
+    let verdicts = Verdicts::new(wanted.folder.as_deref());
+    let types = names_of(&wanted.types);
+    let mut reports = Vec::new();
+    for device in candidates {
+        let id = DeviceId::of(device);
+        if let Some(workaround) = verdicts.find(&id, &types) {
+            return with_environment(&listed, device, workaround, None);
+        }
+        tracing::info!(
+            device = device.name,
+            "the device is new to this isopeel, and is checked first"
+        );
+        let (checked, child) = check(device, &types, &listed.environment, wanted.early, progress);
+        if let Some(workaround) = checked.passed() {
+            if workaround != Workaround::None {
+                tracing::warn!(
+                    "{id} is used with {}, as it fails otherwise:\n{}",
+                    workaround.text(),
+                    checked.report()
+                );
+            }
+            let rest = child.map(|child| Rest {
+                child,
+                device: id.clone(),
+                workaround,
+                types: types.clone(),
+                verdicts: Verdicts::new(wanted.folder.as_deref()),
+            });
+            if rest.is_none() {
+                keep(&verdicts, &id, &types, workaround);
+            }
+            return with_environment(&listed, device, workaround, rest);
+        }
+        tracing::warn!("{id} is not used:\n{}", checked.report());
+        reports.push(checked.report());
+    }
+    Err(Unprepared::Failed(DeviceFailure::Unreliable {
+        report: reports.join("\n"),
+    }))
+}
+
+/// Checks all devices anew, for a report.
+pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (Listed, Vec<Checked>) {
+    let listed = list(folder.as_deref());
+    let verdicts = Verdicts::new(folder.as_deref());
+    let types = names_of(&[]);
+    let checked = listed.devices.iter().map(|device| {
+        let (checked, _) = check(device, &types, &listed.environment, false, progress);
+        let id = DeviceId::of(device);
+        match checked.passed() {
+            Some(workaround) => keep(&verdicts, &id, &types, workaround),
+            None => verdicts.forget(&id),
+        }
+        checked
+    });
+    let checked = checked.collect();
+    (listed, checked)
+}
+
+fn nothing(listed: &Listed) -> Unprepared {
+    let broken = listed.broken.iter();
+    let broken: Vec<_> = broken
+        .map(|one| format!("  the driver of {}: {}", one.icd.display(), one.why))
+        .collect();
+    Unprepared::Failed(DeviceFailure::Unreliable {
+        report: broken.join("\n"),
+    })
+}
+
+fn keep(verdicts: &Verdicts, device: &DeviceId, types: &[String], workaround: Workaround) {
+    if let Err(error) = verdicts.keep(device, types, workaround) {
+        tracing::warn!(
+            "that {device} passed the check cannot be kept, so that the next start checks it again: {error}"
+        );
+    }
+}
+
+/// Types to check: those wanted, and that of computed fields.
+fn names_of(types: &[SampleType]) -> Vec<String> {
+    let mut names: Vec<_> = types.iter().map(|&one| type_name(one).to_owned()).collect();
+    names.push(type_name(SampleType::F32).to_owned());
+    names.sort();
+    names.dedup();
+    names
+}
+
+/// The devices that may be used, preferred first.
+fn candidates<'a>(wanted: &Wanted, listed: &'a Listed) -> Vec<&'a DeviceInfo> {
+    let Some(selector) = &wanted.selector else {
+        return listed.devices.iter().collect();
+    };
+    let found = isopeel_kernels::device::position(&listed.devices, selector);
+    found.map(|at| &listed.devices[at]).into_iter().collect()
+}
+
+/// Tries one workaround after another. A child that goes on with the rest of the check is returned.
+fn check(
+    device: &DeviceInfo,
+    types: &[String],
+    environment: &Environment,
+    early: bool,
+    progress: &dyn Fn(usize, usize),
+) -> (Checked, Option<Building>) {
+    let mut checked = Checked {
+        device: device.clone(),
+        tried: Vec::new(),
+    };
+    for workaround in Workaround::of(device) {
+        let mut environment = environment.clone();
+        environment.extend(pair(workaround.environment()));
+        let outcome = Building::start(device, types, workaround, &environment)
+            .and_then(|mut child| child.follow(progress, early).map(|()| child));
+        match outcome {
+            Ok(child) => {
+                checked.tried.push((workaround, None));
+                return (checked, early.then_some(child));
+            }
+            Err(ended) => {
+                tracing::debug!("{} with {}: {ended}", device.name, workaround.text());
+                checked.tried.push((workaround, Some(ended)));
+            }
+        }
+    }
+    (checked, None)
+}
+
+fn pair(variable: Option<(&str, &str)>) -> Option<(String, String)> {
+    variable.map(|(name, value)| (name.to_owned(), value.to_owned()))
+}
+
+/// A child that checks, and others that compile what it needs next.
+struct Building {
+    check: Running,
+    /// Dropped with it, which ends them.
+    _builders: Vec<Running>,
+}
+
+impl Building {
+    fn start(
+        device: &DeviceInfo,
+        types: &[String],
+        workaround: Workaround,
+        environment: &Environment,
+    ) -> Result<Self, Ended> {
+        let check = Request::Check {
+            index: device.index,
+            workaround,
+            types: types.to_vec(),
+        };
+        let check = Running::start(&check, environment)?;
+        let builders = available_parallelism().map_or(1, |count| count.get() - 1).max(1);
+        let mut shares = vec![Vec::new(); builders];
+        let others = Engine::stages().filter(|stage| !SLOW_STAGES.contains(stage));
+        for (at, stage) in SLOW_STAGES.into_iter().chain(others).enumerate() {
+            shares[at % builders].push(stage.to_owned());
+        }
+        let start = |stages| {
+            let request = Request::Build {
+                index: device.index,
+                workaround,
+                stages,
+                types: types.to_vec(),
+            };
+            Running::start(&request, environment)
+        };
+        let started = shares.into_iter().filter(|stages| !stages.is_empty()).map(start);
+        Ok(Self {
+            check,
+            _builders: started.collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// Waits for the end of the check, or until a first surface can be made.
+    fn follow(&mut self, progress: &dyn Fn(usize, usize), early: bool) -> Result<(), Ended> {
+        while let Some(message) = self.check.next()? {
+            match message {
+                Message::Begin { done, of, .. } => progress(done, of),
+                Message::FirstSurface if early => return Ok(()),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The device as this process may open it, or the environment that it takes.
+fn with_environment(
+    listed: &Listed,
+    device: &DeviceInfo,
+    workaround: Workaround,
+    rest: Option<Rest>,
+) -> Result<Prepared, Unprepared> {
+    let mut environment = listed.environment.clone();
+    environment.extend(pair(workaround.environment()));
+    let is_set = |(name, value): &(String, String)| std::env::var(name).is_ok_and(|now| now == *value);
+    if environment.iter().all(is_set) {
+        return Ok(Prepared {
+            selector: Some(device.index.to_string()),
+            tuning: workaround.tuning(device),
+            rest,
+        });
+    }
+    // The next process believes what this one found, so all of it must be known.
+    if let Some(rest) = rest {
+        rest.wait(&|_, _| ()).map_err(Unprepared::Failed)?;
+    }
+    let chosen = Chosen {
+        index: device.index,
+        workaround,
+    };
+    if let Ok(text) = serde_json::to_string(&chosen) {
+        environment.push((CHOSEN.to_owned(), text));
+    }
+    Err(Unprepared::NewProcess(environment))
+}
+
+/// What the process before this one has chosen.
+fn chosen_before() -> Option<Chosen> {
+    serde_json::from_str(&std::env::var(CHOSEN).ok()?).ok()
+}
+
+fn prepared_as(chosen: Chosen) -> Prepared {
+    // The environment leaves out drivers that cannot be listed.
+    let device = isopeel_kernels::device::list().ok();
+    let device = device.as_ref().and_then(|devices| devices.get(chosen.index));
+    Prepared {
+        selector: Some(chosen.index.to_string()),
+        tuning: device.and_then(|device| chosen.workaround.tuning(device)),
+        rest: None,
+    }
+}

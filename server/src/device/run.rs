@@ -1,0 +1,200 @@
+//! A child process as its parent sees it: its messages, and how it ended.
+
+use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::ExitStatusExt;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::Duration;
+
+use super::child::{Message, Request};
+
+/// Longest time between two messages of a child. Slow compilers take minutes for a large kernel; `ISOPEEL_CHECK_SECONDS` sets another.
+const STEP_LIMIT: Duration = Duration::from_secs(600);
+
+/// Bytes of a child's standard error that a report may quote.
+const QUOTED_BYTES: usize = 600;
+
+/// Variables of the environment beside the parent's own.
+pub(super) type Environment = Vec<(String, String)>;
+
+/// How a child ended that did not say [`Message::Done`].
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum Ended {
+    /// By a signal, or with an exit code that it does not use.
+    #[error("the driver ended the process in stage {stage} ({how}){quoted}")]
+    Crashed {
+        /// Stage it was in.
+        stage: String,
+        /// The signal or exit code.
+        how: String,
+        /// What was written on standard error.
+        quoted: String,
+    },
+    /// It said nothing for too long.
+    #[error("stage {stage} did not end within {seconds} s")]
+    Hung {
+        /// Stage it was in.
+        stage: String,
+        /// The limit.
+        seconds: u64,
+    },
+    /// It found an error.
+    #[error("{0}")]
+    Wrong(String),
+    /// It could not be started.
+    #[error("the check could not be started: {0}")]
+    NotStarted(String),
+}
+
+/// A running child.
+pub(super) struct Running {
+    child: Child,
+    lines: Receiver<String>,
+    errors: Receiver<String>,
+    stage: String,
+}
+
+fn step_limit() -> Duration {
+    let seconds = std::env::var("ISOPEEL_CHECK_SECONDS").ok();
+    let seconds = seconds.and_then(|text| text.parse().ok());
+    seconds.map_or(STEP_LIMIT, Duration::from_secs)
+}
+
+impl Running {
+    /// Starts a child, which ends with the calling thread.
+    pub fn start(request: &Request, environment: &Environment) -> Result<Self, Ended> {
+        let failed = |error: std::io::Error| Ended::NotStarted(error.to_string());
+        let text = serde_json::to_string(request).map_err(|error| Ended::NotStarted(error.to_string()))?;
+        let mut command = Command::new(program().map_err(failed)?);
+        command
+            .args(["devices", "--child", &text])
+            .envs(environment.iter().map(|(name, value)| (name, value)))
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        end_with_parent(&mut command);
+        let mut child = command.spawn().map_err(failed)?;
+        let lines = lines_of(child.stdout.take());
+        let errors = tail_of(child.stderr.take());
+        Ok(Self {
+            child,
+            lines,
+            errors,
+            stage: "open".to_owned(),
+        })
+    }
+
+    /// The next message; `None` after [`Message::Done`].
+    pub fn next(&mut self) -> Result<Option<Message>, Ended> {
+        loop {
+            let line = match self.lines.recv_timeout(step_limit()) {
+                Ok(line) => line,
+                Err(RecvTimeoutError::Timeout) => {
+                    return Err(Ended::Hung {
+                        stage: self.stage.clone(),
+                        seconds: step_limit().as_secs(),
+                    });
+                }
+                Err(RecvTimeoutError::Disconnected) => return Err(self.crashed()),
+            };
+            // Drivers write on standard output too.
+            match serde_json::from_str(&line) {
+                Ok(Message::Done) => return Ok(None),
+                Ok(Message::Wrong { text }) => return Err(Ended::Wrong(text)),
+                Ok(Message::Begin { stage, done, of }) => {
+                    self.stage.clone_from(&stage);
+                    return Ok(Some(Message::Begin { stage, done, of }));
+                }
+                Ok(message) => return Ok(Some(message)),
+                Err(_) => {}
+            }
+        }
+    }
+
+    fn crashed(&mut self) -> Ended {
+        let how = match self.child.wait() {
+            Ok(status) => describe(status),
+            Err(error) => error.to_string(),
+        };
+        let quoted = self.errors.recv_timeout(Duration::from_secs(1)).unwrap_or_default();
+        Ended::Crashed {
+            stage: self.stage.clone(),
+            how,
+            quoted: if quoted.is_empty() {
+                quoted
+            } else {
+                format!(": {quoted}")
+            },
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn describe(status: ExitStatus) -> String {
+    match (status.signal(), status.code()) {
+        (Some(signal), _) => format!("signal {signal}"),
+        (None, Some(code)) => format!("exit code {code}"),
+        (None, None) => "unknown".to_owned(),
+    }
+}
+
+/// This program, also if its file was replaced meanwhile.
+fn program() -> std::io::Result<std::path::PathBuf> {
+    #[cfg(target_os = "linux")]
+    return Ok("/proc/self/exe".into());
+    #[cfg(not(target_os = "linux"))]
+    std::env::current_exe()
+}
+
+#[cfg(target_os = "linux")]
+fn end_with_parent(command: &mut Command) {
+    use std::os::unix::process::CommandExt;
+    // SAFETY: a system call alone, which may be made between fork and exec.
+    unsafe {
+        command.pre_exec(|| {
+            rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))?;
+            Ok(())
+        });
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn end_with_parent(_: &mut Command) {}
+
+fn lines_of(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
+    let (send, lines) = channel();
+    std::thread::spawn(move || {
+        for line in out
+            .into_iter()
+            .flat_map(|out| BufReader::new(out).lines())
+            .map_while(Result::ok)
+        {
+            if send.send(line).is_err() {
+                return;
+            }
+        }
+    });
+    lines
+}
+
+/// The end of what is written, once all is.
+fn tail_of(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
+    let (send, tail) = channel();
+    std::thread::spawn(move || {
+        let (mut kept, mut piece) = (Vec::new(), [0; 4096]);
+        if let Some(mut out) = out {
+            while let Ok(count @ 1..) = out.read(&mut piece) {
+                kept.extend_from_slice(&piece[..count]);
+                kept.drain(..kept.len().saturating_sub(QUOTED_BYTES));
+            }
+        }
+        let _ = send.send(String::from_utf8_lossy(&kept).trim().to_owned());
+    });
+    tail
+}

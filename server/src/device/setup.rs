@@ -1,0 +1,131 @@
+//! Ways to use a device: as its kind is used by default, or around a known fault of its driver.
+
+use isopeel_kernels::{DeviceInfo, DeviceKind, SampleType, Tuning};
+use serde::{Deserialize, Serialize};
+
+/// A device as children and verdicts name it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeviceId {
+    /// Position in the list.
+    pub index: usize,
+    /// Name of its platform.
+    pub platform: String,
+    /// Name of the device.
+    pub name: String,
+    /// Version of its driver.
+    pub driver: String,
+}
+
+impl DeviceId {
+    /// Names a listed device.
+    pub fn of(info: &DeviceInfo) -> Self {
+        Self {
+            index: info.index,
+            platform: info.platform.clone(),
+            name: info.name.clone(),
+            driver: info.driver.clone(),
+        }
+    }
+}
+
+impl std::fmt::Display for DeviceId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} ({}, driver {})", self.name, self.platform, self.driver)
+    }
+}
+
+/// A way to use a device. In the order in which they are tried.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Workaround {
+    /// As its kind is used by default.
+    #[default]
+    None,
+    /// PoCL compiles work-groups by its older method.
+    Loops,
+    /// PoCL compiles work-groups by its newer method.
+    Cbs,
+    /// Kernels for a CPU do not prefetch.
+    NoPrefetches,
+    /// Kernels of the other kind of device.
+    OtherKernels,
+    /// Kernels for GPUs with small work-groups.
+    SmallGroups,
+}
+
+impl Workaround {
+    /// Those that may help a device, in the order in which they are tried.
+    pub fn of(device: &DeviceInfo) -> Vec<Self> {
+        let is_pocl = device.pocl_version().is_some();
+        let applies = |workaround: &Self| match workaround {
+            Self::None | Self::OtherKernels => true,
+            Self::Loops | Self::Cbs => is_pocl,
+            Self::NoPrefetches => Tuning::of(device).prefetches,
+            Self::SmallGroups => device.kind != DeviceKind::Cpu,
+        };
+        let all = [
+            Self::None,
+            Self::Loops,
+            Self::Cbs,
+            Self::NoPrefetches,
+            Self::SmallGroups,
+            Self::OtherKernels,
+        ];
+        all.into_iter().filter(applies).collect()
+    }
+
+    /// The variable that the process must have in its environment.
+    pub fn environment(self) -> Option<(&'static str, &'static str)> {
+        match self {
+            Self::Loops => Some((POCL_METHOD, "loops")),
+            Self::Cbs => Some((POCL_METHOD, "cbs")),
+            _ => None,
+        }
+    }
+
+    /// How kernels are built and launched, if not by default.
+    pub fn tuning(self, device: &DeviceInfo) -> Option<Tuning> {
+        match (self, device.kind) {
+            (Self::None | Self::Loops | Self::Cbs, _) => None,
+            (Self::NoPrefetches, _) => Some(Tuning {
+                prefetches: false,
+                ..Tuning::of(device)
+            }),
+            (Self::SmallGroups, _) | (Self::OtherKernels, DeviceKind::Cpu) => Some(Tuning::GPU_SMALL),
+            (Self::OtherKernels, _) => Some(Tuning::CPU),
+        }
+    }
+
+    /// In the words of a report.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::None => "default settings",
+            Self::Loops => "POCL_WORK_GROUP_METHOD=loops",
+            Self::Cbs => "POCL_WORK_GROUP_METHOD=cbs",
+            Self::NoPrefetches => "kernels without prefetches",
+            Self::OtherKernels => "kernels of the other kind of device",
+            Self::SmallGroups => "small work-groups",
+        }
+    }
+}
+
+const POCL_METHOD: &str = "POCL_WORK_GROUP_METHOD";
+
+/// Sample types by the names that children are told.
+pub(super) const TYPES: [(&str, SampleType); 5] = [
+    ("u8", SampleType::U8),
+    ("i8", SampleType::I8),
+    ("u16", SampleType::U16),
+    ("i16", SampleType::I16),
+    ("f32", SampleType::F32),
+];
+
+pub(super) fn type_name(sample_type: SampleType) -> &'static str {
+    let named = TYPES.into_iter().find(|(_, one)| *one == sample_type);
+    named.map_or("f32", |(name, _)| name)
+}
+
+pub(super) fn type_of(name: &str) -> Option<SampleType> {
+    let named = TYPES.into_iter().find(|(one, _)| *one == name);
+    named.map(|(_, sample_type)| sample_type)
+}
