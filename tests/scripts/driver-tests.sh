@@ -2,10 +2,13 @@
 # Runs the kernels' tests on this machine's OpenCL driver, without a compiler or the source tree: `run.sh` in the folder and
 # in the archive that pack-driver-tests.sh makes.
 #
-#   run.sh [--subset] [--driver LIBRARY]
+#   run.sh [--driver LIBRARY] [STEP...]
 #
-#   --subset            few tests and a small surface, for drivers whose compiler takes minutes
 #   --driver LIBRARY    the driver's library, as /usr/lib/x86_64-linux-gnu/libnvidia-opencl.so.1
+#   STEP                check (isopeel devices --check), small (a surface of 64³ samples), demo (one of the demo volume), edit (an
+#                       edit over the socket of a server), tests (of the kernels); without any, all of these. And surfaces:
+#                       25 % and all of the surfaces of two volumes in the folder ISOPEEL_DATA, written to the folder SURFACES
+#                       for compare_surfaces.py
 #
 # Without --driver it uses the drivers that the system names in /etc/OpenCL/vendors or OCL_ICD_VENDORS, or else NVIDIA's
 # library, which many machines have without naming it. ISOPEEL_DEVICE selects one of several devices. A test that takes longer
@@ -15,7 +18,7 @@ set -euo pipefail
 
 folder=$(dirname "$(realpath "$0")")
 test_seconds=${TEST_SECONDS:-600}
-subset= library= passed=0 failed=0
+library= steps=() passed=0 failed=0
 
 fail() {
     printf 'isopeel: %s\n' "$@" >&2
@@ -24,12 +27,13 @@ fail() {
 
 while [ $# -gt 0 ]; do
     case $1 in
-    --subset) subset=1 ;;
     --driver) library=${2:?--driver needs a library} && shift ;;
-    *) fail "'$1' is no option, expected --subset or --driver LIBRARY" ;;
+    check | small | demo | edit | tests | surfaces) steps+=("$1") ;;
+    *) fail "'$1' is no step, expected --driver LIBRARY, check, small, demo, edit, tests or surfaces" ;;
     esac
     shift
 done
+[ ${#steps[@]} -gt 0 ] || steps=(check small demo edit tests)
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
@@ -107,12 +111,56 @@ run_tests() {
     printf '%s: %d passed, %d failed, %d s\n' "$name" "$good" "$bad" $((SECONDS - started))
 }
 
-# extract VOLUME ISOVALUE OPTION... -- FILTER: an extraction whose statistics have to match.
-extracts() {
-    local wanted=$1
+# extract WANTED VOLUME OPTION...: an extraction whose statistics match a pattern.
+extract() {
+    local wanted=$1 statistics
     shift
-    "$folder/bin/isopeel" extract "$@" --stats -o "$scratch/surface.ply" | tee "$scratch/statistics"
-    tr -d ' \n' <"$scratch/statistics" | grep --quiet --extended-regexp "$wanted"
+    statistics=$("$folder/bin/isopeel" extract "$@" --stats -o "$scratch/surface.ply" | tr -d ' \n')
+    printf '%s\n' "$statistics"
+    grep --quiet --extended-regexp "$wanted" <<<"$statistics"
+}
+export -f extract
+export folder scratch
+
+# write_surfaces VOLUME ISOVALUE
+write_surfaces() {
+    local share file
+    : "${ISOPEEL_DATA:?names the folder of $1}" "${SURFACES:?names a folder for surfaces}"
+    mkdir -p "$SURFACES"
+    for share in 25 100; do
+        file=$SURFACES/${1%%.*}-$share.ply
+        rm -f "$file"
+        count "$share % of $1" "$folder/bin/isopeel" extract "$ISOPEEL_DATA/$1" --iso "$2" --triangles "$share%" -o "$file"
+    done
+}
+
+# run_step STEP
+run_step() {
+    local binary demo repository=$folder/repository
+    case $1 in
+    check) count 'devices --check' "$folder/bin/isopeel" devices --check ;;
+    small)
+        # A closed surface of genus 0 (vertices - triangles / 2 = 2), the same on every driver.
+        count 'extract 64³' bash -euo pipefail -c 'extract "$@"' extract '"triangles":21936,"vertices":10970,' \
+            "$repository/sphere-64.nrrd" --iso 100 --beta -1
+        ;;
+    demo)
+        demo=$(sed -n 's/.*"full_triangles": \([0-9]*\).*/\1/p; q' "$repository/tests/fixtures/expected-cuts-demo.jsonl")
+        count 'extract the demo' bash -euo pipefail -c 'extract "$@"' extract "\"fullTriangles\":$demo," \
+            "$repository/server/demo/t1.nii.gz" --iso 100 --triangles 25%
+        ;;
+    edit) count 'edit over the socket' "$folder/bin/e2e" --exact edits::a_beta_edit_sends_only_the_regions_that_it_changes ;;
+    tests)
+        # Those of generated files are about the source tree.
+        for binary in isopeel_kernels twins expected_cuts device; do
+            run_tests "$binary" --skip generated::
+        done
+        ;;
+    surfaces)
+        write_surfaces mni152-t1.nii.gz 100
+        write_surfaces ct-head.nrrd 517
+        ;;
+    esac
 }
 
 ## All of them
@@ -126,22 +174,9 @@ field() {
 driver="$(field platform) $(field driver)"
 [ "$driver" != ' ' ] || driver='no device'
 
-small=$folder/repository/sphere-64.nrrd
-count 'devices --check' "$folder/bin/isopeel" devices --check
-export -f extracts
-export folder scratch
-count 'extract 64³' bash -euo pipefail -c 'extracts "$@"' extracts '"fullTriangles":[1-9]' "$small" --iso 100 --beta -1
-if [ -n "$subset" ]; then
-    run_tests device minmax histogram
-else
-    demo=$(sed -n 's/.*"full_triangles": \([0-9]*\).*/\1/p; q' "$folder/repository/tests/fixtures/expected-cuts-demo.jsonl")
-    count 'extract the demo' bash -euo pipefail -c 'extracts "$@"' extracts "\"fullTriangles\":$demo," \
-        "$folder/repository/server/demo/t1.nii.gz" --iso 100 --triangles 25%
-    count 'edit over the socket' "$folder/bin/e2e" --exact edits::a_beta_edit_sends_only_the_regions_that_it_changes
-    for binary in isopeel_kernels twins expected_cuts device; do
-        run_tests "$binary"
-    done
-fi
+for step in "${steps[@]}"; do
+    run_step "$step"
+done
 printf 'summary\t%s\t%d\t%d\t%d\n' "$driver" "$passed" "$failed" $((SECONDS - started))
 printf '%s: %d passed, %d failed, %d s\n' "$driver" "$passed" "$failed" $((SECONDS - started))
 [ "$failed" -eq 0 ]

@@ -4,6 +4,10 @@
 #   drivers.sh [DRIVER...]    DRIVER is SUITE/pocl or SUITE/rusticl, a package of a Debian release, as trixie/pocl; or intel,
 #                             oclgrind, or machine: whatever this machine has. Without any, those of the list below
 #
+# STEPS is what is done on each, of the steps that driver-tests.sh has. Without it Rusticl, whose compiler takes minutes, has
+# few, and the others have all. Oclgrind has tests of its own. With STEPS=surfaces, surfaces of volumes in the folder that ISOPEEL_DATA
+# names are written to target/drivers/surfaces, and compared with those of the first driver.
+#
 # PoCL and Mesa's Rusticl run in roots of Debian that fresh-debian.sh makes in target/roots, as root; Intel's runtime is downloaded
 # from PyPI into target/drivers (1 GB; its licence is Intel's). No part of the machine's own OpenCL setup is changed. A test
 # fails because of what a driver computes, never because of its version: the table has the versions that were found.
@@ -15,20 +19,29 @@ drivers=("$@")
 [ ${#drivers[@]} -gt 0 ] || drivers=(bookworm/pocl trixie/pocl forky/pocl trixie/rusticl intel oclgrind)
 logs=$PWD/target/drivers/logs
 tests=$PWD/target/driver-tests
-mkdir -p "$logs"
+surfaces=$PWD/target/drivers/surfaces
+mkdir -p "$logs" "$surfaces"
 
 fail() {
     printf 'isopeel: %s\n' "$@" >&2
     exit 1
 }
 
-# in_root SUITE PACKAGE ICD [OPTION...]: the tests on one driver of a release.
+# in_root SUITE PACKAGE ICD [STEP...]: the tests on one driver of a release.
 in_root() {
     local suite=$1 package=$2 icd=$3
     shift 3
-    tests/scripts/fresh-debian.sh run "$suite" "ocl-icd-libopencl1,$package" \
-        sh -c 'dpkg-query --show "$1" "libllvm*" "libclang-cpp*" | sed -n "s/[^\t]\t./  &/p"; shift; exec "$@"' in_root "$package" \
-        env OCL_ICD_VENDORS="/etc/OpenCL/vendors/$icd" "$tests/run.sh" "$@"
+    # The root's home is what it can write to.
+    local written=target/roots/$suite-home/surfaces status=0
+    rm -rf "$written"
+    SURFACES=/root/surfaces tests/scripts/fresh-debian.sh run "$suite" "ocl-icd-libopencl1,$package" \
+        sh -c 'dpkg-query --show "$1" "libllvm*" | grep "[0-9]$"; shift; exec "$@"' in_root "$package" \
+        env OCL_ICD_VENDORS="/etc/OpenCL/vendors/$icd" "$tests/run.sh" "$@" || status=$?
+    if [ -d "$written" ]; then
+        rm -rf "$SURFACES"
+        mv "$written" "$SURFACES"
+    fi
+    return "$status"
 }
 
 # Intel's runtime. The machine's own loader stays the one that is used; a loader that is given a folder knows no other driver.
@@ -44,23 +57,34 @@ on_intel() {
         echo "$folder/lib/libintelocl.so" >"$folder/vendors/intel.icd"
         cp "$requirements" "$folder/installed.txt"
     fi
-    OCL_ICD_VENDORS=$folder/vendors LD_LIBRARY_PATH=$folder/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH} "$tests/run.sh"
+    OCL_ICD_VENDORS=$folder/vendors LD_LIBRARY_PATH=$folder/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH} "$tests/run.sh" "$@"
 }
 
 # run_driver NAME
 run_driver() {
-    local suite=${1%/*}
+    local suite=${1%/*} steps
+    export SURFACES=$surfaces/${1//\//-}
+    read -ra steps <<<"${STEPS:-}"
     case $1 in
-    */pocl) in_root "$suite" pocl-opencl-icd pocl.icd ;;
-    */rusticl) RUSTICL_ENABLE=llvmpipe in_root "$suite" mesa-opencl-icd rusticl.icd --subset ;;
-    intel) on_intel ;;
+    */pocl) in_root "$suite" pocl-opencl-icd pocl.icd "${steps[@]}" ;;
+    */rusticl)
+        [ ${#steps[@]} -gt 0 ] || steps=(check small)
+        RUSTICL_ENABLE=llvmpipe in_root "$suite" mesa-opencl-icd rusticl.icd "${steps[@]}"
+        ;;
+    intel) on_intel "${steps[@]}" ;;
     oclgrind) tests/scripts/oclgrind.sh ;;
-    machine) "$tests/run.sh" ;;
+    machine) "$tests/run.sh" "${steps[@]}" ;;
     *) fail "'$1' is no driver, expected SUITE/pocl, SUITE/rusticl, intel, oclgrind or machine" ;;
     esac
 }
 
 tests/scripts/pack-driver-tests.sh
+if [ -n "${ISOPEEL_DATA:-}" ]; then
+    # Where roots see them.
+    mkdir "$tests/volumes"
+    cp "$ISOPEEL_DATA"/{mni152-t1.nii.gz,ct-head.nrrd} "$tests/volumes"
+    export ISOPEEL_DATA=$tests/volumes
+fi
 row='%-16s %-48s %7s %7s %8s\n'
 # shellcheck disable=SC2059
 table=$(printf "$row" driver 'version found' passed failed seconds)
@@ -74,4 +98,7 @@ for driver in "${drivers[@]}"; do
     table+=$'\n'$(printf "$row" "$driver" "$version" "$passed" "$failed" "$seconds")
 done
 printf '\n%s\n' "$table"
+if [ "${STEPS:-}" = surfaces ]; then
+    tests/scripts/compare_surfaces.py $(printf "$surfaces/%s\n" "${drivers[@]//\//-}") || status=1
+fi
 exit "$status"
