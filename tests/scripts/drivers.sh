@@ -32,7 +32,7 @@ in_root() {
     local suite=$1 package=$2 icd=$3
     shift 3
     # The root's home is what it can write to.
-    local written=target/roots/$suite-home/surfaces status=0
+    local written=target/roots/$suite-home-$(id -un)/surfaces status=0
     rm -rf "$written"
     SURFACES=/root/surfaces tests/scripts/fresh-debian.sh run "$suite" "ocl-icd-libopencl1,$package" \
         sh -c 'dpkg-query --show "$1" "libllvm*" | grep "[0-9]$"; shift; exec "$@"' in_root "$package" \
