@@ -21,11 +21,11 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-drivers test-browser test-browsers test-service test-glb bench bench-browser screenshot \
+	lint test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
 	@echo 'make run DATA="FILE_OR_FOLDER ..." LISTEN=$(LISTEN) DEVICE=INDEX_OR_NAME'
 
@@ -39,7 +39,7 @@ run: prerequisites-run release ## install what is missing, build, serve the demo
 build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
 
 # What can be built is built first, so that the runners' summaries stand together at the end.
-test: prerequisites-test lint build-tests test-web test-rust test-oclgrind test-browser test-glb ## all tests, linters and formatters; what CI runs
+test: prerequisites-test lint build-tests test-web test-rust test-oclgrind test-pocl-6 test-browser test-glb ## all tests, linters and formatters; what CI runs
 
 prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
 	@tests/scripts/prerequisites.sh $*
@@ -151,8 +151,16 @@ test-formats: build-tests ## readers and exports beside independent programs, fr
 test-oclgrind: ## the kernels under oclgrind: out-of-bounds accesses and races
 	tests/scripts/oclgrind.sh
 
-test-drivers: web-client ## the kernels' tests on Intel's OpenCL runtime for CPUs, which it downloads (1 GB); not in CI
-	tests/scripts/drivers.sh
+# Of the drivers that are not this machine's, the one of Debian 13. Few steps, which make for all stages and take a minute.
+test-pocl-6: build-tests ## isopeel on PoCL 6.0, in a root of Debian 13: the check of the device, two surfaces, an edit; as root, or after it made the root once
+	STEPS='check small demo edit' tests/scripts/drivers.sh trixie/pocl
+
+DRIVERS ?=
+test-drivers: build-tests ## the kernels' tests on PoCL 3.1, 6.0 and 7.1, Rusticl, Oclgrind, and Intel's runtime, which it downloads (1 GB), or on DRIVERS, as "trixie/pocl intel"; as root, not in CI
+	tests/scripts/drivers.sh $(DRIVERS)
+
+test-gpu: build-tests ## packs the kernels' tests into target/driver-tests.tar.xz, to run on a machine with a driver and no compiler
+	tests/scripts/pack-driver-tests.sh target/driver-tests.tar.xz
 
 tests/browser/node_modules/.package-lock.json: tests/browser/package.json tests/browser/package-lock.json
 	cd tests/browser && $(NPM_CI)

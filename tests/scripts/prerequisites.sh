@@ -3,7 +3,7 @@
 #
 #   prerequisites.sh build   compilers for Rust's C and C++ dependencies
 #   prerequisites.sh run     and an OpenCL loader with a driver
-#   prerequisites.sh test    and oclgrind, clang, OpenCL's headers, Python and chromium
+#   prerequisites.sh test    and oclgrind, clang, OpenCL's headers, Python, chromium, and debootstrap for a root of Debian 13
 #
 # Rust and Node are never installed, only checked: how they come to a machine is its owner's choice. Packages are
 # installed on Debian and Ubuntu, as root or through a sudo that asks for no password; everywhere else the missing
@@ -66,6 +66,10 @@ has_opencl_driver() {
     return 1
 }
 
+is_debian_12() {
+    (. /etc/os-release && [ "$ID" = debian ] && [ "${VERSION_ID:-}" = 12 ]) 2>/dev/null
+}
+
 has_chromium() {
     command -v "${CHROMIUM:-chromium}" >/dev/null
 }
@@ -79,7 +83,10 @@ missing_packages() {
     library_exists libOpenCL.so.1 || printf '%s\n' ocl-icd-libopencl1
     has_opencl_driver || printf '%s\n' pocl-opencl-icd
     [ "$purpose" = run ] && return
-    command -v oclgrind >/dev/null || printf '%s\n' oclgrind
+    # Only Debian 12 has it; elsewhere tests/scripts/oclgrind.sh unpacks that of Debian 12, whose keys it needs
+    command -v oclgrind >/dev/null || ! is_debian_12 || printf '%s\n' oclgrind
+    [ -e /usr/share/keyrings/debian-archive-keyring.gpg ] || printf '%s\n' debian-archive-keyring
+    PATH=$PATH:/usr/sbin command -v debootstrap >/dev/null || printf '%s\n' debootstrap
     command -v "${CLANG:-clang}" >/dev/null || printf '%s\n' clang
     echo '#include <CL/cl_layer.h>' | cc -E - >/dev/null 2>&1 || printf '%s\n' opencl-c-headers
     command -v python3 >/dev/null || printf '%s\n' python3

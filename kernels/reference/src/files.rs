@@ -4,7 +4,7 @@
 use flate2::read::MultiGzDecoder;
 use isopeel_kernels::{Grid, Samples};
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Reads one of the test volumes.
 ///
@@ -27,6 +27,14 @@ pub fn read_from_data_folder(name: &str) -> (Grid, Samples) {
     let folder = std::env::var_os("ISOPEEL_DATA");
     let folder = folder.unwrap_or_else(|| panic!("ISOPEEL_DATA must name a folder that holds {name}"));
     read(&Path::new(&folder).join(name))
+}
+
+/// Returns the path of a file of this repository. `ISOPEEL_REPOSITORY` names a folder that holds a copy of it, on machines
+/// that have the tests without the source tree.
+pub fn repository_file(path: &str) -> PathBuf {
+    let copy = std::env::var_os("ISOPEEL_REPOSITORY").map(PathBuf::from);
+    copy.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."))
+        .join(path)
 }
 
 fn gunzip(bytes: &[u8]) -> Vec<u8> {

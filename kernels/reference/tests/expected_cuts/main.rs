@@ -13,7 +13,6 @@ use isopeel_kernels::{Feature as DeviceFeature, Grid, Samples};
 use isopeel_reference::{Feature, Field, Pipeline, files};
 use serde::Deserialize;
 use std::collections::HashMap;
-use std::path::Path;
 
 /// One line of a fixture.
 #[derive(Deserialize)]
@@ -57,11 +56,7 @@ const DEMO: &str = include_str!("../../../../tests/fixtures/expected-cuts-demo.j
 const VOLUMES: &str = include_str!("../../../../tests/fixtures/expected-cuts-volumes.jsonl");
 
 fn demo_volume(name: &str) -> (Grid, Samples) {
-    files::read(
-        &Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../../server/demo")
-            .join(name),
-    )
+    files::read(&files::repository_file(&format!("server/demo/{name}")))
 }
 
 fn rows(fixture: &str) -> Vec<Expected> {

@@ -323,8 +323,8 @@ fn check_patched_mesh((grid, samples): (Grid, Samples), iso: f32, triangles: usi
 
 #[test]
 fn mesh_of_the_demo_is_patched() {
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../server/demo/t1.nii.gz");
-    check_patched_mesh(files::read(file.as_ref()), 100.0, 256_582);
+    let file = files::repository_file("server/demo/t1.nii.gz");
+    check_patched_mesh(files::read(&file), 100.0, 256_582);
 }
 
 #[test]
