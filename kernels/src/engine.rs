@@ -8,7 +8,7 @@ use crate::{
     CutParams, DerivedFeature, DeviceInfo, Feature, Grid, Histogram, Isovalue, Level, Mesher, Never, PartFilter,
     Result, SampleType, Samples, StageTime, TreeGoal, Tuning, Volume, tables,
 };
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::collections::HashSet;
 use std::rc::Rc;
 
@@ -34,8 +34,6 @@ pub struct Engine {
     warm: RefCell<HashSet<SampleType>>,
     /// Programs of expressions, and that of distances.
     expressions: evaluate::Programs,
-    /// Pyramids built so far: the number of the next one.
-    pyramids: Cell<u64>,
 }
 
 impl Engine {
@@ -69,7 +67,6 @@ impl Engine {
             case_facts,
             warm: RefCell::default(),
             expressions: evaluate::Programs::new(),
-            pyramids: Cell::default(),
         })
     }
 

@@ -1,6 +1,6 @@
 //! From a view to a surface.
 //!
-//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens it, and again where it is lost; `attempts` runs a job until it has a result; `worker_state` is what this thread keeps, by `keys`, in a cache
+//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens it, and again where it is lost; `attempts` runs a job until it has a result; `worker_state` is what this thread keeps, by `keys` and `identity`, in a cache
 //!   (`residency`; `cuts` that clients show), on `grids`; `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
@@ -27,6 +27,7 @@ mod extractor;
 mod feature_fields;
 mod grids;
 mod host_memory;
+mod identity;
 mod keys;
 mod loader;
 mod loading;
@@ -53,6 +54,7 @@ pub use device_thread::DeviceState;
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use host_memory::{limit_host_memory, return_freed_memory};
+pub use identity::{EngineId, FittedKey, SurfaceKey, ViewKey};
 pub use loading::{OpeningProgress, OpeningWatch};
 pub use memory::MemoryUse;
 pub use open_steps::Held;
