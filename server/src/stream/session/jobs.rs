@@ -353,12 +353,28 @@ impl<B: Backend> Session<B> {
         if self.device.is_some() {
             return;
         }
-        let Some(opened) = &mut self.opened else { return };
-        match opened.phase {
-            OpeningPhase::Waiting => return self.start_opening(),
-            OpeningPhase::Opening => return,
-            OpeningPhase::Open => {}
+        match self.opened.as_ref().map(|opened| opened.phase) {
+            None | Some(OpeningPhase::Opening) => return,
+            Some(OpeningPhase::Waiting) => return self.start_opening(),
+            Some(OpeningPhase::Open) => {}
         }
+        // One that begins may give others another part of the budget, so that they begin as well.
+        while self.begin_generations() {
+            self.allot(None);
+        }
+        if self.start_describing() {
+            return;
+        }
+        let Some(opened) = &mut self.opened else { return };
+        if let Some((surface, job)) = opened.next_job(self.jobs, &self.pace) {
+            self.jobs += 1;
+            self.device = self.start(surface, job);
+        }
+    }
+
+    /// Begins the generations of views that have come into force; false where there is none.
+    fn begin_generations(&mut self) -> bool {
+        let Some(opened) = &mut self.opened else { return false };
         let (engine, volume) = (self.backend.engine(), opened.volume.clone());
         let mut has_begun = false;
         for (number, surface) in opened.surfaces_mut() {
@@ -372,17 +388,7 @@ impl<B: Backend> Session<B> {
                 has_begun = true;
             }
         }
-        if has_begun {
-            self.allot(None);
-        }
-        if self.start_describing() {
-            return;
-        }
-        let Some(opened) = &mut self.opened else { return };
-        if let Some((surface, job)) = opened.next_job(self.jobs, &self.pace) {
-            self.jobs += 1;
-            self.device = self.start(surface, job);
-        }
+        has_begun
     }
 
     /// Queues a job of a surface.

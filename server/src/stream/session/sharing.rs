@@ -168,6 +168,13 @@ impl OpenVolume {
 
     /// Failed surfaces that would get another part of the budget than they failed with, if all that failed were tried again.
     pub(super) fn retried(&mut self) -> Vec<u8> {
+        // Until all are counted, nobody's part is known.
+        if self
+            .surfaces()
+            .any(|(_, surface)| surface.shares() && !surface.is_counted())
+        {
+            return Vec::new();
+        }
         let counted = |surface: &SurfaceSession| surface.view.budget.is_some() && surface.is_counted();
         let all = total(
             self.surfaces()

@@ -256,7 +256,11 @@ async fn followers_are_shown_what_has_come_into_force() {
         (&json!("mean-curvature"), &json!([-1.0, 0.0])),
         "nothing of the edit that was refused"
     );
-    assert_eq!(follower.step().await.view.feature_range, Some([-1.0, 0.0]));
+    // Both wait for one job.
+    let job = leader.step().await;
+    assert_eq!(job.view.feature_range, Some([-1.0, 0.0]));
+    job.answer(Answer::last(2, shapes(&[2])));
+    follower.until("done").await;
 }
 
 #[tokio::test]
