@@ -11,7 +11,7 @@
 //! - `slices`: planes of samples.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
-//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view.
+//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view; `decisions`: which of them it gets.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
 mod ahead;
@@ -21,6 +21,7 @@ mod computed;
 mod counting;
 mod cube_cuts;
 mod cuts;
+mod decisions;
 mod device_thread;
 mod error;
 mod extractor;

@@ -8,8 +8,8 @@ use std::rc::Rc;
 use isopeel_kernels::{CURVE_POINTS, Cancel, Cut, CutParams, DistributionCounts, Level, MAX_BINS, ShownCut};
 use tokio_util::sync::CancellationToken;
 
+use super::decisions::TreeCut;
 use super::keys::VolumeKey;
-use super::tree_surfaces::TreeCut;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface};
 
-use super::tree_surfaces::Decided;
+use super::decisions::Decided;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, Shown, Step, WorkError};

@@ -4,10 +4,11 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, Cut, CutParams, DeviceKind, Error, MeasuredError, PartFilter, Surface, Topology, TreeGoal, VertexTree,
+    Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, Surface, Topology, TreeGoal, VertexTree,
 };
 
 use super::cuts::Cuts;
+use super::decisions::{Decided, TreeCut, lesser};
 use super::questions::index_inside;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
@@ -19,44 +20,6 @@ use crate::volumes::VolumeStep;
 
 /// Full surfaces of more triangles are cut as cubes before their tree is built: on an H200 a tree of so many takes about 20 ms.
 const MAX_FULL_TRIANGLES: u64 = 1_500_000;
-
-/// A surface of a view that an error or a budget decides.
-pub(super) enum Decided {
-    Tree(Surface),
-    Cubes {
-        params: CutParams,
-        cut: Cut,
-        /// The tree was not tried yet.
-        can_improve: bool,
-    },
-}
-
-/// Of two refusals of a view the one that asks for less: of the cut of the tree, if there is a tree, and of that of cubes.
-fn lesser(tree: Option<WorkError>, cubes: WorkError) -> WorkError {
-    match (&tree, &cubes) {
-        (Some(WorkError::OverBudget { minimum, .. }), WorkError::OverBudget { minimum: of_cubes, .. })
-            if minimum < of_cubes => {}
-        (
-            Some(WorkError::TooManyTriangles { triangles, .. }),
-            WorkError::TooManyTriangles {
-                triangles: of_cubes, ..
-            },
-        ) if triangles < of_cubes => {}
-        // A larger budget would be accepted; no budget makes a surface smaller than the limit that an error asks to be larger.
-        (Some(WorkError::OverBudget { .. }), WorkError::TooManyTriangles { .. }) => {}
-        _ => return cubes,
-    }
-    tree.unwrap_or(cubes)
-}
-
-/// What became of a cut of the vertex tree to a view.
-pub(super) enum TreeCut {
-    Made(Surface),
-    /// Even the smallest cut within the guards is above the budget, or above the server's limit.
-    Refused(WorkError),
-    /// There is no space for a tree on this device.
-    NoTree,
-}
 
 impl WorkerState {
     /// The final surface of a view as a cut of the vertex tree; `None` where no cut of the tree is small enough.

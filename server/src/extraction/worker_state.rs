@@ -12,6 +12,7 @@ use isopeel_kernels::{
 };
 
 use super::cuts::Cuts;
+use super::decisions::Decided;
 use super::feature_fields::FeatureFields;
 use super::grids::padded_grid;
 use super::host_memory::HostMemory;
@@ -22,7 +23,6 @@ use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::shares::Shares;
-use super::tree_surfaces::Decided;
 use super::turns::{Aside, Turn};
 use super::{Extraction, Measurement, WorkError};
 use crate::math::IndexSpace;

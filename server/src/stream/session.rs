@@ -42,6 +42,7 @@ mod open_pace;
 mod open_volume;
 mod outbox;
 mod pace;
+mod pending;
 mod questions;
 mod resolving;
 mod rest;

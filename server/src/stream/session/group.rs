@@ -7,7 +7,7 @@ use super::super::groups::{GroupError, GroupEvent, Leader, Scene};
 use super::Session;
 use super::open_volume::OpeningPhase;
 use super::outbox::Newest;
-use super::resolving::PendingStep;
+use super::pending::PendingStep;
 use crate::access::Role;
 use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};

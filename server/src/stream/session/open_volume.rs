@@ -8,7 +8,7 @@ use super::super::backend::Backend;
 use super::Session;
 use super::generation::{Generation, Sending};
 use super::outbox::Newest;
-use super::resolving::PendingStep;
+use super::pending::PendingStep;
 use super::surface::SurfaceSession;
 use crate::extraction::{Held, OpeningProgress};
 use crate::view::View;

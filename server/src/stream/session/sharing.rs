@@ -6,7 +6,7 @@
 
 use super::generation::Making;
 use super::open_volume::OpenVolume;
-use super::surface::SurfaceSession;
+use super::surface::{Failed, SurfaceSession};
 use crate::view::quality::Budget;
 use crate::wire::chunk::MAX_SURFACES;
 
@@ -27,16 +27,6 @@ fn total(numbers: impl Iterator<Item = u64>) -> u64 {
 
 /// What each surface gets of the budget.
 pub(super) type Allotments = [Option<Budget>; MAX_SURFACES as usize];
-
-/// How the last generation of a surface failed.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Failed {
-    /// The connection's budget, and the part that it had of it.
-    budget: Option<Budget>,
-    part: Option<Budget>,
-    /// Another part has become possible since.
-    may_retry: bool,
-}
 
 impl SurfaceSession {
     /// Whether it has a part of the budget: not where β or an error decides alone, nor where it is not made as its view says.

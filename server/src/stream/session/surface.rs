@@ -5,9 +5,8 @@ use std::sync::Arc;
 use super::super::groups::FirstStep;
 use super::super::shared::RegionHashes;
 use super::generation::Generation;
-use super::resolving::PendingView;
+use super::pending::PendingView;
 use super::rest::Rest;
-use super::sharing::Failed;
 use super::shown::HeldSurface;
 use crate::extraction::{Shown, SurfaceKey, ViewKey};
 use crate::view::View;
@@ -45,6 +44,16 @@ pub(super) struct SurfaceSession {
     pub failed: Option<Failed>,
     /// What the client holds is of another time step.
     pub holds_another_step: bool,
+}
+
+/// How the last generation of a surface failed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Failed {
+    /// The connection's budget, and the part that it had of it.
+    pub budget: Option<Budget>,
+    pub part: Option<Budget>,
+    /// Another part has become possible since.
+    pub may_retry: bool,
 }
 
 /// What is done for a surface. `Idle --edit--> Working --final surface committed--> Resting --measured--> Idle`; a better surface goes from

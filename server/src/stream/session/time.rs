@@ -11,7 +11,7 @@ use super::super::backend::Backend;
 use super::Session;
 use super::jobs::{BoxFuture, DeviceDone};
 use super::open_volume::{OpenVolume, OpeningPhase};
-use super::resolving::PendingStep;
+use super::pending::PendingStep;
 use super::rest::REST_AFTER;
 use crate::extraction::{Held, WorkError};
 use crate::view::View;
