@@ -187,11 +187,19 @@ impl OpenVolume {
         surfaces.find_map(|(number, surface)| surface.generation().is_some_and(is_sending).then_some(number))
     }
 
-    /// The view of a surface as edits left it, in force or not.
+    /// The view of a surface as edits left it, in force or not. One that is not there yet begins as the volume opens, with the budget that
+    /// edits gave the connection.
     pub(super) fn edited_view_of(&self, number: u8) -> View {
-        let surface = self.surface(number);
         let fields = self.volume.dataset().field_names();
-        surface.map_or_else(|| self.view_of(number), |surface| surface.edited_view(&fields))
+        if let Some(surface) = self.surface(number) {
+            return surface.edited_view(&fields);
+        }
+        let budget = self
+            .surfaces()
+            .find_map(|(_, surface)| surface.edited_view(&fields).budget);
+        let mut view = self.view.clone();
+        view.budget = budget.or(view.budget);
+        view
     }
 
     /// The view in force of a surface: one that is not there yet begins as the volume opens, with the connection's budget.

@@ -7,6 +7,7 @@ use super::scripted::{Answer, Job, resolved, shapes};
 use super::viewer::Viewer;
 use crate::access::Identity;
 use crate::extraction::{Shown, WorkError};
+use crate::view::quality::{Budget, TriangleBudget};
 use crate::view::{EditError, View};
 
 const FEATURE: &str = r#"{"type":"edit","feature":"mean-curvature"}"#;
@@ -261,6 +262,26 @@ async fn followers_are_shown_what_has_come_into_force() {
     assert_eq!(job.view.feature_range, Some([-1.0, 0.0]));
     job.answer(Answer::last(2, shapes(&[2])));
     follower.until("done").await;
+}
+
+#[tokio::test]
+async fn a_new_surface_has_the_budget_that_edits_left_in_force_or_not() {
+    let mut viewer = Viewer::that_resolves(&Common::new(0)).open().await;
+    viewer.say(r#"{"type":"edit","triangles":77}"#).await;
+    viewer.step().await.answer(Answer::last(1, shapes(&[1])));
+    viewer.until("done").await;
+    viewer.say(r#"{"type":"edit","beta":0.5,"feature":"none"}"#).await;
+    let first = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+    let job = viewer.step().await;
+    assert_ne!(
+        job.view.budget,
+        first
+            .view
+            .budget
+            .or(Some(Budget::Triangles(TriangleBudget::AtMost(77)))),
+        "the budget went with the edit before"
+    );
 }
 
 #[tokio::test]
