@@ -271,16 +271,14 @@ async fn a_new_surface_has_the_budget_that_edits_left_in_force_or_not() {
     viewer.step().await.answer(Answer::last(1, shapes(&[1])));
     viewer.until("done").await;
     viewer.say(r#"{"type":"edit","beta":0.5,"feature":"none"}"#).await;
-    let first = resolution(&mut viewer).await;
+    let _first = resolution(&mut viewer).await;
     viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
-    let job = viewer.step().await;
-    assert_ne!(
+    let job = viewer.counts.recv().await.expect("a count");
+    let opening = Budget::Triangles(TriangleBudget::Share(View::OPENING_BUDGET));
+    assert_eq!(
         job.view.budget,
-        first
-            .view
-            .budget
-            .or(Some(Budget::Triangles(TriangleBudget::AtMost(77)))),
-        "the budget went with the edit before"
+        Some(opening),
+        "not the one that went with the edit before"
     );
 }
 
