@@ -5,7 +5,6 @@ use crate::context::Context;
 use crate::stages::{self, histogram, minmax};
 use crate::volume::Slab;
 use crate::{DeviceInfo, Error, Feature, Grid, Histogram, Result, SampleType, StageTime, Tuning, Volume, tables};
-use std::cell::Cell;
 use std::rc::Rc;
 
 mod build;
@@ -29,8 +28,6 @@ pub struct Engine {
     pub(crate) case_facts: Buffer<u32>,
     /// Programs of expressions, and that of distances.
     expressions: evaluate::Programs,
-    /// Pyramids built so far: the number of the next one.
-    pyramids: Cell<u64>,
 }
 
 impl Engine {
@@ -63,7 +60,6 @@ impl Engine {
             cases,
             case_facts,
             expressions: evaluate::Programs::new(),
-            pyramids: Cell::default(),
         })
     }
 

@@ -33,6 +33,8 @@ pub struct VertexTree {
     /// Region by region, numbers of triangles of other regions' meshes that have a corner in it.
     pub(crate) beside: Buffer<u32>,
     pub(crate) full_triangles: u64,
+    /// Points that are in no triangle: leaves of every cut but those that leave parts out.
+    pub(crate) isolated_points: u64,
     /// Its parts; found when they are first asked for.
     pub(crate) parts: OnceCell<Rc<TreeParts>>,
     /// What was left out last: a view is cut again and again without the same parts.

@@ -74,6 +74,7 @@ impl NoiseDevice {
             uneven: None,
             times: None,
             revision: 0,
+            rewrites: Vec::new(),
             fields: vec![field],
             notice: None,
             opening: None,
@@ -137,6 +138,13 @@ impl Backend for NoiseDevice {
     }
 
     async fn read_ahead(&self, _: &VolumeStep, _: &[View], _: &CancellationToken) {}
+
+    async fn resolve(&self, _: &VolumeStep, view: &View, _: &CancellationToken) -> Result<View, WorkError> {
+        Ok(View {
+            feature_range: view.feature_range.or(Some([0.0, 1.0])),
+            ..view.clone()
+        })
+    }
 
     async fn count(&self, _: &VolumeStep, _: &View, _: &CancellationToken) -> Result<FullCount, WorkError> {
         Ok(FullCount::default())

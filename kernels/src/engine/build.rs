@@ -1,9 +1,15 @@
 //! Pyramids: from a volume, an isovalue and a feature.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use crate::cancel::check;
 use crate::layout::{self, Brick, Node, VertexRecord};
 use crate::stages::{self, activate, classify, construct, derive};
 use crate::{Cancel, Engine, Error, Feature, Isovalue, Pyramid, Result, Volume};
+
+/// Pyramids built by this process: the number of the next one. Of the process and not of an engine, because cuts and trees of an engine
+/// that was lost may still be named when another engine has taken its place.
+static PYRAMIDS: AtomicU64 = AtomicU64::new(0);
 
 impl Engine {
     /// Finds the active bricks and builds the pyramid of one isovalue.
@@ -113,10 +119,8 @@ impl Engine {
         let region_index = cx.upload(construct::STAGE, &host_index)?;
         let near = cx.buffer(construct::STAGE, 27 * bricks.len())?;
         construct::link(cx, volume, &region_index, &regions, &bricks, &near)?;
-        let id = self.pyramids.get();
-        self.pyramids.set(id + 1);
         Ok(Pyramid {
-            id,
+            id: PYRAMIDS.fetch_add(1, Ordering::Relaxed),
             iso,
             grid: volume.grid,
             whole,

@@ -48,6 +48,9 @@ impl Engine {
         let cell_points: u32 = pyramid.host_regions.iter().map(layout::Region::cell_points).sum();
         let mut host_regions = numbered(pyramid, cell_points, &borders);
         let point_count = cell_points as usize + borders.iter().map(|&n| n as usize).sum::<usize>();
+        // Beside missing samples, and on the volume's faces.
+        let used: u64 = meshes.iter().map(|mesh| u64::from(mesh.distinct_vertices)).sum();
+        let isolated_points = (point_count as u64).saturating_sub(used);
 
         if 2 * point_count > MAX_LEAVES {
             return Err(Error::Invalid {
@@ -141,6 +144,7 @@ impl Engine {
             lives,
             beside,
             full_triangles: triangle_count as u64,
+            isolated_points,
             parts: Default::default(),
             left_out: Default::default(),
             last_cut: Default::default(),

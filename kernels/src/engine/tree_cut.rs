@@ -176,13 +176,18 @@ impl Engine {
         let (sums, meshes) = (cutter.sums(work)?, cutter.meshes(work)?);
         let leaves = sum_levels(sums.iter().map(|region| &region.leaves));
         let removed = cutter.left_out.as_ref().map(|left_out| left_out.removed);
+        // Points without triangles go with any parts that are left out.
+        let isolated = match removed {
+            Some(_) => 0,
+            None => cutter.tree.isolated_points,
+        };
         let statistics = SurfaceStatistics {
             full_triangles: cutter.pyramid.full_triangles - removed.map_or(0, |removed| removed.full_triangles),
             removed,
             active_cells: cutter.pyramid.active_cells,
             leaves,
             triangles: meshes.iter().map(|mesh| triangles(mesh) as u64).sum(),
-            vertices: leaves.iter().sum(),
+            vertices: leaves.iter().sum::<u64>().saturating_sub(isolated),
             estimate: estimate(cutter, &sums),
             ..Default::default()
         };

@@ -17,7 +17,7 @@ use crate::volumes::VolumeStep;
 impl DeviceWorker {
     /// A viewer has this time step open.
     pub fn hold(&self, volume: &VolumeStep) -> Held {
-        self.shared.ahead.hold(&VolumeKey::new(volume, "", false))
+        self.shared.ahead.hold(&volume.key())
     }
 
     /// Brings the fields that views use onto the device, if they fit into `budget` bytes of what was read ahead and is not used yet, and

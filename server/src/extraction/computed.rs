@@ -46,9 +46,9 @@ impl WorkerState {
         })?;
         let computed = computed.ok_or_else(|| WorkError::Edit(nothing_inside(key)))?;
         tracing::info!(
-            dataset = key.dataset,
+            dataset = key.step.dataset.id,
             field = key.field,
-            step = key.step,
+            step = key.step.step,
             bytes,
             "field computed"
         );
@@ -63,7 +63,7 @@ pub(super) fn nothing_inside(key: &VolumeKey) -> EditError {
         field: "feature",
         why: format!(
             "{:?} holds at no sample of step {}, expected at least one",
-            key.field, key.step
+            key.field, key.step.step
         ),
     }
 }

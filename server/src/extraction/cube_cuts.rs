@@ -16,7 +16,7 @@ impl OnDevice<'_> {
     ///
     /// # Errors
     /// [`WorkError::OverBudget`] where the smallest cut is above the budget, and the device's errors.
-    pub(super) fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), WorkError> {
+    fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), WorkError> {
         let budget = view.max_triangles(self.pyramid.full_triangles());
         let fitted = view.fitted.filter(|fitted| !fitted.is_tree_cut);
         if let (Some(budget), None) = (budget, fitted) {
@@ -55,6 +55,23 @@ impl OnDevice<'_> {
         Ok((params, cut))
     }
 
+    /// As [`OnDevice::target`], refused where its surface would have more than `ceiling` triangles. A view that is refused is as it was.
+    ///
+    /// # Errors
+    /// [`WorkError::TooManyTriangles`], and those of [`OnDevice::target`].
+    pub(super) fn target_within(
+        &self,
+        view: &mut View,
+        ceiling: u64,
+        cancel: &dyn Cancel,
+    ) -> Result<(CutParams, Cut), WorkError> {
+        let before = view.fitted;
+        let (params, cut) = self.target(view, cancel)?;
+        self.check_ceiling(&cut, ceiling, cancel)
+            .inspect_err(|_| view.fitted = before)?;
+        Ok((params, cut))
+    }
+
     /// Triangles of the smallest surface of cubes that is not empty, which none within the budget is.
     fn smallest(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<u64, Error> {
         let mut asked = budget;
@@ -84,7 +101,7 @@ impl OnDevice<'_> {
     }
 
     /// Refuses a surface of more than `ceiling` triangles before it is made. Counts only where the leaves do not decide.
-    pub(super) fn check_ceiling(&self, cut: &Cut, ceiling: u64, cancel: &dyn Cancel) -> Result<(), WorkError> {
+    fn check_ceiling(&self, cut: &Cut, ceiling: u64, cancel: &dyn Cancel) -> Result<(), WorkError> {
         if cut.leaves().iter().sum::<u64>().saturating_mul(MAX_TRIANGLES_PER_LEAF) <= ceiling {
             return Ok(());
         }

@@ -5,6 +5,7 @@
 //! resident, and load them again.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -141,6 +142,8 @@ pub(super) struct DeviceThread {
     pub surface_bytes: Option<u64>,
     pub state: Arc<watch::Sender<DeviceState>>,
     pub memory: watch::Sender<ThreadMemory>,
+    /// Number of the engine.
+    pub engine: Arc<AtomicU64>,
     pub histograms: Histograms,
     pub pins: Pins,
 }
@@ -226,7 +229,9 @@ impl DeviceThread {
 
     fn state_on(&self, engine: Engine) -> WorkerState {
         let histograms = Arc::clone(&self.histograms);
-        WorkerState::new(engine, histograms, self.pins.clone(), self.surface_bytes)
+        let state = WorkerState::new(engine, histograms, self.pins.clone(), self.surface_bytes);
+        self.engine.store(state.id.number(), Ordering::Relaxed);
+        state
     }
 
     /// Replaces a lost device by one that is opened anew, as soon as there is one.

@@ -124,6 +124,19 @@ impl WorkError {
         matches!(self, Self::Cancelled)
     }
 
+    /// Whether the view cannot be shown, whoever asks for it and however often: what was shown before comes back. Where a budget would help it can,
+    /// and where the device failed it may.
+    pub fn rejects_view(&self) -> bool {
+        matches!(
+            self,
+            Self::Edit(_)
+                | Self::Unreadable(_)
+                | Self::TooLarge { .. }
+                | Self::TooLargeForHost { .. }
+                | Self::NoTree(_)
+        )
+    }
+
     /// The message for a client: files by their names alone, and no words of a compiler, which names folders too. All of it is for the log.
     pub fn public_message(&self) -> String {
         match self {

@@ -1,10 +1,10 @@
-//! Keys of resident volumes, pyramids and histograms.
+//! Keys of resident volumes and histograms.
 
-use isopeel_kernels::{DerivedFeature, Isovalue};
+use isopeel_kernels::DerivedFeature;
 
 use super::WorkError;
 use crate::view::{EditError, FeatureName, FieldExpression, Mask, View};
-use crate::volumes::{Field, VolumeStep};
+use crate::volumes::{Field, StepKey, VolumeStep};
 
 /// Derived features whose values every description has. Others take longer, and are described where someone used them.
 pub(super) const ALWAYS_DESCRIBED: &[DerivedFeature] = &[DerivedFeature::GradientMagnitude];
@@ -12,9 +12,7 @@ pub(super) const ALWAYS_DESCRIBED: &[DerivedFeature] = &[DerivedFeature::Gradien
 /// One time step of one field, padded by a sample on every side or not.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct VolumeKey {
-    pub dataset: String,
-    pub revision: u32,
-    pub step: u32,
+    pub step: StepKey,
     pub field: String,
     /// Whether the samples are padded before they go to the device.
     pub padded: bool,
@@ -25,9 +23,7 @@ pub(super) struct VolumeKey {
 impl VolumeKey {
     pub(super) fn new(volume: &VolumeStep, field: &str, padded: bool) -> Self {
         Self {
-            dataset: volume.dataset().id.clone(),
-            revision: volume.dataset().revision,
-            step: volume.step(),
+            step: volume.key(),
             field: field.to_owned(),
             padded,
             mask: None,
@@ -64,7 +60,7 @@ impl VolumeKey {
         found.or_else(|| dataset.computed_field(&self.field)).ok_or_else(|| {
             WorkError::Edit(EditError {
                 field: "field",
-                why: format!("volume {:?} has no field {:?}", self.dataset, self.field),
+                why: format!("volume {:?} has no field {:?}", self.step.dataset.id, self.field),
             })
         })
     }
@@ -154,24 +150,6 @@ impl HistogramKey {
         Self {
             volume: VolumeKey::new(volume, name, false),
             computed,
-        }
-    }
-}
-
-/// Everything that a pyramid depends on.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct PyramidKey {
-    volume: VolumeKey,
-    feature: FeatureName,
-    iso_bits: u32,
-}
-
-impl PyramidKey {
-    pub(super) fn new(volume: VolumeKey, feature: FeatureName, iso: Isovalue) -> Self {
-        Self {
-            volume,
-            feature,
-            iso_bits: iso.get().to_bits(),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::pin::Pin;
 use std::sync::Arc;
+use std::thread;
 
 use isopeel_kernels::{DeviceKind, RectilinearGrid, Samples};
 use tokio::sync::mpsc;
@@ -16,7 +17,7 @@ use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::view::Mask;
-use crate::volumes::{Field, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
+use crate::volumes::{Field, PIECE_SAMPLES, ReadProgress, VolumeStep};
 
 /// Copies of a field that is not sent in pieces: as it is read, as it is masked or padded, and as it goes to the device.
 const WHOLE_COPIES: u64 = 3;
@@ -272,14 +273,23 @@ fn read(
             .source
             .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send)?);
     }
-    let samples = field.source.read(volume.step(), progress)?;
+    // Both files at once.
+    let (samples, inside) = thread::scope(|scope| {
+        let inside = mask.map(|(mask, labels)| scope.spawn(move || samples_inside(&mask, &labels, volume.step())));
+        let samples = field.source.read(volume.step(), progress);
+        (
+            samples,
+            inside.map(|inside| inside.join().unwrap_or(Err(WorkError::Stopped))),
+        )
+    });
+    let samples = samples?;
     let found = volume.dataset().expression(&key.field);
     // Every sample has a distance, or none has.
     if found.is_some_and(|found| found.is_distance) && samples.get(0).is_nan() {
         return Err(WorkError::Edit(nothing_inside(key)));
     }
-    let (samples, missing) = match mask {
-        Some((mask, labels)) => masked(samples, field.missing, &mask, &labels, volume.step())?,
+    let (samples, missing) = match inside.transpose()? {
+        Some(inside) => samples.masked(field.missing, |i| inside.get(i) == Some(&true)),
         None => (samples, field.missing),
     };
     let samples = if key.padded {
@@ -290,18 +300,9 @@ fn read(
     Ok(send(samples, missing)?)
 }
 
-/// Samples of which those outside a mask are missing, and the value that stands for these. `labels`: the mask's field.
-fn masked(
-    samples: Samples,
-    missing: Option<f32>,
-    mask: &Mask,
-    labels: &Field,
-    step: u32,
-) -> Result<(Samples, Option<f32>), ReadError> {
+/// Of each sample whether it is inside a mask. `labels`: the mask's field.
+fn samples_inside(mask: &Mask, labels: &Field, step: u32) -> Result<Vec<bool>, WorkError> {
     let values = labels.source.load(step)?;
-    let is_inside = |i| {
-        let value = values.get(i);
-        Some(value) != labels.missing && mask.holds(value)
-    };
-    Ok(samples.masked(missing, is_inside))
+    let is_inside = |value| Some(value) != labels.missing && mask.holds(value);
+    Ok((0..values.len()).map(|i| is_inside(values.get(i))).collect())
 }

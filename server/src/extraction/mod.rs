@@ -1,6 +1,6 @@
 //! From a view to a surface.
 //!
-//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens it, and again where it is lost; `attempts` runs a job until it has a result; `worker_state` is what this thread keeps, by `keys`, in a cache
+//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens it, and again where it is lost; `attempts` runs a job until it has a result; `worker_state` is what this thread keeps, by `keys` and `identity`, in a cache
 //!   (`residency`; `cuts` that clients show), on `grids`; `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
@@ -11,7 +11,7 @@
 //! - `slices`: planes of samples.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
-//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view.
+//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view; `decisions`: which of them it gets.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
 mod ahead;
@@ -21,12 +21,14 @@ mod computed;
 mod counting;
 mod cube_cuts;
 mod cuts;
+mod decisions;
 mod device_thread;
 mod error;
 mod extractor;
 mod feature_fields;
 mod grids;
 mod host_memory;
+mod identity;
 mod keys;
 mod loader;
 mod loading;
@@ -53,6 +55,7 @@ pub use device_thread::{Choice, Choose, DeviceOptions, DeviceState, NoChoice, Op
 pub use error::WorkError;
 pub use extractor::{EncodedBytes, Extractor};
 pub use host_memory::{limit_host_memory, return_freed_memory};
+pub use identity::{EngineId, FittedKey, SurfaceKey, ViewKey};
 pub use loading::{OpeningProgress, OpeningWatch};
 pub use memory::MemoryUse;
 pub use open_steps::Held;

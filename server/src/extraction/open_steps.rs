@@ -7,15 +7,13 @@ use tokio::sync::Semaphore;
 
 use super::keys::VolumeKey;
 use super::lock::lock;
+use crate::volumes::StepKey;
 
 /// Time steps that are read ahead at the same time: one, as each takes a disk, and a processor where it is decoded.
 const CONCURRENT: usize = 1;
 
-/// A time step of a dataset.
-type OpenStep = (String, u32, u32);
-
 /// How many viewers have each time step open.
-type OpenSteps = Arc<Mutex<HashMap<OpenStep, usize>>>;
+type OpenSteps = Arc<Mutex<HashMap<StepKey, usize>>>;
 
 /// What reading ahead has to leave alone, and its turn.
 pub(super) struct AheadState {
@@ -31,9 +29,9 @@ impl AheadState {
         }
     }
 
-    /// A viewer has the time step of this field open.
-    pub(super) fn hold(&self, key: &VolumeKey) -> Held {
-        let (open, step) = (Arc::clone(&self.open), step_of(key));
+    /// A viewer has this time step open.
+    pub(super) fn hold(&self, step: &StepKey) -> Held {
+        let (open, step) = (Arc::clone(&self.open), step.clone());
         *lock(&open).entry(step.clone()).or_default() += 1;
         Held {
             held: Some((open, step)),
@@ -43,14 +41,14 @@ impl AheadState {
     /// Whether a viewer has the time step of a field open.
     pub(super) fn is_open(&self) -> impl Fn(&VolumeKey) -> bool + Send + use<> {
         let open = Arc::clone(&self.open);
-        move |key| lock(&open).contains_key(&step_of(key))
+        move |key| lock(&open).contains_key(&key.step)
     }
 }
 
 /// A time step that a viewer has open: its samples stay on the device while others are read ahead. The default holds nothing.
 #[derive(Default)]
 pub struct Held {
-    held: Option<(OpenSteps, OpenStep)>,
+    held: Option<(OpenSteps, StepKey)>,
 }
 
 impl Drop for Held {
@@ -64,8 +62,4 @@ impl Drop for Held {
             }
         }
     }
-}
-
-fn step_of(key: &VolumeKey) -> OpenStep {
-    (key.dataset.clone(), key.revision, key.step)
 }

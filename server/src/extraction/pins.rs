@@ -93,12 +93,18 @@ mod tests {
     use tokio::time::timeout;
 
     use super::{Pins, VolumeKey};
+    use crate::volumes::{DatasetKey, StepKey};
 
     fn key(field: &str) -> VolumeKey {
         VolumeKey {
-            dataset: "head".into(),
-            revision: 0,
-            step: 0,
+            step: StepKey {
+                dataset: DatasetKey {
+                    id: "head".into(),
+                    revision: 0,
+                },
+                step: 0,
+                rewrites: 0,
+            },
             field: field.into(),
             padded: false,
             mask: None,

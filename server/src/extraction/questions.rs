@@ -8,6 +8,7 @@ use std::rc::Rc;
 use isopeel_kernels::{CURVE_POINTS, Cancel, Cut, CutParams, DistributionCounts, Level, MAX_BINS, ShownCut};
 use tokio_util::sync::CancellationToken;
 
+use super::decisions::TreeCut;
 use super::keys::VolumeKey;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
@@ -187,11 +188,11 @@ impl WorkerState {
             let is_tree_cut = view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             let of_tree = match is_tree_cut {
                 true => on.tree_surface(&mut view.clone(), u64::MAX, false, cancel)?,
-                false => None,
+                false => TreeCut::NoTree,
             };
             let surface = match of_tree {
-                Some(surface) => surface,
-                None => {
+                TreeCut::Made(surface) => surface,
+                TreeCut::Refused(_) | TreeCut::NoTree => {
                     let (params, cut) = (on.params_of(view), on.cut_of(shown.cut, view)?);
                     on.engine.surface(on.volume, on.pyramid, &params, &cut, None, cancel)?
                 }

@@ -7,13 +7,14 @@
 //!   prefix is first followed by the finest one that is small enough.
 //! - Where an error or a budget decides, the final surface is a cut of the vertex tree, if that is built, or soon will be: on a GPU, where
 //!   the full surface is not too large. Else it comes when the viewer rests ([`Refinement::can_improve`]), and until then the surface is
-//!   a cut of cubes.
+//!   a cut of cubes. Where parts are to be removed, that cut is on the way, and the cut of the tree the last step.
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface};
 
+use super::decisions::Decided;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, Shown, Step, WorkError};
@@ -77,9 +78,9 @@ impl WorkerState {
             let is_first = step.shown == Shown::Another && step.target.is_none();
             let full = on.pyramid.full_triangles();
             let builds_tree = on.builds_tree_soon();
-            let cuts_tree = view.is_by_error() && step.target.is_none() && (builds_tree || on.cached_tree().is_some());
+            let tree_first = view.is_by_error() && on.cuts_tree(view, step);
             let expected = match view.budget {
-                _ if cuts_tree => Some(view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE)),
+                _ if tree_first => Some(view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE)),
                 Some(Budget::Triangles(budget)) if view.fitted.is_none() => Some(budget.of(full)),
                 _ => None,
             };
@@ -89,24 +90,27 @@ impl WorkerState {
             {
                 return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, on.own_time(start)));
             }
-            if cuts_tree && let Some(surface) = on.tree_surface(view, ceiling_triangles, false, cancel)? {
-                return Ok(on.tree_refinement(surface, view, on.own_time(start)));
-            }
             let kept = step.target.and_then(|id| Some((id, on.cuts.borrow_mut().get(id)?)));
-            let (params, target_id, target) = match kept {
-                Some((id, target)) if target.is_of(on.pyramid) => (on.params_of(view), id, target),
-                _ => {
-                    let (params, target) = match on.target(view, cancel) {
-                        // The tree may reach what cubes do not.
-                        Err(error @ WorkError::OverBudget { .. }) if view.is_by_error() => {
-                            let surface = on.tree_surface(view, ceiling_triangles, false, cancel)?.ok_or(error)?;
-                            return Ok(on.tree_refinement(surface, view, on.own_time(start)));
-                        }
-                        target => target?,
-                    };
-                    on.check_ceiling(&target, ceiling_triangles, cancel)?;
+            let kept = kept.filter(|(_, target)| !tree_first && target.is_of(on.pyramid));
+            let (params, target_id, target, can_improve) = match kept {
+                Some((id, target)) => (on.params_of(view), id, target, view.is_by_error()),
+                None if view.is_by_error() => match on.decided(view, ceiling_triangles, tree_first, false, cancel)? {
+                    Decided::Tree(surface) => return Ok(on.tree_refinement(surface, view, on.own_time(start))),
+                    Decided::Cubes {
+                        params,
+                        cut,
+                        can_improve,
+                    } => {
+                        let target = Rc::new(cut);
+                        let id = on.cuts.borrow_mut().keep(Rc::clone(&target));
+                        (params, id, target, can_improve)
+                    }
+                },
+                None => {
+                    let (params, target) = on.target_within(view, ceiling_triangles, cancel)?;
                     let target = Rc::new(target);
-                    (params, on.cuts.borrow_mut().keep(Rc::clone(&target)), target)
+                    let id = on.cuts.borrow_mut().keep(Rc::clone(&target));
+                    (params, id, target, false)
                 }
             };
             let shown = match step.shown {
@@ -122,7 +126,8 @@ impl WorkerState {
                 cancel,
             };
             let (surface, cut) = next.make(shown.as_deref())?;
-            let is_final = cut.is_none();
+            // Cubes have the parts that are to be removed: the cut of the tree follows.
+            let is_final = cut.is_none() && !view.removes_parts();
             let made = Made {
                 surface: on.with_all_stages(surface),
                 is_final,
@@ -130,8 +135,23 @@ impl WorkerState {
                 target: Some(target_id),
                 meshing: meshing.elapsed(),
             };
-            Ok(made.refinement(view, is_final && !builds_tree && view.is_by_error(), on.own_time(start)))
+            Ok(made.refinement(view, is_final && can_improve && !builds_tree, on.own_time(start)))
         })
+    }
+}
+
+impl OnDevice<'_> {
+    /// Whether a step of a view that an error or a budget decides cuts the vertex tree, or else cubes first.
+    fn cuts_tree(&self, view: &View, step: Step) -> bool {
+        let Some(target) = step.target else {
+            // A budget of bytes was met by a cut of the tree, and would not be by one of cubes with as many triangles.
+            let is_fitted =
+                matches!(view.budget, Some(Budget::Bytes(_))) && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
+            // What replaces a whole surface at once has to be final.
+            let is_needed = view.removes_parts() && step.shown == Shown::Alike;
+            return is_fitted || is_needed || self.builds_tree_soon() || self.cached_tree().is_some();
+        };
+        view.removes_parts() && step.shown == Shown::Cut(target)
     }
 }
 

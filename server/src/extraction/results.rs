@@ -44,9 +44,9 @@ pub struct Step {
 }
 
 /// What a client shows when a step begins.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Shown {
-    /// Nothing, or a surface of another volume, time step, field or isovalue: a coarse one may replace it.
+    /// Nothing, or a surface of another volume, time step, field, mask or isovalue: a coarse one may replace it.
     Another,
     /// The surface of the view, but for what every region changes with: it is replaced at once.
     Alike,

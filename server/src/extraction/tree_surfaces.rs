@@ -7,21 +7,22 @@ use isopeel_kernels::{
     Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, Surface, Topology, TreeGoal, VertexTree,
 };
 
+use super::cuts::Cuts;
+use super::decisions::{Decided, TreeCut, lesser};
 use super::questions::index_inside;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{Refinement, WorkError};
 use crate::metrics;
 use crate::view::View;
-use crate::view::quality::{Fitted, MaxError, TopologyName};
+use crate::view::quality::{Fitted, MaxError};
 use crate::volumes::VolumeStep;
 
 /// Full surfaces of more triangles are cut as cubes before their tree is built: on an H200 a tree of so many takes about 20 ms.
 const MAX_FULL_TRIANGLES: u64 = 1_500_000;
 
 impl WorkerState {
-    /// The final surface of a view as a cut of the vertex tree; `None` where the tree cannot be as small as the budget, and the guards
-    /// give way.
+    /// The final surface of a view as a cut of the vertex tree; `None` where no cut of the tree is small enough.
     pub(super) fn improve(
         &mut self,
         volume: &VolumeStep,
@@ -31,8 +32,10 @@ impl WorkerState {
     ) -> Result<Option<Refinement>, JobError> {
         let start = Instant::now();
         self.with_pyramid(volume, view, Nodes::All, turn, |on, view, cancel| {
-            let surface = on.tree_surface(view, ceiling_triangles, false, cancel)?;
-            Ok(surface.map(|surface| on.tree_refinement(surface, view, on.own_time(start))))
+            Ok(match on.tree_surface(view, ceiling_triangles, false, cancel)? {
+                TreeCut::Made(surface) => Some(on.tree_refinement(surface, view, on.own_time(start))),
+                TreeCut::Refused(_) | TreeCut::NoTree => None,
+            })
         })
     }
 }
@@ -146,44 +149,43 @@ impl OnDevice<'_> {
         Ok(Some(measured))
     }
 
-    /// Cuts the tree to a view's error and budget. `None`: there is no space for a tree; or even the smallest cut, which keeps the
-    /// topology, is above the budget, and the guard on the topology gives way. Where parts are to be removed it does not, for cubes have
-    /// them all.
+    /// Cuts the tree to a view's error and budget.
     ///
     /// # Errors
-    /// [`WorkError::OverBudget`] where a guard does not give way, [`WorkError::NoTree`], [`JobError::TakesLong`], and the device's errors.
+    /// [`WorkError::NoTree`], [`JobError::TakesLong`], and the device's errors. Where parts are to be removed, a cut that is refused is an error
+    /// too, for cubes have all parts.
     pub(super) fn tree_surface(
         &self,
         view: &mut View,
         ceiling: u64,
         state_error: bool,
         cancel: &dyn Cancel,
-    ) -> Result<Option<Surface>, JobError> {
+    ) -> Result<TreeCut, JobError> {
         let params = CutParams {
             state_error,
             ..self.params_of(view)
         };
         let Some(tree) = self.tree(view, &params, cancel)? else {
-            return Ok(None);
+            return Ok(TreeCut::NoTree);
         };
         let goal = self.tree_goal(view, &tree, &params, cancel)?;
         let (surface, tolerance) =
             self.engine
                 .tree_surface(self.volume, self.pyramid, &tree, &params, &goal, cancel)?;
         let triangles = surface.statistics.triangles;
-        if triangles > goal.max_triangles {
-            let is_guarded =
-                tolerance == goal.max_tolerance || view.topology == TopologyName::Preserve || view.removes_parts();
-            return match is_guarded {
-                false => Ok(None),
-                true => Err(JobError::Failed(WorkError::OverBudget {
-                    minimum: triangles,
-                    budget: goal.max_triangles,
-                })),
+        let refusal = if triangles > goal.max_triangles {
+            Some(WorkError::OverBudget {
+                minimum: triangles,
+                budget: goal.max_triangles,
+            })
+        } else {
+            (triangles > ceiling).then_some(WorkError::TooManyTriangles { triangles, ceiling })
+        };
+        if let Some(refusal) = refusal {
+            return match view.removes_parts() {
+                true => Err(refusal.into()),
+                false => Ok(TreeCut::Refused(refusal)),
             };
-        }
-        if triangles > ceiling {
-            return Err(WorkError::TooManyTriangles { triangles, ceiling }.into());
         }
         view.fitted = Some(Fitted {
             threshold: tolerance,
@@ -191,7 +193,50 @@ impl OnDevice<'_> {
             triangles: goal.max_triangles,
             is_tree_cut: true,
         });
-        Ok(Some(self.with_all_stages(surface)))
+        Ok(TreeCut::Made(self.with_all_stages(surface)))
+    }
+
+    /// The surface of a view that an error or a budget decides, as a function of the view alone: a cut of the tree, or, where that is
+    /// refused, a cut of cubes. Which of both is tried first depends on what is at hand, and changes nothing but the time it takes:
+    /// a view is refused where both cuts are. `tree_first`: the tree is there, or worth waiting for.
+    ///
+    /// # Errors
+    /// As [`OnDevice::tree_surface`] and [`OnDevice::target`].
+    pub(super) fn decided(
+        &self,
+        view: &mut View,
+        ceiling: u64,
+        tree_first: bool,
+        state_error: bool,
+        cancel: &dyn Cancel,
+    ) -> Result<Decided, JobError> {
+        let mut tree_refusal = None;
+        if tree_first {
+            match self.tree_surface(view, ceiling, state_error, cancel)? {
+                TreeCut::Made(surface) => return Ok(Decided::Tree(surface)),
+                TreeCut::Refused(refusal) => tree_refusal = Some(refusal),
+                TreeCut::NoTree => {}
+            }
+        }
+        let refusal = match self.target_within(view, ceiling, cancel) {
+            Err(refusal @ (WorkError::OverBudget { .. } | WorkError::TooManyTriangles { .. })) => refusal,
+            target => {
+                let (params, cut) = target?;
+                return Ok(Decided::Cubes {
+                    params,
+                    cut,
+                    can_improve: !tree_first,
+                });
+            }
+        };
+        if !tree_first {
+            match self.tree_surface(view, ceiling, state_error, cancel)? {
+                TreeCut::Made(surface) => return Ok(Decided::Tree(surface)),
+                TreeCut::Refused(refusal) => tree_refusal = Some(refusal),
+                TreeCut::NoTree => {}
+            }
+        }
+        Err(lesser(tree_refusal, refusal).into())
     }
 
     /// A cut of the tree as the last step towards its view. It has no states of cubes: what follows it is made as a whole.
@@ -199,7 +244,7 @@ impl OnDevice<'_> {
         Refinement {
             surface,
             view: view.clone(),
-            cut: self.cuts.borrow_mut().new_id(),
+            cut: Cuts::new_id(),
             target: None,
             is_final: true,
             can_improve: false,

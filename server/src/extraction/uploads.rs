@@ -41,9 +41,9 @@ impl WorkerState {
         };
         let volume = self.engine().finish_upload(upload)?;
         tracing::info!(
-            dataset = key.dataset,
+            dataset = key.step.dataset.id,
             field = key.field,
-            step = key.step,
+            step = key.step.step,
             bytes,
             ahead,
             "volume resident"

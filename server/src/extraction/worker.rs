@@ -7,6 +7,7 @@
 //! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
 //! [`JobError::NotResident`], its caller reads and uploads them, and queues it again.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -16,6 +17,7 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::device_thread::{DeviceOptions, DeviceState, DeviceThread, Preparation};
+use super::identity::EngineId;
 use super::keys::{HistogramKey, VolumeKey};
 use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
@@ -24,7 +26,7 @@ use super::open_steps::AheadState;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
-use super::worker_state::{Histograms, JobError, WorkerState};
+use super::worker_state::{Histograms, JobError, WorkerState, no_finite_sample};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::metrics;
 use crate::view::{FeatureName, View};
@@ -55,6 +57,8 @@ pub(super) struct Shared {
     pub jobs: Option<mpsc::Sender<Job<WorkerState>>>,
     state: watch::Receiver<DeviceState>,
     pub memory: watch::Receiver<ThreadMemory>,
+    /// Number of the engine, set by the thread.
+    engine: Arc<AtomicU64>,
     /// A mutex of std: held for a look-up, never across an await.
     histograms: Histograms,
     pub loads: Loads,
@@ -102,12 +106,14 @@ impl DeviceWorker {
         let (memory, watched_memory) = watch::channel(ThreadMemory::default());
         let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
         let pins = Pins::default();
+        let engine = Arc::new(AtomicU64::default());
         let thread = DeviceThread {
             types,
             is_patient,
             surface_bytes,
             state: Arc::new(state),
             memory,
+            engine: Arc::clone(&engine),
             histograms: Arc::clone(&histograms),
             pins: pins.clone(),
         };
@@ -119,6 +125,7 @@ impl DeviceWorker {
                 jobs: Some(jobs),
                 state: watched,
                 memory: watched_memory,
+                engine,
                 histograms,
                 loads: Loads::new(),
                 ahead: AheadState::new(),
@@ -146,6 +153,11 @@ impl DeviceWorker {
             std::thread::sleep(END_INTERVAL);
         }
         true
+    }
+
+    /// The engine that jobs run on, now.
+    pub fn engine(&self) -> EngineId {
+        EngineId::of_number(self.shared.engine.load(Ordering::Relaxed))
     }
 
     /// State of the device, now.
@@ -259,6 +271,27 @@ impl DeviceWorker {
         self.with_volumes(volume, token, Caller::Viewer, Length::Short, move |state, volume, _| {
             let mut view = view.clone();
             state.resolve(volume, &mut view)?;
+            Ok(view)
+        })
+        .await
+    }
+
+    /// As [`DeviceWorker::resolve`], and loads the fields that the view's surface is made of.
+    ///
+    /// # Errors
+    /// [`WorkError`]; [`WorkError::Edit`] where there is no isovalue to choose, or a computed field has no values.
+    pub async fn prepare(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<View, WorkError> {
+        let view = view.clone();
+        self.with_volumes(volume, token, Caller::Viewer, Length::Short, move |state, volume, _| {
+            let mut view = view.clone();
+            state.resolve(volume, &mut view)?;
+            view.iso.ok_or_else(no_finite_sample)?;
+            state.require(volume, &view)?;
             Ok(view)
         })
         .await

@@ -12,10 +12,12 @@ use isopeel_kernels::{
 };
 
 use super::cuts::Cuts;
+use super::decisions::Decided;
 use super::feature_fields::FeatureFields;
 use super::grids::padded_grid;
 use super::host_memory::HostMemory;
-use super::keys::{HistogramKey, PyramidKey, VolumeKey, feature_keys, histogram_keys, view_keys, with_inputs};
+use super::identity::{EngineId, PyramidKey};
+use super::keys::{HistogramKey, VolumeKey, feature_keys, histogram_keys, view_keys, with_inputs};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
@@ -64,6 +66,14 @@ impl From<JobError> for WorkError {
     }
 }
 
+/// A view has no isovalue, and there is none to choose.
+pub(super) fn no_finite_sample() -> WorkError {
+    WorkError::Edit(EditError {
+        field: "iso",
+        why: "the field has no finite sample to choose an isovalue from".into(),
+    })
+}
+
 /// What a job on a view uses.
 pub(super) struct OnDevice<'a> {
     pub engine: &'a Engine,
@@ -99,13 +109,14 @@ impl OnDevice<'_> {
 
     /// The final surface with its measured error.
     fn final_surface(&self, view: &mut View, ceiling_triangles: u64, cancel: &dyn Cancel) -> Result<Surface, JobError> {
-        if view.is_by_error()
-            && let Some(surface) = self.tree_surface(view, ceiling_triangles, true, cancel)?
-        {
-            return Ok(surface);
-        }
-        let (params, cut) = self.target(view, cancel)?;
-        self.check_ceiling(&cut, ceiling_triangles, cancel)?;
+        let (params, cut) = if view.is_by_error() {
+            match self.decided(view, ceiling_triangles, true, true, cancel)? {
+                Decided::Tree(surface) => return Ok(surface),
+                Decided::Cubes { params, cut, .. } => (params, cut),
+            }
+        } else {
+            self.target_within(view, ceiling_triangles, cancel)?
+        };
         let params = CutParams {
             state_error: params.mesher == Mesher::Dual,
             ..params
@@ -151,6 +162,7 @@ pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
 /// The thread's state. What a job uses that pauses is shared with it, and stays until it ends, even where another one evicts it.
 pub(super) struct WorkerState {
     engine: Rc<Engine>,
+    pub(super) id: EngineId,
     pub(super) volumes: Lru<VolumeKey, Rc<Volume>>,
     /// Those that were read ahead and are not used yet, the oldest first.
     pub(super) ahead: Vec<VolumeKey>,
@@ -175,6 +187,7 @@ impl WorkerState {
         Self {
             volumes: Lru::new(device.memory_bytes / 100 * VOLUME_PERCENT),
             engine: Rc::new(engine),
+            id: EngineId::new(),
             ahead: Vec::new(),
             pyramids: Lru::new(shares.pyramids),
             trees: Rc::new(RefCell::new(Lru::new(shares.trees))),
@@ -247,14 +260,23 @@ impl WorkerState {
         Ok(histogram)
     }
 
+    fn has_histogram(&self, key: &HistogramKey) -> bool {
+        lock(&self.histograms).peek(key).is_some()
+    }
+
     /// Fills in isovalue and feature range. All of the view's volumes are required at once, so that they are loaded at once.
     pub(super) fn resolve(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), JobError> {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
         }
-        self.use_fields(volume, &histogram_keys(volume, view))?;
         let field = HistogramKey::new(volume, &view.field, &FeatureName::None);
         let feature = HistogramKey::new(volume, &view.field, &view.feature);
+        let needs_field = view.iso.is_none() && !self.has_histogram(&field);
+        let needs_feature =
+            view.feature_range.is_none() && view.feature != FeatureName::None && !self.has_histogram(&feature);
+        if needs_field || needs_feature {
+            self.use_fields(volume, &histogram_keys(volume, view))?;
+        }
         // Before the other one, because two closures cannot borrow the state.
         let opening_iso = if view.iso.is_none() {
             let unit = volume
@@ -347,19 +369,16 @@ impl WorkerState {
         turn: &mut Turn<'_, Self>,
         work: &impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
-        let unresolved = || {
-            WorkError::Edit(EditError {
-                field: "iso",
-                why: "the field has no finite sample to choose an isovalue from".into(),
-            })
-        };
-        let iso: Isovalue = view.iso.ok_or_else(unresolved)?;
+        let iso: Isovalue = view.iso.ok_or_else(no_finite_sample)?;
         let spacing = volume.dataset().cell_lengths();
         let (_, index_space) = volume.dataset().index_space(view);
-        let params = view.cut_params(spacing, &index_space).ok_or_else(unresolved)?;
-        let shown = VolumeKey::shown(volume, view, view.cap);
-        let key = PyramidKey::new(shown.clone(), view.feature.clone(), iso);
-        let shown_volume = self.volumes.peek(&shown).map(Rc::clone).ok_or(WorkError::Stopped)?;
+        let params = view.cut_params(spacing, &index_space).ok_or_else(no_finite_sample)?;
+        let key = PyramidKey::new(volume, view);
+        let shown_volume = self
+            .volumes
+            .peek(key.samples())
+            .map(Rc::clone)
+            .ok_or(WorkError::Stopped)?;
         // Fitting a budget needs the whole pyramid.
         let cells_suffice = nodes == Nodes::OfTheView && params.is_full(Level::FINEST) && view.budget.is_none();
         let is_cached = self
@@ -402,7 +421,7 @@ impl WorkerState {
     }
 
     /// Keys of the fields that a view uses, marked as used; an error if one is not resident.
-    fn require(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, JobError> {
+    pub(super) fn require(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, JobError> {
         let keys = view_keys(volume, view);
         self.use_fields(volume, &keys)?;
         Ok(keys)

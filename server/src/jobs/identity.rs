@@ -15,7 +15,7 @@ use std::time::UNIX_EPOCH;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
-use crate::volumes::Dataset;
+use crate::volumes::{Dataset, DatasetKey};
 
 /// A file up to this size is hashed as a whole: that takes less than a tenth of a second.
 const WHOLE_BYTES: u64 = 64 << 20;
@@ -84,7 +84,7 @@ pub enum IdentityError {
 
 /// What is known of the files of a server's volumes: a file that changed after its header was read would be pinned as what it is not.
 #[derive(Debug, Default)]
-pub struct SeenFiles(Mutex<HashMap<(String, u32, PathBuf), Stamp>>);
+pub struct SeenFiles(Mutex<HashMap<(DatasetKey, Vec<u32>, PathBuf), Stamp>>);
 
 const SINCE_OPENED: &str = "the server opened it, start the server again";
 const SINCE_SUBMITTED: &str = "the job was submitted";
@@ -104,7 +104,7 @@ impl SeenFiles {
             let now = stamp(path)?;
             let mut seen = self.0.lock().unwrap_or_else(PoisonError::into_inner);
             let before = seen
-                .entry((dataset.id.clone(), dataset.revision, path.clone()))
+                .entry((dataset.key(), dataset.rewrites.clone(), path.clone()))
                 .or_insert_with(|| now.clone());
             compare(path, before, &now, SINCE_OPENED)?;
         }

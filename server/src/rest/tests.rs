@@ -47,6 +47,7 @@ fn catalog() -> Catalog {
         uneven: None,
         times: None,
         revision: 0,
+        rewrites: Vec::new(),
         fields: vec![Field {
             name: "value".into(),
             stored_type: "uint8".into(),

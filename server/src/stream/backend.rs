@@ -11,8 +11,8 @@ use tokio_util::sync::CancellationToken;
 use crate::access::Identity;
 use crate::error::chain;
 use crate::extraction::{
-    Answer, DeviceWorker, Extractor, FullCount, Held, Measurement, OpeningProgress, OpeningWatch, Question, Refinement,
-    ShownSurface, Step, WorkError, describe,
+    Answer, DeviceWorker, EngineId, Extractor, FullCount, Held, Measurement, OpeningProgress, OpeningWatch, Question,
+    Refinement, ShownSurface, Step, WorkError, describe,
 };
 use crate::view::View;
 use crate::volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
@@ -67,6 +67,19 @@ pub trait Backend: Clone + Send + Sync + 'static {
     fn watches(&self) -> bool {
         false
     }
+
+    /// The engine that works now.
+    fn engine(&self) -> EngineId {
+        EngineId::default()
+    }
+
+    /// A view of a time step with every value in force, when the samples of all fields that it uses are there.
+    fn resolve(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> impl Future<Output = Result<View, WorkError>> + Send;
 
     /// How many triangles the full surface of a view has, which the next step of the view then starts from.
     fn count(
@@ -225,6 +238,14 @@ impl Backend for Live {
 
     fn watches(&self) -> bool {
         self.options.watches
+    }
+
+    fn engine(&self) -> EngineId {
+        self.extractor.worker().engine()
+    }
+
+    async fn resolve(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<View, WorkError> {
+        self.extractor.worker().prepare(volume, view, token).await
     }
 
     async fn count(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<FullCount, WorkError> {

@@ -24,6 +24,7 @@ use leader::PAUSE;
 
 use crate::metrics;
 use crate::view::View;
+use crate::volumes::VolumeStep;
 use crate::wire::group::{Follower, LedSurface, Pose};
 use crate::wire::messages::ServerMessage;
 
@@ -74,11 +75,10 @@ struct Group {
     ended: CancellationToken,
 }
 
-/// What is open and shown. Views are as edits left them.
+/// What is open and shown. Views are those in force.
 #[derive(Debug)]
 pub(super) struct Scene {
-    pub volume: String,
-    pub step: u32,
+    pub volume: VolumeStep,
     pub surfaces: Vec<(u8, View)>,
     /// The message that says it, written once for all.
     message: OnceLock<String>,
@@ -396,17 +396,16 @@ impl Drop for Member {
 }
 
 impl Scene {
-    pub(super) fn new(volume: String, step: u32, surfaces: Vec<(u8, View)>) -> Self {
+    pub(super) fn new(volume: VolumeStep, surfaces: Vec<(u8, View)>) -> Self {
         Self {
             volume,
-            step,
             surfaces,
             message: OnceLock::new(),
         }
     }
 
     fn is_same(&self, other: &Self) -> bool {
-        (&self.volume, self.step, &self.surfaces) == (&other.volume, other.step, &other.surfaces)
+        self.volume.key() == other.volume.key() && self.surfaces == other.surfaces
     }
 
     /// The message that followers get of it.
@@ -417,8 +416,8 @@ impl Scene {
                 edit: view.to_edit(),
             });
             let message = ServerMessage::Led {
-                volume: self.volume.clone(),
-                step: self.step,
+                volume: self.volume.dataset().id.clone(),
+                step: self.volume.step(),
                 surfaces: surfaces.collect(),
             };
             message.to_json()

@@ -10,8 +10,9 @@
 //! the line      one step: compared and encoded on the pool, then in the outbox; prefixes do not mix
 //! ```
 //!
-//! - **Edits.** An edit changes its surface's view at once and marks it as pending. When the device is free of the session's last job, the
-//!   view starts a new [`generation::Generation`]. Edits that arrive before change the same view, so they coalesce.
+//! - **Edits.** An edit comes into force when all that it uses is there and every value is resolved (`resolving`), most of them at once.
+//!   Then its surface is marked, and when the device is free of the session's last job, the view starts a new
+//!   [`generation::Generation`]. Edits that arrive before change the same view, so they coalesce.
 //! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
 //!   (`jobs`). `pace` says how large a step may be.
 //! - **Turns.** First steps come before further ones of other surfaces, the surface that was edited last before others, and who has waited
@@ -41,7 +42,9 @@ mod open_pace;
 mod open_volume;
 mod outbox;
 mod pace;
+mod pending;
 mod questions;
+mod resolving;
 mod rest;
 mod schedule;
 mod sharing;
@@ -49,6 +52,8 @@ mod shown;
 mod surface;
 mod time;
 mod writer;
+
+use std::sync::Arc;
 
 use axum::body::Bytes;
 use futures_util::StreamExt;
@@ -64,7 +69,7 @@ use crate::access::Identity;
 use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::metrics;
-use crate::volumes::VolumeStep;
+use crate::volumes::{Dataset, Lease, StepKey, VolumeStep};
 use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
 use open_pace::OpenPace;
@@ -73,6 +78,7 @@ use outbox::{Frame, Newest, Outbox};
 use pace::Pace;
 pub use pace::StepTimes;
 use questions::{Answered, Questions};
+use resolving::Resolved;
 use time::{Ahead, read_ahead};
 use trace::ConnectionId;
 
@@ -115,6 +121,7 @@ enum Event<'a> {
     Device(DeviceDone),
     Pool(PoolDone),
     Answered(Answered),
+    Resolved(Resolved),
     DrawPauseElapsed,
     PongWaitElapsed,
     OpenPaceElapsed,
@@ -156,7 +163,9 @@ pub(super) struct Session<B> {
     /// The group that it is in.
     member: Option<Member>,
     /// What it was to open last because another member did.
-    tried: Option<(String, u32)>,
+    tried: Option<StepKey>,
+    /// What the device resolves now, so that it comes into force. Dropping it cancels that.
+    resolving: Option<BoxFuture<Resolved>>,
 }
 
 impl<B: Backend> Session<B> {
@@ -182,6 +191,7 @@ impl<B: Backend> Session<B> {
             ahead: None,
             member: None,
             tried: None,
+            resolving: None,
         }
     }
 
@@ -195,6 +205,7 @@ impl<B: Backend> Session<B> {
         let who = self.who.clone();
         let mut token_ended = std::pin::pin!(who.ended());
         let code = loop {
+            self.advance_resolving();
             self.advance_pool();
             self.advance_device();
             self.advance_questions();
@@ -219,6 +230,7 @@ impl<B: Backend> Session<B> {
                 done = finished(&mut self.device) => Event::Device(done),
                 Some(done) = self.pool.next() => Event::Pool(done),
                 answered = finished(&mut self.questions.job) => Event::Answered(answered),
+                resolved = finished(&mut self.resolving) => Event::Resolved(resolved),
                 () = read_ahead(&mut self.ahead) => Event::ReadAhead,
                 () = lease.removed() => Event::VolumeRemoved,
                 () = reached(draw_pause_until) => Event::DrawPauseElapsed,
@@ -260,6 +272,11 @@ impl<B: Backend> Session<B> {
                     self.on_answer(answered);
                     None
                 }
+                Event::Resolved(resolved) => {
+                    self.resolving = None;
+                    self.on_resolved(resolved);
+                    None
+                }
                 Event::VolumeRemoved => {
                     self.on_removed_volume();
                     None
@@ -287,7 +304,7 @@ impl<B: Backend> Session<B> {
             }
         };
         // Work ends at once; control frames are still sent, then the close frame. The writer has a deadline for each.
-        self.opened = None;
+        (self.opened, self.resolving) = (None, None);
         self.questions.clear();
         self.ahead = None;
         self.member = None;
@@ -382,14 +399,34 @@ impl<B: Backend> Session<B> {
     }
 
     fn on_open(&mut self, id: &str, step: u32) {
-        self.open_pace.opened(Instant::now());
-        self.close_volume();
         // First, so that a volume which is removed from here on is known to be.
         let lease = self.backend.lease(id);
-        let Some(dataset) = self.backend.find(id, &self.who) else {
-            let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
-            return self.send_error("unknown-volume", message, true);
-        };
+        match self.backend.find(id, &self.who) {
+            Some(dataset) => self.open_step(dataset, step, lease),
+            None => self.refuse_volume(id),
+        }
+    }
+
+    /// Opens what another member of the group has opened: the same samples, be there newer ones under this id. Only of a volume that this viewer may open.
+    fn open_led(&mut self, led: &VolumeStep) {
+        let id = &led.dataset().id;
+        let lease = self.backend.lease(id);
+        match self.backend.find(id, &self.who) {
+            Some(_) => self.open_step(Arc::clone(led.dataset()), led.step(), lease),
+            None => self.refuse_volume(id),
+        }
+    }
+
+    fn refuse_volume(&mut self, id: &str) {
+        self.open_pace.opened(Instant::now());
+        self.close_volume();
+        let message = format!("no volume has the id {id:?}, GET /api/v1/volumes lists those there are");
+        self.send_error("unknown-volume", message, true);
+    }
+
+    fn open_step(&mut self, dataset: Arc<Dataset>, step: u32, lease: Lease) {
+        self.open_pace.opened(Instant::now());
+        self.close_volume();
         let view = match dataset.opening_view() {
             Ok(view) => view,
             Err(error) => return self.send_error("unreadable-volume", format!("opening view: {error}"), true),

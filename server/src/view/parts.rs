@@ -27,6 +27,24 @@ impl Budget {
         }
     }
 
+    /// What is left of it where so much is reserved; at least 1. A share without a maximum is one of each surface, and takes nothing from another.
+    #[must_use]
+    pub fn without(self, reserved: u64) -> Self {
+        let left = |whole: u64| whole.saturating_sub(reserved).max(1);
+        match self {
+            Self::Bytes(bytes) => Self::Bytes(left(bytes)),
+            Self::Triangles(TriangleBudget::AtMost(triangles)) => {
+                Self::Triangles(TriangleBudget::AtMost(left(triangles)))
+            }
+            Self::Triangles(TriangleBudget::Share(ShareBudget { share, max })) => {
+                Self::Triangles(TriangleBudget::Share(ShareBudget {
+                    share,
+                    max: max.map(left),
+                }))
+            }
+        }
+    }
+
     /// As a number, for a full surface of `full` triangles: of triangles or of bytes.
     #[must_use]
     pub fn as_number(self, full: u64) -> Self {
@@ -82,6 +100,9 @@ mod tests {
         );
         assert_eq!(share(0.25, Some(100)).part(300, 600), share(0.25, Some(50)));
         assert_eq!(share(0.25, None).part(300, 600), share(0.25, None));
+        assert_eq!(Budget::Bytes(100).without(30), Budget::Bytes(70));
+        assert_eq!(share(0.25, Some(100)).without(100), share(0.25, Some(1)));
+        assert_eq!(share(0.25, None).without(100), share(0.25, None));
         for (part, full, all) in [(10, 30, 90), (7, 3, 100), (1, 1, u64::MAX), (5, 0, 9)] {
             let whole = Budget::whole_of(part, full, all);
             let given = number(Budget::Bytes(whole).part(full, all), full);

@@ -42,11 +42,6 @@ impl Default for TransferFunctionJson {
 }
 
 impl TransferFunctionJson {
-    /// Leaves what decides the surface.
-    pub fn forget_colors(&mut self) {
-        self.points.iter_mut().for_each(|point| point.color.clear());
-    }
-
     /// For the kernels, which use importance alone.
     ///
     /// # Errors

@@ -86,6 +86,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
             }),
         }],
         revision: 0,
+        rewrites: Vec::new(),
         notice: None,
         opening: None,
     })

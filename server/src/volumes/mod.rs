@@ -62,7 +62,7 @@ pub use open::{open_dataset, read_file};
 pub use private::{Lease, Reader};
 pub use progress::ReadProgress;
 pub use remote::is_this_machine;
-pub use step::{UnknownStep, VolumeStep};
+pub use step::{DatasetKey, StepKey, UnknownStep, VolumeStep};
 pub use times::TimeAxis;
 
 /// A dataset: fields that share one grid.
@@ -84,8 +84,10 @@ pub struct Dataset {
     pub times: Option<TimeAxis>,
     /// Fields, the main one first; at least one.
     pub fields: Vec<Field>,
-    /// Counts what took this one's place under its id, but for steps that were added to it: samples of another revision are others.
+    /// Counts what took this one's place under its id, but for steps that were added to it or rewritten.
     pub revision: u32,
+    /// How often the files of each step were rewritten; a step that is not in the list was not.
+    pub rewrites: Vec<u32>,
     /// Copyright, source, or what the grid does not say, to show beside the data.
     pub notice: Option<String>,
     /// What the viewer opens with; `None`: the defaults.
@@ -98,7 +100,20 @@ impl Dataset {
         self.fields.iter().find(|f| f.name == name)
     }
 
-    /// Whether this is an earlier dataset, perhaps with more time steps.
+    /// What identifies it.
+    pub fn key(&self) -> DatasetKey {
+        DatasetKey {
+            id: self.id.clone(),
+            revision: self.revision,
+        }
+    }
+
+    /// How often the files of a step were rewritten.
+    pub fn rewrites(&self, step: u32) -> u32 {
+        self.rewrites.get(step as usize).copied().unwrap_or(0)
+    }
+
+    /// Whether this is an earlier dataset, perhaps with more time steps, or with other samples in some.
     pub fn continues(&self, earlier: &Self) -> bool {
         let kinds =
             |dataset: &Self| -> Vec<_> { dataset.fields.iter().map(|f| (f.name.clone(), f.sample_type)).collect() };

@@ -219,6 +219,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         notice: (!notices.is_empty()).then(|| notices.join("; ")),
         fields: files.into_iter().flat_map(|(_, f)| f.fields).collect(),
         revision: 0,
+        rewrites: Vec::new(),
         opening: None,
     })
 }

@@ -1,4 +1,4 @@
-//! One time step of a dataset.
+//! One time step of a dataset, and what identifies its samples.
 
 use std::sync::Arc;
 
@@ -34,6 +34,35 @@ impl VolumeStep {
     pub fn step(&self) -> u32 {
         self.step
     }
+
+    /// What identifies its samples.
+    pub fn key(&self) -> StepKey {
+        StepKey {
+            dataset: self.dataset.key(),
+            step: self.step,
+            rewrites: self.dataset.rewrites(self.step),
+        }
+    }
+}
+
+/// Identity of a dataset: two with one key have the same grid and the same fields.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct DatasetKey {
+    /// Its id.
+    pub id: String,
+    /// Counts what took its place under its id.
+    pub revision: u32,
+}
+
+/// Identity of the samples of one time step: two with one key have the same samples in every field.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct StepKey {
+    /// Of which dataset.
+    pub dataset: DatasetKey,
+    /// The time step.
+    pub step: u32,
+    /// How often its files were rewritten since the server opened the dataset.
+    pub rewrites: u32,
 }
 
 /// A time step that a dataset does not have.

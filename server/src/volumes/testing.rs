@@ -42,6 +42,7 @@ pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
         uneven: None,
         times: None,
         revision: 0,
+        rewrites: Vec::new(),
         fields: fields.iter().map(field).collect(),
         notice: None,
         opening: None,

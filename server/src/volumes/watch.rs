@@ -79,7 +79,7 @@ impl Watcher {
                 failures: 0,
                 pause: 0,
             });
-            watcher.take(watcher.paths.len() - 1, datasets, true);
+            watcher.take(watcher.paths.len() - 1, datasets, &[]);
         }
         watcher.publish();
         Ok(watcher)
@@ -120,9 +120,12 @@ impl Watcher {
         match open_path(&watched.path) {
             Ok(datasets) => {
                 let before = watched.opened.replace(watched.seen.clone()).unwrap_or_default();
-                let only_added = before.iter().all(|(file, stamp)| watched.seen.get(file) == Some(stamp));
+                let changed = before
+                    .into_iter()
+                    .filter(|(file, stamp)| watched.seen.get(file) != Some(stamp));
+                let changed: Vec<PathBuf> = changed.map(|(file, _)| file).collect();
                 (watched.failures, watched.pause) = (0, 0);
-                self.take(at, datasets, only_added)
+                self.take(at, datasets, &changed)
             }
             Err(error) => {
                 if watched.failures == 0 {
@@ -135,8 +138,10 @@ impl Watcher {
         }
     }
 
-    /// Puts datasets in the place of those of a path. `only_added`: all files that were there before are as they were. Whether any differs.
-    fn take(&mut self, at: usize, datasets: Vec<Dataset>, only_added: bool) -> bool {
+    /// Replaces the datasets of a path. `changed`: the files of the datasets before that are not as they were. Returns whether any dataset
+    /// differs.
+    fn take(&mut self, at: usize, datasets: Vec<Dataset>, changed: &[PathBuf]) -> bool {
+        let changed = ChangedFiles::new(changed, &datasets);
         let mut counts: BTreeMap<String, usize> = BTreeMap::new();
         let mut taken = Vec::new();
         for mut dataset in datasets {
@@ -147,7 +152,7 @@ impl Watcher {
             dataset.set_frame(self.frame);
             let before = self.paths[at].datasets.iter().find(|before| before.id == dataset.id);
             taken.push(match before {
-                Some(before) => successor(before, dataset, only_added),
+                Some(before) => successor(before, dataset, &changed),
                 None => Arc::new(dataset),
             });
         }
@@ -179,16 +184,52 @@ impl Watcher {
     }
 }
 
-/// What takes the place of a dataset: itself, if nothing of it has changed; or another one, whose samples are the same as far as it had
-/// steps, or of another revision.
-fn successor(before: &Arc<Dataset>, mut now: Dataset, only_added: bool) -> Arc<Dataset> {
+/// Files that are not as they were when the datasets before were opened.
+struct ChangedFiles<'a> {
+    files: &'a [PathBuf],
+    /// Whether one of them holds the samples of no step: a header or an index, which may say of any step where its samples are.
+    any_step: bool,
+}
+
+impl<'a> ChangedFiles<'a> {
+    /// `datasets`: all that were opened from the path now.
+    fn new(files: &'a [PathBuf], datasets: &[Dataset]) -> Self {
+        let is_of = |file: &PathBuf, dataset: &Dataset| (0..dataset.steps).any(|step| holds(dataset, step, file));
+        let is_of_a_step = |file: &PathBuf| datasets.iter().any(|dataset| is_of(file, dataset));
+        Self {
+            files,
+            any_step: !files.iter().all(is_of_a_step),
+        }
+    }
+
+    /// Whether the samples of a step may be others than before.
+    fn change(&self, dataset: &Dataset, step: u32) -> bool {
+        self.any_step || self.files.iter().any(|file| holds(dataset, step, file))
+    }
+}
+
+/// Whether the samples of a step are read from a file, or from a folder that has it.
+fn holds(dataset: &Dataset, step: u32, file: &Path) -> bool {
+    let inputs = dataset.fields.iter().flat_map(|field| field.source.inputs(step));
+    inputs.into_iter().any(|input| file.starts_with(input.path()))
+}
+
+/// What takes the place of a dataset: itself, if nothing of it has changed; one of the same revision, if it has more steps, which says of
+/// each step how often its files were rewritten; or one of another revision.
+fn successor(before: &Arc<Dataset>, mut now: Dataset, changed: &ChangedFiles<'_>) -> Arc<Dataset> {
     now.revision = before.revision;
     let times = |dataset: &Dataset, step: u32| dataset.times.as_ref().map(|times| times.label(step));
     let is_longer = now.steps > before.steps
         && (before.steps == 1 || (0..before.steps).all(|step| times(before, step) == times(&now, step)));
     match now.continues(before) {
-        true if only_added && now.steps == before.steps && now.times == before.times => Arc::clone(before),
-        true if is_longer => Arc::new(now),
+        true if changed.files.is_empty() && now.steps == before.steps && now.times == before.times => {
+            Arc::clone(before)
+        }
+        true if is_longer => {
+            let rewrites = |step| before.rewrites(step) + u32::from(changed.change(&now, step));
+            now.rewrites = (0..before.steps).map(rewrites).collect();
+            Arc::new(now)
+        }
         _ => {
             now.revision += 1;
             Arc::new(now)

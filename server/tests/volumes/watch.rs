@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use isopeel::volumes::watch::Watcher;
-use isopeel::volumes::{Frame, TimeAxis};
+use isopeel::volumes::{Frame, TimeAxis, VolumeStep};
 
 use crate::write::{self, Volume};
 
@@ -84,6 +84,66 @@ fn steps_that_shift_or_change_are_another_revision() {
     watcher.look();
     assert!(watcher.look());
     assert_eq!(listed(&watcher), [("heat".to_owned(), 4, 2)]);
+}
+
+/// Writes a file whose time of the last change differs, however coarse that is.
+fn rewrite(folder: &Path, name: &str, bytes: impl AsRef<[u8]>, seconds: u64) {
+    put(folder, name, bytes);
+    let later = std::time::SystemTime::now() + std::time::Duration::from_secs(seconds);
+    let file = std::fs::File::options().write(true).open(folder.join(name)).unwrap();
+    file.set_modified(later).unwrap();
+}
+
+#[test]
+fn steps_that_are_rewritten_while_others_are_added_have_other_samples() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path().join("heat");
+    std::fs::create_dir(&at).unwrap();
+    for step in 0..3 {
+        put(&at, &format!("t_{step:02}.nrrd"), nrrd(step, 4));
+    }
+    let mut watcher = open(&at);
+    let now = |watcher: &Watcher| watcher.catalog().now().get("heat").cloned().unwrap();
+    let key = |dataset: &std::sync::Arc<isopeel::volumes::Dataset>, step| {
+        VolumeStep::new(std::sync::Arc::clone(dataset), step).unwrap().key()
+    };
+    let before = now(&watcher);
+    rewrite(&at, "t_01.nrrd", nrrd(77, 4), 5);
+    put(&at, "t_03.nrrd", nrrd(3, 4));
+    watcher.look();
+    assert!(watcher.look());
+    let after = now(&watcher);
+    assert!(after.continues(&before) && after.steps == 4);
+    let is_same: Vec<bool> = (0..3).map(|step| key(&before, step) == key(&after, step)).collect();
+    assert_eq!(is_same, [true, false, true]);
+    // Again, and a step more: each rewrite is another one.
+    rewrite(&at, "t_01.nrrd", nrrd(78, 4), 9);
+    put(&at, "t_04.nrrd", nrrd(4, 4));
+    watcher.look();
+    assert!(watcher.look());
+    assert_eq!(now(&watcher).rewrites(1), 2);
+    assert_eq!(now(&watcher).rewrites(3), 0);
+}
+
+#[test]
+fn a_file_with_more_steps_may_have_other_samples_in_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let four = |value: f32, steps: usize| {
+        let mut npy = Vec::new();
+        let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({steps}, 3, 4, 5), }}");
+        npy.extend_from_slice(b"\x93NUMPY\x01\x00");
+        npy.extend_from_slice(&(header.len() as u16).to_le_bytes());
+        npy.extend_from_slice(header.as_bytes());
+        npy.extend((0..steps * 60).flat_map(|_| value.to_le_bytes()));
+        npy
+    };
+    put(folder.path(), "four.npy", four(1.0, 2));
+    let mut watcher = Watcher::open(&[folder.path().join("four.npy")], false, Frame::Lps).unwrap();
+    rewrite(folder.path(), "four.npy", four(2.0, 3), 5);
+    watcher.look();
+    assert!(watcher.look());
+    let dataset = watcher.catalog().now().get("four").cloned().unwrap();
+    assert_eq!((dataset.steps, dataset.rewrites(0), dataset.rewrites(1)), (3, 1, 1));
 }
 
 #[test]

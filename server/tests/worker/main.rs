@@ -81,6 +81,7 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
         uneven: None,
         times: None,
         revision: 0,
+        rewrites: Vec::new(),
         fields,
         notice: None,
         opening: None,

@@ -38,14 +38,7 @@ impl TagSeed {
 
     /// The same for what makes the same surface in the same format.
     fn tag(self, volume: &VolumeStep, view: &View, format: Format) -> String {
-        let dataset = volume.dataset();
-        let what = format!(
-            "{} {:?} {} {} {format:?} {view:?}",
-            self.0,
-            dataset.id,
-            dataset.revision,
-            volume.step()
-        );
+        let what = format!("{} {:?} {format:?} {view:?}", self.0, volume.key());
         // Weak: a file says how long it took to make.
         format!("W/\"{}\"", HEXLOWER.encode(&Sha256::digest(what)[..16]))
     }

@@ -5,8 +5,9 @@ use futures_util::stream::FuturesOrdered;
 use super::super::backend::Backend;
 use super::Session;
 use super::generation::Sending;
+use super::open_volume::OpenVolume;
 use crate::access::Role;
-use crate::view::{Edit, View};
+use crate::view::Edit;
 use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::{Capabilities, ServerMessage};
 
@@ -24,7 +25,7 @@ impl<B: Backend> Session<B> {
             return self.send_error("not-open", "no volume is open, expected `open` first", true);
         };
         let surface = surface as u8;
-        let before = opened.view_of(surface);
+        let before = opened.edited_view_of(surface);
         match before.apply(edit, &opened.volume.dataset().field_names()) {
             Ok(view) if view.cap => {
                 let message = "cap: true, the stream has no caps yet, expected false; exports have them";
@@ -32,27 +33,9 @@ impl<B: Backend> Session<B> {
             }
             // Who may look is shown what the volume opens with.
             Ok(view) if view != before && !self.who.may(Role::Edit) => self.refuse_edit(),
-            Ok(view) => self.show_view(surface, view, edit.triangles.is_some() || edit.bytes.is_some()),
+            Ok(view) => self.take_edit(surface, view, edit),
             Err(error) => self.send_error("bad-edit", error.to_string(), true),
         }
-    }
-
-    /// Begins to show a view of a surface; `has_budget`: its budget is the connection's from now on.
-    pub(super) fn show_view(&mut self, surface: u8, view: View, has_budget: bool) {
-        let Some(opened) = &mut self.opened else { return };
-        self.edits += 1;
-        self.questions.overtaken();
-        self.outbox.drop_annotations();
-        opened.set_view(surface, view, has_budget);
-        for (number, session) in opened.surfaces_mut() {
-            if number == surface {
-                session.edited = self.edits;
-            } else if let Some(rest) = session.rest_mut() {
-                rest.postpone();
-            }
-        }
-        self.change(surface);
-        self.allot(Some(surface));
     }
 
     /// The viewer's token is not for edits.
@@ -62,7 +45,7 @@ impl<B: Backend> Session<B> {
     }
 
     /// What is to be made of a surface has changed: its generation ends, once something of it was committed.
-    fn change(&mut self, surface: u8) {
+    pub(super) fn change(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
             return;
@@ -74,9 +57,26 @@ impl<B: Backend> Session<B> {
         }
     }
 
+    /// Surfaces that failed are tried again where something else has changed that gives them another part of the budget.
+    pub(super) fn retry_failed(&mut self) {
+        let retried = self.opened.as_mut().map(OpenVolume::offer_retries);
+        retried.into_iter().flatten().for_each(|number| self.retry(number));
+    }
+
+    fn retry(&mut self, number: u8) {
+        if let Some(session) = self.opened.as_mut().and_then(|opened| opened.surface_mut(number)) {
+            session.failed = None;
+        }
+        self.change(number);
+    }
+
     /// Gives each surface its part of the budget, once all that share it are counted. Those that get another one follow; `edited` is to
     /// be made anew in any case.
     pub(super) fn allot(&mut self, edited: Option<u8>) {
+        let Some(opened) = self.opened.as_mut() else { return };
+        if opened.allotments().is_some() {
+            opened.retried().into_iter().for_each(|number| self.retry(number));
+        }
         let Some(allotments) = self.opened.as_ref().and_then(|opened| opened.allotments()) else {
             return;
         };
@@ -85,11 +85,12 @@ impl<B: Backend> Session<B> {
             let Some(session) = opened.and_then(|opened| opened.surface_mut(number)) else {
                 continue;
             };
+            if session.failed.is_some() {
+                continue;
+            }
             let is_same = std::mem::replace(&mut session.allotted, budget) == budget;
             match session.generation_mut() {
-                Some(generation) if generation.is_unstepped() => {
-                    generation.view.budget = generation.view.budget.and(budget.or(generation.view.budget));
-                }
+                Some(generation) if generation.is_unstepped() => generation.set_budget(budget),
                 Some(generation) if generation.is_overtaken => {}
                 _ if is_same || budget.is_none() || Some(number) == edited => {}
                 _ => self.change(number),
@@ -110,7 +111,13 @@ impl<B: Backend> Session<B> {
                 session.allotted = None;
             }
             session.edit_pending = false;
+            if let Some(pending) = &mut session.pending {
+                pending.cancel();
+            }
             self.end_generation(number);
+        }
+        if let Some(stepping) = self.opened.as_mut().and_then(|opened| opened.stepping.as_mut()) {
+            stepping.is_made = false;
         }
     }
 
@@ -141,6 +148,7 @@ impl<B: Backend> Session<B> {
             opened.remove(number);
         }
         self.send(&ServerMessage::Removed { surface: number });
+        self.retry_failed();
         self.allot(None);
     }
 

@@ -20,10 +20,11 @@ use super::super::groups::FirstStep;
 use super::super::prefix::{Changes, Part};
 use super::super::shared::{Offered, RegionHashes, SharedStep};
 use super::draw_pause::DrawPause;
-use super::shown::shown_for;
-use crate::extraction::{CutId, ExtractionStatistics, FullCount, Shown};
+use super::shown::HeldSurface;
+use crate::extraction::{CutId, ExtractionStatistics, FullCount, Shown, ViewKey};
 use crate::metrics;
 use crate::view::View;
+use crate::view::quality::Budget;
 use crate::wire::chunk::PrefixId;
 
 pub(super) struct Generation {
@@ -31,8 +32,10 @@ pub(super) struct Generation {
     pub surface: u8,
     /// Unique in a connection, whatever the surface.
     pub number: u32,
-    /// As the edit left it, for the device to resolve. Its budget is the part of its surface.
+    /// Resolved. Its budget is the part of its surface.
     pub view: View,
+    /// Of that view.
+    pub key: ViewKey,
     pub making: Making,
     pub sending: Sending,
     /// What the client will hold when all steps that were made are committed.
@@ -117,12 +120,13 @@ pub(super) struct Sent {
 }
 
 impl Generation {
-    pub(super) fn new(surface: u8, number: u32, view: View, shown: Shown) -> Self {
+    pub(super) fn new(surface: u8, number: u32, view: View, key: ViewKey, shown: Shown) -> Self {
         let token = CancellationToken::new();
         Self {
             surface,
             number,
             view,
+            key,
             making: Making::Waiting,
             sending: Sending::Idle,
             shown,
@@ -143,11 +147,11 @@ impl Generation {
     }
 
     /// The same, that an edit has asked for.
-    pub(super) fn of_edit(surface: u8, number: u32, view: View, shown: Shown) -> Self {
+    pub(super) fn of_edit(surface: u8, number: u32, view: View, key: ViewKey, shown: Shown) -> Self {
         metrics::edit_begun();
         Self {
             begun: Some(Instant::now()),
-            ..Self::new(surface, number, view, shown)
+            ..Self::new(surface, number, view, key, shown)
         }
     }
 
@@ -173,12 +177,29 @@ impl Generation {
     pub(super) fn made(&mut self, offered: Offered) {
         let made = &offered.step.made;
         self.add_times(made.wall, &made.surface.statistics.stages);
-        self.shown = shown_for(&self.view, made.cut, &self.view);
+        self.shown = self.held(made.cut).shown_for(self.key.surface(), &self.view);
         self.target = made.target;
         self.steps_made += 1;
         // What keeps a budget, which the next steps need not find again.
         self.view.fitted = made.view.fitted;
         self.making = Making::Made(offered);
+    }
+
+    /// What a client holds that was sent this cut of it.
+    pub(super) fn held(&self, cut: CutId) -> HeldSurface {
+        HeldSurface {
+            view: self.view.clone(),
+            key: self.key.surface().clone(),
+            cut,
+        }
+    }
+
+    /// Takes another part of the budget, while nothing is made yet.
+    pub(super) fn set_budget(&mut self, budget: Option<Budget>) {
+        if self.view.budget.is_some() && budget.is_some() && self.view.budget != budget {
+            self.view.budget = budget;
+            self.key = ViewKey::new(self.key.surface().clone(), &self.view);
+        }
     }
 
     fn add_times(&mut self, wall: Duration, stages: &[StageTime]) {

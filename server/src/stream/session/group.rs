@@ -7,6 +7,7 @@ use super::super::groups::{GroupError, GroupEvent, Leader, Scene};
 use super::Session;
 use super::open_volume::OpeningPhase;
 use super::outbox::Newest;
+use super::pending::PendingStep;
 use crate::access::Role;
 use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};
@@ -177,29 +178,33 @@ impl<B: Backend> Session<B> {
             let surfaces = surfaces
                 .map(|(number, surface)| (number, surface.view.clone()))
                 .collect();
-            member.show(Scene::new(
-                opened.volume.dataset().id.clone(),
-                opened.volume.step(),
-                surfaces,
-            ));
+            member.show(Scene::new(opened.volume.clone(), surfaces));
         }
     }
 
     /// Shows what another one shows: whatever this viewer may do, and of volumes that it may see.
     fn follow(&mut self, scene: &Scene) {
         let open = self.opened.as_ref();
-        let is_volume = open.is_some_and(|opened| opened.volume.dataset().id == scene.volume);
+        let is_volume = open.is_some_and(|opened| opened.volume.dataset().key() == scene.volume.dataset().key());
         let is_open = open.is_some_and(|opened| opened.phase == OpeningPhase::Open);
-        let is_step = open.is_some_and(|opened| opened.volume.step() == scene.step);
+        let is_step = open.is_some_and(|opened| opened.volume.key() == scene.volume.key());
         match (is_volume, is_step) {
             (true, true) => {}
-            (true, false) if is_open => self.on_step(scene.step),
+            (true, false) if is_open => self.step_into_force(PendingStep {
+                volume: scene.volume.clone(),
+                is_made: true,
+            }),
             // What cannot be opened is tried once.
-            _ if open.is_none() && self.tried.as_ref() == Some(&(scene.volume.clone(), scene.step)) => return,
+            _ if open.is_none() && self.tried.as_ref() == Some(&scene.volume.key()) => return,
             _ => {
-                self.tried = Some((scene.volume.clone(), scene.step));
-                self.on_open(&scene.volume, scene.step);
+                self.tried = Some(scene.volume.key());
+                self.open_led(&scene.volume);
             }
+        }
+        // What this viewer has edited or asked for before it followed.
+        if let Some(opened) = &mut self.opened {
+            opened.stepping = None;
+            opened.surfaces_mut().for_each(|(_, surface)| surface.pending = None);
         }
         // The rest when it is open.
         if self
@@ -217,7 +222,8 @@ impl<B: Backend> Session<B> {
             let Some(opened) = &self.opened else { return };
             let is_made = opened.surface(*number).is_some_and(|surface| surface.edited > 0);
             if !is_made || opened.view_of(*number) != *view {
-                self.show_view(*number, view.clone(), view.budget.is_some());
+                self.count_edit(*number);
+                self.come_into_force(*number, view.clone(), view.budget.is_some(), self.edits, true);
             }
         }
         let Some(opened) = &self.opened else { return };

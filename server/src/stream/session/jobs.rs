@@ -18,11 +18,12 @@ use super::outbox::Frame;
 use super::rest::RestWork;
 use super::schedule::NextJob;
 use super::sharing::Verdict;
-use super::surface::Phase;
+use super::surface::{Phase, SurfaceSession};
 use super::{Outgoing, Session};
 use crate::error::chain;
-use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, WorkError};
+use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, SurfaceKey, WorkError};
 use crate::metrics;
+use crate::view::View;
 use crate::view::quality::Budget;
 use crate::wire::chunk::ChunkKind;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
@@ -83,7 +84,7 @@ impl<B: Backend> Session<B> {
 
     fn on_opened(&mut self, opening: Opening) {
         let Some(opened) = &mut self.opened else { return };
-        opened.opened(opening.view.iso);
+        opened.opened(opening.view.clone(), self.edits);
         opened.device = opening.device.clone();
         opened.shares_processors = opening.shares_processors;
         let message = ServerMessage::Opened {
@@ -108,7 +109,8 @@ impl<B: Backend> Session<B> {
             Ok(count) => {
                 if let Phase::Working(generation) = &mut session.phase {
                     generation.counted(&count);
-                    session.full = Some((generation.view.clone(), count.triangles));
+                    session.full = Some((generation.key.surface().clone(), count.triangles));
+                    session.prove();
                 }
                 self.allot(None);
             }
@@ -132,13 +134,9 @@ impl<B: Backend> Session<B> {
                 }
                 let statistics = &made.surface.statistics;
                 let removed = statistics.removed.map_or(0, |removed| removed.full_triangles);
-                session.full = Some((generation.view.clone(), statistics.full_triangles + removed));
-                let range = made
-                    .view
-                    .feature_range
-                    .map(|range| (made.view.field.clone(), made.view.feature.clone(), range));
-                session.feature_range = range.or(session.feature_range.take());
+                session.full = Some((generation.key.surface().clone(), statistics.full_triangles + removed));
                 generation.made(offered);
+                session.prove();
                 self.allot(None);
             }
             Err(error) => self.fail_job(surface, &error),
@@ -155,7 +153,13 @@ impl<B: Backend> Session<B> {
         };
         match result {
             Ok(Some(offered)) => {
-                let mut generation = Box::new(Generation::new(surface, number, rest.view.clone(), Shown::Alike));
+                let mut generation = Box::new(Generation::new(
+                    surface,
+                    number,
+                    rest.view.clone(),
+                    rest.key.clone(),
+                    Shown::Alike,
+                ));
                 generation.waits_since = self.jobs;
                 generation.made(offered);
                 session.phase = Phase::Working(generation);
@@ -165,10 +169,6 @@ impl<B: Backend> Session<B> {
             Err(error) => {
                 tracing::warn!(error = chain(&error), "a surface could not be improved");
                 rest.cannot_improve();
-                // Else nobody would know that the surface has parts that were to be removed.
-                if rest.view.removes_parts() {
-                    self.send_work_error(&error);
-                }
             }
         }
     }
@@ -353,19 +353,14 @@ impl<B: Backend> Session<B> {
         if self.device.is_some() {
             return;
         }
-        let Some(opened) = &mut self.opened else { return };
-        match opened.phase {
-            OpeningPhase::Waiting => return self.start_opening(),
-            OpeningPhase::Opening => return,
-            OpeningPhase::Open => {}
+        match self.opened.as_ref().map(|opened| opened.phase) {
+            None | Some(OpeningPhase::Opening) => return,
+            Some(OpeningPhase::Waiting) => return self.start_opening(),
+            Some(OpeningPhase::Open) => {}
         }
-        for (number, surface) in opened.surfaces_mut() {
-            if surface.edit_pending && surface.generation().is_none() {
-                self.last_generation += 1;
-                // Who does not read waits for nothing that is made now.
-                let waiting = self.member.as_ref().filter(|_| !self.pace.is_line_full());
-                surface.begin(number, self.last_generation, self.jobs, waiting.map(Member::first_step));
-            }
+        // One that begins may give others another part of the budget, so that they begin as well.
+        while self.begin_generations() {
+            self.allot(None);
         }
         if self.start_describing() {
             return;
@@ -377,17 +372,41 @@ impl<B: Backend> Session<B> {
         }
     }
 
+    /// Begins the generations of views that have come into force; false where there is none.
+    fn begin_generations(&mut self) -> bool {
+        let Some(opened) = &mut self.opened else { return false };
+        let (engine, volume) = (self.backend.engine(), opened.volume.clone());
+        let mut has_begun = false;
+        for (number, surface) in opened.surfaces_mut() {
+            if surface.edit_pending && surface.generation().is_none() {
+                self.last_generation += 1;
+                // Who does not read waits for nothing that is made now.
+                let waiting = self.member.as_ref().filter(|_| !self.pace.is_line_full());
+                let key = SurfaceKey::new(engine, &volume, &surface.view);
+                let first_step = waiting.map(Member::first_step);
+                surface.begin(number, self.last_generation, key, self.jobs, first_step);
+                has_begun = true;
+            }
+        }
+        has_begun
+    }
+
     /// Queues a job of a surface.
     fn start(&mut self, surface: u8, job: NextJob) -> Option<BoxFuture<DeviceDone>> {
         let opened = self.opened.as_mut()?;
         let (backend, volume) = (self.backend.clone(), opened.volume.clone());
         let session = opened.surface_mut(surface)?;
         let shared = self.common.shared.clone();
-        let wanted = |view| Wanted { backend, volume, view };
+        let wanted = |view, key| Wanted {
+            backend,
+            volume,
+            view,
+            key,
+        };
         if let (NextJob::Rest(work), Phase::Resting(rest)) = (job, &mut session.phase) {
             rest.begin();
             let (number, token) = (rest.generation, rest.token.clone());
-            let wanted = wanted(rest.view.clone());
+            let wanted = wanted(rest.view.clone(), rest.key.clone());
             let span = self.id.trace(number).span();
             return Some(match work {
                 RestWork::Improve => Box::pin(
@@ -405,7 +424,7 @@ impl<B: Backend> Session<B> {
         let waits = |member: &&Member| job == NextJob::Further && !member.controls();
         let others_first = self.member.as_ref().filter(waits).map(Member::others_first);
         let (number, token) = (generation.number, generation.token.clone());
-        let wanted = wanted(generation.view.clone());
+        let wanted = wanted(generation.view.clone(), generation.key.clone());
         let span = self.id.trace(number).span();
         if job == NextJob::Count {
             let count = async move { DeviceDone::Counted(number, shared.count(wanted, &token).await) };
@@ -453,7 +472,11 @@ impl<B: Backend> Session<B> {
     fn fail_job(&mut self, surface: u8, error: &WorkError) {
         let Some(suggested) = error.suggested_triangles() else {
             tracing::debug!(error = chain(error), "a generation failed");
-            return self.fail_generation(surface, error.code(), error.public_message());
+            self.send_surface_error(surface, error.code(), error.public_message());
+            if error.rejects_view() {
+                return self.take_back(surface);
+            }
+            return self.end_failed(surface);
         };
         tracing::debug!(%error, "refused");
         metrics::stream_error(error.code());
@@ -470,26 +493,49 @@ impl<B: Backend> Session<B> {
 
     /// A budget that would be accepted, and the error's text: where the budget is shared, `suggested` is a part of it.
     fn explained(&self, surface: u8, suggested: u64, error: &WorkError) -> (u64, String) {
-        let opened = self.opened.as_ref();
-        let full = opened.and_then(|opened| opened.surface(surface)?.full.as_ref().map(|(_, full)| *full));
-        let all = opened.and_then(|opened| opened.shared_triangles());
-        match (full, all, error.code()) {
-            (Some(full), Some(all), "over-budget") => {
-                let whole = Budget::whole_of(suggested, full, all);
-                let message = format!("{error}; it is this surface's part, ask for {whole} or more for all together");
-                (whole, message)
-            }
-            _ => (suggested, error.to_string()),
+        let (Some(opened), "over-budget") = (&self.opened, error.code()) else {
+            return (suggested, error.to_string());
+        };
+        let full = opened.surface(surface).map_or(0, SurfaceSession::full_triangles);
+        let whole = match opened.shared_triangles() {
+            Some(all) => Budget::whole_of(suggested, full, all),
+            None => suggested,
+        };
+        let whole = whole.saturating_add(opened.reserved());
+        if whole == suggested {
+            return (suggested, error.to_string());
         }
+        let message = format!("{error}; it is this surface's part, ask for {whole} or more for all together");
+        (whole, message)
+    }
+
+    /// The view in force turned out to be none: the one before comes back, to those who follow too.
+    fn take_back(&mut self, surface: u8) {
+        self.end_generation(surface);
+        let Some(opened) = &mut self.opened else { return };
+        let opening = opened.opening_view().clone();
+        if let Some(session) = opened.surface_mut(surface).filter(|session| !session.edit_pending) {
+            let budget = session.view.budget;
+            (session.edit_pending, session.key) = (session.proven.is_some(), None);
+            if session.proven.is_none() {
+                session.edited = 0;
+            }
+            session.view = session.proven.clone().unwrap_or(View { budget, ..opening });
+        }
+        self.allot(None);
+        self.lead_or_follow();
     }
 
     fn fail_generation(&mut self, surface: u8, code: &'static str, message: String) {
-        self.send_error(code, message, true);
+        self.send_surface_error(surface, code, message);
         self.end_failed(surface);
     }
 
     /// Others may have waited for its triangles.
     fn end_failed(&mut self, surface: u8) {
+        if let Some(session) = self.opened.as_mut().and_then(|opened| opened.surface_mut(surface)) {
+            session.fail();
+        }
         self.end_generation(surface);
         self.allot(None);
     }

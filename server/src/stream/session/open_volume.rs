@@ -1,6 +1,5 @@
 //! The open volume and its surfaces.
 
-use isopeel_kernels::Isovalue;
 use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
@@ -9,6 +8,7 @@ use super::super::backend::Backend;
 use super::Session;
 use super::generation::{Generation, Sending};
 use super::outbox::Newest;
+use super::pending::PendingStep;
 use super::surface::SurfaceSession;
 use crate::extraction::{Held, OpeningProgress};
 use crate::view::View;
@@ -27,6 +27,8 @@ pub(super) struct OpenVolume {
     pub shares_processors: bool,
     /// By their numbers.
     surfaces: [Option<SurfaceSession>; MAX_SURFACES as usize],
+    /// The step that the client goes to, until it comes into force.
+    pub stepping: Option<PendingStep>,
     /// The step that the client is expected to go to next, until it is read ahead.
     pub expected: Option<u32>,
     /// Since when the client shows a step whose values it does not know.
@@ -69,7 +71,7 @@ impl<B: Backend> Session<B> {
         for surface in 0..MAX_SURFACES {
             self.end_generation(surface);
         }
-        self.opened = None;
+        (self.opened, self.resolving) = (None, None);
         self.ahead = None;
         self.questions.clear();
         self.outbox.drop_newest(Newest::Opening);
@@ -98,6 +100,7 @@ impl OpenVolume {
             device: String::new(),
             shares_processors: false,
             surfaces,
+            stepping: None,
             expected: None,
             undescribed_since: None,
             lease,
@@ -109,13 +112,35 @@ impl OpenVolume {
         }
     }
 
-    /// The volume is open. An isovalue edited meanwhile stays; otherwise it is the one that `opened` states.
-    pub(super) fn opened(&mut self, iso: Option<Isovalue>) {
-        self.phase = OpeningPhase::Open;
-        self.progress = None;
-        let views = self.surfaces.iter_mut().flatten().map(|surface| &mut surface.view);
-        for view in views.chain([&mut self.view]) {
-            view.iso = view.iso.or(iso);
+    /// The volume is open with this view, which is resolved. Values edited meanwhile stay, others are those that `opened` states. Edits that
+    /// have to be resolved wait for that.
+    pub(super) fn opened(&mut self, view: View, edits: u64) {
+        (self.phase, self.progress) = (OpeningPhase::Open, None);
+        let opening = std::mem::replace(&mut self.view, view);
+        let has_own_range = opening.feature_range.is_none();
+        let opening_feature = (opening.feature, opening.field);
+        for number in 0..MAX_SURFACES {
+            let (begins, iso, range) = (self.view.clone(), self.view.iso, self.view.feature_range);
+            let Some(surface) = self.surface_mut(number) else {
+                continue;
+            };
+            surface.view.iso = surface.view.iso.or(iso);
+            let feature = (surface.view.feature.clone(), surface.view.field.clone());
+            if has_own_range && feature == opening_feature {
+                surface.view.feature_range = surface.view.feature_range.or(range);
+            }
+            if surface.edit_pending {
+                let budget = surface.view.budget;
+                let edited = std::mem::replace(&mut surface.view, View { budget, ..begins });
+                if self.has_to_resolve(number, &edited) {
+                    self.hold_back(number, edited, false, edits, None);
+                    if let Some(surface) = self.surface_mut(number) {
+                        (surface.edit_pending, surface.edited) = (false, 0);
+                    }
+                } else if let Some(surface) = self.surface_mut(number) {
+                    surface.view = edited;
+                }
+            }
         }
     }
 
@@ -162,7 +187,22 @@ impl OpenVolume {
         surfaces.find_map(|(number, surface)| surface.generation().is_some_and(is_sending).then_some(number))
     }
 
-    /// The view of a surface: one that is not there yet begins as the volume opens, with the connection's budget.
+    /// The view of a surface as edits left it, in force or not. One that is not there yet begins as the volume opens, with the budget that
+    /// edits gave the connection.
+    pub(super) fn edited_view_of(&self, number: u8) -> View {
+        let fields = self.volume.dataset().field_names();
+        if let Some(surface) = self.surface(number) {
+            return surface.edited_view(&fields);
+        }
+        let budget = self
+            .surfaces()
+            .find_map(|(_, surface)| surface.edited_view(&fields).budget);
+        let mut view = self.view.clone();
+        view.budget = budget.or(view.budget);
+        view
+    }
+
+    /// The view in force of a surface: one that is not there yet begins as the volume opens, with the connection's budget.
     pub(super) fn view_of(&self, number: u8) -> View {
         if let Some(surface) = self.surface(number) {
             return surface.view.clone();
@@ -177,12 +217,25 @@ impl OpenVolume {
     pub(super) fn set_view(&mut self, number: u8, view: View, has_budget: bool) {
         if has_budget {
             let others = self.surfaces_mut().filter(|(other, _)| *other != number);
-            for (_, other) in others.filter(|(_, other)| other.view.budget.is_some()) {
-                other.view.budget = view.budget;
+            for (_, other) in others {
+                let pending = other.pending.as_mut().map(|pending| &mut pending.view.budget);
+                for budget in pending.into_iter().chain([&mut other.view.budget]) {
+                    *budget = budget.and(view.budget);
+                }
             }
         }
-        let surface = self.surfaces[usize::from(number)].get_or_insert_with(|| SurfaceSession::new(view.clone()));
+        let surface = self.surface_or_new(number, view.clone());
         surface.view = view;
+    }
+
+    /// A surface; one that is not there yet is made with a view.
+    pub(super) fn surface_or_new(&mut self, number: u8, view: View) -> &mut SurfaceSession {
+        self.surfaces[usize::from(number)].get_or_insert_with(|| SurfaceSession::new(view))
+    }
+
+    /// What a new surface begins with.
+    pub(super) fn opening_view(&self) -> &View {
+        &self.view
     }
 
     /// Forgets a surface.

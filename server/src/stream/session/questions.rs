@@ -15,6 +15,7 @@ use super::Session;
 use super::jobs::BoxFuture;
 use super::open_volume::OpeningPhase;
 use super::outbox::Frame;
+use super::shown::HeldSurface;
 use crate::extraction::{Answer, Question, ShownSurface, WorkError};
 use crate::wire::chunk::{ChunkKind, PrefixId};
 use crate::wire::messages::{Annotation, ServerMessage};
@@ -129,7 +130,7 @@ impl<B: Backend> Session<B> {
         let (Some(opened), None) = (&self.opened, &self.questions.job) else {
             return;
         };
-        if opened.phase != OpeningPhase::Open || opened.surfaces().any(|(_, surface)| surface.is_busy()) {
+        if opened.phase != OpeningPhase::Open || opened.surfaces().any(|(_, surface)| surface.is_awaited()) {
             return;
         }
         // The chunks of one annotation wait in the outbox at most.
@@ -142,7 +143,10 @@ impl<B: Backend> Session<B> {
         let Some(session) = opened.surface(surface) else { return };
         self.questions.asked += 1;
         let (number, token) = (self.questions.asked, CancellationToken::new());
-        let shown = session.shown.clone().map(|(view, cut)| ShownSurface { view, cut });
+        let shown = session
+            .shown
+            .clone()
+            .map(|HeldSurface { view, cut, .. }| ShownSurface { view, cut });
         self.questions.running = Some(Running {
             number,
             surface,

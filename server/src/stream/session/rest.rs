@@ -5,6 +5,8 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
+use super::generation::Generation;
+use crate::extraction::ViewKey;
 use crate::view::View;
 
 /// Time without an edit after which a viewer rests: longer than between two edits of a hand that still moves.
@@ -23,6 +25,8 @@ pub(super) enum RestWork {
 pub(super) struct Rest {
     pub generation: u32,
     pub view: View,
+    /// Of that view.
+    pub key: ViewKey,
     due: Instant,
     /// What is done next, or now.
     work: RestWork,
@@ -33,13 +37,14 @@ pub(super) struct Rest {
 
 impl Rest {
     /// The final surface of a generation was committed.
-    pub(super) fn new(generation: u32, view: View, can_improve: bool) -> Self {
+    pub(super) fn new(generation: &Generation) -> Self {
         let token = CancellationToken::new();
         Self {
-            generation,
-            view,
+            generation: generation.number,
+            view: generation.view.clone(),
+            key: generation.key.clone(),
             due: Instant::now() + REST_AFTER,
-            work: if can_improve {
+            work: if generation.can_improve {
                 RestWork::Improve
             } else {
                 RestWork::Measure

@@ -108,7 +108,7 @@ impl OpenVolume {
     }
 
     fn rests(&self) -> impl Iterator<Item = (u8, Instant, RestWork)> {
-        let is_busy = self.surfaces().any(|(_, surface)| surface.is_busy());
+        let is_busy = self.is_awaited();
         self.surfaces().filter_map(move |(number, surface)| {
             let (due, work) = surface.rest()?.due()?;
             (!is_busy).then_some((number, due, work))

@@ -1,25 +1,31 @@
 //! How what a client holds relates to what it will get.
 
-use crate::extraction::{CutId, Shown};
+use crate::extraction::{CutId, Shown, SurfaceKey};
 use crate::view::View;
 use crate::view::quality::MesherName;
 
-/// How a surface that was made of a view relates to one of another view.
-pub(super) fn shown_for(shown: &View, cut: CutId, view: &View) -> Shown {
-    if !is_same_surface(shown, view) {
-        return Shown::Another;
-    }
-    // Values of the feature are in every vertex; the paper's mesher makes whole surfaces.
-    let by_region = |view: &View| view.mesher == MesherName::Dual;
-    let same_feature = (&shown.feature, shown.feature_range) == (&view.feature, view.feature_range);
-    if same_feature && by_region(shown) && by_region(view) {
-        Shown::Cut(cut)
-    } else {
-        Shown::Alike
-    }
+/// What a client holds of a surface.
+#[derive(Clone, Debug)]
+pub(super) struct HeldSurface {
+    /// With what was found to keep its budget.
+    pub view: View,
+    /// Of its full surface.
+    pub key: SurfaceKey,
+    pub cut: CutId,
 }
 
-/// Whether two views have the same full surface.
-pub(super) fn is_same_surface(one: &View, other: &View) -> bool {
-    (one.iso, &one.field) == (other.iso, &other.field)
+impl HeldSurface {
+    /// How it relates to a surface of another view, whose full surface has this key.
+    pub(super) fn shown_for(&self, key: &SurfaceKey, view: &View) -> Shown {
+        if !self.key.has_triangles_of(key) {
+            return Shown::Another;
+        }
+        // Values of the feature are in every vertex; the paper's mesher makes whole surfaces.
+        let by_region = |view: &View| view.mesher == MesherName::Dual;
+        if self.key.has_vertices_of(key) && by_region(&self.view) && by_region(view) {
+            Shown::Cut(self.cut)
+        } else {
+            Shown::Alike
+        }
+    }
 }

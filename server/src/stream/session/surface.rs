@@ -5,36 +5,55 @@ use std::sync::Arc;
 use super::super::groups::FirstStep;
 use super::super::shared::RegionHashes;
 use super::generation::Generation;
+use super::pending::PendingView;
 use super::rest::Rest;
-use super::shown::{is_same_surface, shown_for};
-use crate::extraction::{CutId, Shown};
+use super::shown::HeldSurface;
+use crate::extraction::{Shown, SurfaceKey, ViewKey};
+use crate::view::View;
 use crate::view::quality::Budget;
-use crate::view::{FeatureName, View};
 
 pub(super) struct SurfaceSession {
-    /// As edits left it; its budget is that of the connection.
+    /// The view in force: resolved, and all that it uses is there. Its budget is that of the connection.
     pub view: View,
-    /// The view or its part of the budget has changed since the last generation began.
+    /// Of its full surface, once the view has come into force.
+    pub key: Option<SurfaceKey>,
+    /// Edits that have not come into force yet.
+    pub pending: Option<PendingView>,
+    /// The last view in force of which the device has made something.
+    pub proven: Option<View>,
+    /// The view in force or its part of the budget has changed since the last generation began.
     pub edit_pending: bool,
-    /// Counts the connection's edits: which was the last of this surface.
+    /// Counts the connection's edits: which was the last of this surface that came into force.
     pub edited: u64,
     pub phase: Phase,
     /// What the client holds.
     pub held: Arc<RegionHashes>,
+    /// Triangles of what the client holds.
+    pub held_triangles: u64,
     /// The view and the cut of what the client holds.
-    pub shown: Option<(View, CutId)>,
+    pub shown: Option<HeldSurface>,
     /// The generation that it belongs to; 0 where there is none.
     pub shown_generation: u32,
-    /// Triangles of the full surface, and of which view: the newest one of which that is known.
-    pub full: Option<(View, u64)>,
+    /// Triangles of a full surface, and of which: the newest one of which that is known.
+    pub full: Option<(SurfaceKey, u64)>,
     /// What it gets of the budget: its newest generation is made with this, or the next one will be.
     pub allotted: Option<Budget>,
     /// The budget of the last final surface that the client got, as a number.
     pub kept: Option<Budget>,
+    /// The last generation of the view in force failed.
+    pub failed: Option<Failed>,
     /// What the client holds is of another time step.
     pub holds_another_step: bool,
-    /// The range of the feature, and of which: the newest one with which a surface was made.
-    pub feature_range: Option<(String, FeatureName, [f32; 2])>,
+}
+
+/// How the last generation of a surface failed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Failed {
+    /// The connection's budget, and the part that it had of it.
+    pub budget: Option<Budget>,
+    pub part: Option<Budget>,
+    /// Another part has become possible since.
+    pub may_retry: bool,
 }
 
 /// What is done for a surface. `Idle --edit--> Working --final surface committed--> Resting --measured--> Idle`; a better surface goes from
@@ -51,17 +70,21 @@ impl SurfaceSession {
     pub(super) fn new(view: View) -> Self {
         Self {
             view,
+            key: None,
+            pending: None,
+            proven: None,
             edit_pending: false,
             edited: 0,
             phase: Phase::Idle,
             held: Arc::default(),
+            held_triangles: 0,
             shown: None,
             shown_generation: 0,
             full: None,
             allotted: None,
             kept: None,
+            failed: None,
             holds_another_step: false,
-            feature_range: None,
         }
     }
 
@@ -93,31 +116,37 @@ impl SurfaceSession {
         }
     }
 
-    /// Begins the generation of the view. `first_step`: of a member of a group.
-    pub(super) fn begin(&mut self, surface: u8, number: u32, jobs: u64, first_step: Option<FirstStep>) {
+    /// Begins the generation of the view, whose full surface has this key. `first_step`: of a member of a group.
+    pub(super) fn begin(
+        &mut self,
+        surface: u8,
+        number: u32,
+        key: SurfaceKey,
+        jobs: u64,
+        first_step: Option<FirstStep>,
+    ) {
         let mut view = self.view.clone();
         view.budget = view.budget.and(self.allotted.or(view.budget));
         // What differs replaces what is shown at once: a coarse surface in between would be sent as a whole, twice.
-        let shown = match self.holds_another_step {
-            true => Shown::Alike,
-            false => self.shown_for(&view),
+        let shown = match (&self.shown, self.holds_another_step) {
+            (_, true) => Shown::Alike,
+            (None, false) => Shown::Another,
+            (Some(held), false) => held.shown_for(&key, &view),
         };
-        let mut generation = Generation::of_edit(surface, number, view, shown);
+        self.key = Some(key.clone());
+        let key = ViewKey::new(key, &view);
+        let mut generation = Generation::of_edit(surface, number, view, key, shown);
         generation.waits_since = jobs;
         generation.first_step = first_step;
         self.edit_pending = false;
+        self.failed = None;
         self.phase = Phase::Working(Box::new(generation));
     }
 
     /// The volume is at another time step. Values in force stay, the range of the feature too; what was made once is made anew.
     pub(super) fn step(&mut self) {
-        if let (None, Some((field, feature, range))) = (self.view.feature_range, &self.feature_range)
-            && (field, feature) == (&self.view.field, &self.view.feature)
-        {
-            self.view.feature_range = Some(*range);
-        }
         self.holds_another_step |= !self.held.is_empty();
-        (self.shown, self.shown_generation, self.full) = (None, 0, None);
+        (self.shown, self.shown_generation, self.full, self.key) = (None, 0, None, None);
         self.edit_pending = self.edited > 0;
     }
 
@@ -129,20 +158,26 @@ impl SurfaceSession {
         }
     }
 
+    /// The device has made something of the view of the generation.
+    pub(super) fn prove(&mut self) {
+        if !self.edit_pending {
+            self.proven = Some(self.view.clone());
+        }
+    }
+
     /// Whether a generation is made, or is to be.
     pub(super) fn is_busy(&self) -> bool {
         self.edit_pending || self.generation().is_some()
     }
 
-    /// How what the client holds relates to a surface of this view.
-    pub(super) fn shown_for(&self, view: &View) -> Shown {
-        let shown = self.shown.as_ref();
-        shown.map_or(Shown::Another, |(shown, cut)| shown_for(shown, *cut, view))
+    /// Whether something of it is still to come: a generation, or an edit that has not come into force.
+    pub(super) fn is_awaited(&self) -> bool {
+        self.is_busy() || self.pending.is_some()
     }
 
-    /// Triangles of the full surface of a view, where that is known.
-    pub(super) fn full_of(&self, view: &View) -> Option<u64> {
-        let (of, triangles) = self.full.as_ref()?;
-        is_same_surface(of, view).then_some(*triangles)
+    /// The view as edits left it, in force or not.
+    pub(super) fn edited_view(&self, fields: &[&str]) -> View {
+        let pending = self.pending.as_ref();
+        pending.map_or_else(|| self.view.clone(), |pending| pending.last_view(fields))
     }
 }

@@ -5,6 +5,7 @@ mod faults;
 mod groups;
 mod questions;
 mod random;
+mod resolving;
 mod scripted;
 mod shared;
 mod shared_budget;

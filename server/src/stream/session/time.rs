@@ -1,5 +1,5 @@
 //! Time steps: a client that goes to another step of the open volume keeps its surfaces, and what of them is equal in both steps is not sent
-//! again. While it goes on in even steps, the next one is read ahead. What a step's values are like is described when the viewer rests.
+//! again. A step comes into force when all surfaces can be made of it (`resolving`). While it goes on in even steps, the next one is read ahead. What a step's values are like is described when the viewer rests.
 
 use std::sync::Arc;
 
@@ -11,6 +11,7 @@ use super::super::backend::Backend;
 use super::Session;
 use super::jobs::{BoxFuture, DeviceDone};
 use super::open_volume::{OpenVolume, OpeningPhase};
+use super::pending::PendingStep;
 use super::rest::REST_AFTER;
 use crate::extraction::{Held, WorkError};
 use crate::view::View;
@@ -66,7 +67,7 @@ impl<B: Backend> Session<B> {
                 true,
             );
         };
-        let (before, from) = (Arc::clone(opened.volume.dataset()), opened.volume.step());
+        let before = Arc::clone(opened.volume.dataset());
         // Steps may have been added to it since.
         let newest = self.backend.find(&before.id, &self.who);
         let newest = newest.filter(|newest| newest.continues(&before));
@@ -74,12 +75,29 @@ impl<B: Backend> Session<B> {
             Ok(volume) => volume,
             Err(error) => return self.send_error("unknown-step", error.to_string(), true),
         };
+        self.ahead.take_if(|ahead| ahead.step != step);
+        self.go_to(volume);
+    }
+
+    /// Goes to another step of the open volume, as soon as all surfaces can be made of it. The latest step wins.
+    fn go_to(&mut self, volume: VolumeStep) {
+        if let Some(opened) = &mut self.opened {
+            let is_checked = opened.stepping.is_some();
+            opened.stepping = Some(PendingStep { volume, is_made: true });
+            if is_checked {
+                self.resolving = None;
+            }
+        }
+    }
+
+    /// The open volume is at another step from now on.
+    pub(super) fn step_into_force(&mut self, PendingStep { volume, is_made }: PendingStep) {
         for surface in 0..MAX_SURFACES {
             self.end_generation(surface);
         }
         self.questions.overtaken();
         self.outbox.drop_annotations();
-        self.ahead.take_if(|ahead| ahead.step != step);
+        let step = volume.step();
         let times = volume.dataset().times.as_ref();
         self.send(&ServerMessage::Stepped {
             step,
@@ -87,16 +105,22 @@ impl<B: Backend> Session<B> {
         });
         let held = self.backend.hold(&volume);
         if let Some(opened) = &mut self.opened {
-            opened.expected = expected(from, step, volume.dataset().steps);
+            opened.expected = expected(opened.volume.step(), step, volume.dataset().steps);
             opened.step_to(volume, held);
+            if !is_made {
+                opened
+                    .surfaces_mut()
+                    .for_each(|(_, surface)| surface.edit_pending = false);
+            }
         }
+        self.retry_failed();
         self.allot(None);
     }
 
     /// Starts to read the step ahead that the client is expected to go to, when all surfaces of this one are made.
     pub(super) fn advance_ahead(&mut self) {
         let Some(opened) = &mut self.opened else { return };
-        if self.ahead.as_ref().is_some_and(|ahead| ahead.job.is_some()) || opened.is_busy() {
+        if self.ahead.as_ref().is_some_and(|ahead| ahead.job.is_some()) || opened.is_awaited() {
             return;
         }
         let Some(step) = opened.expected.take() else { return };
@@ -157,13 +181,14 @@ impl OpenVolume {
         }
     }
 
-    fn is_busy(&self) -> bool {
-        self.surfaces().any(|(_, surface)| surface.is_busy())
+    /// Whether anything of a surface is still to come.
+    pub(super) fn is_awaited(&self) -> bool {
+        self.stepping.is_some() || self.surfaces().any(|(_, surface)| surface.is_awaited())
     }
 
     /// When the step is to be described; `None` where it is, or a surface is made.
     pub(super) fn description_due(&self) -> Option<Instant> {
-        let since = self.undescribed_since.filter(|_| !self.is_busy())?;
+        let since = self.undescribed_since.filter(|_| !self.is_awaited())?;
         Some(since + REST_AFTER)
     }
 }

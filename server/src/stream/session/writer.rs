@@ -53,7 +53,8 @@ impl<B: Backend> Session<B> {
             return;
         };
         session.held = Arc::new(held);
-        session.shown = Some((generation.view.clone(), sent.cut));
+        session.held_triangles = sent.surface_triangles;
+        session.shown = Some(generation.held(sent.cut));
         session.shown_generation = generation.number;
         session.holds_another_step = false;
         generation.committed = true;
@@ -82,7 +83,7 @@ impl<B: Backend> Session<B> {
         };
         let Some(generation) = session.stop() else { return };
         if !session.edit_pending {
-            let rest = Rest::new(generation.number, generation.view.clone(), generation.can_improve);
+            let rest = Rest::new(&generation);
             session.phase = Phase::Resting(Box::new(rest));
         }
     }

@@ -1,6 +1,7 @@
 //! Jobs that several wait for: who asks for what is being made joins those who wait for it.
 
 use std::collections::HashMap;
+use std::hash::Hash;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -16,10 +17,10 @@ pub(in crate::stream) type Outcome<T> = Result<T, Arc<WorkError>>;
 type Job<T> = future::Shared<Pin<Box<dyn Future<Output = Outcome<T>> + Send>>>;
 
 /// The jobs that run, by what they make. There are no more than those who wait for them: each has one or more, and ends where it has none.
-pub(super) struct Joint<T: Clone>(Mutex<Jobs<T>>);
+pub(super) struct Joint<K, T: Clone>(Mutex<Jobs<K, T>>);
 
-struct Jobs<T: Clone> {
-    running: HashMap<String, Running<T>>,
+struct Jobs<K, T: Clone> {
+    running: HashMap<K, Running<T>>,
     /// Counts them, so that one is not taken for another that made the same.
     last: u64,
 }
@@ -31,7 +32,7 @@ struct Running<T: Clone> {
     waiting: usize,
 }
 
-impl<T: Clone> Default for Joint<T> {
+impl<K, T: Clone> Default for Joint<K, T> {
     fn default() -> Self {
         Self(Mutex::new(Jobs {
             running: HashMap::new(),
@@ -40,19 +41,19 @@ impl<T: Clone> Default for Joint<T> {
     }
 }
 
-impl<T: Clone> Joint<T> {
+impl<K, T: Clone> Joint<K, T> {
     /// A poisoned one too: a panic leaves nothing half updated.
-    fn jobs(&self) -> MutexGuard<'_, Jobs<T>> {
+    fn jobs(&self) -> MutexGuard<'_, Jobs<K, T>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl<T: Clone + Send + Sync + 'static> Joint<T> {
+impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> Joint<K, T> {
     /// Waits for the job of this key, which `start` begins where it does not run; and whether it ran already. Where `token` is cancelled,
     /// others go on; the last who waits ends the job, and returns when it has ended, so that it has never two of them.
     pub(super) async fn make<F>(
         &self,
-        key: &str,
+        key: &K,
         token: &CancellationToken,
         start: impl FnOnce(CancellationToken) -> F,
     ) -> (Outcome<T>, bool)
@@ -71,14 +72,14 @@ impl<T: Clone + Send + Sync + 'static> Joint<T> {
         (outcome, joined)
     }
 
-    fn enter<F>(&self, key: &str, start: impl FnOnce(CancellationToken) -> F) -> (Waiter<'_, T>, Job<T>, bool)
+    fn enter<F>(&self, key: &K, start: impl FnOnce(CancellationToken) -> F) -> (Waiter<'_, K, T>, Job<T>, bool)
     where
         F: Future<Output = Outcome<T>> + Send + 'static,
     {
         let mut jobs = self.jobs();
         let waiter = |number| Waiter {
             joint: self,
-            key: key.to_owned(),
+            key: key.clone(),
             number,
             waits: true,
         };
@@ -97,20 +98,20 @@ impl<T: Clone + Send + Sync + 'static> Joint<T> {
             waiting: 1,
         };
         let number = running.number;
-        jobs.running.insert(key.to_owned(), running);
+        jobs.running.insert(key.clone(), running);
         (waiter(number), job, false)
     }
 }
 
 /// One who waits for a job; dropped, it waits no longer.
-struct Waiter<'a, T: Clone> {
-    joint: &'a Joint<T>,
-    key: String,
+struct Waiter<'a, K: Eq + Hash, T: Clone> {
+    joint: &'a Joint<K, T>,
+    key: K,
     number: u64,
     waits: bool,
 }
 
-impl<T: Clone> Waiter<'_, T> {
+impl<K: Eq + Hash, T: Clone> Waiter<'_, K, T> {
     /// Waits no longer; true where nobody does, so that the job was told to end, and nobody joins it any more.
     fn leave(&mut self) -> bool {
         if !std::mem::replace(&mut self.waits, false) {
@@ -146,7 +147,7 @@ impl<T: Clone> Waiter<'_, T> {
     }
 }
 
-impl<T: Clone> Drop for Waiter<'_, T> {
+impl<K: Eq + Hash, T: Clone> Drop for Waiter<'_, K, T> {
     fn drop(&mut self) {
         self.leave();
     }

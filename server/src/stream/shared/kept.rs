@@ -7,9 +7,11 @@ use axum::body::Bytes;
 use isopeel_kernels::SurfaceError;
 use lru::LruCache;
 
+use super::RequestKey;
 use super::step::{ChunkKey, Chunks, RegionNote, SharedStep};
 use crate::extraction::{Measurement, Refinement};
 use crate::metrics;
+use crate::volumes::DatasetKey;
 
 /// One in so many bytes of the budget is for what is known of steps, and as much for measured errors; the rest is for chunks.
 const NOTES_PART: u64 = 16;
@@ -22,14 +24,14 @@ pub(in crate::stream) struct Kept(Mutex<Entries>);
 
 struct Entries {
     chunks: Bounded<ChunkKey, Bytes>,
-    steps: Bounded<String, KeptStep>,
-    measured: Bounded<String, Arc<Measurement>>,
+    steps: Bounded<RequestKey, KeptStep>,
+    measured: Bounded<RequestKey, Arc<Measurement>>,
 }
 
 /// A step without meshes. While anybody is shown it, it is there as it is.
 struct KeptStep {
     made: Refinement,
-    volume: Arc<str>,
+    volume: Arc<DatasetKey>,
     regions: Vec<RegionNote>,
     shared: Weak<SharedStep>,
 }
@@ -51,7 +53,7 @@ impl Kept {
     }
 
     /// A step, where it is shown to anybody now, or all of its chunks are there.
-    pub(super) fn find_step(&self, key: &str) -> Option<Arc<SharedStep>> {
+    pub(super) fn find_step(&self, key: &RequestKey) -> Option<Arc<SharedStep>> {
         let entries = &mut *self.entries();
         let kept = entries.steps.get(key)?;
         if let Some(shared) = kept.shared.upgrade() {
@@ -72,9 +74,9 @@ impl Kept {
         Some(again)
     }
 
-    pub(super) fn keep_step(&self, key: String, step: &Arc<SharedStep>) {
+    pub(super) fn keep_step(&self, key: RequestKey, step: &Arc<SharedStep>) {
         let (made, volume, regions) = step.notes();
-        let bytes = key.len() + size_of::<KeptStep>() + regions.len() * size_of::<RegionNote>();
+        let bytes = key.bytes() + size_of::<KeptStep>() + regions.len() * size_of::<RegionNote>();
         let kept = KeptStep {
             made,
             volume,
@@ -84,12 +86,12 @@ impl Kept {
         self.change(|entries| entries.steps.insert(key, bytes as u64, kept));
     }
 
-    pub(super) fn find_measured(&self, key: &str) -> Option<Arc<Measurement>> {
+    pub(super) fn find_measured(&self, key: &RequestKey) -> Option<Arc<Measurement>> {
         self.entries().measured.get(key).cloned()
     }
 
-    pub(super) fn keep_measured(&self, key: String, measured: &Arc<Measurement>) {
-        let bytes = key.len() + measured.regions.len() * size_of::<([u32; 3], SurfaceError)>();
+    pub(super) fn keep_measured(&self, key: RequestKey, measured: &Arc<Measurement>) {
+        let bytes = key.bytes() + measured.regions.len() * size_of::<([u32; 3], SurfaceError)>();
         let measured = Arc::clone(measured);
         self.change(|entries| entries.measured.insert(key, bytes as u64, measured));
     }
@@ -146,10 +148,7 @@ impl<K: Hash + Eq, V> Bounded<K, V> {
     }
 
     /// Marked as used.
-    fn get<Q: Hash + Eq + ?Sized>(&mut self, key: &Q) -> Option<&mut V>
-    where
-        K: std::borrow::Borrow<Q>,
-    {
+    fn get(&mut self, key: &K) -> Option<&mut V> {
         self.entries.get_mut(key).map(|(_, value)| value)
     }
 

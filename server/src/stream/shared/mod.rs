@@ -16,7 +16,7 @@ use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
-use crate::extraction::{FullCount, Measurement, Refinement, Step, WorkError};
+use crate::extraction::{CutId, FittedKey, FullCount, Measurement, Refinement, Shown, Step, ViewKey, WorkError};
 use crate::metrics;
 use crate::view::View;
 use crate::volumes::VolumeStep;
@@ -41,6 +41,32 @@ pub(super) struct Wanted<B> {
     pub backend: B,
     pub volume: VolumeStep,
     pub view: View,
+    /// The view's key.
+    pub key: ViewKey,
+}
+
+/// A result that is asked for: two requests of one key have the same result, but for how fine a step is.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) struct RequestKey {
+    view: ViewKey,
+    /// What an earlier step has found to keep the budget.
+    fitted: Option<FittedKey>,
+    kind: RequestKind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum RequestKind {
+    Count,
+    Refine { shown: Shown, target: Option<CutId> },
+    Improve,
+    Measure,
+}
+
+impl RequestKey {
+    /// About how many bytes it takes.
+    fn bytes(&self) -> usize {
+        size_of::<Self>() + self.view.bytes()
+    }
 }
 
 /// Clones share.
@@ -48,10 +74,10 @@ pub(super) struct Wanted<B> {
 pub(super) struct Shared(Arc<Inner>);
 
 struct Inner {
-    steps: Joint<Arc<SharedStep>>,
-    improved: Joint<Option<Arc<SharedStep>>>,
-    measured: Joint<Option<Arc<Measurement>>>,
-    counted: Joint<FullCount>,
+    steps: Joint<RequestKey, Arc<SharedStep>>,
+    improved: Joint<RequestKey, Option<Arc<SharedStep>>>,
+    measured: Joint<RequestKey, Option<Arc<Measurement>>>,
+    counted: Joint<RequestKey, FullCount>,
     kept: Arc<Kept>,
 }
 
@@ -81,7 +107,7 @@ impl Shared {
 
     /// How many triangles the full surface of a view has.
     pub(super) async fn count<B: Backend>(&self, wanted: Wanted<B>, token: &CancellationToken) -> Outcome<FullCount> {
-        let key = wanted.key("count");
+        let key = wanted.request(RequestKind::Count);
         let make = |token: CancellationToken| async move {
             let counted = wanted.backend.count(&wanted.volume, &wanted.view, &token).await;
             counted.map_err(Arc::new)
@@ -96,7 +122,10 @@ impl Shared {
         step: Step,
         token: &CancellationToken,
     ) -> Outcome<Offered> {
-        let key = wanted.key(&format!("{:?} {:?}", step.shown, step.target));
+        let key = wanted.request(RequestKind::Refine {
+            shown: step.shown,
+            target: step.target,
+        });
         let mut joined = 0;
         loop {
             if let Some(found) = self.0.kept.find_step(&key).filter(|found| found.suits(step)) {
@@ -137,7 +166,7 @@ impl Shared {
         wanted: Wanted<B>,
         token: &CancellationToken,
     ) -> Outcome<Option<Offered>> {
-        let key = wanted.key("better");
+        let key = wanted.request(RequestKind::Improve);
         if let Some(step) = self.0.kept.find_step(&key) {
             metrics::found_step("hit");
             return Ok(Some(Offered { step, is_own: false }));
@@ -164,7 +193,7 @@ impl Shared {
         wanted: Wanted<B>,
         token: &CancellationToken,
     ) -> Outcome<Option<Arc<Measurement>>> {
-        let key = wanted.key("error");
+        let key = wanted.request(RequestKind::Measure);
         if let Some(found) = self.0.kept.find_measured(&key) {
             return Ok(Some(found));
         }
@@ -182,18 +211,12 @@ impl Shared {
 }
 
 impl<B: Backend> Wanted<B> {
-    /// All that a result depends on, as text.
-    fn key(&self, what: &str) -> String {
-        let mut view = self.view.clone();
-        // Colours belong to the client.
-        view.transfer_function.forget_colors();
-        let dataset = self.volume.dataset();
-        format!(
-            "{:?} {} {} {what} {view:?}",
-            dataset.id,
-            dataset.revision,
-            self.volume.step()
-        )
+    fn request(&self, kind: RequestKind) -> RequestKey {
+        RequestKey {
+            view: self.key.clone(),
+            fitted: self.view.fitted.map(FittedKey::from),
+            kind,
+        }
     }
 
     /// Makes a step; where there is no memory for it, what is kept goes first.

@@ -12,7 +12,7 @@ use super::{ANY_LINE_BYTES, MAX_LINE_FACTOR, MIN_LINE_PART, Outcome};
 use crate::extraction::{Refinement, Shown, Step, WorkError};
 use crate::metrics;
 use crate::pool;
-use crate::volumes::VolumeStep;
+use crate::volumes::{DatasetKey, VolumeStep};
 use crate::wire::chunk::{PrefixId, with_prefix};
 use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, content_hash};
 
@@ -31,7 +31,7 @@ pub(in crate::stream) struct SharedStep {
     /// Those that have triangles.
     pub regions: Vec<SharedRegion>,
     /// Of which volume, so that no other's chunks are taken for its own.
-    volume: Arc<str>,
+    volume: Arc<DatasetKey>,
 }
 
 /// A region of it.
@@ -56,7 +56,7 @@ pub(super) struct RegionNote {
 /// A chunk is looked for by its mesh, within its volume.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(in crate::stream) struct ChunkKey {
-    pub volume: Arc<str>,
+    pub volume: Arc<DatasetKey>,
     pub coords: [u32; 3],
     pub hash: u64,
 }
@@ -70,7 +70,7 @@ pub(in crate::stream) trait Chunks {
 impl SharedStep {
     /// Takes what the device has made. A region without triangles counts as absent.
     pub(super) async fn new(made: Refinement, volume: &VolumeStep, token: CancellationToken) -> Outcome<Arc<Self>> {
-        let volume = format!("{:?} {}", volume.dataset().id, volume.dataset().revision);
+        let volume = Arc::new(volume.dataset().key());
         let hashed = pool::run(move || {
             let mut made = made;
             let regions = std::mem::take(&mut made.surface.regions);
@@ -83,11 +83,7 @@ impl SharedStep {
                 .filter(|region| !region.indices.is_empty())
                 .map(hashed)
                 .collect::<Result<_, _>>()?;
-            Ok(Self {
-                made,
-                regions,
-                volume: volume.into(),
-            })
+            Ok(Self { made, regions, volume })
         });
         let hashed = hashed.await.map_err(|_| WorkError::Stopped).and_then(|hashed| hashed);
         hashed.map(Arc::new).map_err(Arc::new)
@@ -144,7 +140,7 @@ impl SharedStep {
     }
 
     /// What is kept of it.
-    pub(super) fn notes(&self) -> (Refinement, Arc<str>, Vec<RegionNote>) {
+    pub(super) fn notes(&self) -> (Refinement, Arc<DatasetKey>, Vec<RegionNote>) {
         let notes = self.regions.iter().map(|region| RegionNote {
             coords: region.coords,
             hash: region.hash,
@@ -154,7 +150,7 @@ impl SharedStep {
     }
 
     /// From what was kept of it, and its chunks in the same order.
-    pub(super) fn again(made: Refinement, volume: Arc<str>, regions: Vec<(RegionNote, Bytes)>) -> Self {
+    pub(super) fn again(made: Refinement, volume: Arc<DatasetKey>, regions: Vec<(RegionNote, Bytes)>) -> Self {
         let again = |(note, chunk): (RegionNote, Bytes)| SharedRegion {
             coords: note.coords,
             hash: note.hash,

@@ -52,6 +52,8 @@ pub(super) struct Scripted {
     pub questions: mpsc::Sender<Asked>,
     /// Of time steps that are read ahead.
     pub ahead: mpsc::Sender<Job<()>>,
+    /// Views that are resolved, if the test does it; else that is done at once.
+    pub resolutions: Option<mpsc::Sender<Job<View>>>,
 }
 
 impl Scripted {
@@ -106,6 +108,13 @@ impl Backend for Scripted {
         }
     }
 
+    async fn resolve(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<View, WorkError> {
+        match &self.resolutions {
+            Some(resolutions) => Self::ask(resolutions, volume, view, None, token, None).await,
+            None => Ok(resolved(volume, view)),
+        }
+    }
+
     async fn count(&self, volume: &VolumeStep, view: &View, token: &CancellationToken) -> Result<FullCount, WorkError> {
         Self::ask(&self.counts, volume, view, None, token, None).await
     }
@@ -154,6 +163,15 @@ impl Backend for Scripted {
         };
         self.questions.send(asked).await.map_err(|_| WorkError::Stopped)?;
         answer.await.unwrap_or(Err(WorkError::Stopped))
+    }
+}
+
+/// A view with every value: the range of its feature ends with the number of the step.
+pub(super) fn resolved(volume: &VolumeStep, view: &View) -> View {
+    View {
+        iso: view.iso.or(isopeel_kernels::Isovalue::new(100.0).ok()),
+        feature_range: view.feature_range.or(Some([-1.0, volume.step() as f32])),
+        ..view.clone()
     }
 }
 

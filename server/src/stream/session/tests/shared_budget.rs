@@ -118,23 +118,78 @@ async fn a_minimum_budget_is_one_for_all_surfaces() {
     viewer
         .expect(r#"{"type":"superseded","surface":1,"generation":2}"#)
         .await;
-    // The other surface follows with a smaller part.
+    // What failed shows nothing, and takes nothing from the other surface.
     let job = viewer.step().await;
-    assert_eq!((iso(&job), triangles(&job.view)), (10.0, 800));
+    assert_eq!((iso(&job), triangles(&job.view)), (10.0, 1000));
     job.answer(Answer::last(2, shapes(&[2])).of_full(4000));
     viewer.until("done").await;
     viewer.say(r#"{"type":"edit","surface":1,"triangles":1250}"#).await;
-    let mut parts = Vec::new();
-    for _ in 0..2 {
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 250));
+    job.answer(Answer::last(3, shapes(&[3])).of_full(1000));
+    viewer.until("done").await;
+    // The other one has 1000 of 1250 already.
+    viewer.quiet().await;
+}
+
+#[tokio::test]
+async fn what_a_failed_surface_keeps_is_reserved() {
+    let mut viewer = Viewer::opened().await;
+    viewer
+        .say(r#"{"type":"edit","iso":10,"triangles":1000,"topology":"preserve"}"#)
+        .await;
+    let first = Answer::last(1, shapes(&[1])).of_full(4000).of_triangles(900);
+    viewer.step().await.answer(first);
+    viewer.until("done").await;
+    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+    viewer.count(6000).await;
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
+    job.answer(Answer::last(2, shapes(&[2])).of_full(6000).of_triangles(600));
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (10.0, 400));
+    let error = WorkError::OverBudget {
+        minimum: 800,
+        budget: 400,
+    };
+    assert!(job.reply.send(Err(error)).is_ok());
+    assert_eq!(viewer.until("error").await["surface"], 0);
+    // The 600 triangles of the other one were never shown: 900 of 1000 are there.
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 100));
+    job.answer(Answer::last(3, shapes(&[3])).of_full(6000).of_triangles(100));
+    assert_eq!(viewer.until("done").await["surface"], 1);
+    viewer.quiet().await;
+    // An edit that gives it no other part does not try it again, the end of the other surface does.
+    viewer.say(r#"{"type":"edit","surface":1,"alpha":0.1}"#).await;
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 100));
+    job.answer(Answer::last(4, shapes(&[4])).of_full(6000).of_triangles(100));
+    viewer.until("done").await;
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"remove","surface":1}"#).await;
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (10.0, 1000));
+}
+
+#[tokio::test]
+async fn a_count_of_another_mask_is_none() {
+    let mut viewer = with_budget().await;
+    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+    viewer.count(1000).await;
+    for surface in [20.0, 10.0] {
         let job = viewer.step().await;
-        parts.push((iso(&job), triangles(&job.view)));
-        let full = if iso(&job) == 20.0 { 1000 } else { 4000 };
-        job.answer(Answer::last(3, shapes(&[3])).of_full(full));
+        assert_eq!(iso(&job), surface);
+        let full = if surface == 20.0 { 1000 } else { 4000 };
+        job.answer(Answer::last(2, shapes(&[2])).of_full(full));
     }
-    assert!(
-        parts.contains(&(20.0, 250)) && parts.contains(&(10.0, 1000)),
-        "{parts:?}"
-    );
+    for _ in 0..2 {
+        viewer.until("done").await;
+    }
+    viewer.say(r#"{"type":"edit","surface":1,"mask":"density>0"}"#).await;
+    assert_eq!(viewer.count(4000).await, 20.0);
+    let job = viewer.step().await;
+    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 500));
 }
 
 #[tokio::test]

@@ -292,27 +292,27 @@ async fn a_surface_that_cannot_be_improved_is_measured() {
     }
 }
 
-/// Else nobody would know that the surface has the parts that were to be removed.
 #[tokio::test]
-async fn a_viewer_hears_why_parts_stay() {
+async fn parts_that_cannot_be_removed_are_an_error_and_the_view_before_comes_back() {
     for removal in [r#""minPart":5"#, r#""parts":{"hide":[[1,2,3]]}"#] {
         let mut viewer = Viewer::opened().await;
         viewer.say(&format!(r#"{{"type":"edit","error":0.1,{removal}}}"#)).await;
         let job = viewer.step().await;
         assert!(job.view.removes_parts());
-        job.answer(Answer::last(1, shapes(&[1])).improvable());
-        viewer.until("done").await;
-        let job = viewer.improvements.recv().await.expect("an improvement");
         let error = WorkError::NoTree(isopeel_kernels::Error::NoDriver);
         assert!(job.reply.send(Err(error)).is_ok());
         let error = viewer.until("error").await;
-        assert_eq!((&error["code"], &error["open"]), (&"too-large".into(), &true.into()));
+        assert_eq!((&error["code"], &error["surface"]), (&"too-large".into(), &0.into()));
         let message = error["message"].as_str().expect("a message");
         assert!(
             message.starts_with("minPart, parts: parts are removed from the vertex tree"),
             "{message}"
         );
-        viewer.measurements.recv().await.expect("a measurement");
+        viewer.until("superseded").await;
+        viewer.quiet().await;
+        viewer.say(r#"{"type":"edit","alpha":0.25}"#).await;
+        let job = viewer.step().await;
+        assert!(!job.view.removes_parts() && job.view.alpha == 0.25);
     }
 }
 

@@ -12,6 +12,7 @@ use super::scripted::{Answer, Asked, Job, Scripted, shapes};
 use crate::access::Identity;
 use crate::extraction::{FullCount, Measurement, Refinement};
 use crate::stream::backend::Opening;
+use crate::view::View;
 use crate::wire::chunk::{DecodedChunk, decode};
 
 /// The other end of a session.
@@ -25,6 +26,8 @@ pub(super) struct Viewer {
     pub measurements: mpsc::Receiver<Job<Option<Measurement>>>,
     pub questions: mpsc::Receiver<Asked>,
     pub ahead: mpsc::Receiver<Job<()>>,
+    /// Of [`Viewer::that_resolves`].
+    pub resolutions: mpsc::Receiver<Job<View>>,
     pub shutdown: CancellationToken,
     pub session: JoinHandle<()>,
 }
@@ -42,6 +45,15 @@ impl Viewer {
 
     /// One of several, each with a device of its own.
     pub(super) fn among(common: &Common, who: Identity) -> Self {
+        Self::with_device(common, who, false)
+    }
+
+    /// One whose views the test resolves.
+    pub(super) fn that_resolves(common: &Common) -> Self {
+        Self::with_device(common, Identity::without_token(), true)
+    }
+
+    fn with_device(common: &Common, who: Identity, resolves: bool) -> Self {
         let (inbox, to_session) = mpsc::channel(1);
         let (outgoing, frames) = mpsc::channel(1);
         let (opens, open_jobs) = mpsc::channel(8);
@@ -51,6 +63,7 @@ impl Viewer {
         let (measurements, measurement_jobs) = mpsc::channel(8);
         let (questions, asked) = mpsc::channel(8);
         let (ahead, ahead_jobs) = mpsc::channel(8);
+        let (resolutions, resolution_jobs) = mpsc::channel(8);
         let shutdown = CancellationToken::new();
         let device = Scripted {
             opens,
@@ -60,6 +73,7 @@ impl Viewer {
             measurements,
             questions,
             ahead,
+            resolutions: resolves.then_some(resolutions),
         };
         let session = Session::new(device, StepTimes::default(), common.clone(), who);
         Self {
@@ -72,6 +86,7 @@ impl Viewer {
             measurements: measurement_jobs,
             questions: asked,
             ahead: ahead_jobs,
+            resolutions: resolution_jobs,
             session: tokio::spawn(session.run(to_session, outgoing, shutdown.clone())),
             shutdown,
         }

@@ -1,0 +1,74 @@
+//! Edits and time steps that have not come into force.
+
+use crate::view::{Edit, View};
+use crate::volumes::VolumeStep;
+
+/// Edits of a surface that are kept one by one while they wait, so that a bad one among them takes no other one with it.
+pub(super) const MAX_KEPT_EDITS: usize = 64;
+
+/// An edit that waits.
+#[derive(Clone)]
+pub(super) struct KeptEdit {
+    pub edit: Edit,
+    /// The time step that was in force, or on its way, when it came.
+    pub at: VolumeStep,
+    /// Whether its surface is made when it comes into force: not after a `cancel`.
+    pub is_made: bool,
+}
+
+/// Edits of a surface that have not come into force.
+#[derive(Clone)]
+pub(super) struct PendingView {
+    /// As the edits left it.
+    pub view: View,
+    /// The time step whose values it gets where it leaves them open.
+    pub at: VolumeStep,
+    /// Whether an edit has named a budget, which is then the connection's.
+    pub has_budget: bool,
+    /// Number of the last edit.
+    pub edit: u64,
+    /// Whether the surface is made then: not after a `cancel`.
+    pub is_made: bool,
+    /// The device could not be asked; the next edit is tried anew.
+    pub is_paused: bool,
+    /// The edits that led to the view from the one in force; none where there were too many.
+    pub edits: Vec<KeptEdit>,
+    /// Edits that are applied when this one has come into force, or was found to be bad: they were together with it before.
+    pub queue: Vec<KeptEdit>,
+}
+
+/// A time step that has not come into force.
+pub(super) struct PendingStep {
+    pub volume: VolumeStep,
+    /// Whether surfaces are made then: not after a `cancel`.
+    pub is_made: bool,
+}
+
+impl PendingView {
+    /// The view once all edits are applied that wait.
+    pub(super) fn last_view(&self, fields: &[&str]) -> View {
+        let applied = |view: View, kept: &KeptEdit| view.apply(&kept.edit, fields).unwrap_or(view);
+        self.queue.iter().fold(self.view.clone(), applied)
+    }
+
+    /// Nothing is made when it comes into force.
+    pub(super) fn cancel(&mut self) {
+        self.is_made = false;
+        let kept = self.edits.iter_mut().chain(&mut self.queue);
+        kept.for_each(|kept| kept.is_made = false);
+    }
+
+    /// Whether what was resolved of `asked` holds of this one, too.
+    pub(super) fn resolves_like(&self, asked: &Self) -> bool {
+        let inputs = |pending: &Self| {
+            let view = &pending.view;
+            (
+                view.field.clone(),
+                view.mask.clone(),
+                view.feature.clone(),
+                pending.at.key(),
+            )
+        };
+        inputs(self) == inputs(asked)
+    }
+}

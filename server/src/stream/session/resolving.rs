@@ -1,0 +1,344 @@
+//! Views on their way into force. A view comes into force when it is resolved: its isovalue and the range of its feature are numbers, and the
+//! samples of its fields, computed and masked ones too, are there. Until then the view before it is in force, and shown. So an edit that turns
+//! out to be bad changes nothing, and neither does a time step of which a surface cannot be made.
+//!
+//! Messages count in the order in which they came: values that an edit leaves open are those of the time step that was in force, or on its way,
+//! when the edit came, however soon another step follows. Edits that change nothing that has to be resolved come into force at once.
+
+use tokio_util::sync::CancellationToken;
+
+use super::super::backend::Backend;
+use super::Session;
+use super::jobs::BoxFuture;
+use super::open_volume::{OpenVolume, OpeningPhase};
+use super::pending::{KeptEdit, MAX_KEPT_EDITS, PendingView};
+use super::rest::Rest;
+use crate::error::chain;
+use crate::extraction::WorkError;
+use crate::metrics;
+use crate::view::{Edit, FeatureName, View};
+use crate::volumes::{StepKey, VolumeStep};
+use crate::wire::messages::ServerMessage;
+
+/// What the device has resolved.
+pub(super) enum Resolved {
+    View {
+        surface: u8,
+        asked: Box<PendingView>,
+        result: Result<View, WorkError>,
+    },
+    Step {
+        step: StepKey,
+        /// Or the surface that cannot be made of the step.
+        result: Result<Vec<(u8, View)>, (u8, WorkError)>,
+    },
+}
+
+impl OpenVolume {
+    /// Whether the device has to look at a view before it may take the place of the one in force.
+    pub(super) fn has_to_resolve(&self, surface: u8, view: &View) -> bool {
+        let in_force = self.view_of(surface);
+        let inputs = |view: &View| (view.field.clone(), view.mask.clone(), view.feature.clone());
+        view.iso.is_none() || view.feature_range.is_none() || inputs(view) != inputs(&in_force)
+    }
+
+    /// The step that is in force, or else on its way.
+    fn newest_step(&self) -> &VolumeStep {
+        self.stepping.as_ref().map_or(&self.volume, |stepping| &stepping.volume)
+    }
+
+    /// The next view to be resolved: one of the step in force, before that is left.
+    fn next_pending(&self) -> Option<(u8, &PendingView)> {
+        let here = self.volume.key();
+        let pending = self.surfaces().filter_map(|(number, surface)| {
+            let pending = surface.pending.as_ref().filter(|pending| !pending.is_paused)?;
+            (pending.at.key() == here).then_some((number, pending))
+        });
+        pending.min_by_key(|(_, pending)| pending.edit)
+    }
+}
+
+impl<B: Backend> Session<B> {
+    /// Takes an edit that leads to this view: it comes into force at once, or when it is resolved.
+    pub(super) fn take_edit(&mut self, surface: u8, view: View, edit: &Edit) {
+        self.count_edit(surface);
+        let Some(opened) = &mut self.opened else { return };
+        let kept = KeptEdit {
+            edit: edit.clone(),
+            at: opened.newest_step().clone(),
+            is_made: true,
+        };
+        self.apply(surface, view, kept);
+    }
+
+    /// As [`Session::take_edit`], of an edit that was taken before.
+    fn apply(&mut self, surface: u8, view: View, kept: KeptEdit) {
+        let Some(opened) = &mut self.opened else { return };
+        let has_budget = kept.edit.triangles.is_some() || kept.edit.bytes.is_some();
+        // Before it is open, nothing can be resolved.
+        if opened.phase != OpeningPhase::Open {
+            return self.come_into_force(surface, view, has_budget, self.edits, true);
+        }
+        let pending = opened.surface_mut(surface).and_then(|session| session.pending.as_mut());
+        if let Some(pending) = pending.filter(|pending| !pending.queue.is_empty()) {
+            if pending.queue.len() < MAX_KEPT_EDITS {
+                pending.queue.push(kept);
+            } else {
+                self.send_surface_error(surface, "busy", "too many edits wait for one that is checked".into());
+            }
+            return;
+        }
+        if !opened.has_to_resolve(surface, &view) {
+            return self.come_into_force(surface, view, has_budget, self.edits, kept.is_made);
+        }
+        opened.hold_back(surface, view, has_budget, self.edits, Some(kept));
+    }
+
+    /// Applies edits that were taken before, one by one: the first that has to be resolved holds those behind it back.
+    fn apply_all(&mut self, surface: u8, edits: Vec<KeptEdit>) {
+        let mut edits = edits.into_iter();
+        while let Some(kept) = edits.next() {
+            let Some(opened) = &mut self.opened else { return };
+            let fields = opened.volume.dataset().field_names();
+            match opened.edited_view_of(surface).apply(&kept.edit, &fields) {
+                Ok(view) => self.apply(surface, view, kept),
+                Err(error) => self.send_surface_error(surface, "bad-edit", error.to_string()),
+            }
+            let pending = self
+                .opened
+                .as_mut()
+                .and_then(|opened| opened.surface_mut(surface)?.pending.as_mut());
+            if let Some(pending) = pending {
+                pending.queue = edits.collect();
+                return;
+            }
+        }
+    }
+
+    /// An edit of a surface goes before questions, and before what is done for others that rest.
+    pub(super) fn count_edit(&mut self, surface: u8) {
+        self.edits += 1;
+        self.questions.overtaken();
+        self.outbox.drop_annotations();
+        let surfaces = self.opened.iter_mut().flat_map(OpenVolume::surfaces_mut);
+        let others = surfaces.filter(|(other, _)| *other != surface);
+        others
+            .filter_map(|(_, session)| session.rest_mut())
+            .for_each(Rest::postpone);
+    }
+
+    /// A view takes the place of the one in force.
+    pub(super) fn come_into_force(&mut self, surface: u8, view: View, has_budget: bool, edit: u64, is_made: bool) {
+        let Some(opened) = &mut self.opened else { return };
+        opened.set_view(surface, view, has_budget);
+        if let Some(session) = opened.surface_mut(surface) {
+            session.edited = edit;
+            (session.pending, session.failed, session.key) = (None, None, None);
+        }
+        self.change(surface);
+        if !is_made && let Some(session) = self.opened.as_mut().and_then(|opened| opened.surface_mut(surface)) {
+            session.edit_pending = false;
+        }
+        self.retry_failed();
+        self.allot(Some(surface));
+    }
+
+    /// Resolves what is next, where nothing is being resolved.
+    pub(super) fn advance_resolving(&mut self) {
+        let Some(opened) = &mut self.opened else { return };
+        if self.resolving.is_some() || opened.phase != OpeningPhase::Open {
+            return;
+        }
+        if opened.stepping.is_none() {
+            opened.resolve_here();
+        }
+        let job = match (opened.next_pending(), &opened.stepping) {
+            (Some((surface, pending)), _) => resolve_view(self.backend.clone(), surface, pending.clone()),
+            (None, Some(stepping)) => {
+                let made = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
+                let views = made.map(|(number, surface)| (number, surface.view.clone())).collect();
+                resolve_step(self.backend.clone(), stepping.volume.clone(), views)
+            }
+            (None, None) => return,
+        };
+        self.resolving = Some(job);
+    }
+
+    pub(super) fn on_resolved(&mut self, resolved: Resolved) {
+        match resolved {
+            Resolved::View { surface, asked, result } => self.on_resolved_view(surface, &asked, result),
+            Resolved::Step { step, result } => self.on_resolved_step(&step, result),
+        }
+    }
+
+    fn on_resolved_view(&mut self, surface: u8, asked: &PendingView, result: Result<View, WorkError>) {
+        let session = self.opened.as_mut().and_then(|opened| opened.surface_mut(surface));
+        let Some(session) = session else { return };
+        // A newer edit has changed what has to be resolved: it is resolved next.
+        let Some(pending) = session.pending.as_mut().filter(|pending| pending.resolves_like(asked)) else {
+            return;
+        };
+        match result {
+            Ok(resolved) => {
+                let PendingView {
+                    mut view,
+                    has_budget,
+                    edit,
+                    is_made,
+                    queue,
+                    ..
+                } = pending.clone();
+                view.iso = view.iso.or(resolved.iso);
+                view.feature_range = view.feature_range.or(resolved.feature_range);
+                self.come_into_force(surface, view, has_budget, edit, is_made);
+                self.apply_all(surface, queue);
+                self.lead_or_follow();
+            }
+            Err(error) if !error.rejects_view() => {
+                pending.is_paused = true;
+                self.send_surface_error(surface, error.code(), error.public_message());
+            }
+            // Which of them is bad is found one by one.
+            Err(_) if pending.edits.len() > 1 => {
+                let edits = std::mem::take(&mut pending.edits);
+                session.pending = None;
+                self.apply_all(surface, edits);
+            }
+            Err(error) => {
+                tracing::debug!(error = chain(&error), "an edit does not come into force");
+                let queue = std::mem::take(&mut pending.queue);
+                session.pending = None;
+                let is_new = session.edited == 0 && surface > 0;
+                if is_new && let Some(opened) = &mut self.opened {
+                    opened.remove(surface);
+                }
+                self.send_surface_error(surface, error.code(), error.public_message());
+                self.apply_all(surface, queue);
+            }
+        }
+    }
+
+    fn on_resolved_step(&mut self, step: &StepKey, result: Result<Vec<(u8, View)>, (u8, WorkError)>) {
+        let Some(opened) = &mut self.opened else { return };
+        let Some(stepping) = opened.stepping.take_if(|stepping| stepping.volume.key() == *step) else {
+            return;
+        };
+        match result {
+            Ok(views) => {
+                for (number, resolved) in views {
+                    if let Some(session) = opened.surface_mut(number) {
+                        session.view.iso = session.view.iso.or(resolved.iso);
+                    }
+                }
+                self.step_into_force(stepping);
+                self.lead_or_follow();
+            }
+            Err((surface, error)) => {
+                tracing::debug!(error = chain(&error), "a time step does not come into force");
+                let message = format!(
+                    "step {} is not shown, step {} stays: {}",
+                    step.step,
+                    opened.volume.step(),
+                    error.public_message()
+                );
+                self.send_surface_error(surface, "step-failed", message);
+            }
+        }
+    }
+
+    pub(super) fn send_surface_error(&mut self, surface: u8, code: &'static str, message: String) {
+        metrics::stream_error(code);
+        self.send(&ServerMessage::Error {
+            code,
+            message,
+            open: true,
+            surface: Some(surface),
+            suggested_triangles: None,
+        });
+    }
+}
+
+impl OpenVolume {
+    /// Keeps the view of an edit until it is resolved.
+    pub(super) fn hold_back(&mut self, number: u8, view: View, has_budget: bool, edit: u64, kept: Option<KeptEdit>) {
+        let at = kept
+            .as_ref()
+            .map_or_else(|| self.newest_step().clone(), |kept| kept.at.clone());
+        let begins = self.view_of(number);
+        let surface = self.surface_or_new(number, begins);
+        let before = surface.pending.as_ref();
+        let is_derived = |view: &View| matches!(view.feature, FeatureName::Derived(_));
+        let feature = |view: &View| (view.feature.clone(), is_derived(view).then(|| view.field.clone()));
+        // What was left open by an edit before gets the values of the step of that edit.
+        let is_still_open =
+            |before: &&PendingView| before.view.feature_range.is_none() && feature(&before.view) == feature(&view);
+        let at = before.filter(is_still_open).map_or(at, |before| before.at.clone());
+        let has_budget = has_budget || before.is_some_and(|before| before.has_budget);
+        let is_made = kept.as_ref().is_none_or(|kept| kept.is_made);
+        let mut edits = before.map_or_else(Vec::new, |before| before.edits.clone());
+        let is_first = before.is_none();
+        match kept {
+            Some(kept) if is_first || (1..MAX_KEPT_EDITS).contains(&edits.len()) => edits.push(kept),
+            _ => edits.clear(),
+        }
+        surface.pending = Some(PendingView {
+            view,
+            at,
+            has_budget,
+            edit,
+            is_made,
+            is_paused: false,
+            edits,
+            queue: Vec::new(),
+        });
+    }
+
+    /// Views that were to be resolved at a step which did not come into force are resolved at the one that is.
+    fn resolve_here(&mut self) {
+        let here = self.volume.clone();
+        for (_, surface) in self.surfaces_mut() {
+            if let Some(pending) = &mut surface.pending {
+                pending.at = here.clone();
+            }
+        }
+    }
+}
+
+/// Dropping the job cancels it.
+fn resolve_view<B: Backend>(backend: B, surface: u8, asked: PendingView) -> BoxFuture<Resolved> {
+    let token = CancellationToken::new();
+    let guard = token.clone().drop_guard();
+    Box::pin(async move {
+        let _guard = guard;
+        let result = backend.resolve(&asked.at, &asked.view, &token).await;
+        Resolved::View {
+            surface,
+            asked: Box::new(asked),
+            result,
+        }
+    })
+}
+
+/// As [`resolve_view`], of all surfaces that are made of a step.
+fn resolve_step<B: Backend>(backend: B, volume: VolumeStep, views: Vec<(u8, View)>) -> BoxFuture<Resolved> {
+    let token = CancellationToken::new();
+    let guard = token.clone().drop_guard();
+    Box::pin(async move {
+        let _guard = guard;
+        let mut resolved = Ok(Vec::new());
+        for (number, view) in views {
+            match (backend.resolve(&volume, &view, &token).await, &mut resolved) {
+                (Ok(view), Ok(all)) => all.push((number, view)),
+                (Err(error), _) => {
+                    resolved = Err((number, error));
+                    break;
+                }
+                (Ok(_), Err(_)) => {}
+            }
+        }
+        Resolved::Step {
+            step: volume.key(),
+            result: resolved,
+        }
+    })
+}

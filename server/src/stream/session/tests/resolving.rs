@@ -1,0 +1,290 @@
+//! Views and time steps come into force when they are resolved, and not at all where they turn out to be bad.
+
+use serde_json::json;
+
+use super::super::Common;
+use super::scripted::{Answer, Job, resolved, shapes};
+use super::viewer::Viewer;
+use crate::access::Identity;
+use crate::extraction::{Shown, WorkError};
+use crate::view::quality::{Budget, TriangleBudget};
+use crate::view::{EditError, View};
+
+const FEATURE: &str = r#"{"type":"edit","feature":"mean-curvature"}"#;
+
+/// With the final surface of the opening view shown.
+async fn showing(common: &Common) -> Viewer {
+    let mut viewer = Viewer::that_resolves(common).open().await;
+    viewer.say(r#"{"type":"edit"}"#).await;
+    viewer.step().await.answer(Answer::last(1, shapes(&[1])));
+    viewer.until("done").await;
+    viewer
+}
+
+impl Job<View> {
+    fn resolve(self) {
+        let view = resolved(&self.volume, &self.view);
+        assert!(self.reply.send(Ok(view)).is_ok(), "the session dropped its job");
+    }
+
+    fn refuse(self) {
+        let error = EditError {
+            field: "feature",
+            why: "holds at no sample".into(),
+        };
+        assert!(
+            self.reply.send(Err(WorkError::Edit(error))).is_ok(),
+            "the session dropped its job"
+        );
+    }
+}
+
+async fn resolution(viewer: &mut Viewer) -> Job<View> {
+    viewer.resolutions.recv().await.expect("a view to resolve")
+}
+
+#[tokio::test]
+async fn an_edit_that_turns_out_to_be_bad_changes_nothing() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(FEATURE).await;
+    let job = resolution(&mut viewer).await;
+    viewer.quiet().await;
+    job.refuse();
+    let error = viewer.text().await;
+    assert_eq!((&error["code"], &error["surface"]), (&json!("bad-edit"), &json!(0)));
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit","alpha":0.25}"#).await;
+    let job = viewer.step().await;
+    assert_eq!(
+        (job.view.feature.as_str(), job.view.alpha),
+        ("gradient-magnitude", 0.25)
+    );
+}
+
+#[tokio::test]
+async fn edits_that_arrive_meanwhile_come_into_force_with_it() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(FEATURE).await;
+    let job = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"edit","alpha":0.25}"#).await;
+    viewer.quiet().await;
+    job.resolve();
+    let job = viewer.step().await;
+    assert_eq!((job.view.feature.as_str(), job.view.alpha), ("mean-curvature", 0.25));
+    assert_eq!(job.view.feature_range, Some([-1.0, 0.0]));
+    job.answer(Answer::last(2, shapes(&[2])));
+    viewer.until("done").await;
+    // One that changes what is to be resolved is resolved itself.
+    viewer.say(r#"{"type":"edit","feature":"local-variance"}"#).await;
+    let late = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"edit","feature":"none"}"#).await;
+    late.refuse();
+    resolution(&mut viewer).await.resolve();
+    assert_eq!(viewer.step().await.view.feature.as_str(), "none");
+}
+
+/// The same as if each had come when the one before was known to be good or bad.
+#[tokio::test]
+async fn a_bad_edit_takes_no_other_one_with_it() {
+    let mut viewer = showing(&Common::new(0)).await;
+    // While another surface's edit is resolved, these wait together.
+    viewer.say(r#"{"type":"edit","surface":1,"feature":"none"}"#).await;
+    let other = resolution(&mut viewer).await;
+    for edit in [
+        r#""iso":7,"mask":"density>0""#,
+        r#""feature":"mean-curvature""#,
+        r#""alpha":0.25"#,
+    ] {
+        viewer.say(&format!(r#"{{"type":"edit",{edit}}}"#)).await;
+    }
+    viewer.say(r#"{"type":"cancel"}"#).await;
+    viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
+    tokio::task::yield_now().await;
+    other.refuse();
+    assert_eq!(viewer.until("error").await["surface"], 1);
+    let all = resolution(&mut viewer).await;
+    assert_eq!((all.view.alpha, all.view.feature.as_str()), (0.25, "mean-curvature"));
+    all.refuse();
+    // One by one: the mask is good, the feature is not, the others need not be resolved.
+    let first = resolution(&mut viewer).await;
+    assert_eq!(
+        (first.view.feature.as_str(), first.view.mask.is_some()),
+        ("gradient-magnitude", true)
+    );
+    first.resolve();
+    let rest = resolution(&mut viewer).await;
+    assert_eq!(
+        (rest.view.feature.as_str(), rest.view.alpha),
+        ("mean-curvature", View::OPENING_ALPHA)
+    );
+    rest.refuse();
+    assert_eq!(viewer.until("error").await["code"], "bad-edit");
+    let job = viewer.step().await;
+    assert_eq!(
+        (job.view.feature.as_str(), job.view.alpha, job.view.beta),
+        ("gradient-magnitude", 0.25, 0.5)
+    );
+    assert!(job.view.mask.is_some() && job.view.iso.is_some_and(|iso| iso.get() == 7.0));
+}
+
+#[tokio::test]
+async fn values_that_an_edit_leaves_open_are_those_of_its_step() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(FEATURE).await;
+    let job = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"step","step":3}"#).await;
+    viewer.quiet().await;
+    assert_eq!(job.volume.step(), 0);
+    job.resolve();
+    // The step comes into force after it, and is checked with it.
+    let job = resolution(&mut viewer).await;
+    assert_eq!((job.volume.step(), job.view.feature_range), (3, Some([-1.0, 0.0])));
+    job.resolve();
+    viewer.until("stepped").await;
+    loop {
+        let job = viewer.step().await;
+        if job.volume.step() == 3 {
+            assert_eq!(job.view.feature_range, Some([-1.0, 0.0]));
+            break;
+        }
+        job.answer_cancelled().await;
+    }
+}
+
+#[tokio::test]
+async fn a_step_of_which_a_surface_cannot_be_made_is_refused() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(r#"{"type":"step","step":1}"#).await;
+    let job = resolution(&mut viewer).await;
+    assert_eq!(job.volume.step(), 1);
+    viewer.quiet().await;
+    job.refuse();
+    let error = viewer.text().await;
+    assert_eq!((&error["code"], &error["surface"]), (&json!("step-failed"), &json!(0)));
+    let message = error["message"].as_str().expect("a message");
+    assert!(message.starts_with("step 1 is not shown, step 0 stays: "), "{message}");
+    viewer.say(r#"{"type":"edit","alpha":0.25}"#).await;
+    assert_eq!(viewer.step().await.volume.step(), 0);
+}
+
+#[tokio::test]
+async fn the_latest_step_is_the_one_that_is_checked() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(r#"{"type":"step","step":1}"#).await;
+    let first = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"step","step":2}"#).await;
+    let second = resolution(&mut viewer).await;
+    assert!(first.token.is_cancelled() && second.volume.step() == 2);
+    second.resolve();
+    let stepped = viewer.until("stepped").await;
+    assert_eq!(stepped["step"], 2);
+}
+
+#[tokio::test]
+async fn what_fails_while_it_is_made_gives_way_to_what_was_shown() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(FEATURE).await;
+    resolution(&mut viewer).await.resolve();
+    let job = viewer.step().await;
+    assert_eq!(job.view.feature.as_str(), "mean-curvature");
+    let error = WorkError::TooLarge {
+        needed_bytes: 2,
+        limit_bytes: 1,
+    };
+    assert!(job.reply.send(Err(error)).is_ok());
+    assert_eq!(viewer.until("error").await["surface"], 0);
+    viewer.until("superseded").await;
+    let job = viewer.step().await;
+    assert_eq!(job.view.feature.as_str(), "gradient-magnitude");
+}
+
+#[tokio::test]
+async fn a_surface_that_never_was_is_gone_with_its_bad_edit() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer
+        .say(r#"{"type":"edit","surface":2,"feature":"mean-curvature"}"#)
+        .await;
+    resolution(&mut viewer).await.refuse();
+    assert_eq!(viewer.until("error").await["surface"], 2);
+    viewer.say(r#"{"type":"remove","surface":2}"#).await;
+    assert_eq!(viewer.error().await, ("unknown-surface".into(), true));
+}
+
+#[tokio::test]
+async fn edits_before_opened_apply_to_the_values_that_it_states() {
+    let mut viewer = Viewer::that_resolves(&Common::new(0));
+    viewer.say(r#"{"type":"open","volume":"head"}"#).await;
+    let open = viewer.opens.recv().await.expect("an open job");
+    viewer.say(r#"{"type":"edit","alpha":0.25}"#).await;
+    viewer
+        .say(r#"{"type":"edit","surface":1,"feature":"mean-curvature"}"#)
+        .await;
+    tokio::task::yield_now().await;
+    open.answer();
+    viewer.until("opened").await;
+    let job = viewer.step().await;
+    assert_eq!((job.view.alpha, job.view.feature_range), (0.25, Some([0.0, 50.0])));
+    let late = resolution(&mut viewer).await;
+    assert_eq!(
+        (late.view.feature.as_str(), late.view.feature_range),
+        ("mean-curvature", None)
+    );
+}
+
+#[tokio::test]
+async fn followers_are_shown_what_has_come_into_force() {
+    let common = Common::new(0);
+    let mut leader = showing(&common).await;
+    leader.say(r#"{"type":"lead"}"#).await;
+    let group = leader.until("group").await["group"].clone();
+    let mut follower = Viewer::among(&common, Identity::without_token());
+    follower.say(&json!({"type": "join", "group": group}).to_string()).await;
+    let led = follower.until("led").await;
+    assert_eq!(led["surfaces"][0]["edit"]["featureRange"], json!([0.0, 50.0]));
+    follower.opens.recv().await.expect("an open job").answer();
+    follower.step().await.answer(Answer::last(1, shapes(&[1])));
+    follower.until("done").await;
+
+    leader.say(FEATURE).await;
+    resolution(&mut leader).await.refuse();
+    leader.until("error").await;
+    leader.say(FEATURE).await;
+    resolution(&mut leader).await.resolve();
+    let led = follower.until("led").await;
+    let edit = &led["surfaces"][0]["edit"];
+    assert_eq!(
+        (&edit["feature"], &edit["featureRange"]),
+        (&json!("mean-curvature"), &json!([-1.0, 0.0])),
+        "nothing of the edit that was refused"
+    );
+    // Both wait for one job.
+    let job = leader.step().await;
+    assert_eq!(job.view.feature_range, Some([-1.0, 0.0]));
+    job.answer(Answer::last(2, shapes(&[2])));
+    follower.until("done").await;
+}
+
+#[tokio::test]
+async fn a_new_surface_has_the_budget_that_edits_left_in_force_or_not() {
+    let mut viewer = Viewer::that_resolves(&Common::new(0)).open().await;
+    viewer.say(r#"{"type":"edit","triangles":77}"#).await;
+    viewer.step().await.answer(Answer::last(1, shapes(&[1])));
+    viewer.until("done").await;
+    viewer.say(r#"{"type":"edit","beta":0.5,"feature":"none"}"#).await;
+    let _first = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+    let job = viewer.counts.recv().await.expect("a count");
+    let opening = Budget::Triangles(TriangleBudget::Share(View::OPENING_BUDGET));
+    assert_eq!(
+        job.view.budget,
+        Some(opening),
+        "not the one that went with the edit before"
+    );
+}
+
+#[tokio::test]
+async fn another_mask_is_another_surface_which_comes_coarse_first() {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    viewer.say(r#"{"type":"edit","mask":"density>0"}"#).await;
+    assert_eq!(viewer.step().await.shown(), Shown::Another);
+}
