@@ -27,7 +27,7 @@ pub struct VolumeSummary {
     pub steps: u32,
     /// Names of the fields, the main one first.
     pub fields: Vec<String>,
-    /// Copyright or source to show beside the data.
+    /// What is to be shown beside the data, a line each, as in the volume's description.
     pub notice: Option<String>,
 }
 
@@ -39,7 +39,7 @@ impl From<&Dataset> for VolumeSummary {
             dims: dataset.geometry.dims,
             steps: dataset.steps,
             fields: dataset.fields.iter().map(|f| f.name.clone()).collect(),
-            notice: dataset.notice.clone(),
+            notice: dataset.notice(),
         }
     }
 }

@@ -7,7 +7,7 @@ use isopeel_kernels::{Expression, SampleType, Samples};
 use rayon::prelude::*;
 
 use super::distances::distances;
-use super::{Dataset, Field, FileLocation, LengthUnit, ReadError, ReadProgress, Source};
+use super::{Dataset, Field, FileLocation, LengthUnit, Notices, ReadError, ReadProgress, Source};
 use crate::view::FieldExpression;
 
 /// Samples that a task computes.
@@ -52,6 +52,7 @@ impl Dataset {
             sample_type: SampleType::F32,
             missing: None,
             unit,
+            labels: Vec::new(),
             source: Arc::new(source),
         })
     }
@@ -65,6 +66,13 @@ impl Source for Computed {
     fn inputs(&self, step: u32) -> Vec<FileLocation> {
         let fields = self.fields.iter();
         fields.flat_map(|field| field.source.inputs(step)).collect()
+    }
+
+    fn notices(&self) -> Notices {
+        let mut notices = Notices::default();
+        let fields = self.fields.iter();
+        fields.for_each(|field| notices.extend(field.source.notices()));
+        notices
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

@@ -6,6 +6,7 @@
 //! - [`Frame`], [`LengthUnit`]: what world positions mean.
 //! - [`location`]: files on disk or in memory; tests and fuzzers use the latter. `remote`: stores over a network.
 //! - [`formats`]: one header parser a format.
+//! - [`Notices`]: what readers repaired or assumed. [`Label`]: what values of labels mean.
 //! - `unpacked`: files that are compressed as a whole.
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them, by their type (`scalar`).
 //! - `rectilinear`: uneven positions, and samples interpolated onto an even grid.
@@ -25,8 +26,10 @@ pub mod demo;
 mod distances;
 pub mod formats;
 mod frame;
+mod labels;
 pub mod location;
 mod memory;
+mod notices;
 mod numbered;
 pub mod open;
 mod pieces;
@@ -53,8 +56,10 @@ pub use catalog::{Catalog, SharedCatalog, open_path};
 pub use demo::demo;
 pub use frame::{Frame, LengthUnit};
 pub use isopeel_kernels::Samples;
+pub use labels::{Label, MAX_LABELS};
 pub use location::FileLocation;
 pub use memory::memory_dataset;
+pub use notices::Notices;
 
 use crate::math::{DAffine3, DVec3, IndexSpace, UnevenAxes};
 use crate::view::{Edit, EditError, View};
@@ -86,8 +91,8 @@ pub struct Dataset {
     pub fields: Vec<Field>,
     /// Counts what took this one's place under its id, but for steps that were added to it: samples of another revision are others.
     pub revision: u32,
-    /// Copyright, source, or what the grid does not say, to show beside the data.
-    pub notice: Option<String>,
+    /// Copyright, source, and what readers repaired or assumed when they read headers, to show beside the data.
+    pub notices: Notices,
     /// What the viewer opens with; `None`: the defaults.
     pub opening: Option<Edit>,
 }
@@ -108,11 +113,20 @@ impl Dataset {
             && kinds(self) == kinds(earlier)
     }
 
+    /// Everything that is to be shown beside the data, a line each; with what has been found in the samples that were read so far.
+    pub fn notice(&self) -> Option<String> {
+        let mut notices = self.notices.clone();
+        self.fields
+            .iter()
+            .for_each(|field| notices.extend(field.source.notices()));
+        notices.text()
+    }
+
     /// The same samples in another frame ([`Geometry::in_frame`]). That of the index counts samples at uneven positions as well.
     pub fn set_frame(&mut self, frame: Frame) {
         self.geometry = self.geometry.in_frame(frame);
         if frame == Frame::Index && self.uneven.take().is_some() {
-            self.notice = Some(rectilinear::COUNTED.to_owned());
+            self.notices.add(rectilinear::COUNTED);
         }
     }
 
@@ -271,6 +285,8 @@ pub struct Field {
     pub missing: Option<f32>,
     /// Unit of the values, where the file declares one.
     pub unit: Option<String>,
+    /// Names and colours of its labels, where the file has them; at most [`MAX_LABELS`].
+    pub labels: Vec<Label>,
     /// Reads the samples.
     pub source: Arc<dyn Source>,
 }
@@ -321,6 +337,11 @@ pub trait Source: Send + Sync + std::fmt::Debug {
         sink: &mut Sink<'_>,
     ) -> Result<(), ReadError> {
         sink(self.read(step, progress)?)
+    }
+
+    /// What has been found in the samples that were read so far, such as values that the device's type cannot hold.
+    fn notices(&self) -> Notices {
+        Notices::default()
     }
 
     /// As [`Source::read`], where nobody watches.
@@ -390,8 +411,8 @@ pub struct OpenedFile {
     pub times: Option<TimeAxis>,
     /// Its fields, the main one first; at least one.
     pub fields: Vec<Field>,
-    /// What a viewer should know of the volume that its grid does not say, when there is something.
-    pub notice: Option<String>,
+    /// What its reader repaired or assumed, and what the grid does not say.
+    pub notices: Notices,
 }
 
 impl OpenedFile {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use isopeel_kernels::Samples;
 
 use super::location::stem;
-use super::{Field, FileLocation, OpenedFile, ReadError, ReadProgress, Sink, Source, TimeAxis};
+use super::{Field, FileLocation, Notices, OpenedFile, ReadError, ReadProgress, Sink, Source, TimeAxis};
 
 /// Files of one name, by their numbers.
 type Steps = BTreeMap<u64, (FileLocation, OpenedFile)>;
@@ -96,11 +96,12 @@ pub(super) fn join_steps(
     files: Vec<(FileLocation, OpenedFile)>,
     times: Option<TimeAxis>,
 ) -> Result<OpenedFile, ReadError> {
-    let first = files[0].1.clone();
+    let mut first = files[0].1.clone();
     let mut sources: Vec<Vec<Arc<dyn Source>>> = vec![Vec::new(); first.fields.len()];
     let steps = u32::try_from(files.len()).unwrap_or(u32::MAX);
     for (location, file) in files {
         check(&location, &file, &first)?;
+        first.notices.extend(file.notices);
         for (source, field) in sources.iter_mut().zip(file.fields) {
             source.push(field.source);
         }
@@ -170,6 +171,12 @@ impl Source for StepFiles {
         self.0
             .get(step as usize)
             .map_or_else(Vec::new, |source| source.inputs(0))
+    }
+
+    fn notices(&self) -> Notices {
+        let mut notices = Notices::default();
+        self.0.iter().for_each(|source| notices.extend(source.notices()));
+        notices
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use super::beneath::is_link_out;
 use super::formats::vtk::{collection, pieces};
 use super::formats::{EXPECTED, FOLDERS, FolderFormat, FolderVolume, Format};
-use super::{Dataset, Field, FileLocation, Frame, LengthUnit, OpenedFile, ReadError, numbered};
+use super::{Dataset, Field, FileLocation, Frame, LengthUnit, Notices, OpenedFile, ReadError, numbered};
 
 /// Reads the header of one file, in the format that its name says. Positions of patients are in [`Frame::Lps`].
 ///
@@ -206,8 +206,11 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
             }
         }
     }
-    let mut notices: Vec<&str> = files.iter().filter_map(|(_, f)| f.notice.as_deref()).collect();
-    notices.dedup();
+    let mut notices = Notices::default();
+    for (location, file) in &files {
+        file.notices.log(location.path());
+        notices.extend(file.notices.clone());
+    }
     Ok(Dataset {
         id: slug(title),
         title: title.to_owned(),
@@ -216,7 +219,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         steps: first.steps,
         uneven: first.uneven.clone(),
         times: first.times.clone(),
-        notice: (!notices.is_empty()).then(|| notices.join("; ")),
+        notices,
         fields: files.into_iter().flat_map(|(_, f)| f.fields).collect(),
         revision: 0,
         opening: None,

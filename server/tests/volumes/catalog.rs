@@ -225,7 +225,7 @@ fn the_demo_is_the_mni152_head() {
     );
     assert_eq!((demo.geometry.dims, demo.geometry.spacing), ([197, 233, 189], [1.0; 3]));
     assert_eq!(demo.geometry.origin, [98.0, 134.0, -72.0]);
-    assert!(demo.notice.as_ref().unwrap().contains("McConnell Brain Imaging Centre"));
+    assert!(demo.notice().unwrap().contains("McConnell Brain Imaging Centre"));
     for field in &demo.fields {
         let samples = field.source.load(0).unwrap();
         assert!(matches!(samples, Samples::U8(_)), "{}", field.name);

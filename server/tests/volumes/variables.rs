@@ -71,7 +71,7 @@ fn a_file_without_a_volume_says_what_it_holds() {
 
 #[test]
 fn uneven_grids_say_so() {
-    let notice = open("netcdf_offset64.nc").unwrap().notice.unwrap();
+    let notice = open("netcdf_offset64.nc").unwrap().notices.text().unwrap();
     assert!(
         notice.contains("positions count samples") && notice.contains("\"depth\" is not even"),
         "{notice}"
@@ -80,8 +80,8 @@ fn uneven_grids_say_so() {
         notice.contains("100 between samples 4 and 5, the largest deviation"),
         "{notice}"
     );
-    assert!(open("netcdf_classic.nc").unwrap().notice.is_none());
-    let notice = open("rectilinear.nc").unwrap().notice.unwrap();
+    assert!(open("netcdf_classic.nc").unwrap().notices.is_empty());
+    let notice = open("rectilinear.nc").unwrap().notices.text().unwrap();
     assert!(
         notice.contains("samples are interpolated onto an even grid, 7 x 5 x 6 onto 7 x 5 x 7")
             && notice.contains("\"z\" is not even")

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use isopeel::extraction::{DeviceState, DeviceWorker, OpeningProgress, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
-use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel_kernels::{DerivedFeature, Error, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
@@ -67,6 +67,7 @@ fn field(name: &str, source: &Arc<Distance>) -> Field {
         sample_type: SampleType::F32,
         missing: None,
         unit: None,
+        labels: Vec::new(),
         source: source.clone(),
     }
 }
@@ -82,7 +83,7 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
         times: None,
         revision: 0,
         fields,
-        notice: None,
+        notices: Notices::default(),
         opening: None,
     })
 }
@@ -219,6 +220,7 @@ async fn a_load_that_nobody_waits_for_is_cancelled() {
     let slow = Arc::new(Slow::default());
     let plain = field("slow", &Arc::default());
     let dataset = dataset(vec![Field {
+        labels: Vec::new(),
         source: slow.clone(),
         ..plain
     }]);

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use super::super::stored::StoredSamples;
-use super::super::{Field, FileLocation, Frame, Geometry, OpenedFile, ReadError};
+use super::super::{Field, FileLocation, Frame, Geometry, Notices, OpenedFile, ReadError};
 
 /// Maximum bytes of a text header, far above any real one.
 pub const MAX_HEADER_BYTES: usize = 1 << 20;
@@ -149,6 +149,7 @@ pub fn field(
         // NaN always counts as missing.
         missing: missing.filter(|m| !m.is_nan()),
         unit,
+        labels: Vec::new(),
         source: Arc::new(samples),
     }
 }
@@ -250,6 +251,6 @@ pub fn opened(
         uneven: None,
         times: None,
         fields: vec![field(header.stem(), samples, &stored_type, missing, unit)],
-        notice: None,
+        notices: Notices::default(),
     })
 }

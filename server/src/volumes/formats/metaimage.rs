@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, MAX_HEADER_BYTES, not_3d, numbers, sizes};
 
 const FIELDS: GridFields = GridFields {
@@ -72,7 +72,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times,
         fields,
-        notice: None,
+        notices: Notices::default(),
     })
 }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use super::super::stored::{Begin, Endian, StoredSamples, StoredType};
 use super::super::unpacked::packing;
-use super::super::{FileLocation, Geometry, LengthUnit, OpenedFile, ReadError};
+use super::super::{FileLocation, Geometry, LengthUnit, Notices, OpenedFile, ReadError};
 use super::header::{self, Channels, FieldHead, GridFields};
 
 /// Bytes of the header. The extended one follows it.
@@ -75,7 +75,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times: None,
         fields: Channels::numbered(&like.name, 1).fields(&samples, 0, &like),
-        notice: None,
+        notices: Notices::default(),
     })
 }
 

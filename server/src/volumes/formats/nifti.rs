@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, not_3d};
 
 /// Bytes of the headers of both versions.
@@ -73,7 +73,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times: header.times(shape.steps),
         fields: channels.fields(&samples, distance, &like),
-        notice: None,
+        notices: Notices::default(),
     })
 }
 

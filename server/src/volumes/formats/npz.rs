@@ -11,7 +11,7 @@ use zip::{CompressionMethod, ZipArchive};
 use super::super::codec;
 use super::super::location::Blob;
 use super::super::stored::{Begin, Encoding};
-use super::super::{Field, FileLocation, OpenedFile, ReadError};
+use super::super::{Field, FileLocation, Notices, OpenedFile, ReadError};
 use super::{header, npy};
 
 /// Maximum members of a file.
@@ -64,7 +64,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times: None,
         fields,
-        notice: None,
+        notices: Notices::default(),
     })
 }
 

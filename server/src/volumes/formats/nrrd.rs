@@ -8,7 +8,7 @@
 //! channels, samples split over several files.
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, MAX_HEADER_BYTES, not_3d, numbers, three};
 
 const FIELDS: GridFields = GridFields {
@@ -53,7 +53,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times: header.times(&axes),
         fields: axes.channels(&like.name).fields(&samples, axes.channel_distance, &like),
-        notice: None,
+        notices: Notices::default(),
     })
 }
 

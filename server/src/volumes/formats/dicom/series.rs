@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 
-use super::super::super::{Field, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::super::{Field, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError, TimeAxis};
 use super::super::FolderVolume;
 use super::super::header::{self, GridFields};
 use super::data_set::Fault;
@@ -193,6 +193,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
         sample_type: target.sample_type,
         missing: target.missing.map(|missing| missing as f32),
         unit: file.unit.map(str::to_owned),
+        labels: Vec::new(),
         source: Arc::new(DicomSamples::new(label.clone(), images, slices, target)),
     };
     Ok(OpenedFile {
@@ -201,7 +202,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times,
         fields: vec![field],
-        notice: None,
+        notices: Notices::default(),
     })
 }
 

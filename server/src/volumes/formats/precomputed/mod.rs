@@ -21,7 +21,7 @@ use super::store::{Store, never};
 use crate::volumes::open::title_of;
 use crate::volumes::remote::Part;
 use crate::volumes::stored::StoredType;
-use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, OpenedFile, ReadError};
+use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, Notices, OpenedFile, ReadError};
 use encoding::Encoding;
 use samples::PrecomputedSamples;
 use sharding::Sharding;
@@ -196,6 +196,7 @@ fn open_scale(store: &Arc<Store>, info: &Info, scale: &Scale, name: &str) -> Res
         sample_type: stored.on_device(),
         missing: None,
         unit: None,
+        labels: Vec::new(),
         source: Arc::new(base.of_channel(channel)),
     };
     Ok(OpenedFile {
@@ -204,7 +205,7 @@ fn open_scale(store: &Arc<Store>, info: &Info, scale: &Scale, name: &str) -> Res
         uneven: None,
         times: None,
         fields: (0..).zip(names).map(field).collect(),
-        notice: None,
+        notices: Notices::default(),
     })
 }
 

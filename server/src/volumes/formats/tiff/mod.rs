@@ -18,7 +18,7 @@ use page::{Image, Page};
 use source::{PageSource, Pages, Pick};
 use stack::Stack;
 
-use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError, TimeAxis};
+use super::super::{Field, FileLocation, Geometry, Notices, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, GridFields};
 
 const FIELDS: GridFields = GridFields {
@@ -249,6 +249,7 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
             sample_type: source.sample_type(),
             missing: None,
             unit: None,
+            labels: Vec::new(),
             source: Arc::new(source),
         }
     });
@@ -258,7 +259,7 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
         uneven: None,
         times,
         fields: fields.collect(),
-        notice: None,
+        notices: Notices::default(),
     })
 }
 

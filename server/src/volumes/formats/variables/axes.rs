@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use super::super::super::rectilinear::{self, Positions};
-use super::super::super::{Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::super::{Geometry, LengthUnit, Notices, OpenedFile, ReadError, TimeAxis};
 use super::super::header::{self, GridFields};
 use super::file::{Variable, VariableFile};
 
@@ -91,7 +91,7 @@ pub struct Grid {
 pub struct Placed {
     /// Of the samples as they are stored; uneven ones at their mean distance.
     pub geometry: Geometry,
-    pub notice: Option<String>,
+    pub notices: Notices,
     /// Along x, y and z, where there are all; see [`Placed::finish`].
     positions: Option<[Positions; 3]>,
 }
@@ -99,9 +99,10 @@ pub struct Placed {
 impl Placed {
     /// A file whose samples lie so, on an even grid.
     pub fn finish(self, path: &Path, file: OpenedFile) -> Result<OpenedFile, ReadError> {
+        let mut file = file;
+        file.notices.extend(self.notices);
         let Some(positions) = &self.positions else {
-            let notice = self.notice;
-            return Ok(OpenedFile { notice, ..file });
+            return Ok(file);
         };
         rectilinear::on_even_grid(path, file, positions).map_err(|why| ReadError::new(path, "positions", why))
     }
@@ -149,7 +150,7 @@ pub fn place_grid(
         }
         return Ok(Placed {
             geometry: checked(path, geometry)?,
-            notice: None,
+            notices: Notices::default(),
             positions: None,
         });
     }
@@ -161,10 +162,9 @@ pub fn place_grid(
         Err(why) => why,
     };
     let notice = format!("positions count samples, as the file's are on no even grid: {why}");
-    tracing::warn!(path = %path.display(), variable = variable.path, "{notice}");
     Ok(Placed {
         geometry: checked(path, counted(geometry, &spaced))?,
-        notice: Some(notice),
+        notices: Notices::of(notice),
         positions: None,
     })
 }
@@ -178,7 +178,7 @@ fn even_grid(path: &Path, geometry: Geometry, axes: &[Option<Result<Scale, Strin
     rectilinear::check(path, &geometry, &positions)?;
     Ok(Placed {
         geometry,
-        notice: None,
+        notices: Notices::default(),
         positions: Some(positions),
     })
 }

@@ -25,7 +25,7 @@ use source::VariableSource;
 use values::Values;
 
 use super::super::stored::{Begin, StoredSamples};
-use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError, Source};
+use super::super::{Field, FileLocation, Geometry, Notices, OpenedFile, ReadError, Source};
 
 /// Variables that a message lists at most.
 const MAX_LISTED: usize = 20;
@@ -53,7 +53,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times,
         fields: fields.collect::<Result<_, _>>()?,
-        notice: None,
+        notices: Notices::default(),
     };
     placed.finish(location.path(), file)
 }
@@ -107,6 +107,7 @@ fn field(
         sample_type,
         missing,
         unit,
+        labels: Vec::new(),
         source,
     })
 }

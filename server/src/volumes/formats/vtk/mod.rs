@@ -17,7 +17,7 @@ use std::path::Path;
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS};
 use crate::volumes::rectilinear::{self, Positions};
 use crate::volumes::stored::{StoredSamples, StoredType};
-use crate::volumes::{Field, FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+use crate::volumes::{Field, FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError};
 
 /// Arrays that say which points and cells are copies of another piece's: no samples of the volume.
 const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
@@ -170,7 +170,7 @@ fn opened<P>(
         uneven: None,
         times: None,
         fields: Vec::new(),
-        notice: None,
+        notices: Notices::default(),
     };
     for (array, place) in &chosen {
         for field in fields(path, names.dims, array, samples(array, place, &geometry)?)? {

@@ -29,7 +29,7 @@ use super::store::{self, Store};
 use super::variables::axes::{self, Layout};
 use super::variables::values::Values;
 use crate::volumes::open::title_of;
-use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, Notices, OpenedFile, ReadError, TimeAxis};
 use coordinates::Variables;
 use metadata::{Array, Node, node};
 use ome::{Axis, Level};
@@ -230,6 +230,7 @@ fn open_samples(
             sample_type: samples.sample_type(),
             missing: base.missing(),
             unit: unit.map(str::to_owned),
+            labels: Vec::new(),
             source: Arc::new(samples),
         }
     };
@@ -243,7 +244,7 @@ fn open_samples(
         uneven: None,
         times: None,
         fields,
-        notice: None,
+        notices: Notices::default(),
     })
 }
 
