@@ -12,6 +12,9 @@ use crate::volumes::statistics::FieldStatistics;
 use crate::volumes::vectors::vectors;
 use crate::volumes::{Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
 
+/// Labels of a field that are printed for people.
+const SHOWN_LABELS: usize = 32;
+
 /// Why there is no information.
 #[derive(Debug, thiserror::Error)]
 pub enum InfoError {
@@ -232,7 +235,8 @@ impl FieldReport {
                 self.missing_samples
             )?;
         }
-        for label in self.labels.iter().flatten() {
+        let labels = self.labels.as_deref().unwrap_or_default();
+        for label in labels.iter().take(SHOWN_LABELS) {
             let stored = label.stored.as_ref().map(|stored| format!(" ({stored} in the file)"));
             let color = label.color.as_ref().map(|color| format!(", {color}"));
             writeln!(
@@ -243,6 +247,9 @@ impl FieldReport {
                 label.name.as_deref().unwrap_or("no name"),
                 color.unwrap_or_default()
             )?;
+        }
+        if let Some(more) = labels.len().checked_sub(SHOWN_LABELS).filter(|more| *more > 0) {
+            writeln!(out, "  labels      {more} more, in --json")?;
         }
         if self.not_finite_samples > 0 {
             writeln!(out, "  not finite  {} samples", self.not_finite_samples)?;

@@ -12,7 +12,7 @@ use super::{DeviceWorker, WorkError};
 use crate::math::UnevenAxes;
 use crate::view::{Edit, FeatureName, FieldExpression, OpeningIso, VectorName};
 use crate::volumes::vectors::vectors;
-use crate::volumes::{Dataset, Field, Label, LengthUnit, TimeAxis, VolumeStep};
+use crate::volumes::{Dataset, Field, LengthUnit, MAX_LABELS, TimeAxis, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -231,19 +231,34 @@ impl GeometryInfo {
 }
 
 impl LabelInfo {
-    /// The labels of a field, where there are any.
+    /// The labels of a field, if there are any: those that its file names, and those that are shown by ranks.
     pub fn of(field: &Field) -> Option<Vec<Self>> {
-        let info = |label: &Label| {
-            let value = label.value as f32;
+        let ranks = field.source.ranks();
+        let mut labels: BTreeMap<i128, Self> = BTreeMap::new();
+        for (rank, number) in ranks.iter().flat_map(|ranks| ranks.iter()).take(MAX_LABELS) {
+            labels.insert(number, Self::new(rank, number));
+        }
+        for label in &field.labels {
+            let value = ranks
+                .as_ref()
+                .map_or(label.value as f32, |ranks| ranks.position(label.value));
             let color = |[r, g, b]: [u8; 3]| format!("#{r:02x}{g:02x}{b:02x}");
-            Self {
-                value,
-                stored: (value as i128 != label.value).then(|| label.value.to_string()),
-                name: label.name.clone(),
-                color: label.color.map(color),
-            }
-        };
-        (!field.labels.is_empty()).then(|| field.labels.iter().map(info).collect())
+            let info = labels
+                .entry(label.value)
+                .or_insert_with(|| Self::new(value, label.value));
+            info.name.clone_from(&label.name);
+            info.color = label.color.map(color);
+        }
+        (!labels.is_empty()).then(|| labels.into_values().collect())
+    }
+
+    fn new(value: f32, number: i128) -> Self {
+        Self {
+            value,
+            stored: (value as i128 != number || value.fract() != 0.0).then(|| number.to_string()),
+            name: None,
+            color: None,
+        }
     }
 }
 

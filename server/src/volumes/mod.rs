@@ -14,6 +14,7 @@
 //! - [`catalog`], [`demo`]: the datasets of a server; [`private`]: those of single users; [`watch`]: paths in which some appear.
 //! - `computed`: fields that expressions give.
 //! - [`memory_dataset`]: samples that no file holds.
+//! - `turned`: samples that are stored in another order than x fastest.
 //! - [`TimeAxis`]: when the steps are.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
@@ -21,9 +22,11 @@ mod beneath;
 pub mod catalog;
 mod codec;
 mod computed;
+mod conversion;
 mod decode;
 pub mod demo;
 mod distances;
+mod findings;
 pub mod formats;
 mod frame;
 mod labels;
@@ -44,6 +47,7 @@ pub mod stored;
 #[cfg(test)]
 pub(crate) mod testing;
 mod times;
+mod turned;
 mod unpacked;
 pub mod vectors;
 pub mod watch;
@@ -52,8 +56,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use beneath::follow_links;
-pub use catalog::{Catalog, SharedCatalog, open_path};
+pub use catalog::{Catalog, SharedCatalog, Unreadable, open_path};
 pub use demo::demo;
+pub use findings::{Findings, LabelRanks};
 pub use frame::{Frame, LengthUnit};
 pub use isopeel_kernels::Samples;
 pub use labels::{Label, MAX_LABELS};
@@ -300,12 +305,16 @@ pub type Sink<'a> = dyn FnMut(Samples) -> Result<(), ReadError> + 'a;
 pub const PIECE_SAMPLES: usize = 2 << 20;
 
 /// What a reader hands over where its pieces are as large as a time step.
-fn only_piece(read: impl FnOnce(&mut Sink<'_>) -> Result<(), ReadError>) -> Result<Samples, ReadError> {
+fn only_piece(mut read: impl FnMut(&mut Sink<'_>) -> Result<(), ReadError>) -> Result<Samples, ReadError> {
     let mut samples = Samples::U8(Vec::new());
-    read(&mut |piece| {
+    let mut take = |piece| {
         samples = piece;
         Ok(())
-    })?;
+    };
+    match read(&mut take) {
+        Err(error) if error.again => read(&mut take)?,
+        read => read?,
+    }
     Ok(samples)
 }
 
@@ -328,7 +337,7 @@ pub trait Source: Send + Sync + std::fmt::Debug {
     /// allows it: the host holds a few of these, not the volume.
     ///
     /// # Errors
-    /// What is wrong with the file, or what the sink says.
+    /// What is wrong with the file, or what the sink says. [`ReadError::again`] asks the caller to drop all pieces and to read once more.
     fn read_pieces(
         &self,
         step: u32,
@@ -342,6 +351,11 @@ pub trait Source: Send + Sync + std::fmt::Debug {
     /// What has been found in the samples that were read so far, such as values that the device's type cannot hold.
     fn notices(&self) -> Notices {
         Notices::default()
+    }
+
+    /// The labels that samples are ranks of, if the device's type does not tell them apart; known once samples were read.
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        None
     }
 
     /// As [`Source::read`], where nobody watches.
@@ -363,6 +377,8 @@ pub struct ReadError {
     pub field: String,
     /// What was found and what was expected.
     pub why: String,
+    /// Whether reading once more will succeed: it was found out that samples must be converted in another way.
+    pub again: bool,
     /// The cause, where there is one.
     #[source]
     pub source: Option<std::io::Error>,
@@ -375,6 +391,7 @@ impl ReadError {
             path: path.to_owned(),
             field: field.into(),
             why: why.into(),
+            again: false,
             source: None,
         }
     }

@@ -12,7 +12,7 @@ use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
 use super::scalar::Scalar;
-use super::{Field, FileLocation, Geometry, Notices, OpenedFile, ReadError, ReadProgress, Source};
+use super::{Field, FileLocation, Geometry, LabelRanks, Notices, OpenedFile, ReadError, ReadProgress, Source};
 use crate::math::UnevenAxes;
 
 /// Largest deviation from even positions, in parts of their distance, that is taken for rounding.
@@ -74,6 +74,19 @@ impl Positions {
 
     pub(super) fn step(&self) -> f64 {
         self.step
+    }
+
+    /// 1 if most positions are above the one before, −1 if most are below it.
+    pub(super) fn direction(&self) -> f64 {
+        let signs = self.distances().map(|distance| match distance {
+            distance if distance > 0.0 => 1,
+            distance if distance < 0.0 => -1,
+            _ => 0,
+        });
+        match signs.sum::<i64>() {
+            0 => self.step.signum(),
+            rising => rising.signum() as f64,
+        }
     }
 
     pub(super) fn is_even(&self) -> bool {
@@ -322,6 +335,10 @@ impl Source for Interpolated {
 
     fn notices(&self) -> Notices {
         self.source.notices()
+    }
+
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        self.source.ranks()
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {

@@ -152,9 +152,19 @@ fn a_folder_with_two_grids_names_the_files() {
     let ids: Vec<&str> = catalog.datasets().iter().map(|d| d.id.as_str()).collect();
     assert_eq!(ids, ["a", "b"]);
     assert_eq!(catalog.get("b").unwrap().steps, 2);
-    // If it is named itself, it is an error.
+    let notice = catalog.get("a").unwrap().notice().unwrap();
+    assert!(notice.contains("passed over: broken.nrrd: type: missing"), "{notice}");
+    // If it is named itself, it is an error; beside another one it is listed with its reason.
     let error = Catalog::open(&[at.join("broken.nrrd")], false).unwrap_err();
     assert_eq!(error.field, "type");
+    let catalog = Catalog::open(&[at.join("broken.nrrd"), at.join("a.nrrd"), at.join("gone")], false).unwrap();
+    assert_eq!(catalog.datasets().len(), 1);
+    let unreadable: Vec<(&str, bool)> = catalog
+        .unreadable()
+        .iter()
+        .map(|path| (path.name.as_str(), path.reason.contains(&at.display().to_string())))
+        .collect();
+    assert_eq!(unreadable, [("broken.nrrd", false), ("gone", false)], "without folders");
 }
 
 #[test]

@@ -116,7 +116,7 @@ fn false_pieces_are_refused() {
     );
     let why = refused(&WHOLE.replace("\"PImageData\"", "\"PRectilinearGrid\""), &left, &right);
     assert!(why.contains("\"ImageData\", expected RectilinearGrid"), "{why}");
-    let why = refused("<html/>", &left, &right);
+    let why = refused("<svg/>", &left, &right);
     assert!(why.contains("PImageData: no such element"), "{why}");
     let whole = WHOLE.replace("<Piece ", "<Other ");
     let why = refused(&whole, &left, &right);

@@ -841,6 +841,14 @@ export type TransferFunction = {
 /** Maximum triangles of a surface: a number, or a share of the full surface. */
 export type TriangleBudget = number | ShareBudget;
 
+/** A path that was named to the server and that it cannot read. */
+export type UnreadablePath = {
+  /** Name of the file or folder. */
+  name: string,
+  /** What was found in it, and what was expected. */
+  reason: string,
+};
+
 /** An upload. */
 export type UploadInfo = {
   /** Its name in URLs, made by the server. */

@@ -58,14 +58,15 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         Ok(header::field(member.name.clone(), samples, &array.descr, None, None))
     };
     let fields = volumes.iter().map(field).collect::<Result<_, _>>()?;
-    Ok(OpenedFile {
+    let file = OpenedFile {
         geometry,
         steps: first.steps,
         uneven: None,
         times: None,
         fields,
         notices: Notices::default(),
-    })
+    };
+    Ok(header::with_notices(file, first.doubt.clone()))
 }
 
 /// The error where shapes differ.

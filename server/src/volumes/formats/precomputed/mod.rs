@@ -152,10 +152,6 @@ impl Info {
                 "{keys:?}, expected one of 2^31 samples at most, or one that is named"
             ));
         };
-        if self.scales.len() > 1 {
-            let path = shown.display();
-            tracing::info!(%path, "scale {} is opened: the finest of 2^31 samples at most", scale.key);
-        }
         Ok(scale)
     }
 }
@@ -199,13 +195,21 @@ fn open_scale(store: &Arc<Store>, info: &Info, scale: &Scale, name: &str) -> Res
         labels: Vec::new(),
         source: Arc::new(base.of_channel(channel)),
     };
+    let mut notices = Notices::default();
+    if info.scales.first().is_some_and(|finest| finest.key != scale.key) {
+        notices.add(format!(
+            "scale {} of {} is read: another one is finer, which was not named, or has more than 2^31 samples",
+            scale.key,
+            info.scales.len()
+        ));
+    }
     Ok(OpenedFile {
         geometry,
         steps: 1,
         uneven: None,
         times: None,
         fields: (0..).zip(names).map(field).collect(),
-        notices: Notices::default(),
+        notices,
     })
 }
 

@@ -148,8 +148,9 @@ fn opened<P>(
         list.retain(|(array, _)| !GHOSTS.contains(&array.name.as_str()));
     }
     let mut chosen = arrays.point;
+    let mut notices = Notices::default();
     if chosen.is_empty() {
-        tracing::info!(path = %path.display(), "no point data: cell data are read, at the cells' centres");
+        notices.add("there are no point data: cell data are read, at the cells' centres");
         chosen = arrays.cell;
         grid = of_cells(grid).map_err(|why| ReadError::new(path, names.spacing, why))?;
     }
@@ -170,7 +171,7 @@ fn opened<P>(
         uneven: None,
         times: None,
         fields: Vec::new(),
-        notices: Notices::default(),
+        notices,
     };
     for (array, place) in &chosen {
         for field in fields(path, names.dims, array, samples(array, place, &geometry)?)? {
