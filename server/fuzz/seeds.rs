@@ -16,11 +16,13 @@ use std::path::Path;
 use write::{KINDS, Volume};
 
 /// The fixtures of formats that libraries decode: target, and how their names end.
-const FIXTURES: [(&str, &str); 6] = [
+const FIXTURES: [(&str, &str); 8] = [
     ("dicom", ".dcm"),
     ("variables", ".h5"),
     ("variables", ".nc"),
     ("variables", ".nc4"),
+    ("variables", ".ims"),
+    ("variables", ".vtkhdf"),
     ("tiff", ".tif"),
     ("vti", ".vtr"),
 ];
@@ -49,6 +51,8 @@ fn main() -> std::io::Result<()> {
             ("nifti", write::gzip(&nifti)),
             ("nifti", nifti),
             ("nifti", write::nifti2(&v)),
+            ("nifti", with(write::analyze(&still), still.bytes())),
+            ("mgh", write::mgh(&Volume::new([3, 2, 4], 1, ('i', 2), true))),
             ("npy", write::npy(&v, false)),
             ("npy", write::npy(&v, true)),
             ("npz", write::npz(&v, false)),
@@ -85,6 +89,18 @@ fn main() -> std::io::Result<()> {
         let read = |file: &str| std::fs::read(array.join(file));
         std::fs::write(folder.join(name), with(read("zarr.json")?, read("c/0/0/0")?))?;
     }
+    let folder = here.join("corpus/n5");
+    std::fs::create_dir_all(&folder)?;
+    for name in ["raw/plain", "raw/zipped", "bloscs"] {
+        let dataset = here.join("../../tests/fixtures/volumes/convention.n5").join(name);
+        let read = |file: &str| std::fs::read(dataset.join(file));
+        std::fs::write(folder.join(name.replace('/', "-")), with(read("attributes.json")?, read("0/0/0")?))?;
+    }
+    let folder = here.join("corpus/spim_data");
+    std::fs::create_dir_all(&folder)?;
+    let read = |ending: &str| std::fs::read(here.join("../../tests/fixtures/volumes/convention_bdv").with_extension(ending));
+    let xml = String::from_utf8_lossy(&read("xml")?).replace("convention_bdv.h5", "data");
+    std::fs::write(folder.join("views"), with(xml.into_bytes(), read("h5")?))?;
     // Volumes of one chunk.
     let folder = here.join("corpus/precomputed");
     std::fs::create_dir_all(&folder)?;

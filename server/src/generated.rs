@@ -12,7 +12,7 @@ use ts_rs::{Config, TS, TypeVisitor};
 use crate::extraction::VolumeInfo;
 use crate::jobs::JobInfo;
 use crate::problem::Problem;
-use crate::rest::{EmbedInfo, SessionInfo, VolumeSummary};
+use crate::rest::{EmbedInfo, SessionInfo, UnreadablePath, VolumeSummary};
 use crate::uploads::UploadList;
 use crate::view::FieldExpression;
 use crate::wire::messages::{ClientMessage, SUBPROTOCOL, ServerMessage};
@@ -82,6 +82,7 @@ fn generate() -> String {
     declarations.visit::<ServerMessage>();
     declarations.visit::<VolumeInfo>();
     declarations.visit::<VolumeSummary>();
+    declarations.visit::<UnreadablePath>();
     declarations.visit::<Problem>();
     declarations.visit::<UploadList>();
     declarations.visit::<SessionInfo>();

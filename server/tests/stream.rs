@@ -13,7 +13,7 @@ use isopeel::extraction::{
 };
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel::view::View;
-use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel::wire::chunk::decode;
 use isopeel_kernels::{Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
 use serde_json::Value;
@@ -63,6 +63,7 @@ impl NoiseDevice {
             sample_type: SampleType::U8,
             missing: None,
             unit: None,
+            labels: Vec::new(),
             source: Arc::new(NoSamples),
         };
         let dataset = Dataset {
@@ -76,7 +77,7 @@ impl NoiseDevice {
             revision: 0,
             rewrites: Vec::new(),
             fields: vec![field],
-            notice: None,
+            notices: Notices::default(),
             opening: None,
         };
         Self {

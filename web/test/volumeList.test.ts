@@ -37,7 +37,7 @@ describe("the list of volumes", () => {
   });
 });
 
-describe("a page without the list of volumes", () => {
+describe("a page that lists the volumes", () => {
   afterEach(() => vi.unstubAllGlobals());
 
   test("says so, and offers to try again until it has it", async () => {
@@ -57,5 +57,14 @@ describe("a page without the list of volumes", () => {
     }
     expect(listed).toEqual([VOLUMES]);
     expect(model.toasts()).toEqual([]);
+  });
+
+  test("is told which paths the server cannot read, and why", async () => {
+    const model = new Model(new Store(false), {} as Actions);
+    const connecting = new Connecting(model, new URL("http://host/"), () => undefined, () => undefined);
+    const unreadable = [{ name: "scan.nii.gz", reason: "file: a Git LFS pointer" }];
+    vi.stubGlobal("fetch", (url: URL) => Promise.resolve(Response.json(url.pathname.endsWith("unreadable") ? unreadable : VOLUMES)));
+    await connecting.loadVolumes();
+    expect(model.toasts()).toMatchObject([{ text: "The server cannot read scan.nii.gz: file: a Git LFS pointer" }]);
   });
 });

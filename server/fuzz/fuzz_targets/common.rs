@@ -5,8 +5,8 @@ use std::sync::Arc;
 use isopeel::volumes::location::MemoryFolder;
 use isopeel::volumes::{OpenedFile, FileLocation, ReadError};
 
-/// Input is the header's file, then, behind the first `\0----\0`, the file `data` that the header may name, or `data.vti`: a collection takes
-/// names with an ending alone.
+/// Input is the header's file, then, behind the first `\0----\0`, the file `data` that the header may name, `data.vti`, as a collection takes
+/// names with an ending alone, or `a.img`, the samples of a pair.
 pub const SEPARATOR: &[u8] = b"\0----\0";
 
 type Open = fn(&FileLocation) -> Result<OpenedFile, ReadError>;
@@ -20,7 +20,7 @@ pub fn read(name: &str, input: &[u8], open: Open) {
     };
     let mut folder = MemoryFolder::from([(name.to_owned(), header.to_owned().into())]);
     if let Some(data) = data {
-        for name in ["data", "data.vti"] {
+        for name in ["data", "data.vti", "a.img"] {
             folder.insert(name.to_owned(), data.to_owned().into());
         }
     }

@@ -141,7 +141,7 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
         // By which somebody comes to a session.
         ["oidc"] | ["oidc", "login" | "callback"] if *method == Method::GET => Need::Nothing,
         ["session"] => Need::Token,
-        ["volumes"] | ["volumes", _] => Need::OneOf(&[View, Export]),
+        ["volumes"] | ["volumes", _] | ["unreadable"] => Need::OneOf(&[View, Export]),
         ["volumes", _, "slices" | "expression"] | ["stream"] | ["tickets"] | ["embed-tokens"] => Need::OneOf(&[View]),
         ["extract"] | ["jobs", ..] => Need::OneOf(&[Export]),
         ["uploads", ..] => Need::OneOf(&[Upload]),

@@ -340,7 +340,10 @@ fn no_surface(iso: f32, view: &View, histogram: &Histogram) -> String {
             format!("no surface: no sample of {field:?} has a value")
         }
         // The same test as the kernels': samples at the isovalue are inside.
-        _ if iso <= low || iso > high => format!("{nowhere}: values of {field:?} go from {low} to {high}"),
+        _ if iso <= low || iso > high => format!(
+            "{nowhere}: values of {field:?} go from {low} to {high}, expected a number between them, such as {}",
+            0.5 * (low + high)
+        ),
         Some(mask) => format!("{nowhere} where {}", mask.as_str()),
         None => format!("{nowhere}: samples on both sides of it are parted by missing ones"),
     }

@@ -6,11 +6,14 @@ use std::path::Path;
 use isopeel_kernels::{DerivedFeature, Histogram, VectorFeature};
 use serde::Serialize;
 
-use crate::extraction::TimesInfo;
+use crate::extraction::{LabelInfo, TimesInfo};
 use crate::view::{FeatureName, OpeningIso, VectorName};
 use crate::volumes::statistics::FieldStatistics;
 use crate::volumes::vectors::vectors;
 use crate::volumes::{Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
+
+/// Labels of a field that are printed for people.
+const SHOWN_LABELS: usize = 32;
 
 /// Why there is no information.
 #[derive(Debug, thiserror::Error)]
@@ -59,7 +62,7 @@ struct Report {
     frame: &'static str,
     unit: Option<&'static str>,
     steps: u32,
-    /// What the grid does not say.
+    /// Copyright; what its reader repaired or assumed; what the grid does not say. A line each.
     notice: Option<String>,
     times: Option<TimesInfo>,
     fields: Vec<FieldReport>,
@@ -76,6 +79,8 @@ struct FieldReport {
     /// Of one step on the device.
     bytes: u64,
     unit: Option<String>,
+    /// What its values mean, of a field of labels.
+    labels: Option<Vec<LabelInfo>>,
     missing: Option<f32>,
     /// Of step 0, as all that follows.
     range: Option<[f32; 2]>,
@@ -106,9 +111,10 @@ impl Report {
             frame: frame.name(),
             unit: unit.map(LengthUnit::symbol),
             steps: dataset.steps,
-            notice: dataset.notice.clone(),
             times: dataset.times.as_ref().map(|times| TimesInfo::new(times, 0)),
             fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
+            // After the samples were read.
+            notice: dataset.notice(),
             features: features_of(dataset),
         })
     }
@@ -140,8 +146,8 @@ impl Report {
                 self.steps
             )?;
         }
-        if let Some(notice) = &self.notice {
-            writeln!(out, "  notice      {notice}")?;
+        for line in self.notice.iter().flat_map(|notice| notice.lines()) {
+            writeln!(out, "  notice      {line}")?;
         }
         if let Some(times) = &dataset.times {
             let (first, last) = (times.label(0), times.label(self.steps - 1));
@@ -188,6 +194,7 @@ impl FieldReport {
             sample_type: field.sample_type.name(),
             bytes: (samples.len() * field.sample_type.bytes()) as u64,
             unit: field.unit.clone(),
+            labels: LabelInfo::of(field),
             missing: field.missing,
             range: statistics.range,
             opening_iso: OpeningIso::of(&histogram, field.unit.as_deref()),
@@ -227,6 +234,22 @@ impl FieldReport {
                 number(missing),
                 self.missing_samples
             )?;
+        }
+        let labels = self.labels.as_deref().unwrap_or_default();
+        for label in labels.iter().take(SHOWN_LABELS) {
+            let stored = label.stored.as_ref().map(|stored| format!(" ({stored} in the file)"));
+            let color = label.color.as_ref().map(|color| format!(", {color}"));
+            writeln!(
+                out,
+                "  label       {}{}: {}{}",
+                number(label.value),
+                stored.unwrap_or_default(),
+                label.name.as_deref().unwrap_or("no name"),
+                color.unwrap_or_default()
+            )?;
+        }
+        if let Some(more) = labels.len().checked_sub(SHOWN_LABELS).filter(|more| *more > 0) {
+            writeln!(out, "  labels      {more} more, in --json")?;
         }
         if self.not_finite_samples > 0 {
             writeln!(out, "  not finite  {} samples", self.not_finite_samples)?;

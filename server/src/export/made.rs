@@ -72,12 +72,13 @@ impl MadeFile {
     ) -> Result<Self, ExportError> {
         let Extraction { surface, view, wall } = extraction;
         let dataset = volume.dataset();
-        let geometry = &dataset.geometry;
         let statistics = ExtractionStatistics::new(&surface.statistics, &view, dataset.cell_lengths(), wall, device);
-        let extras = extras(&dataset.id, volume.step(), geometry, &view.to_edit(), &statistics);
+        let extras = extras(volume, &view.to_edit(), &statistics);
         let (of_view, space) = dataset.index_space(&view);
         let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
         let mut mesh = Mesh::new_unless(&surface, &of_view, uneven, is_cancelled)?;
+        let notice = dataset.notice().unwrap_or_default();
+        mesh.notices = notice.lines().map(str::to_owned).collect();
         // Before the mesh is copied to its reader: both are large.
         drop(surface);
         if colored && format == Format::Glb {

@@ -38,6 +38,8 @@ pub struct Mesh {
     pub frame: Frame,
     /// Unit of the positions, where it is known.
     pub unit: Option<LengthUnit>,
+    /// What is to be known of the volume, a line each.
+    pub notices: Vec<String>,
 }
 
 impl Mesh {

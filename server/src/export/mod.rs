@@ -1,4 +1,4 @@
-//! Surfaces as files: GLB (glTF 2.0), PLY, STL and VTP. Each names the frame and the unit of its positions.
+//! Surfaces as files: GLB (glTF 2.0), PLY, STL and VTP. Each names the frame and the unit of its positions, and the volume's notices.
 //!
 //! [`FileRequest`] is what is asked for, [`MadeFile`] what is made of it. [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`], [`stl`] and [`vtp`] stream it to a [`Write`]r. By hand: each writer is
 //! shorter than the conversion to a library's own mesh would be, and never holds the file in memory.
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
-use crate::volumes::{Geometry, LengthUnit};
+use crate::volumes::{LengthUnit, VolumeStep};
 
 pub mod glb;
 mod made;
@@ -149,21 +149,16 @@ pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut 
     }
 }
 
-/// What a GLB says about itself: volume, step, every value in force, statistics; frame and unit of its positions, before the node turns
-/// them.
-pub fn extras(
-    volume: &str,
-    step: u32,
-    geometry: &Geometry,
-    edit: &Edit,
-    statistics: &ExtractionStatistics,
-) -> serde_json::Value {
-    let (frame, unit) = (geometry.frame.name(), geometry.unit.map(LengthUnit::symbol));
+/// What a GLB says about itself: volume, step, every value in force, statistics, notices; frame and unit of its positions, before the
+/// node turns them.
+pub fn extras(volume: &VolumeStep, edit: &Edit, statistics: &ExtractionStatistics) -> serde_json::Value {
+    let dataset = volume.dataset();
     serde_json::json!({
-        "volume": volume,
-        "step": step,
-        "frame": frame,
-        "unit": unit,
+        "volume": dataset.id,
+        "step": volume.step(),
+        "frame": dataset.geometry.frame.name(),
+        "unit": dataset.geometry.unit.map(LengthUnit::symbol),
+        "notice": dataset.notice(),
         "view": edit,
         "statistics": statistics,
     })

@@ -15,7 +15,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment isopeel {}\ncomment frame {}, unit {}\n\
-         comment faces of each level, finest first: {}\n\
+         comment faces of each level, finest first: {}\n{}\
          element vertex {}\n\
          property float x\nproperty float y\nproperty float z\n\
          property float nx\nproperty float ny\nproperty float nz\n\
@@ -27,6 +27,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
         mesh.frame.name(),
         mesh.unit.map_or("unknown", LengthUnit::symbol),
         mesh.level_triangles.map(|count| count.to_string()).join(" "),
+        notices(mesh),
         mesh.positions.len(),
         mesh.triangles.len(),
     )?;
@@ -40,6 +41,16 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
         out.write_all(bytemuck::bytes_of(triangle))?;
     }
     Ok(())
+}
+
+/// A comment for each notice. Comments are ASCII.
+fn notices(mesh: &Mesh) -> String {
+    let comment = |notice: &String| format!("comment notice: {}\n", notice.escape_default());
+    mesh.notices
+        .iter()
+        .filter(|line| !line.is_empty())
+        .map(comment)
+        .collect()
 }
 
 #[cfg(test)]
@@ -90,6 +101,21 @@ mod tests {
         ] {
             assert!(header.lines().any(|l| l == format!("comment {comment}")), "{header}");
         }
+    }
+
+    #[test]
+    fn notices_are_comments_of_one_line() {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        mesh.notices = vec!["0.2 \u{b5}m".to_owned(), String::new(), "as\rassumed".to_owned()];
+        let mut bytes = Vec::new();
+        write(&mesh, &mut bytes).unwrap();
+        let (header, vertices, _) = parse(&bytes);
+        let comments: Vec<&str> = header
+            .lines()
+            .filter_map(|line| line.strip_prefix("comment notice: "))
+            .collect();
+        assert_eq!(comments, ["0.2 \\u{b5}m", "as\\rassumed"]);
+        assert_eq!(vertices.len(), 6);
     }
 
     #[test]

@@ -15,8 +15,14 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     // Must not begin with "solid", the mark of the text form.
     let mut header = [b' '; 80];
     let (frame, unit) = (mesh.frame.name(), mesh.unit.map_or("unknown", LengthUnit::symbol));
+    // Too short for the notices themselves.
+    let notices = if mesh.notices.is_empty() {
+        ""
+    } else {
+        ", notices: isopeel info"
+    };
     let title = format!(
-        "isopeel {} binary STL, frame {frame}, unit {unit}",
+        "isopeel {} binary STL, frame {frame}, unit {unit}{notices}",
         env!("CARGO_PKG_VERSION")
     );
     for (to, from) in header.iter_mut().zip(title.bytes()) {
@@ -74,6 +80,16 @@ mod tests {
             [[0.0, 0.0, 1.0], [30.0, 1.0, 0.5], [32.0, 1.0, 0.5], [32.0, 2.0, 0.5]]
         );
         assert_eq!(triangles[2][0], [0.0; 3]);
+    }
+
+    #[test]
+    fn the_header_says_where_notices_are() {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        mesh.notices = vec!["spacing along z is assumed".to_owned()];
+        let mut bytes = Vec::new();
+        write(&mesh, &mut bytes).unwrap();
+        let header = String::from_utf8_lossy(&bytes[..80]);
+        assert!(header.trim_end().ends_with(", notices: isopeel info"), "{header}");
     }
 
     #[test]

@@ -12,7 +12,7 @@ const LENGTH_BYTES: u64 = 8;
 const PIECE: usize = 1 << 12;
 
 /// Writes `mesh`: a point has `normal`, `smoothness` and `feature` (0 to 1), a triangle the `level` of its leaf. `frame` and `unit` of the
-/// points are strings of the data set; without a unit the latter is missing.
+/// points are strings of the data set, as are the notices of the volume; without a unit or a notice these are missing.
 ///
 /// # Errors
 /// Those of `out`.
@@ -40,9 +40,11 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     ]
     .concat();
     let unit = mesh.unit.map(LengthUnit::symbol);
+    let notice = (!mesh.notices.is_empty()).then(|| mesh.notices.join("\n"));
     let field_data = [
         text("frame", mesh.frame.name()),
         unit.map_or_else(String::new, |unit| text("unit", unit)),
+        notice.map_or_else(String::new, |notice| text("notice", &notice)),
     ]
     .concat();
     write!(
@@ -160,6 +162,7 @@ mod tests {
     fn a_mesh_reads_back() {
         let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
         (mesh.frame, mesh.unit) = (Frame::Lps, Some(LengthUnit::Millimetre));
+        mesh.notices = vec!["a".to_owned(), "b".to_owned()];
         let mut bytes = Vec::new();
         write(&mesh, &mut bytes).unwrap();
         let (xml, array) = parse(&bytes);
@@ -173,6 +176,10 @@ mod tests {
         );
         assert!(
             xml.contains("Name=\"unit\" NumberOfTuples=\"1\" format=\"ascii\">109 109 0<"),
+            "{xml}"
+        );
+        assert!(
+            xml.contains("Name=\"notice\" NumberOfTuples=\"1\" format=\"ascii\">97 10 98 0<"),
             "{xml}"
         );
         assert_eq!(array("Points"), bytemuck::cast_slice::<_, u8>(&mesh.positions));
@@ -192,7 +199,7 @@ mod tests {
         write(&mesh, &mut bytes).unwrap();
         let (xml, array) = parse(&bytes);
         assert!(
-            xml.contains("NumberOfPolys=\"0\"") && !xml.contains("Name=\"unit\""),
+            xml.contains("NumberOfPolys=\"0\"") && !xml.contains("Name=\"unit\"") && !xml.contains("Name=\"notice\""),
             "{xml}"
         );
         assert!(array("Points").is_empty() && array("offsets").is_empty());

@@ -123,6 +123,25 @@ impl DeviceWorker {
         }
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
+        match self.transfer(volume, &key, &progress, purpose).await {
+            // Another reading converts the samples in the way that this one has found to be needed.
+            Err(WorkError::Unreadable(error)) if error.again => {
+                progress.restart();
+                self.transfer(volume, &key, &progress, purpose).await
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// Reads a field and sends it to the device.
+    async fn transfer(
+        &self,
+        volume: &VolumeStep,
+        key: &VolumeKey,
+        progress: &Arc<ReadProgress>,
+        purpose: Purpose,
+    ) -> Result<(), WorkError> {
+        let (key, progress) = (key.clone(), Arc::clone(progress));
         let grid = Arc::new(padded_grid(volume, key.padded)?);
         self.admit(volume, &key, purpose).await?;
         let (sender, pieces) = mpsc::channel(1);
@@ -303,6 +322,8 @@ fn read(
 /// Of each sample whether it is inside a mask. `labels`: the mask's field.
 fn samples_inside(mask: &Mask, labels: &Field, step: u32) -> Result<Vec<bool>, WorkError> {
     let values = labels.source.load(step)?;
+    let ranks = labels.source.ranks();
+    let mask = mask.by_ranks(|number| Some(ranks.as_ref()?.position(number)));
     let is_inside = |value| Some(value) != labels.missing && mask.holds(value);
     Ok((0..values.len()).map(|i| is_inside(values.get(i))).collect())
 }

@@ -68,7 +68,7 @@ pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
 pub use volume_info::{
-    DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, TimesInfo, VectorInfo, VolumeInfo, describe,
+    DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo, describe,
     describe_expression,
 };
 pub use worker::{DeviceWorker, QUEUED_JOBS};

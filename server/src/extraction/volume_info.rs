@@ -12,7 +12,7 @@ use super::{DeviceWorker, WorkError};
 use crate::math::UnevenAxes;
 use crate::view::{Edit, FeatureName, FieldExpression, OpeningIso, VectorName};
 use crate::volumes::vectors::vectors;
-use crate::volumes::{Dataset, Field, LengthUnit, TimeAxis, VolumeStep};
+use crate::volumes::{Dataset, Field, LengthUnit, MAX_LABELS, TimeAxis, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -38,7 +38,8 @@ pub struct VolumeInfo {
     pub features: Vec<FieldInfo>,
     /// Vector fields, known by the names of their components, with the features that are computed from them.
     pub vectors: Vec<VectorInfo>,
-    /// Copyright or source to show beside the data.
+    /// What is to be shown beside the data, a line each: copyright and source; what the file's reader repaired, assumed or interpolated; and
+    /// values that the device's type does not hold, once they were read.
     pub notice: Option<String>,
     /// What the viewer opens with, where the volume brings it along.
     pub opening: Option<Edit>,
@@ -122,6 +123,10 @@ pub struct FieldInfo {
     pub stored_type: Option<String>,
     /// Unit of the values, where the file declares one.
     pub unit: Option<String>,
+    /// What values of this field mean, where it is one of labels and the file says it; in ascending order.
+    #[cfg_attr(test, ts(optional))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub labels: Option<Vec<LabelInfo>>,
     /// Least and greatest value.
     pub range: [f32; 2],
     /// Distribution of the values.
@@ -133,6 +138,23 @@ pub struct FieldInfo {
     /// The features that are computed from this field where its isosurface is made, by their names in edits; empty where this
     /// is a feature itself.
     pub derived_features: BTreeMap<String, DerivedInfo>,
+}
+
+/// A label: a value of a field, and what it means.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Label"))]
+#[serde(rename_all = "camelCase")]
+pub struct LabelInfo {
+    /// Value of the samples, as edits use it.
+    pub value: f32,
+    /// The number in the file, where it is another one: 32-bit floats do not hold all numbers above 16777216.
+    #[cfg_attr(test, ts(optional))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stored: Option<String>,
+    /// Name for people.
+    pub name: Option<String>,
+    /// `#rrggbb`.
+    pub color: Option<String>,
 }
 
 /// Three fields that are the components of a vector.
@@ -204,6 +226,38 @@ impl GeometryInfo {
             direction: geometry.direction,
             frame: geometry.frame.name(),
             unit: geometry.unit.map(LengthUnit::symbol),
+        }
+    }
+}
+
+impl LabelInfo {
+    /// The labels of a field, if there are any: those that its file names, and those that are shown by ranks.
+    pub fn of(field: &Field) -> Option<Vec<Self>> {
+        let ranks = field.source.ranks();
+        let mut labels: BTreeMap<i128, Self> = BTreeMap::new();
+        for (rank, number) in ranks.iter().flat_map(|ranks| ranks.iter()).take(MAX_LABELS) {
+            labels.insert(number, Self::new(rank, number));
+        }
+        for label in &field.labels {
+            let value = ranks
+                .as_ref()
+                .map_or(label.value as f32, |ranks| ranks.position(label.value));
+            let color = |[r, g, b]: [u8; 3]| format!("#{r:02x}{g:02x}{b:02x}");
+            let info = labels
+                .entry(label.value)
+                .or_insert_with(|| Self::new(value, label.value));
+            info.name.clone_from(&label.name);
+            info.color = label.color.map(color);
+        }
+        (!labels.is_empty()).then(|| labels.into_values().collect())
+    }
+
+    fn new(value: f32, number: i128) -> Self {
+        Self {
+            value,
+            stored: (value as i128 != number || value.fract() != 0.0).then(|| number.to_string()),
+            name: None,
+            color: None,
         }
     }
 }
@@ -306,6 +360,7 @@ pub async fn describe_expression(
         name: text.to_owned(),
         sample_type: SampleType::F32.name(),
         stored_type: None,
+        labels: None,
         range: histogram.range,
         opening_iso: Some(OpeningIso::of(&histogram, unit.as_deref())),
         unit,
@@ -333,6 +388,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
             sample_type: field.sample_type.name(),
             stored_type: Some(field.stored_type.clone()),
             unit: field.unit.clone(),
+            labels: LabelInfo::of(field),
             range: histogram.range,
             opening_iso: Some(OpeningIso::of(&histogram, field.unit.as_deref())),
             histogram: histogram.into(),
@@ -355,6 +411,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
                 sample_type: SampleType::F32.name(),
                 stored_type: None,
                 unit,
+                labels: None,
                 range,
                 histogram,
                 opening_iso: None,
@@ -377,7 +434,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
         fields,
         features,
         vectors: vector_infos(worker, volume),
-        notice: dataset.notice.clone(),
+        notice: dataset.notice(),
         opening: dataset.opening.clone(),
     })
 }

@@ -42,7 +42,7 @@ pub use jobs::{DIGEST_HEADER, KEY_HEADER};
 pub use session::SessionInfo;
 pub use slices::SLICE_HEADER;
 pub use uploads::{LENGTH_HEADER, OFFSET_HEADER, TUS_HEADER};
-pub use volumes::VolumeSummary;
+pub use volumes::{UnreadablePath, VolumeSummary};
 
 use crate::access::Access;
 use crate::extraction::Extractor;
@@ -131,6 +131,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(volumes::list))
         .routes(routes!(volumes::show))
         .routes(routes!(volumes::expression))
+        .routes(routes!(volumes::unreadable))
         .routes(routes!(slices::slice))
         .routes(routes!(extract::extract, extract::address::extract_by_address))
         .merge(jobs::routed())

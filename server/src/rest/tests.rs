@@ -16,7 +16,9 @@ use crate::access::gate::admit;
 use crate::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
 use crate::extraction::DeviceWorker;
 use crate::view::Edit;
-use crate::volumes::{Catalog, Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Samples, Source};
+use crate::volumes::{
+    Catalog, Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Samples, Source,
+};
 use crate::wire::encode::encoded_bytes;
 
 #[derive(Debug)]
@@ -54,9 +56,10 @@ fn catalog() -> Catalog {
             sample_type: SampleType::U8,
             missing: None,
             unit: Some("K".into()),
+            labels: Vec::new(),
             source: Arc::new(Ramp),
         }],
-        notice: Some("made here".into()),
+        notices: Notices::of("made here"),
         opening: Some(Edit::default()),
     });
     catalog

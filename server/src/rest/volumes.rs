@@ -10,7 +10,7 @@ use super::ApiState;
 use crate::access::Identity;
 use crate::extraction::{FieldInfo, VolumeInfo, describe, describe_expression};
 use crate::problem::{ApiError, Problem};
-use crate::volumes::{Dataset, VolumeStep};
+use crate::volumes::{Dataset, Unreadable, VolumeStep};
 
 /// A volume, in short.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -27,7 +27,7 @@ pub struct VolumeSummary {
     pub steps: u32,
     /// Names of the fields, the main one first.
     pub fields: Vec<String>,
-    /// Copyright or source to show beside the data.
+    /// What is to be shown beside the data, a line each, as in the volume's description.
     pub notice: Option<String>,
 }
 
@@ -39,7 +39,7 @@ impl From<&Dataset> for VolumeSummary {
             dims: dataset.geometry.dims,
             steps: dataset.steps,
             fields: dataset.fields.iter().map(|f| f.name.clone()).collect(),
-            notice: dataset.notice.clone(),
+            notice: dataset.notice(),
         }
     }
 }
@@ -54,6 +54,33 @@ impl From<&Dataset> for VolumeSummary {
 pub async fn list(State(state): State<ApiState>, who: Identity) -> Json<Vec<VolumeSummary>> {
     let datasets = state.catalog.list(who.reader());
     Json(datasets.iter().map(|d| VolumeSummary::from(&**d)).collect())
+}
+
+/// A path that was named to the server and that it cannot read.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct UnreadablePath {
+    /// Name of the file or folder.
+    pub name: String,
+    /// What was found in it, and what was expected.
+    pub reason: String,
+}
+
+/// The paths that were named to the server and that it cannot read.
+#[utoipa::path(
+    get,
+    path = "/api/v1/unreadable",
+    tag = "volumes",
+    responses((status = 200, description = "The paths, in the order they were given", body = [UnreadablePath])),
+)]
+pub async fn unreadable(State(state): State<ApiState>) -> Json<Vec<UnreadablePath>> {
+    let catalog = state.catalog.now();
+    let paths = catalog.unreadable().iter().cloned();
+    Json(
+        paths
+            .map(|Unreadable { name, reason }| UnreadablePath { name, reason })
+            .collect(),
+    )
 }
 
 /// Which time step.

@@ -29,6 +29,9 @@ pub struct FieldExpression {
     pub is_distance: bool,
 }
 
+/// The rank of a number among the labels of a field, if that has ranks in place of numbers.
+pub type RankOf<'a> = &'a dyn Fn(&str, i128) -> Option<f32>;
+
 /// What is wrong, and at which byte of the text.
 type Fault = (usize, String);
 
@@ -39,7 +42,16 @@ impl FieldExpression {
     /// # Errors
     /// What was expected, and at which character.
     pub fn parse(text: &str, fields: &[&str], field: &'static str) -> Result<Self, EditError> {
-        Self::read(text, fields).map_err(|(at, why)| {
+        Self::parse_by(text, fields, field, &|_, _| None)
+    }
+
+    /// As [`Self::parse`], of fields some of which have ranks in place of the numbers in their file: `rank` has that of a number that is
+    /// compared with a field.
+    ///
+    /// # Errors
+    /// What was expected, and at which character.
+    pub fn parse_by(text: &str, fields: &[&str], field: &'static str, rank: RankOf<'_>) -> Result<Self, EditError> {
+        Self::read(text, fields, rank).map_err(|(at, why)| {
             let character = text.get(..at).unwrap_or(text).chars().count() + 1;
             EditError {
                 field,
@@ -79,12 +91,13 @@ impl FieldExpression {
         text.contains(['(', ')', '+', '-', '*', '/', '^', '<', '>', '"'])
     }
 
-    fn read(text: &str, fields: &[&str]) -> Result<Self, Fault> {
+    fn read(text: &str, fields: &[&str], rank: RankOf<'_>) -> Result<Self, Fault> {
         if text.len() > MAX_BYTES {
             return Err((MAX_BYTES, format!("{} bytes, expected {MAX_BYTES} at most", text.len())));
         }
         let mut program = Program {
             known: fields,
+            rank,
             fields: Vec::new(),
             ops: Vec::new(),
         };
@@ -174,6 +187,7 @@ impl<'a> Dimension<'a> {
 /// Operations so far.
 struct Program<'a> {
     known: &'a [&'a str],
+    rank: RankOf<'a>,
     fields: Vec<String>,
     ops: Vec<Op>,
 }
@@ -211,7 +225,7 @@ impl Program<'_> {
     fn node(&mut self, tree: &Tree) -> Result<u8, Fault> {
         let at = tree.at;
         let op = match &tree.what {
-            What::Number(x) => Op::Number(*x),
+            What::Number { value, .. } => Op::Number(*value),
             What::Name(name) => return self.field(at, name),
             What::Not(inner) => Op::Not(self.of_kind(inner, Kind::Condition)?),
             What::Negate(inner) => Op::Unary(Unary::Negate, self.number(inner)?),
@@ -244,12 +258,38 @@ impl Program<'_> {
             ];
             return self.add(at, if symbol == "&&" { Op::And(x, y) } else { Op::Or(x, y) });
         }
+        let comparison = Comparison::ALL.iter().find(|comparison| comparison.name() == symbol);
+        if comparison.is_some()
+            && let Some((left, right)) = self.ranked(left, right)
+        {
+            return self.infix(at, symbol, &left, &right);
+        }
         let [x, y] = [self.number(left)?, self.number(right)?];
-        let op = match Comparison::ALL.iter().find(|comparison| comparison.name() == symbol) {
+        let op = match comparison {
             Some(&comparison) => Op::Compare(comparison, x, y),
             None => Op::Binary(binary(symbol).unwrap_or(Binary::Add), x, y),
         };
         self.add(at, op)
+    }
+
+    /// A comparison of a field that has ranks with a number: the same with the number's rank.
+    fn ranked(&self, left: &Tree, right: &Tree) -> Option<(Tree, Tree)> {
+        let ranked = |field: &Tree, number: &Tree| {
+            let What::Name(name) = &field.what else { return None };
+            let rank = (self.rank)(name, number.integer()?)?;
+            let what = What::Number {
+                value: rank.abs(),
+                integer: None,
+            };
+            let at = number.at;
+            let what = if rank < 0.0 {
+                What::Negate(Box::new(Tree { at, what }))
+            } else {
+                what
+            };
+            Some((field.clone(), Tree { at, what }))
+        };
+        ranked(left, right).or_else(|| ranked(right, left).map(|(field, number)| (number, field)))
     }
 
     fn call(&mut self, at: usize, name: &str, arguments: &[Tree]) -> Result<u8, Fault> {

@@ -38,6 +38,8 @@ pub struct Mask {
     operator: Operator,
     /// Minimum and maximum of each range; a number is both. One number where the operator is neither `==` nor `!=`.
     ranges: Vec<[f32; 2]>,
+    /// The same as whole numbers, where they are written so: floats may round them.
+    whole: Vec<[Option<i128>; 2]>,
     text: String,
 }
 
@@ -83,9 +85,11 @@ impl Mask {
                 format!("no field {field:?}, expected one of {}", quoted(fields)),
             ));
         }
-        let (mut ranges, mut from) = (Vec::new(), at + symbol.len());
+        let (mut ranges, mut whole, mut from) = (Vec::new(), Vec::new(), at + symbol.len());
         for item in text[from..].split(',') {
             ranges.push(parse_range(item).map_err(|(offset, why)| refuse(from + offset, why))?);
+            let (low, high) = item.split_once("..").unwrap_or((item, item));
+            whole.push([low, high].map(|number| number.trim().parse().ok()));
             from += item.len() + 1;
         }
         let is_list = matches!(operator, Operator::Is | Operator::IsNot);
@@ -105,6 +109,7 @@ impl Mask {
             field: field.to_owned(),
             operator,
             ranges,
+            whole,
             text: text.trim().to_owned(),
         })
     }
@@ -117,6 +122,18 @@ impl Mask {
     /// How values are compared, and with which: the minimum and maximum of each range.
     pub(super) fn comparison(&self) -> (Operator, &[[f32; 2]]) {
         (self.operator, &self.ranges)
+    }
+
+    /// The same mask of a field that has ranks in place of the numbers in its file.
+    #[must_use]
+    pub fn by_ranks(&self, rank: impl Fn(i128) -> Option<f32>) -> Self {
+        let mut mask = self.clone();
+        for (range, whole) in mask.ranges.iter_mut().zip(&self.whole) {
+            for (end, number) in range.iter_mut().zip(whole) {
+                *end = number.and_then(&rank).unwrap_or(*end);
+            }
+        }
+        mask
     }
 
     /// Whether a value of the field is inside; no number is not.
@@ -160,6 +177,15 @@ pub(super) fn some_mask<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Op
 #[cfg(test)]
 mod tests {
     use super::Mask;
+
+    #[test]
+    fn numbers_become_ranks() {
+        let rank = |number: i128| Some((number - 16_777_210) as f32);
+        let mask = Mask::parse("labels==16777217,16777219..16777221", &["labels"]).expect("a mask");
+        let mask = mask.by_ranks(rank);
+        let inside: Vec<i32> = (0..14).filter(|&value| mask.holds(value as f32)).collect();
+        assert_eq!(inside, [7, 9, 10, 11]);
+    }
 
     const FIELDS: &[&str] = &["labels", "p (bone)", "é"];
 

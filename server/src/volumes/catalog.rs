@@ -2,7 +2,7 @@
 //!
 //! Every path given to `isopeel serve` is one dataset: a file, or a folder whose files share one grid. If the files of a folder do not
 //! share one grid, each is a dataset of its own (`extract` and `info` need one dataset and refuse such a folder). An unreadable file in
-//! a folder is skipped with a warning, an unreadable file that was named itself is an error.
+//! a folder is skipped with a notice. An unreadable path does not keep a server from the others: it is listed with its reason.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -10,23 +10,55 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use super::open::{assemble, join, list_folder, open_dataset, open_folder_format, read_file, title_of};
 use super::private::{PrivateVolumes, Reader};
-use super::{Dataset, FileLocation, Frame, ReadError};
+use super::{Dataset, FileLocation, Frame, Notices, OpenedFile, ReadError};
 
 /// Datasets with unique ids, in the order of their paths.
 #[derive(Clone, Debug, Default)]
 pub struct Catalog {
     datasets: Vec<Arc<Dataset>>,
+    unreadable: Vec<Unreadable>,
+}
+
+/// A path that was named to the server and that it cannot read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Unreadable {
+    /// Its last part: clients do not learn of folders.
+    pub name: String,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+impl Unreadable {
+    pub(super) fn new(path: &Path, error: &ReadError) -> Self {
+        let name = path.file_name().unwrap_or(path.as_os_str());
+        let name = name.to_string_lossy().into_owned();
+        let reason = error.without_folder();
+        let reason = reason.strip_prefix(&format!("{name}: ")).unwrap_or(&reason).to_owned();
+        Self { name, reason }
+    }
 }
 
 impl Catalog {
-    /// Opens every path, then the embedded demo if `demo` is set. Reads headers, not samples.
+    /// Opens every path, then the embedded demo if `demo` is set. Reads headers, not samples. A path that cannot be read is
+    /// [unreadable](Self::unreadable), as long as there is another.
     ///
     /// # Errors
-    /// What is wrong with a path.
+    /// What is wrong with the first path, if none of them can be read.
     pub fn open(paths: &[PathBuf], demo: bool) -> Result<Self, ReadError> {
         let mut catalog = Self::default();
+        let mut first = None;
         for path in paths {
-            open_path(path)?.into_iter().for_each(|d| catalog.add(d));
+            match open_path(path) {
+                Ok(datasets) => datasets.into_iter().for_each(|d| catalog.add(d)),
+                Err(error) => {
+                    tracing::error!("not served: {error}");
+                    catalog.unreadable.push(Unreadable::new(path, &error));
+                    first.get_or_insert(error);
+                }
+            }
+        }
+        if let Some(error) = first.filter(|_| catalog.datasets.is_empty()) {
+            return Err(error);
         }
         if demo {
             catalog.add(super::demo()?);
@@ -34,9 +66,14 @@ impl Catalog {
         Ok(catalog)
     }
 
-    /// Datasets whose ids differ.
-    pub(super) fn of(datasets: Vec<Arc<Dataset>>) -> Self {
-        Self { datasets }
+    /// Datasets whose ids differ, and paths that cannot be read.
+    pub(super) fn of(datasets: Vec<Arc<Dataset>>, unreadable: Vec<Unreadable>) -> Self {
+        Self { datasets, unreadable }
+    }
+
+    /// The paths that cannot be read, in the order in which they were named.
+    pub fn unreadable(&self) -> &[Unreadable] {
+        &self.unreadable
     }
 
     /// The same datasets with their positions in another frame, as [`Dataset::set_frame`].
@@ -136,11 +173,15 @@ pub fn open_path(path: &Path) -> Result<Vec<Dataset>, ReadError> {
 fn open_folder(folder: &Path) -> Result<Vec<Dataset>, ReadError> {
     let mut files = Vec::new();
     let mut last_error = None;
+    let mut passed_over = Notices::default();
     for location in list_folder(folder)? {
         match read_file(&location) {
             Ok(file) => files.push((location, file)),
             Err(error) => {
-                tracing::warn!("passed over: {error}");
+                passed_over.add(format!(
+                    "a file of its folder is passed over: {}",
+                    error.without_folder()
+                ));
                 last_error = Some(error);
             }
         }
@@ -149,14 +190,20 @@ fn open_folder(folder: &Path) -> Result<Vec<Dataset>, ReadError> {
         // `list_folder` returns no empty list, so there was an error.
         return last_error.map_or(Ok(Vec::new()), Err);
     }
-    match assemble(&title_of(folder), files.clone()) {
-        Ok(dataset) => Ok(vec![dataset]),
+    let mut datasets = match assemble(&title_of(folder), files.clone()) {
+        Ok(dataset) => vec![dataset],
         Err(clash) => {
-            tracing::info!("each file of {} is a dataset of its own: {clash}", folder.display());
-            files
-                .into_iter()
-                .map(|(location, file)| join(&location.stem(), vec![(location, file)]))
-                .collect()
+            passed_over.add(format!(
+                "each file of its folder is a volume of its own: {}",
+                clash.without_folder()
+            ));
+            let alone = |(location, file): (FileLocation, OpenedFile)| join(&location.stem(), vec![(location, file)]);
+            files.into_iter().map(alone).collect::<Result<_, _>>()?
         }
+    };
+    passed_over.log(folder);
+    for dataset in &mut datasets {
+        dataset.notices.extend(passed_over.clone());
     }
+    Ok(datasets)
 }

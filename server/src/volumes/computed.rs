@@ -7,7 +7,7 @@ use isopeel_kernels::{Expression, SampleType, Samples};
 use rayon::prelude::*;
 
 use super::distances::distances;
-use super::{Dataset, Field, FileLocation, LengthUnit, ReadError, ReadProgress, Source};
+use super::{Dataset, Field, FileLocation, LengthUnit, Notices, ReadError, ReadProgress, Source};
 use crate::view::FieldExpression;
 
 /// Samples that a task computes.
@@ -17,6 +17,8 @@ const PIECE: usize = 1 << 16;
 #[derive(Clone, Debug)]
 struct Computed {
     expression: Expression,
+    /// What it was read from.
+    text: String,
     /// In the order of their places in it.
     fields: Vec<Field>,
     /// Of distances to where it is not 0: positions of the samples along the axes.
@@ -26,7 +28,8 @@ struct Computed {
 impl Dataset {
     /// The expression over this dataset's fields that a text is; `None` where it is none, or the name of a field.
     pub fn expression(&self, text: &str) -> Option<FieldExpression> {
-        let parse = || FieldExpression::parse(text, &self.field_names(), "field").ok();
+        let rank = |name: &str, number: i128| Some(self.field(name)?.source.ranks()?.position(number));
+        let parse = || FieldExpression::parse_by(text, &self.field_names(), "field", &rank).ok();
         if self.field(text).is_some() { None } else { parse() }
     }
 
@@ -43,6 +46,7 @@ impl Dataset {
         let unit = found.unit(&units).or(length_unit).map(str::to_owned);
         let source = Computed {
             expression: found.expression,
+            text: text.to_owned(),
             fields,
             positions: found.is_distance.then(|| Box::new(self.positions(false))),
         };
@@ -52,8 +56,20 @@ impl Dataset {
             sample_type: SampleType::F32,
             missing: None,
             unit,
+            labels: Vec::new(),
             source: Arc::new(source),
         })
+    }
+}
+
+impl Computed {
+    /// The expression over samples that were read: some may be ranks.
+    fn ranked(&self) -> Expression {
+        let by_name = |name: &str| self.fields.iter().find(|field| field.name == name);
+        let rank = |name: &str, number: i128| Some(by_name(name)?.source.ranks()?.position(number));
+        let names: Vec<&str> = self.fields.iter().map(|field| field.name.as_str()).collect();
+        let read = FieldExpression::parse_by(&self.text, &names, "field", &rank);
+        read.map_or_else(|_| self.expression.clone(), |read| read.expression)
     }
 }
 
@@ -67,10 +83,18 @@ impl Source for Computed {
         fields.flat_map(|field| field.source.inputs(step)).collect()
     }
 
+    fn notices(&self) -> Notices {
+        let mut notices = Notices::default();
+        let fields = self.fields.iter();
+        fields.for_each(|field| notices.extend(field.source.notices()));
+        notices
+    }
+
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         let read = |field: &Field| Ok((field.source.read(step, progress)?, field.missing));
         let fields = self.fields.iter().map(read).collect::<Result<Vec<_>, ReadError>>()?;
         let count = fields.first().map_or(0, |(samples, _)| samples.len());
+        let expression = self.ranked();
         let mut values = vec![0.0; count];
         values.par_chunks_mut(PIECE).enumerate().for_each(|(piece, values)| {
             let mut at = vec![0.0; fields.len()];
@@ -79,7 +103,7 @@ impl Source for Computed {
                     let sample = samples.get(i);
                     *at = if Some(sample) == *missing { f32::NAN } else { sample };
                 }
-                *value = self.expression.value(&at);
+                *value = expression.value(&at);
             }
         });
         Ok(Samples::F32(match &self.positions {

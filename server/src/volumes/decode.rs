@@ -5,16 +5,18 @@
 //! piece.
 
 use std::io::Read;
+use std::sync::Arc;
 
 use half::f16;
-use isopeel_kernels::{SampleType, Samples};
+use isopeel_kernels::Samples;
 use rayon::prelude::*;
 
 use super::codec::decoder;
+use super::conversion::Conversion;
 use super::location::Blob;
 use super::scalar::{DeviceScalar, Scalar};
-use super::stored::{Begin, Encoding, StoredSamples, StoredType, contiguous};
-use super::{FileLocation, ReadError, ReadProgress, Sink, Source, only_piece};
+use super::stored::{Begin, Encoding, MAX_PADDING, StoredSamples, StoredType, contiguous, is_blank};
+use super::{FileLocation, LabelRanks, Notices, ReadError, ReadProgress, Sink, Source, only_piece};
 
 /// Samples of a task of a parallel read: enough for long reads, few enough to balance the threads.
 const READ_CHUNK: usize = 1 << 18;
@@ -31,7 +33,7 @@ impl StoredSamples {
     }
 
     /// How many samples stand at each position of the grid, x fastest, as far as the array is in that order.
-    fn interleave(&self) -> Option<usize> {
+    pub(super) fn interleave(&self) -> Option<usize> {
         let [one, together] = [1, u64::from(self.channels)].map(|n| {
             let strides = contiguous(self.dims, self.steps).map(|strides| strides.map(|stride| stride * n));
             strides == Some(self.strides)
@@ -66,7 +68,7 @@ impl StoredSamples {
         blob: &Blob<'_>,
         offset: u64,
         samples: u64,
-        pixels: &Pixels<impl Fn(&[S]) -> T + Sync>,
+        pixels: &Pixels<impl Fn(&[S], usize, &mut [T]) + Sync>,
         same: bool,
     ) -> Result<Vec<T>, ReadError> {
         let mut values = self.allocate::<T>(samples)?;
@@ -129,7 +131,7 @@ impl StoredSamples {
         &self,
         stream: &mut dyn Read,
         samples: u64,
-        pixels: &Pixels<impl Fn(&[S]) -> T + Sync>,
+        pixels: &Pixels<impl Fn(&[S], usize, &mut [T]) + Sync>,
     ) -> Result<Vec<T>, ReadError> {
         let samples = usize::try_from(samples).map_err(|_| self.error("more samples than this machine can address"))?;
         let mut values: Vec<T> = Vec::new();
@@ -157,12 +159,26 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// Fails if the stream goes on. Reading to the end also makes the decoder compare its checksum.
+    /// Looks whether the stream goes on. Reading to the end also makes the decoder compare its checksum.
     fn expect_end(&self, mut stream: impl Read) -> Result<(), ReadError> {
         // Of a compressed file the rest is not looked at where the header says that there is one.
         let rest_is_known = self.packing().is_some() && self.end.is_some();
-        if !rest_is_known && stream.read(&mut [0]).map_err(|e| self.io(e))? > 0 {
+        if rest_is_known {
+            return Ok(());
+        }
+        let mut rest = Vec::new();
+        let limit = MAX_PADDING.min(self.array_samples() * self.stored.bytes());
+        let read = stream.by_ref().take(MAX_PADDING + 1).read_to_end(&mut rest);
+        read.map_err(|e| self.io(e))?;
+        let is_padding = (rest.len() as u64) < limit || rest.len() as u64 <= MAX_PADDING && is_blank(&rest);
+        if !is_padding {
             return Err(self.error(format!("goes on after the last sample, expected {}", self.describe())));
+        }
+        if !rest.is_empty() {
+            let what = self.describe();
+            let notice =
+                format!("the file goes on after its last sample, which is the end of {what}: the rest is not read");
+            self.findings.report(self.location.path(), notice);
         }
         Ok(())
     }
@@ -170,7 +186,7 @@ impl StoredSamples {
     /// All samples of all steps and channels, as stored. Costs as much memory as the decoded file.
     fn read_all<S: Scalar>(&self, blob: &Blob<'_>) -> Result<Vec<S>, ReadError> {
         let total = self.array_samples();
-        let alone = Pixels::alone(|s: &[S]| s[0]);
+        let alone = Pixels::alone(copy::<S>);
         match self.encoding {
             Encoding::Raw if self.packing().is_none() => {
                 self.read_plain(blob, self.plain_offset(), total, &alone, true)
@@ -196,9 +212,10 @@ impl StoredSamples {
             .take(length)
             .read_to_end(&mut text)
             .map_err(|e| self.io(e))?;
-        // Without a final white space a truncated last number would not be noticed.
+        // Whether the last number is whole cannot be known without a white space behind it.
         if self.end.is_none() && !text.last().is_some_and(u8::is_ascii_whitespace) {
-            return Err(self.error("the last line has no end, expected one: the file may be cut off"));
+            let notice = "the last line has no end: if the file was cut off, its last number may be too short";
+            self.findings.report(self.location.path(), notice);
         }
         let total = self.array_samples();
         let mut values: Vec<S> = Vec::new();
@@ -225,26 +242,26 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// One time step of stored type `S` as the device's type `T`. `value` is that of a position, from the samples that
-    /// begin there.
+    /// One time step of stored type `S` as the device's type `T`. `fill` makes the values of positions from samples that begin with that
+    /// of the first position, and have a distance.
     fn read_step<S: Scalar, T: DeviceScalar>(
         &self,
         blob: &Blob<'_>,
         step: u32,
-        value: impl Fn(&[S]) -> T + Sync,
+        fill: impl Fn(&[S], usize, &mut [T]) + Sync,
         same: bool,
         out: &mut Out<'_, '_>,
     ) -> Result<(), ReadError> {
         let samples = self.step_samples();
         let Some(interleave) = self.interleave().filter(|_| self.encoding != Encoding::Text) else {
-            return out.put(self.gather(&self.read_all::<S>(blob)?, step, value)?);
+            return out.put(self.gather(&self.read_all::<S>(blob)?, step, fill)?);
         };
         let before = self.bytes_before(step, interleave);
         let first = if interleave == 1 { 0 } else { self.first as usize };
         let pixels = Pixels {
             interleave,
             first,
-            value,
+            fill,
         };
         let bytes = interleave as u64 * self.stored.bytes();
         let piece = out.piece;
@@ -275,58 +292,92 @@ impl StoredSamples {
         &self,
         all: &[S],
         step: u32,
-        value: impl Fn(&[S]) -> T + Sync,
+        fill: impl Fn(&[S], usize, &mut [T]) + Sync,
     ) -> Result<Vec<T>, ReadError> {
         let mut values = self.allocate::<T>(self.step_samples())?;
         let [nx, ny, _] = self.dims.map(|n| n as usize);
         let [sx, sy, sz, st] = self.strides.map(|s| s as usize);
         values.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
             let base = self.first as usize + row % ny * sy + row / ny * sz + step as usize * st;
-            for (x, out) in out.iter_mut().enumerate() {
-                *out = value(&all[base + x * sx..]);
-            }
+            fill(&all[base..], sx, out);
         });
         Ok(values)
     }
 
     fn as_stored<T: DeviceScalar>(&self, blob: &Blob<'_>, step: u32, out: &mut Out<'_, '_>) -> Result<(), ReadError> {
-        self.read_step(blob, step, |from: &[T]| from[0], true, out)
+        self.read_step(blob, step, copy::<T>, true, out)
     }
 
-    fn as_f32<S: Scalar>(&self, blob: &Blob<'_>, step: u32, out: &mut Out<'_, '_>) -> Result<(), ReadError> {
+    fn as_f32<S: Scalar>(
+        &self,
+        blob: &Blob<'_>,
+        step: u32,
+        conversion: &Conversion,
+        out: &mut Out<'_, '_>,
+    ) -> Result<(), ReadError> {
         let [slope, inter] = self.scale.unwrap_or([1.0, 0.0]);
         match (self.scale, self.luminance) {
             (_, Some(distance)) => {
                 let distance = distance as usize;
-                let colour = move |from: &[S], i: usize| from[i * distance].to_f64();
-                let value = move |from: &[S]| {
-                    let [r, g, b] = [0, 1, 2].map(|i| colour(from, i));
-                    (slope * (0.2126 * r + 0.7152 * g + 0.0722 * b) + inter) as f32
+                let fill = move |from: &[S], apart: usize, values: &mut [f32]| {
+                    for (i, value) in values.iter_mut().enumerate() {
+                        let [r, g, b] = [0, 1, 2].map(|color| from[i * apart + color * distance].to_f64());
+                        *value = (slope * (0.2126 * r + 0.7152 * g + 0.0722 * b) + inter) as f32;
+                    }
                 };
-                self.read_step(blob, step, value, false, out)
+                self.read_step(blob, step, fill, false, out)
             }
             (Some(_), None) => {
-                let value = move |from: &[S]| (slope * from[0].to_f64() + inter) as f32;
-                self.read_step(blob, step, value, false, out)
+                let fill = |from: &[S], apart: usize, values: &mut [f32]| {
+                    conversion.convert_computed(|i| slope * from[i * apart].to_f64() + inter, values);
+                };
+                self.read_step(blob, step, fill, false, out)
             }
-            (None, None) => self.read_step(blob, step, |from: &[S]| from[0].to_f32(), false, out),
+            (None, None) => {
+                let fill =
+                    |from: &[S], apart: usize, values: &mut [f32]| conversion.convert(|i| from[i * apart], values);
+                self.read_step(blob, step, fill, false, out)
+            }
         }
     }
 
-    /// Says in the log where samples are not on the device what they are in the file.
-    fn tell_of_conversion(&self) {
-        let (path, stored) = (self.location.path().display(), self.stored.name());
-        match self.scale {
-            Some([slope, inter]) => {
-                tracing::info!(%path, "{stored} samples become f32, scaled: {slope} x stored + {inter}");
-            }
-            None if self.stored.on_device() == SampleType::F32
-                && !matches!(self.stored, StoredType::F16 | StoredType::F32) =>
-            {
-                tracing::warn!(%path, "{stored} samples become f32 on the device, digits past 24 bits are lost");
-            }
-            None => {}
+    /// One time step in the type of the device.
+    fn read_converted(
+        &self,
+        blob: &Blob<'_>,
+        step: u32,
+        conversion: &Conversion,
+        out: &mut Out<'_, '_>,
+    ) -> Result<(), ReadError> {
+        let as_stored = self.scale.is_none() && self.luminance.is_none();
+        match self.stored {
+            StoredType::U8 if as_stored => self.as_stored::<u8>(blob, step, out),
+            StoredType::I8 if as_stored => self.as_stored::<i8>(blob, step, out),
+            StoredType::U16 if as_stored => self.as_stored::<u16>(blob, step, out),
+            StoredType::I16 if as_stored => self.as_stored::<i16>(blob, step, out),
+            StoredType::F32 if as_stored => self.as_stored::<f32>(blob, step, out),
+            StoredType::U8 => self.as_f32::<u8>(blob, step, conversion, out),
+            StoredType::I8 => self.as_f32::<i8>(blob, step, conversion, out),
+            StoredType::U16 => self.as_f32::<u16>(blob, step, conversion, out),
+            StoredType::I16 => self.as_f32::<i16>(blob, step, conversion, out),
+            StoredType::F16 => self.as_f32::<f16>(blob, step, conversion, out),
+            StoredType::F32 => self.as_f32::<f32>(blob, step, conversion, out),
+            StoredType::U32 => self.as_f32::<u32>(blob, step, conversion, out),
+            StoredType::I32 => self.as_f32::<i32>(blob, step, conversion, out),
+            StoredType::U64 => self.as_f32::<u64>(blob, step, conversion, out),
+            StoredType::I64 => self.as_f32::<i64>(blob, step, conversion, out),
+            StoredType::F64 => self.as_f32::<f64>(blob, step, conversion, out),
         }
+    }
+}
+
+/// Samples as they are, which are `apart` from each other.
+fn copy<S: Scalar>(from: &[S], apart: usize, values: &mut [S]) {
+    if apart == 1 {
+        values.copy_from_slice(&from[..values.len()]);
+    } else {
+        let each = values.iter_mut().zip(from.iter().step_by(apart));
+        each.for_each(|(to, from)| *to = *from);
     }
 }
 
@@ -342,20 +393,19 @@ impl Out<'_, '_> {
     }
 }
 
-/// Positions of an array that have `interleave` samples each; `value` makes the one of a position from those from
-/// `first` on.
+/// Positions of an array that have `interleave` samples each; `fill` makes the values of positions from those from `first` on.
 struct Pixels<F> {
     interleave: usize,
     first: usize,
-    value: F,
+    fill: F,
 }
 
 impl<F> Pixels<F> {
-    fn alone(value: F) -> Self {
+    fn alone(fill: F) -> Self {
         Self {
             interleave: 1,
             first: 0,
-            value,
+            fill,
         }
     }
 
@@ -366,15 +416,9 @@ impl<F> Pixels<F> {
 
     fn convert<S, T>(&self, stored: &[S], values: &mut [T])
     where
-        F: Fn(&[S]) -> T,
+        F: Fn(&[S], usize, &mut [T]),
     {
-        if self.interleave == 1 {
-            let each = values.iter_mut().zip(stored);
-            each.for_each(|(to, from)| *to = (self.value)(std::slice::from_ref(from)));
-        } else {
-            let each = values.iter_mut().zip(stored.chunks_exact(self.interleave));
-            each.for_each(|(to, from)| *to = (self.value)(&from[self.first..]));
-        }
+        (self.fill)(&stored[self.first..], self.interleave, values);
     }
 }
 
@@ -392,6 +436,14 @@ impl Source for StoredSamples {
 
     fn inputs(&self, _: u32) -> Vec<FileLocation> {
         vec![self.location.clone()]
+    }
+
+    fn notices(&self) -> Notices {
+        self.findings.notices()
+    }
+
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        self.findings.ranks()
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
@@ -424,26 +476,9 @@ impl Source for StoredSamples {
                 self.file_bytes
             )));
         }
-        self.tell_of_conversion();
-        let out = &mut Out { piece, sink };
-        let as_stored = self.scale.is_none() && self.luminance.is_none();
-        match self.stored {
-            StoredType::U8 if as_stored => self.as_stored::<u8>(&blob, step, out),
-            StoredType::I8 if as_stored => self.as_stored::<i8>(&blob, step, out),
-            StoredType::U16 if as_stored => self.as_stored::<u16>(&blob, step, out),
-            StoredType::I16 if as_stored => self.as_stored::<i16>(&blob, step, out),
-            StoredType::F32 if as_stored => self.as_stored::<f32>(&blob, step, out),
-            StoredType::U8 => self.as_f32::<u8>(&blob, step, out),
-            StoredType::I8 => self.as_f32::<i8>(&blob, step, out),
-            StoredType::U16 => self.as_f32::<u16>(&blob, step, out),
-            StoredType::I16 => self.as_f32::<i16>(&blob, step, out),
-            StoredType::F16 => self.as_f32::<f16>(&blob, step, out),
-            StoredType::F32 => self.as_f32::<f32>(&blob, step, out),
-            StoredType::U32 => self.as_f32::<u32>(&blob, step, out),
-            StoredType::I32 => self.as_f32::<i32>(&blob, step, out),
-            StoredType::U64 => self.as_f32::<u64>(&blob, step, out),
-            StoredType::I64 => self.as_f32::<i64>(&blob, step, out),
-            StoredType::F64 => self.as_f32::<f64>(&blob, step, out),
-        }
+        self.findings
+            .read((self.location.path(), self.steps), sink, |conversion, sink| {
+                self.read_converted(&blob, step, conversion, &mut Out { piece, sink })
+            })
     }
 }

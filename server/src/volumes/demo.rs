@@ -36,7 +36,7 @@ pub fn demo() -> Result<Dataset, ReadError> {
         .collect::<Result<Vec<_>, _>>()?;
     let mut dataset = join("MNI152 head", files)?;
     dataset.id = "mni152".into();
-    dataset.notice = Some(NOTICE.trim().to_owned());
+    dataset.notices.add(NOTICE.trim());
     dataset.opening = Some(opening());
     Ok(dataset)
 }

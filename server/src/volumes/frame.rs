@@ -145,7 +145,8 @@ impl LengthUnit {
             "centimetre" => Self::Centimetre,
             "metre" => Self::Metre,
             "kilometre" => Self::Kilometre,
-            "degree" | "deg" | "degree_north" | "degree_east" | "degrees_north" | "degrees_east" => Self::Degree,
+            "degree" | "deg" | "degree_north" | "degree_east" | "degrees_north" | "degrees_east" | "degree_n"
+            | "degree_e" | "degrees_n" | "degrees_e" | "degreen" | "degreee" | "degreesn" | "degreese" => Self::Degree,
             _ => return None,
         })
     }

@@ -14,6 +14,9 @@ use super::remote::Address;
 use super::unpacked::{ReadAt, Unpacked, packing};
 use super::{ReadError, ReadProgress};
 
+/// First bytes of a file that say what it is.
+const HEAD_BYTES: usize = 8192;
+
 /// Files of a folder in memory, by name.
 pub type MemoryFolder = BTreeMap<String, Cow<'static, [u8]>>;
 
@@ -102,6 +105,13 @@ impl FileLocation {
         self.part.as_deref()
     }
 
+    /// This file, of whose volumes the one is meant that another location names.
+    #[must_use]
+    pub fn with_part_of(mut self, other: &Self) -> Self {
+        self.part.clone_from(&other.part);
+        self
+    }
+
     /// Where the store is, of one over a network. Its path is what is shown of this.
     pub fn address(&self) -> Option<&Address> {
         self.address.as_deref()
@@ -120,6 +130,33 @@ impl FileLocation {
         let packing = packing(&self.path.to_string_lossy()).map(|(encoding, _)| encoding);
         Self {
             packing,
+            ..self.clone()
+        }
+    }
+
+    /// File name in lower case, of a compressed file that of the file in it.
+    pub fn stored_name(&self) -> String {
+        let whole = self
+            .path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .to_ascii_lowercase();
+        packing(&whole).map_or(whole.clone(), |(_, name)| name.to_owned())
+    }
+
+    /// Whether the first bytes of the file are as a format has them.
+    pub fn begins_as(&self, is_content: fn(&[u8]) -> bool) -> bool {
+        self.open()
+            .and_then(|blob| blob.head(HEAD_BYTES))
+            .is_ok_and(|head| is_content(&head))
+    }
+
+    /// The same file, as it is stored.
+    #[must_use]
+    pub fn unpacked(&self) -> Self {
+        Self {
+            packing: None,
             ..self.clone()
         }
     }

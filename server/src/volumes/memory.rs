@@ -7,7 +7,7 @@ use std::sync::Arc;
 use isopeel_kernels::Samples;
 
 use super::open::slug;
-use super::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source};
+use super::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source};
 
 /// The time steps of one field. Steps may share their samples.
 struct MemorySamples {
@@ -80,6 +80,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
             sample_type,
             missing: None,
             unit: None,
+            labels: Vec::new(),
             source: Arc::new(MemorySamples {
                 title: title.to_owned(),
                 steps,
@@ -87,7 +88,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
         }],
         revision: 0,
         rewrites: Vec::new(),
-        notice: None,
+        notices: Notices::default(),
         opening: None,
     })
 }

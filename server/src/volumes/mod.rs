@@ -6,6 +6,7 @@
 //! - [`Frame`], [`LengthUnit`]: what world positions mean.
 //! - [`location`]: files on disk or in memory; tests and fuzzers use the latter. `remote`: stores over a network.
 //! - [`formats`]: one header parser a format.
+//! - [`Notices`]: what readers repaired or assumed. [`Label`]: what values of labels mean.
 //! - `unpacked`: files that are compressed as a whole.
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them, by their type (`scalar`).
 //! - `rectilinear`: uneven positions, and samples interpolated onto an even grid.
@@ -13,6 +14,7 @@
 //! - [`catalog`], [`demo`]: the datasets of a server; [`private`]: those of single users; [`watch`]: paths in which some appear.
 //! - `computed`: fields that expressions give.
 //! - [`memory_dataset`]: samples that no file holds.
+//! - `turned`: samples that are stored in another order than x fastest.
 //! - [`TimeAxis`]: when the steps are.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
@@ -20,13 +22,17 @@ mod beneath;
 pub mod catalog;
 mod codec;
 mod computed;
+mod conversion;
 mod decode;
 pub mod demo;
 mod distances;
+mod findings;
 pub mod formats;
 mod frame;
+mod labels;
 pub mod location;
 mod memory;
+mod notices;
 mod numbered;
 pub mod open;
 mod pieces;
@@ -41,6 +47,7 @@ pub mod stored;
 #[cfg(test)]
 pub(crate) mod testing;
 mod times;
+mod turned;
 mod unpacked;
 pub mod vectors;
 pub mod watch;
@@ -49,12 +56,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use beneath::follow_links;
-pub use catalog::{Catalog, SharedCatalog, open_path};
+pub use catalog::{Catalog, SharedCatalog, Unreadable, open_path};
 pub use demo::demo;
+pub use findings::{Findings, LabelRanks};
 pub use frame::{Frame, LengthUnit};
 pub use isopeel_kernels::Samples;
+pub use labels::{Label, MAX_LABELS};
 pub use location::FileLocation;
 pub use memory::memory_dataset;
+pub use notices::Notices;
 
 use crate::math::{DAffine3, DVec3, IndexSpace, UnevenAxes};
 use crate::view::{Edit, EditError, View};
@@ -88,8 +98,8 @@ pub struct Dataset {
     pub revision: u32,
     /// How often the files of each step were rewritten; a step that is not in the list was not.
     pub rewrites: Vec<u32>,
-    /// Copyright, source, or what the grid does not say, to show beside the data.
-    pub notice: Option<String>,
+    /// Copyright, source, and what readers repaired or assumed when they read headers, to show beside the data.
+    pub notices: Notices,
     /// What the viewer opens with; `None`: the defaults.
     pub opening: Option<Edit>,
 }
@@ -123,11 +133,20 @@ impl Dataset {
             && kinds(self) == kinds(earlier)
     }
 
+    /// Everything that is to be shown beside the data, a line each; with what has been found in the samples that were read so far.
+    pub fn notice(&self) -> Option<String> {
+        let mut notices = self.notices.clone();
+        self.fields
+            .iter()
+            .for_each(|field| notices.extend(field.source.notices()));
+        notices.text()
+    }
+
     /// The same samples in another frame ([`Geometry::in_frame`]). That of the index counts samples at uneven positions as well.
     pub fn set_frame(&mut self, frame: Frame) {
         self.geometry = self.geometry.in_frame(frame);
         if frame == Frame::Index && self.uneven.take().is_some() {
-            self.notice = Some(rectilinear::COUNTED.to_owned());
+            self.notices.add(rectilinear::COUNTED);
         }
     }
 
@@ -286,6 +305,8 @@ pub struct Field {
     pub missing: Option<f32>,
     /// Unit of the values, where the file declares one.
     pub unit: Option<String>,
+    /// Names and colours of its labels, where the file has them; at most [`MAX_LABELS`].
+    pub labels: Vec<Label>,
     /// Reads the samples.
     pub source: Arc<dyn Source>,
 }
@@ -299,12 +320,16 @@ pub type Sink<'a> = dyn FnMut(Samples) -> Result<(), ReadError> + 'a;
 pub const PIECE_SAMPLES: usize = 2 << 20;
 
 /// What a reader hands over where its pieces are as large as a time step.
-fn only_piece(read: impl FnOnce(&mut Sink<'_>) -> Result<(), ReadError>) -> Result<Samples, ReadError> {
+fn only_piece(mut read: impl FnMut(&mut Sink<'_>) -> Result<(), ReadError>) -> Result<Samples, ReadError> {
     let mut samples = Samples::U8(Vec::new());
-    read(&mut |piece| {
+    let mut take = |piece| {
         samples = piece;
         Ok(())
-    })?;
+    };
+    match read(&mut take) {
+        Err(error) if error.again => read(&mut take)?,
+        read => read?,
+    }
     Ok(samples)
 }
 
@@ -327,7 +352,7 @@ pub trait Source: Send + Sync + std::fmt::Debug {
     /// allows it: the host holds a few of these, not the volume.
     ///
     /// # Errors
-    /// What is wrong with the file, or what the sink says.
+    /// What is wrong with the file, or what the sink says. [`ReadError::again`] asks the caller to drop all pieces and to read once more.
     fn read_pieces(
         &self,
         step: u32,
@@ -336,6 +361,16 @@ pub trait Source: Send + Sync + std::fmt::Debug {
         sink: &mut Sink<'_>,
     ) -> Result<(), ReadError> {
         sink(self.read(step, progress)?)
+    }
+
+    /// What has been found in the samples that were read so far, such as values that the device's type cannot hold.
+    fn notices(&self) -> Notices {
+        Notices::default()
+    }
+
+    /// The labels that samples are ranks of, if the device's type does not tell them apart; known once samples were read.
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        None
     }
 
     /// As [`Source::read`], where nobody watches.
@@ -357,6 +392,8 @@ pub struct ReadError {
     pub field: String,
     /// What was found and what was expected.
     pub why: String,
+    /// Whether reading once more will succeed: it was found out that samples must be converted in another way.
+    pub again: bool,
     /// The cause, where there is one.
     #[source]
     pub source: Option<std::io::Error>,
@@ -369,6 +406,7 @@ impl ReadError {
             path: path.to_owned(),
             field: field.into(),
             why: why.into(),
+            again: false,
             source: None,
         }
     }
@@ -405,8 +443,8 @@ pub struct OpenedFile {
     pub times: Option<TimeAxis>,
     /// Its fields, the main one first; at least one.
     pub fields: Vec<Field>,
-    /// What a viewer should know of the volume that its grid does not say, when there is something.
-    pub notice: Option<String>,
+    /// What its reader repaired or assumed, and what the grid does not say.
+    pub notices: Notices,
 }
 
 impl OpenedFile {

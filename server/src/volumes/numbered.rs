@@ -6,8 +6,11 @@ use std::sync::Arc;
 
 use isopeel_kernels::Samples;
 
+use super::findings::merging_steps;
 use super::location::stem;
-use super::{Field, FileLocation, OpenedFile, ReadError, ReadProgress, Sink, Source, TimeAxis};
+use super::{
+    Field, FileLocation, LabelRanks, Notices, OpenedFile, ReadError, ReadProgress, Sink, Source, TimeAxis, only_piece,
+};
 
 /// Files of one name, by their numbers.
 type Steps = BTreeMap<u64, (FileLocation, OpenedFile)>;
@@ -96,11 +99,12 @@ pub(super) fn join_steps(
     files: Vec<(FileLocation, OpenedFile)>,
     times: Option<TimeAxis>,
 ) -> Result<OpenedFile, ReadError> {
-    let first = files[0].1.clone();
+    let mut first = files[0].1.clone();
     let mut sources: Vec<Vec<Arc<dyn Source>>> = vec![Vec::new(); first.fields.len()];
     let steps = u32::try_from(files.len()).unwrap_or(u32::MAX);
     for (location, file) in files {
         check(&location, &file, &first)?;
+        first.notices.extend(file.notices);
         for (source, field) in sources.iter_mut().zip(file.fields) {
             source.push(field.source);
         }
@@ -172,9 +176,20 @@ impl Source for StepFiles {
             .map_or_else(Vec::new, |source| source.inputs(0))
     }
 
+    fn notices(&self) -> Notices {
+        let mut notices = Notices::default();
+        self.0.iter().for_each(|source| notices.extend(source.notices()));
+        notices
+    }
+
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        // Of several there are none.
+        self.0.first()?.ranks()
+    }
+
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         match self.0.get(step as usize) {
-            Some(source) => source.read(0, progress),
+            Some(_) => only_piece(|sink| self.read_pieces(step, progress, usize::MAX, sink)),
             None => {
                 let why = format!("{step}, expected less than {}", self.0.len());
                 Err(ReadError::new(Path::new("numbered files"), "step", why))
@@ -190,7 +205,11 @@ impl Source for StepFiles {
         sink: &mut Sink<'_>,
     ) -> Result<(), ReadError> {
         match self.0.get(step as usize) {
-            Some(source) => source.read_pieces(0, progress, piece, sink),
+            // Ranks of labels would differ from file to file.
+            Some(source) => match source.read_pieces(0, progress, piece, sink) {
+                Err(error) if error.again && self.0.len() > 1 => Err(merging_steps(&error.path)),
+                read => read,
+            },
             None => self.read(step, progress).map(drop),
         }
     }

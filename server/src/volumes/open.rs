@@ -9,29 +9,25 @@ use std::path::{Path, PathBuf};
 
 use super::beneath::is_link_out;
 use super::formats::vtk::{collection, pieces};
-use super::formats::{EXPECTED, FOLDERS, FolderFormat, FolderVolume, Format};
-use super::{Dataset, Field, FileLocation, Frame, LengthUnit, OpenedFile, ReadError, numbered};
+use super::formats::{EXPECTED, FOLDERS, FolderFormat, FolderVolume, Format, format_of, label_table};
+use super::{Dataset, Field, FileLocation, Frame, LengthUnit, Notices, OpenedFile, ReadError, numbered};
 
-/// Reads the header of one file, in the format that its name says. Positions of patients are in [`Frame::Lps`].
+/// Reads the header of one file, in the format that its first bytes and its name say. Positions of patients are in [`Frame::Lps`].
 ///
 /// # Errors
 /// An unknown format, or what its reader found wrong.
 pub fn read_file(location: &FileLocation) -> Result<OpenedFile, ReadError> {
-    if let Some(format) = Format::of(location.path()) {
-        let location = &location.packed_by_name();
-        let mut file = match location.part() {
-            Some(part) if !format.has_parts => {
-                let why = format!("{part:?} is named in it, expected no name: such a file holds one volume");
-                Err(ReadError::new(location.path(), "file", why))
-            }
-            _ => (format.open)(location),
-        }?;
-        file.geometry = file.geometry.in_frame(Frame::Lps);
-        return Ok(file);
-    }
-    location.open()?;
-    let why = format!("unknown format, {EXPECTED}");
-    Err(ReadError::new(location.path(), "file", why))
+    let (format, location) = format_of(location)?;
+    let mut file = match location.part() {
+        Some(part) if !format.has_parts => {
+            let why = format!("{part:?} is named in it, expected no name: such a file holds one volume");
+            Err(ReadError::new(location.path(), "file", why))
+        }
+        _ => (format.open)(&location),
+    }?;
+    file.geometry = file.geometry.in_frame(Frame::Lps);
+    label_table::name_labels(&location, &mut file);
+    Ok(file)
 }
 
 /// The volumes in a folder, sorted by name.
@@ -206,8 +202,11 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
             }
         }
     }
-    let mut notices: Vec<&str> = files.iter().filter_map(|(_, f)| f.notice.as_deref()).collect();
-    notices.dedup();
+    let mut notices = Notices::default();
+    for (location, file) in &files {
+        file.notices.log(location.path());
+        notices.extend(file.notices.clone());
+    }
     Ok(Dataset {
         id: slug(title),
         title: title.to_owned(),
@@ -216,7 +215,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         steps: first.steps,
         uneven: first.uneven.clone(),
         times: first.times.clone(),
-        notice: (!notices.is_empty()).then(|| notices.join("; ")),
+        notices,
         fields: files.into_iter().flat_map(|(_, f)| f.fields).collect(),
         revision: 0,
         rewrites: Vec::new(),

@@ -5,18 +5,20 @@ use std::path::{Path, PathBuf};
 use half::f16;
 use isopeel_kernels::{SampleType, Samples};
 
+use super::conversion::Conversion;
 use super::scalar::Scalar;
 use super::stored::{Endian, StoredType};
 use super::{ReadError, Sink};
 
 /// Pieces in the order of the samples, x fastest, joined in the device's type. Memory grows with what was decoded, whatever a header
 /// claims.
-pub(super) struct Pieces {
+pub(super) struct Pieces<'a> {
     path: PathBuf,
     expected: u64,
     /// Samples that were handed over.
     given: u64,
     samples: Samples,
+    conversion: &'a Conversion,
 }
 
 fn none_of(sample_type: SampleType) -> Samples {
@@ -29,14 +31,15 @@ fn none_of(sample_type: SampleType) -> Samples {
     }
 }
 
-impl Pieces {
+impl<'a> Pieces<'a> {
     /// None yet of `expected` samples. `path` is named in errors.
-    pub(super) fn new(path: &Path, sample_type: SampleType, expected: u64) -> Self {
+    pub(super) fn new(path: &Path, sample_type: SampleType, expected: u64, conversion: &'a Conversion) -> Self {
         Self {
             path: path.to_owned(),
             expected,
             given: 0,
             samples: none_of(sample_type),
+            conversion,
         }
     }
 
@@ -69,8 +72,13 @@ impl Pieces {
             (Samples::I8(to), StoredType::I8, None) => append::<i8, _>(to, bytes, swap, |v| v),
             (Samples::U16(to), StoredType::U16, None) => append::<u16, _>(to, bytes, swap, |v| v),
             (Samples::I16(to), StoredType::I16, None) => append::<i16, _>(to, bytes, swap, |v| v),
-            (Samples::F32(to), _, None) => append_floats(to, bytes, stored, swap, None),
-            (Samples::F32(to), _, Some(scale)) => append_floats(to, bytes, stored, swap, Some(scale)),
+            (Samples::F32(to), ..) => Floats {
+                to,
+                swap,
+                scale,
+                conversion: self.conversion,
+            }
+            .append(bytes, stored),
             (samples, ..) => {
                 let device = samples.sample_type();
                 let why = format!("a piece of {}, expected all of one type: {device:?}", stored.name());
@@ -101,7 +109,7 @@ impl Pieces {
     ///
     /// # Errors
     /// Fewer than expected, or the sink's.
-    pub(super) fn finish(mut self, sink: &mut Sink<'_>) -> Result<(), ReadError> {
+    pub(super) fn finish(&mut self, sink: &mut Sink<'_>) -> Result<(), ReadError> {
         let have = self.have();
         if have == self.expected {
             return self.hand_over(1, sink);
@@ -123,31 +131,49 @@ fn append<S: Scalar, T>(to: &mut Vec<T>, bytes: &[u8], swap: bool, convert: impl
     Ok(())
 }
 
-fn append_floats(
-    to: &mut Vec<f32>,
-    bytes: &[u8],
-    stored: StoredType,
+/// 32-bit floats that others are converted to.
+struct Floats<'a> {
+    to: &'a mut Vec<f32>,
     swap: bool,
     scale: Option<[f64; 2]>,
-) -> Result<(), NoMemory> {
-    fn scaled<S: Scalar>(to: &mut Vec<f32>, bytes: &[u8], swap: bool, scale: Option<[f64; 2]>) -> Result<(), NoMemory> {
-        match scale {
-            None => append::<S, _>(to, bytes, swap, Scalar::to_f32),
-            Some([slope, inter]) => append::<S, _>(to, bytes, swap, |v| (slope * v.to_f64() + inter) as f32),
+    conversion: &'a Conversion,
+}
+
+impl Floats<'_> {
+    fn append(self, bytes: &[u8], stored: StoredType) -> Result<(), NoMemory> {
+        match stored {
+            StoredType::U8 => self.append_as::<u8>(bytes),
+            StoredType::I8 => self.append_as::<i8>(bytes),
+            StoredType::U16 => self.append_as::<u16>(bytes),
+            StoredType::I16 => self.append_as::<i16>(bytes),
+            StoredType::U32 => self.append_as::<u32>(bytes),
+            StoredType::I32 => self.append_as::<i32>(bytes),
+            StoredType::U64 => self.append_as::<u64>(bytes),
+            StoredType::I64 => self.append_as::<i64>(bytes),
+            StoredType::F16 => self.append_as::<f16>(bytes),
+            StoredType::F32 => self.append_as::<f32>(bytes),
+            StoredType::F64 => self.append_as::<f64>(bytes),
         }
     }
-    match stored {
-        StoredType::U8 => scaled::<u8>(to, bytes, swap, scale),
-        StoredType::I8 => scaled::<i8>(to, bytes, swap, scale),
-        StoredType::U16 => scaled::<u16>(to, bytes, swap, scale),
-        StoredType::I16 => scaled::<i16>(to, bytes, swap, scale),
-        StoredType::U32 => scaled::<u32>(to, bytes, swap, scale),
-        StoredType::I32 => scaled::<i32>(to, bytes, swap, scale),
-        StoredType::U64 => scaled::<u64>(to, bytes, swap, scale),
-        StoredType::I64 => scaled::<i64>(to, bytes, swap, scale),
-        StoredType::F16 => scaled::<f16>(to, bytes, swap, scale),
-        StoredType::F32 => scaled::<f32>(to, bytes, swap, scale),
-        StoredType::F64 => scaled::<f64>(to, bytes, swap, scale),
+
+    fn append_as<S: Scalar>(self, bytes: &[u8]) -> Result<(), NoMemory> {
+        let (width, swap) = (size_of::<S>(), self.swap);
+        let stored = |i: usize| {
+            let value: S = bytemuck::pod_read_unaligned(&bytes[i * width..(i + 1) * width]);
+            if swap { value.swapped() } else { value }
+        };
+        let (begin, count) = (self.to.len(), bytes.len() / width);
+        self.to.try_reserve(count)?;
+        self.to.resize(begin + count, 0.0);
+        let values = &mut self.to[begin..];
+        match self.scale {
+            None => self.conversion.convert(stored, values),
+            Some([slope, inter]) => {
+                self.conversion
+                    .convert_computed(|i| slope * stored(i).to_f64() + inter, values);
+            }
+        }
+        Ok(())
     }
 }
 
@@ -156,12 +182,13 @@ mod tests {
     use super::super::only_piece;
     use super::*;
 
-    fn finish(pieces: Pieces) -> Result<Samples, ReadError> {
+    fn finish(mut pieces: Pieces<'_>) -> Result<Samples, ReadError> {
         only_piece(|sink| pieces.finish(sink))
     }
 
-    fn pieces(sample_type: SampleType, expected: u64) -> Pieces {
-        Pieces::new(Path::new("stack"), sample_type, expected)
+    fn pieces(sample_type: SampleType, expected: u64) -> Pieces<'static> {
+        let conversion = Box::leak(Box::default());
+        Pieces::new(Path::new("stack"), sample_type, expected, conversion)
     }
 
     #[test]

@@ -12,7 +12,7 @@ use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
 use super::scalar::Scalar;
-use super::{Field, FileLocation, Geometry, OpenedFile, ReadError, ReadProgress, Source};
+use super::{Field, FileLocation, Geometry, LabelRanks, Notices, OpenedFile, ReadError, ReadProgress, Source};
 use crate::math::UnevenAxes;
 
 /// Largest deviation from even positions, in parts of their distance, that is taken for rounding.
@@ -76,6 +76,19 @@ impl Positions {
         self.step
     }
 
+    /// 1 if most positions are above the one before, −1 if most are below it.
+    pub(super) fn direction(&self) -> f64 {
+        let signs = self.distances().map(|distance| match distance {
+            distance if distance > 0.0 => 1,
+            distance if distance < 0.0 => -1,
+            _ => 0,
+        });
+        match signs.sum::<i64>() {
+            0 => self.step.signum(),
+            rising => rising.signum() as f64,
+        }
+    }
+
     pub(super) fn is_even(&self) -> bool {
         self.deviation <= EVEN
     }
@@ -123,7 +136,7 @@ pub(super) fn check(path: &Path, geometry: &Geometry, positions: &[Positions; 3]
 }
 
 /// A file whose samples stay where they are.
-fn at_uneven_positions(path: &Path, file: OpenedFile, positions: &[Positions; 3]) -> OpenedFile {
+fn at_uneven_positions(mut file: OpenedFile, positions: &[Positions; 3]) -> OpenedFile {
     let along = |axis: usize| Some(positions[axis].values.as_slice()).filter(|_| !positions[axis].is_even());
     let uneven = UnevenAxes::new([along(0), along(1), along(2)]);
     let notice = format!(
@@ -131,30 +144,31 @@ fn at_uneven_positions(path: &Path, file: OpenedFile, positions: &[Positions; 3]
          were as large as the largest: {}",
         unevenness(positions)
     );
-    tracing::info!(path = %path.display(), "{notice}");
+    file.notices.add(notice);
     OpenedFile {
         uneven: uneven.map(Arc::new),
-        notice: Some(notice),
         ..file
     }
 }
 
 /// A file whose samples have these positions along x, y and z: on an even grid, where that is not too large.
-pub(super) fn on_even_grid(path: &Path, file: OpenedFile, positions: &[Positions; 3]) -> Result<OpenedFile, String> {
+pub(super) fn on_even_grid(
+    path: &Path,
+    mut file: OpenedFile,
+    positions: &[Positions; 3],
+) -> Result<OpenedFile, String> {
     if positions.iter().all(Positions::is_even) {
         return Ok(file);
     }
     let Some((geometry, interpolation)) = Interpolation::new(path, &file.geometry, positions)? else {
-        return Ok(at_uneven_positions(path, file, positions));
+        return Ok(at_uneven_positions(file, positions));
     };
-    let notice = interpolation.notice(positions);
-    tracing::info!(path = %path.display(), "{notice}");
+    file.notices.add(interpolation.notice(positions));
     let interpolation = Arc::new(interpolation);
     let fields = file.fields.into_iter().map(|field| interpolation.field(field));
     Ok(OpenedFile {
         geometry,
         fields: fields.collect(),
-        notice: Some(notice),
         ..file
     })
 }
@@ -319,6 +333,14 @@ impl Source for Interpolated {
         self.source.inputs(step)
     }
 
+    fn notices(&self) -> Notices {
+        self.source.notices()
+    }
+
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        self.source.ranks()
+    }
+
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         let (interpolation, missing) = (&self.interpolation, self.missing);
         let values = match self.source.read(step, progress)? {
@@ -401,7 +423,7 @@ mod tests {
             uneven: None,
             times: None,
             fields: Vec::new(),
-            notice: None,
+            notices: Notices::default(),
         };
         let read = on_even_grid(Path::new("a"), file.clone(), &positions).expect("a file");
         assert_eq!(read.geometry, file.geometry);
@@ -409,7 +431,7 @@ mod tests {
         let z = uneven.of_axis(2).expect("z is uneven");
         assert!((z[1] - 0.02).abs() < 1e-12 && z[2] == 2.0, "{z:?}");
         assert_eq!((uneven.of_axis(0), uneven.of_axis(1)), (None, None));
-        let notice = read.notice.expect("a notice");
+        let notice = read.notices.text().expect("a notice");
         assert!(notice.contains("bounds from above"), "{notice}");
         assert!(
             notice.contains("-99 between samples 1 and 2") || notice.contains("-1 between samples 0 and 1"),

@@ -35,6 +35,16 @@ pub(super) trait Scalar: bytemuck::Pod + Send + Sync {
     fn to_f32(self) -> f32;
     fn to_f64(self) -> f64;
     fn parse(text: &str) -> Option<Self>;
+    /// Whether a 32-bit float does not hold all numbers of this type.
+    const IS_WIDE: bool;
+    const IS_FLOAT: bool;
+    /// The number, if it is a whole one.
+    fn integer(self) -> Option<i128>;
+
+    /// Whether it is 2²⁴ or more, or −2²⁴ or less, beyond which 32-bit floats do not hold all whole numbers.
+    fn is_large(self) -> bool {
+        self.to_f64().abs() >= 16_777_216.0
+    }
 }
 
 /// A type of samples on the device.
@@ -54,8 +64,15 @@ macro_rules! device_scalar {
 device_scalar!(u8: U8, i8: I8, u16: U16, i16: I16, f32: F32);
 
 macro_rules! scalar {
-    ($($t:ty: $swap:expr),*) => {$(
+    ($($t:ty: $wide:literal $float:literal $integer:expr, $swap:expr);*) => {$(
         impl Scalar for $t {
+            const IS_WIDE: bool = $wide;
+            const IS_FLOAT: bool = $float;
+
+            fn integer(self) -> Option<i128> {
+                let integer: fn(Self) -> Option<i128> = $integer;
+                integer(self)
+            }
             fn swapped(self) -> Self {
                 $swap(self)
             }
@@ -72,12 +89,31 @@ macro_rules! scalar {
     )*};
 }
 scalar!(
-    u8: u8::swap_bytes, i8: i8::swap_bytes, u16: u16::swap_bytes, i16: i16::swap_bytes, u32: u32::swap_bytes,
-    i32: i32::swap_bytes, u64: u64::swap_bytes, i64: i64::swap_bytes,
-    f32: |v: f32| f32::from_bits(v.to_bits().swap_bytes()), f64: |v: f64| f64::from_bits(v.to_bits().swap_bytes())
+    u8: false false |v| Some(v.into()), u8::swap_bytes;
+    i8: false false |v| Some(v.into()), i8::swap_bytes;
+    u16: false false |v| Some(v.into()), u16::swap_bytes;
+    i16: false false |v| Some(v.into()), i16::swap_bytes;
+    u32: true false |v| Some(v.into()), u32::swap_bytes;
+    i32: true false |v| Some(v.into()), i32::swap_bytes;
+    u64: true false |v| Some(v.into()), u64::swap_bytes;
+    i64: true false |v| Some(v.into()), i64::swap_bytes;
+    f32: false true |v| whole(v.into()), |v: f32| f32::from_bits(v.to_bits().swap_bytes());
+    f64: true true whole, |v: f64| f64::from_bits(v.to_bits().swap_bytes())
 );
 
+/// A whole number in a double, of those that it holds exactly.
+fn whole(value: f64) -> Option<i128> {
+    (value.fract() == 0.0 && value.abs() < 9.0e15).then_some(value as i128)
+}
+
 impl Scalar for f16 {
+    const IS_WIDE: bool = false;
+    const IS_FLOAT: bool = true;
+
+    fn integer(self) -> Option<i128> {
+        whole(self.to_f64())
+    }
+
     fn swapped(self) -> Self {
         Self::from_bits(self.to_bits().swap_bytes())
     }

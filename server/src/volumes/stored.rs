@@ -7,7 +7,7 @@ use isopeel_kernels::SampleType;
 
 pub(super) use super::codec::DEFLATE_RATIO;
 pub use super::codec::{Encoding, Endian};
-use super::{FileLocation, Geometry, ReadError};
+use super::{FileLocation, Findings, Geometry, ReadError};
 
 /// Type of a sample in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -81,6 +81,14 @@ impl StoredType {
     }
 }
 
+/// Bytes behind the last sample that are passed over at most, such as block devices and editors leave.
+pub(super) const MAX_PADDING: u64 = 1 << 20;
+
+/// Whether bytes are zeros or white space.
+pub(super) fn is_blank(bytes: &[u8]) -> bool {
+    bytes.iter().all(|byte| *byte == 0 || byte.is_ascii_whitespace())
+}
+
 /// Where samples begin in their file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
@@ -123,6 +131,8 @@ pub struct StoredSamples {
     pub first: u64,
     /// Distance in samples between red, green and blue, where the value is their luminance.
     pub luminance: Option<u64>,
+    /// What was found in the file and its samples.
+    pub findings: Findings,
 }
 
 /// Strides of an order with x fastest, then y, z, time; `None` where the product passes 64 bits.
@@ -169,6 +179,7 @@ impl StoredSamples {
             channels: 1,
             first: 0,
             luminance: None,
+            findings: Findings::default(),
         })
     }
 
@@ -238,10 +249,39 @@ impl StoredSamples {
         format!("{x} x {y} x {z}{steps}{channels} samples of {}", self.stored.name())
     }
 
-    /// Compares what the header claims with the file's length, without reading a sample.
+    /// As [`Self::check`], of samples whose number nothing but the file's length confirms.
     ///
     /// # Errors
     /// The file is too short, or plain and too long; the message names `header_field`.
+    pub fn check_exactly(&self, header_field: &str) -> Result<(), ReadError> {
+        self.check(header_field)?;
+        match self.excess() {
+            0 => Ok(()),
+            more => {
+                let what = self.describe();
+                let have = self.file_bytes;
+                Err(self.error(format!(
+                    "{have} bytes, {more} more than expected: {header_field} says {what}"
+                )))
+            }
+        }
+    }
+
+    /// Bytes of plain samples behind the last one.
+    fn excess(&self) -> u64 {
+        match (self.encoding, self.begin) {
+            (Encoding::Raw, Begin::At(begin)) if self.packing().is_none() => {
+                let needed = (self.array_samples() * self.stored.bytes()).saturating_add(self.skip_decoded);
+                self.end().saturating_sub(begin).saturating_sub(needed)
+            }
+            _ => 0,
+        }
+    }
+
+    /// Compares what the header claims with the file's length, without reading a sample. Bytes behind the last sample are a notice.
+    ///
+    /// # Errors
+    /// The file is too short; the message names `header_field`.
     pub fn check(&self, header_field: &str) -> Result<(), ReadError> {
         let fail = |why: String| Err(self.error(why));
         let claimed = self.array_samples() * self.stored.bytes();
@@ -268,10 +308,18 @@ impl StoredSamples {
             (Encoding::Raw, _) if have < needed => {
                 fail(format!("{have} bytes, expected {needed}: {header_field} says {what}"))
             }
-            (Encoding::Raw, _) if have > needed => fail(format!(
+            (Encoding::Raw, _) if have > needed && !self.is_padding(begin + needed, have - needed) => fail(format!(
                 "{have} bytes, {} more than expected: {header_field} says {what}",
                 have - needed
             )),
+            (Encoding::Raw, _) if have > needed => {
+                let more = have - needed;
+                let bytes = if more == 1 { "byte" } else { "bytes" };
+                let notice =
+                    format!("passed over: {more} {bytes} behind the last sample, as {header_field} says {what}");
+                self.findings.report(self.location.path(), notice);
+                Ok(())
+            }
             // One more: the last number needs no space behind it.
             (Encoding::Text, _) if have.div_ceil(2) < self.array_samples() => fail(format!(
                 "{have} bytes of text, expected at least {}: {header_field} says {what}",
@@ -282,6 +330,24 @@ impl StoredSamples {
             )),
             _ => Ok(()),
         }
+    }
+
+    /// Whether bytes behind the last sample are no samples that the header denies: fewer than it has, or zeros.
+    fn is_padding(&self, at: u64, bytes: u64) -> bool {
+        if self.end.is_some() || self.begin == Begin::BeforeEnd {
+            return false;
+        }
+        let is_less = bytes < self.array_samples() * self.stored.bytes();
+        bytes <= MAX_PADDING && (is_less || self.has_zeros(at, bytes))
+    }
+
+    fn has_zeros(&self, at: u64, bytes: u64) -> bool {
+        let mut rest = vec![0; bytes as usize];
+        let read = self
+            .location
+            .open_stored()
+            .map(|blob| blob.read_exact_at(&mut rest, at));
+        matches!(read, Ok(Ok(()))) && is_blank(&rest)
     }
 
     /// As [`Self::check`], of a compressed file of plain samples.

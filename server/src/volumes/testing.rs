@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use isopeel_kernels::{SampleType, Samples};
 
-use super::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source};
+use super::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source};
 
 #[derive(Debug)]
 struct NoSamples;
@@ -31,6 +31,7 @@ pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
         sample_type: SampleType::U8,
         missing: None,
         unit: None,
+        labels: Vec::new(),
         source: Arc::new(NoSamples),
     };
     Dataset {
@@ -44,7 +45,7 @@ pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
         revision: 0,
         rewrites: Vec::new(),
         fields: fields.iter().map(field).collect(),
-        notice: None,
+        notices: Notices::default(),
         opening: None,
     }
 }

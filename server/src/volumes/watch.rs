@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use super::catalog::{Catalog, SharedCatalog, open_path};
+use super::catalog::{Catalog, SharedCatalog, Unreadable, open_path};
 use super::open::slug;
 use super::{Dataset, Frame, ReadError};
 
@@ -33,6 +33,8 @@ struct Watched {
     opened: Option<Stamps>,
     seen: Stamps,
     datasets: Vec<Arc<Dataset>>,
+    /// Why it cannot be read, unless it is a folder that gets files.
+    unreadable: Option<Unreadable>,
     /// Tries that failed since, and looks until the next one.
     failures: u32,
     pause: u32,
@@ -49,10 +51,10 @@ pub struct Watcher {
 }
 
 impl Watcher {
-    /// Opens every path, as [`Catalog::open`]. A folder without a volume is one that gets some.
+    /// Opens every path, as [`Catalog::open`]. A folder without a volume is one that gets some; another path that cannot be read is tried again.
     ///
     /// # Errors
-    /// What is wrong with a path that is no folder.
+    /// The demo cannot be read.
     pub fn open(paths: &[PathBuf], demo: bool, frame: Frame) -> Result<Self, ReadError> {
         let mut watcher = Self {
             paths: Vec::new(),
@@ -63,19 +65,20 @@ impl Watcher {
         };
         for path in paths {
             let seen = stamps(path);
-            let (opened, datasets) = match open_path(path) {
-                Ok(datasets) => (Some(seen.clone()), datasets),
-                Err(error) if path.is_dir() => {
+            let (opened, datasets, unreadable) = match open_path(path) {
+                Ok(datasets) => (Some(seen.clone()), datasets, None),
+                Err(error) => {
                     tracing::warn!("nothing to offer yet: {error}");
-                    (None, Vec::new())
+                    let unreadable = (!path.is_dir()).then(|| Unreadable::new(path, &error));
+                    (None, Vec::new(), unreadable)
                 }
-                Err(error) => return Err(error),
             };
             watcher.paths.push(Watched {
                 path: path.clone(),
                 opened,
                 seen,
                 datasets: Vec::new(),
+                unreadable,
                 failures: 0,
                 pause: 0,
             });
@@ -125,7 +128,8 @@ impl Watcher {
                     .filter(|(file, stamp)| watched.seen.get(file) != Some(stamp));
                 let changed: Vec<PathBuf> = changed.map(|(file, _)| file).collect();
                 (watched.failures, watched.pause) = (0, 0);
-                self.take(at, datasets, &changed)
+                let was_unreadable = watched.unreadable.take().is_some();
+                self.take(at, datasets, &changed) || was_unreadable
             }
             Err(error) => {
                 if watched.failures == 0 {
@@ -180,7 +184,9 @@ impl Watcher {
             .iter()
             .flat_map(|watched| &watched.datasets)
             .chain(&self.demo);
-        self.catalog.replace(Catalog::of(datasets.cloned().collect()));
+        let unreadable = self.paths.iter().filter_map(|watched| watched.unreadable.clone());
+        let catalog = Catalog::of(datasets.cloned().collect(), unreadable.collect());
+        self.catalog.replace(catalog);
     }
 }
 

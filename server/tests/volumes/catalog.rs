@@ -152,9 +152,19 @@ fn a_folder_with_two_grids_names_the_files() {
     let ids: Vec<&str> = catalog.datasets().iter().map(|d| d.id.as_str()).collect();
     assert_eq!(ids, ["a", "b"]);
     assert_eq!(catalog.get("b").unwrap().steps, 2);
-    // If it is named itself, it is an error.
+    let notice = catalog.get("a").unwrap().notice().unwrap();
+    assert!(notice.contains("passed over: broken.nrrd: type: missing"), "{notice}");
+    // If it is named itself, it is an error; beside another one it is listed with its reason.
     let error = Catalog::open(&[at.join("broken.nrrd")], false).unwrap_err();
     assert_eq!(error.field, "type");
+    let catalog = Catalog::open(&[at.join("broken.nrrd"), at.join("a.nrrd"), at.join("gone")], false).unwrap();
+    assert_eq!(catalog.datasets().len(), 1);
+    let unreadable: Vec<(&str, bool)> = catalog
+        .unreadable()
+        .iter()
+        .map(|path| (path.name.as_str(), path.reason.contains(&at.display().to_string())))
+        .collect();
+    assert_eq!(unreadable, [("broken.nrrd", false), ("gone", false)], "without folders");
 }
 
 #[test]
@@ -225,7 +235,7 @@ fn the_demo_is_the_mni152_head() {
     );
     assert_eq!((demo.geometry.dims, demo.geometry.spacing), ([197, 233, 189], [1.0; 3]));
     assert_eq!(demo.geometry.origin, [98.0, 134.0, -72.0]);
-    assert!(demo.notice.as_ref().unwrap().contains("McConnell Brain Imaging Centre"));
+    assert!(demo.notice().unwrap().contains("McConnell Brain Imaging Centre"));
     for field in &demo.fields {
         let samples = field.source.load(0).unwrap();
         assert!(matches!(samples, Samples::U8(_)), "{}", field.name);

@@ -3,7 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use isopeel::volumes::{Dataset, LengthUnit, TimeAxis, open_dataset};
+use isopeel::extraction::LabelInfo;
+use isopeel::volumes::{Dataset, Field, LengthUnit, TimeAxis, open_dataset};
 use serde::Deserialize;
 
 /// What is in a volume: one entry of the list in a JSON file.
@@ -25,6 +26,9 @@ struct Expected {
     /// Labels of the steps, where they are compared.
     #[serde(default)]
     times: Option<Vec<String>>,
+    /// Words of the notice, of a file that is repaired.
+    #[serde(default)]
+    notice: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -34,6 +38,9 @@ struct ExpectedField {
     unit: Option<String>,
     /// Index along x, y, z, and the step; the value there, `null` where it is missing.
     samples: Vec<([u32; 3], u32, Option<f32>)>,
+    /// Value, name and colour of labels; a colour that is null is not compared.
+    #[serde(default)]
+    labels: Vec<(f32, String, Option<String>)>,
 }
 
 fn folder() -> PathBuf {
@@ -77,6 +84,7 @@ fn compare(dataset: &Dataset, expected: &Expected) {
         let what = format!("{what}, {}", field.name);
         assert_eq!(field.unit, expected.unit, "{what}");
         assert!(!expected.samples.is_empty(), "{what}");
+        compare_labels(field, &expected.labels, &what);
         for step in 0..dataset.steps {
             let samples = field.source.load(step).unwrap_or_else(|e| panic!("{what}: {e}"));
             for ([x, y, z], _, value) in expected.samples.iter().filter(|(_, at, _)| *at == step) {
@@ -97,6 +105,18 @@ fn compare(dataset: &Dataset, expected: &Expected) {
     }
 }
 
+fn compare_labels(field: &Field, expected: &[(f32, String, Option<String>)], what: &str) {
+    let found = LabelInfo::of(field).unwrap_or_default();
+    assert_eq!(found.len(), expected.len(), "{what}: {found:?}");
+    for (label, (value, name, color)) in found.iter().zip(expected) {
+        assert_eq!((label.value, label.name.as_ref()), (*value, Some(name)), "{what}");
+        assert!(
+            color.is_none() || label.color == *color,
+            "{what}: {label:?}, expected {color:?}"
+        );
+    }
+}
+
 #[test]
 fn files_of_other_programs_are_read_as_they_read_them() {
     let mut lists: Vec<PathBuf> = std::fs::read_dir(folder())
@@ -112,6 +132,14 @@ fn files_of_other_programs_are_read_as_they_read_them() {
         for expected in volumes {
             let dataset = open_dataset(&folder().join(&expected.open)).unwrap_or_else(|e| panic!("{e}"));
             compare(&dataset, &expected);
+            let notice = dataset.notice().unwrap_or_default();
+            if let Some(words) = &expected.notice {
+                assert!(
+                    notice.contains(words),
+                    "{}: {notice:?}, expected {words:?}",
+                    expected.open
+                );
+            }
         }
     }
 }

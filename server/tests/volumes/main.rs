@@ -9,6 +9,7 @@ mod formats;
 mod hostile;
 mod mrc;
 mod mutated;
+mod n5;
 mod nifti;
 mod nrrd;
 mod pieces;

@@ -149,6 +149,59 @@ fn bytes_have_a_sign_unless_imod_says_otherwise() {
 }
 
 #[test]
+fn what_is_repaired_is_said() {
+    let v = plain();
+    let expected = with(&|_| {}).unwrap();
+    let repaired = |words: &str, edit: &dyn Fn(&mut Header)| {
+        let file = open("a.mrc", mrc(&v, |h| edit(h))).unwrap();
+        let notice = file.notices.text().unwrap_or_default();
+        assert!(notice.contains(words), "{notice:?}, expected {words:?}");
+        assert_eq!(
+            file.fields[0].source.load(0).unwrap(),
+            expected.fields[0].source.load(0).unwrap(),
+            "{words}"
+        );
+        file.geometry
+    };
+    for stamp in [
+        [0x44, 0x11],
+        [0x44, 0],
+        [0x44, 0x20],
+        [0, 0],
+        [0x22, 0x41],
+        [0x11, 0x11],
+    ] {
+        let words = if stamp == [0x11, 0x11] {
+            "0x11 0x11"
+        } else {
+            "the machine stamp"
+        };
+        repaired(words, &|h| h.bytes[212..214].copy_from_slice(&stamp));
+    }
+    repaired("the word MAP is missing", &|h| h.bytes[208..212].fill(0));
+    let spacing = expected.geometry.spacing;
+    let geometry = repaired("MY is 0: 3 intervals", &|h| h.i32(9, 0));
+    assert_eq!(geometry.spacing, spacing);
+    let geometry = repaired("CELLA has no length along Y", &|h| h.f32(12, 0.0));
+    assert_eq!(geometry.spacing, [spacing[0], spacing[0], spacing[2]]);
+    let bytes = Volume::new([4, 3, 5], 1, ('i', 1), false);
+    for (low, high, first) in [
+        (0.0, 255.0, 128.0),
+        (0.0, 127.0, -128.0),
+        (-128.0, 127.0, -128.0),
+        (0.0, 0.0, -128.0),
+    ] {
+        let edit = |h: &mut Header| {
+            h.f32(20, low);
+            h.f32(21, high);
+        };
+        let file = open("a.mrc", mrc(&bytes, edit)).unwrap();
+        assert_eq!(file.fields[0].source.load(0).unwrap().get(0), first, "{low} to {high}");
+        assert_eq!(file.notices.is_empty(), first < 0.0);
+    }
+}
+
+#[test]
 fn an_extended_header_is_passed_over() {
     let v = plain();
     let mut bytes = mrc(&v, |h| h.i32(24, 160));
@@ -161,11 +214,21 @@ fn an_extended_header_is_passed_over() {
 fn what_is_no_map_is_refused() {
     let cases: Vec<(&str, &str, Result<OpenedFile, ReadError>)> = vec![
         ("header", "1000 bytes, expected 1024", open("a.mrc", vec![0; 1000])),
-        ("MAP", "\"MAQ \", expected \"MAP \"", with(&|h| h.bytes[210] = b'Q')),
+        (
+            "MAP",
+            "\"MAQ \", expected \"MAP \"",
+            with(&|h| {
+                h.bytes[210] = b'Q';
+                h.i32(4, 77);
+            }),
+        ),
         (
             "MACHST",
             "0x22 0x41, expected 0x44 0x44",
-            with(&|h| h.bytes[212..214].copy_from_slice(&[0x22, 0x41])),
+            with(&|h| {
+                h.bytes[212..214].copy_from_slice(&[0x22, 0x41]);
+                h.i32(4, 77);
+            }),
         ),
         ("MODE", "4 (complex), expected 0", with(&|h| h.i32(4, 4))),
         ("MODE", "101 (4 bits)", with(&|h| h.i32(4, 101))),
@@ -194,13 +257,8 @@ fn what_is_no_map_is_refused() {
         ),
         ("NSYMBT", "-80, expected the bytes", with(&|h| h.i32(24, -80))),
         ("data", "should begin at", with(&|h| h.i32(24, i32::MAX))),
-        (
-            "MX, MY, MZ",
-            "[4, 0, 5], expected three numbers above 0",
-            with(&|h| h.i32(9, 0)),
-        ),
-        ("CELLA, MX, MY, MZ", "above 0", with(&|h| h.f32(12, 0.0))),
-        ("CELLA, MX, MY, MZ", "NaN", with(&|h| h.f32(12, f32::NAN))),
+        ("CELLA", "NaN", with(&|h| h.f32(12, f32::NAN))),
+        ("CELLA", "-1", with(&|h| h.f32(12, -1.0))),
         ("CELLB", "expected angles of a cell", with(&|h| h.f32(14, 180.0))),
         (
             "CELLB",

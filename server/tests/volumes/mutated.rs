@@ -9,13 +9,15 @@ use crate::changed;
 use crate::hostile::read;
 
 /// Files of `tests/fixtures/volumes`, format by format.
-const FILES: [&[&str]; 4] = [
+const FILES: [&[&str]; 5] = [
     &[
         "hdf5_fiji.h5",
         "hdf5_filters.h5",
         "hdf5_half.h5",
         "hdf5_indexes.h5",
         "hdf5_scales.h5",
+        "named_axistags.h5",
+        "named_labels.h5",
         "netcdf_grouped.nc4",
         "netcdf_unwritten.nc",
     ],
@@ -25,6 +27,14 @@ const FILES: [&[&str]; 4] = [
         "netcdf_offset64.nc",
         "rectilinear.nc",
         "uneven.nc",
+        "named_pressure.nc",
+    ],
+    &[
+        "convention_bdv.h5",
+        "convention_imaris.ims",
+        "convention_openpmd.h5",
+        "convention_points.vtkhdf",
+        "convention_steps.vtkhdf",
     ],
     &[
         "rectilinear-ascii.vtk",

@@ -83,3 +83,66 @@ fn nifti_affines() {
     assert_eq!(g.frame, Frame::World);
     assert_eq!((g.spacing, g.origin, g.is_axis_aligned()), (v.spacing, [0.0; 3], true));
 }
+
+#[test]
+fn what_is_repaired_is_said() {
+    let v = Volume::new(DIMS, 1, ('i', 2), false);
+    let opened = |edit: &dyn Fn(&mut write::Nifti)| {
+        let file = open("a.nii", write::nifti(&v, |h| edit(h))).unwrap();
+        same(&file, &v, "repaired");
+        (file.notices.text().unwrap_or_default(), file.geometry)
+    };
+    assert_eq!(opened(&|_| {}).0, "");
+    // A zero `sform` beside a `qform`, and alone.
+    let zero = |h: &mut write::Nifti| (0..12).for_each(|i| h.f32(280 + 4 * i, 0.0));
+    let (notice, geometry) = opened(&|h| {
+        zero(h);
+        h.i16(252, 1);
+        h.f32(268, 7.0);
+    });
+    assert!(notice.starts_with("sform describes no grid, qform"), "{notice}");
+    assert_eq!((geometry.spacing, geometry.frame), (v.spacing, Frame::Lps));
+    let (notice, geometry) = opened(&zero);
+    assert!(notice.starts_with("sform describes no grid, pixdim"), "{notice}");
+    assert_eq!((geometry.spacing, geometry.frame), (v.spacing, Frame::World));
+    // Distances below 0, and none.
+    let (notice, geometry) = opened(&|h| {
+        h.i16(254, 0);
+        h.f32(80, -0.5);
+        h.f32(84, 0.0);
+    });
+    assert_eq!(geometry.spacing, [0.5, 1.0, 2.0]);
+    assert_eq!(
+        notice,
+        "pixdim[1] is -0.5: samples are taken to be 0.5 apart\npixdim[2] is 0: samples are taken to be 1 apart"
+    );
+    assert!(opened(&|h| h.i16(72, 0)).0.starts_with("bitpix is 0, expected 16"));
+    assert!(opened(&|h| h.f32(108, 0.0)).0.starts_with("vox_offset is 0"));
+}
+
+#[test]
+fn a_pair_is_named_by_either_file() {
+    use std::sync::Arc;
+
+    use isopeel::volumes::location::MemoryFolder;
+    use isopeel::volumes::{FileLocation, read_file};
+
+    let v = Volume::new(DIMS, 1, ('i', 2), true);
+    for header in [write::analyze(&v), {
+        let nifti = write::nifti(&v, |h| {
+            h.f32(108, 0.0);
+            h.bytes[344..348].copy_from_slice(b"ni1\0");
+        });
+        nifti[..348].to_vec()
+    }] {
+        let folder = MemoryFolder::from([("a.hdr".into(), header.into()), ("a.img".into(), v.bytes().into())]);
+        let folder = Arc::new(folder);
+        for name in ["a.hdr", "a.img"] {
+            let file = read_file(&FileLocation::memory(Arc::clone(&folder), name)).unwrap();
+            same(&file, &v, name);
+            assert_eq!(file.geometry.spacing, v.spacing);
+        }
+    }
+    let error = open("a.img", v.bytes()).unwrap_err();
+    assert!(error.why.contains("no file \"a.hdr\" beside it"), "{error}");
+}

@@ -116,7 +116,7 @@ fn false_pieces_are_refused() {
     );
     let why = refused(&WHOLE.replace("\"PImageData\"", "\"PRectilinearGrid\""), &left, &right);
     assert!(why.contains("\"ImageData\", expected RectilinearGrid"), "{why}");
-    let why = refused("<html/>", &left, &right);
+    let why = refused("<svg/>", &left, &right);
     assert!(why.contains("PImageData: no such element"), "{why}");
     let whole = WHOLE.replace("<Piece ", "<Other ");
     let why = refused(&whole, &left, &right);
@@ -154,7 +154,7 @@ fn rectilinear_pieces_are_one_volume() {
         ([5, 2, 2], [25.0, 2.0, 1.0])
     );
     assert_eq!(read.geometry.origin, [1.0, 0.0, 5.0]);
-    let notice = read.notice.unwrap();
+    let notice = read.notices.text().unwrap();
     assert!(
         notice.contains("96 between samples 3 and 4, the largest deviation"),
         "{notice}"
@@ -171,7 +171,7 @@ fn rectilinear_pieces_are_one_volume() {
     )
     .unwrap();
     assert_eq!(
-        (even.geometry.spacing, even.uneven, even.notice),
+        (even.geometry.spacing, even.uneven, even.notices.text()),
         ([2.0, 2.0, 1.0], None, None)
     );
     // A little uneven: interpolated as a whole.

@@ -106,8 +106,8 @@ fn compare(remote: &Dataset, local: &Dataset) {
         (&local.id, &local.title, local.layout, local.geometry, local.steps)
     );
     assert_eq!(
-        (format!("{:?}", names(remote)), &remote.notice, &remote.times),
-        (format!("{:?}", names(local)), &local.notice, &local.times)
+        (format!("{:?}", names(remote)), &remote.notices, &remote.times),
+        (format!("{:?}", names(local)), &local.notices, &local.times)
     );
     for (remote, local) in remote.fields.iter().zip(&local.fields) {
         let progress = ReadProgress::default();

@@ -185,8 +185,9 @@ fn false_collections_are_errors() {
         assert!(error.contains(expected), "{files:?}: {error}");
     }
     for (text, expected) in [
-        ("", "no such element"),
-        ("<VTKFile type=\"ImageData\"></VTKFile>", "expected Collection"),
+        ("", "is empty"),
+        ("<svg/>", "no such element"),
+        ("<VTKFile type=\"PolyData\"></VTKFile>", "expected Collection"),
         (
             "<VTKFile type=\"Collection\"><Collection><DataSet file=\"a.vti\"/>",
             "ends too early",

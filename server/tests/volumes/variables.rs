@@ -14,8 +14,11 @@ fn open(name: &str) -> Result<isopeel::volumes::Dataset, String> {
 #[test]
 fn what_is_not_read_is_named() {
     for (part, expected) in [
-        ("flat", "5 x 7 samples, expected 3 axes longer than 1"),
-        ("five", "2 x 2 x 2 x 2 x 2 samples, expected 3 axes longer than 1, or 4"),
+        ("flat", "5 x 7 samples, expected 3 axes in space longer than 1"),
+        (
+            "five",
+            "2 x 2 x 2 x 2 x 2 samples, expected 3 axes in space longer than 1, or 4",
+        ),
         (
             "bfloat16",
             "floats of 2 bytes with an exponent of 8 bits and a mantissa of 7, expected half floats of IEEE 754 (5 and 10)",
@@ -71,7 +74,7 @@ fn a_file_without_a_volume_says_what_it_holds() {
 
 #[test]
 fn uneven_grids_say_so() {
-    let notice = open("netcdf_offset64.nc").unwrap().notice.unwrap();
+    let notice = open("netcdf_offset64.nc").unwrap().notices.text().unwrap();
     assert!(
         notice.contains("positions count samples") && notice.contains("\"depth\" is not even"),
         "{notice}"
@@ -80,12 +83,51 @@ fn uneven_grids_say_so() {
         notice.contains("100 between samples 4 and 5, the largest deviation"),
         "{notice}"
     );
-    assert!(open("netcdf_classic.nc").unwrap().notice.is_none());
-    let notice = open("rectilinear.nc").unwrap().notice.unwrap();
+    assert!(open("netcdf_classic.nc").unwrap().notices.is_empty());
+    let notice = open("rectilinear.nc").unwrap().notices.text().unwrap();
     assert!(
         notice.contains("samples are interpolated onto an even grid, 7 x 5 x 6 onto 7 x 5 x 7")
             && notice.contains("\"z\" is not even")
             && notice.contains("-4 between samples 3 and 4, the largest deviation, expected -2.4"),
         "{notice}"
     );
+}
+
+#[test]
+fn what_is_guessed_or_repaired_is_said() {
+    for (name, parts) in [
+        (
+            "hdf5_fiji.h5",
+            &["does not say what its axes are: time, z, y, x were taken"][..],
+        ),
+        ("named_xyz.nc", &[]),
+        ("named_zxy.nc", &[]),
+        ("named_yzx.nc", &[]),
+        (
+            "named_labels.h5",
+            &["does not say how far apart samples are: 1 was taken along each axis"],
+        ),
+        (
+            "named_fill.ome.zarr",
+            &[
+                "the scale -1.5 along \"y\" is negative",
+                "axis \"z\" has no unit: µm was taken",
+            ],
+        ),
+        (
+            "named_axistags.h5",
+            &["no spacing along z: 0.25 was taken, as along another axis"],
+        ),
+        (
+            "named_longitude.nc",
+            &["\"lon\" crosses a full turn: its positions go on from 358 to 364"],
+        ),
+        ("named_pressure.nc", &["the units of lon, lat, plev differ"]),
+    ] {
+        let notices = open(name).unwrap().notices.text().unwrap_or_default();
+        assert_eq!(parts.is_empty(), notices.is_empty(), "{name}: {notices}");
+        for part in parts {
+            assert!(notices.contains(part), "{name}: {notices}");
+        }
+    }
 }

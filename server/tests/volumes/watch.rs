@@ -191,5 +191,15 @@ fn what_cannot_be_opened_keeps_what_was_there() {
         assert!(!watcher.look());
     }
     assert_eq!(listed(&watcher), before);
-    assert!(Watcher::open(&[path], false, Frame::Lps).is_err());
+    // From the start it is one that cannot be read, until it can.
+    let mut watcher = Watcher::open(std::slice::from_ref(&path), false, Frame::Lps).unwrap();
+    let unreadable = |watcher: &Watcher| watcher.catalog().now().unreadable().to_vec();
+    let [gone] = unreadable(&watcher).try_into().expect("one path");
+    assert_eq!(
+        (gone.name.as_str(), gone.reason.as_str()),
+        ("a.nrrd", "file: not found, expected a file")
+    );
+    std::fs::write(&path, nrrd(1, 4)).unwrap();
+    assert!((0..80).any(|_| watcher.look()), "it is tried again");
+    assert!(unreadable(&watcher).is_empty() && listed(&watcher).len() == 1);
 }

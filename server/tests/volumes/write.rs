@@ -382,3 +382,28 @@ pub fn sidecar(v: &Volume, file: &str, encoding: &str) -> Vec<u8> {
     )
     .into_bytes()
 }
+
+/// The header of Analyze 7.5, beside which stand the samples.
+pub fn analyze(v: &Volume) -> Vec<u8> {
+    let mut header = nifti(v, |h| h.f32(108, 0.0))[..348].to_vec();
+    // What follows has another meaning than in NIfTI.
+    header[252..].fill(0);
+    header
+}
+
+/// MGH of signed 16-bit samples, which are big-endian.
+pub fn mgh(v: &Volume) -> Vec<u8> {
+    assert!(v.kind == ('i', 2) && v.big, "shorts, big-endian");
+    let [x, y, z] = v.dims;
+    let words = [1, x, y, z, v.steps, 4, 0];
+    let mut file: Vec<u8> = words.into_iter().flat_map(u32::to_be_bytes).collect();
+    file.extend(1u16.to_be_bytes());
+    let spacing = v.spacing.map(|s| s as f32);
+    let axes = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let centre = [5.0, 6.0, 7.0];
+    let floats = spacing.into_iter().chain(axes).chain(centre);
+    file.extend(floats.flat_map(f32::to_be_bytes));
+    file.resize(284, 0);
+    file.extend(v.bytes());
+    file
+}

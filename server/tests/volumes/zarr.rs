@@ -114,7 +114,7 @@ fn what_is_not_read_is_named() {
     refused(&codec(r#"{"name":"bytes"},{"name":"crc32c"}"#), "its checksum is wrong");
     refused(
         &array("[4,4]", "[4,4]", r#"{"name":"bytes"}"#, &chunk),
-        "without x, y and z",
+        "expected 3 axes in space",
     );
     let folder = codec(r#"{"name":"bytes"}"#);
     assert!(read(&folder).is_ok());
@@ -144,7 +144,7 @@ fn one_of_several_is_named() {
     let error = open_dataset(&fixture("image-0.5.ome.zarr:7")).unwrap_err().to_string();
     assert!(error.contains("no array or group there"), "{error}");
     let error = open_dataset(&fixture("group.zarr:times")).unwrap_err().to_string();
-    assert!(error.contains("without x, y and z"), "{error}");
+    assert!(error.contains("expected 3 axes in space"), "{error}");
     let mut two = files(&fixture("v3-zstd.zarr"));
     for (path, _) in &mut two {
         *path = Path::new("one").join(&path);

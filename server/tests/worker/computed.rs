@@ -110,6 +110,7 @@ async fn expressions_turn_vectors_to_the_grid() {
     let _alone = ALONE.lock().await;
     let worker = DeviceWorker::start(None).expect("a thread");
     let placed = |name: &str, value| Field {
+        labels: Vec::new(),
         source: Arc::new(Placed(value)),
         ..field(name, &Arc::default())
     };

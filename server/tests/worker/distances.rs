@@ -36,6 +36,7 @@ fn labelled() -> Dataset {
     let bytes = |name: &str, value| Field {
         sample_type: SampleType::U8,
         missing: Some(255.0),
+        labels: Vec::new(),
         source: Arc::new(Bytes(value)),
         ..field(name, &Arc::default())
     };

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use isopeel::extraction::{DeviceState, DeviceWorker, OpeningProgress, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
-use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel_kernels::{DerivedFeature, Error, SampleType, Samples};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
@@ -44,6 +44,7 @@ impl Source for Distance {
         progress.add(self.stored_bytes());
         if self.broken {
             return Err(ReadError {
+                again: false,
                 path: PathBuf::from("broken.nrrd"),
                 field: "data".into(),
                 why: "3 bytes, expected 64000".into(),
@@ -67,6 +68,7 @@ fn field(name: &str, source: &Arc<Distance>) -> Field {
         sample_type: SampleType::F32,
         missing: None,
         unit: None,
+        labels: Vec::new(),
         source: source.clone(),
     }
 }
@@ -83,7 +85,7 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
         revision: 0,
         rewrites: Vec::new(),
         fields,
-        notice: None,
+        notices: Notices::default(),
         opening: None,
     })
 }
@@ -220,6 +222,7 @@ async fn a_load_that_nobody_waits_for_is_cancelled() {
     let slow = Arc::new(Slow::default());
     let plain = field("slow", &Arc::default());
     let dataset = dataset(vec![Field {
+        labels: Vec::new(),
         source: slow.clone(),
         ..plain
     }]);

@@ -84,6 +84,7 @@ impl TwoViewers {
     /// With the first surface made: what follows is the tree.
     async fn start() -> Self {
         let small = dataset(vec![Field {
+            labels: Vec::new(),
             source: Arc::new(Folds),
             ..field("folds", &Arc::default())
         }]);

@@ -22,12 +22,7 @@ fn fixture(name: &str) -> std::path::PathBuf {
 fn opened(name: &str) -> Arc<Dataset> {
     let dataset = open_dataset(&fixture(name)).expect("opens");
     assert_eq!(dataset.geometry.dims, [16, 15, 17], "the samples stay as they are");
-    assert!(
-        dataset
-            .notice
-            .as_ref()
-            .is_some_and(|text| text.contains("bounds from above"))
-    );
+    assert!(dataset.notice().is_some_and(|text| text.contains("bounds from above")));
     Arc::new(dataset)
 }
 

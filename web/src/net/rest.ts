@@ -1,7 +1,7 @@
 /** REST calls the viewer makes. Errors carry the server's message (`application/problem+json`). */
 
 import { request as send } from "./credentials";
-import type { Edit, Problem, VolumeSummary } from "../protocol/types";
+import type { Edit, Problem, UnreadablePath, VolumeSummary } from "../protocol/types";
 
 /** How long the server may take for the list of volumes, which is in its memory; a slow line, too. */
 const LIST_LIMIT_MS = 15_000;
@@ -20,6 +20,13 @@ export async function listVolumes(base: URL, limitMs = LIST_LIMIT_MS): Promise<r
     if (signal.aborted) throw new Error(`the server has not answered within ${limitMs / 1000} s`);
     throw error;
   }
+}
+
+/** Paths that the server was given and cannot read. */
+export async function listUnreadable(base: URL, limitMs = LIST_LIMIT_MS): Promise<readonly UnreadablePath[]> {
+  const request = { headers: { accept: "application/json" }, signal: AbortSignal.timeout(limitMs) };
+  const response = await ask(new URL("api/v1/unreadable", base), request);
+  return (await response.json()) as readonly UnreadablePath[];
 }
 
 /** The mesh of a view as a file. */

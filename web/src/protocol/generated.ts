@@ -270,6 +270,8 @@ export type FieldInfo = {
   storedType?: string,
   /** Unit of the values, where the file declares one. */
   unit: string | null,
+  /** What values of this field mean, where it is one of labels and the file says it; in ascending order. */
+  labels?: Array<Label>,
   /** Least and greatest value. */
   range: [number, number],
   /** Distribution of the values. */
@@ -389,6 +391,18 @@ export type JobInfo = {
 
 /** Where a batch job is. */
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
+
+/** A label: a value of a field, and what it means. */
+export type Label = {
+  /** Value of the samples, as edits use it. */
+  value: number,
+  /** The number in the file, where it is another one: 32-bit floats do not hold all numbers above 16777216. */
+  stored?: string,
+  /** Name for people. */
+  name: string | null,
+  /** `#rrggbb`. */
+  color: string | null,
+};
 
 /** What the leaves of a surface are. */
 export type LeafKind = "cubes" | "tree";
@@ -827,6 +841,14 @@ export type TransferFunction = {
 /** Maximum triangles of a surface: a number, or a share of the full surface. */
 export type TriangleBudget = number | ShareBudget;
 
+/** A path that was named to the server and that it cannot read. */
+export type UnreadablePath = {
+  /** Name of the file or folder. */
+  name: string,
+  /** What was found in it, and what was expected. */
+  reason: string,
+};
+
 /** An upload. */
 export type UploadInfo = {
   /** Its name in URLs, made by the server. */
@@ -897,7 +919,10 @@ export type VolumeInfo = {
   features: Array<FieldInfo>,
   /** Vector fields, known by the names of their components, with the features that are computed from them. */
   vectors: Array<VectorInfo>,
-  /** Copyright or source to show beside the data. */
+  /**
+   * What is to be shown beside the data, a line each: copyright and source; what the file's reader repaired, assumed or interpolated; and
+   * values that the device's type does not hold, once they were read.
+   */
   notice: string | null,
   /** What the viewer opens with, where the volume brings it along. */
   opening: Edit | null,
@@ -915,6 +940,6 @@ export type VolumeSummary = {
   steps: number,
   /** Names of the fields, the main one first. */
   fields: Array<string>,
-  /** Copyright or source to show beside the data. */
+  /** What is to be shown beside the data, a line each, as in the volume's description. */
   notice: string | null,
 };

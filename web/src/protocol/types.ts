@@ -17,6 +17,7 @@ export type Histogram = Immutable<Server.Histogram>;
 export type FieldInfo = Immutable<Server.FieldInfo>;
 export type DerivedInfo = Immutable<Server.DerivedInfo>;
 export type VolumeInfo = Immutable<Server.VolumeInfo>;
+export type UnreadablePath = Immutable<Server.UnreadablePath>;
 export type VolumeSummary = Immutable<Server.VolumeSummary>;
 export type Statistics = Immutable<Server.Statistics>;
 export type GuardName = Server.GuardName;

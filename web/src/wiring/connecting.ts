@@ -1,7 +1,7 @@
 /** What the page does as the connection comes and goes: says so, and lists the volumes. */
 
 import type { ConnectionState } from "../net/connection";
-import { listVolumes } from "../net/rest";
+import { listUnreadable, listVolumes } from "../net/rest";
 import { isRefused, sessionOf, signInOf } from "../net/session";
 import type { VolumeSummary } from "../protocol/types";
 import type { Model } from "../ui/model";
@@ -99,5 +99,12 @@ export class Connecting {
       return;
     }
     this.take(volumes);
+    await this.showUnreadable();
+  }
+
+  /** Says which paths the server cannot read, and why. A server that does not answer that has said so above. */
+  private async showUnreadable(): Promise<void> {
+    const paths = await listUnreadable(this.base).catch(() => []);
+    for (const { name, reason } of paths) this.model.toast(`The server cannot read ${name}: ${reason}`, "lasting");
   }
 }

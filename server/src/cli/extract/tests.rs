@@ -357,12 +357,12 @@ fn an_empty_mesh_says_why_it_is_empty() {
         (
             300.0,
             &plain,
-            "no surface at isovalue 300: values of \"t1\" go from 0 to 255",
+            "no surface at isovalue 300: values of \"t1\" go from 0 to 255, expected a number between them, such as 127.5",
         ),
         (
             0.0,
             &masked,
-            "no surface at isovalue 0: values of \"t1\" go from 0 to 255",
+            "no surface at isovalue 0: values of \"t1\" go from 0 to 255, expected a number between them, such as 127.5",
         ),
         (9.0, &masked, "no surface at isovalue 9 where gm>=3"),
         (

@@ -26,7 +26,10 @@ impl Program<'_> {
     /// expression: also one whose value is a number, which holds where it is not 0.
     pub(super) fn indicator(&mut self, at: usize, condition: &str) -> Result<(), Fault> {
         let node = match Mask::parse(condition, self.known) {
-            Ok(mask) => self.mask(at, &mask)?,
+            Ok(mask) => {
+                let ranked = mask.by_ranks(|number| (self.rank)(&mask.field, number));
+                self.mask(at, &ranked)?
+            }
             Err(_) => {
                 let behind = |(own, why): Fault| (at + own, why);
                 let tree = syntax::parse(condition).map_err(behind)?;

@@ -14,21 +14,36 @@ use super::Fault;
 const MAX_DEPTH: usize = 48;
 
 /// A part of an expression.
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tree {
     /// Byte of the text at which it begins; of two parts with a symbol between them, that of the symbol.
     pub(super) at: usize,
     pub(super) what: What,
 }
 
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum What {
-    Number(f32),
+    /// A number, and in full where it is written as a whole one: a float may round it.
+    Number {
+        value: f32,
+        integer: Option<i128>,
+    },
     Name(String),
     Negate(Box<Tree>),
     Not(Box<Tree>),
     Infix(&'static str, Box<Tree>, Box<Tree>),
     Call(String, Vec<Tree>),
+}
+
+impl Tree {
+    /// The whole number that it is.
+    pub(super) fn integer(&self) -> Option<i128> {
+        match &self.what {
+            What::Number { integer, .. } => *integer,
+            What::Negate(inner) => inner.integer().map(|number| -number),
+            _ => None,
+        }
+    }
 }
 
 type Input<'a> = LocatingSlice<&'a str>;
@@ -178,7 +193,7 @@ fn atom(input: &mut Input<'_>) -> ModalResult<Tree> {
     let at = input.current_token_start();
     let inner = delimited('(', cut_err(either), close).map(|tree| tree.what);
     let nothing = fail.context(expected("a number, a field, a function or ("));
-    alt((inner, number.map(What::Number), quoted.map(What::Name), named, nothing))
+    alt((inner, number, quoted.map(What::Name), named, nothing))
         .map(|what| Tree { at, what })
         .parse_next(input)
 }
@@ -190,7 +205,7 @@ fn close(input: &mut Input<'_>) -> ModalResult<char> {
         .parse_next(input)
 }
 
-fn number(input: &mut Input<'_>) -> ModalResult<f32> {
+fn number(input: &mut Input<'_>) -> ModalResult<What> {
     let digits = |c: char| c.is_ascii_digit();
     let exponent = (one_of(['e', 'E']), opt(one_of(['+', '-'])), take_while(1.., digits));
     let text = (
@@ -202,7 +217,10 @@ fn number(input: &mut Input<'_>) -> ModalResult<f32> {
         .take()
         .parse_next(input)?;
     match text.parse::<f32>() {
-        Ok(value) if value.is_finite() => Ok(value),
+        Ok(value) if value.is_finite() => Ok(What::Number {
+            value,
+            integer: text.parse().ok(),
+        }),
         _ => Err(ErrMode::Backtrack(ContextError::new())),
     }
 }

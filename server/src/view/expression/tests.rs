@@ -257,3 +257,25 @@ fn faults_of_distances_point_at_the_character() {
     let error = FieldExpression::parse(&format!("distance(u=={})", many.join(",")), FIELDS, "feature");
     assert!(error.expect_err("too many").why.contains("more than 64 operations"));
 }
+
+#[test]
+fn numbers_beside_a_field_with_ranks_are_those_of_its_file() {
+    let rank = |name: &str, number: i128| (name == "labels").then(|| (number - 16_777_210) as f32);
+    let value = |text: &str, labels: f32| {
+        let fields = &["labels", "p"];
+        let parsed = FieldExpression::parse_by(text, fields, "field", &rank).expect(text);
+        parsed.expression.value(&vec![labels; parsed.fields.len()])
+    };
+    for (text, at, expected) in [
+        ("if(labels==16777217,1,0)", 7.0, 1.0),
+        ("if(labels==16777217,1,0)", 6.0, 0.0),
+        ("if(16777216 < labels, 1, 0)", 7.0, 1.0),
+        ("if(16777216 < labels, 1, 0)", 6.0, 0.0),
+        ("if(labels == -1, 1, 0)", -16_777_211.0, 1.0),
+        ("if(p == 7, 1, 0)", 7.0, 1.0),
+        ("distance(labels==16777217)", 7.0, 1.0),
+        ("distance(labels==16777217)", 6.0, 0.0),
+    ] {
+        assert_eq!(value(text, at), expected, "{text} at {at}");
+    }
+}

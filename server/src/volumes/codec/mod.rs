@@ -9,7 +9,7 @@ mod zstd;
 use std::io::{self, BufRead, BufReader, Read};
 
 use bzip2::bufread::MultiBzDecoder;
-use flate2::bufread::{DeflateDecoder, MultiGzDecoder, ZlibDecoder};
+use flate2::bufread::{DeflateDecoder, GzDecoder, ZlibDecoder};
 
 /// Byte order of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,7 +102,9 @@ pub(super) fn decoder<'a>(
     let mut stored = BufReader::with_capacity(1 << 16, stored.take(stored_bytes));
     Ok(match encoding {
         Encoding::Raw | Encoding::Text => Box::new(stored),
-        Encoding::Deflate if stored.fill_buf()?.starts_with(&[0x1f, 0x8b]) => Box::new(MultiGzDecoder::new(stored)),
+        Encoding::Deflate if stored.fill_buf()?.starts_with(&[0x1f, 0x8b]) => {
+            Box::new(Members(Some(GzDecoder::new(stored))))
+        }
         Encoding::Deflate => Box::new(ToEnd(ZlibDecoder::new(stored))),
         Encoding::BareDeflate => Box::new(ToEnd(DeflateDecoder::new(stored))),
         Encoding::Bzip2 => Box::new(MultiBzDecoder::new(stored)),
@@ -114,6 +116,47 @@ pub(super) fn decoder<'a>(
 
 pub(super) fn invalid(why: impl Into<String>) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, why.into())
+}
+
+/// Members of a gzip file, one after the other. Zeros and white space may follow the last one, as tapes and block devices leave them.
+struct Members<R: BufRead>(Option<GzDecoder<R>>);
+
+impl<R: BufRead> Read for Members<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        while let Some(mut member) = self.0.take() {
+            let n = member.read(buffer)?;
+            if n > 0 || buffer.is_empty() {
+                self.0 = Some(member);
+                return Ok(n);
+            }
+            let mut rest = member.into_inner();
+            if !is_padding(&mut rest)? {
+                self.0 = Some(GzDecoder::new(rest));
+            }
+        }
+        Ok(0)
+    }
+}
+
+/// Passes over zeros and white space. Whether the input ends with them; else it is where the next member should begin.
+fn is_padding(input: &mut impl BufRead) -> io::Result<bool> {
+    loop {
+        let stored = input.fill_buf()?;
+        if stored.is_empty() {
+            return Ok(true);
+        }
+        let is_pad = |byte: &u8| *byte == 0 || byte.is_ascii_whitespace();
+        match stored.iter().position(|byte| !is_pad(byte)) {
+            Some(at) => {
+                input.consume(at);
+                return Ok(false);
+            }
+            None => {
+                let all = stored.len();
+                input.consume(all);
+            }
+        }
+    }
 }
 
 /// A decoder of one stream that must end with its input.
@@ -203,6 +246,28 @@ mod tests {
         assert_eq!(decode(Encoding::Hex, b"00fF\n 1 0\n").unwrap(), [0, 255, 16]);
         assert!(decode(Encoding::Hex, b"00f").is_err());
         assert!(decode(Encoding::Hex, b"0g").is_err());
+    }
+
+    #[test]
+    fn zeros_may_follow_the_members_of_a_gzip_file() {
+        use std::io::Write;
+        let member = |text: &[u8]| {
+            let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+            packed.write_all(text).unwrap();
+            packed.finish().unwrap()
+        };
+        let [a, b] = [b"one ", b"two "].map(|text| member(text));
+        assert_eq!(decode(Encoding::Deflate, &[&a[..], &b].concat()).unwrap(), b"one two ");
+        assert_eq!(
+            decode(Encoding::Deflate, &[&a[..], &b, &[0; 700], b"\n"].concat()).unwrap(),
+            b"one two "
+        );
+        assert_eq!(
+            decode(Encoding::Deflate, &[&a[..], &[0; 16], &b].concat()).unwrap(),
+            b"one two "
+        );
+        assert!(decode(Encoding::Deflate, &[&a[..], b"more"].concat()).is_err());
+        assert!(decode(Encoding::Deflate, &a[..a.len() - 1]).is_err());
     }
 
     #[test]

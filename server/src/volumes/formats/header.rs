@@ -6,7 +6,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use super::super::stored::StoredSamples;
-use super::super::{Field, FileLocation, Frame, Geometry, OpenedFile, ReadError};
+use super::super::{Field, FileLocation, Frame, Geometry, Notices, OpenedFile, ReadError};
 
 /// Maximum bytes of a text header, far above any real one.
 pub const MAX_HEADER_BYTES: usize = 1 << 20;
@@ -55,7 +55,8 @@ pub fn geometry(
     }
     Ok(Geometry {
         spacing,
-        origin,
+        // −0 becomes 0, for the output of `info`.
+        origin: origin.map(|o| o + 0.0),
         direction,
         ..Geometry::of_index(dims)
     })
@@ -78,6 +79,34 @@ pub fn split_axes(axes: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
         axis.iter_mut().for_each(|v| *v += 0.0);
     }
     (spacing, direction)
+}
+
+/// Distances of samples and directions of their axes. A distance that is not known is as another one, one below 0 turns its axis; both with
+/// a notice.
+pub fn signed_distances(
+    distances: [f64; 3],
+    direction: [[f64; 3]; 3],
+    notices: &mut Notices,
+) -> ([f64; 3], [[f64; 3]; 3]) {
+    let is_known = |distance: f64| distance.is_finite() && distance != 0.0;
+    let known = distances.into_iter().find(|&distance| is_known(distance));
+    let other = known.unwrap_or(1.0).abs();
+    if distances.iter().any(|&distance| !is_known(distance)) {
+        notices.add(format!(
+            "a distance of samples is missing in {distances:?}: it is taken to be {other}, as along another axis"
+        ));
+    }
+    if distances.iter().any(|&distance| distance < 0.0) {
+        notices.add(format!(
+            "a distance of samples is below 0 in {distances:?}: its axis points the other way"
+        ));
+    }
+    let distances = distances.map(|distance| if is_known(distance) { distance } else { other });
+    let mut turned = direction;
+    for (axis, distance) in turned.iter_mut().zip(distances) {
+        *axis = axis.map(|component| 0.0 + component * distance.signum());
+    }
+    (distances.map(f64::abs), turned)
 }
 
 /// Numbers separated by white space, exactly `count` if given.
@@ -134,6 +163,12 @@ pub fn not_3d(path: &Path, field: &str, dimension: impl Display) -> ReadError {
     )
 }
 
+/// A file with more notices than it has.
+pub fn with_notices(mut file: OpenedFile, notices: impl IntoIterator<Item = String>) -> OpenedFile {
+    notices.into_iter().for_each(|notice| file.notices.add(notice));
+    file
+}
+
 /// A field of samples in a file.
 pub fn field(
     name: String,
@@ -149,6 +184,7 @@ pub fn field(
         // NaN always counts as missing.
         missing: missing.filter(|m| !m.is_nan()),
         unit,
+        labels: Vec::new(),
         source: Arc::new(samples),
     }
 }
@@ -192,6 +228,7 @@ impl Channels {
     pub fn fields(self, array: &StoredSamples, distance: u64, like: &FieldHead) -> Vec<Field> {
         let make = |name: String, first: u64, luminance: Option<u64>| {
             let mut samples = array.clone();
+            samples.findings = array.findings.of_another_field();
             (samples.first, samples.luminance) = (first, luminance);
             field(name, samples, &like.stored_type, like.missing, like.unit.clone())
         };
@@ -201,8 +238,8 @@ impl Channels {
                 .map(|(i, name)| make(name, i * distance, None))
                 .collect(),
             Self::Luminance => {
-                let path = array.location.path().display();
-                tracing::info!(%path, "colours become their luminance: 0.2126 red + 0.7152 green + 0.0722 blue");
+                let notice = "colours become their luminance: 0.2126 red + 0.7152 green + 0.0722 blue";
+                array.findings.report(array.location.path(), notice);
                 vec![make(like.name.clone(), 0, Some(distance))]
             }
         }
@@ -250,6 +287,6 @@ pub fn opened(
         uneven: None,
         times: None,
         fields: vec![field(header.stem(), samples, &stored_type, missing, unit)],
-        notice: None,
+        notices: Notices::default(),
     })
 }

@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, MAX_HEADER_BYTES, not_3d, numbers, sizes};
 
 const FIELDS: GridFields = GridFields {
@@ -44,7 +44,8 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
             format!("{stored_name:?}, expected MET_CHAR to MET_DOUBLE"),
         )
     })?;
-    let (mut geometry, steps, times) = header.geometry(dimension)?;
+    let mut notices = Notices::default();
+    let (mut geometry, steps, times) = header.geometry(dimension, &mut notices)?;
     // MetaIO's world is that of ITK; a writer that knows of a patient says how the axes lie.
     if header
         .get(&["AnatomicalOrientation"])
@@ -54,6 +55,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         geometry.unit = Some(LengthUnit::Millimetre);
     }
 
+    header.tell_of_intensities(&mut notices);
     let samples = header
         .samples(&geometry, stored, steps)?
         .interleaved(channels, "DimSize")?;
@@ -72,7 +74,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times,
         fields,
-        notice: None,
+        notices,
     })
 }
 
@@ -172,6 +174,18 @@ impl<'a> Header<'a> {
         })
     }
 
+    /// Says that values are those stored where the header has a function of them, which no reader of ITK applies.
+    fn tell_of_intensities(&self, notices: &mut Notices) {
+        let number = |name: &str, usual: f64| self.get(&[name]).and_then(|text| text.parse().ok()).unwrap_or(usual);
+        let slope: f64 = number("ElementToIntensityFunctionSlope", 1.0);
+        let offset: f64 = number("ElementToIntensityFunctionOffset", 0.0);
+        if (slope, offset) != (1.0, 0.0) {
+            notices.add(format!(
+                "values are those stored, as in ITK: the header has a function to intensities, {slope} x value + {offset}"
+            ));
+        }
+    }
+
     fn flag(&self, names: &[&str], default: bool) -> Result<bool, ReadError> {
         match self.get(names).map(str::to_ascii_lowercase).as_deref() {
             None => Ok(default),
@@ -184,14 +198,17 @@ impl<'a> Header<'a> {
     fn samples(&self, geometry: &Geometry, stored: StoredType, steps: u32) -> Result<StoredSamples, ReadError> {
         let file = self.required("ElementDataFile")?;
         let local = file.eq_ignore_ascii_case("local");
-        if file.starts_with("LIST") || file.contains('%') {
-            let why = format!("{file:?}, expected LOCAL or one file: samples over many are not read");
-            return Err(self.error("ElementDataFile", why));
-        }
         let data = if local {
             self.location.clone()
         } else {
-            self.location.sibling(file, "ElementDataFile")?
+            match self.location.sibling(file, "ElementDataFile") {
+                Err(_) if file.starts_with("LIST") || file.contains('%') => {
+                    let why =
+                        format!("{file:?}: samples in many files, which are not read; expected LOCAL or one file");
+                    return Err(self.error("ElementDataFile", why));
+                }
+                data => data?,
+            }
         };
         let compressed = self.flag(&["CompressedData"], false)?;
         let binary = self.flag(&["BinaryData"], true)?;
@@ -233,7 +250,11 @@ impl<'a> Header<'a> {
         Ok(())
     }
 
-    fn geometry(&self, dimension: usize) -> Result<(Geometry, u32, Option<TimeAxis>), ReadError> {
+    fn geometry(
+        &self,
+        dimension: usize,
+        notices: &mut Notices,
+    ) -> Result<(Geometry, u32, Option<TimeAxis>), ReadError> {
         let path = self.path();
         let list = |names: &[&str], count: usize| -> Result<Option<Vec<f64>>, ReadError> {
             self.get(names)
@@ -252,11 +273,12 @@ impl<'a> Header<'a> {
         // The rows should be unit vectors; if they are not, their length means nothing.
         let (_, direction) = header::split_axes(axes);
         let first = |v: &[f64]| [v[0], v[1], v[2]];
+        let (distances, direction) = header::signed_distances(first(&spacing), direction, notices);
         let geometry = header::geometry(
             path,
             &FIELDS,
             [dims[0], dims[1], dims[2]],
-            first(&spacing),
+            distances,
             first(&origin),
             direction,
         )?;

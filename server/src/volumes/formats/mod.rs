@@ -4,11 +4,13 @@
 //! |---|---|
 //! | `.nrrd`, `.nhdr` | [NRRD](nrrd) |
 //! | `.mha`, `.mhd` | [MetaImage](metaimage) |
-//! | `.nii`, `.hdr` | [NIfTI](nifti) |
-//! | `.mrc`, `.map`, `.ccp4` | [MRC, CCP4](mrc) |
+//! | `.nii`, `.hdr` with `.img` | [NIfTI](nifti), [Analyze](analyze) |
+//! | `.mgh`, `.mgz` | [MGH](mgh) of FreeSurfer |
+//! | `.mrc`, `.map`, `.ccp4`, `.rec`, `.mrcs`, `.st`, `.ali` | [MRC, CCP4](mrc) |
 //! | `.npy`, `.npz` | [NumPy](npy), [several arrays](npz) |
 //! | `.dcm`, `.dicom`, a folder | [DICOM](dicom) |
-//! | `.h5`, `.hdf5`, `.he5`, `.nc`, `.nc4`, `.cdf` | [HDF5, NetCDF](variables) |
+//! | `.h5`, `.hdf5`, `.he5`, `.nc`, `.nc4`, `.cdf`, `.hdf`, `.mat`, `.ims`, `.vtkhdf` | [HDF5, NetCDF](variables), VTKHDF, openPMD, Imaris, BigDataViewer |
+//! | `.xml` | [BigDataViewer](big_data_viewer): the HDF5 file or N5 folder that it names |
 //! | `.vti`, `.vtr`, `.pvti`, `.pvtr`, `.pvd` | [VTK image data and rectilinear grids](vtk::xml), [in pieces](vtk::pieces), [several times of it](vtk::collection) |
 //! | `.vtk` | [VTK legacy](vtk::legacy) |
 //! | `.tif`, `.tiff`, `.btf`, `.tf8` | [TIFF](tiff), with ImageJ's and OME's descriptions; folders of numbered slices |
@@ -16,23 +18,31 @@
 //! | a folder with `info`, `precomputed://…` | [Neuroglancer precomputed](precomputed) |
 //! | `.json`, or `.raw` with a `.json` beside it | [raw samples](raw) |
 //!
-//! A file may be compressed as a whole: `.gz`, `.bz2` or `.zst` behind its ending.
+//! The first bytes of a file decide what it is ([`format_of`]), the ending where they do not. A file may be compressed as a whole: `.gz`, `.bz2` or `.zst` behind its ending.
 //!
 //! A new format is a file here and an entry of [`FORMATS`]. Its parser turns the header into a
 //! [`StoredSamples`](super::stored::StoredSamples), which reads the samples of all formats; `header` has what parsers share.
 
 pub(super) mod ahead;
+mod analyze;
+pub mod big_data_viewer;
+mod content;
 pub mod dicom;
 pub(super) mod header;
 mod jpeg;
+pub(super) mod label_table;
 pub mod metaimage;
+pub mod mgh;
 pub mod mrc;
+pub(super) mod named_axes;
 pub mod nifti;
 pub mod npy;
 pub mod npz;
 pub mod nrrd;
+mod pair;
 pub mod precomputed;
 pub mod raw;
+mod spim_data;
 mod store;
 pub mod tiff;
 pub mod variables;
@@ -40,6 +50,8 @@ pub mod vtk;
 pub mod zarr;
 
 use std::path::Path;
+
+pub use content::format_of;
 
 use super::remote::Address;
 use super::unpacked::packing;
@@ -51,6 +63,8 @@ pub struct Format {
     pub endings: &'static [&'static str],
     /// Reads the header of a file.
     pub open: fn(&FileLocation) -> Result<OpenedFile, ReadError>,
+    /// Whether a file is of this format by its first bytes; never where the format has no mark.
+    pub is_content: fn(&[u8]) -> bool,
     /// Whether a file of such a name is one of the volumes in its folder.
     pub is_volume: fn(&FileLocation) -> bool,
     /// Whether such a file may hold several volumes, so that a location may name one of them.
@@ -106,34 +120,47 @@ pub const FOLDERS: [FolderFormat; 4] = [
 ];
 
 /// All formats.
-pub const FORMATS: [Format; 15] = [
+pub const FORMATS: [Format; 17] = [
     Format {
         endings: &[".nrrd", ".nhdr"],
         open: nrrd::open,
+        is_content: |head| head.starts_with(b"NRRD000"),
         is_volume: |_| true,
         has_parts: false,
     },
     Format {
         endings: &[".mha", ".mhd"],
         open: metaimage::open,
+        is_content: content::is_metaimage,
         is_volume: |_| true,
         has_parts: false,
     },
     Format {
-        endings: &[".nii", ".hdr"],
+        endings: &[".nii", ".hdr", ".img"],
         open: nifti::open,
+        is_content: content::is_nifti,
+        // Listed by its header.
+        is_volume: |location| !location.stored_name().ends_with(".img"),
+        has_parts: false,
+    },
+    Format {
+        endings: &[".mgh", ".mgz"],
+        open: mgh::open,
+        is_content: mgh::is_content,
         is_volume: |_| true,
         has_parts: false,
     },
     Format {
-        endings: &[".mrc", ".map", ".ccp4"],
+        endings: &[".mrc", ".map", ".ccp4", ".rec", ".mrcs", ".st", ".ali"],
         open: mrc::open,
+        is_content: mrc::is_map,
         is_volume: mrc::is_volume,
         has_parts: false,
     },
     Format {
         endings: &[".npy"],
         open: npy::open,
+        is_content: |head| head.starts_with(b"\x93NUMPY"),
         is_volume: |_| true,
         has_parts: false,
     },
@@ -141,24 +168,42 @@ pub const FORMATS: [Format; 15] = [
     Format {
         endings: &[".dcm", ".dicom"],
         open: dicom::open,
+        is_content: |head| head.get(128..132) == Some(b"DICM"),
         is_volume: |_| true,
         has_parts: true,
     },
     Format {
-        endings: &[".h5", ".hdf5", ".he5", ".nc", ".nc4", ".cdf"],
+        endings: &[
+            ".h5", ".hdf5", ".he5", ".nc", ".nc4", ".cdf", ".hdf", ".mat", ".ims", ".vtkhdf",
+        ],
         open: variables::open,
-        is_volume: |_| true,
+        is_content: content::is_variables,
+        // Such names are those of other files, too.
+        is_volume: |location| {
+            let name = location.stored_name();
+            ![".hdf", ".mat"].iter().any(|end| name.ends_with(end)) || location.begins_as(content::is_variables)
+        },
+        has_parts: true,
+    },
+    // The file that it describes is listed.
+    Format {
+        endings: &[".xml"],
+        open: big_data_viewer::open,
+        is_content: |head| String::from_utf8_lossy(&head[..head.len().min(1024)]).contains("<SpimData"),
+        is_volume: |_| false,
         has_parts: true,
     },
     Format {
         endings: &[".npz"],
         open: npz::open,
+        is_content: |head| head.starts_with(b"PK\x03\x04"),
         is_volume: |_| true,
         has_parts: true,
     },
     Format {
         endings: &[".vti", ".vtr"],
         open: vtk::xml::open,
+        is_content: |head| content::is_vtk(head, &["ImageData", "RectilinearGrid"]),
         is_volume: |_| true,
         has_parts: false,
     },
@@ -166,30 +211,35 @@ pub const FORMATS: [Format; 15] = [
     Format {
         endings: &[".pvti", ".pvtr"],
         open: vtk::pieces::open,
+        is_content: |head| content::is_vtk(head, &["PImageData", "PRectilinearGrid"]),
         is_volume: |_| true,
         has_parts: false,
     },
     Format {
         endings: &[".pvd"],
         open: vtk::collection::open,
+        is_content: |head| content::is_vtk(head, &["Collection"]),
         is_volume: |_| true,
         has_parts: false,
     },
     Format {
         endings: &[".vtk"],
         open: vtk::legacy::open,
+        is_content: |head| head.starts_with(b"# vtk DataFile"),
         is_volume: |_| true,
         has_parts: false,
     },
     Format {
         endings: &[".tif", ".tiff", ".btf", ".tf8"],
         open: tiff::open,
+        is_content: content::is_tiff,
         is_volume: |_| true,
         has_parts: true,
     },
     Format {
         endings: &[".json"],
         open: raw::open,
+        is_content: |_| false,
         is_volume: raw::is_sidecar,
         has_parts: false,
     },
@@ -197,14 +247,15 @@ pub const FORMATS: [Format; 15] = [
     Format {
         endings: &[".raw"],
         open: raw::open_samples,
+        is_content: |_| false,
         is_volume: |_| false,
         has_parts: false,
     },
 ];
 
 /// The names that a path may have, for messages.
-pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .mrc, .map, .ccp4, .npy, .npz, .dcm, .dicom, .h5, .hdf5, .he5, \
-     .nc, .nc4, .cdf, .tif, .tiff, .btf, .tf8, .vti, .vtr, .pvti, .pvtr, .pvd, .vtk, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
+pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .img, .mgh, .mgz, .mrc, .map, .ccp4, .rec, .mrcs, .st, .ali, .npy, .npz, \
+     .dcm, .dicom, .h5, .hdf5, .he5, .nc, .nc4, .cdf, .hdf, .mat, .ims, .vtkhdf, .tif, .tiff, .btf, .tf8, .vti, .vtr, .pvti, .pvtr, .pvd, .vtk, .xml of BigDataViewer, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
      of Zarr, Neuroglancer precomputed, DICOM images or TIFF slices";
 
 impl Format {

@@ -2,13 +2,13 @@
 //!
 //! Read: modes 0, 1, 2, 6 and 12; both byte orders, by the machine stamp; columns, rows and sections along any axes; an extended
 //! header, which is passed over; oblique cells; stacks of volumes, which become time steps. Lengths are in ångström. Refused with the
-//! reason: complex and 4-bit modes, headers of before 2000, which have no `MAP`.
+//! reason: complex and 4-bit modes. Repaired with a notice: unusual machine stamps, headers of before 2000, which have no `MAP`, types without
+//! sign that the mode does not say, cells without all lengths.
 
 use std::path::Path;
 
 use super::super::stored::{Begin, Endian, StoredSamples, StoredType};
-use super::super::unpacked::packing;
-use super::super::{FileLocation, Geometry, LengthUnit, OpenedFile, ReadError};
+use super::super::{FileLocation, Geometry, LengthUnit, Notices, OpenedFile, ReadError};
 use super::header::{self, Channels, FieldHead, GridFields};
 
 /// Bytes of the header. The extended one follows it.
@@ -29,18 +29,15 @@ const GRID_FIELDS: GridFields = GridFields {
     direction: "CELLB",
 };
 
-/// Whether a file of such a name holds a map: `.map` is also the name of other files.
+/// Whether a file of such a name holds a map: most are also the names of other files.
 pub fn is_volume(location: &FileLocation) -> bool {
-    let name = location.path().to_string_lossy().to_ascii_lowercase();
-    let name = packing(&name).map_or(name.as_str(), |(_, inner)| inner);
-    !name.ends_with(".map")
-        || location
-            .open()
-            .and_then(|blob| blob.head(MAP_AT + 4))
-            .is_ok_and(|head| is_map(&head))
+    let name = location.stored_name();
+    let is_usual = [".mrc", ".mrcs", ".ccp4"].iter().any(|end| name.ends_with(end));
+    is_usual || location.begins_as(is_map)
 }
 
-fn is_map(head: &[u8]) -> bool {
+/// Whether a header has the word `MAP`.
+pub fn is_map(head: &[u8]) -> bool {
     matches!(head.get(MAP_AT..MAP_AT + 4), Some(b"MAP " | b"MAP\0"))
 }
 
@@ -51,10 +48,11 @@ fn is_map(head: &[u8]) -> bool {
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let path = location.path();
     let head = location.open()?.head(HEADER_BYTES)?;
-    let header = Header::parse(path, &head)?;
-    let (stored, stored_type) = header.stored_type(path)?;
+    let mut notices = Notices::default();
+    let header = Header::parse(path, &head, &mut notices)?;
+    let (stored, stored_type) = header.stored_type(path, &mut notices)?;
     let layout = header.layout(path)?;
-    let geometry = header.geometry(path, layout.dims, layout.axes)?;
+    let geometry = header.geometry(path, layout.dims, layout.axes, &mut notices)?;
     let begin = Begin::At(HEADER_BYTES as u64 + header.extended_bytes(path)?);
     let mut samples = StoredSamples::new(location, begin, stored, &geometry, layout.steps, GRID_FIELDS.dims)?;
     samples.endian = header.endian;
@@ -75,7 +73,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times: None,
         fields: Channels::numbered(&like.name, 1).fields(&samples, 0, &like),
-        notice: None,
+        notices,
     })
 }
 
@@ -96,7 +94,66 @@ struct Header {
     space_group: i32,
     extended_bytes: i32,
     origin: [f64; 3],
+    /// Minimum and maximum, where the header says them.
+    range: Option<[f64; 2]>,
     imod_flags: Option<i32>,
+}
+
+/// The byte order, by the machine stamp if that is one of a known program, and makes sense; else by which order makes sense.
+fn endian(path: &Path, head: &[u8], notices: &mut Notices) -> Result<Endian, ReadError> {
+    let [a, b] = [head[212], head[213]];
+    let stamped = match (a, b) {
+        (0x44, _) => Some(Endian::Little),
+        (0x11, _) => Some(Endian::Big),
+        _ => None,
+    };
+    let orders = [Endian::Little, Endian::Big].into_iter();
+    let sensible: Vec<Endian> = orders.filter(|&endian| makes_sense(head, endian)).collect();
+    let is_usual = matches!((a, b), (0x44, 0x41 | 0x44) | (0x11, 0x11));
+    let is_named = is_map(head);
+    if !is_named {
+        let found = String::from_utf8_lossy(&head[MAP_AT..MAP_AT + 4]).into_owned();
+        if sensible.is_empty() {
+            let why = format!("{found:?}, expected \"MAP \": this is no MRC or CCP4 map, or its header is damaged");
+            return Err(ReadError::new(path, "MAP", why));
+        }
+        notices.add("the word MAP is missing, as in headers of before 2000: the header is read as one of today");
+    }
+    let endian = match (stamped, sensible.as_slice()) {
+        (Some(endian), _) if is_usual && sensible.is_empty() => return Ok(endian),
+        (Some(endian), sensible) if sensible.contains(&endian) => endian,
+        (_, &[endian]) => endian,
+        _ => {
+            let why = format!(
+                "{a:#04x} {b:#04x}, expected 0x44 0x44 or 0x44 0x41 (little-endian), 0x11 0x11 (big-endian), or a header that makes sense in one \
+                 byte order alone"
+            );
+            return Err(ReadError::new(path, "MACHST", why));
+        }
+    };
+    if is_named && (!is_usual || stamped != Some(endian)) {
+        let name = if endian == Endian::Little { "little" } else { "big" };
+        notices.add(format!(
+            "the machine stamp {a:#04x} {b:#04x} is none of the standard's: the file is read as {name}-endian, in which its header makes sense"
+        ));
+    }
+    Ok(endian)
+}
+
+/// Whether mode, counts and axes are possible in this byte order.
+fn makes_sense(head: &[u8], endian: Endian) -> bool {
+    let word = |number: usize| {
+        let bytes: [u8; 4] = std::array::from_fn(|i| head[4 * number + i]);
+        match endian {
+            Endian::Little => i32::from_le_bytes(bytes),
+            Endian::Big => i32::from_be_bytes(bytes),
+        }
+    };
+    let counts = (0..3).all(|i| (1..1 << 24).contains(&word(i)));
+    let axes = [word(16), word(17), word(18)];
+    let mut sorted = axes;
+    sorted.sort_unstable();
+    counts && matches!(word(3), 0..=4 | 6 | 12 | 101) && (axes == [0; 3] || sorted == [1, 2, 3])
 }
 
 /// How samples lie in the file.
@@ -109,27 +166,12 @@ struct Layout {
 }
 
 impl Header {
-    fn parse(path: &Path, head: &[u8]) -> Result<Self, ReadError> {
+    fn parse(path: &Path, head: &[u8], notices: &mut Notices) -> Result<Self, ReadError> {
         if head.len() < HEADER_BYTES {
             let why = format!("{} bytes, expected {HEADER_BYTES}", head.len());
             return Err(ReadError::new(path, "header", why));
         }
-        if !is_map(head) {
-            let found = String::from_utf8_lossy(&head[MAP_AT..MAP_AT + 4]).into_owned();
-            let why = format!("{found:?}, expected \"MAP \": a header of before 2000 does not say enough");
-            return Err(ReadError::new(path, "MAP", why));
-        }
-        let endian = match head[212..214] {
-            [0x44, 0x44 | 0x41] => Endian::Little,
-            [0x11, 0x11] => Endian::Big,
-            [a, b] => {
-                let why = format!(
-                    "{a:#04x} {b:#04x}, expected 0x44 0x44 or 0x44 0x41 (little-endian), 0x11 0x11 (big-endian)"
-                );
-                return Err(ReadError::new(path, "MACHST", why));
-            }
-            _ => unreachable!("two bytes"),
-        };
+        let endian = endian(path, head, notices)?;
         let word = |number: usize| {
             let bytes: [u8; 4] = std::array::from_fn(|i| head[4 * number + i]);
             match endian {
@@ -152,15 +194,33 @@ impl Header {
             space_group: word(22),
             extended_bytes: word(23),
             origin: floats(49),
+            range: Some(floats(19))
+                .filter(|[low, high, _]| low < high)
+                .map(|[low, high, _]| [low, high]),
             imod_flags: (word(38) == IMOD_STAMP).then(|| word(39)),
         })
     }
 
-    fn stored_type(&self, path: &Path) -> Result<(StoredType, &'static str), ReadError> {
-        let has_sign = self.imod_flags.is_none_or(|flags| flags & IMOD_SIGNED_BYTES != 0);
+    fn stored_type(&self, path: &Path, notices: &mut Notices) -> Result<(StoredType, &'static str), ReadError> {
+        // Older programs write bytes without sign, and say so in the statistics alone.
+        let exceeds = |largest: f64| self.range.filter(|&[low, high]| low >= 0.0 && high > largest);
+        let mut unsigned = |exceeded: Option<[f64; 2]>, kind: (StoredType, &'static str)| {
+            if let Some([low, high]) = exceeded {
+                notices.add(format!(
+                    "samples are read as {}, as DMIN and DMAX are {low} and {high}; the mode says a type with sign",
+                    kind.1
+                ));
+            }
+            kind
+        };
+        let imod_signed = self.imod_flags.map(|flags| flags & IMOD_SIGNED_BYTES != 0);
         Ok(match self.mode {
-            0 if has_sign => (StoredType::I8, "mode 0, int8"),
-            0 => (StoredType::U8, "mode 0, uint8"),
+            0 if imod_signed == Some(false) => (StoredType::U8, "mode 0, uint8"),
+            0 if imod_signed.is_none() && exceeds(127.0).is_some() => {
+                unsigned(exceeds(127.0), (StoredType::U8, "mode 0, uint8"))
+            }
+            0 => (StoredType::I8, "mode 0, int8"),
+            1 if exceeds(32767.0).is_some() => unsigned(exceeds(32767.0), (StoredType::U16, "mode 1, uint16")),
             1 => (StoredType::I16, "mode 1, int16"),
             2 => (StoredType::F32, "mode 2, float32"),
             6 => (StoredType::U16, "mode 6, uint16"),
@@ -240,10 +300,20 @@ impl Header {
         })
     }
 
-    fn geometry(&self, path: &Path, dims: [u32; 3], axes: [usize; 3]) -> Result<Geometry, ReadError> {
+    fn geometry(
+        &self,
+        path: &Path,
+        dims: [u32; 3],
+        axes: [usize; 3],
+        notices: &mut Notices,
+    ) -> Result<Geometry, ReadError> {
         // Cells without lengths are those of images whose scale nobody knew.
         let has_lengths = self.cell_lengths != [0.0; 3];
-        let spacing = if has_lengths { self.spacing(path)? } else { [1.0; 3] };
+        let spacing = if has_lengths {
+            self.spacing(path, dims, notices)?
+        } else {
+            [1.0; 3]
+        };
         let direction = self.direction(path)?;
         let mut starts = [0.0; 3];
         for (axis, start) in axes.into_iter().zip(self.starts) {
@@ -265,18 +335,40 @@ impl Header {
         })
     }
 
-    fn spacing(&self, path: &Path) -> Result<[f64; 3], ReadError> {
-        if self.intervals.iter().any(|&n| n <= 0) {
-            let why = format!(
-                "{:?}, expected three numbers above 0: the cell has lengths",
-                self.intervals
-            );
-            return Err(ReadError::new(path, "MX, MY, MZ", why));
+    /// Lengths of the cell over its intervals. An axis without either has the distance of another one, with a notice.
+    fn spacing(&self, path: &Path, dims: [u32; 3], notices: &mut Notices) -> Result<[f64; 3], ReadError> {
+        if self
+            .cell_lengths
+            .iter()
+            .any(|&length| !length.is_finite() || length < 0.0)
+        {
+            let why = format!("{:?}, expected three lengths of 0 or more", self.cell_lengths);
+            return Err(ReadError::new(path, "CELLA", why));
         }
-        // Lengths are in single precision: a quotient is, too.
-        Ok(std::array::from_fn(|axis| {
-            self.cell_lengths[axis] / f64::from(self.intervals[axis])
-        }))
+        let along = |axis: usize| {
+            let intervals = match self.intervals[axis] {
+                n if n > 0 => f64::from(n),
+                _ => f64::from(dims[axis]),
+            };
+            // Lengths are in single precision: a quotient is, too.
+            Some(self.cell_lengths[axis] / intervals).filter(|&size| size > 0.0)
+        };
+        let known = [0, 1, 2].map(along);
+        let other = known.into_iter().flatten().next().unwrap_or(1.0);
+        for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
+            if self.intervals[axis] <= 0 {
+                notices.add(format!(
+                    "M{name} is {}: {} intervals are assumed, the samples there are",
+                    self.intervals[axis], dims[axis]
+                ));
+            }
+            if known[axis].is_none() {
+                notices.add(format!(
+                    "CELLA has no length along {name}: samples are taken to be {other} Å apart, as along another axis"
+                ));
+            }
+        }
+        Ok(known.map(|size| size.unwrap_or(other)))
     }
 
     /// Directions of the cell's axes: x along the world's, y in its plane of x and y.

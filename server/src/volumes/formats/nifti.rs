@@ -4,13 +4,15 @@
 //! Read: every integer type and both floating-point types, colours (as luminance), `scl_slope` and `scl_inter` (values
 //! become f32), the affine of `sform`, else of `qform`, else `pixdim` alone; the fourth axis as time steps, the fifth
 //! as channels. The world of `sform` and `qform` is RAS. The format has no missing value. Refused with the reason:
-//! complex types, more than five axes, Analyze headers.
+//! complex types, more than five axes. Repaired with a notice: an `sform` that describes no grid, distances below or equal to 0, `bitpix`,
+//! no `vox_offset`. Headers of Analyze are read by [`analyze`](super::analyze).
 
 use std::path::Path;
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, not_3d};
+use super::pair::{Bytes, header_of_pair, image_of_pair};
 
 /// Bytes of the headers of both versions.
 const HEADER_BYTES: [usize; 2] = [348, 540];
@@ -31,14 +33,22 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     }
     let path = location.path();
     let head = location.open()?.head(HEADER_BYTES[1])?;
+    let is_image = location.stored_name().ends_with(".img");
+    if is_image && !super::content::is_nifti(&head) {
+        return open(&header_of_pair(location)?);
+    }
+    if let Some(bytes) = analyze_header(&head) {
+        return super::analyze::open(location, &bytes);
+    }
     let header = Header::parse(path, &head)?;
     let shape = header.shape(path)?;
-    let stored = stored_type(path, &header)?;
-    let mut geometry = header.geometry(path, shape.dims)?;
+    let mut notices = Notices::default();
+    let stored = stored_type(path, &header, &mut notices)?;
+    let mut geometry = header.geometry(path, shape.dims, &mut notices)?;
     // A patient's lengths are in millimetres unless the file says otherwise.
     let usual = geometry.frame.is_anatomical().then_some(LengthUnit::Millimetre);
     geometry.unit = length_unit(header.xyzt_units).or(usual);
-    let (data, begin) = header.samples_begin(location)?;
+    let (data, begin) = header.samples_begin(location, &mut notices)?;
     let mut samples = StoredSamples::new(&data, begin, stored.stored, &geometry, shape.steps, "dim")?;
     samples.endian = header.endian;
     let name = location.stem();
@@ -73,8 +83,16 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times: header.times(shape.steps),
         fields: channels.fields(&samples, distance, &like),
-        notice: None,
+        notices,
     })
+}
+
+/// The header of Analyze 7.5, which has the size of NIfTI-1's, and no mark.
+fn analyze_header(head: &[u8]) -> Option<Bytes<'_>> {
+    let orders = [Endian::Little, Endian::Big].into_iter();
+    let of = |endian| Bytes { bytes: head, endian };
+    let is_analyze = |bytes: &Bytes<'_>| bytes.i32(0) == 348 && head[344..348] == [0; 4];
+    (head.len() >= HEADER_BYTES[0]).then(|| orders.map(of).find(is_analyze))?
 }
 
 /// What is read of a header, of either version.
@@ -98,42 +116,6 @@ struct Header {
     quaternion: [f64; 3],
     quaternion_offset: [f64; 3],
     rows: [[f64; 4]; 3],
-}
-
-/// Numbers of a header in its byte order.
-struct Bytes<'a> {
-    bytes: &'a [u8],
-    endian: Endian,
-}
-
-impl Bytes<'_> {
-    fn get<const N: usize>(&self, at: usize) -> [u8; N] {
-        let mut bytes: [u8; N] = std::array::from_fn(|i| self.bytes[at + i]);
-        if self.endian == Endian::Big {
-            bytes.reverse();
-        }
-        bytes
-    }
-
-    fn i16(&self, at: usize) -> i32 {
-        i32::from(i16::from_le_bytes(self.get(at)))
-    }
-
-    fn i32(&self, at: usize) -> i32 {
-        i32::from_le_bytes(self.get(at))
-    }
-
-    fn i64(&self, at: usize) -> i64 {
-        i64::from_le_bytes(self.get(at))
-    }
-
-    fn f32s<const N: usize>(&self, at: usize) -> [f64; N] {
-        std::array::from_fn(|i| f64::from(f32::from_le_bytes(self.get(at + 4 * i))))
-    }
-
-    fn f64s<const N: usize>(&self, at: usize) -> [f64; N] {
-        std::array::from_fn(|i| f64::from_le_bytes(self.get(at + 8 * i)))
-    }
 }
 
 impl Header {
@@ -165,12 +147,6 @@ impl Header {
         let is_one_file = match magic {
             b"n+1\0" | b"n+2\0\r\n\x1a\n" => true,
             b"ni1\0" | b"ni2\0\r\n\x1a\n" => false,
-            [0, 0, 0, 0] => {
-                return fail(
-                    "magic",
-                    "none, expected n+1 or ni1: an Analyze header does not say enough".into(),
-                );
-            }
             other => {
                 return fail(
                     "magic",
@@ -234,11 +210,22 @@ impl Header {
     }
 
     /// The file with the samples, and where they begin in it.
-    fn samples_begin(&self, location: &FileLocation) -> Result<(FileLocation, Begin), ReadError> {
+    fn samples_begin(
+        &self,
+        location: &FileLocation,
+        notices: &mut Notices,
+    ) -> Result<(FileLocation, Begin), ReadError> {
         let path = location.path();
         // After the header stand at least four bytes that say whether extensions follow.
         let minimum = if self.is_one_file { self.header_bytes + 4 } else { 0 };
-        let offset = self.vox_offset;
+        let mut offset = self.vox_offset;
+        // What other readers take where a writer has left it out.
+        if self.is_one_file && offset == 0.0 {
+            offset = minimum as f64;
+            notices.add(format!(
+                "vox_offset is 0: samples are taken to begin behind the header, at byte {minimum}"
+            ));
+        }
         // In the first version a float, exact up to 2^24. No header is longer.
         if !(minimum as f64..=16_777_216.0).contains(&offset) || offset.fract() != 0.0 {
             let why = format!("{offset}, expected a whole number of bytes from {minimum} to 16777216");
@@ -248,13 +235,7 @@ impl Header {
         if self.is_one_file {
             return Ok((location.clone(), begin));
         }
-        let name = format!("{}.img", location.stem());
-        let plain = location.sibling(&name, "magic");
-        let data = plain.or_else(|error| {
-            let packed = location.sibling(&format!("{name}.gz"), "magic");
-            packed.map(|data| data.packed(Encoding::Deflate)).map_err(|_| error)
-        })?;
-        Ok((data, begin))
+        Ok((image_of_pair(location)?, begin))
     }
 
     fn shape(&self, path: &Path) -> Result<Shape, ReadError> {
@@ -329,36 +310,82 @@ impl Header {
         Ok(Some([slope, inter]))
     }
 
-    fn geometry(&self, path: &Path, dims: [u32; 3]) -> Result<Geometry, ReadError> {
-        let pixdim: [f64; 3] = std::array::from_fn(|a| self.pixdim[a + 1]);
+    /// The grid by `sform`, else by `qform`, else by `pixdim` alone. One that cannot be is passed over with a notice.
+    fn geometry(&self, path: &Path, dims: [u32; 3], notices: &mut Notices) -> Result<Geometry, ReadError> {
+        let mut failed = None;
         if self.sform > 0 {
-            let rows = self.rows;
-            let axes = std::array::from_fn(|axis| std::array::from_fn(|i| rows[i][axis]));
-            let (spacing, direction) = header::split_axes(axes);
-            let names = names("srow_x, srow_y, srow_z");
-            return ras(header::geometry(
-                path,
-                &names,
-                dims,
-                spacing,
-                rows.map(|r| r[3]),
-                direction,
+            match self.by_sform(path, dims) {
+                Err(error) if self.is_sform_empty() || self.qform > 0 => failed = Some(error),
+                geometry => return geometry,
+            }
+        }
+        let pixdim = self.distances(notices);
+        let geometry = if self.qform > 0 {
+            self.by_qform(path, dims, pixdim)?
+        } else {
+            header::geometry(path, &names("pixdim"), dims, pixdim, [0.0; 3], Geometry::IDENTITY)?
+        };
+        if let Some(error) = failed {
+            let instead = if self.qform > 0 { "qform" } else { "pixdim" };
+            notices.add(format!(
+                "sform describes no grid, {instead} is taken in its place: {}",
+                error.why
             ));
         }
+        Ok(geometry)
+    }
+
+    /// Whether `sform` has no vector at all.
+    fn is_sform_empty(&self) -> bool {
+        self.rows.iter().all(|row| row[..3] == [0.0; 3])
+    }
+
+    fn by_sform(&self, path: &Path, dims: [u32; 3]) -> Result<Geometry, ReadError> {
+        let rows = self.rows;
+        let axes = std::array::from_fn(|axis| std::array::from_fn(|i| rows[i][axis]));
+        let (spacing, direction) = header::split_axes(axes);
+        let names = names("srow_x, srow_y, srow_z");
+        let origin = rows.map(|r| r[3]);
+        ras(header::geometry(path, &names, dims, spacing, origin, direction))
+    }
+
+    fn by_qform(&self, path: &Path, dims: [u32; 3], pixdim: [f64; 3]) -> Result<Geometry, ReadError> {
         let names = names("quatern_b, quatern_c, quatern_d");
-        if self.qform > 0 {
-            let [b, c, d] = self.quaternion;
-            let rest = 1.0 - (b * b + c * c + d * d);
-            // In single precision the vector may be a little too long; if it is longer, it is no rotation.
-            if rest.is_nan() || rest < -1e-4 {
-                let why = format!("({b}, {c}, {d}) is longer than 1, expected a part of a unit quaternion");
-                return Err(ReadError::new(path, names.direction, why));
-            }
-            let direction = self.rotation(rest.max(0.0).sqrt());
-            let origin = self.quaternion_offset;
-            return ras(header::geometry(path, &names, dims, pixdim, origin, direction));
+        let [b, c, d] = self.quaternion;
+        let rest = 1.0 - (b * b + c * c + d * d);
+        // In single precision the vector may be a little too long; if it is longer, it is no rotation.
+        if rest.is_nan() || rest < -1e-4 {
+            let why = format!("({b}, {c}, {d}) is longer than 1, expected a part of a unit quaternion");
+            return Err(ReadError::new(path, names.direction, why));
         }
-        header::geometry(path, &names, dims, pixdim, [0.0; 3], Geometry::IDENTITY)
+        let direction = self.rotation(rest.max(0.0).sqrt());
+        let origin = self.quaternion_offset;
+        ras(header::geometry(path, &names, dims, pixdim, origin, direction))
+    }
+
+    /// Distances of samples along x, y, z, which are above 0.
+    fn distances(&self, notices: &mut Notices) -> [f64; 3] {
+        std::array::from_fn(|axis| {
+            let stored = self.pixdim[axis + 1];
+            // Single precision, without the digits of rounding.
+            let shown = stored as f32;
+            let number = axis + 1;
+            match stored.abs() {
+                size if size.is_finite() && size > 0.0 => {
+                    if stored < 0.0 {
+                        notices.add(format!(
+                            "pixdim[{number}] is {shown}: samples are taken to be {} apart",
+                            shown.abs()
+                        ));
+                    }
+                    size
+                }
+                _ => {
+                    notices.add(format!("pixdim[{number}] is {shown}: samples are taken to be 1 apart"));
+                    1.0
+                }
+            }
+        })
     }
 
     /// Directions of the axes by the quaternion whose first number is `a`.
@@ -402,7 +429,7 @@ struct SampleKind {
     name: &'static str,
 }
 
-fn stored_type(path: &Path, header: &Header) -> Result<SampleKind, ReadError> {
+fn stored_type(path: &Path, header: &Header, notices: &mut Notices) -> Result<SampleKind, ReadError> {
     let (stored, colours, name) = match header.datatype {
         2 => (StoredType::U8, 1, "UINT8"),
         4 => (StoredType::I16, 1, "INT16"),
@@ -430,8 +457,10 @@ fn stored_type(path: &Path, header: &Header) -> Result<SampleKind, ReadError> {
     };
     let bits = stored.bytes() * 8 * u64::from(colours);
     if i64::from(header.bitpix) != bits as i64 {
-        let why = format!("{}, expected {bits} for {name}", header.bitpix);
-        return Err(ReadError::new(path, "bitpix", why));
+        notices.add(format!(
+            "bitpix is {}, expected {bits}: samples are read as datatype says, {name}",
+            header.bitpix
+        ));
     }
     Ok(SampleKind { stored, colours, name })
 }

@@ -1,7 +1,8 @@
 //! NumPy's `.npy`, format versions 1 to 3 (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>).
 //!
-//! An array of shape `(z, y, x)` is a volume, `(t, z, y, x)` one with time steps; C and Fortran order, both byte orders. The format
-//! has neither spacing nor origin nor missing value: samples are 1 apart from 0. Nothing in the header is evaluated.
+//! An array of shape `(z, y, x)` is a volume, `(t, z, y, x)` one with time steps; axes of one sample are passed over. C and Fortran order,
+//! both byte orders. The format has neither spacing nor origin nor missing value: samples are 1 apart from 0. Nothing in the header is
+//! evaluated.
 
 use std::io::Read;
 use std::path::Path;
@@ -9,6 +10,7 @@ use std::path::Path;
 use super::super::stored::{Begin, Endian, StoredSamples, StoredType};
 use super::super::{FileLocation, Geometry, OpenedFile, ReadError};
 use super::header::{self, GridFields, MAX_HEADER_BYTES, not_3d};
+use super::named_axes::doubt_of_order;
 
 const FIELDS: GridFields = GridFields {
     dims: "shape",
@@ -25,7 +27,8 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let array = Array::read(location.path(), location.open()?.reader(0))?;
     let geometry = array.geometry(location.path())?;
     let samples = array.samples(location, Begin::At(array.header_bytes), &geometry)?;
-    header::opened(location, "shape", geometry, samples, array.descr, None, None)
+    let file = header::opened(location, "shape", geometry, samples, array.descr, None, None)?;
+    Ok(header::with_notices(file, array.doubt))
 }
 
 /// What the header of an array says.
@@ -38,6 +41,8 @@ pub(super) struct Array {
     /// Along x, y and z.
     pub(super) dims: [u32; 3],
     pub(super) steps: u32,
+    /// Why its axes may be others than they were taken for.
+    pub(super) doubt: Option<String>,
     /// Bytes before the samples.
     pub(super) header_bytes: u64,
 }
@@ -55,7 +60,11 @@ impl Array {
             let why = format!("{descr:?}, expected an integer, a bool, f4 or f8, one component a sample");
             return Err(ReadError::new(path, "descr", why));
         };
-        let sizes = header::sizes(path, "shape", &shape)?;
+        let mut sizes = header::sizes(path, "shape", &shape)?;
+        // Axes of one sample are none, as long as three others remain.
+        while let Some(one) = sizes.iter().rposition(|&n| n == 1).filter(|_| sizes.len() > 3) {
+            sizes.remove(one);
+        }
         let (steps, [nz, ny, nx]) = match *sizes.as_slice() {
             [z, y, x] => (1, [z, y, x]),
             [t, z, y, x] => (t, [z, y, x]),
@@ -68,6 +77,7 @@ impl Array {
             fortran_order,
             dims: [nx, ny, nz],
             steps,
+            doubt: doubt_of_order(&shape),
             header_bytes,
         })
     }

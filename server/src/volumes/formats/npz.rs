@@ -11,7 +11,7 @@ use zip::{CompressionMethod, ZipArchive};
 use super::super::codec;
 use super::super::location::Blob;
 use super::super::stored::{Begin, Encoding};
-use super::super::{Field, FileLocation, OpenedFile, ReadError};
+use super::super::{Field, FileLocation, Notices, OpenedFile, ReadError};
 use super::{header, npy};
 
 /// Maximum members of a file.
@@ -58,14 +58,15 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         Ok(header::field(member.name.clone(), samples, &array.descr, None, None))
     };
     let fields = volumes.iter().map(field).collect::<Result<_, _>>()?;
-    Ok(OpenedFile {
+    let file = OpenedFile {
         geometry,
         steps: first.steps,
         uneven: None,
         times: None,
         fields,
-        notice: None,
-    })
+        notices: Notices::default(),
+    };
+    Ok(header::with_notices(file, first.doubt.clone()))
 }
 
 /// The error where shapes differ.

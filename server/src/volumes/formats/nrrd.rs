@@ -8,7 +8,9 @@
 //! channels, samples split over several files.
 
 use super::super::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use super::super::{FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::{
+    FileLocation, Frame, Geometry, Label, LengthUnit, MAX_LABELS, Notices, OpenedFile, ReadError, TimeAxis,
+};
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS, MAX_HEADER_BYTES, not_3d, numbers, three};
 
 const FIELDS: GridFields = GridFields {
@@ -34,7 +36,8 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         )
     })?;
     let axes = Axes::parse(&header)?;
-    let geometry = header.geometry(&axes)?;
+    let mut notices = Notices::default();
+    let geometry = header.geometry(&axes, &mut notices)?;
     let samples = header.samples(&axes, &geometry, stored)?;
     let unit = header
         .get("sample units")
@@ -47,13 +50,17 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         unit,
     };
     samples.check("sizes")?;
+    let mut fields = axes.channels(&like.name).fields(&samples, axes.channel_distance, &like);
+    for (layer, field) in fields.iter_mut().enumerate() {
+        field.labels = header.segments(layer);
+    }
     Ok(OpenedFile {
         geometry,
         steps: axes.steps,
         uneven: None,
         times: header.times(&axes),
-        fields: axes.channels(&like.name).fields(&samples, axes.channel_distance, &like),
-        notice: None,
+        fields,
+        notices,
     })
 }
 
@@ -110,6 +117,10 @@ impl<'a> Header<'a> {
                 header.data_offset = at;
                 break;
             }
+            if header.get("data file").is_some_and(|file| file.starts_with("LIST")) {
+                // Names of files, one a line, up to the end.
+                break;
+            }
             let line = String::from_utf8_lossy(line);
             if line.starts_with('#') {
             } else if let Some((key, value)) = line.split_once(":=") {
@@ -152,6 +163,40 @@ impl<'a> Header<'a> {
                     .map_err(|_| self.error(name, format!("{v:?}, expected a whole number")))
             })
             .transpose()
+    }
+
+    /// A key's value.
+    fn pair(&self, key: &str) -> Option<&str> {
+        self.pairs
+            .iter()
+            .find(|(k, _)| k == key)
+            .map(|(_, value)| value.as_str())
+    }
+
+    /// Whether it is a segmentation of 3D Slicer, whose axis of kind `list` has layers.
+    fn is_segmentation(&self) -> bool {
+        self.pair("Segment0_ID").or(self.pair("Segment0_Name")).is_some()
+    }
+
+    /// The segments of a layer.
+    fn segments(&self, layer: usize) -> Vec<Label> {
+        let value = |i: usize, name: &str| self.pair(&format!("Segment{i}_{name}"));
+        let is_there = |i: &usize| value(*i, "ID").or(value(*i, "Name")).is_some();
+        let segments = (0..MAX_LABELS).take_while(is_there).filter_map(|i| {
+            // Files of before layers have one of each segment, with the value 1.
+            let number = |name: &str| value(i, name).and_then(|text| text.parse::<i64>().ok());
+            let own = number("Layer").map_or(i, |own| usize::try_from(own).unwrap_or(usize::MAX));
+            let color = value(i, "Color").and_then(|text| {
+                let channels: Vec<f64> = text.split_whitespace().map(str::parse).collect::<Result<_, _>>().ok()?;
+                let channels: [f64; 3] = channels.try_into().ok()?;
+                Some(channels.map(|channel| (255.0 * channel).round() as u8))
+            });
+            let name = value(i, "Name").or(value(i, "ID")).unwrap_or_default();
+            (own == layer).then(|| Label::new(number("LabelValue").unwrap_or(1), name, color))
+        });
+        let mut labels: Vec<Label> = segments.collect();
+        labels.sort_by_key(|label| label.value);
+        labels
     }
 
     fn missing(&self) -> Result<Option<f32>, ReadError> {
@@ -209,11 +254,16 @@ impl<'a> Header<'a> {
                 Err(self.error("header", why))
             }
             None => Ok(self.location.clone()),
-            Some(name) if name.starts_with("LIST") || name.contains('%') => Err(self.error(
-                "data file",
-                format!("{name:?}, expected one file: samples over many are not read"),
-            )),
-            Some(name) => self.location.sibling(name, "data file"),
+            Some(name) => match self.location.sibling(name, "data file") {
+                Err(_) if name.starts_with("LIST") || name.contains('%') => {
+                    let why = format!(
+                        "{name:?}: samples in many files, which are not read; expected one file, as `unu save -f nrrd -i IN.nhdr -o OUT.nrrd` \
+                         writes it"
+                    );
+                    Err(self.error("data file", why))
+                }
+                file => file,
+            },
         }
     }
 
@@ -256,7 +306,7 @@ impl<'a> Header<'a> {
         Ok(at)
     }
 
-    fn geometry(&self, axes: &Axes) -> Result<Geometry, ReadError> {
+    fn geometry(&self, axes: &Axes, notices: &mut Notices) -> Result<Geometry, ReadError> {
         let path = self.location.path();
         let (spacing, direction) = if let Some(text) = self.get("space directions") {
             let all = vectors(text).ok_or_else(|| self.error("space directions", malformed(text)))?;
@@ -270,7 +320,9 @@ impl<'a> Header<'a> {
             header::split_axes(chosen)
         } else if let Some(text) = self.get("spacings") {
             let all: Vec<f64> = numbers(path, "spacings", text, Some(axes.count))?;
-            (axes.space.map(|a| all[a]), Geometry::IDENTITY)
+            header::signed_distances(axes.space.map(|a| all[a]), Geometry::IDENTITY, notices)
+        } else if let Some(distances) = self.axis_distances(axes) {
+            header::signed_distances(distances, Geometry::IDENTITY, notices)
         } else {
             ([1.0; 3], Geometry::IDENTITY)
         };
@@ -281,11 +333,48 @@ impl<'a> Header<'a> {
                 _ => return Err(self.error("space origin", malformed(text))),
             },
         };
-        if self.get("space directions").is_none() && self.get("axis mins").is_some() {
-            tracing::warn!(path = %path.display(), "`axis mins` is not read, the origin is 0: `space origin` is");
-        }
+        let origin = match self.axis_mins(axes) {
+            Some(mins) if self.get("space origin").is_none() && self.get("space directions").is_none() => mins,
+            _ => origin,
+        };
         let geometry = header::geometry(path, &FIELDS, axes.dims, spacing, origin, direction)?;
         Ok(self.framed(geometry, axes))
+    }
+
+    /// Numbers of the axes in space, of a field with one for each axis.
+    fn of_space(&self, field: &str, axes: &Axes) -> Option<[f64; 3]> {
+        let words: Vec<&str> = self.get(field)?.split_whitespace().collect();
+        let number = |axis: usize| words.get(axis)?.parse::<f64>().ok().filter(|number| number.is_finite());
+        let [x, y, z] = axes.space.map(number);
+        Some([x?, y?, z?])
+    }
+
+    /// Positions of the first samples, by `axis mins`: where cells begin, if samples are at the centres of cells.
+    fn axis_mins(&self, axes: &Axes) -> Option<[f64; 3]> {
+        let mins = self.of_space("axis mins", axes)?;
+        let half = self.half_cells(axes);
+        let spacings = self.of_space("spacings", axes);
+        let distances = spacings.or_else(|| self.axis_distances(axes)).unwrap_or([1.0; 3]);
+        Some(std::array::from_fn(|axis| mins[axis] + half[axis] * distances[axis]))
+    }
+
+    /// Half a cell for each axis whose samples are at the centres of cells.
+    fn half_cells(&self, axes: &Axes) -> [f64; 3] {
+        let words: Vec<&str> = self
+            .get("centers")
+            .map_or_else(Vec::new, |text| text.split_whitespace().collect());
+        axes.space
+            .map(|axis| if words.get(axis) == Some(&"cell") { 0.5 } else { 0.0 })
+    }
+
+    /// Distances by `axis mins` and `axis maxs`.
+    fn axis_distances(&self, axes: &Axes) -> Option<[f64; 3]> {
+        let (mins, maxs) = (self.of_space("axis mins", axes)?, self.of_space("axis maxs", axes)?);
+        let half = self.half_cells(axes);
+        Some(std::array::from_fn(|axis| {
+            let intervals = f64::from(axes.dims[axis]) - 1.0 + 2.0 * half[axis];
+            (maxs[axis] - mins[axis]) / intervals
+        }))
     }
 
     /// When the steps are, where the time axis has a distance: `spacings`, `axis mins` and `units`.
@@ -344,6 +433,8 @@ fn canonical(name: &str) -> String {
         "sampleunits" => "sample units".into(),
         "spaceunits" => "space units".into(),
         "axismins" => "axis mins".into(),
+        "axismaxs" => "axis maxs".into(),
+        "centerings" => "centers".into(),
         other => other.into(),
     }
 }
@@ -433,6 +524,10 @@ impl Axes {
             .iter()
             .any(|word| self.channel_kind.ends_with(word));
         match self.channel_kind.as_str() {
+            "list" => match self.channel_count {
+                1 => Channels::numbered(name, 1),
+                n => Channels::named(name, &(1..=n).map(|n| format!("layer {n}")).collect::<Vec<_>>()),
+            },
             "rgb-color" | "rgba-color" if self.channel_count >= 3 => Channels::Luminance,
             _ if is_vector => Channels::vector(name, self.channel_count),
             _ => Channels::numbered(name, self.channel_count),
@@ -461,7 +556,10 @@ impl Roles {
         }
         let directions = header.get("space directions").and_then(vectors);
         let of_kind = |kind: &str| kinds.iter().position(|k| k == kind);
-        let time = of_kind("time").or_else(|| of_kind("list"));
+        let time = match header.is_segmentation() {
+            true => None,
+            false => of_kind("time").or_else(|| of_kind("list")),
+        };
         let mut roles = Self {
             space: Vec::new(),
             time,

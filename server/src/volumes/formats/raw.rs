@@ -126,6 +126,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     if let SidecarEndian::Big = sidecar.endian {
         samples.endian = Endian::Big;
     }
+    samples.check_exactly("dims")?;
     let missing = sidecar.missing.map(|m| m as f32);
     header::opened(
         location,

@@ -61,6 +61,14 @@ tags! {
     PIXEL_MEASURES = 0x0028_9110, "PixelMeasuresSequence";
     VALUE_TRANSFORMATION = 0x0028_9145, "PixelValueTransformationSequence";
     UNITS = 0x0054_1001, "Units";
+    SEGMENTATION_TYPE = 0x0062_0001, "SegmentationType";
+    SEGMENTS = 0x0062_0002, "SegmentSequence";
+    SEGMENT_NUMBER = 0x0062_0004, "SegmentNumber";
+    SEGMENT_LABEL = 0x0062_0005, "SegmentLabel";
+    SEGMENT_IDENTIFICATION = 0x0062_000a, "SegmentIdentificationSequence";
+    REFERENCED_SEGMENT = 0x0062_000b, "ReferencedSegmentNumber";
+    SEGMENT_COLOR = 0x0062_000d, "RecommendedDisplayCIELabValue";
+    MAX_FRACTION = 0x0062_000e, "MaximumFractionalValue";
     DOSE_UNITS = 0x3004_0002, "DoseUnits";
     FRAME_OFFSETS = 0x3004_000c, "GridFrameOffsetVector";
     DOSE_SCALING = 0x3004_000e, "DoseGridScaling";
@@ -94,6 +102,8 @@ pub fn is_sequence(tag: Tag) -> bool {
             | PLANE_POSITION
             | PLANE_ORIENTATION
             | PIXEL_MEASURES
+            | SEGMENTS
+            | SEGMENT_IDENTIFICATION
             | VALUE_TRANSFORMATION
             | SHARED_GROUPS
             | FRAME_GROUPS
@@ -193,6 +203,21 @@ impl DataSet {
     /// A 16-bit number (US).
     pub fn short(&self, tag: Tag) -> Result<Option<u16>, Fault> {
         Ok(self.binary(tag)?.map(u16::from_le_bytes))
+    }
+
+    /// 16-bit numbers (US).
+    pub fn shorts(&self, tag: Tag) -> Option<Vec<f64>> {
+        let order = if self.big {
+            u16::from_be_bytes
+        } else {
+            u16::from_le_bytes
+        };
+        let numbers = self
+            .values
+            .get(&tag)?
+            .chunks_exact(2)
+            .map(|b| f64::from(order([b[0], b[1]])));
+        Some(numbers.collect())
     }
 
     /// A 32-bit number (UL).

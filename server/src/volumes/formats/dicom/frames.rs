@@ -15,6 +15,10 @@ pub struct Image {
     pub times: [Option<f64>; 3],
     /// Name of its stack. Never shown.
     pub stack: String,
+    /// The segment that a frame of a segmentation is of.
+    pub segment: Option<u16>,
+    /// Distance of slices, where it is stated.
+    pub distance: Option<f64>,
 }
 
 /// Position of an image in space.
@@ -71,6 +75,8 @@ fn classic(set: &DataSet, count: u32) -> Result<Vec<Image>, Fault> {
         scale,
         times,
         stack: String::new(),
+        segment: None,
+        distance: None,
     };
     if count == 1 {
         let plane = plane(set, set, set)?;
@@ -139,12 +145,16 @@ fn enhanced(set: &DataSet, shared: Option<&DataSet>, own: &DataSet, frame: u32) 
     } else {
         scale(set)?
     };
+    let segment = group(tag::SEGMENT_IDENTIFICATION).short(tag::REFERENCED_SEGMENT)?;
+    let distance = group(tag::PIXEL_MEASURES).number(tag::SPACING_BETWEEN_SLICES)?;
     Ok(plane.map(|plane| Image {
         frame,
         plane,
         scale,
         times,
         stack: content.text(tag::STACK).unwrap_or_default(),
+        segment,
+        distance,
     }))
 }
 

@@ -12,7 +12,8 @@ use super::data_set::{DataSet, Fault, tag};
 use super::elements::{Elements, PixelElement, Stream, Writing};
 use super::frames::{self, Image};
 use super::label::FileLabel;
-use super::samples::SampleFormat;
+use super::samples::{Kind, SampleFormat};
+use super::segments::Segmentation;
 use super::syntax::{Packing, Syntax};
 
 /// Bytes before the first element, the last four of which are [`MAGIC`].
@@ -38,6 +39,8 @@ pub struct ImageFile {
     /// Unit of the values.
     pub unit: Option<&'static str>,
     pub format: SampleFormat,
+    /// Of a segmentation what its segments are.
+    pub segmentation: Option<Segmentation>,
     pub syntax: Syntax,
     pub pixels: Pixels,
 }
@@ -158,6 +161,7 @@ impl Header<'_> {
             modality,
             unit: unit(set, modality),
             format,
+            segmentation: Segmentation::of(set)?,
             syntax: self.syntax,
             pixels: self.pixels(element, &format, count)?,
         };
@@ -172,6 +176,10 @@ impl Header<'_> {
                     format!("{name}, expected plain or deflated samples, run lengths, JPEG, JPEG-LS or JPEG 2000");
                 Err(Fault::of(tag::TRANSFER_SYNTAX, why))
             }
+            (packing, _) if format.kind == Kind::Bit && packing != Packing::Plain => Err(Fault::of(
+                tag::TRANSFER_SYNTAX,
+                "compressed samples of one bit, expected plain ones",
+            )),
             (Packing::Deflated, _) => deflated(self.blob, self.from, element, format, count),
             (Packing::Plain, _) => plain(element, format, count),
             (Packing::Encoded(_), None) => {
@@ -199,7 +207,7 @@ fn count(set: &DataSet) -> Result<u32, Fault> {
 }
 
 fn plain(element: &PixelElement, format: &SampleFormat, count: u32) -> Result<Pixels, Fault> {
-    let expected = format.frame_bytes() * u64::from(count);
+    let expected = format.stored_bytes(count);
     let found = u64::from(element.bytes.unwrap_or(0));
     // Some writers fill up the last block; a whole image more is another matter.
     if found < expected || found - expected >= format.frame_bytes().max(2) {

@@ -4,7 +4,7 @@
 //! - [`elements`]: the data elements of a file, of which a [`data_set`] is kept; [`syntax`]: how they are written.
 //! - [`image`], [`frames`]: what the header says of each image.
 //! - [`samples`], [`codecs`]: stored samples and the values that they stand for.
-//! - [`series`]: from images to volumes; [`source`] reads their samples.
+//! - [`segments`], [`segmentation`]: segments, and their labels. [`series`]: from images to volumes; [`source`] reads their samples.
 //!
 //! What identifies a patient is not read, or not shown: a volume is named by its series' number and its modality, an
 //! error names the folder and the number of a file. Unknown values of tags are not repeated, as they may be anything.
@@ -13,9 +13,12 @@ mod codecs;
 mod data_set;
 mod elements;
 mod frames;
+mod grid;
 mod image;
 mod label;
 mod samples;
+mod segmentation;
+mod segments;
 mod series;
 mod source;
 mod syntax;

@@ -27,6 +27,8 @@ pub enum Kind {
         signed: bool,
     },
     Float,
+    /// One bit, eight of which are in a byte of the file, the first one the least significant. A byte of a frame that was read.
+    Bit,
 }
 
 /// The components of a sample.
@@ -80,12 +82,21 @@ impl SampleFormat {
         self.samples() * self.components() as u64 * self.bytes as u64
     }
 
+    /// Bytes of so many images in a file, one behind the other.
+    pub fn stored_bytes(&self, count: u32) -> u64 {
+        match self.kind {
+            Kind::Bit => (self.samples() * u64::from(count)).div_ceil(8),
+            _ => self.frame_bytes() * u64::from(count),
+        }
+    }
+
     /// The type as other formats name it.
     pub fn type_name(&self) -> String {
         let letter = match self.kind {
             Kind::Float => 'f',
             Kind::Integer { signed: true, .. } => 'i',
             Kind::Integer { signed: false, .. } => 'u',
+            Kind::Bit => return "u1".to_owned(),
         };
         format!("{letter}{}", 8 * self.bytes)
     }
@@ -101,6 +112,7 @@ impl SampleFormat {
     pub fn range(&self) -> Option<[i64; 2]> {
         match self.kind {
             Kind::Float => None,
+            Kind::Bit => Some([0, 1]),
             Kind::Integer { bits, signed: true, .. } => Some([-(1 << (bits - 1)), (1 << (bits - 1)) - 1]),
             Kind::Integer { bits, .. } => Some([0, (1 << bits) - 1]),
         }
@@ -117,6 +129,7 @@ impl SampleFormat {
         let word = self.word(frame, component);
         match self.kind {
             Kind::Float => 0,
+            Kind::Bit => (word & 1) as i64,
             Kind::Integer { bits, shift, signed } => {
                 let left = word << (64 - bits - shift);
                 if signed {
@@ -205,6 +218,10 @@ fn luminance([red, green, blue]: [f64; 3]) -> f64 {
 
 fn integer(set: &DataSet) -> Result<(usize, Kind), Fault> {
     let allocated = set.short(tag::BITS_ALLOCATED)?.unwrap_or(0);
+    // Other images of one bit are no measurements.
+    if allocated == 1 && !set.items(tag::SEGMENTS).is_empty() {
+        return Ok((1, Kind::Bit));
+    }
     if !matches!(allocated, 8 | 16 | 32) {
         return Err(Fault::of(
             tag::BITS_ALLOCATED,

@@ -3,14 +3,16 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 
-use super::super::super::{Field, Frame, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::super::{Field, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError, TimeAxis};
 use super::super::FolderVolume;
-use super::super::header::{self, GridFields};
+use super::super::header;
 use super::data_set::Fault;
 use super::frames::{Image, Plane, cross, dot};
+use super::grid::{FIELDS, OFF_GRID, POSITION};
 use super::image::{Found, ImageFile};
 use super::label::FileLabel;
 use super::samples::{Color, Target};
+use super::segmentation;
 use super::source::{DicomSamples, StoredImage};
 
 /// Relative rounding of positions, spacings and directions.
@@ -20,15 +22,6 @@ const MAX_STACKS: usize = 100;
 
 /// Which of an image's times is one, in milliseconds; the others are numbers.
 const TRIGGER_TIME: usize = 2;
-
-const POSITION: &str = "ImagePositionPatient";
-
-const FIELDS: GridFields = GridFields {
-    dims: "Rows, Columns",
-    spacing: "PixelSpacing",
-    origin: POSITION,
-    direction: "ImageOrientationPatient",
-};
 
 /// Images that lie behind each other.
 struct Stack {
@@ -93,9 +86,6 @@ pub fn volumes(label: &FileLabel, files: Vec<Found>) -> Result<Vec<FolderVolume>
             }
         }
     }
-    if single > 0 {
-        tracing::info!(path = %label.asked.display(), images = single, "single images are no volume, passed over");
-    }
     if volumes.is_empty() {
         let found = if single == 1 {
             "a single image".to_owned()
@@ -107,8 +97,13 @@ pub fn volumes(label: &FileLabel, files: Vec<Found>) -> Result<Vec<FolderVolume>
         let none = || label.error("images", why);
         return Err(refused.into_iter().next().unwrap_or_else(none));
     }
+    if single > 0 {
+        let notice = format!("{single} single images beside it are passed over: they are no volume");
+        volumes.iter_mut().for_each(|(.., file)| file.notices.add(&notice));
+    }
     for error in refused {
-        tracing::warn!("a series is passed over: {error}");
+        let notice = format!("another series is passed over: {}: {}", error.field, error.why);
+        volumes.iter_mut().for_each(|(.., file)| file.notices.add(&notice));
     }
     Ok(titled(volumes))
 }
@@ -174,15 +169,19 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
     let fail = |fault: Fault| label.error(fault.field, fault.why);
     let file = stack.images[0].file.clone();
     let plane = *stack.plane();
-    let (images, steps, kind) = arrange(label, stack.images).map_err(fail)?;
+    if let Some(segmentation) = &file.segmentation {
+        return segmentation::open(label, stack.images, segmentation);
+    }
+    let mut notices = Notices::default();
+    let (images, steps, kind) = arrange(stack.images, &mut notices).map_err(fail)?;
     let slices = images.len() / steps;
-    let axis = step_between(&images[..slices], &plane).map_err(fail)?;
+    let axis = step_between(&images[..slices], &plane, &mut notices).map_err(fail)?;
     for step in images.chunks(slices).skip(1) {
         same_positions(&images[..slices], step, axis).map_err(fail)?;
     }
-    let geometry = geometry(label, &images, slices, &plane, axis)?;
+    let geometry = geometry(label, &images, slices, (&plane, axis), &mut notices)?;
     if file.format.color != Color::Grey {
-        tracing::info!(path = %label.asked.display(), "colors become luminance (Rec. 709)");
+        notices.add("colours become their luminance: 0.2126 red + 0.7152 green + 0.0722 blue");
     }
     let target = Target::of(images.iter().map(|i| (&i.file.format, i.image.scale)));
     let steps = u32::try_from(steps).map_err(|_| label.error("images", "too many times"))?;
@@ -193,6 +192,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
         sample_type: target.sample_type,
         missing: target.missing.map(|missing| missing as f32),
         unit: file.unit.map(str::to_owned),
+        labels: Vec::new(),
         source: Arc::new(DicomSamples::new(label.clone(), images, slices, target)),
     };
     Ok(OpenedFile {
@@ -201,7 +201,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times,
         fields: vec![field],
-        notice: None,
+        notices,
     })
 }
 
@@ -217,7 +217,10 @@ fn times(images: &[StoredImage], slices: usize, kind: usize) -> Option<TimeAxis>
 }
 
 /// Images in the order of steps, and in each along the normal; the number of steps, and which of their times tells them apart.
-fn arrange(label: &FileLabel, mut images: Vec<StoredImage>) -> Result<(Vec<StoredImage>, usize, Option<usize>), Fault> {
+fn arrange(
+    mut images: Vec<StoredImage>,
+    notices: &mut Notices,
+) -> Result<(Vec<StoredImage>, usize, Option<usize>), Fault> {
     let plane = images[0].image.plane;
     let normal = cross(plane.axes[0], plane.axes[1]);
     let height = |image: &StoredImage| dot(image.image.plane.position, normal);
@@ -236,7 +239,7 @@ fn arrange(label: &FileLabel, mut images: Vec<StoredImage>) -> Result<(Vec<Store
     });
     let kept = images.len();
     if kept < before {
-        tracing::info!(path = %label.asked.display(), "{} copies of images passed over", before - kept);
+        notices.add(format!("{} copies of images are passed over", before - kept));
     }
     let mut heights: Vec<Vec<StoredImage>> = Vec::new();
     for image in images {
@@ -289,7 +292,7 @@ fn sort_times(heights: &mut [Vec<StoredImage>]) -> Result<usize, Fault> {
 }
 
 /// The vector from an image to the next one. Positions, not thicknesses, tell it.
-fn step_between(images: &[StoredImage], plane: &Plane) -> Result<[f64; 3], Fault> {
+fn step_between(images: &[StoredImage], plane: &Plane, notices: &mut Notices) -> Result<[f64; 3], Fault> {
     let position = |i: usize| images[i].image.plane.position;
     let last = images.len() - 1;
     if last == 0 {
@@ -297,7 +300,7 @@ fn step_between(images: &[StoredImage], plane: &Plane) -> Result<[f64; 3], Fault
         return Err(Fault::new(POSITION, why));
     }
     let normal = cross(plane.axes[0], plane.axes[1]);
-    even_gaps(&(0..=last).map(|i| dot(position(i), normal)).collect::<Vec<_>>())?;
+    check_gaps(&(0..=last).map(|i| dot(position(i), normal)).collect::<Vec<_>>())?;
     let (first, end) = (position(0), position(last));
     let step: [f64; 3] = std::array::from_fn(|i| (end[i] - first[i]) / last as f64);
     let length = dot(step, step).sqrt();
@@ -307,14 +310,22 @@ fn step_between(images: &[StoredImage], plane: &Plane) -> Result<[f64; 3], Fault
     };
     let by_deviation = |&a: &usize, &b: &usize| deviation(a).total_cmp(&deviation(b));
     let worst = (0..=last).max_by(by_deviation).unwrap_or(0);
-    if deviation(worst) > rounding(length) {
+    let limit = OFF_GRID * length.min(plane.spacing[0]).min(plane.spacing[1]);
+    if deviation(worst) > limit.max(rounding(length)) {
         let why = format!(
             "image {} lies {:.4} mm beside its place in a grid, the largest deviation, expected even distances of \
-             {length:.4} mm on a line",
+             {length:.4} mm on a line, up to {limit:.4} mm",
             worst + 1,
             deviation(worst)
         );
         return Err(Fault::new(POSITION, why));
+    }
+    if deviation(worst) > rounding(length) {
+        notices.add(format!(
+            "positions of images are uneven by up to {:.4} mm (image {}), as if rounded: they are taken to be {length:.4} mm apart on a line",
+            deviation(worst),
+            worst + 1
+        ));
     }
     Ok(step)
 }
@@ -324,32 +335,37 @@ fn rounding(distance: f64) -> f64 {
     (ROUNDING * distance).max(1e-3)
 }
 
-/// Whether the gaps between images are those of a grid, or one is missing.
-fn even_gaps(heights: &[f64]) -> Result<(), Fault> {
+/// Whether images are missing between others: a gap is about a multiple of the usual one.
+fn check_gaps(heights: &[f64]) -> Result<(), Fault> {
     let gaps: Vec<f64> = heights.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut sorted = gaps.clone();
     sorted.sort_by(f64::total_cmp);
     let usual = sorted[sorted.len() / 2];
-    let off = |gap: f64| (gap - usual).abs();
-    let by_deviation = |a: &usize, b: &usize| off(gaps[*a]).total_cmp(&off(gaps[*b]));
-    let worst = (0..gaps.len()).max_by(by_deviation).unwrap_or(0);
-    // Both ends are rounded.
-    if off(gaps[worst]) > 2.0 * rounding(usual) {
-        let why = format!(
-            "{:.4} mm between images {} and {}, the largest deviation from {usual:.4} mm between others, expected \
-             even distances: an image may be missing",
-            gaps[worst],
-            worst + 1,
-            worst + 2
-        );
-        return Err(Fault::new(POSITION, why));
-    }
-    Ok(())
+    let missing = |gap: f64| {
+        let times = (gap / usual).round();
+        let is_near = (gap - times * usual).abs() <= 2.0 * OFF_GRID * usual;
+        if times >= 2.0 && is_near { times - 1.0 } else { 0.0 }
+    };
+    let worst = (0..gaps.len()).max_by(|a, b| missing(gaps[*a]).total_cmp(&missing(gaps[*b])));
+    let Some((worst, count)) = worst
+        .map(|at| (at, missing(gaps[at])))
+        .filter(|(_, count)| *count > 0.0)
+    else {
+        return Ok(());
+    };
+    let why = format!(
+        "{:.4} mm between images {} and {}, {usual:.4} mm between others: {count} seem to be missing there; expected even distances",
+        gaps[worst],
+        worst + 1,
+        worst + 2
+    );
+    Err(Fault::new(POSITION, why))
 }
 
 /// Whether another step's images lie where those of the first one do.
 fn same_positions(first: &[StoredImage], other: &[StoredImage], step: [f64; 3]) -> Result<(), Fault> {
-    let limit = rounding(dot(step, step).sqrt());
+    let length = dot(step, step).sqrt();
+    let limit = (OFF_GRID * length).max(rounding(length));
     for (a, b) in first.iter().zip(other) {
         let (a, b) = (a.image.plane.position, b.image.plane.position);
         if a.iter().zip(b).any(|(a, b)| (a - b).abs() > limit) {
@@ -366,8 +382,8 @@ fn geometry(
     label: &FileLabel,
     images: &[StoredImage],
     slices: usize,
-    plane: &Plane,
-    step: [f64; 3],
+    (plane, step): (&Plane, [f64; 3]),
+    notices: &mut Notices,
 ) -> Result<Geometry, ReadError> {
     let format = &images[0].file.format;
     let depth = u32::try_from(slices).map_err(|_| label.error("images", "too many"))?;
@@ -375,8 +391,9 @@ fn geometry(
     let normal = cross(plane.axes[0], plane.axes[1]);
     let angle = dot(direction, normal).clamp(-1.0, 1.0).acos().to_degrees();
     if angle > 0.05 {
-        let path = label.asked.display();
-        tracing::info!(%path, "images lie on a line {angle:.2}° off their normal (gantry tilt): the grid is sheared");
+        notices.add(format!(
+            "images lie on a line {angle:.2}° off their normal (gantry tilt): the grid is sheared"
+        ));
     }
     let [x, y] = plane.axes.map(|axis| axis.map(|v| v + 0.0));
     let spacing = [plane.spacing[0], plane.spacing[1], distance];
@@ -401,15 +418,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rounded_positions_are_even_and_missing_ones_are_not() {
-        assert!(even_gaps(&[0.0, 0.333, 0.667, 1.0]).is_ok());
-        assert!(even_gaps(&[0.0, 1000.0, 2001.0]).is_ok());
-        let error = even_gaps(&[0.0, 0.3, 0.6, 1.2]).unwrap_err();
+    fn a_gap_near_a_multiple_of_the_others_is_a_missing_image() {
+        for heights in [
+            &[0.0, 0.333, 0.667, 1.0][..],
+            &[0.0, 1000.0, 2001.0],
+            &[0.0, 0.62, 1.25, 1.87, 2.5],
+            &[0.0, 0.6, 1.3, 1.9, 2.5, 3.1],
+            &[0.0, 1.0],
+        ] {
+            assert!(check_gaps(heights).is_ok(), "{heights:?}");
+        }
+        let error = check_gaps(&[0.0, 0.3, 0.6, 1.2]).unwrap_err();
         assert!(
-            error.why.starts_with("0.6000 mm between images 3 and 4"),
+            error.why.starts_with("0.6000 mm between images 3 and 4") && error.why.contains("1 seem to be missing"),
             "{}",
             error.why
         );
-        assert!(even_gaps(&[0.0, 1.0, 2.01]).is_err());
+        assert!(check_gaps(&[0.0, 0.62, 1.25, 2.49, 3.12]).is_err());
+        assert!(check_gaps(&[0.0, 1.0, 2.0, 6.0]).is_err());
     }
 }

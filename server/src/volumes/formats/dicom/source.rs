@@ -7,6 +7,7 @@ use flate2::bufread::DeflateDecoder;
 use isopeel_kernels::Samples;
 use rayon::prelude::*;
 
+use super::super::super::conversion::Conversion;
 use super::super::super::location::Blob;
 use super::super::super::pieces::Pieces;
 use super::super::super::stored::{Endian, StoredType};
@@ -17,7 +18,7 @@ use super::elements::Stream;
 use super::frames::Image;
 use super::image::{ImageFile, Pixels};
 use super::label::FileLabel;
-use super::samples::{Color, Target};
+use super::samples::{Color, Kind, Target};
 use super::syntax::Packing;
 
 /// Bytes that are decoded at once, in the device's type: enough images for all threads, little beside the volume.
@@ -85,7 +86,14 @@ impl Source for DicomSamples {
         };
         let samples = images[0].file.format.samples();
         let sample_type = self.target.sample_type;
-        let mut pieces = Pieces::new(&self.label.asked, sample_type, samples * self.slices as u64);
+        // Images are converted one by one, as each has its own scale.
+        let conversion = Conversion::default();
+        let mut pieces = Pieces::new(
+            &self.label.asked,
+            sample_type,
+            samples * self.slices as u64,
+            &conversion,
+        );
         let bytes = samples * sample_type.bytes() as u64;
         let batch = (BATCH_BYTES / bytes).clamp(1, 64) as usize;
         for batch in images.chunks(batch) {
@@ -123,9 +131,9 @@ fn stored_type(samples: &Samples) -> StoredType {
 
 impl StoredImage {
     /// Bytes of the file that hold it.
-    fn bytes(&self) -> u64 {
+    pub fn bytes(&self) -> u64 {
         match &self.file.pixels {
-            Pixels::Plain { .. } => self.file.format.frame_bytes(),
+            Pixels::Plain { .. } => self.file.format.stored_bytes(1),
             Pixels::Deflated { from, .. } => self.file.file_bytes - from,
             Pixels::Fragments(frames) => {
                 let frame = &frames[self.image.frame as usize];
@@ -134,7 +142,7 @@ impl StoredImage {
         }
     }
 
-    fn read(&self, target: Target, progress: &ReadProgress) -> Result<Samples, ReadError> {
+    pub fn read(&self, target: Target, progress: &ReadProgress) -> Result<Samples, ReadError> {
         let label = &self.file.label;
         let blob = self.file.location.open().map_err(|e| label.error("file", e.why))?;
         let blob = blob.counted(progress);
@@ -154,6 +162,9 @@ impl StoredImage {
 
     fn plain(&self, blob: &Blob<'_>, at: u64, words: bool) -> Result<Vec<u8>, Fault> {
         let format = &self.file.format;
+        if format.kind == Kind::Bit {
+            return self.bits(blob, at);
+        }
         let bytes = format.frame_bytes();
         let first = u64::from(self.image.frame) * bytes;
         if !self.file.syntax.writing.big {
@@ -168,6 +179,19 @@ impl StoredImage {
         frame.drain(..before as usize);
         frame.truncate(bytes as usize);
         Ok(frame)
+    }
+
+    /// A byte for each bit of a frame, which may begin inside of a byte.
+    fn bits(&self, blob: &Blob<'_>, at: u64) -> Result<Vec<u8>, Fault> {
+        let samples = self.file.format.samples();
+        let first = u64::from(self.image.frame) * samples;
+        let (from, to) = (first / 8, (first + samples).div_ceil(8));
+        let packed = exactly(to - from, blob.reader(at + from))?;
+        let bit = |i: u64| {
+            let at = first % 8 + i;
+            packed[(at / 8) as usize] >> (at % 8) & 1
+        };
+        Ok((0..samples).map(bit).collect())
     }
 
     /// The stored samples, words with the least significant byte first, and the order of their components.

@@ -21,7 +21,7 @@ use super::store::{Store, never};
 use crate::volumes::open::title_of;
 use crate::volumes::remote::Part;
 use crate::volumes::stored::StoredType;
-use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, OpenedFile, ReadError};
+use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, Notices, OpenedFile, ReadError};
 use encoding::Encoding;
 use samples::PrecomputedSamples;
 use sharding::Sharding;
@@ -152,10 +152,6 @@ impl Info {
                 "{keys:?}, expected one of 2^31 samples at most, or one that is named"
             ));
         };
-        if self.scales.len() > 1 {
-            let path = shown.display();
-            tracing::info!(%path, "scale {} is opened: the finest of 2^31 samples at most", scale.key);
-        }
         Ok(scale)
     }
 }
@@ -196,15 +192,24 @@ fn open_scale(store: &Arc<Store>, info: &Info, scale: &Scale, name: &str) -> Res
         sample_type: stored.on_device(),
         missing: None,
         unit: None,
+        labels: Vec::new(),
         source: Arc::new(base.of_channel(channel)),
     };
+    let mut notices = Notices::default();
+    if info.scales.first().is_some_and(|finest| finest.key != scale.key) {
+        notices.add(format!(
+            "scale {} of {} is read: another one is finer, which was not named, or has more than 2^31 samples",
+            scale.key,
+            info.scales.len()
+        ));
+    }
     Ok(OpenedFile {
         geometry,
         steps: 1,
         uneven: None,
         times: None,
         fields: (0..).zip(names).map(field).collect(),
-        notice: None,
+        notices,
     })
 }
 

@@ -12,9 +12,9 @@ use super::super::store::{Store, join};
 use super::encoding::{Encoding, Shape, gunzip, max_stored};
 use super::sharding::{Entry, Minishard, Sharding, compressed_morton, find};
 use crate::volumes::remote::Part;
-use crate::volumes::scalar::Scalar;
+use crate::volumes::scalar::{DeviceScalar, Scalar};
 use crate::volumes::stored::StoredType;
-use crate::volumes::{FileLocation, ReadError, ReadProgress, Source};
+use crate::volumes::{FileLocation, Findings, LabelRanks, Notices, ReadError, ReadProgress, Source, only_piece};
 
 /// Maximum chunks of a scale.
 const MAX_CHUNKS: u64 = 1 << 19;
@@ -44,6 +44,7 @@ pub(super) struct PrecomputedSamples {
     store: Arc<Store>,
     layout: Arc<Layout>,
     channel: u32,
+    findings: Findings,
 }
 
 /// What is known of a minishard once its index was read.
@@ -105,12 +106,14 @@ impl PrecomputedSamples {
             store,
             layout: Arc::new(layout),
             channel: 0,
+            findings: Findings::default(),
         })
     }
 
     pub(super) fn of_channel(&self, channel: u32) -> Self {
         Self {
             channel,
+            findings: Findings::default(),
             ..self.clone()
         }
     }
@@ -167,7 +170,7 @@ impl PrecomputedSamples {
     fn read_as<S: Scalar, T: Scalar>(
         &self,
         progress: &ReadProgress,
-        convert: impl Fn(S) -> T + Sync,
+        fill: impl Fn(&dyn Fn(usize) -> S, &mut [T]) + Sync,
     ) -> Result<Vec<T>, ReadError> {
         if !self.store.is_remote() {
             self.check(self.file_bytes()?)?;
@@ -180,7 +183,7 @@ impl PrecomputedSamples {
         self.read_chunks(progress, |chunk, stored, bytes| {
             stored_bytes += bytes;
             if let Some(stored) = stored {
-                self.scatter(&chunk, &stored, &mut values, &convert);
+                self.scatter(&chunk, &stored, &mut values, &fill);
             }
         })?;
         if self.store.is_remote() {
@@ -360,8 +363,14 @@ impl PrecomputedSamples {
         sharding.entries(&index).map_err(fail)
     }
 
-    /// Copies the samples of a chunk to where they belong.
-    fn scatter<S: Scalar, T: Scalar>(&self, chunk: &Chunk, stored: &[u8], values: &mut [T], convert: &impl Fn(S) -> T) {
+    /// Makes values of the samples of a chunk, where they belong. `fill` makes those of a row.
+    fn scatter<S: Scalar, T: Scalar>(
+        &self,
+        chunk: &Chunk,
+        stored: &[u8],
+        values: &mut [T],
+        fill: &impl Fn(&dyn Fn(usize) -> S, &mut [T]),
+    ) {
         let [nx, ny, nz] = chunk.shape.size.map(|n| n as usize);
         let first = chunk.first.map(|n| n as usize);
         let dims = self.layout.dims.map(|n| n as usize);
@@ -370,19 +379,35 @@ impl PrecomputedSamples {
         for (row, from) in rows {
             let (y, z) = (row % ny, row / ny);
             let at = ((first[2] + z) * dims[1] + first[1] + y) * dims[0] + first[0];
-            for (value, bytes) in values[at..at + nx].iter_mut().zip(from.chunks_exact(size_of::<S>())) {
-                let one: S = bytemuck::pod_read_unaligned(bytes);
-                *value = convert(if cfg!(target_endian = "big") {
+            let width = size_of::<S>();
+            let sample = |i: usize| {
+                let one: S = bytemuck::pod_read_unaligned(&from[i * width..(i + 1) * width]);
+                if cfg!(target_endian = "big") {
                     one.swapped()
                 } else {
                     one
-                });
-            }
+                }
+            };
+            fill(&sample, &mut values[at..at + nx]);
         }
     }
 
+    /// All samples, in the type that they are stored in.
+    fn as_stored<T: DeviceScalar>(&self, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        let fill = |stored: &dyn Fn(usize) -> T, values: &mut [T]| {
+            values.iter_mut().enumerate().for_each(|(i, value)| *value = stored(i));
+        };
+        self.read_as(progress, fill).map(T::samples)
+    }
+
     fn as_f32<S: Scalar>(&self, progress: &ReadProgress) -> Result<Samples, ReadError> {
-        self.read_as(progress, S::to_f32).map(Samples::F32)
+        let path = self.store.path(&self.layout.key);
+        only_piece(|sink| {
+            self.findings.read((&path, 1), sink, |conversion, sink| {
+                let fill = |stored: &dyn Fn(usize) -> S, values: &mut [f32]| conversion.convert(stored, values);
+                sink(Samples::F32(self.read_as(progress, fill)?))
+            })
+        })
     }
 }
 
@@ -395,16 +420,24 @@ impl Source for PrecomputedSamples {
         vec![self.store.location().clone()]
     }
 
+    fn notices(&self) -> Notices {
+        self.findings.notices()
+    }
+
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        self.findings.ranks()
+    }
+
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         if step > 0 {
             let why = format!("{step}, expected 0");
             return Err(ReadError::new(&self.store.path(&self.layout.key), "step", why));
         }
         match self.layout.stored {
-            StoredType::U8 => self.read_as(progress, |v: u8| v).map(Samples::U8),
-            StoredType::I8 => self.read_as(progress, |v: i8| v).map(Samples::I8),
-            StoredType::U16 => self.read_as(progress, |v: u16| v).map(Samples::U16),
-            StoredType::I16 => self.read_as(progress, |v: i16| v).map(Samples::I16),
+            StoredType::U8 => self.as_stored::<u8>(progress),
+            StoredType::I8 => self.as_stored::<i8>(progress),
+            StoredType::U16 => self.as_stored::<u16>(progress),
+            StoredType::I16 => self.as_stored::<i16>(progress),
             StoredType::U32 => self.as_f32::<u32>(progress),
             StoredType::I32 => self.as_f32::<i32>(progress),
             StoredType::U64 => self.as_f32::<u64>(progress),

@@ -1,12 +1,12 @@
 //! A folder of slices: TIFF files of one page each, whose names differ in one number.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::super::super::beneath::is_link_out;
 use super::super::super::{FileLocation, ReadError};
 use super::super::{FolderVolume, Format};
 use super::source::Pages;
-use super::stack::Stack;
+use super::stack::{Resolution, Stack};
 use super::{Opened, ome, read_pages, volume};
 
 /// Files of a folder that are slices, by their numbers.
@@ -19,7 +19,7 @@ struct Series {
 /// Whether a folder has such slices. Reads the directories of the first file.
 pub fn holds(folder: &Path) -> bool {
     let Some(series) = series(folder) else {
-        return false;
+        return several_numbers(folder).is_some();
     };
     read_pages(&series.files[0].1).is_ok_and(|opened| is_slice(&opened))
 }
@@ -31,6 +31,12 @@ pub fn holds(folder: &Path) -> bool {
 pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
     let folder = location.path();
     let fail = |why: String| ReadError::new(folder, "folder", why);
+    if let Some((first, last, count)) = several_numbers(folder) {
+        return Err(fail(format!(
+            "names of slices differ in {count} numbers, from {first:?} to {last:?}, expected one: put the slices of each channel or time into a \
+             folder of its own"
+        )));
+    }
     let series =
         series(folder).ok_or_else(|| fail("no slices, expected TIFF files whose names differ in one number".into()))?;
     if let Some(part) = location.part() {
@@ -40,6 +46,7 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
     }
     check_numbers(&series).map_err(fail)?;
     let mut files: Vec<Pages> = Vec::new();
+    let mut descriptions: Vec<(Option<String>, Resolution)> = Vec::new();
     for (_, file) in &series.files {
         let opened = read_pages(file)?;
         if !is_slice(&opened) {
@@ -49,10 +56,12 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
             );
             return Err(ReadError::new(file.path(), "pages", why));
         }
+        descriptions.push((opened.description, opened.resolution));
         files.push(opened.pages);
     }
     let mut stack = Stack::of_pages(files.len());
     stack.planes = (0..files.len()).map(|file| (file, 0)).collect();
+    describe_slices(&mut stack, &descriptions).map_err(fail)?;
     let mut file = volume(location, &stack, files)?;
     if let [field] = file.fields.as_mut_slice() {
         field.name.clone_from(&series.name);
@@ -61,6 +70,31 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
         title: series.name,
         file,
     }])
+}
+
+/// What ImageJ says of slices that it has written one by one.
+fn describe_slices(stack: &mut Stack, slices: &[(Option<String>, Resolution)]) -> Result<(), String> {
+    let of_imagej = |(description, _): &(Option<String>, Resolution)| {
+        let text = description.as_deref().filter(|text| text.starts_with("ImageJ="));
+        let mut slice = Stack::of_pages(1);
+        slice.calibrate_imagej(text.unwrap_or_default());
+        (slice.calibration, slice.value_unit)
+    };
+    let Some(((description, resolution), others)) = slices.split_first() else {
+        return Ok(());
+    };
+    let first = of_imagej(&slices[0]);
+    if let Some(other) = others.iter().position(|other| of_imagej(other) != first) {
+        return Err(format!(
+            "slice {} has another calibration of values than the first one, expected the same in all",
+            other + 2
+        ));
+    }
+    if let Some(text) = description.as_deref().filter(|text| text.starts_with("ImageJ=")) {
+        stack.place_imagej(text, *resolution);
+        stack.calibrate_imagej(text);
+    }
+    Ok(())
 }
 
 /// Refuses a number that is missing, or there twice.
@@ -97,8 +131,27 @@ fn is_slice(opened: &Opened) -> bool {
     opened.pages.pages.len() == 1 && !is_stack && !ome::is_ome(description)
 }
 
-/// The TIFF files of a folder in the order of the number in which their names differ; `None` where they differ in anything else.
-fn series(folder: &Path) -> Option<Series> {
+/// The first and the last name of TIFF slices whose names differ in several numbers, and in how many.
+fn several_numbers(folder: &Path) -> Option<(String, String, usize)> {
+    let files = tiff_files(folder)?;
+    let (first, others) = files.split_first()?;
+    let is_number = |part: &Part| matches!(part, Part::Number(_));
+    let same_kind = |other: &Vec<Part>| {
+        let fits = |(a, b): (&Part, &Part)| a == b || is_number(a) && is_number(b);
+        other.len() == first.0.len() && first.0.iter().zip(other).all(fits)
+    };
+    if others.len() < 3 || !others.iter().all(|(parts, _)| same_kind(parts)) {
+        return None;
+    }
+    let differs = |i: &usize| others.iter().any(|(parts, _)| parts[*i] != first.0[*i]);
+    let count = (0..first.0.len()).filter(differs).count();
+    let opened = read_pages(&FileLocation::disk(&first.1).beneath(folder)).ok()?;
+    let name = |path: &PathBuf| Some(path.file_name()?.to_string_lossy().into_owned());
+    (count > 1 && is_slice(&opened)).then_some((name(&first.1)?, name(&others.last()?.1)?, count))
+}
+
+/// The TIFF files of a folder, with the parts of their names, in the order of these.
+fn tiff_files(folder: &Path) -> Option<Vec<(Vec<Part>, PathBuf)>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).ok()? {
         let entry = entry.ok()?;
@@ -110,6 +163,12 @@ fn series(folder: &Path) -> Option<Series> {
         }
     }
     files.sort();
+    Some(files)
+}
+
+/// The TIFF files of a folder in the order of the number in which their names differ; `None` where they differ in anything else.
+fn series(folder: &Path) -> Option<Series> {
+    let files = tiff_files(folder)?;
     let (first, others) = files.split_first()?;
     let at = (0..first.0.len()).find(|&i| others.iter().any(|other| other.0.get(i) != Some(&first.0[i])))?;
     let same = |other: &Vec<Part>| {

@@ -16,10 +16,12 @@ use std::sync::Arc;
 use directory::{Chain, tag};
 use page::{Image, Page};
 use source::{PageSource, Pages, Pick};
-use stack::Stack;
+use stack::{Calibration, Resolution, Stack};
 
-use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError, TimeAxis};
+use super::super::stored::StoredType;
+use super::super::{Field, FileLocation, Findings, Geometry, OpenedFile, ReadError, TimeAxis};
 use super::header::{self, GridFields};
+use super::named_axes::doubt_of_order;
 
 const FIELDS: GridFields = GridFields {
     dims: "dimensions",
@@ -32,8 +34,7 @@ const FIELDS: GridFields = GridFields {
 struct Opened {
     pages: Pages,
     description: Option<String>,
-    /// Pixels along x and y in one of a unit.
-    resolution: [Option<f64>; 2],
+    resolution: Resolution,
 }
 
 /// Reads the directories of a file.
@@ -60,9 +61,14 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let stack = if is_imagej {
         Stack::of_imagej(&description, count, resolution).map_err(fail)?
     } else {
-        Stack::of_tifffile(&description, count).unwrap_or_else(|| Stack::of_pages(count))
+        let mut stack = Stack::of_tifffile(&description, count).unwrap_or_else(|| Stack::of_pages(count));
+        stack.keep_ratio(resolution);
+        stack
     };
-    volume(location, &chosen(location, vec![stack])?, vec![pages])
+    let file = volume(location, &chosen(location, vec![stack])?, vec![pages])?;
+    let [x, y, z] = file.geometry.dims.map(u64::from);
+    let doubt = doubt_of_order(&[file.steps.into(), z, y, x]).filter(|_| !is_imagej);
+    Ok(header::with_notices(file, doubt))
 }
 
 /// Reads the directories of one file.
@@ -77,17 +83,21 @@ fn read_pages(location: &FileLocation) -> Result<Opened, ReadError> {
             pages: Vec::new(),
         },
         description: None,
-        resolution: [None; 2],
+        resolution: Resolution::default(),
     };
     let mut number = 0;
     let read = chain.for_each(|directory| {
         number += 1;
         if number == 1 {
             opened.description = directory.text(tag::IMAGE_DESCRIPTION)?;
-            opened.resolution = [
-                directory.rational(tag::X_RESOLUTION)?,
-                directory.rational(tag::Y_RESOLUTION)?,
-            ];
+            opened.resolution = Resolution {
+                pixels: [
+                    directory.rational(tag::X_RESOLUTION)?,
+                    directory.rational(tag::Y_RESOLUTION)?,
+                ],
+                // Without the tag it is the inch.
+                is_of_file: directory.number(tag::RESOLUTION_UNIT, 2)? == 1,
+            };
         }
         let page = Page::read(&directory, chain.header, blob.len())?;
         opened.pages.pages.extend(page);
@@ -235,20 +245,33 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
     let interval = stack.interval.as_ref().filter(|_| stack.frames > 1);
     let times = interval.and_then(|(interval, unit)| TimeAxis::even(0.0, *interval, stack.frames, unit));
     let files = Arc::new(files);
+    let mut notices = stack.notices.clone();
+    if image.is_rgb {
+        notices.add("colours become their luminance: 0.2126 red + 0.7152 green + 0.0722 blue");
+    }
+    let is_calibrated = !image.is_rgb && image.samples == 1;
+    let calibration = match (stack.calibration, image.stored) {
+        (calibration, StoredType::U16) if is_calibrated => calibration,
+        (calibration, StoredType::U8) if is_calibrated => calibration.map(Calibration::as_line),
+        _ => None,
+    };
     let fields = fields(location, stack, image).into_iter().map(|(name, channel, pick)| {
         let steps = (0..stack.frames).map(|frame| stack.step(channel, frame).to_vec());
         let source = PageSource {
             files: files.clone(),
             image,
             pick,
+            calibration,
             steps: steps.collect(),
+            findings: Findings::default(),
         };
         Field {
             name,
             stored_type: image.stored.name().to_owned(),
             sample_type: source.sample_type(),
             missing: None,
-            unit: None,
+            unit: stack.value_unit.clone(),
+            labels: Vec::new(),
             source: Arc::new(source),
         }
     });
@@ -258,14 +281,13 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
         uneven: None,
         times,
         fields: fields.collect(),
-        notice: None,
+        notices,
     })
 }
 
 /// Names of the fields, each with its channel and what is read of a pixel.
 fn fields(location: &FileLocation, stack: &Stack, image: Image) -> Vec<(String, usize, Pick)> {
     let picks: Vec<Pick> = if image.is_rgb {
-        tracing::info!(path = %location.path().display(), "colours become luminance, by Rec. 709");
         vec![Pick::Luminance]
     } else {
         (0..image.samples).map(Pick::Sample).collect()

@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use super::super::super::LengthUnit;
+use super::super::super::{LengthUnit, Notices};
 use super::stack::{Index, Stack};
 
 /// Finds a file of a set by its name, `None` the file itself: its number among the files, and how many pages it has.
@@ -123,7 +123,8 @@ fn stack(pixels: &Pixels, find: &mut FindFile<'_>) -> Result<Stack, String> {
             "no page for slice {z} of channel {channel} at time {frame}, expected one for each"
         ));
     }
-    let (spacing, unit) = spacing(&pixels.attributes);
+    let mut notices = Notices::default();
+    let (spacing, unit) = spacing(&pixels.attributes, slices, &mut notices);
     let name = |i: u32| {
         pixels
             .channels
@@ -140,6 +141,9 @@ fn stack(pixels: &Pixels, find: &mut FindFile<'_>) -> Result<Stack, String> {
         interval: interval(&pixels.attributes),
         spacing,
         unit,
+        calibration: None,
+        value_unit: None,
+        notices,
         planes: Vec::new(),
     };
     stack.planes = stack.order(|Index { z, channel, frame }| placed[&[z, channel, frame]]);
@@ -212,8 +216,8 @@ fn interval(attributes: &HashMap<String, String>) -> Option<(f64, String)> {
     Some((increment, unit.to_owned()))
 }
 
-/// Distances of samples in the unit of x, where all three axes say one; else 1.
-fn spacing(attributes: &HashMap<String, String>) -> ([f64; 3], Option<LengthUnit>) {
+/// Distances of samples in the unit of the first axis that has one. Axes without a distance are as the others, with a notice.
+fn spacing(attributes: &HashMap<String, String>, slices: u32, notices: &mut Notices) -> ([f64; 3], Option<LengthUnit>) {
     let along = |axis: &str| {
         let size = attributes
             .get(&format!("PhysicalSize{axis}"))?
@@ -222,20 +226,41 @@ fn spacing(attributes: &HashMap<String, String>) -> ([f64; 3], Option<LengthUnit
             .ok()?;
         let unit = attributes
             .get(&format!("PhysicalSize{axis}Unit"))
-            .map_or("µm", String::as_str);
-        Some((size, LengthUnit::parse(unit)?))
+            .map_or("µm", |unit| unit.trim());
+        (size.is_finite() && size > 0.0).then_some((size, unit))
     };
     let all = [along("X"), along("Y"), along("Z")];
-    let [Some(x), Some(y), Some(z)] = all else {
+    let Some((_, first)) = all.into_iter().flatten().next() else {
         return ([1.0; 3], None);
     };
-    let metres = |unit: LengthUnit| unit.metres().unwrap_or(1.0);
-    let spacing = [x, y, z].map(|(size, unit)| size * (metres(unit) / metres(x.1)));
-    if spacing.iter().all(|s| s.is_finite() && *s > 0.0) {
-        (spacing, Some(x.1))
-    } else {
-        ([1.0; 3], None)
+    let metres = |unit: &str| LengthUnit::parse(unit).and_then(LengthUnit::metres);
+    let in_first = |(size, unit): (f64, &str)| match (metres(unit), metres(first)) {
+        _ if unit == first => Some(size),
+        (Some(own), Some(other)) => Some(size * (own / other)),
+        _ => None,
+    };
+    let known = all.map(|size| size.and_then(in_first));
+    // Pixels are mostly square.
+    let in_plane = known[0].or(known[1]).or(known[2]).unwrap_or(1.0);
+    let spacing = [
+        known[0].unwrap_or(in_plane),
+        known[1].unwrap_or(in_plane),
+        known[2].unwrap_or(in_plane),
+    ];
+    for (axis, name) in ["X", "Y", "Z"].into_iter().enumerate() {
+        if known[axis].is_none() && (axis < 2 || slices > 1) {
+            notices.add(format!(
+                "PhysicalSize{name} is missing or not in a known unit: samples along it are {in_plane} {first} apart, as along another axis"
+            ));
+        }
     }
+    let unit = LengthUnit::parse(first);
+    if unit.is_none() {
+        notices.add(format!(
+            "the unit of lengths, {first:?}, is not known: distances are without one"
+        ));
+    }
+    (spacing, unit)
 }
 
 #[cfg(test)]
@@ -272,6 +297,33 @@ mod tests {
                 ([0.5, 0.5, 2000.0], Some(LengthUnit::Millimetre))
             );
         }
+    }
+
+    #[test]
+    fn sizes_that_are_partly_known_are_used() {
+        let of = |sizes: &[(&str, &str)]| {
+            let attributes = sizes
+                .iter()
+                .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()));
+            let mut notices = Notices::default();
+            let (spacing, unit) = spacing(&attributes.collect(), 2, &mut notices);
+            (spacing, unit, notices.lines().count())
+        };
+        let micrometres = Some(LengthUnit::Micrometre);
+        assert_eq!(
+            of(&[("PhysicalSizeX", "0.2"), ("PhysicalSizeY", "0.3")]),
+            ([0.2, 0.3, 0.2], micrometres, 1)
+        );
+        assert_eq!(of(&[("PhysicalSizeZ", "2")]), ([2.0; 3], micrometres, 2));
+        let pixels = ["X", "Y", "Z"].map(|axis| format!("PhysicalSize{axis}Unit"));
+        let all = [("PhysicalSizeX", "1"), ("PhysicalSizeY", "1"), ("PhysicalSizeZ", "4")];
+        let units = pixels.iter().map(|name| (name.as_str(), "pixel"));
+        let sizes: Vec<_> = all.into_iter().chain(units).collect();
+        assert_eq!(of(&sizes), ([1.0, 1.0, 4.0], None, 1));
+        assert_eq!(
+            of(&[("PhysicalSizeX", "0"), ("PhysicalSizeY", "nan")]),
+            ([1.0; 3], None, 0)
+        );
     }
 
     #[test]

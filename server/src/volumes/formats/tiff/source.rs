@@ -9,8 +9,11 @@ use rayon::prelude::*;
 use super::super::super::pieces::Pieces;
 use super::super::super::scalar::numbers;
 use super::super::super::stored::{Endian, StoredType};
-use super::super::super::{FileLocation, ReadError, ReadProgress, Sink, Source, only_piece};
+use super::super::super::{
+    FileLocation, Findings, LabelRanks, Notices, ReadError, ReadProgress, Sink, Source, only_piece,
+};
 use super::page::{Image, Page};
+use super::stack::Calibration;
 
 /// Bytes of slices that are decoded at once: enough for all threads, little beside the volume.
 const BATCH_BYTES: u64 = 16 << 20;
@@ -39,16 +42,31 @@ pub struct PageSource {
     pub files: Arc<Vec<Pages>>,
     pub image: Image,
     pub pick: Pick,
+    /// What ImageJ makes of the stored numbers.
+    pub calibration: Option<Calibration>,
     /// File and page of the slices of every time step.
     pub steps: Vec<Vec<(usize, usize)>>,
+    pub findings: Findings,
 }
 
 impl PageSource {
     /// Type on the device.
     pub fn sample_type(&self) -> SampleType {
         match self.pick {
-            Pick::Sample(_) => self.image.stored.on_device(),
+            Pick::Sample(_) => match self.calibration {
+                None => self.image.stored.on_device(),
+                Some(Calibration::Signed) => SampleType::I16,
+                Some(Calibration::Line { .. }) => SampleType::F32,
+            },
             Pick::Luminance => SampleType::F32,
+        }
+    }
+
+    /// Value = `scale[0]` · stored + `scale[1]`, if that is another one.
+    fn scale(&self) -> Option<[f64; 2]> {
+        match self.calibration {
+            Some(Calibration::Line { slope, intercept }) => Some([slope, intercept]),
+            _ => None,
         }
     }
 
@@ -74,6 +92,12 @@ impl PageSource {
         // Distances between the samples of a pixel, and between pixels.
         let (apart, next) = if page.is_planar { (pixels, 1) } else { (1, samples) };
         match self.pick {
+            Pick::Sample(_) if samples == 1 && self.calibration == Some(Calibration::Signed) => {
+                let mut bytes = bytes;
+                let high = if endian == Endian::Big { 0 } else { 1 };
+                bytes.iter_mut().skip(high).step_by(2).for_each(|byte| *byte ^= 0x80);
+                Ok((bytes, StoredType::I16, endian))
+            }
             Pick::Sample(_) if samples == 1 => Ok((bytes, stored, endian)),
             Pick::Sample(sample) => {
                 let width = stored.bytes() as usize;
@@ -111,6 +135,14 @@ impl Source for PageSource {
             .collect()
     }
 
+    fn notices(&self) -> Notices {
+        self.findings.notices()
+    }
+
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        self.findings.ranks()
+    }
+
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         only_piece(|sink| self.read_pieces(step, progress, usize::MAX, sink))
     }
@@ -130,17 +162,20 @@ impl Source for PageSource {
         // The pages were compared with the file, so that the product fits.
         let slice_bytes = self.image.bytes().unwrap_or(u64::MAX);
         let expected = u64::from(self.image.width) * u64::from(self.image.height) * planes.len() as u64;
-        let mut pieces = Pieces::new(path, self.sample_type(), expected);
         let at_once = (BATCH_BYTES / slice_bytes).max(1) as usize;
-        for batch in planes.chunks(at_once) {
-            progress.go_on(path)?;
-            let read = |plane: &(usize, usize)| self.slice(*plane).inspect(|_| progress.add(slice_bytes));
-            let slices: Vec<_> = batch.par_iter().map(read).collect::<Result<_, _>>()?;
-            for (bytes, stored, endian) in slices {
-                pieces.push(&bytes, stored, endian, None)?;
+        let steps = u32::try_from(self.steps.len()).unwrap_or(u32::MAX);
+        self.findings.read((path, steps), sink, |conversion, sink| {
+            let mut pieces = Pieces::new(path, self.sample_type(), expected, conversion);
+            for batch in planes.chunks(at_once) {
+                progress.go_on(path)?;
+                let read = |plane: &(usize, usize)| self.slice(*plane).inspect(|_| progress.add(slice_bytes));
+                let slices: Vec<_> = batch.par_iter().map(read).collect::<Result<_, _>>()?;
+                for (bytes, stored, endian) in slices {
+                    pieces.push(&bytes, stored, endian, self.scale())?;
+                }
+                pieces.hand_over(piece, sink)?;
             }
-            pieces.hand_over(piece, sink)?;
-        }
-        pieces.finish(sink)
+            pieces.finish(sink)
+        })
     }
 }

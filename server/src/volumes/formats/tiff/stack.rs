@@ -1,6 +1,6 @@
 //! Which pages are the slices of a volume, its channels and its time steps, and how far apart they are.
 
-use super::super::super::LengthUnit;
+use super::super::super::{LengthUnit, Notices};
 
 /// A volume in pages.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,8 +15,52 @@ pub struct Stack {
     pub interval: Option<(f64, String)>,
     pub spacing: [f64; 3],
     pub unit: Option<LengthUnit>,
+    /// What ImageJ makes of the stored numbers.
+    pub calibration: Option<Calibration>,
+    /// Unit of the values.
+    pub value_unit: Option<String>,
+    /// What was assumed.
+    pub notices: Notices,
     /// File and page of every slice: by frame, then channel, then slice.
     pub planes: Vec<(usize, usize)>,
+}
+
+/// What ImageJ makes of numbers of 8 and 16 bits, which it stores without sign.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Calibration {
+    /// Signed 16-bit numbers: 32768 less than stored.
+    Signed,
+    Line {
+        slope: f64,
+        intercept: f64,
+    },
+}
+
+impl Calibration {
+    /// The same for numbers of another type than 16 bits.
+    pub fn as_line(self) -> Self {
+        match self {
+            Self::Signed => Self::Line {
+                slope: 1.0,
+                intercept: -32768.0,
+            },
+            line => line,
+        }
+    }
+}
+
+/// Pixels along x and y in a unit of length.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Resolution {
+    pub pixels: [Option<f64>; 2],
+    /// Whether the unit is one of the file's own, not inch or centimetre.
+    pub is_of_file: bool,
+}
+
+/// A value of ImageJ's description.
+fn imagej_value<'a>(description: &'a str, name: &str) -> Option<&'a str> {
+    let mut lines = description.lines().filter_map(|line| line.split_once('='));
+    lines.find(|(n, _)| *n == name).map(|(_, value)| value.trim())
 }
 
 /// Place of a slice among the planes.
@@ -38,17 +82,17 @@ impl Stack {
             interval: None,
             spacing: [1.0; 3],
             unit: None,
+            calibration: None,
+            value_unit: None,
+            notices: Notices::default(),
             planes: (0..pages).map(|page| (0, page)).collect(),
         }
     }
 
     /// What ImageJ wrote into the first page: lines of names and values. The channel is the fastest index of the pages, the frame
-    /// the slowest. `resolution`: pixels along x and y in one of the units.
-    pub fn of_imagej(description: &str, pages: usize, resolution: [Option<f64>; 2]) -> Result<Self, String> {
-        let value = |name: &str| {
-            let mut lines = description.lines().filter_map(|line| line.split_once('='));
-            lines.find(|(n, _)| *n == name).map(|(_, value)| value.trim())
-        };
+    /// the slowest.
+    pub fn of_imagej(description: &str, pages: usize, resolution: Resolution) -> Result<Self, String> {
+        let value = |name: &str| imagej_value(description, name);
         let is_plain = ["channels", "slices", "frames"]
             .into_iter()
             .all(|name| value(name).is_none());
@@ -73,17 +117,92 @@ impl Stack {
             frames,
             ..Self::of_pages(pages)
         };
-        if let Some(unit) = value("unit").filter(|unit| !unit.is_empty() && *unit != "pixel") {
-            let depth = value("spacing").and_then(|text| text.parse().ok()).unwrap_or(1.0);
-            let [x, y] = resolution.map(|pixels| pixels.map_or(1.0, |pixels| 1.0 / pixels));
-            stack.spacing = [x, y, f64::abs(depth)];
-            stack.unit = LengthUnit::parse(unit);
-        }
+        stack.place_imagej(description, resolution);
+        stack.calibrate_imagej(description);
         let interval = value("finterval").and_then(|text| text.parse().ok());
         stack.interval = interval.map(|interval| (interval, value("tunit").unwrap_or("sec").to_owned()));
         let page = |Index { z, channel, frame }| (frame * slices + z) * channels + channel;
         stack.planes = stack.order(|index| (0, page(index) as usize));
         Ok(stack)
+    }
+
+    /// Pixels that are no squares, of a file that does not say how far slices are apart.
+    pub fn keep_ratio(&mut self, resolution: Resolution) {
+        let is_known = |pixels: &f64| pixels.is_finite() && *pixels > 0.0;
+        let [Some(x), Some(y)] = resolution.pixels.map(|pixels| pixels.filter(is_known)) else {
+            return;
+        };
+        let height = x / y;
+        if (height - 1.0).abs() > 1e-3 {
+            self.spacing = [1.0, height, 1.0];
+            self.notices.add(format!(
+                "pixels are {height:.4} times as high as wide, by the resolution; the distance of slices is missing, it is taken to be the width"
+            ));
+        }
+    }
+
+    /// Distances of samples as ImageJ has them. What it assumes without a word is a notice.
+    pub fn place_imagej(&mut self, description: &str, resolution: Resolution) {
+        let value = |name: &str| imagej_value(description, name);
+        let named = value("unit").filter(|unit| !unit.is_empty() && !matches!(*unit, "pixel" | "pixels" | "null"));
+        self.unit = named.and_then(LengthUnit::parse);
+        let is_known = |size: &f64| size.is_finite() && *size > 0.0;
+        let depth = value("spacing")
+            .and_then(|text| text.parse::<f64>().ok())
+            .map(f64::abs)
+            .filter(is_known);
+        let uses_pixels = named.is_some() || resolution.is_of_file;
+        let along = resolution.pixels.map(|pixels| pixels.map(|pixels| 1.0 / pixels));
+        let along = along.map(|size| size.filter(|size| uses_pixels && is_known(size)));
+        if along == [None; 2] && depth.is_none() && named.is_none() {
+            return;
+        }
+        let [x, y] = [along[0].or(along[1]), along[1].or(along[0])].map(|size| size.unwrap_or(1.0));
+        self.spacing = [x, y, depth.unwrap_or(1.0)];
+        let unit = named.map_or_else(|| "pixel".to_owned(), str::to_owned);
+        if along == [None; 2] {
+            let notice = format!("the size of pixels is missing: they are 1 {unit} wide, as ImageJ takes them");
+            self.notices.add(notice);
+        }
+        if depth.is_none() && self.slices > 1 {
+            let notice = format!("the distance of slices is missing: it is 1 {unit}, as ImageJ takes it");
+            self.notices.add(notice);
+        }
+        match named {
+            None => self
+                .notices
+                .add("distances of samples have no unit: their ratio is that of the file"),
+            Some(unit) if self.unit.is_none() => {
+                let notice = format!("the unit of lengths, {unit:?}, is not known: distances are without one");
+                self.notices.add(notice);
+            }
+            Some(_) => {}
+        }
+    }
+
+    /// The calibration function of ImageJ, which it applies to numbers of 8 and 16 bits.
+    pub fn calibrate_imagej(&mut self, description: &str) {
+        let value = |name: &str| imagej_value(description, name);
+        let number = |name: &str| value(name)?.parse::<f64>().ok().filter(|number| number.is_finite());
+        let unit = value("vunit").filter(|unit| !unit.is_empty() && !unit.eq_ignore_ascii_case("gray value"));
+        self.value_unit = unit.map(str::to_owned);
+        match (value("cf"), number("c0"), number("c1")) {
+            (None | Some("20"), ..) => {}
+            (Some("0"), Some(intercept), Some(slope)) => {
+                self.calibration = match (slope, intercept) {
+                    (1.0, 0.0) => None,
+                    (1.0, -32768.0) => Some(Calibration::Signed),
+                    _ => Some(Calibration::Line { slope, intercept }),
+                };
+            }
+            (Some(function), ..) => {
+                self.value_unit = None;
+                let notice = format!(
+                    "values are the stored numbers: ImageJ shows them by its calibration function {function}, which is no straight line"
+                );
+                self.notices.add(notice);
+            }
+        }
     }
 
     /// What tifffile wrote into the first page: the array's shape, slowest axis first. Of four axes the first one is time, as in
@@ -132,7 +251,12 @@ mod tests {
     fn pages_of_imagej_go_through_channels_first() {
         let text =
             "ImageJ=1.54f\nimages=12\nchannels=2\nslices=3\nframes=2\nhyperstack=true\nunit=\\u00B5m\nspacing=0.5\n";
-        let stack = Stack::of_imagej(text, 12, [Some(4.0), Some(5.0)]).unwrap();
+        let resolution = |pixels| Resolution {
+            pixels,
+            is_of_file: false,
+        };
+        let stack = Stack::of_imagej(text, 12, resolution([Some(4.0), Some(5.0)])).unwrap();
+        assert!(stack.notices.is_empty(), "{:?}", stack.notices);
         assert_eq!(
             (stack.spacing, stack.unit),
             ([0.25, 0.2, 0.5], Some(LengthUnit::Micrometre))
@@ -164,13 +288,70 @@ mod tests {
             "ImageJ=1\nslices=x",
             "ImageJ=1\nframes=0",
         ] {
-            assert!(Stack::of_imagej(text, 4, [None; 2]).is_err(), "{text}");
+            assert!(Stack::of_imagej(text, 4, Resolution::default()).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn distances_that_are_partly_known_keep_their_ratio() {
+        let [inch, own] = [false, true].map(|is_of_file| {
+            move |text: &str, pixels: [f64; 2]| {
+                let resolution = Resolution {
+                    pixels: pixels.map(Some),
+                    is_of_file,
+                };
+                let stack = Stack::of_imagej(&format!("ImageJ=1\n{text}"), 4, resolution).unwrap();
+                (stack.spacing, stack.unit, stack.notices.lines().count())
+            }
+        });
+        assert_eq!(inch("unit=pixel\n", [72.0; 2]), ([1.0; 3], None, 0));
+        assert_eq!(inch("unit=pixel\nspacing=3\n", [72.0; 2]), ([1.0, 1.0, 3.0], None, 2));
+        assert_eq!(own("spacing=3\n", [2.0, 4.0]), ([0.5, 0.25, 3.0], None, 1));
         assert_eq!(
-            Stack::of_imagej("ImageJ=1\nunit=pixel\n", 4, [Some(72.0); 2])
-                .unwrap()
-                .spacing,
-            [1.0; 3]
+            own("unit=mm\n", [2.0, 4.0]),
+            ([0.5, 0.25, 1.0], Some(LengthUnit::Millimetre), 1)
         );
+        assert_eq!(
+            own("unit=furlong\nspacing=-2\n", [2.0, 0.0]),
+            ([0.5, 0.5, 2.0], None, 1)
+        );
+    }
+
+    #[test]
+    fn pixels_that_are_no_squares_keep_their_ratio() {
+        let of = |pixels: [f64; 2]| {
+            let mut stack = Stack::of_pages(4);
+            stack.keep_ratio(Resolution {
+                pixels: pixels.map(Some),
+                is_of_file: false,
+            });
+            (stack.spacing, stack.notices.is_empty())
+        };
+        assert_eq!(of([72.0, 72.0]), ([1.0; 3], true));
+        assert_eq!(of([300.0, 150.0]), ([1.0, 2.0, 1.0], false));
+        assert_eq!(of([0.0, 150.0]), ([1.0; 3], true));
+    }
+
+    #[test]
+    fn values_are_those_that_imagej_shows() {
+        let of = |text: &str| {
+            let stack = Stack::of_imagej(&format!("ImageJ=1\n{text}"), 4, Resolution::default()).unwrap();
+            (stack.calibration, stack.value_unit, stack.notices.is_empty())
+        };
+        assert_eq!(
+            of("cf=0\nc0=-32768\nc1=1\nvunit=HU\n"),
+            (Some(Calibration::Signed), Some("HU".into()), true)
+        );
+        let line = Calibration::Line {
+            slope: 2.0,
+            intercept: -1000.0,
+        };
+        assert_eq!(
+            of("cf=0\nc0=-1000.0\nc1=2.0\nvunit=Gray Value\n"),
+            (Some(line), None, true)
+        );
+        assert_eq!(of("cf=0\nc0=0\nc1=1\n"), (None, None, true));
+        assert_eq!(of("cf=8\nc0=1\nc1=2\nvunit=OD\n"), (None, None, false));
+        assert_eq!(of(""), (None, None, true));
     }
 }

@@ -6,10 +6,9 @@ use std::path::Path;
 use super::super::super::rectilinear::{self, Positions};
 use super::super::super::{Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
 use super::super::header::{self, GridFields};
+use super::super::named_axes::{self, AxisFacts, AxisRoles, Role};
 use super::file::{Variable, VariableFile};
-
-/// Positions along an axis that are read at most; no volume has so many samples along one.
-const MAX_POSITIONS: u64 = 1 << 22;
+use super::scale::{MAX_POSITIONS, Scale, last_name};
 
 /// The axes of a variable as those of a volume.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,66 +17,113 @@ pub struct Layout {
     pub dims: [u32; 3],
     /// Time steps, at least 1.
     pub steps: u32,
+    /// Channels, at least 1.
+    pub channels: u32,
     /// Which axes of the variable are x, y, z.
     pub axes: [usize; 3],
     /// Which one is time.
     pub time: Option<usize>,
-    /// Number of axes of the variable; those that are neither space nor time have length 1.
-    pub rank: usize,
+    /// Along which one the channels are.
+    pub channel: Option<usize>,
+    /// Samples along each axis of the variable; those that are neither space, time nor channels have length 1.
+    pub sizes: Vec<u64>,
 }
 
 impl Layout {
-    /// The last of the axes longer than 1 is x. Of four one is time: that of time's positions, else the first.
-    pub fn of(variable: &Variable, is_time: impl Fn(usize) -> bool) -> Result<Self, String> {
-        let sizes: Vec<u64> = variable.axes.iter().map(|axis| axis.size).collect();
-        let long: Vec<usize> = (0..sizes.len()).filter(|&i| sizes[i] != 1).collect();
-        let (time, space) = match long.as_slice() {
-            &[z, y, x] => (None, [x, y, z]),
-            four @ &[first, ..] if four.len() == 4 => {
-                let time = four.iter().copied().find(|&i| is_time(i)).unwrap_or(first);
-                let rest: Vec<usize> = four.iter().copied().filter(|&i| i != time).collect();
-                (Some(time), [rest[2], rest[1], rest[0]])
-            }
-            _ => {
-                let shape = variable.shape();
-                return Err(format!(
-                    "{shape} samples, expected 3 axes longer than 1, or 4 with time steps"
-                ));
-            }
-        };
+    /// The axes in their roles.
+    pub fn new(sizes: Vec<u64>, roles: &AxisRoles) -> Result<Self, String> {
         let size = |axis: usize| {
             u32::try_from(sizes[axis])
                 .ok()
                 .filter(|&n| n > 0)
                 .ok_or_else(|| format!("{} samples along an axis, expected 1 to {}", sizes[axis], u32::MAX))
         };
-        let [x, y, z] = space;
+        let [x, y, z] = roles.space;
+        let channels = roles.channel.map_or(Ok(1), size)?;
+        if u64::from(channels) > header::MAX_CHANNELS {
+            let limit = header::MAX_CHANNELS;
+            return Err(format!("{channels} channels, expected {limit} at most"));
+        }
         Ok(Self {
             dims: [size(x)?, size(y)?, size(z)?],
-            steps: time.map_or(Ok(1), size)?,
-            axes: space,
-            time,
-            rank: sizes.len(),
+            steps: roles.time.map_or(Ok(1), size)?,
+            channels,
+            axes: roles.space,
+            time: roles.time,
+            channel: roles.channel,
+            sizes,
         })
     }
 
-    /// Whether samples in the order in which they are stored are those of the steps, one after the other.
-    pub fn is_in_order(&self) -> bool {
-        self.time.is_none_or(|time| time < self.axes[2])
+    /// Whether x is stored fastest, then y, then z.
+    pub fn is_x_fastest(&self) -> bool {
+        let [x, y, z] = self.axes;
+        z < y && y < x
     }
 
-    /// The box of whole slices `z` of a step.
-    pub fn selection(&self, step: u32, z: Range<u64>) -> Vec<Range<u64>> {
-        let mut selection = vec![0..1; self.rank];
+    /// Which of x, y and z is stored slowest: 0, 1 or 2.
+    pub fn slowest(&self) -> usize {
+        (0..3).min_by_key(|&axis| self.axes[axis]).unwrap_or(2)
+    }
+
+    /// The box of a channel of a step that has the samples `range` along x, y or z (`along`: 0, 1, 2), and all along the others.
+    pub fn selection(&self, step: u32, channel: u32, along: usize, range: Range<u64>) -> Vec<Range<u64>> {
+        let mut selection = vec![0..1; self.sizes.len()];
         for (axis, size) in self.axes.into_iter().zip(self.dims) {
             selection[axis] = 0..u64::from(size);
         }
-        selection[self.axes[2]] = z;
-        if let Some(time) = self.time {
-            selection[time] = u64::from(step)..u64::from(step) + 1;
+        selection[self.axes[along]] = range;
+        for (axis, at) in [(self.time, step), (self.channel, channel)] {
+            if let Some(axis) = axis {
+                selection[axis] = u64::from(at)..u64::from(at) + 1;
+            }
         }
         selection
     }
+
+    /// Distance in samples between neighbours along x, y, z and time, and between channels; `None` past 64 bits.
+    pub fn strides(&self) -> Option<([u64; 4], u64)> {
+        let mut strides = vec![1u64; self.sizes.len()];
+        for axis in (1..self.sizes.len()).rev() {
+            strides[axis - 1] = strides[axis].checked_mul(self.sizes[axis])?;
+        }
+        let [x, y, z] = self.axes.map(|axis| strides[axis]);
+        let whole = strides.first()?.checked_mul(*self.sizes.first()?)?;
+        let time = self.time.map_or(whole, |axis| strides[axis]);
+        Some(([x, y, z, time], self.channel.map_or(0, |axis| strides[axis])))
+    }
+}
+
+/// What a file says of the axes of a variable; `scales` are the variables with the positions along them.
+pub fn roles(variable: &Variable, scales: &[Option<Variable>]) -> Result<AxisRoles, String> {
+    let facts = variable.axes.iter().zip(scales).map(|(axis, scale)| {
+        let text = |name: &str| scale.as_ref().and_then(|scale| scale.text(name));
+        let dimension = axis.dimension.as_deref().map(last_name);
+        let stated = text("axis").and_then(named_axes::role_of_cf_axis);
+        let stated = stated.or_else(|| text("_CoordinateAxisType").and_then(role_of_coordinate_type));
+        AxisFacts {
+            size: axis.size,
+            name: axis.label.name.as_deref().or(dimension),
+            stated: axis.label.role.or(stated),
+            standard_name: text("standard_name"),
+            units: text("units"),
+            positive: text("positive"),
+        }
+    });
+    let facts: Vec<AxisFacts<'_>> = facts.collect();
+    named_axes::assign(&facts)
+}
+
+/// The role that the attribute `_CoordinateAxisType` of Unidata's libraries states.
+fn role_of_coordinate_type(text: &str) -> Option<Role> {
+    Some(match text {
+        "Lon" | "GeoX" => Role::X,
+        "Lat" | "GeoY" => Role::Y,
+        "Height" | "Pressure" | "GeoZ" => Role::Z,
+        "Time" | "RunTime" => Role::Time,
+        "Ensemble" => Role::Channel,
+        _ => return None,
+    })
 }
 
 /// Where a variable's samples are.
@@ -91,7 +137,7 @@ pub struct Grid {
 pub struct Placed {
     /// Of the samples as they are stored; uneven ones at their mean distance.
     pub geometry: Geometry,
-    pub notice: Option<String>,
+    pub notices: Vec<String>,
     /// Along x, y and z, where there are all; see [`Placed::finish`].
     positions: Option<[Positions; 3]>,
 }
@@ -99,11 +145,12 @@ pub struct Placed {
 impl Placed {
     /// A file whose samples lie so, on an even grid.
     pub fn finish(self, path: &Path, file: OpenedFile) -> Result<OpenedFile, ReadError> {
-        let Some(positions) = &self.positions else {
-            let notice = self.notice;
-            return Ok(OpenedFile { notice, ..file });
+        let file = match &self.positions {
+            Some(positions) => rectilinear::on_even_grid(path, file, positions)
+                .map_err(|why| ReadError::new(path, "positions", why))?,
+            None => file,
         };
-        rectilinear::on_even_grid(path, file, positions).map_err(|why| ReadError::new(path, "positions", why))
+        Ok(header::with_notices(file, self.notices))
     }
 }
 
@@ -118,12 +165,13 @@ pub fn scales(file: &dyn VariableFile, variable: &Variable) -> Vec<Option<Variab
 pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result<Grid, ReadError> {
     let fail = |why: String| ReadError::new(path, &variable.path, why);
     let scales = scales(file, variable);
-    let is_time = |axis: usize| scales[axis].as_ref().is_some_and(is_time);
-    let layout = Layout::of(variable, is_time).map_err(fail)?;
+    let roles = roles(variable, &scales).map_err(fail)?;
+    let layout = Layout::new(variable.sizes(), &roles).map_err(fail)?;
     let times = layout
         .time
         .and_then(|axis| times(file, scales[axis].as_ref()?, variable.axes[axis].size));
-    let placed = place_grid(path, file, variable, &scales, layout.axes, layout.dims)?;
+    let mut placed = place_grid(path, file, variable, &scales, layout.axes, layout.dims)?;
+    placed.notices.splice(0..0, roles.notices);
     Ok(Grid { layout, placed, times })
 }
 
@@ -136,37 +184,117 @@ pub fn place_grid(
     axes: [usize; 3],
     dims: [u32; 3],
 ) -> Result<Placed, ReadError> {
-    let spaced = axes.map(|axis| {
+    let is_on_earth = is_on_earth(&axes.map(|axis| scales[axis].as_ref()));
+    let spaced = [0, 1, 2].map(|role| {
+        let axis = axes[role];
         let size = variable.axes[axis].size;
-        scales[axis].as_ref().map(|scale| Scale::read(file, scale, size))
+        scales[axis]
+            .as_ref()
+            .map(|scale| Scale::read(file, scale, size, role == 2 && is_on_earth))
     });
+    let mut notices: Vec<String> = spaced
+        .iter()
+        .flatten()
+        .flatten()
+        .flat_map(|scale| scale.notices.clone())
+        .collect();
     let mut geometry = Geometry::of_index(dims);
     if spaced.iter().all(Option::is_none) {
-        // The convention of Fiji and ilastik, in the order of the axes as stored.
-        if let &[z, y, x] = variable.numbers("element_size_um") {
-            geometry.spacing = [x, y, z];
-            geometry.unit = Some(LengthUnit::Micrometre);
-        }
+        notices.extend(without_positions(variable, axes, &mut geometry));
         return Ok(Placed {
             geometry: checked(path, geometry)?,
-            notice: None,
+            notices,
             positions: None,
         });
     }
     let why = match place(geometry, &spaced).and_then(|placed| even_grid(path, placed, &spaced)) {
         Ok(placed) => {
             checked(path, placed.geometry)?;
-            return Ok(placed);
+            return Ok(Placed { notices, ..placed });
         }
         Err(why) => why,
     };
-    let notice = format!("positions count samples, as the file's are on no even grid: {why}");
-    tracing::warn!(path = %path.display(), variable = variable.path, "{notice}");
+    let (geometry, notice) = match place_known(geometry, &spaced) {
+        Some(placed) => placed,
+        None => {
+            let notice = format!("positions count samples, as the file's are on no even grid: {why}");
+            (counted(geometry, &spaced), notice)
+        }
+    };
+    notices.push(notice);
     Ok(Placed {
-        geometry: checked(path, counted(geometry, &spaced))?,
-        notice: Some(notice),
+        geometry: checked(path, geometry)?,
+        notices,
         positions: None,
     })
+}
+
+/// Spacing of a variable without positions, and what is not known of it.
+fn without_positions(variable: &Variable, axes: [usize; 3], geometry: &mut Geometry) -> Vec<String> {
+    // The convention of Fiji and ilastik, in the order of the axes as stored.
+    if let &[z, y, x] = variable.numbers("element_size_um").as_slice() {
+        let mut stored = axes;
+        stored.sort_unstable();
+        let sizes = [z, y, x];
+        geometry.spacing = axes.map(|axis| sizes[stored.iter().position(|&other| other == axis).unwrap_or_default()]);
+        geometry.unit = Some(LengthUnit::Micrometre);
+        return Vec::new();
+    }
+    let resolution = axes.map(|axis| variable.axes[axis].label.resolution);
+    if let Some((spacing, notice)) = known_spacing(resolution) {
+        geometry.spacing = spacing;
+        return notice.into_iter().collect();
+    }
+    // Of these attributes no two programs write the same order of axes and unit.
+    let unread = [
+        "resolution",
+        "spacing",
+        "voxel_size",
+        "voxelsize",
+        "pixel_size",
+        "pixelsize",
+        "element_size",
+    ];
+    let found = unread.iter().filter(|name| !variable.numbers(name).is_empty());
+    let found: Vec<String> = found
+        .map(|name| format!("{name} {:?}", variable.numbers(name)))
+        .collect();
+    if found.is_empty() {
+        return vec!["the file does not say how far apart samples are: 1 was taken along each axis".to_owned()];
+    }
+    vec![format!(
+        "samples are 1 apart along each axis: {} is not used, as neither its order of axes nor its unit is known",
+        found.join(", ")
+    )]
+}
+
+/// Spacing along x, y and z, of which one at least is known, and what is said of the others; `None` if none is known.
+pub fn known_spacing(spacing: [Option<f64>; 3]) -> Option<([f64; 3], Option<String>)> {
+    let known = spacing.iter().flatten().next().copied()?;
+    let unknown: Vec<&str> = ["x", "y", "z"]
+        .into_iter()
+        .zip(spacing)
+        .filter_map(|(name, spacing)| spacing.is_none().then_some(name))
+        .collect();
+    let notice = (!unknown.is_empty()).then(|| {
+        format!(
+            "the file has no spacing along {}: {known} was taken, as along another axis",
+            unknown.join(" and ")
+        )
+    });
+    Some((spacing.map(|spacing| spacing.unwrap_or(known)), notice))
+}
+
+/// Whether x and y are positions on the Earth, so that depths go down.
+fn is_on_earth(scales: &[Option<&Variable>; 3]) -> bool {
+    let is_geographic = |scale: &&Variable| {
+        let units = scale.text("units").unwrap_or_default().to_lowercase();
+        units.starts_with("degree")
+            || scale
+                .text("standard_name")
+                .is_some_and(|name| name.starts_with("projection_"))
+    };
+    scales[..2].iter().flatten().any(is_geographic)
 }
 
 /// What `place` says, if samples may be interpolated where they are uneven.
@@ -178,16 +306,9 @@ fn even_grid(path: &Path, geometry: Geometry, axes: &[Option<Result<Scale, Strin
     rectilinear::check(path, &geometry, &positions)?;
     Ok(Placed {
         geometry,
-        notice: None,
+        notices: Vec::new(),
         positions: Some(positions),
     })
-}
-
-/// Whether positions are those of time.
-pub fn is_time(scale: &Variable) -> bool {
-    scale.text("axis") == Some("T")
-        || scale.text("standard_name") == Some("time")
-        || scale.text("units").is_some_and(|units| units.contains(" since "))
 }
 
 /// When the steps are, where the positions along their axis say it.
@@ -213,51 +334,18 @@ pub fn times(file: &dyn VariableFile, scale: &Variable, steps: u64) -> Option<Ti
     TimeAxis::listed(values, scale.text("units").unwrap_or_default(), scale.text("calendar"))
 }
 
-/// Positions along an axis, with their unit.
-struct Scale {
-    positions: Positions,
-    unit: Option<String>,
-}
-
-impl Scale {
-    /// Reads a scale; why not, where its values are none.
-    fn read(file: &dyn VariableFile, scale: &Variable, size: u64) -> Result<Self, String> {
-        let name = scale.path.trim_start_matches('/').to_owned();
-        let values = file
-            .read_line(scale, MAX_POSITIONS)
-            .map_err(|why| format!("{name:?}: {why}"))?;
-        if values.len() as u64 != size || size < 2 {
-            return Err(format!("{name:?} has {} positions, expected {size}", values.len()));
-        }
-        let [factor, offset] = scale.packing();
-        // Depth grows downwards; the world's z does not.
-        let is_down = scale
-            .text("positive")
-            .is_some_and(|text| text.eq_ignore_ascii_case("down"));
-        let sign = if is_down { -1.0 } else { 1.0 };
-        let values = values.into_iter().map(|value| sign * (value * factor + offset));
-        Ok(Self {
-            positions: Positions::new(name, values.collect())?,
-            unit: scale.text("units").map(str::to_owned),
-        })
-    }
-}
-
 /// Positions that count samples, in the directions of the axes' own: north stays north, and depth is down.
 fn counted(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Geometry {
     for (i, axis) in axes.iter().enumerate() {
         if let Some(Ok(Scale { positions, .. })) = axis {
-            geometry.direction[i][i] = positions.step().signum();
+            geometry.direction[i][i] = positions.direction();
         }
     }
     geometry
 }
 
-/// Puts samples where their scales say, if they say it of all axes, in one unit; uneven ones at their mean distance.
-fn place(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Result<Geometry, String> {
-    let failed = axes.iter().flatten().filter_map(|axis| axis.as_ref().err().cloned());
-    let mut wrong: Vec<String> = failed.collect();
-    let found: Vec<&Scale> = axes.iter().flatten().flatten().collect();
+/// The unit of positions along several axes, and what brings those of each to it; `None` if they have no common one.
+fn common_unit(found: &[&Scale]) -> Option<(Option<LengthUnit>, Vec<f64>)> {
     let units: Vec<&str> = found
         .iter()
         .map(|axis| axis.unit.as_deref().unwrap_or("none"))
@@ -265,35 +353,82 @@ fn place(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> R
     let parsed: Vec<Option<LengthUnit>> = units.iter().map(|unit| LengthUnit::parse(unit)).collect();
     // Lengths in different units become lengths in the first one.
     let metres: Option<Vec<f64>> = parsed.iter().map(|unit| unit.and_then(LengthUnit::metres)).collect();
-    let factors = match metres {
-        Some(metres) => metres.iter().map(|m| m / metres[0]).collect(),
+    let first = parsed.first().copied()?;
+    match metres {
+        Some(metres) => Some((first, metres.iter().map(|m| m / metres[0]).collect())),
         None if parsed.windows(2).all(|p| p[0] == p[1])
-            && (parsed[..1] != [None] || units.windows(2).all(|u| u[0] == u[1])) =>
+            && (first.is_some() || units.windows(2).all(|u| u[0] == u[1])) =>
         {
-            vec![1.0; found.len()]
+            Some((first, vec![1.0; found.len()]))
         }
-        None => Vec::new(),
-    };
+        None => None,
+    }
+}
+
+/// Puts samples where their scales say, if they say it of all axes, in one unit; uneven ones at their mean distance.
+fn place(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Result<Geometry, String> {
+    let failed = axes.iter().flatten().filter_map(|axis| axis.as_ref().err().cloned());
+    let mut wrong: Vec<String> = failed.collect();
+    let found: Vec<&Scale> = axes.iter().flatten().flatten().collect();
     let names: Vec<&str> = found.iter().map(|axis| axis.positions.name()).collect();
-    if factors.is_empty() && found.len() > 1 {
-        let (names, units) = (names.join(", "), units.join(", "));
-        wrong.push(format!("the units of {names} differ: {units}"));
+    let common = common_unit(&found);
+    if common.is_none() && found.len() > 1 {
+        let units: Vec<&str> = found
+            .iter()
+            .map(|axis| axis.unit.as_deref().unwrap_or("none"))
+            .collect();
+        wrong.push(format!(
+            "the units of {} differ: {}",
+            names.join(", "),
+            units.join(", ")
+        ));
     } else if wrong.is_empty() && found.len() < 3 {
         wrong.push(format!("only {} has positions", names.join(" and ")));
     }
-    if !wrong.is_empty() {
-        let uneven = found.iter().filter(|axis| !axis.positions.is_even());
-        let uneven: Vec<String> = uneven.map(|axis| axis.positions.unevenness()).collect();
-        return Err([uneven, wrong].concat().join("; "));
-    }
+    let (unit, factors) = match common {
+        Some(common) if wrong.is_empty() => common,
+        _ => {
+            let uneven = found.iter().filter(|axis| !axis.positions.is_even());
+            let uneven: Vec<String> = uneven.map(|axis| axis.positions.unevenness()).collect();
+            return Err([uneven, wrong].concat().join("; "));
+        }
+    };
     for (axis, Scale { positions, .. }) in found.into_iter().enumerate() {
         let (first, step) = (positions.first() * factors[axis], positions.step() * factors[axis]);
         geometry.spacing[axis] = step.abs();
         geometry.origin[axis] = first;
         geometry.direction[axis][axis] = step.signum();
     }
-    geometry.unit = parsed[0];
+    geometry.unit = unit;
     Ok(geometry)
+}
+
+/// Puts samples where their scales say if these are even, in one unit, and along one or two axes there are none; with what is said of
+/// these.
+fn place_known(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Option<(Geometry, String)> {
+    let found: Vec<&Scale> = axes
+        .iter()
+        .flatten()
+        .map(|axis| axis.as_ref().ok())
+        .collect::<Option<_>>()?;
+    if found.len() == 3 || found.iter().any(|axis| !axis.positions.is_even()) {
+        return None;
+    }
+    let (unit, factors) = common_unit(&found)?;
+    let mut factors = factors.into_iter();
+    let mut spacing = [None; 3];
+    for (axis, scale) in axes.iter().enumerate() {
+        let (Some(Ok(Scale { positions, .. })), Some(factor)) = (scale, scale.as_ref().and_then(|_| factors.next()))
+        else {
+            continue;
+        };
+        spacing[axis] = Some((positions.step() * factor).abs());
+        geometry.origin[axis] = positions.first() * factor;
+        geometry.direction[axis][axis] = positions.direction();
+    }
+    let (spacing, notice) = known_spacing(spacing)?;
+    (geometry.spacing, geometry.unit) = (spacing, unit);
+    Some((geometry, notice?))
 }
 
 fn checked(path: &Path, geometry: Geometry) -> Result<Geometry, ReadError> {
@@ -323,7 +458,11 @@ mod tests {
     fn along(name: &str, unit: Option<&str>, step: f64) -> Option<Result<Scale, String>> {
         let positions = Positions::new(name, vec![1.0, 1.0 + step]).expect("positions");
         let unit = unit.map(str::to_owned);
-        Some(Ok(Scale { positions, unit }))
+        Some(Ok(Scale {
+            positions,
+            unit,
+            notices: Vec::new(),
+        }))
     }
 
     fn placed(axes: [Option<Result<Scale, String>>; 3]) -> Result<Geometry, String> {

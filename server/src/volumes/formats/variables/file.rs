@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::super::super::scalar::numbers;
 use super::super::super::stored::{Endian, StoredType};
+use super::super::named_axes::Role;
 
 /// A named array of a file.
 #[derive(Clone, Debug)]
@@ -16,7 +17,7 @@ pub struct Variable {
     pub stored: Result<StoredType, String>,
     pub endian: Endian,
     /// The attributes that [`ATTRIBUTES`] lists.
-    pub attributes: Vec<(String, Attribute)>,
+    pub attributes: Attributes,
     /// Samples along the axes of the pieces that are decoded at once, where there are such.
     pub chunk: Option<Vec<u64>>,
     /// Where its samples are in the file and in which byte order, if they lie there in one piece as they are.
@@ -34,43 +35,112 @@ pub struct Axis {
     pub dimension: Option<String>,
     /// Path of the variable with the positions along it.
     pub scale: Option<String>,
+    /// What the file says of it beside its dimension.
+    pub label: AxisLabel,
     pub size: u64,
     /// Whether the file may grow along it.
     pub is_unlimited: bool,
+}
+
+/// What a file says of an axis: HDF5's label of a dimension, `axistags`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AxisLabel {
+    pub name: Option<String>,
+    /// What it is, if the file says it so that nothing else counts.
+    pub role: Option<Role>,
+    /// Distance of neighbours; not 0.
+    pub resolution: Option<f64>,
 }
 
 /// Value of an attribute.
 #[derive(Clone, Debug)]
 pub enum Attribute {
     Text(String),
+    Texts(Vec<String>),
     Numbers(Vec<f64>),
 }
 
-/// The attributes that are read; others may have any type.
-pub const ATTRIBUTES: [&str; 14] = [
+/// Attributes of a variable or a group, by name.
+#[derive(Clone, Debug, Default)]
+pub struct Attributes(pub Vec<(String, Attribute)>);
+
+/// The attributes of variables that are read; others may have any type.
+pub const ATTRIBUTES: [&str; 24] = [
+    "DIMENSION_LABELS",
+    "_CoordinateAxisType",
     "_FillValue",
     "_Unsigned",
     "add_offset",
     "axis",
+    "axistags",
     "calendar",
+    "element_size",
     "element_size_um",
     "missing_value",
+    "pixel_size",
+    "pixelsize",
     "positive",
+    "resolution",
     "scale_factor",
+    "spacing",
     "standard_name",
     "units",
     "valid_max",
     "valid_min",
     "valid_range",
+    "voxel_size",
+    "voxelsize",
 ];
+
+impl Attributes {
+    /// A text, trimmed, unless it is empty. Imaris writes a text as a list of letters.
+    pub fn text(&self, name: &str) -> Option<&str> {
+        match self.get(name)? {
+            Attribute::Text(text) => Some(text.trim().trim_end_matches('\0')).filter(|text| !text.is_empty()),
+            Attribute::Texts(_) | Attribute::Numbers(_) => None,
+        }
+    }
+
+    /// The texts of a list of these; of a text that one.
+    pub fn texts(&self, name: &str) -> &[String] {
+        match self.get(name) {
+            Some(Attribute::Texts(texts)) => texts,
+            Some(Attribute::Text(text)) => std::slice::from_ref(text),
+            _ => &[],
+        }
+    }
+
+    /// Numbers, also if they are written as text; none if there is no such attribute.
+    pub fn numbers(&self, name: &str) -> Vec<f64> {
+        match self.get(name) {
+            Some(Attribute::Numbers(numbers)) => numbers.clone(),
+            Some(Attribute::Text(text)) => numbers_of_text(text).unwrap_or_default(),
+            Some(Attribute::Texts(_)) | None => Vec::new(),
+        }
+    }
+
+    /// So many numbers.
+    pub fn array<const N: usize>(&self, name: &str) -> Option<[f64; N]> {
+        self.numbers(name).try_into().ok()
+    }
+
+    /// The value of an attribute.
+    pub fn get(&self, name: &str) -> Option<&Attribute> {
+        self.0.iter().find(|(own, _)| own == name).map(|(_, value)| value)
+    }
+
+    /// Sets an attribute that has no value yet.
+    pub fn set(&mut self, name: &str, value: Attribute) {
+        if self.get(name).is_none() {
+            self.0.push((name.to_owned(), value));
+        }
+    }
+}
 
 impl Variable {
     /// A text attribute, trimmed, unless it is empty.
     pub fn text(&self, name: &str) -> Option<&str> {
-        match self.attribute(name)? {
-            Attribute::Text(text) => Some(text.trim()).filter(|text| !text.is_empty()),
-            Attribute::Numbers(_) => None,
-        }
+        self.attributes.text(name)
     }
 
     /// Value = `[0]` · stored + `[1]`.
@@ -79,16 +149,39 @@ impl Variable {
         [first("scale_factor", 1.0), first("add_offset", 0.0)]
     }
 
-    /// The numbers of an attribute; none where it is absent or a text.
-    pub fn numbers(&self, name: &str) -> &[f64] {
-        match self.attribute(name) {
-            Some(Attribute::Numbers(numbers)) => numbers,
-            _ => &[],
-        }
+    /// The numbers of an attribute, also if they are written as text; none if it is absent.
+    pub fn numbers(&self, name: &str) -> Vec<f64> {
+        self.attributes.numbers(name)
     }
 
-    fn attribute(&self, name: &str) -> Option<&Attribute> {
-        self.attributes.iter().find(|(n, _)| n == name).map(|(_, value)| value)
+    /// Those of the attributes which should be numbers and are none, for a notice.
+    pub fn unread_numbers(&self) -> Vec<String> {
+        let names = [
+            "_FillValue",
+            "add_offset",
+            "missing_value",
+            "scale_factor",
+            "valid_max",
+            "valid_min",
+            "valid_range",
+        ];
+        let unread = |name: &str| match self.attributes.get(name) {
+            Some(Attribute::Text(text)) => numbers_of_text(text).is_none(),
+            Some(Attribute::Texts(_)) => true,
+            Some(Attribute::Numbers(_)) | None => false,
+        };
+        let shown = |name: &str| {
+            format!(
+                "{name} is {:?}, expected a number: not used",
+                self.text(name).unwrap_or("")
+            )
+        };
+        names.into_iter().filter(|name| unread(name)).map(shown).collect()
+    }
+
+    /// Samples along each axis, slowest first.
+    pub fn sizes(&self) -> Vec<u64> {
+        self.axes.iter().map(|axis| axis.size).collect()
     }
 
     /// Its size, as `6 x 5 x 7`, slowest first.
@@ -104,6 +197,24 @@ impl Variable {
     }
 }
 
+/// Numbers that are written as text, with white space or commas between them; `None` if something else is in it.
+fn numbers_of_text(text: &str) -> Option<Vec<f64>> {
+    let words = text
+        .split([',', ' ', '[', ']', '\t', '\n', '\0'])
+        .filter(|word| !word.is_empty());
+    // Fortran's and C's endings of constants, as in `-999.f` or `1d20`.
+    let number = |word: &str| {
+        let word = word.to_lowercase();
+        let plain = word
+            .strip_suffix(['f', 's', 'b', 'l'])
+            .filter(|rest| !rest.ends_with("in"))
+            .unwrap_or(&word);
+        plain.parse().or_else(|_| plain.replacen('d', "e", 1).parse()).ok()
+    };
+    let numbers: Vec<f64> = words.map(number).collect::<Option<_>>()?;
+    (!numbers.is_empty()).then_some(numbers)
+}
+
 /// A file of variables.
 pub trait VariableFile: Send + Sync {
     /// All variables that were found, those that cannot be read too.
@@ -114,6 +225,16 @@ pub trait VariableFile: Send + Sync {
 
     /// The samples of a box of it, in the order and type in which they are stored. `selection` has a range for every axis.
     fn read(&self, variable: &Variable, selection: &[Range<u64>]) -> Result<Vec<u8>, String>;
+
+    /// All attributes of a group or a variable; none if there is neither, or the format has no groups.
+    fn attributes_of(&self, _path: &str) -> Attributes {
+        Attributes::default()
+    }
+
+    /// Names of the groups and of the variables in a group, sorted; none if there is no such group.
+    fn members(&self, _path: &str) -> [Vec<String>; 2] {
+        [Vec::new(), Vec::new()]
+    }
 
     /// All values of a variable with one axis, at most `limit`.
     fn read_line(&self, variable: &Variable, limit: u64) -> Result<Vec<f64>, String> {

@@ -18,7 +18,9 @@ use hdf5_reader::{
 use super::super::super::FileLocation;
 use super::super::super::scalar::numbers;
 use super::super::super::stored::{DEFLATE_RATIO, Endian, StoredType};
-use super::file::{ATTRIBUTES, Attribute, Axis, Variable, VariableFile};
+use super::file::{ATTRIBUTES, Attribute, Attributes, Axis, Variable, VariableFile};
+use super::labels::labels;
+use super::long_float::LongFloat;
 use super::lzf;
 
 /// Groups and datasets that are looked at; a file with more has to be asked for one by name.
@@ -97,22 +99,31 @@ impl Hdf5 {
     fn describe(&self, path: &str, dataset: &Dataset, scales: &HashMap<u64, Scale>) -> Variable {
         let dimensions = dimensions(dataset, self.file.superblock().offset_size);
         let max_dims = dataset.max_dims().unwrap_or_default();
-        let axes = dataset.shape().iter().enumerate().map(|(i, &size)| {
-            let scale = dimensions.get(i).and_then(|address| scales.get(address));
-            Axis {
-                dimension: scale.map(|scale| scale.path.clone()),
-                scale: scale.filter(|scale| scale.has_values).map(|scale| scale.path.clone()),
-                size,
-                is_unlimited: max_dims.get(i) == Some(&u64::MAX),
-            }
-        });
+        let attributes = known_attributes(dataset.attributes(), || dataset.raw_attributes());
+        let labels = labels(&attributes, dataset.ndim());
+        let axes = dataset
+            .shape()
+            .iter()
+            .zip(labels)
+            .enumerate()
+            .map(|(i, (&size, mut label))| {
+                let scale = dimensions.get(i).and_then(|address| scales.get(address));
+                label.name = label.name.or_else(|| scale.and_then(|scale| scale.name.clone()));
+                Axis {
+                    dimension: scale.map(|scale| scale.path.clone()),
+                    scale: scale.filter(|scale| scale.has_values).map(|scale| scale.path.clone()),
+                    label,
+                    size,
+                    is_unlimited: max_dims.get(i) == Some(&u64::MAX),
+                }
+            });
         let stored = stored_type(dataset.dtype(), || dataset.raw_datatype());
         let mut variable = Variable {
             path: path.to_owned(),
             axes: axes.collect(),
             endian: stored.as_ref().map_or(Endian::Little, |(_, endian)| *endian),
             stored: stored.map(|(stored, _)| stored),
-            attributes: attributes(dataset),
+            attributes,
             chunk: dataset.chunks().map(|chunk| chunk.into_iter().map(u64::from).collect()),
             plain: None,
             is_scale: scales.contains_key(&dataset.address()),
@@ -185,6 +196,8 @@ fn check_filters(pipeline: &FilterPipelineMessage) -> Result<(), String> {
 /// A dataset that other datasets share an axis with: HDF5's dimension scale.
 struct Scale {
     path: String,
+    /// Its own name beside that of the dataset.
+    name: Option<String>,
     /// Whether it has the positions along the axis, not only its size.
     has_values: bool,
     /// Whether NetCDF wrote it.
@@ -208,6 +221,34 @@ impl VariableFile for Hdf5 {
 
     fn variable(&self, path: &str) -> Result<Variable, String> {
         Ok(self.describe(path, &self.dataset(path)?, &HashMap::new()))
+    }
+
+    fn attributes_of(&self, path: &str) -> Attributes {
+        let (all, raw) = match self.file.group(path) {
+            Ok(group) => (group.attributes().unwrap_or_default(), group.raw_attributes()),
+            Err(_) => match self.dataset(path) {
+                Ok(dataset) => (dataset.attributes(), dataset.raw_attributes()),
+                Err(_) => return Attributes::default(),
+            },
+        };
+        let raw = raw.unwrap_or_default();
+        let encoded = |name: &str| {
+            let found = raw.iter().find(|attribute| attribute.name() == name);
+            let missing = || hdf5_reader::error::Error::AttributeNotFound(name.to_owned());
+            found.map(|found| found.raw_datatype().to_vec()).ok_or_else(missing)
+        };
+        let read = all
+            .into_iter()
+            .filter_map(|a| Some((a.name.clone(), value(&a, || encoded(&a.name))?)));
+        Attributes(read.collect())
+    }
+
+    fn members(&self, path: &str) -> [Vec<String>; 2] {
+        let names = self.file.group(path).and_then(|group| group.member_names());
+        let (mut groups, mut datasets) = names.unwrap_or_default();
+        groups.sort();
+        datasets.sort();
+        [groups, datasets]
     }
 
     fn read(&self, variable: &Variable, selection: &[Range<u64>]) -> Result<Vec<u8>, String> {
@@ -283,7 +324,7 @@ fn unreadable(path: &str, why: String) -> Variable {
         axes: Vec::new(),
         stored: Err(why),
         endian: Endian::Little,
-        attributes: Vec::new(),
+        attributes: Attributes::default(),
         chunk: None,
         plain: None,
         is_scale: false,
@@ -362,26 +403,48 @@ fn check_half(encoded: &[u8]) -> Result<(), String> {
     ))
 }
 
-fn attributes(dataset: &Dataset) -> Vec<(String, Attribute)> {
-    let known = dataset
-        .attributes()
-        .into_iter()
-        .filter(|a| ATTRIBUTES.contains(&a.name.as_str()));
+/// Those of the attributes that are read. `raw`: all of them as they are in the file.
+fn known_attributes(
+    all: Vec<hdf5_reader::Attribute>,
+    raw: impl Fn() -> hdf5_reader::error::Result<Vec<hdf5_reader::RawAttribute>>,
+) -> Attributes {
+    let known = all.into_iter().filter(|a| ATTRIBUTES.contains(&a.name.as_str()));
     let encoded = |name: &str| {
-        let all = dataset.raw_attributes()?.into_iter();
-        let mut named = all.filter(|attribute| attribute.name() == name);
+        let mut named = raw()?.into_iter().filter(|attribute| attribute.name() == name);
         let missing = || hdf5_reader::error::Error::AttributeNotFound(name.to_owned());
         named
             .next()
             .map(|attribute| attribute.raw_datatype().to_vec())
             .ok_or_else(missing)
     };
-    let value = |attribute: &hdf5_reader::Attribute| match stored_type(&attribute.datatype, || encoded(&attribute.name))
+    let read = known.filter_map(|a| Some((a.name.clone(), value(&a, || encoded(&a.name))?)));
+    Attributes(read.collect())
+}
+
+/// The value of an attribute; `encoded`: its type as in the file.
+fn value(
+    attribute: &hdf5_reader::Attribute,
+    encoded: impl FnOnce() -> hdf5_reader::error::Result<Vec<u8>>,
+) -> Option<Attribute> {
+    if let Datatype::FloatingPoint {
+        size: 10..=16,
+        byte_order,
+    } = &attribute.datatype
     {
-        Ok((stored, endian)) => Some(Attribute::Numbers(numbers(&attribute.raw_data, stored, endian))),
-        Err(_) => attribute.read_string().ok().map(Attribute::Text),
-    };
-    known.filter_map(|a| Some((a.name.clone(), value(&a)?))).collect()
+        let kind = LongFloat::parse(&encoded().ok()?, *byte_order)?;
+        let numbers = attribute
+            .raw_data
+            .chunks_exact(kind.bytes)
+            .map(|bytes| kind.value(bytes));
+        return Some(Attribute::Numbers(numbers.collect()));
+    }
+    if let Ok((stored, endian)) = stored_type(&attribute.datatype, encoded) {
+        return Some(Attribute::Numbers(numbers(&attribute.raw_data, stored, endian)));
+    }
+    match attribute.read_string() {
+        Ok(text) if attribute.num_elements().is_ok_and(|count| count == 1) => Some(Attribute::Text(text)),
+        _ => attribute.read_strings().ok().map(Attribute::Texts),
+    }
 }
 
 fn scale(path: &str, dataset: &Dataset) -> Option<Scale> {
@@ -389,9 +452,14 @@ fn scale(path: &str, dataset: &Dataset) -> Option<Scale> {
     if text("CLASS")? != "DIMENSION_SCALE" {
         return None;
     }
-    let has_size_only = text("NAME").is_some_and(|name| name.starts_with("This is a netCDF dimension"));
+    let name = text("NAME").filter(|name| !name.is_empty());
+    let has_size_only = name
+        .as_ref()
+        .is_some_and(|name| name.starts_with("This is a netCDF dimension"));
     Some(Scale {
         path: path.to_owned(),
+        // NetCDF has the name of the dataset there, or a remark.
+        name: name.filter(|name| !has_size_only && name.len() <= 256),
         has_values: !has_size_only && dataset.ndim() == 1,
         is_netcdf: dataset.attribute("_Netcdf4Dimid").is_ok() || has_size_only,
     })

@@ -1,31 +1,39 @@
 //! HDF5 and NetCDF: files of named variables.
 //!
 //! A location names one (`file.h5:/group/name`, `file.nc:name`). Else the largest variable that can be a volume is opened, with all
-//! others on its grid as fields. The last axis is x, as stored; of four axes one is time. Positions and units are those of CF's
-//! coordinate variables, which are HDF5's dimension scales; missing values, scale and offset those of NetCDF.
+//! others on its grid as fields. What its axes are say positions, names of dimensions, labels and `axistags`
+//! ([`named_axes`](super::named_axes)); channels are fields. Positions and units are those of CF's coordinate variables, which are HDF5's
+//! dimension scales; missing values, scale and offset those of NetCDF.
 //!
 //! - [`file`]: variables; the two kinds of files: [`hdf5`], [`netcdf3`]; [`reader`] knows which.
+//! - [`kinds`]: HDF5 files whose groups say where samples are.
+//! - [`fields`]: a variable becomes fields.
 //! - [`axes`]: grid, positions and time; [`values`]: what samples mean; [`source`] reads them.
 
 pub(super) mod axes;
+mod fields;
 pub(super) mod file;
 mod hdf5;
+mod kinds;
+mod labels;
+mod long_float;
 mod lzf;
 mod netcdf3;
 mod reader;
+mod scale;
 mod source;
 pub(super) mod values;
 
-use std::sync::Arc;
+use std::collections::HashMap;
 
-use axes::{Grid, Layout};
+use axes::Grid;
+use fields::fields_of;
 use file::{Variable, VariableFile};
 use reader::open_file;
-use source::VariableSource;
-use values::Values;
 
-use super::super::stored::{Begin, StoredSamples};
-use super::super::{Field, FileLocation, Geometry, OpenedFile, ReadError, Source};
+use super::super::{FileLocation, Notices, OpenedFile, ReadError};
+use super::header;
+use super::spim_data::SpimData;
 
 /// Variables that a message lists at most.
 const MAX_LISTED: usize = 20;
@@ -36,6 +44,9 @@ const MAX_LISTED: usize = 20;
 /// What is wrong with it, or which variables it has where none can be a volume.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let file = open_file(location)?;
+    if let Some(opened) = kinds::open(location, file.as_ref()) {
+        return opened;
+    }
     let variables = file.variables();
     let chosen = match location.part() {
         Some(part) => vec![named(location, file.as_ref(), &variables, part)?],
@@ -43,72 +54,35 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     };
     let Grid { layout, placed, times } = axes::grid(location.path(), file.as_ref(), &chosen[0])?;
     let names = field_names(&chosen);
-    let fields = chosen
-        .into_iter()
-        .zip(names)
-        .map(|(variable, name)| field(location, name, variable, &placed.geometry, &layout));
+    let mut notices = Vec::new();
+    let mut fields = Vec::new();
+    for (variable, name) in chosen.into_iter().zip(names) {
+        notices.extend(
+            variable
+                .unread_numbers()
+                .into_iter()
+                .map(|why| format!("{name}: {why}")),
+        );
+        let channels = header::Channels::numbered(&name, layout.channels);
+        fields.extend(fields_of(location, channels, &variable, &placed.geometry, &layout)?);
+    }
     let file = OpenedFile {
         geometry: placed.geometry,
         steps: layout.steps,
         uneven: None,
         times,
-        fields: fields.collect::<Result<_, _>>()?,
-        notice: None,
+        fields,
+        notices: Notices::default(),
     };
-    placed.finish(location.path(), file)
+    Ok(header::with_notices(placed.finish(location.path(), file)?, notices))
 }
 
-/// Makes a field of a variable.
-fn field(
-    location: &FileLocation,
-    name: String,
-    variable: Variable,
-    geometry: &Geometry,
-    layout: &Layout,
-) -> Result<Field, ReadError> {
-    let fail = |why: String| ReadError::new(location.path(), &variable.path, why);
-    let stored = variable.stored.clone().map_err(fail)?;
-    let values = Values::of(&variable, stored).map_err(fail)?;
-    let missing = values.missing();
-    let unit = variable.text("units").filter(|&unit| unit != "1").map(str::to_owned);
-    let plain = variable.plain.filter(|_| layout.is_in_order() && !values.needs_nan());
-    let (sample_type, source): (_, Arc<dyn Source>) = if let Some((begin, endian)) = plain {
-        let samples = StoredSamples::new(
-            location,
-            Begin::At(begin),
-            values.stored,
-            geometry,
-            layout.steps,
-            &variable.path,
-        )?;
-        // Something else may follow in the file. No end is a wrong one, which the check refuses.
-        let bytes = samples.total_samples().checked_mul(values.stored.bytes());
-        let samples = StoredSamples {
-            end: bytes.and_then(|bytes| begin.checked_add(bytes)).or(Some(u64::MAX)),
-            endian,
-            scale: values.scale,
-            ..samples
-        };
-        samples.check(&variable.path)?;
-        (samples.sample_type(), Arc::new(samples))
-    } else {
-        let source = VariableSource {
-            location: location.clone(),
-            file_bytes: location.open()?.len(),
-            layout: layout.clone(),
-            values,
-            variable,
-        };
-        (source.sample_type(), Arc::new(source))
-    };
-    Ok(Field {
-        name,
-        stored_type: stored.name().to_owned(),
-        sample_type,
-        missing,
-        unit,
-        source,
-    })
+/// Opens a view of BigDataViewer, which is described elsewhere.
+///
+/// # Errors
+/// What is wrong with the file, or which views it has if one must be named.
+pub(super) fn open_views(location: &FileLocation, data: &SpimData) -> Result<OpenedFile, ReadError> {
+    kinds::open_views(location, open_file(location)?.as_ref(), data)
 }
 
 /// The variable that a location names.
@@ -133,25 +107,41 @@ fn named(
     }
 }
 
-/// The largest variable that can be a volume, and all others on its grid.
+/// The largest variable that can be a volume, and all others on its grid. One whose third axis is time is a volume if there is no other.
 fn on_one_grid(location: &FileLocation, all: Vec<Variable>) -> Result<Vec<Variable>, ReadError> {
     let size = |variable: &Variable| variable.axes.iter().fold(1u64, |n, axis| n.saturating_mul(axis.size));
-    let is_volume = |variable: &&Variable| {
-        let layout = || Layout::of(variable, |_| false);
-        variable.stored.is_ok() && !variable.is_scale && size(variable) > 0 && layout().is_ok()
+    let by_path: HashMap<&str, &Variable> = all.iter().map(|variable| (variable.path.as_str(), variable)).collect();
+    let rank = |variable: &Variable| {
+        let scale = |axis: &file::Axis| {
+            axis.scale
+                .as_deref()
+                .and_then(|path| by_path.get(path).copied().cloned())
+        };
+        let scales: Vec<Option<Variable>> = variable.axes.iter().map(scale).collect();
+        let is_read = variable.stored.is_ok() && !variable.is_scale && size(variable) > 0;
+        let roles = axes::roles(variable, &scales).ok().filter(|_| is_read)?;
+        Some((!roles.has_time_in_space, size(variable)))
     };
-    // The first one of the largest.
-    let Some(main) = all.iter().rev().filter(is_volume).max_by_key(|variable| size(variable)) else {
+    let ranks: Vec<Option<(bool, u64)>> = all.iter().map(rank).collect();
+    let best = ranks.iter().flatten().max().copied();
+    // The first one of the best.
+    let main = best.and_then(|best| ranks.iter().position(|rank| *rank == Some(best)));
+    let Some(main) = main.map(|at| &all[at]) else {
         let why = format!(
-            "no variable is a volume, expected one with 3 axes longer than 1, or 4 with time; found {}",
+            "no variable is a volume, expected one with 3 axes longer than 1, or 4 with time or channels; found {}",
             list(&all)
         );
         return Err(ReadError::new(location.path(), "variables", why));
     };
     let (axes, path) = (main.axes.clone(), main.path.clone());
-    let same = |variable: &Variable| is_volume(&variable) && grid_of(variable) == grid_of_axes(&axes);
-    let (mut chosen, others): (Vec<Variable>, Vec<Variable>) = all.into_iter().partition(same);
-    let others: Vec<Variable> = others.into_iter().filter(|variable| !variable.is_scale).collect();
+    let (mut chosen, mut others) = (Vec::new(), Vec::new());
+    for (variable, rank) in all.into_iter().zip(ranks) {
+        if rank.is_some() && is_on_grid(&variable, &axes) {
+            chosen.push(variable);
+        } else if !variable.is_scale {
+            others.push(variable);
+        }
+    }
     if !others.is_empty() {
         tracing::info!(path = %location.path().display(), "not on the grid of {path}: {}", list(&others));
     }
@@ -160,13 +150,11 @@ fn on_one_grid(location: &FileLocation, all: Vec<Variable>) -> Result<Vec<Variab
     Ok(chosen)
 }
 
-/// What two variables on one grid share.
-fn grid_of(variable: &Variable) -> Vec<(Option<&str>, u64)> {
-    grid_of_axes(&variable.axes)
-}
-
-fn grid_of_axes(axes: &[file::Axis]) -> Vec<(Option<&str>, u64)> {
-    axes.iter().map(|axis| (axis.dimension.as_deref(), axis.size)).collect()
+/// Whether a variable has these axes.
+fn is_on_grid(variable: &Variable, axes: &[file::Axis]) -> bool {
+    let is_same =
+        |(a, b): (&file::Axis, &file::Axis)| (&a.dimension, a.size, &a.label) == (&b.dimension, b.size, &b.label);
+    variable.axes.len() == axes.len() && variable.axes.iter().zip(axes).all(is_same)
 }
 
 /// Last parts of the paths; whole paths where two are equal.

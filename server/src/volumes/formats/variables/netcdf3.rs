@@ -11,7 +11,7 @@ use netcdf_reader::classic::data::NcReadType;
 use netcdf_reader::{NcAttrValue, NcFormat, NcSliceInfo, NcSliceInfoElem, NcType, NcVariable};
 
 use super::super::super::stored::{Endian, StoredType};
-use super::file::{ATTRIBUTES, Attribute, Axis, Variable, VariableFile};
+use super::file::{ATTRIBUTES, Attribute, Attributes, Axis, AxisLabel, Variable, VariableFile};
 
 /// A NetCDF-3 file.
 pub struct NetCdf3 {
@@ -45,6 +45,7 @@ impl NetCdf3 {
         let axes = variable.dimensions.iter().map(|dimension| Axis {
             dimension: Some(format!("/{}", dimension.name)),
             scale: scale(&dimension.name),
+            label: AxisLabel::default(),
             size: dimension.size,
             is_unlimited: dimension.is_unlimited,
         });
@@ -55,10 +56,12 @@ impl NetCdf3 {
             stored: stored_type(&variable.dtype),
             // The library turns samples to the machine's order.
             endian: Endian::NATIVE,
-            attributes: attributes
-                .filter(|attribute| ATTRIBUTES.contains(&attribute.name.as_str()))
-                .filter_map(|attribute| Some((attribute.name.clone(), value(&attribute.value)?)))
-                .collect(),
+            attributes: Attributes(
+                attributes
+                    .filter(|attribute| ATTRIBUTES.contains(&attribute.name.as_str()))
+                    .filter_map(|attribute| Some((attribute.name.clone(), value(&attribute.value)?)))
+                    .collect(),
+            ),
             chunk: None,
             plain: (!variable.is_record_var).then_some((variable.data_offset, Endian::Big)),
             is_scale: scale(&variable.name).is_some(),

@@ -1,10 +1,17 @@
-//! Reads the samples of a variable, one time step at a time, by boxes of whole slices.
+//! Reads the samples of a channel of a variable, one time step at a time, by boxes of whole slices.
+
+use std::ops::Range;
+use std::sync::Arc;
 
 use isopeel_kernels::{SampleType, Samples};
 
+use super::super::super::conversion::Conversion;
 use super::super::super::pieces::Pieces;
 use super::super::super::stored::{Endian, StoredType};
-use super::super::super::{FileLocation, ReadError, ReadProgress, Sink, Source, only_piece};
+use super::super::super::turned::Turned;
+use super::super::super::{
+    FileLocation, Findings, LabelRanks, Notices, ReadError, ReadProgress, Sink, Source, only_piece,
+};
 use super::axes::Layout;
 use super::file::Variable;
 use super::reader::open_file;
@@ -13,8 +20,8 @@ use super::values::Values;
 /// Decoded bytes of a box, where chunks do not decide: enough for all threads, little beside the volume.
 const BOX_BYTES: u64 = 8 << 20;
 
-/// Samples of a variable.
-#[derive(Debug)]
+/// Samples of a channel of a variable.
+#[derive(Clone, Debug)]
 pub struct VariableSource {
     pub location: FileLocation,
     /// Length of the file when its header was read.
@@ -22,6 +29,8 @@ pub struct VariableSource {
     pub variable: Variable,
     pub values: Values,
     pub layout: Layout,
+    pub channel: u32,
+    pub findings: Findings,
 }
 
 impl VariableSource {
@@ -34,32 +43,96 @@ impl VariableSource {
         ReadError::new(self.location.path(), &self.variable.path, why)
     }
 
-    fn slice_bytes(&self) -> u64 {
-        let [nx, ny, _] = self.layout.dims.map(u64::from);
-        nx * ny * self.values.stored.bytes()
+    fn step_bytes(&self) -> u64 {
+        let samples: u64 = self.layout.dims.map(u64::from).iter().product();
+        samples * self.values.stored.bytes()
     }
 
-    /// Slices that are read at once: whole chunks, so that none is decoded twice.
-    fn slices_at_once(&self) -> u64 {
-        let [_, _, z] = self.layout.axes;
-        let chunk = self
-            .variable
-            .chunk
-            .as_ref()
-            .and_then(|chunk| chunk.get(z))
-            .map_or(1, |&n| n.max(1));
-        let chunks = BOX_BYTES / self.slice_bytes().saturating_mul(chunk).max(1);
-        chunk * chunks.max(1)
+    /// Slices across x, y or z that are read at once: whole chunks, so that none is decoded twice.
+    fn slices_at_once(&self, along: usize) -> u64 {
+        let axis = self.layout.axes[along];
+        let chunk = self.variable.chunk.as_ref().and_then(|chunk| chunk.get(axis));
+        let chunk = chunk.map_or(1, |&n| n.max(1));
+        let slice = self.step_bytes() / u64::from(self.layout.dims[along]).max(1);
+        chunk * (BOX_BYTES / slice.saturating_mul(chunk).max(1)).max(1)
+    }
+
+    /// Reads a step box by box, each of whole slices across x, y or z (`along`), in their order.
+    fn read_boxes(
+        &self,
+        step: u32,
+        along: usize,
+        progress: &ReadProgress,
+        take: &mut dyn FnMut(Range<u64>, Vec<u8>) -> Result<(), ReadError>,
+    ) -> Result<(), ReadError> {
+        let have = self.location.open()?.len();
+        if have != self.file_bytes {
+            let had = self.file_bytes;
+            return Err(self.error(format!(
+                "the file has {have} bytes, it had {had} when its header was read"
+            )));
+        }
+        let file = open_file(&self.location)?;
+        let count = u64::from(self.layout.dims[along]);
+        let at_once = self.slices_at_once(along);
+        for first in (0..count).step_by(at_once as usize) {
+            progress.go_on(self.location.path())?;
+            let slices = first..(first + at_once).min(count);
+            let selection = self.layout.selection(step, self.channel, along, slices.clone());
+            let bytes = file.read(&self.variable, &selection).map_err(|why| self.error(why))?;
+            progress.add(bytes.len() as u64);
+            take(slices, bytes)?;
+        }
+        Ok(())
+    }
+
+    /// Appends samples as they are stored.
+    fn push(&self, pieces: &mut Pieces<'_>, bytes: &[u8]) -> Result<(), ReadError> {
+        if self.values.needs_nan() {
+            let values = self.values.decode(bytes, self.variable.endian);
+            return pieces.push(bytemuck::cast_slice(&values), StoredType::F32, Endian::NATIVE, None);
+        }
+        pieces.push(bytes, self.values.stored, self.variable.endian, self.values.scale)
+    }
+
+    /// A step whose samples are stored in another order than x fastest, then y, z.
+    fn read_turned(&self, step: u32, progress: &ReadProgress, conversion: &Conversion) -> Result<Samples, ReadError> {
+        let along = self.layout.slowest();
+        let mut order = [0, 1, 2];
+        order.sort_by_key(|&axis| std::cmp::Reverse(self.layout.axes[axis]));
+        let path = self.location.path();
+        let mut turned = Turned::new(path, self.sample_type(), self.layout.dims, order)?;
+        let slice =
+            self.layout.dims.iter().map(|&n| u64::from(n)).product::<u64>() / u64::from(self.layout.dims[along]);
+        self.read_boxes(step, along, progress, &mut |slices, bytes| {
+            let mut pieces = Pieces::new(
+                path,
+                self.sample_type(),
+                slice * (slices.end - slices.start),
+                conversion,
+            );
+            self.push(&mut pieces, &bytes)?;
+            pieces.finish(&mut |samples| turned.put(slices.start, &samples))
+        })?;
+        Ok(turned.samples)
     }
 }
 
 impl Source for VariableSource {
     fn stored_bytes(&self) -> u64 {
-        self.slice_bytes() * u64::from(self.layout.dims[2])
+        self.step_bytes()
     }
 
     fn inputs(&self, _: u32) -> Vec<FileLocation> {
         vec![self.location.clone()]
+    }
+
+    fn notices(&self) -> Notices {
+        self.findings.notices()
+    }
+
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        self.findings.ranks()
     }
 
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
@@ -77,31 +150,18 @@ impl Source for VariableSource {
         if step >= steps {
             return Err(self.error(format!("step {step}, expected 0 to {}", steps - 1)));
         }
-        let have = self.location.open()?.len();
-        if have != self.file_bytes {
-            let had = self.file_bytes;
-            return Err(self.error(format!(
-                "the file has {have} bytes, it had {had} when its header was read"
-            )));
-        }
-        let file = open_file(&self.location)?;
         let expected = dims.iter().map(|&n| u64::from(n)).product();
-        let mut pieces = Pieces::new(self.location.path(), self.sample_type(), expected);
-        let [_, _, nz] = dims.map(u64::from);
-        let at_once = self.slices_at_once();
-        for z in (0..nz).step_by(at_once as usize) {
-            progress.go_on(self.location.path())?;
-            let selection = self.layout.selection(step, z..(z + at_once).min(nz));
-            let bytes = file.read(&self.variable, &selection).map_err(|why| self.error(why))?;
-            if self.values.needs_nan() {
-                let values = self.values.decode(&bytes, self.variable.endian);
-                pieces.push(bytemuck::cast_slice(&values), StoredType::F32, Endian::NATIVE, None)?;
-            } else {
-                pieces.push(&bytes, self.values.stored, self.variable.endian, self.values.scale)?;
+        let path = self.location.path();
+        self.findings.read((path, steps), sink, |conversion, sink| {
+            if !self.layout.is_x_fastest() {
+                return sink(self.read_turned(step, progress, conversion)?);
             }
-            progress.add(bytes.len() as u64);
-            pieces.hand_over(piece, sink)?;
-        }
-        pieces.finish(sink)
+            let mut pieces = Pieces::new(path, self.sample_type(), expected, conversion);
+            self.read_boxes(step, 2, progress, &mut |_, bytes| {
+                self.push(&mut pieces, &bytes)?;
+                pieces.hand_over(piece, sink)
+            })?;
+            pieces.finish(sink)
+        })
     }
 }

@@ -157,7 +157,7 @@ fn default_fill(stored: StoredType) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::file::Attribute;
+    use super::super::file::{Attribute, Attributes};
     use super::*;
 
     fn variable(attributes: &[(&str, &[f64])]) -> Variable {
@@ -167,7 +167,7 @@ mod tests {
             axes: Vec::new(),
             stored: Ok(StoredType::I16),
             endian: Endian::Little,
-            attributes: attributes.iter().map(numbers).collect(),
+            attributes: Attributes(attributes.iter().map(numbers).collect()),
             chunk: None,
             plain: None,
             is_scale: false,
@@ -216,7 +216,7 @@ mod tests {
     fn bytes_without_a_sign() {
         let mut unsigned = variable(&[("_FillValue", &[-1.0]), ("valid_range", &[0.0, -2.0])]);
         let text = Attribute::Text("true".into());
-        unsigned.attributes.push(("_Unsigned".into(), text));
+        unsigned.attributes.set("_Unsigned", text);
         let values = Values::of(&unsigned, StoredType::I8).unwrap();
         assert_eq!(
             (values.stored, values.holes, values.valid),

@@ -14,7 +14,7 @@ use crate::volumes::formats::header::{self, GridFields, numbers};
 use crate::volumes::location::{Blob, BlobReader};
 use crate::volumes::rectilinear::Positions;
 use crate::volumes::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
-use crate::volumes::{FileLocation, Geometry, OpenedFile, ReadError};
+use crate::volumes::{FileLocation, Geometry, Notices, OpenedFile, ReadError};
 
 const FIELDS: GridFields = GridFields {
     dims: "DIMENSIONS",
@@ -42,17 +42,19 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         world,
         arrays,
         text,
+        notices,
         ..
     } = parser;
-    super::opened(
+    let mut stored = super::opened(
         location,
         &FIELDS,
         grid,
         &world,
         arrays,
         |array, &Span { begin, end }, geometry| samples(location, text, array, begin, end, geometry),
-    )?
-    .placed(location.path(), FIELDS.spacing)
+    )?;
+    stored.file.notices.extend(notices);
+    stored.placed(location.path(), FIELDS.spacing)
 }
 
 fn samples(
@@ -89,6 +91,7 @@ struct Parser<'a> {
     /// Of a rectilinear grid, by axis.
     positions: BTreeMap<String, Positions>,
     world: World,
+    notices: Notices,
     arrays: Arrays<Span>,
     /// Whether the attributes are those of cells, and how many values an array has; before the first of them `None`.
     section: Option<(bool, u64)>,
@@ -112,6 +115,7 @@ impl<'a> Parser<'a> {
             is_rectilinear: false,
             positions: BTreeMap::new(),
             world: World::default(),
+            notices: Notices::default(),
             arrays: Arrays::default(),
             section: None,
         };
@@ -428,12 +432,15 @@ impl<'a> Parser<'a> {
                 break;
             }
         }
-        // Without a final white space a truncated last number would not be noticed.
-        if words < count || inside {
+        if words < count {
             return Err(self.error(
                 "data",
-                format!("{words} numbers, expected {count} and a line end: the file may be cut off"),
+                format!("{words} numbers, expected {count}: the file may be cut off"),
             ));
+        }
+        if inside {
+            let notice = "the last line has no end: if the file was cut off, its last number may be too short";
+            self.notices.add(notice);
         }
         Ok(())
     }

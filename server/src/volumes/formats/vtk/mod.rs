@@ -17,7 +17,7 @@ use std::path::Path;
 use super::header::{self, Channels, FieldHead, GridFields, MAX_CHANNELS};
 use crate::volumes::rectilinear::{self, Positions};
 use crate::volumes::stored::{StoredSamples, StoredType};
-use crate::volumes::{Field, FileLocation, Frame, Geometry, LengthUnit, OpenedFile, ReadError};
+use crate::volumes::{Field, FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError};
 
 /// Arrays that say which points and cells are copies of another piece's: no samples of the volume.
 const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
@@ -148,8 +148,9 @@ fn opened<P>(
         list.retain(|(array, _)| !GHOSTS.contains(&array.name.as_str()));
     }
     let mut chosen = arrays.point;
+    let mut notices = Notices::default();
     if chosen.is_empty() {
-        tracing::info!(path = %path.display(), "no point data: cell data are read, at the cells' centres");
+        notices.add("there are no point data: cell data are read, at the cells' centres");
         chosen = arrays.cell;
         grid = of_cells(grid).map_err(|why| ReadError::new(path, names.spacing, why))?;
     }
@@ -170,7 +171,7 @@ fn opened<P>(
         uneven: None,
         times: None,
         fields: Vec::new(),
-        notice: None,
+        notices,
     };
     for (array, place) in &chosen {
         for field in fields(path, names.dims, array, samples(array, place, &geometry)?)? {

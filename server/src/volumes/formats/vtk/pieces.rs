@@ -16,7 +16,7 @@ use super::xml::{self, GridKind, element};
 use super::{AsStored, Grid, of_cells};
 use crate::volumes::formats::header;
 use crate::volumes::rectilinear::{self, Positions};
-use crate::volumes::{Field, FileLocation, Geometry, OpenedFile, ReadError, ReadProgress, Source};
+use crate::volumes::{Field, FileLocation, Geometry, Notices, OpenedFile, ReadError, ReadProgress, Source};
 use element::{Extent, GridAttributes};
 
 /// Pieces of an image, one a process.
@@ -81,7 +81,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         uneven: None,
         times: None,
         fields,
-        notice: None,
+        notices: Notices::default(),
     };
     let stored = AsStored {
         file,
@@ -262,6 +262,7 @@ pub(super) fn joined(
     };
     let sources = pieces.iter().map(of_piece).collect::<Result<Vec<_>, _>>()?;
     Ok(Field {
+        labels: Vec::new(),
         source: Arc::new(JoinedPieces {
             path: path.to_owned(),
             dims,

@@ -33,6 +33,8 @@ pub(super) struct Pipeline {
     /// In the order of writing.
     bytes: Vec<Bytes>,
     pub(super) shard: Option<Box<Shard>>,
+    /// Of blocks of N5, which have a header and may be smaller at the end: samples of a whole one along each axis, and bytes of a sample.
+    n5: Option<(Vec<u64>, usize)>,
 }
 
 /// Chunks in a chunk.
@@ -64,6 +66,35 @@ impl Pipeline {
             endian,
             bytes,
             shard: None,
+            n5: None,
+        })
+    }
+
+    /// Of a dataset of N5, from its attributes.
+    pub(super) fn of_n5(attributes: &Value, chunks: &[u64], width: u64) -> Result<Self, String> {
+        let compression = attributes.get("compression");
+        let name = compression.and_then(|own| own.get("type")).and_then(Value::as_str);
+        let name = name
+            .or_else(|| attributes.get("compressionType").and_then(Value::as_str))
+            .unwrap_or("none");
+        let bytes = match name {
+            "raw" => Vec::new(),
+            "gzip" => vec![Bytes::Stream(Encoding::Deflate)],
+            "bzip2" => vec![Bytes::Stream(Encoding::Bzip2)],
+            "zstd" => vec![Bytes::Stream(Encoding::Zstd)],
+            "blosc" => vec![Bytes::Blosc],
+            other => {
+                return Err(format!(
+                    "compression {other:?}, expected raw, gzip, bzip2, zstd or blosc"
+                ));
+            }
+        };
+        Ok(Self {
+            order: (0..chunks.len()).collect(),
+            endian: Endian::Big,
+            bytes,
+            shard: None,
+            n5: Some((chunks.to_vec(), width as usize)),
         })
     }
 
@@ -74,6 +105,7 @@ impl Pipeline {
             endian: Endian::Little,
             bytes: Vec::new(),
             shard: None,
+            n5: None,
         };
         let mut has_bytes = false;
         for codec in codecs {
@@ -142,14 +174,71 @@ impl Pipeline {
     pub(super) fn decode(&self, stored: Vec<u8>, size: usize) -> Result<Vec<u8>, String> {
         let limit = size + size / 8 + OVERHEAD;
         let mut bytes = stored;
-        for codec in self.bytes.iter().rev() {
-            bytes = codec.decode(&bytes, limit)?;
+        if let Some((chunks, width)) = &self.n5 {
+            let (sizes, begin) = n5_header(&bytes, chunks)?;
+            let block = self.unpacked(bytes.split_off(begin), limit)?;
+            return padded(&block, &sizes, chunks, *width);
         }
+        bytes = self.unpacked(bytes, limit)?;
         if bytes.len() != size {
             return Err(format!("{} bytes of samples, expected {size}", bytes.len()));
         }
         Ok(bytes)
     }
+
+    /// What the codecs give, of `limit` bytes at most.
+    fn unpacked(&self, mut bytes: Vec<u8>, limit: usize) -> Result<Vec<u8>, String> {
+        for codec in self.bytes.iter().rev() {
+            bytes = codec.decode(&bytes, limit)?;
+        }
+        Ok(bytes)
+    }
+}
+
+/// Samples of a block along each axis, the slowest first, and the bytes of its header: how it is written, the count of axes, samples along
+/// each of them.
+fn n5_header(stored: &[u8], chunks: &[u64]) -> Result<(Vec<u64>, usize), String> {
+    let begin = 4 + 4 * chunks.len();
+    let header = stored.get(..begin).ok_or("a block that is shorter than its header")?;
+    let number = |at: &[u8]| at.iter().fold(0u64, |n, &byte| n << 8 | u64::from(byte));
+    let (mode, axes) = (number(&header[..2]), number(&header[2..4]));
+    if mode != 0 || axes != chunks.len() as u64 {
+        return Err(format!(
+            "a block of mode {mode} with {axes} axes, expected mode 0 and {} axes",
+            chunks.len()
+        ));
+    }
+    let mut sizes: Vec<u64> = header[4..].chunks_exact(4).map(number).collect();
+    sizes.reverse();
+    if sizes.iter().zip(chunks).any(|(size, whole)| size > whole) {
+        return Err(format!("a block of {sizes:?} samples, expected {chunks:?} at most"));
+    }
+    Ok((sizes, begin))
+}
+
+/// A block with as many samples as a whole one; those that it has not are 0.
+fn padded(block: &[u8], sizes: &[u64], chunks: &[u64], width: usize) -> Result<Vec<u8>, String> {
+    let count = |sizes: &[u64]| sizes.iter().map(|&n| n as usize).product::<usize>() * width;
+    if block.len() != count(sizes) {
+        return Err(format!("{} bytes of samples, expected {}", block.len(), count(sizes)));
+    }
+    if sizes == chunks {
+        return Ok(block.to_vec());
+    }
+    let mut whole = vec![0; count(chunks)];
+    let Some(row) = sizes.last().map(|&n| n as usize * width).filter(|&row| row > 0) else {
+        return Ok(whole);
+    };
+    for (number, from) in block.chunks_exact(row).enumerate() {
+        let (mut rest, mut at, mut stride) = (number, 0, chunks[chunks.len() - 1] as usize * width);
+        for axis in (0..sizes.len() - 1).rev() {
+            at += rest % sizes[axis] as usize * stride;
+            rest /= sizes[axis] as usize;
+            stride *= chunks[axis] as usize;
+        }
+        whole[at..at + row].copy_from_slice(from);
+    }
+    Ok(whole)
 }
 
 impl Bytes {

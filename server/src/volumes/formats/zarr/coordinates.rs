@@ -8,7 +8,9 @@ use serde_json::Value;
 
 use super::super::store::{Store, join, never};
 use super::metadata::{Array, Node, node};
-use crate::volumes::formats::variables::file::{ATTRIBUTES, Attribute, Axis, Variable, VariableFile};
+use crate::volumes::formats::variables::file::{
+    ATTRIBUTES, Attribute, Attributes, Axis, AxisLabel, Variable, VariableFile,
+};
 use crate::volumes::remote::Part;
 use crate::volumes::stored::StoredType;
 
@@ -40,6 +42,7 @@ impl Variables {
             Axis {
                 dimension: named.cloned(),
                 scale: named.filter(|_| !is_scale).map(|own| join(&self.group, own)),
+                label: AxisLabel::default(),
                 size,
                 is_unlimited: false,
             }
@@ -109,26 +112,33 @@ impl VariableFile for Variables {
 }
 
 /// The attributes that say what samples mean.
-fn attributes(array: &Array) -> Vec<(String, Attribute)> {
+fn attributes(array: &Array) -> Attributes {
     let value = |name: &str| {
         let found = array.attributes.get(name).unwrap_or(&Value::Null);
         match (name, found) {
             // Version 2 has it as the array's own.
             ("_FillValue", Value::Null) => array.missing.map(|value| Attribute::Numbers(vec![value])),
-            ("_FillValue", Value::String(text)) => {
-                packed_number(text, array.stored).map(|v| Attribute::Numbers(vec![v]))
-            }
+            ("_FillValue", Value::String(text)) => Some(match packed_number(text, array.stored) {
+                Some(value) => Attribute::Numbers(vec![value]),
+                None => Attribute::Text(text.clone()),
+            }),
             (_, Value::String(text)) => Some(Attribute::Text(text.clone())),
-            (_, Value::Array(list)) => list
-                .iter()
-                .map(Value::as_f64)
-                .collect::<Option<_>>()
-                .map(Attribute::Numbers),
+            (_, Value::Array(list)) => list_of(list),
             (_, value) => value.as_f64().map(|value| Attribute::Numbers(vec![value])),
         }
     };
     let named = ATTRIBUTES.iter().map(|&name| (name.to_owned(), value(name)));
-    named.filter_map(|(name, value)| Some((name, value?))).collect()
+    Attributes(named.filter_map(|(name, value)| Some((name, value?))).collect())
+}
+
+/// A list of numbers, or of texts.
+fn list_of(list: &[Value]) -> Option<Attribute> {
+    let numbers: Option<Vec<f64>> = list.iter().map(Value::as_f64).collect();
+    if let Some(numbers) = numbers {
+        return Some(Attribute::Numbers(numbers));
+    }
+    let texts: Option<Vec<String>> = list.iter().map(|value| value.as_str().map(str::to_owned)).collect();
+    texts.map(Attribute::Texts)
 }
 
 /// A floating-point number in JSON as xarray writes it: the eight bytes of a double, little endian, in base64. Or its name.

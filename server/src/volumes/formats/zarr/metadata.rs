@@ -6,7 +6,6 @@ use serde_json::Value;
 
 use super::super::store::{Store, join};
 use super::codecs::{Pipeline, integers};
-use super::ome::Axis;
 use crate::volumes::ReadError;
 use crate::volumes::stored::StoredType;
 
@@ -31,6 +30,8 @@ pub(super) struct Array {
     /// What stands before the numbers of a chunk's name, and between them.
     pub(super) key_prefix: &'static str,
     pub(super) key_separator: String,
+    /// Whether the name has the number along the last axis first.
+    pub(super) is_key_reversed: bool,
     pub(super) attributes: Value,
     /// Names of the axes, where they have some.
     pub(super) names: Vec<String>,
@@ -39,34 +40,17 @@ pub(super) struct Array {
 }
 
 impl Array {
-    /// Its axes as far as their names say what they are: the last three are z, y, x, one before them is time.
-    pub(super) fn named_axes(&self) -> Vec<Axis> {
-        let count = self.shape.len();
-        let by_place = ["t", "c", "z", "y", "x"];
-        let names: Vec<&str> = if self.names.len() == count && self.are_known() {
-            self.names.iter().map(String::as_str).collect()
-        } else if count == 4 {
-            vec!["t", "z", "y", "x"]
-        } else {
-            by_place[by_place.len().saturating_sub(count)..].to_vec()
-        };
-        names.into_iter().map(Axis::named).collect()
-    }
-
-    /// Whether each axis has a name, and these are not those of the axes of an image.
-    pub(super) fn has_own_names(&self) -> bool {
-        self.names.len() == self.shape.len() && self.names.iter().all(|name| !name.is_empty()) && !self.are_known()
-    }
-
-    fn are_known(&self) -> bool {
-        ["x", "y", "z"]
-            .iter()
-            .all(|name| self.names.iter().any(|own| own == name))
+    /// Whether one of its axes at least has a name.
+    pub(super) fn has_names(&self) -> bool {
+        self.names.len() == self.shape.len() && self.names.iter().any(|name| !name.is_empty())
     }
 
     /// Name of a chunk's file.
     pub(super) fn key(&self, chunk: &[u64]) -> String {
-        let numbers: Vec<String> = chunk.iter().map(u64::to_string).collect();
+        let mut numbers: Vec<String> = chunk.iter().map(u64::to_string).collect();
+        if self.is_key_reversed {
+            numbers.reverse();
+        }
         format!("{}{}", self.key_prefix, numbers.join(&self.key_separator))
     }
 }
@@ -177,6 +161,7 @@ impl Third {
             pipeline,
             key_prefix,
             key_separator,
+            is_key_reversed: false,
             attributes: self.attributes,
             missing: None,
             names: self
@@ -251,6 +236,7 @@ impl Second {
             pipeline: pipeline.map_err(|why| store.error(path, why))?,
             key_prefix: "",
             key_separator: separator,
+            is_key_reversed: false,
             names: names.collect(),
             attributes,
         };
@@ -262,7 +248,7 @@ impl Array {
     /// Maximum bytes of a chunk, decoded.
     const MAX_CHUNK_BYTES: u64 = 1 << 30;
 
-    fn checked(self, store: &Store, path: &str) -> Result<Self, ReadError> {
+    pub(super) fn checked(self, store: &Store, path: &str) -> Result<Self, ReadError> {
         let fail = |why: String| Err(store.error(path, why));
         if self.shape.len() != self.chunks.len() || !(1..=32).contains(&self.shape.len()) {
             return fail(format!(
@@ -302,7 +288,7 @@ impl Array {
     }
 }
 
-fn third_type(name: &str) -> Option<StoredType> {
+pub(super) fn third_type(name: &str) -> Option<StoredType> {
     Some(match name {
         "bool" | "uint8" => StoredType::U8,
         "int8" => StoredType::I8,

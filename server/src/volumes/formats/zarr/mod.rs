@@ -5,7 +5,8 @@
 //! - A multiscale image: its finest level of at most 2^31 samples. Axes t and c are time steps and fields, named by
 //!   `omero`; spacing and origin are what the scales and translations say. `x.zarr:1` names another level,
 //!   `x.zarr:labels/NAME` an image of labels.
-//! - An array: axes are `z, y, x` or `t, z, y, x`, or as its names of dimensions say; positions are those of `coordinates`.
+//! - An array: axes are what names of dimensions and positions along them say, see `named_axes`; without names `z, y, x`, `t, z, y, x`
+//!   or `t, c, z, y, x`. Positions are those of `coordinates`.
 //! - A group of arrays of one shape: each is a field. `x.zarr:NAME` names one of several.
 //!
 //! A chunk that is not stored has the fill value. Links are followed below the folder only. `codecs` lists what chunks
@@ -15,6 +16,7 @@ mod blosc;
 mod codecs;
 mod coordinates;
 mod metadata;
+mod n5;
 mod ome;
 mod samples;
 
@@ -24,15 +26,16 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use super::FolderVolume;
-use super::header::{self, GridFields, MAX_CHANNELS, not_3d};
+use super::header::{self, GridFields};
+use super::spim_data::SpimData;
 use super::store::{self, Store};
 use super::variables::axes::{self, Layout};
 use super::variables::values::Values;
 use crate::volumes::open::title_of;
-use crate::volumes::{Field, FileLocation, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use crate::volumes::{Field, FileLocation, Geometry, Notices, OpenedFile, ReadError, TimeAxis};
 use coordinates::Variables;
 use metadata::{Array, Node, node};
-use ome::{Axis, Level};
+use ome::{Axis, Image, Level};
 use samples::{Axes, ZarrSamples};
 
 const FIELDS: GridFields = GridFields {
@@ -41,6 +44,9 @@ const FIELDS: GridFields = GridFields {
     origin: "translation",
     direction: "axes",
 };
+
+/// Bytes of an `attributes.json` that are looked at to recognize N5.
+const MAX_ATTRIBUTES: usize = 1 << 20;
 
 /// Maximum arrays of a group that are opened together.
 const MAX_ARRAYS: usize = 64;
@@ -52,7 +58,27 @@ const MAX_LEVEL_SAMPLES: u64 = 1 << 31;
 pub fn holds(folder: &Path) -> bool {
     let ends = folder.extension().is_some_and(|e| e.eq_ignore_ascii_case("zarr"));
     let names = ["zarr.json", ".zarray", ".zgroup", ".zattrs"];
-    folder.is_dir() && (ends || names.iter().any(|name| folder.join(name).is_file()))
+    folder.is_dir() && (ends || names.iter().any(|name| folder.join(name).is_file()) || is_n5(folder))
+}
+
+/// Whether a folder is a container or dataset of N5.
+fn is_n5(folder: &Path) -> bool {
+    let ends = folder.extension().is_some_and(|e| e.eq_ignore_ascii_case("n5"));
+    let attributes = FileLocation::disk(folder.join("attributes.json"));
+    let text = attributes
+        .open()
+        .and_then(|blob| blob.head(MAX_ATTRIBUTES))
+        .unwrap_or_default();
+    let value: Value = serde_json::from_slice(&text).unwrap_or_default();
+    ends || ["n5", "dimensions"].iter().any(|name| value.get(name).is_some())
+}
+
+/// Opens a view of BigDataViewer in an N5 folder, which is described elsewhere.
+///
+/// # Errors
+/// What is wrong with it, or which views there are if one must be named.
+pub(super) fn open_views(location: &FileLocation, data: &SpimData) -> Result<OpenedFile, ReadError> {
+    n5::open_views(&Arc::new(Store::open(location, "n5")?), location.part(), data)
 }
 
 /// Reads the metadata of a Zarr folder.
@@ -63,7 +89,7 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
     let store = Arc::new(Store::open(location, "zarr")?);
     let part = location.part().unwrap_or_default().trim_matches('/').to_owned();
     let file = match node(&store, &part)? {
-        None => Err(store.error(&part, store.nothing_there())),
+        None => n5::open(&store, &part)?.ok_or_else(|| store.error(&part, store.nothing_there())),
         Some(Node::Array(array)) => open_array(&store, &part, *array),
         Some(Node::Group(attributes)) => open_group(&store, &part, &attributes),
     }?;
@@ -72,7 +98,7 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
         Some(address) => address.shown().rsplit('/').next().unwrap_or_default().to_owned(),
         None => title_of(location.path()),
     };
-    for extension in [".zarr", ".ome"] {
+    for extension in [".zarr", ".ome", ".n5"] {
         title = title.strip_suffix(extension).unwrap_or(&title).to_owned();
     }
     if !part.is_empty() {
@@ -89,27 +115,41 @@ fn open_array(store: &Arc<Store>, path: &str, array: Array) -> Result<OpenedFile
             && let Some(image) = ome::image(store, group, &attributes)?
             && let Some(found) = image.levels.iter().find(|other| other.path == level)
         {
-            return open_level(store, path, array, &image.axes, found, &image.channels);
+            return open_level(store, path, array, &image, found);
         }
     }
+    let mut notices = Vec::new();
+    let array = with_fill_as_value(array, &mut notices);
     let variables = Variables::beside(store, path);
-    let variable = variables.describe(path, &array);
+    let mut variable = variables.describe(path, &array);
+    if array.shape.len() == 5 && !array.has_names() {
+        notices.push("the file does not say what its axes are: time, channels, z, y, x were taken".to_owned());
+        for (axis, name) in variable.axes.iter_mut().zip(["t", "c", "z", "y", "x"]) {
+            axis.label.name = Some(name.to_owned());
+        }
+    }
     let scales = axes::scales(&variables, &variable);
-    let is_time = |axis: usize| scales[axis].as_ref().is_some_and(axes::is_time);
-    let roles = if array.has_own_names() {
-        let layout = Layout::of(&variable, is_time).map_err(|why| not_3d(&store.path(path), "shape", why))?;
-        Axes::of_layout(&layout)
-    } else {
-        Axes::of(store, path, &array.named_axes(), &array)?
-    };
     let shown = store.path(path);
-    let placed = axes::place_grid(&shown, &variables, &variable, &scales, roles.space, roles.dims)?;
-    let steps = u64::from(roles.steps);
-    let times = roles
+    let fail = |why: String| ReadError::new(&shown, "shape", why);
+    let roles = axes::roles(&variable, &scales).map_err(fail)?;
+    let layout = Layout::new(variable.sizes(), &roles).map_err(fail)?;
+    let placed = axes::place_grid(&shown, &variables, &variable, &scales, layout.axes, layout.dims)?;
+    let steps = u64::from(layout.steps);
+    let times = layout
         .time
         .and_then(|axis| axes::times(&variables, scales[axis].as_ref()?, steps));
-    let file = open_samples(store, path, array, roles, placed.geometry, &[])?;
-    placed.finish(&shown, OpenedFile { times, ..file })
+    let file = open_samples(store, path, array, Axes::of_layout(&layout), placed.geometry, &[])?;
+    let file = placed.finish(&shown, OpenedFile { times, ..file })?;
+    Ok(header::with_notices(file, roles.notices.into_iter().chain(notices)))
+}
+
+/// An array in which 0 is a value, even if it is the fill value of version 2, which programs write by default for images too.
+fn with_fill_as_value(array: Array, notices: &mut Vec<String>) -> Array {
+    if array.missing != Some(0.0) {
+        return array;
+    }
+    notices.push("the fill value 0 is taken as a value; xarray takes it as missing".to_owned());
+    Array { missing: None, ..array }
 }
 
 /// A group: an image, or arrays side by side.
@@ -123,8 +163,8 @@ fn open_group(store: &Arc<Store>, path: &str, attributes: &Value) -> Result<Open
         let Some(Node::Array(array)) = node(store, &whole)? else {
             return Err(store.error(&whole, "no array there, expected one: `datasets` names it"));
         };
-        let axes = Axes::of(store, &whole, &image.axes, &array)?;
-        let samples = axes.dims.iter().map(|&n| u64::from(n)).product::<u64>();
+        let layout = layout_of(store, &whole, &image.axes, &array)?.0;
+        let samples = layout.dims.iter().map(|&n| u64::from(n)).product::<u64>();
         if samples > MAX_LEVEL_SAMPLES {
             too_large.push(format!("{whole} has {samples} samples"));
             continue;
@@ -133,7 +173,7 @@ fn open_group(store: &Arc<Store>, path: &str, attributes: &Value) -> Result<Open
             let path = store.shown().display();
             tracing::info!(%path, "level {} is opened: the finest of 2^31 samples at most", level.path);
         }
-        return open_level(store, &whole, *array, &image.axes, level, &image.channels);
+        return open_level(store, &whole, *array, &image, level);
     }
     let why = format!(
         "{}; expected 2^31 at most, or a level that is named",
@@ -180,8 +220,17 @@ fn open_arrays(store: &Arc<Store>, path: &str) -> Result<OpenedFile, ReadError> 
             return Err(store.error(path, "arrays of several grids, expected one, or the name of an array"));
         }
         file.fields.extend(other.fields);
+        file.notices.extend(other.notices);
     }
     Ok(file)
+}
+
+/// What the axes of an image's level are, and what was guessed.
+fn layout_of(store: &Store, path: &str, axes: &[Axis], array: &Array) -> Result<(Layout, Vec<String>), ReadError> {
+    let fail = |why: String| ReadError::new(&store.path(path), "axes", why);
+    let roles = ome::roles(axes, &array.shape).map_err(fail)?;
+    let layout = Layout::new(array.shape.clone(), &roles).map_err(fail)?;
+    Ok((layout, roles.notices))
 }
 
 /// One array with what is known of its axes.
@@ -189,18 +238,23 @@ fn open_level(
     store: &Arc<Store>,
     path: &str,
     array: Array,
-    axes: &[Axis],
+    image: &Image,
     level: &Level,
-    channels: &[String],
 ) -> Result<OpenedFile, ReadError> {
-    let roles = Axes::of(store, path, axes, &array)?;
-    let geometry = geometry(&store.path(path), axes, &roles, level)?;
-    let times = roles.time.filter(|_| roles.steps > 1).and_then(|axis| {
+    let axes = image.axes.as_slice();
+    let (layout, mut notices) = layout_of(store, path, axes, &array)?;
+    let geometry = geometry(&store.path(path), axes, &layout, level, &mut notices)?;
+    let times = layout.time.and_then(|axis| {
         let unit = axes[axis].time_unit.as_deref()?;
-        TimeAxis::even(level.translation[axis], level.scale[axis], roles.steps, unit)
+        TimeAxis::even(level.translation[axis], level.scale[axis], layout.steps, unit)
     });
-    let file = open_samples(store, path, array, roles, geometry, channels)?;
-    Ok(OpenedFile { times, ..file })
+    // In an image no sample is missing, whatever the fill value is.
+    let array = Array { missing: None, ..array };
+    let mut file = open_samples(store, path, array, Axes::of_layout(&layout), geometry, &image.channels)?;
+    for field in &mut file.fields {
+        field.labels.clone_from(&image.labels);
+    }
+    Ok(header::with_notices(OpenedFile { times, ..file }, notices))
 }
 
 /// The fields of an array.
@@ -213,14 +267,12 @@ fn open_samples(
     channels: &[String],
 ) -> Result<OpenedFile, ReadError> {
     let shown = store.path(path);
-    if u64::from(roles.channels) > MAX_CHANNELS {
-        return Err(not_3d(&shown, "shape", format!("{} channels", roles.channels)));
-    }
     let (steps, count) = (roles.steps, roles.channels);
     let type_name = array.type_name.clone();
     let variable = Variables::beside(store, path).describe(path, &array);
     let values = Values::of(&variable, array.stored).map_err(|why| ReadError::new(&shown, "attributes", why))?;
     let unit = variable.text("units").filter(|&unit| unit != "1");
+    let notices = variable.unread_numbers();
     let base = ZarrSamples::new(store.clone(), path.to_owned(), array, roles, values)?;
     let field = |(channel, name): (u32, String)| {
         let samples = base.of_channel(channel);
@@ -230,6 +282,7 @@ fn open_samples(
             sample_type: samples.sample_type(),
             missing: base.missing(),
             unit: unit.map(str::to_owned),
+            labels: Vec::new(),
             source: Arc::new(samples),
         }
     };
@@ -237,33 +290,43 @@ fn open_samples(
         .zip(channel_names(store, path, count, channels))
         .map(field)
         .collect();
-    Ok(OpenedFile {
+    let file = OpenedFile {
         geometry,
         steps,
         uneven: None,
         times: None,
         fields,
-        notice: None,
-    })
+        notices: Notices::default(),
+    };
+    Ok(header::with_notices(file, notices))
 }
 
-/// The grid of a level. Lengths are in the unit of x.
-fn geometry(shown: &Path, axes: &[Axis], roles: &Axes, level: &Level) -> Result<Geometry, ReadError> {
-    let units = roles.space.map(|axis| axes[axis].unit);
-    let factor = |axis: usize| {
-        let metres = |unit: Option<LengthUnit>| unit.and_then(LengthUnit::metres);
-        match (metres(units[axis]), metres(units[0])) {
-            (Some(own), Some(first)) if units[axis] != units[0] => own / first,
-            _ => 1.0,
-        }
-    };
-    let spacing: [f64; 3] = std::array::from_fn(|axis| level.scale[roles.space[axis]] * factor(axis));
-    let origin: [f64; 3] = std::array::from_fn(|axis| level.translation[roles.space[axis]] * factor(axis));
-    let placed = header::geometry(shown, &FIELDS, roles.dims, spacing, origin, Geometry::IDENTITY)?;
-    Ok(Geometry {
-        unit: units[0].filter(|_| units.iter().all(Option::is_some)),
-        ..placed
-    })
+/// The grid of a level, and what is not known of it. Lengths are in the unit of x, or of the first axis that has one.
+fn geometry(
+    shown: &Path,
+    axes: &[Axis],
+    layout: &Layout,
+    level: &Level,
+    notices: &mut Vec<String>,
+) -> Result<Geometry, ReadError> {
+    let space = layout.axes;
+    let (unit, factors, unknown) = ome::length_unit(axes, space);
+    notices.extend(unknown);
+    if !level.has_scale {
+        notices.push("the image has no scale: samples are 1 apart along each axis".to_owned());
+    }
+    let steps: [f64; 3] = std::array::from_fn(|axis| level.scale[space[axis]] * factors[axis]);
+    let origin: [f64; 3] = std::array::from_fn(|axis| level.translation[space[axis]] * factors[axis]);
+    let mut direction = Geometry::IDENTITY;
+    for (axis, step) in steps.into_iter().enumerate().filter(|(_, step)| *step < 0.0) {
+        direction[axis][axis] = -1.0;
+        let name = &axes[space[axis]].name;
+        notices.push(format!(
+            "the scale {step} along {name:?} is negative: positions decrease along it"
+        ));
+    }
+    let placed = header::geometry(shown, &FIELDS, layout.dims, steps.map(f64::abs), origin, direction)?;
+    Ok(Geometry { unit, ..placed })
 }
 
 /// Names of the channels: those of `omero` where they differ, else numbers.

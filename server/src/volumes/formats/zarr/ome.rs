@@ -1,15 +1,24 @@
 //! OME-Zarr: images of several resolutions, versions 0.1 to 0.5.
 
+use std::collections::BTreeMap;
+
 use serde_json::Value;
 
+use super::super::named_axes::{self, AxisFacts, AxisRoles, Role};
 use super::super::store::Store;
-use crate::volumes::{LengthUnit, ReadError};
+use crate::volumes::{Label, LengthUnit, MAX_LABELS, ReadError};
 
 /// An axis of an array.
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     pub(super) name: String,
+    /// What its type says it is; of an axis in space its name says which one.
+    role: Option<Role>,
+    /// Its type, if that is none of space, time and channel.
+    other_type: Option<String>,
     pub(super) unit: Option<LengthUnit>,
+    /// Of an axis in space, as the file names it, if that is no unit of length that is known.
+    unknown_unit: Option<String>,
     /// Of an axis of time, as the file names it.
     pub(super) time_unit: Option<String>,
 }
@@ -18,7 +27,10 @@ impl Axis {
     pub(super) fn named(name: &str) -> Self {
         Self {
             name: name.to_owned(),
+            role: None,
+            other_type: None,
             unit: None,
+            unknown_unit: None,
             time_unit: None,
         }
     }
@@ -27,17 +39,72 @@ impl Axis {
     fn parse(value: &Value) -> Self {
         let text = |key: &str| value.get(key).and_then(Value::as_str);
         let name = value.as_str().or_else(|| text("name")).unwrap_or_default();
-        let name = match text("type") {
-            Some("time") => "t",
-            Some("channel") => "c",
-            _ => name,
+        let (role, other_type) = match text("type") {
+            Some("time") => (Some(Role::Time), None),
+            Some("channel") => (Some(Role::Channel), None),
+            None | Some("space") => (None, None),
+            Some(other) => (None, Some(other.to_owned())),
         };
+        let is_time = role == Some(Role::Time) || name == "t";
+        let unit = text("unit").filter(|_| !is_time);
         Self {
             name: name.to_owned(),
-            unit: text("unit").and_then(LengthUnit::parse),
-            time_unit: (name == "t").then(|| text("unit").map(str::to_owned)).flatten(),
+            role,
+            other_type,
+            unit: unit.and_then(LengthUnit::parse),
+            unknown_unit: unit.filter(|unit| LengthUnit::parse(unit).is_none()).map(str::to_owned),
+            time_unit: is_time.then(|| text("unit").map(str::to_owned)).flatten(),
         }
     }
+}
+
+/// What the axes of an array of that shape are.
+///
+/// # Errors
+/// No volume, with what it is.
+pub(super) fn roles(axes: &[Axis], shape: &[u64]) -> Result<AxisRoles, String> {
+    if axes.len() != shape.len() {
+        return Err(format!("{} names for {} axes", axes.len(), shape.len()));
+    }
+    let other = axes
+        .iter()
+        .zip(shape)
+        .find(|(axis, size)| **size > 1 && axis.other_type.is_some());
+    if let Some((Axis { name, other_type, .. }, size)) = other {
+        let kind = other_type.as_deref().unwrap_or_default();
+        return Err(format!(
+            "{size} samples along {name:?} of type {kind:?}, expected space, time or channel"
+        ));
+    }
+    let facts = axes.iter().zip(shape).map(|(axis, &size)| AxisFacts {
+        size,
+        name: Some(axis.name.as_str()),
+        stated: axis.role,
+        ..AxisFacts::default()
+    });
+    named_axes::assign(&facts.collect::<Vec<_>>())
+}
+
+/// The unit of lengths along x, y and z, what brings those along each axis to it, and what is said of units that are not known.
+pub(super) fn length_unit(axes: &[Axis], space: [usize; 3]) -> (Option<LengthUnit>, [f64; 3], Vec<String>) {
+    let units = space.map(|axis| axes[axis].unit);
+    let unit = units.into_iter().flatten().next();
+    let metres = |unit: Option<LengthUnit>| unit.and_then(LengthUnit::metres);
+    let factors = units.map(|own| match (metres(own), metres(unit)) {
+        (Some(own_metres), Some(metres)) if own != unit => own_metres / metres,
+        _ => 1.0,
+    });
+    let mut notices = Vec::new();
+    for axis in space.map(|axis| &axes[axis]) {
+        match (&axis.unknown_unit, unit) {
+            (Some(text), _) => notices.push(format!("the unit {text:?} of axis {:?} is not known", axis.name)),
+            (None, Some(unit)) if axis.unit.is_none() => {
+                notices.push(format!("axis {:?} has no unit: {} was taken", axis.name, unit.symbol()));
+            }
+            _ => {}
+        }
+    }
+    (unit, factors, notices)
 }
 
 /// One resolution.
@@ -47,6 +114,8 @@ pub(super) struct Level {
     /// Of each axis.
     pub(super) scale: Vec<f64>,
     pub(super) translation: Vec<f64>,
+    /// Whether the file says the scale.
+    pub(super) has_scale: bool,
 }
 
 impl Level {
@@ -56,6 +125,7 @@ impl Level {
             path: String::new(),
             scale: vec![1.0; axes],
             translation: vec![0.0; axes],
+            has_scale: false,
         }
     }
 
@@ -72,6 +142,7 @@ impl Level {
             match kind {
                 "identity" => {}
                 "scale" => {
+                    self.has_scale = true;
                     for (i, factor) in numbers()?.into_iter().enumerate() {
                         self.scale[i] *= factor;
                         self.translation[i] *= factor;
@@ -96,6 +167,8 @@ pub(super) struct Image {
     pub(super) levels: Vec<Level>,
     /// Names of the channels, where they have some.
     pub(super) channels: Vec<String>,
+    /// Names and colours of labels, of an image of these.
+    pub(super) labels: Vec<Label>,
 }
 
 /// The image of a group; `None` where it is none. Of several the first.
@@ -146,5 +219,34 @@ pub(super) fn image(store: &Store, path: &str, attributes: &Value) -> Result<Opt
             .to_owned()
     };
     let channels = channels.into_iter().flatten().map(label).collect();
-    Ok(Some(Image { axes, levels, channels }))
+    let labels = attributes.get("image-label").map(labels).unwrap_or_default();
+    Ok(Some(Image {
+        axes,
+        levels,
+        channels,
+        labels,
+    }))
+}
+
+/// Names and colours of labels. The specification leaves open what a property is called that has the name.
+fn labels(described: &Value) -> Vec<Label> {
+    let list = |name: &str| described.get(name).and_then(Value::as_array).into_iter().flatten();
+    let value = |entry: &Value| entry.get("label-value").and_then(Value::as_i64);
+    let mut found: BTreeMap<i64, (String, Option<[u8; 3]>)> = BTreeMap::new();
+    for entry in list("properties").take(MAX_LABELS) {
+        let name = ["name", "label", "class", "label-name", "title"]
+            .iter()
+            .find_map(|name| entry.get(name)?.as_str());
+        if let (Some(value), Some(name)) = (value(entry), name) {
+            name.clone_into(&mut found.entry(value).or_default().0);
+        }
+    }
+    for entry in list("colors").take(MAX_LABELS) {
+        let color = |at: usize| u8::try_from(entry.get("rgba")?.get(at)?.as_u64()?).ok();
+        if let (Some(value), Some(red), Some(green), Some(blue)) = (value(entry), color(0), color(1), color(2)) {
+            found.entry(value).or_default().1 = Some([red, green, blue]);
+        }
+    }
+    let label = |(value, (name, color)): (i64, (String, _))| Label::new(value, &name, color);
+    found.into_iter().take(MAX_LABELS).map(label).collect()
 }

@@ -13,12 +13,10 @@ use rayon::prelude::*;
 
 use super::super::store::Store;
 use super::metadata::Array;
-use super::ome::Axis;
 use crate::volumes::formats::variables::{axes::Layout, values::Values};
-use crate::volumes::formats::{header, header::not_3d};
-use crate::volumes::scalar::Scalar;
+use crate::volumes::scalar::{DeviceScalar, Scalar};
 use crate::volumes::stored::{Endian, StoredType};
-use crate::volumes::{FileLocation, ReadError, ReadProgress, Source};
+use crate::volumes::{FileLocation, Findings, LabelRanks, Notices, ReadError, ReadProgress, Source, only_piece};
 
 /// Maximum chunks of a time step.
 const MAX_CHUNKS: u64 = 1 << 19;
@@ -40,51 +38,16 @@ pub(super) struct Axes {
 }
 
 impl Axes {
-    /// Those of a variable.
+    /// Those of a layout.
     pub(super) fn of_layout(layout: &Layout) -> Self {
         Self {
             space: layout.axes,
             time: layout.time,
-            channel: None,
+            channel: layout.channel,
             dims: layout.dims,
             steps: layout.steps,
-            channels: 1,
+            channels: layout.channels,
         }
-    }
-
-    pub(super) fn of(store: &Store, path: &str, axes: &[Axis], array: &Array) -> Result<Self, ReadError> {
-        let shown = store.path(path);
-        let shape = header::sizes(&shown, "shape", &array.shape)?;
-        if axes.len() != shape.len() {
-            return Err(not_3d(
-                &shown,
-                "axes",
-                format!("{} names for {} axes", axes.len(), shape.len()),
-            ));
-        }
-        let find = |names: &[&str]| axes.iter().position(|axis| names.contains(&axis.name.as_str()));
-        let [Some(x), Some(y), Some(z)] = [find(&["x"]), find(&["y"]), find(&["z"])] else {
-            let names: Vec<&str> = axes.iter().map(|axis| axis.name.as_str()).collect();
-            return Err(not_3d(&shown, "axes", format!("axes {names:?} without x, y and z")));
-        };
-        let (space, time, channel) = ([x, y, z], find(&["t", "time"]), find(&["c", "channel"]));
-        for (axis, &size) in shape.iter().enumerate() {
-            if size > 1 && !space.contains(&axis) && time != Some(axis) && channel != Some(axis) {
-                return Err(not_3d(
-                    &shown,
-                    "axes",
-                    format!("{size} samples along {:?}", axes[axis].name),
-                ));
-            }
-        }
-        Ok(Self {
-            space,
-            time,
-            channel,
-            dims: space.map(|axis| shape[axis]),
-            steps: time.map_or(1, |axis| shape[axis]),
-            channels: channel.map_or(1, |axis| shape[axis]),
-        })
     }
 }
 
@@ -100,6 +63,7 @@ pub(super) struct ZarrSamples {
     /// Samples along each axis of what is decoded at once: a chunk, or one in a shard.
     block: Arc<Vec<u64>>,
     stored_bytes: OnceLock<u64>,
+    findings: Findings,
 }
 
 impl ZarrSamples {
@@ -142,6 +106,7 @@ impl ZarrSamples {
             values: Arc::new(values),
             block,
             stored_bytes: OnceLock::new(),
+            findings: Findings::default(),
         })
     }
 
@@ -149,6 +114,7 @@ impl ZarrSamples {
         Self {
             channel,
             stored_bytes: OnceLock::new(),
+            findings: Findings::default(),
             ..self.clone()
         }
     }
@@ -199,13 +165,13 @@ impl ZarrSamples {
         piece
     }
 
-    /// One time step, whose samples are `S` in the file and `T` on the device.
+    /// One time step, whose samples are `S` in the file and `T` on the device. `convert` makes the values of a row.
     fn read_as<S: Scalar, T: Scalar>(
         &self,
         step: u32,
         progress: &ReadProgress,
         fill: S,
-        convert: impl Fn(S) -> T + Sync,
+        convert: impl Fn(&dyn Fn(usize) -> S, &mut [T]) + Sync,
     ) -> Result<Vec<T>, ReadError> {
         let reading = Reading::new(progress);
         if !self.store.is_remote() {
@@ -226,7 +192,9 @@ impl ZarrSamples {
         if self.store.is_remote() {
             self.check(step, stored_bytes)?;
         }
-        let fill = convert(fill);
+        let stored = fill;
+        let mut fill = T::zeroed();
+        convert(&|_| stored, std::slice::from_mut(&mut fill));
         if bytemuck::bytes_of(&fill).iter().any(|&byte| byte != 0) {
             for block in not_stored {
                 self.rows(&block).for_each(|(row, _)| values[row].fill(fill));
@@ -315,7 +283,7 @@ impl ZarrSamples {
         block: &[u64],
         stored: &[u8],
         values: &mut [T],
-        convert: &impl Fn(S) -> T,
+        convert: &impl Fn(&dyn Fn(usize) -> S, &mut [T]),
     ) {
         let pipeline = self
             .array
@@ -341,21 +309,39 @@ impl ZarrSamples {
                 bytemuck::cast_slice_mut(values).copy_from_slice(stored);
                 continue;
             }
-            for (x, value) in values.iter_mut().enumerate() {
+            let sample = |x: usize| {
                 let at = (from + x * stride[0]) * width;
                 let one: S = bytemuck::pod_read_unaligned(&stored[at..at + width]);
-                *value = convert(if swap { one.swapped() } else { one });
-            }
+                if swap { one.swapped() } else { one }
+            };
+            convert(&sample, values);
         }
     }
 
+    /// One time step, in the type that its samples are stored in.
+    fn as_stored<T: DeviceScalar>(&self, step: u32, progress: &ReadProgress, fill: T) -> Result<Samples, ReadError> {
+        let convert = |stored: &dyn Fn(usize) -> T, values: &mut [T]| {
+            values.iter_mut().enumerate().for_each(|(x, value)| *value = stored(x));
+        };
+        self.read_as(step, progress, fill, convert).map(T::samples)
+    }
+
     fn as_f32<S: Scalar>(&self, step: u32, progress: &ReadProgress, fill: S) -> Result<Samples, ReadError> {
-        let values = if !self.is_as_stored() {
-            self.read_as(step, progress, fill, |v: S| self.values.value(v.to_f64()))
-        } else {
-            self.read_as(step, progress, fill, Scalar::to_f32)
-        }?;
-        Ok(Samples::F32(values))
+        let path = self.store.path(&self.path);
+        only_piece(|sink| {
+            self.findings.read((&path, self.axes.steps), sink, |conversion, sink| {
+                let convert = |stored: &dyn Fn(usize) -> S, values: &mut [f32]| {
+                    if self.is_as_stored() {
+                        return conversion.convert(stored, values);
+                    }
+                    values
+                        .iter_mut()
+                        .enumerate()
+                        .for_each(|(x, value)| *value = self.values.value(stored(x).to_f64()));
+                };
+                sink(Samples::F32(self.read_as(step, progress, fill, convert)?))
+            })
+        })
     }
 }
 
@@ -373,6 +359,14 @@ impl Source for ZarrSamples {
         vec![self.store.location().clone()]
     }
 
+    fn notices(&self) -> Notices {
+        self.findings.notices()
+    }
+
+    fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        self.findings.ranks()
+    }
+
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         if step >= self.axes.steps {
             let why = format!("{step}, expected 0 to {}", self.axes.steps - 1);
@@ -381,10 +375,10 @@ impl Source for ZarrSamples {
         let fill = self.array.fill;
         let as_stored = self.is_as_stored();
         match self.values.stored {
-            StoredType::U8 if as_stored => self.read_as(step, progress, fill as u8, |v| v).map(Samples::U8),
-            StoredType::I8 if as_stored => self.read_as(step, progress, fill as i8, |v| v).map(Samples::I8),
-            StoredType::U16 if as_stored => self.read_as(step, progress, fill as u16, |v| v).map(Samples::U16),
-            StoredType::I16 if as_stored => self.read_as(step, progress, fill as i16, |v| v).map(Samples::I16),
+            StoredType::U8 if as_stored => self.as_stored(step, progress, fill as u8),
+            StoredType::I8 if as_stored => self.as_stored(step, progress, fill as i8),
+            StoredType::U16 if as_stored => self.as_stored(step, progress, fill as u16),
+            StoredType::I16 if as_stored => self.as_stored(step, progress, fill as i16),
             StoredType::U8 => self.as_f32(step, progress, fill as u8),
             StoredType::I8 => self.as_f32(step, progress, fill as i8),
             StoredType::U16 => self.as_f32(step, progress, fill as u16),

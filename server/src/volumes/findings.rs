@@ -1,0 +1,154 @@
+//! What reading samples finds: values that the device's type does not hold, labels that would merge, files that are not quite in order.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::{Notices, ReadError};
+
+/// What has been found in a field's samples so far. Clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct Findings(Arc<Mutex<State>>);
+
+#[derive(Debug, Default)]
+struct State {
+    notices: Notices,
+    needs_ranks: bool,
+    ranks: Option<Arc<LabelRanks>>,
+}
+
+impl Findings {
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds a notice, and writes it to the log the first time.
+    pub(super) fn report(&self, path: &Path, text: impl Into<String>) {
+        let notice = Notices::of(text);
+        let mut state = self.state();
+        let before = state.notices.clone();
+        state.notices.extend(notice.clone());
+        if state.notices != before {
+            notice.log(path);
+        }
+    }
+
+    /// Findings of another field, to which the notices so far apply as well.
+    pub(super) fn of_another_field(&self) -> Self {
+        let notices = self.notices();
+        Self(Arc::new(Mutex::new(State {
+            notices,
+            ..State::default()
+        })))
+    }
+
+    /// What was found so far.
+    pub(super) fn notices(&self) -> Notices {
+        self.state().notices.clone()
+    }
+
+    /// Whether labels need ranks that are not known yet.
+    pub(super) fn needs_ranks(&self) -> bool {
+        let state = self.state();
+        state.needs_ranks && state.ranks.is_none()
+    }
+
+    /// Says that another reading must give ranks to labels.
+    pub(super) fn ask_for_ranks(&self) {
+        self.state().needs_ranks = true;
+    }
+
+    pub(super) fn set_ranks(&self, path: &Path, ranks: LabelRanks) {
+        self.report(path, ranks.notice());
+        self.state().ranks = Some(Arc::new(ranks));
+    }
+
+    /// The labels that ranks stand for, if the field has such.
+    pub(super) fn ranks(&self) -> Option<Arc<LabelRanks>> {
+        self.state().ranks.clone()
+    }
+}
+
+/// The error of labels that cannot have ranks, as these would differ from step to step.
+pub(super) fn merging_steps(path: &Path) -> ReadError {
+    let why = "labels above 16777216 that 32-bit floats do not tell apart, in several time steps: expected one step, or labels that are \
+               numbered anew";
+    ReadError::new(path, "data", why)
+}
+
+/// Ranks of labels in the order of their numbers: 0 stays 0, those above are 1, 2, 3, …, those below −1, −2, ….
+#[derive(Debug, PartialEq, Eq)]
+pub struct LabelRanks {
+    values: Vec<i128>,
+    /// Index of 0, or where it would be less one.
+    zero: i64,
+    has_zero: bool,
+}
+
+impl LabelRanks {
+    pub(super) fn new(values: BTreeSet<i128>) -> Self {
+        let values: Vec<i128> = values.into_iter().collect();
+        let (zero, has_zero) = match values.binary_search(&0) {
+            Ok(at) => (at as i64, true),
+            Err(at) => (at as i64 - 1, false),
+        };
+        Self { values, zero, has_zero }
+    }
+
+    fn rank_at(&self, index: usize) -> f32 {
+        let rank = index as i64 - self.zero;
+        // Without a 0 there is no rank 0: those below it move by one.
+        let is_below = self.values[index] < 0 && !self.has_zero;
+        (if is_below { rank - 1 } else { rank }) as f32
+    }
+
+    /// Where a number stands among the ranks: the rank of a label, or half a rank from its neighbours.
+    pub fn position(&self, number: i128) -> f32 {
+        match self.values.binary_search(&number) {
+            Ok(at) => self.rank_at(at),
+            Err(0) => self.rank_at(0) - 0.5,
+            Err(at) => self.rank_at(at - 1) + 0.5,
+        }
+    }
+
+    /// The labels with their ranks, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = (f32, i128)> + '_ {
+        (0..self.values.len()).map(|at| (self.rank_at(at), self.values[at]))
+    }
+
+    fn notice(&self) -> String {
+        let large = self.values.iter().rev().take(2).rev().map(ToString::to_string);
+        format!(
+            "labels are shown by their rank among the {} there are, in the order of their numbers (0 stays 0), as 32-bit floats do not tell all \
+             apart: {} are {}; conditions such as `labels == {}` take the numbers of the file",
+            self.values.len(),
+            large.collect::<Vec<_>>().join(" and "),
+            self.iter()
+                .skip(self.values.len().saturating_sub(2))
+                .map(|(rank, _)| rank.to_string())
+                .collect::<Vec<_>>()
+                .join(" and "),
+            self.values.last().copied().unwrap_or_default()
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LABEL: i128 = 1 << 24;
+
+    #[test]
+    fn ranks_are_in_the_order_of_the_numbers() {
+        let of = |numbers: &[i128]| LabelRanks::new(numbers.iter().copied().collect());
+        let ranks = of(&[-LABEL * 8, -7, 3, 1 << 63]);
+        assert_eq!(
+            [-LABEL * 8, -7, 3, 1 << 63].map(|n| ranks.position(n)),
+            [-2.0, -1.0, 1.0, 2.0]
+        );
+        let ranks = of(&[-7, 0, 3]);
+        assert_eq!([-7, 0, 3].map(|n| ranks.position(n)), [-1.0, 0.0, 1.0]);
+        assert_eq!(of(&[5]).position(1), 0.5);
+    }
+}

@@ -1,0 +1,140 @@
+//! MGH and MGZ of FreeSurfer (<https://surfer.nmr.mgh.harvard.edu/fswiki/FsTutorial/MghFormat>): a header of 284 bytes, samples, then tags.
+//!
+//! Read: all types of numbers; frames as time steps; the affine to a patient's right, front and head. What follows the samples (repetition
+//! time, history) is passed over. Big-endian; `.mgz` is compressed.
+
+use super::super::stored::{Begin, Endian, StoredSamples, StoredType};
+use super::super::{FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError};
+use super::header::{self, Channels, FieldHead, GridFields};
+
+/// Where samples begin.
+const HEADER_BYTES: usize = 284;
+
+const FIELDS: GridFields = GridFields {
+    dims: "width, height, depth",
+    spacing: "spacing",
+    origin: "c_ras",
+    direction: "x_ras, y_ras, z_ras",
+};
+
+fn word(head: &[u8], at: usize) -> i32 {
+    i32::from_be_bytes(std::array::from_fn(|i| head[at + i]))
+}
+
+fn floats<const N: usize>(head: &[u8], at: usize) -> [f64; N] {
+    std::array::from_fn(|i| f64::from(f32::from_bits(word(head, at + 4 * i).cast_unsigned())))
+}
+
+/// Whether version, sizes and type are possible.
+pub(super) fn is_content(head: &[u8]) -> bool {
+    head.len() >= HEADER_BYTES
+        && word(head, 0) == 1
+        && (1..5).all(|i| (1..1 << 24).contains(&word(head, 4 * i)))
+        && stored_type(word(head, 20)).is_some()
+}
+
+fn stored_type(code: i32) -> Option<(StoredType, &'static str)> {
+    Some(match code {
+        0 => (StoredType::U8, "UCHAR"),
+        1 => (StoredType::I32, "INT"),
+        3 => (StoredType::F32, "FLOAT"),
+        4 => (StoredType::I16, "SHORT"),
+        10 => (StoredType::U16, "USHRT"),
+        _ => return None,
+    })
+}
+
+/// Reads the header of a file.
+///
+/// # Errors
+/// What is wrong with it, by field.
+pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let path = location.path();
+    let fail = |field: &str, why: String| Err(ReadError::new(path, field, why));
+    let head = location.open()?.head(HEADER_BYTES)?;
+    if head.len() < HEADER_BYTES {
+        return fail("header", format!("{} bytes, expected {HEADER_BYTES}", head.len()));
+    }
+    if word(&head, 0) != 1 {
+        return fail("version", format!("{}, expected 1", word(&head, 0)));
+    }
+    let sizes = [1, 2, 3, 4].map(|i| u64::try_from(word(&head, 4 * i)).unwrap_or(0));
+    let sizes = header::sizes(path, "width, height, depth, frames", &sizes)?;
+    let (dims, steps) = ([sizes[0], sizes[1], sizes[2]], sizes[3]);
+    let Some((stored, name)) = stored_type(word(&head, 20)) else {
+        let why = format!(
+            "{}, expected 0 (uchar), 1 (int), 3 (float), 4 (short) or 10 (ushort)",
+            word(&head, 20)
+        );
+        return fail("type", why);
+    };
+    let mut notices = Notices::default();
+    let has_axes = u16::from_be_bytes([head[28], head[29]]) == 1;
+    let geometry = if has_axes {
+        geometry(location, &head, dims)?
+    } else {
+        notices.add("the header has no axes: they are those of a coronal scan, as FreeSurfer takes them, 1 mm apart");
+        coronal(location, dims)?
+    };
+    let mut samples = StoredSamples::new(
+        location,
+        Begin::At(HEADER_BYTES as u64),
+        stored,
+        &geometry,
+        steps,
+        FIELDS.dims,
+    )?;
+    samples.endian = Endian::Big;
+    // Tags follow. No end is a wrong one, which the check refuses.
+    let bytes = samples.total_samples().checked_mul(stored.bytes());
+    samples.end = bytes
+        .and_then(|bytes| bytes.checked_add(HEADER_BYTES as u64))
+        .or(Some(u64::MAX));
+    samples.check(FIELDS.dims)?;
+    let like = FieldHead {
+        name: location.stem(),
+        stored_type: name.to_owned(),
+        missing: None,
+        unit: None,
+    };
+    Ok(OpenedFile {
+        geometry,
+        steps,
+        uneven: None,
+        times: None,
+        fields: Channels::numbered(&like.name, 1).fields(&samples, 0, &like),
+        notices,
+    })
+}
+
+/// The grid around the position of its centre, which the header has.
+fn placed(
+    location: &FileLocation,
+    dims: [u32; 3],
+    spacing: [f64; 3],
+    direction: [[f64; 3]; 3],
+    centre: [f64; 3],
+) -> Result<Geometry, ReadError> {
+    let origin = std::array::from_fn(|row| {
+        let to_centre = |axis: usize| direction[axis][row] * spacing[axis] * f64::from(dims[axis]) / 2.0;
+        centre[row] - to_centre(0) - to_centre(1) - to_centre(2)
+    });
+    let geometry = header::geometry(location.path(), &FIELDS, dims, spacing, origin, direction)?;
+    Ok(Geometry {
+        frame: Frame::Ras,
+        unit: Some(LengthUnit::Millimetre),
+        ..geometry
+    })
+}
+
+fn geometry(location: &FileLocation, head: &[u8], dims: [u32; 3]) -> Result<Geometry, ReadError> {
+    let axes: [[f64; 3]; 3] = [42, 54, 66].map(|at| floats(head, at));
+    // Unit vectors up to rounding.
+    let (_, direction) = header::split_axes(axes);
+    placed(location, dims, floats(head, 30), direction, floats(head, 78))
+}
+
+fn coronal(location: &FileLocation, dims: [u32; 3]) -> Result<Geometry, ReadError> {
+    let direction = [[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]];
+    placed(location, dims, [1.0; 3], direction, [0.0; 3])
+}
