@@ -1,0 +1,242 @@
+//! Plays a sequence: a server of its own, its viewers and followers, and what befalls them.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use futures_util::future::join_all;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+use tokio::time::Instant;
+
+use super::compare::{self, Difference};
+use super::model::Model;
+use super::seat::{Outcome, Seat};
+use super::sequence::{Event, Sequence};
+use super::world::{Reference, World, show, start_server};
+use crate::support::process::Process;
+
+/// Longest wait until followers are shown what the leader shows.
+const FOLLOW_LIMIT: Duration = Duration::from_secs(20);
+
+/// How much was compared.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Counts {
+    pub edits: usize,
+    pub prefixes: usize,
+    pub settled_surfaces: usize,
+    pub newcomers: usize,
+    pub followers: usize,
+}
+
+impl std::ops::AddAssign for Counts {
+    fn add_assign(&mut self, other: Self) {
+        self.edits += other.edits;
+        self.prefixes += other.prefixes;
+        self.settled_surfaces += other.settled_surfaces;
+        self.newcomers += other.newcomers;
+        self.followers += other.followers;
+    }
+}
+
+/// A sequence that is being played.
+pub struct Run<'a> {
+    world: &'a World,
+    sequence: &'a Sequence,
+    folder: TempDir,
+    server: Process,
+    seats: Vec<Seat>,
+    followers: Vec<Seat>,
+    counts: Counts,
+}
+
+impl<'a> Run<'a> {
+    /// Plays all events; what was compared, or the first difference.
+    pub async fn play(world: &'a World, sequence: &'a Sequence) -> Result<Counts, Difference> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let server = start(world, sequence, &folder);
+        let mut run = Self {
+            world,
+            sequence,
+            seats: Vec::new(),
+            followers: Vec::new(),
+            server,
+            folder,
+            counts: Counts::default(),
+        };
+        run.seat_all().await;
+        for event in &sequence.events {
+            run.happen(event).await?;
+        }
+        for seat in run.seats.drain(..).chain(run.followers.drain(..)) {
+            run.counts.prefixes += seat.prefixes;
+            seat.close().await;
+        }
+        Ok(run.counts)
+    }
+
+    fn address(&self) -> SocketAddr {
+        self.server.address
+    }
+
+    /// All viewers connect and open their volumes.
+    async fn seat_all(&mut self) {
+        self.followers.clear();
+        self.seats.clear();
+        for (number, volume) in self.sequence.volumes.iter().enumerate() {
+            let line = self.sequence.line.filter(|_| number == 0);
+            self.seats.push(Seat::open(self.address(), volume, line).await);
+        }
+    }
+
+    async fn happen(&mut self, event: &Event) -> Result<(), Difference> {
+        match event {
+            Event::Send { viewer, message } => self.send(*viewer, message).await,
+            Event::SendBad { viewer, message } => {
+                let seat = &mut self.seats[*viewer];
+                seat.expected_bad_edits += 1;
+                seat.send(message.clone()).await;
+            }
+            Event::Open { viewer, volume } => self.seats[*viewer].reopen(volume).await,
+            Event::Wait { milliseconds } => self.listen(Duration::from_millis(*milliseconds)).await,
+            Event::Settle { newcomer } => self.settle(*newcomer).await?,
+            Event::Follow => self.follow().await,
+            Event::LoseDevice => self.lose_device(),
+            Event::Restart => {
+                self.server = start(self.world, self.sequence, &self.folder);
+                self.seat_all().await;
+            }
+        }
+        Ok(())
+    }
+
+    async fn send(&mut self, viewer: usize, message: &Value) {
+        let seat = &mut self.seats[viewer];
+        match message["type"].as_str() {
+            Some("edit") => {
+                self.counts.edits += 1;
+                return seat.edit(message.clone()).await;
+            }
+            Some("step") => seat.model.step = message["step"].as_u64().expect("a number"),
+            Some("remove") => seat.model.remove(message["surface"].as_u64().expect("a number") as u8),
+            Some("cancel") => seat.is_cancelled = true,
+            _ => {}
+        }
+        seat.send(message.clone()).await;
+    }
+
+    /// All read for so long.
+    async fn listen(&mut self, time: Duration) {
+        let until = Instant::now() + time;
+        join_all(
+            self.seats
+                .iter_mut()
+                .chain(&mut self.followers)
+                .map(|seat| seat.listen(until)),
+        )
+        .await;
+    }
+
+    /// The device is lost with the next of its work.
+    fn lose_device(&self) {
+        let [new, fault] = ["new", "fault"].map(|name| self.folder.path().join(name));
+        std::fs::write(&new, "lost").expect("written");
+        std::fs::rename(new, fault).expect("renamed");
+    }
+
+    /// One more viewer follows the first.
+    async fn follow(&mut self) {
+        let leader = &mut self.seats[0];
+        if leader.group.is_none() {
+            leader.send(json!({"type": "lead"})).await;
+            let limit = Instant::now() + FOLLOW_LIMIT;
+            while leader.group.is_none() && Instant::now() < limit {
+                leader.listen(Instant::now() + Duration::from_millis(20)).await;
+            }
+        }
+        let group = leader.group.clone().expect("a group");
+        let mut follower = Seat::connect(self.address(), None).await;
+        follower.is_follower = true;
+        follower.send(json!({"type": "join", "group": group})).await;
+        self.followers.push(follower);
+    }
+
+    /// All rest, and what they show is what a fresh client is shown.
+    async fn settle(&mut self, newcomer: bool) -> Result<(), Difference> {
+        let rested = join_all(self.seats.iter_mut().map(Seat::rest)).await;
+        rested.into_iter().collect::<Result<(), _>>()?;
+        for number in 0..self.seats.len() {
+            let model = self.seats[number].model.clone();
+            if model.edited.is_empty() {
+                continue;
+            }
+            let reference = self.world.reference(&model).await?;
+            self.seats[number].check_budgets()?;
+            self.seats[number].check_statistics()?;
+            compare_all(&model, &self.seats[number].outcomes, &reference)?;
+            self.counts.settled_surfaces += model.edited.len();
+            if newcomer {
+                let shown = show(&self.server, &model).await?;
+                compare_all(&model, &shown, &reference)
+                    .map_err(|of| Difference::new(format!("newcomer: {}", of.kind), of.detail))?;
+                self.counts.newcomers += 1;
+            }
+        }
+        self.settle_followers().await
+    }
+
+    /// Followers are shown what the leader shows.
+    async fn settle_followers(&mut self) -> Result<(), Difference> {
+        let Some(leader) = self.seats.first() else {
+            return Ok(());
+        };
+        let limit = Instant::now() + FOLLOW_LIMIT;
+        for follower in &mut self.followers {
+            let surfaces = leader.model.edited.iter();
+            let has_failed = |surface: &&u8| leader.outcomes[usize::from(**surface)].failure.is_some();
+            let surfaces: Vec<_> = surfaces.filter(|surface| !has_failed(surface)).collect();
+            loop {
+                follower.listen(Instant::now() + Duration::from_millis(50)).await;
+                let compared = surfaces
+                    .iter()
+                    .map(|&&surface| compare::regions(follower.shown(surface), leader.shown(surface)))
+                    .collect::<Result<(), _>>();
+                match compared {
+                    Ok(()) => break,
+                    Err(_) if Instant::now() < limit => {}
+                    Err(of) => return Err(Difference::new(format!("follower: {}", of.kind), of.detail)),
+                }
+            }
+            self.counts.followers += 1;
+        }
+        Ok(())
+    }
+}
+
+/// Compares each surface that was edited.
+fn compare_all(model: &Model, found: &[Outcome; 4], reference: &Reference) -> Result<(), Difference> {
+    for (&surface, view) in model
+        .surfaces
+        .iter()
+        .filter(|(surface, _)| model.edited.contains(surface))
+    {
+        let at = usize::from(surface);
+        compare::outcomes(&found[at], &reference[at]).map_err(|of| {
+            let view = Value::Object(view.0.clone());
+            let detail = format!(
+                "{}; surface {surface} of {} step {}: {view}",
+                of.detail, model.volume, model.step
+            );
+            Difference::new(of.kind, detail)
+        })?;
+    }
+    Ok(())
+}
+
+/// A server of the sequence, whose device fails as the folder says.
+fn start(world: &World, sequence: &Sequence, folder: &TempDir) -> Process {
+    let environment = [
+        ("OPENCL_LAYERS", world.layer.as_path()),
+        ("DEVICE_FAULT", &folder.path().join("fault")),
+    ];
+    start_server(&world.paths, sequence.caches, &[], &environment).expect("a device")
+}
