@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 use super::known::Ingredient;
 use super::model::{Model, View};
 use super::sequence::{Caches, Event, Sequence};
-use super::volumes::{VOLUMES, Volume};
+use super::volumes::{OWN, SERIES, UPLOADED, VOLUMES, Volume};
 use super::world::World;
 
 /// Edits that are answered with `bad-edit`, whatever the view.
@@ -35,24 +35,40 @@ struct Generator<'a> {
     has_several_surfaces: bool,
     may_open: bool,
     may_follow: bool,
+    has_files: bool,
+    is_uploaded: bool,
+    first_volumes: Vec<String>,
+    /// Contents of changing files so far.
+    contents: u64,
+    /// Steps that the series has more than at first.
+    added_steps: u64,
     events: Vec<Event>,
 }
 
 /// The sequence of a seed, of so many bursts of edits.
 pub fn sequence(world: &World, seed: u64, bursts: usize) -> Sequence {
     let mut random = Rng::with_seed(seed);
-    let volume = choice(&mut random, VOLUMES).name;
+    let has_files = random.u8(..10) == 0;
+    let volume = match has_files {
+        true => choice(&mut random, &[OWN, SERIES]),
+        false => choice(&mut random, VOLUMES).name,
+    };
     let viewers = if random.u8(..10) < 3 { 2 } else { 1 };
     let volumes = vec![volume.to_owned(); viewers];
     let caches = choice(&mut random, &Caches::ALL);
-    let line = (random.u8(..8) == 0).then(|| choice(&mut random, &[40_000, 150_000, 500_000]));
+    let line = (random.u8(..8) == 0).then(|| choice(&mut random, &[150_000, 300_000, 1_000_000]));
     let mut generator = Generator {
         world,
         models: volumes.iter().map(|volume| world.model(volume)).collect(),
         earlier: BTreeMap::new(),
         has_several_surfaces: random.u8(..100) < 45,
         may_open: random.u8(..10) < 3,
-        may_follow: random.u8(..4) == 0,
+        may_follow: random.u8(..4) == 0 && (!has_files || Ingredient::ReplacedInGroups.is_on()),
+        has_files,
+        is_uploaded: false,
+        first_volumes: volumes.clone(),
+        contents: 10,
+        added_steps: 0,
         events: Vec::new(),
         random,
     };
@@ -63,6 +79,7 @@ pub fn sequence(world: &World, seed: u64, bursts: usize) -> Sequence {
         seed,
         caches,
         line,
+        has_files,
         volumes,
         events: generator.events,
     }
@@ -130,6 +147,64 @@ impl Generator<'_> {
         if self.may_follow && self.percent(20) {
             self.events.push(Event::Follow);
         }
+        if self.percent(2) {
+            self.events.push(Event::Restart);
+            for viewer in 0..self.models.len() {
+                self.begin_anew(viewer, &self.first_volumes[viewer].clone());
+            }
+        }
+        if self.has_files && self.percent(50) {
+            self.change_files();
+        }
+    }
+
+    /// A viewer has opened a volume.
+    fn begin_anew(&mut self, viewer: usize, volume: &str) {
+        self.models[viewer] = self.world.model(volume);
+        self.earlier.remove(&viewer);
+    }
+
+    fn begin_all_anew(&mut self, looked_at: &str) {
+        for viewer in 0..self.models.len() {
+            if self.models[viewer].volume == looked_at {
+                let volume = if looked_at == UPLOADED {
+                    &self.first_volumes[viewer]
+                } else {
+                    looked_at
+                };
+                self.begin_anew(viewer, &volume.to_owned());
+            }
+        }
+    }
+
+    fn change_files(&mut self) {
+        self.contents += 2;
+        let content = self.contents;
+        match self.random.u8(..4) {
+            0 => {
+                self.events.push(Event::Replace { content });
+                self.begin_all_anew(OWN);
+            }
+            1 => {
+                let rewrite = Ingredient::RewrittenSeries.is_on() && self.random.bool();
+                self.added_steps += 1;
+                self.events.push(Event::Grow { content, rewrite });
+                if rewrite {
+                    self.begin_all_anew(SERIES);
+                }
+            }
+            _ if self.is_uploaded => {
+                self.is_uploaded = false;
+                self.events.push(Event::DeleteUpload);
+                self.begin_all_anew(UPLOADED);
+            }
+            _ => {
+                self.is_uploaded = true;
+                self.events.push(Event::Upload { content });
+                let viewer = self.random.usize(..self.models.len());
+                self.open(viewer, UPLOADED);
+            }
+        }
     }
 
     /// One message, or an `open`.
@@ -138,7 +213,8 @@ impl Generator<'_> {
         let is_started = !self.models[viewer].edited.is_empty();
         match self.random.u8(..100) {
             0..25 if volume.steps > 1 && is_started => {
-                let step = self.random.u64(..volume.steps);
+                let added = if volume.name == SERIES { self.added_steps } else { 0 };
+                let step = self.random.u64(..volume.steps + added);
                 self.models[viewer].step = step;
                 self.send(viewer, json!({"type": "step", "step": step}));
             }
@@ -149,7 +225,13 @@ impl Generator<'_> {
                 self.models[viewer].remove(surface);
                 self.send(viewer, json!({"type": "remove", "surface": surface}));
             }
-            31..33 if self.may_open => self.open(viewer),
+            31..33 if self.may_open => {
+                let volume = match self.has_files {
+                    true => self.choose(&[OWN, SERIES]),
+                    false => self.choose(VOLUMES).name,
+                };
+                self.open(viewer, volume);
+            }
             33..38 if is_started => self.ask(viewer),
             38..44 if is_within && self.earlier.contains_key(&viewer) => self.go_back(viewer),
             44..46 => {
@@ -165,10 +247,9 @@ impl Generator<'_> {
         self.events.push(Event::Send { viewer, message });
     }
 
-    fn open(&mut self, viewer: usize) {
-        let volume = self.choose(VOLUMES).name.to_owned();
-        self.models[viewer] = self.world.model(&volume);
-        self.earlier.remove(&viewer);
+    fn open(&mut self, viewer: usize, volume: &str) {
+        self.begin_anew(viewer, volume);
+        let volume = volume.to_owned();
         self.events.push(Event::Open { viewer, volume });
         self.edit(viewer);
     }
@@ -359,12 +440,13 @@ impl Generator<'_> {
         let triangles = self.triangles();
         let bytes = json!(self.choose(&[20_000, 100_000, 400_000]));
         let named: &[(&str, Value)] = match self.random.u8(..100) {
+            _ if is_marched && !Ingredient::CoarseMarching.is_on() => &[("beta", json!(-1))],
             _ if is_marched && self.random.bool() => &[("triangles", triangles)],
             _ if is_marched => &[("beta", beta)],
             0..25 => &[("beta", beta)],
             25..50 => &[("error", error)],
             50..80 => &[("triangles", triangles)],
-            80..87 if Ingredient::LooseBudgets.is_on() => &[("bytes", bytes)],
+            80..87 if Ingredient::TightBudgets.is_on() => &[("bytes", bytes)],
             _ => &[("error", error), ("triangles", triangles)],
         };
         edit.extend(named.iter().map(|(name, value)| ((*name).to_owned(), value.clone())));
@@ -381,7 +463,7 @@ impl Generator<'_> {
                 json!({"share": 1e-4}),
             ]);
         }
-        if Ingredient::LooseBudgets.is_on() && self.percent(40) {
+        if self.percent(30) {
             return self.choose(&[json!(3000), json!(8000), json!(20_000), json!({"share": 1})]);
         }
         self.choose(&[

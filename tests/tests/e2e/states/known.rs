@@ -11,8 +11,8 @@ pub enum Ingredient {
     SharedBudgets,
     /// Budgets so small that a surface may fail.
     TightBudgets,
-    /// Budgets above the full surface, and those of bytes, which may be.
-    LooseBudgets,
+    /// Marching cubes of coarse cuts.
+    CoarseMarching,
     /// `maxError` and `topology` that were set, beside a budget.
     GuardsBesideBudgets,
     /// `minPart` and `parts`.
@@ -43,7 +43,6 @@ pub enum Ingredient {
 
 /// Ingredients that are left out, and the defect that each would find.
 const OFF: &[(Ingredient, &str)] = &[
-    (Ingredient::LooseBudgets, "`statistics` has neither β nor a tolerance"),
     (
         Ingredient::ThinVolumes,
         "surfaces in one layer of cells have open edges",
@@ -84,8 +83,10 @@ const OFF: &[(Ingredient, &str)] = &[
 ];
 
 impl Ingredient {
-    /// Whether sequences have it: unless it is in the list, or `ISOPEEL_STATES_ALL` is set.
+    /// Whether sequences have it: unless it is in the list. `ISOPEEL_STATES_ON` names some that they have nevertheless, or `all`.
     pub fn is_on(self) -> bool {
-        std::env::var_os("ISOPEEL_STATES_ALL").is_some() || OFF.iter().all(|&(off, _)| off != self)
+        let on = std::env::var("ISOPEEL_STATES_ON").unwrap_or_default();
+        let is_named = on.split(',').any(|name| name == "all" || name == format!("{self:?}"));
+        is_named || OFF.iter().all(|&(off, _)| off != self)
     }
 }

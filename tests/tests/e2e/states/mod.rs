@@ -5,6 +5,7 @@
 //! `ISOPEEL_STATES_SEED` or a new one. One that fails is shrunk and printed; `ISOPEEL_STATES_FILE` names a file with one to replay.
 
 mod compare;
+mod files;
 mod generate;
 mod known;
 mod model;

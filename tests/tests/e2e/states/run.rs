@@ -9,9 +9,11 @@ use tempfile::TempDir;
 use tokio::time::Instant;
 
 use super::compare::{self, Difference};
+use super::files::Files;
 use super::model::Model;
 use super::seat::{Outcome, Seat};
 use super::sequence::{Event, Sequence};
+use super::volumes::{CHANGING, OWN, SERIES, UPLOADED};
 use super::world::{Reference, World, show, start_server};
 use crate::support::process::Process;
 
@@ -44,6 +46,7 @@ pub struct Run<'a> {
     sequence: &'a Sequence,
     folder: TempDir,
     server: Process,
+    files: Files,
     seats: Vec<Seat>,
     followers: Vec<Seat>,
     counts: Counts,
@@ -53,13 +56,15 @@ impl<'a> Run<'a> {
     /// Plays all events; what was compared, or the first difference.
     pub async fn play(world: &'a World, sequence: &'a Sequence) -> Result<Counts, Difference> {
         let folder = tempfile::tempdir().expect("a folder");
-        let server = start(world, sequence, &folder);
+        let files = Files::write(folder.path());
+        let server = start(world, sequence, &folder, &files);
         let mut run = Self {
             world,
             sequence,
             seats: Vec::new(),
             followers: Vec::new(),
             server,
+            files,
             folder,
             counts: Counts::default(),
         };
@@ -96,17 +101,67 @@ impl<'a> Run<'a> {
                 seat.expected_bad_edits += 1;
                 seat.send(message.clone()).await;
             }
-            Event::Open { viewer, volume } => self.seats[*viewer].reopen(volume).await,
+            Event::Open { viewer, volume } => self.reopen(*viewer, volume).await,
             Event::Wait { milliseconds } => self.listen(Duration::from_millis(*milliseconds)).await,
             Event::Settle { newcomer } => self.settle(*newcomer).await?,
             Event::Follow => self.follow().await,
             Event::LoseDevice => self.lose_device(),
             Event::Restart => {
-                self.server = start(self.world, self.sequence, &self.folder);
+                self.server.signal("KILL");
+                self.server = start(self.world, self.sequence, &self.folder, &self.files);
                 self.seat_all().await;
+            }
+            Event::Replace { content } => {
+                self.files.replace(&self.server, *content).await?;
+                self.reopen_all(OWN, OWN).await;
+            }
+            Event::Grow { content, rewrite } => {
+                self.files.grow(&self.server, *content, *rewrite).await?;
+                if *rewrite {
+                    self.reopen_all(SERIES, SERIES).await;
+                }
+            }
+            Event::Upload { content } => self.files.upload(&self.server, *content),
+            Event::DeleteUpload => self.delete_upload().await?,
+        }
+        Ok(())
+    }
+
+    async fn reopen(&mut self, viewer: usize, volume: &str) {
+        let id = self.files.id(volume).to_owned();
+        let seat = &mut self.seats[viewer];
+        seat.reopen(&id).await;
+        seat.model.volume = volume.to_owned();
+    }
+
+    /// Viewers that look at one volume open another one, or the same again.
+    async fn reopen_all(&mut self, looked_at: &str, volume: &str) {
+        for viewer in 0..self.seats.len() {
+            if self.seats[viewer].model.volume == looked_at {
+                self.reopen(viewer, volume).await;
+            }
+        }
+    }
+
+    /// Viewers who look at the upload are told that it is gone, and open their first volume again.
+    async fn delete_upload(&mut self) -> Result<(), Difference> {
+        self.files.delete_upload(&self.server);
+        for viewer in 0..self.seats.len() {
+            let seat = &mut self.seats[viewer];
+            if seat.model.volume == UPLOADED {
+                seat.wait_until_removed().await?;
+                self.reopen(viewer, &self.sequence.volumes[viewer]).await;
             }
         }
         Ok(())
+    }
+
+    /// What a fresh client is shown.
+    async fn reference(&mut self, model: &Model) -> Result<Reference, Difference> {
+        if CHANGING.iter().all(|volume| volume.name != model.volume) {
+            return self.world.reference(model).await;
+        }
+        Ok(Reference::new(show(self.files.fresh_server(), model).await?))
     }
 
     async fn send(&mut self, viewer: usize, message: &Value) {
@@ -169,13 +224,18 @@ impl<'a> Run<'a> {
             if model.edited.is_empty() {
                 continue;
             }
-            let reference = self.world.reference(&model).await?;
+            let reference = self.reference(&model).await?;
             self.seats[number].check_budgets()?;
             self.seats[number].check_statistics()?;
             compare_all(&model, &self.seats[number].outcomes, &reference)?;
             self.counts.settled_surfaces += model.edited.len();
             if newcomer {
-                let shown = show(&self.server, &model).await?;
+                let volume = self.files.id(&model.volume).to_owned();
+                let there = Model {
+                    volume,
+                    ..model.clone()
+                };
+                let shown = show(&self.server, &there).await?;
                 compare_all(&model, &shown, &reference)
                     .map_err(|of| Difference::new(format!("newcomer: {}", of.kind), of.detail))?;
                 self.counts.newcomers += 1;
@@ -233,10 +293,16 @@ fn compare_all(model: &Model, found: &[Outcome; 4], reference: &Reference) -> Re
 }
 
 /// A server of the sequence, whose device fails as the folder says.
-fn start(world: &World, sequence: &Sequence, folder: &TempDir) -> Process {
+fn start(world: &World, sequence: &Sequence, folder: &TempDir, files: &Files) -> Process {
     let environment = [
         ("OPENCL_LAYERS", world.layer.as_path()),
         ("DEVICE_FAULT", &folder.path().join("fault")),
     ];
-    start_server(&world.paths, sequence.caches, &[], &environment).expect("a device")
+    if !sequence.has_files {
+        return start_server(&world.paths, sequence.caches, &[], &environment).expect("a device");
+    }
+    let uploads = folder.path().join("uploads");
+    let options = ["--watch", "--uploads", uploads.to_str().expect("UTF-8")];
+    let paths = [world.paths.clone(), files.paths()].concat();
+    start_server(&paths, sequence.caches, &options, &environment).expect("a device")
 }

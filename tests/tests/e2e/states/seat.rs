@@ -39,7 +39,7 @@ impl Final {
 
     /// Vertices at different positions, and those of all chunks.
     fn vertices(&self) -> (u64, u64) {
-        let places = |chunk: &Chunk| {
+        let lattice = |chunk: &Chunk| {
             (0..chunk.vertices.len() as u32)
                 .map(|vertex| chunk.lattice(vertex))
                 .collect()
@@ -47,7 +47,7 @@ impl Final {
         let all: Vec<[i32; 3]> = self
             .shown
             .values()
-            .flat_map(|chunk| -> Vec<_> { places(chunk) })
+            .flat_map(|chunk| -> Vec<_> { lattice(chunk) })
             .collect();
         (all.iter().collect::<HashSet<_>>().len() as u64, all.len() as u64)
     }
@@ -99,6 +99,8 @@ pub struct Seat {
     errors: Vec<Failed>,
     pub group: Option<String>,
     pub prefixes: usize,
+    /// `volume-removed` has come, and no volume was opened since.
+    is_removed: bool,
     dims: [u32; 3],
     /// Surfaces that had a mask since the volume was opened: they end where it does.
     had_mask: [bool; 4],
@@ -133,6 +135,7 @@ impl Seat {
             errors: Vec::new(),
             group: None,
             prefixes: 0,
+            is_removed: false,
             dims: [0; 3],
             had_mask: [false; 4],
             is_marched: false,
@@ -166,6 +169,20 @@ impl Seat {
                 "{volume} is not open after {REST_LIMIT:?}"
             );
         }
+    }
+
+    /// Waits until it is told that the volume was removed.
+    pub async fn wait_until_removed(&mut self) -> Result<(), Difference> {
+        let limit = Instant::now() + SILENCE;
+        while !self.is_removed {
+            if !self.read_until(limit).await {
+                return Err(Difference::new(
+                    "removed",
+                    format!("no `volume-removed` after {SILENCE:?}"),
+                ));
+            }
+        }
+        Ok(())
     }
 
     pub async fn send(&mut self, message: Value) {
@@ -214,6 +231,7 @@ impl Seat {
                 self.model = Model::open(&self.model.volume, &edit);
                 self.model.step = step;
                 self.is_open = true;
+                self.is_removed = false;
             }
             Frame::Prefix(of) => {
                 self.prefixes += 1;
@@ -298,6 +316,7 @@ impl Seat {
     fn take_error(&mut self, code: String, surface: Option<u8>, suggested_triangles: Option<u64>) {
         match code.as_str() {
             "no-surface" | "unknown-surface" => return self.is_answered = true,
+            "volume-removed" => return self.is_removed = true,
             // One that is found late ends a generation.
             "bad-edit" if surface.is_none() => return self.bad_edits += 1,
             _ => {}

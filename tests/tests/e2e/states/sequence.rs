@@ -48,6 +48,14 @@ pub enum Event {
     LoseDevice,
     /// The server is killed and started again; all viewers connect and open anew, and nobody follows.
     Restart,
+    /// The sequence's own file is replaced, and viewers that look at it open it again.
+    Replace { content: u64 },
+    /// The sequence's own series has one more step. `rewrite`: and another first one, and viewers that look at it open it again.
+    Grow { content: u64, rewrite: bool },
+    /// A volume is uploaded.
+    Upload { content: u64 },
+    /// The uploaded volume is deleted; viewers that look at it open their first one.
+    DeleteUpload,
 }
 
 /// A sequence, and the server that it is for.
@@ -59,6 +67,8 @@ pub struct Sequence {
     pub caches: Caches,
     /// Bytes a second that the first viewer reads; null: as many as come.
     pub line: Option<u32>,
+    /// Whether it has files of its own, which the server watches, and uploads.
+    pub has_files: bool,
     /// The volume that each viewer opens first.
     pub volumes: Vec<String>,
     pub events: Vec<Event>,

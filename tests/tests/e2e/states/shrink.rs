@@ -11,7 +11,7 @@ use super::sequence::{Event, Sequence};
 use super::world::World;
 
 /// Longest time for one sequence.
-const LIMIT: Duration = Duration::from_secs(300);
+const LIMIT: Duration = Duration::from_secs(120);
 /// Length of a panic's message that says what kind it is.
 const KIND_LENGTH: usize = 60;
 

@@ -165,10 +165,39 @@ pub const VOLUMES: &[Volume] = &[
     },
 ];
 
+/// A sequence's own file.
+pub const OWN: &str = "own";
+/// A sequence's own numbered files.
+pub const SERIES: &str = "series";
+/// A sequence's own upload.
+pub const UPLOADED: &str = "uploaded";
+const OWN_DIMS: [u32; 3] = [32, 31, 30];
+/// Volumes that change while a sequence is played.
+pub const CHANGING: &[Volume] = &[
+    Volume {
+        name: OWN,
+        dims: OWN_DIMS,
+        ..PLAIN
+    },
+    Volume {
+        name: SERIES,
+        dims: OWN_DIMS,
+        steps: FIRST_STEPS,
+        ..PLAIN
+    },
+    Volume {
+        name: UPLOADED,
+        dims: OWN_DIMS,
+        ..PLAIN
+    },
+];
+/// Steps of a series before it grows.
+pub const FIRST_STEPS: u64 = 3;
+
 impl Volume {
     /// The volume of that name.
     pub fn named(name: &str) -> &'static Self {
-        let found = VOLUMES.iter().find(|volume| volume.name == name);
+        let found = VOLUMES.iter().chain(CHANGING).find(|volume| volume.name == name);
         found.unwrap_or_else(|| panic!("no volume {name:?}"))
     }
 
@@ -227,6 +256,14 @@ fn label(noise: f32, [x, y, z]: [f32; 3]) -> f32 {
     } else {
         0.0
     }
+}
+
+/// Writes one of the volumes that change; other contents have another range.
+pub fn write_changing(path: &Path, content: u64) {
+    let (noise, scale) = (waves(1000 + content, 0.5), 1.0 + content as f32 / 7.0);
+    let new = path.with_extension("new");
+    write_field(&new, OWN_DIMS, |at| noise(at) * scale);
+    std::fs::rename(new, path).expect("renamed");
 }
 
 /// Writes all of them to a folder; their paths.

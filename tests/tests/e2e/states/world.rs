@@ -11,7 +11,7 @@ use super::compare::Difference;
 use super::model::{Model, View};
 use super::seat::{Outcome, Seat};
 use super::sequence::Caches;
-use super::volumes::{VOLUMES, write_all};
+use super::volumes::{SERIES, VOLUMES, write_all};
 use crate::faults::build_layer;
 use crate::support::process::{self, Process};
 
@@ -53,9 +53,14 @@ impl World {
         })
     }
 
-    /// A model of a volume that was just opened.
+    /// A model of a volume that was just opened. One of a volume that changes has values of another one, but for its field.
     pub fn model(&self, volume: &str) -> Model {
-        Model::open(volume, &self.openings[volume])
+        if let Some(opening) = self.openings.get(volume) {
+            return Model::open(volume, opening);
+        }
+        let mut opening = self.openings[VOLUMES[0].name].clone();
+        opening["field"] = if volume == SERIES { "f" } else { volume }.into();
+        Model::open(volume, &opening)
     }
 
     /// What a fresh client is shown of these views.
