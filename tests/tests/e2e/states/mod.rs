@@ -32,9 +32,9 @@ use world::World;
 
 /// Of the sequences of each run.
 const SEED: u64 = 2013;
-const SEQUENCES: u64 = 6;
+const SEQUENCES: u64 = 4;
 /// Bursts of edits in a sequence, each until the viewers rest.
-const BURSTS: usize = 8;
+const BURSTS: usize = 6;
 /// Sequences that are played at a time.
 const AT_ONCE: usize = 4;
 

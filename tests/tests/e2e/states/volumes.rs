@@ -59,17 +59,17 @@ pub const VOLUMES: &[Volume] = &[
     },
     Volume {
         name: "stick",
-        dims: [3, 400, 3],
+        dims: [3, 150, 3],
         ..PLAIN
     },
     Volume {
         name: "slab",
-        dims: [70, 50, 2],
+        dims: [70, 40, 2],
         ..PLAIN
     },
     Volume {
         name: MISSING,
-        dims: [43, 41, 40],
+        dims: [34, 26, 24],
         ..PLAIN
     },
     Volume {
@@ -80,19 +80,19 @@ pub const VOLUMES: &[Volume] = &[
     },
     Volume {
         name: "levels",
-        dims: [34, 35, 33],
+        dims: [34, 25, 20],
         isovalues: &[4.0, 5.0, 3.0, 4.5, 8.0, 0.0, 1.0],
         ..PLAIN
     },
     Volume {
         name: "large-values",
-        dims: [37, 45, 30],
+        dims: [37, 20, 24],
         isovalues: &[1e8, 1.05e8, 9.2e7, 100_000_008.0],
         ..PLAIN
     },
     Volume {
         name: "fields",
-        dims: [36, 44, 50],
+        dims: [36, 34, 30],
         isovalues: &[0.0, 0.4, -0.5, 1.2],
         fields: &["f", "g", "f*f + 0.1*g", "f - 0.2*g", "max(f,g*0.1)", "abs(f)", "labels"],
         masks: &[
@@ -122,7 +122,7 @@ pub const VOLUMES: &[Volume] = &[
     },
     Volume {
         name: "vector",
-        dims: [36, 40, 33],
+        dims: [36, 20, 24],
         isovalues: &[0.0, 0.4, -0.5, 1.2],
         fields: &["u", "v", "w", "magnitude(u,v,w)", "u*v"],
         masks: &["u>0", "w<0.5"],
@@ -142,7 +142,7 @@ pub const VOLUMES: &[Volume] = &[
     },
     Volume {
         name: "steps",
-        dims: [33, 40, 36],
+        dims: [33, 30, 22],
         isovalues: &[0.0, 0.3, -0.4, 1.1],
         fields: &["f", "f*f", "abs(f)", "labels"],
         masks: &["labels==1", "labels==2", "labels==0", "labels==1..2"],
@@ -159,7 +159,7 @@ pub const VOLUMES: &[Volume] = &[
     },
     Volume {
         name: "bricks",
-        dims: [70, 66, 65],
+        dims: [34, 36, 66],
         isovalues: &[0.0, 0.5, 1.0, 1.5, -1.0],
         ..PLAIN
     },
@@ -171,7 +171,7 @@ pub const OWN: &str = "own";
 pub const SERIES: &str = "series";
 /// A sequence's own upload.
 pub const UPLOADED: &str = "uploaded";
-const OWN_DIMS: [u32; 3] = [32, 31, 30];
+const OWN_DIMS: [u32; 3] = [20, 34, 18];
 /// Volumes that change while a sequence is played.
 pub const CHANGING: &[Volume] = &[
     Volume {
@@ -247,9 +247,9 @@ fn distance(at: [f32; 3], centre: [f32; 3]) -> f32 {
 fn label(noise: f32, [x, y, z]: [f32; 3]) -> f32 {
     if noise > 1.2 {
         7.0
-    } else if z < 20.0 && y > 30.0 {
+    } else if z < 15.0 && y > 25.0 {
         4.0
-    } else if z > 25.0 && x > 18.0 {
+    } else if z > 18.0 && x > 18.0 {
         3.0
     } else if x > 10.0 && y > 8.0 {
         1.0
@@ -286,8 +286,8 @@ pub fn write_all(folder: &Path) -> Vec<PathBuf> {
     let noise = waves(6, 0.6);
     write(MISSING, &|at| {
         let [x, y, z] = at;
-        let is_hole = (15.0..30.0).contains(&x) && (12.0..20.0).contains(&y) && (10.0..22.0).contains(&z);
-        if is_hole || at == [30.0; 3] {
+        let is_hole = (15.0..26.0).contains(&x) && (12.0..20.0).contains(&y) && (8.0..16.0).contains(&z);
+        if is_hole || at == [22.0; 3] {
             f32::NAN
         } else {
             noise(at)
@@ -298,7 +298,7 @@ pub fn write_all(folder: &Path) -> Vec<PathBuf> {
     write("levels", &|at| (noise(at) * 2.0 + 4.0).clamp(0.0, 8.0).round());
     let noise = waves(8, 0.6);
     write("large-values", &|at| noise(at) * 1e7 + 1e8);
-    write("bricks", &closed(Volume::named("bricks").dims, -5.0, waves(40, 0.5)));
+    write("bricks", &closed(Volume::named("bricks").dims, -5.0, waves(40, 0.4)));
     write_folders(folder);
     VOLUMES
         .iter()
@@ -333,18 +333,18 @@ fn write_folders(folder: &Path) {
         let angle = 0.25 * step as f32;
         // One half stays as it is.
         write("steps", &format!("f_{step:03}"), &|at| {
-            if at[1] < 20.0 {
+            if at[1] < 15.0 {
                 first(at)
             } else {
                 first(at) * angle.cos() + second(at) * angle.sin()
             }
         });
-        let low = 5.0 * step as f32;
+        let low = 3.0 * step as f32;
         write("steps", &format!("labels_{step:03}"), &|[x, y, z]| {
-            if y >= 25.0 && x < 10.0 {
+            if y >= 20.0 && x < 10.0 {
                 2.0
             } else {
-                f32::from((low..low + 15.0).contains(&z))
+                f32::from((low..low + 9.0).contains(&z))
             }
         });
     }
