@@ -1,5 +1,6 @@
 //! Files of a sequence that change while a server watches them, and what is uploaded to it.
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -78,14 +79,14 @@ impl Files {
     }
 
     /// Replaces the file, and waits until the server offers the new one.
-    pub async fn replace(&mut self, server: &Process, content: u64) -> Result<(), Difference> {
+    pub async fn replace(&mut self, server: SocketAddr, content: u64) -> Result<(), Difference> {
         let before = describe(server, OWN);
         write_changing(&self.own(), content);
         self.wait_for_change(server, OWN, &before).await
     }
 
     /// Adds a step, and waits until the server offers it.
-    pub async fn grow(&mut self, server: &Process, content: u64, rewrite: bool) -> Result<(), Difference> {
+    pub async fn grow(&mut self, server: SocketAddr, content: u64, rewrite: bool) -> Result<(), Difference> {
         let before = describe(server, SERIES);
         if rewrite {
             write_changing(&self.step(0), content + 1);
@@ -95,7 +96,7 @@ impl Files {
         self.wait_for_change(server, SERIES, &before).await
     }
 
-    async fn wait_for_change(&mut self, server: &Process, volume: &str, before: &Value) -> Result<(), Difference> {
+    async fn wait_for_change(&mut self, server: SocketAddr, volume: &str, before: &Value) -> Result<(), Difference> {
         self.fresh = None;
         let start = Instant::now();
         while describe(server, volume) == *before {
@@ -111,7 +112,7 @@ impl Files {
     }
 
     /// Uploads a volume.
-    pub fn upload(&mut self, server: &Process, content: u64) {
+    pub fn upload(&mut self, server: SocketAddr, content: u64) {
         write_changing(&self.uploaded(), content);
         let bytes = std::fs::read(self.uploaded()).expect("a file");
         self.upload = Some(user(server).bring(&format!("{UPLOADED}.npy"), &bytes));
@@ -119,7 +120,7 @@ impl Files {
     }
 
     /// Deletes the upload.
-    pub fn delete_upload(&mut self, server: &Process) {
+    pub fn delete_upload(&mut self, server: SocketAddr) {
         let (path, _) = self.upload.take().expect("an upload");
         let answer = user(server).ask("DELETE", &path, &[], b"");
         assert_eq!(answer.status, 204, "{}", String::from_utf8_lossy(&answer.body));
@@ -127,14 +128,14 @@ impl Files {
     }
 }
 
-fn user(server: &Process) -> User {
+fn user(server: SocketAddr) -> User {
     User {
-        address: server.address,
+        address: server,
         bearer: String::new(),
     }
 }
 
 /// What a server says of a volume.
-fn describe(server: &Process, volume: &str) -> Value {
-    http::get(server.address, &format!("/api/v1/volumes/{volume}")).json()
+fn describe(server: SocketAddr, volume: &str) -> Value {
+    http::get(server, &format!("/api/v1/volumes/{volume}")).json()
 }

@@ -168,11 +168,11 @@ impl Generator<'_> {
         for viewer in 0..self.models.len() {
             if self.models[viewer].volume == looked_at {
                 let volume = if looked_at == UPLOADED {
-                    &self.first_volumes[viewer]
+                    self.first_volumes[viewer].clone()
                 } else {
-                    looked_at
+                    looked_at.to_owned()
                 };
-                self.begin_anew(viewer, &volume.to_owned());
+                self.begin_anew(viewer, &volume);
             }
         }
     }
@@ -338,7 +338,7 @@ impl Generator<'_> {
         if Ingredient::Parts.is_on() {
             changes.extend(["minPart", "parts"]);
         }
-        if !volume.masks.is_empty() && Ingredient::Masks.is_on() {
+        if !volume.masks.is_empty() {
             changes.extend(["mask"; 3]);
         }
         if !volume.fields.is_empty() {

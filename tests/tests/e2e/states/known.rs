@@ -3,11 +3,9 @@
 /// An ingredient of sequences, or a check of what they lead to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ingredient {
-    /// Edits of `mask`.
-    Masks,
     /// Masks that hold at no sample.
     EmptyMasks,
-    /// Budgets of a connection with several surfaces.
+    /// Several surfaces of a connection that have a budget.
     SharedBudgets,
     /// Budgets so small that a surface may fail.
     TightBudgets,
@@ -47,7 +45,6 @@ const OFF: &[(Ingredient, &str)] = &[
         Ingredient::ThinVolumes,
         "surfaces in one layer of cells have open edges",
     ),
-    (Ingredient::Masks, "caches and shares do not tell masks apart"),
     (Ingredient::EmptyMasks, "a mask without samples is found late"),
     (
         Ingredient::SharedBudgets,

@@ -45,7 +45,8 @@ pub struct Run<'a> {
     world: &'a World,
     sequence: &'a Sequence,
     folder: TempDir,
-    server: Process,
+    /// `None` while it is started again.
+    server: Option<Process>,
     files: Files,
     seats: Vec<Seat>,
     followers: Vec<Seat>,
@@ -63,7 +64,7 @@ impl<'a> Run<'a> {
             sequence,
             seats: Vec::new(),
             followers: Vec::new(),
-            server,
+            server: Some(server),
             files,
             folder,
             counts: Counts::default(),
@@ -80,7 +81,11 @@ impl<'a> Run<'a> {
     }
 
     fn address(&self) -> SocketAddr {
-        self.server.address
+        self.server().address
+    }
+
+    fn server(&self) -> &Process {
+        self.server.as_ref().expect("a running server")
     }
 
     /// All viewers connect and open their volumes.
@@ -107,21 +112,22 @@ impl<'a> Run<'a> {
             Event::Follow => self.follow().await,
             Event::LoseDevice => self.lose_device(),
             Event::Restart => {
-                self.server.signal("KILL");
-                self.server = start(self.world, self.sequence, &self.folder, &self.files);
+                // Killed, and gone with its locks.
+                drop(self.server.take());
+                self.server = Some(start(self.world, self.sequence, &self.folder, &self.files));
                 self.seat_all().await;
             }
             Event::Replace { content } => {
-                self.files.replace(&self.server, *content).await?;
+                self.files.replace(self.address(), *content).await?;
                 self.reopen_all(OWN, OWN).await;
             }
             Event::Grow { content, rewrite } => {
-                self.files.grow(&self.server, *content, *rewrite).await?;
+                self.files.grow(self.address(), *content, *rewrite).await?;
                 if *rewrite {
                     self.reopen_all(SERIES, SERIES).await;
                 }
             }
-            Event::Upload { content } => self.files.upload(&self.server, *content),
+            Event::Upload { content } => self.files.upload(self.address(), *content),
             Event::DeleteUpload => self.delete_upload().await?,
         }
         Ok(())
@@ -145,7 +151,7 @@ impl<'a> Run<'a> {
 
     /// Viewers who look at the upload are told that it is gone, and open their first volume again.
     async fn delete_upload(&mut self) -> Result<(), Difference> {
-        self.files.delete_upload(&self.server);
+        self.files.delete_upload(self.address());
         for viewer in 0..self.seats.len() {
             let seat = &mut self.seats[viewer];
             if seat.model.volume == UPLOADED {
@@ -235,7 +241,7 @@ impl<'a> Run<'a> {
                     volume,
                     ..model.clone()
                 };
-                let shown = show(&self.server, &there).await?;
+                let shown = show(self.server(), &there).await?;
                 compare_all(&model, &shown, &reference)
                     .map_err(|of| Difference::new(format!("newcomer: {}", of.kind), of.detail))?;
                 self.counts.newcomers += 1;
@@ -256,10 +262,8 @@ impl<'a> Run<'a> {
             let surfaces: Vec<_> = surfaces.filter(|surface| !has_failed(surface)).collect();
             loop {
                 follower.listen(Instant::now() + Duration::from_millis(50)).await;
-                let compared = surfaces
-                    .iter()
-                    .map(|&&surface| compare::regions(follower.shown(surface), leader.shown(surface)))
-                    .collect::<Result<(), _>>();
+                let mut surfaces = surfaces.iter();
+                let compared = surfaces.try_for_each(|&&of| compare::regions(follower.shown(of), leader.shown(of)));
                 match compared {
                     Ok(()) => break,
                     Err(_) if Instant::now() < limit => {}

@@ -155,7 +155,6 @@ pub const VOLUMES: &[Volume] = &[
             "distance(labels==2)",
         ],
         steps: 5,
-        ..PLAIN
     },
     Volume {
         name: "bricks",
