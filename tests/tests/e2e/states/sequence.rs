@@ -68,6 +68,7 @@ pub struct Sequence {
     /// Bytes a second that the first viewer reads; null: as many as come.
     pub line: Option<u32>,
     /// Whether it has files of its own, which the server watches, and uploads.
+    #[serde(default)]
     pub has_files: bool,
     /// The volume that each viewer opens first.
     pub volumes: Vec<String>,
