@@ -139,10 +139,8 @@ impl Generator<'_> {
 
     /// What befalls the server between edits.
     fn befall(&mut self) {
-        if Ingredient::LostDevices.is_on() && self.percent(6) {
-            self.events.push(Event::LoseDevice);
-            let viewer = self.random.usize(..self.models.len());
-            self.edit(viewer);
+        if Ingredient::LostDevices.is_on() && self.percent(8) {
+            self.lose_device();
         }
         if self.may_follow && self.percent(20) {
             self.events.push(Event::Follow);
@@ -156,6 +154,58 @@ impl Generator<'_> {
         if self.has_files && self.percent(50) {
             self.change_files();
         }
+    }
+
+    /// Cuts from before a loss, and as many from after it as it takes for numbers to meet.
+    fn lose_device(&mut self) {
+        self.events.push(Event::LoseDevice);
+        let count = self.choose(&[2, 5, 12, 30]);
+        let viewer = self.random.usize(..self.models.len());
+        if let [first, second] = &self.models[..]
+            && (&first.volume, first.step) == (&second.volume, second.step)
+        {
+            self.look_at_the_same(viewer, 1 - viewer);
+        }
+        for _ in 0..count {
+            self.change_cut(viewer);
+        }
+        for viewer in 0..self.models.len() {
+            self.change_cut(viewer);
+        }
+    }
+
+    /// A viewer goes to the views of another one.
+    fn look_at_the_same(&mut self, viewer: usize, other: usize) {
+        let edits = self.models[other]
+            .messages()
+            .into_iter()
+            .filter(|of| of["type"] == "edit");
+        for edit in edits.collect::<Vec<_>>() {
+            let mut model = self.models[viewer].clone();
+            if model.edit(&edit) && self.is_allowed(&model) {
+                self.models[viewer] = model;
+                self.send(viewer, edit);
+            }
+        }
+    }
+
+    /// An edit that changes nothing but the cut of a surface, and time to make it.
+    fn change_cut(&mut self, viewer: usize) {
+        let surfaces: Vec<_> = self.models[viewer].edited.iter().copied().collect();
+        let Some(&surface) = surfaces.get(self.random.usize(..surfaces.len().max(1))) else {
+            return self.edit(viewer);
+        };
+        let random = f64::from(self.random.u8(..=100)) / 100.0;
+        let is_by_error = self.models[viewer].view(surface).is_by_error();
+        let (name, value) = if is_by_error {
+            ("alpha", random)
+        } else {
+            ("beta", random / 20.0)
+        };
+        let edit = json!({"type": "edit", "surface": surface, name: value});
+        self.models[viewer].edit(&edit);
+        self.send(viewer, edit);
+        self.events.push(Event::Wait { milliseconds: 150 });
     }
 
     /// A viewer has opened a volume.

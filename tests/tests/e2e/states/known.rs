@@ -42,6 +42,10 @@ pub enum Ingredient {
 /// Ingredients that are left out, and the defect that each would find.
 const OFF: &[(Ingredient, &str)] = &[
     (
+        Ingredient::SuggestedTriangles,
+        "suggestions depend on caches and on other surfaces",
+    ),
+    (
         Ingredient::ThinVolumes,
         "surfaces in one layer of cells have open edges",
     ),

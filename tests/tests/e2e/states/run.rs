@@ -1,6 +1,7 @@
 //! Plays a sequence: a server of its own, its viewers and followers, and what befalls them.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use futures_util::future::join_all;
@@ -199,9 +200,13 @@ impl<'a> Run<'a> {
 
     /// The device is lost with the next of its work.
     fn lose_device(&self) {
-        let [new, fault] = ["new", "fault"].map(|name| self.folder.path().join(name));
+        let new = self.folder.path().join("new");
         std::fs::write(&new, "lost").expect("written");
-        std::fs::rename(new, fault).expect("renamed");
+        std::fs::rename(new, self.fault()).expect("renamed");
+    }
+
+    fn fault(&self) -> PathBuf {
+        self.folder.path().join("fault")
     }
 
     /// One more viewer follows the first.
@@ -225,6 +230,7 @@ impl<'a> Run<'a> {
     async fn settle(&mut self, newcomer: bool) -> Result<(), Difference> {
         let rested = join_all(self.seats.iter_mut().map(Seat::rest)).await;
         rested.into_iter().collect::<Result<(), _>>()?;
+        assert!(!self.fault().exists(), "the device was lost before all rested");
         for number in 0..self.seats.len() {
             let model = self.seats[number].model.clone();
             if model.edited.is_empty() {

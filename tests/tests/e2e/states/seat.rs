@@ -231,7 +231,11 @@ impl Seat {
                 self.model = Model::open(&self.model.volume, &edit);
                 self.model.step = step;
                 self.is_open = true;
-                self.is_removed = false;
+                if std::mem::take(&mut self.is_removed) {
+                    // Edits that were on their way found no volume.
+                    self.errors.clear();
+                    self.expected_bad_edits = self.bad_edits;
+                }
             }
             Frame::Prefix(of) => {
                 self.prefixes += 1;
