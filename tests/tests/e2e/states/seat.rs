@@ -240,7 +240,9 @@ impl Seat {
             Frame::Prefix(of) => {
                 self.prefixes += 1;
                 self.is_marched = of.is_marched;
-                self.errors.clear();
+                // Those of its generations before.
+                self.errors
+                    .retain(|error| error.surface.is_some_and(|surface| surface != of.surface));
                 self.outcome(of.surface, of.generation);
             }
             Frame::Committed { surface, level, .. } => self.check_closed(surface, level),

@@ -200,7 +200,7 @@ impl Volume {
         found.unwrap_or_else(|| panic!("no volume {name:?}"))
     }
 
-    /// Mean of the fractions along each axis, as a position in the world, which is index space.
+    /// A random position in the world, which is index space.
     pub fn position(&self, random: &mut Rng) -> [f64; 3] {
         self.dims.map(|n| {
             let at = random.f64() * f64::from(n - 1);
