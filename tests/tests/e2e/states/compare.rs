@@ -68,6 +68,10 @@ pub fn outcomes(found: &Outcome, expected: &Outcome) -> Result<(), Difference> {
         return Err(Difference::new("no surface", format!("final surfaces: {count:?}")));
     };
     finals(of_found, of_expected)?;
+    if let (true, Some((_, found)), Some((_, expected))) = (have_first(found, expected), &found.first, &expected.first)
+    {
+        regions(found, expected).map_err(|of| Difference::new(format!("first prefix: {}", of.kind), of.detail))?;
+    }
     let cubes = |outcome: &Outcome| {
         outcome
             .finals
@@ -79,6 +83,12 @@ pub fn outcomes(found: &Outcome, expected: &Outcome) -> Result<(), Difference> {
         finals(&found, &expected).map_err(|of| Difference::new(format!("first final: {}", of.kind), of.detail))?;
     }
     measured(found.measured.as_ref(), expected.measured.as_ref())
+}
+
+/// Whether both have a first prefix of one level, of which there is one before regions take their final form one by one.
+pub fn have_first(found: &Outcome, expected: &Outcome) -> bool {
+    let levels = [found, expected].map(|outcome| outcome.first.as_ref().map(|(level, _)| *level));
+    levels[0].is_some() && levels[0] == levels[1]
 }
 
 fn failures(found: &Failed, expected: &Failed) -> Result<(), Difference> {

@@ -286,6 +286,12 @@ impl Generator<'_> {
             }
             33..38 if is_started => self.ask(viewer),
             38..44 if is_within && self.earlier.contains_key(&viewer) => self.go_back(viewer),
+            46..52 if volume.name == "fields" && is_started && Ingredient::LateBadEdits.is_on() => {
+                let name = self.choose(&["field", "feature"]);
+                let message = json!({"type": "edit", name: "distance(labels==99)"});
+                self.events.push(Event::SendLateBad { viewer, message });
+                self.events.push(Event::Settle { newcomer: false });
+            }
             44..46 => {
                 let mut message: Value = serde_json::from_str(self.choose(&BAD_EDITS).trim()).expect("JSON");
                 message["type"] = json!("edit");

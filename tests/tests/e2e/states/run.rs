@@ -26,6 +26,7 @@ const FOLLOW_LIMIT: Duration = Duration::from_secs(20);
 pub struct Counts {
     pub edits: usize,
     pub prefixes: usize,
+    pub first_prefixes: usize,
     pub settled_surfaces: usize,
     pub newcomers: usize,
     pub followers: usize,
@@ -35,6 +36,7 @@ impl std::ops::AddAssign for Counts {
     fn add_assign(&mut self, other: Self) {
         self.edits += other.edits;
         self.prefixes += other.prefixes;
+        self.first_prefixes += other.first_prefixes;
         self.settled_surfaces += other.settled_surfaces;
         self.newcomers += other.newcomers;
         self.followers += other.followers;
@@ -102,9 +104,11 @@ impl<'a> Run<'a> {
     async fn happen(&mut self, event: &Event) -> Result<(), Difference> {
         match event {
             Event::Send { viewer, message } => self.send(*viewer, message).await,
-            Event::SendBad { viewer, message } => {
+            Event::SendBad { viewer, message } | Event::SendLateBad { viewer, message } => {
                 let seat = &mut self.seats[*viewer];
                 seat.expected_bad_edits += 1;
+                // What was shown may have been on its way still.
+                seat.is_cancelled |= matches!(event, Event::SendLateBad { .. });
                 seat.send(message.clone()).await;
             }
             Event::Open { viewer, volume } => self.reopen(*viewer, volume).await,
@@ -239,7 +243,13 @@ impl<'a> Run<'a> {
             let reference = self.reference(&model).await?;
             self.seats[number].check_budgets()?;
             self.seats[number].check_statistics()?;
-            compare_all(&model, &self.seats[number].outcomes, &reference)?;
+            let outcomes = &self.seats[number].outcomes;
+            compare_all(&model, outcomes, &reference)?;
+            self.counts.first_prefixes += outcomes
+                .iter()
+                .zip(&*reference)
+                .filter(|(a, b)| compare::have_first(a, b))
+                .count();
             self.counts.settled_surfaces += model.edited.len();
             if newcomer {
                 let volume = self.files.id(&model.volume).to_owned();

@@ -73,6 +73,8 @@ pub struct Failed {
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     generation: u32,
+    /// The first prefix, where it is not final and all of its regions were sent: its level, and what was shown.
+    pub first: Option<(u8, Regions)>,
     /// The first, and the better one.
     pub finals: Vec<Final>,
     pub measured: Option<Measured>,
@@ -106,6 +108,8 @@ pub struct Seat {
     had_mask: [bool; 4],
     /// Whether marching cubes made the prefix at hand.
     is_marched: bool,
+    /// Whether the prefix at hand is the first one of its generation and has all regions.
+    is_whole_first: bool,
     pub is_follower: bool,
     /// The first thing that is wrong by itself.
     pub found: Option<Difference>,
@@ -139,6 +143,7 @@ impl Seat {
             dims: [0; 3],
             had_mask: [false; 4],
             is_marched: false,
+            is_whole_first: false,
             is_follower: false,
             found: None,
         }
@@ -243,9 +248,17 @@ impl Seat {
                 // Those of its generations before.
                 self.errors
                     .retain(|error| error.surface.is_some_and(|surface| surface != of.surface));
+                let is_new = of.generation > self.outcomes[usize::from(of.surface)].generation;
+                self.is_whole_first = is_new && of.unchanged == 0 && !of.is_final;
                 self.outcome(of.surface, of.generation);
             }
-            Frame::Committed { surface, level, .. } => self.check_closed(surface, level),
+            Frame::Committed { surface, level, .. } => {
+                self.check_closed(surface, level);
+                if self.is_whole_first {
+                    let shown = self.shown(surface).clone();
+                    self.outcomes[usize::from(surface)].first = Some((level, shown));
+                }
+            }
             Frame::Superseded { surface, generation } => {
                 let is_of_it = |error: &Failed| error.surface.is_none_or(|of| of == surface);
                 let error = self.errors.iter().rposition(is_of_it).map(|at| self.errors.remove(at));
@@ -323,8 +336,7 @@ impl Seat {
         match code.as_str() {
             "no-surface" | "unknown-surface" => return self.is_answered = true,
             "volume-removed" => return self.is_removed = true,
-            // One that is found late ends a generation.
-            "bad-edit" if surface.is_none() => return self.bad_edits += 1,
+            "bad-edit" => return self.bad_edits += 1,
             _ => {}
         }
         self.errors.push(Failed {

@@ -36,6 +36,8 @@ pub enum Event {
     Send { viewer: usize, message: Value },
     /// A viewer sends an edit that is answered with `bad-edit`.
     SendBad { viewer: usize, message: Value },
+    /// The same, but what is wrong is found while the surface is made.
+    SendLateBad { viewer: usize, message: Value },
     /// A viewer opens a volume, and waits until it is open.
     Open { viewer: usize, volume: String },
     /// All viewers read for a while.

@@ -116,7 +116,6 @@ pub const VOLUMES: &[Volume] = &[
             "distance(f>1)",
             "labels",
             "f*f",
-            "distance(labels==99)",
         ],
         ..PLAIN
     },

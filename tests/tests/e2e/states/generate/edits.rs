@@ -199,9 +199,6 @@ impl Generator<'_> {
 
     fn add_feature(&mut self, view: &View, volume: &Volume, edit: &mut Map<String, Value>) {
         let feature = self.choose(volume.features);
-        if feature.contains("==99") && !Ingredient::LateBadEdits.is_on() {
-            return;
-        }
         edit.insert("feature".into(), json!(feature));
         let is_explicit = volume.steps > 1 && !Ingredient::OwnRangesOfSteps.is_on();
         if is_explicit || view.get("feature") != feature && self.percent(40) {
