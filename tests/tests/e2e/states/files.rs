@@ -75,7 +75,7 @@ impl Files {
         let uploaded = Some(self.uploaded()).filter(|_| self.upload.is_some());
         let paths = [self.paths(), uploaded.into_iter().collect()].concat();
         self.fresh
-            .get_or_insert_with(|| start_server(&paths, Caches::Cold, &[], &[]).expect("a device"))
+            .get_or_insert_with(|| start_server(&paths, Caches::Cold).expect("a device"))
     }
 
     /// Replaces the file, and waits until the server offers the new one.

@@ -1,12 +1,11 @@
 //! Plays a sequence: a server of its own, its viewers and followers, and what befalls them.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use futures_util::future::join_all;
 use serde_json::{Value, json};
-use tempfile::TempDir;
 use tokio::time::Instant;
 
 use super::compare::{self, Difference};
@@ -15,11 +14,14 @@ use super::model::Model;
 use super::seat::{Outcome, Seat};
 use super::sequence::{Event, Sequence};
 use super::volumes::{CHANGING, OWN, SERIES, UPLOADED};
-use super::world::{Reference, World, show, start_server};
-use crate::support::process::Process;
+use super::world::{Reference, World, options, show};
+use crate::support::process::{Process, start_logged_in};
 
 /// Longest wait until followers are shown what the leader shows.
 const FOLLOW_LIMIT: Duration = Duration::from_secs(20);
+
+/// Errors and panics of the server, in the sequence's folder.
+pub const LOG: &str = "log";
 
 /// How much was compared.
 #[derive(Clone, Copy, Debug, Default)]
@@ -47,7 +49,7 @@ impl std::ops::AddAssign for Counts {
 pub struct Run<'a> {
     world: &'a World,
     sequence: &'a Sequence,
-    folder: TempDir,
+    folder: &'a Path,
     /// `None` while it is started again.
     server: Option<Process>,
     files: Files,
@@ -58,10 +60,9 @@ pub struct Run<'a> {
 
 impl<'a> Run<'a> {
     /// Plays all events; what was compared, or the first difference.
-    pub async fn play(world: &'a World, sequence: &'a Sequence) -> Result<Counts, Difference> {
-        let folder = tempfile::tempdir().expect("a folder");
-        let files = Files::write(folder.path());
-        let server = start(world, sequence, &folder, &files);
+    pub async fn play(world: &'a World, sequence: &'a Sequence, folder: &'a Path) -> Result<Counts, Difference> {
+        let files = Files::write(folder);
+        let server = start(world, sequence, folder, &files);
         let mut run = Self {
             world,
             sequence,
@@ -80,7 +81,10 @@ impl<'a> Run<'a> {
             run.counts.prefixes += seat.prefixes;
             seat.close().await;
         }
-        Ok(run.counts)
+        match std::fs::read_to_string(folder.join(LOG)) {
+            Ok(log) if log.contains("panicked") => Err(Difference::new("panic", log)),
+            _ => Ok(run.counts),
+        }
     }
 
     fn address(&self) -> SocketAddr {
@@ -119,7 +123,7 @@ impl<'a> Run<'a> {
             Event::Restart => {
                 // Killed, and gone with its locks.
                 drop(self.server.take());
-                self.server = Some(start(self.world, self.sequence, &self.folder, &self.files));
+                self.server = Some(start(self.world, self.sequence, self.folder, &self.files));
                 self.seat_all().await;
             }
             Event::Replace { content } => {
@@ -204,13 +208,13 @@ impl<'a> Run<'a> {
 
     /// The device is lost with the next of its work.
     fn lose_device(&self) {
-        let new = self.folder.path().join("new");
+        let new = self.folder.join("new");
         std::fs::write(&new, "lost").expect("written");
         std::fs::rename(new, self.fault()).expect("renamed");
     }
 
     fn fault(&self) -> PathBuf {
-        self.folder.path().join("fault")
+        self.folder.join("fault")
     }
 
     /// One more viewer follows the first.
@@ -313,16 +317,22 @@ fn compare_all(model: &Model, found: &[Outcome; 4], reference: &Reference) -> Re
 }
 
 /// A server of the sequence, whose device fails as the folder says.
-fn start(world: &World, sequence: &Sequence, folder: &TempDir, files: &Files) -> Process {
+fn start(world: &World, sequence: &Sequence, folder: &Path, files: &Files) -> Process {
     let environment = [
         ("OPENCL_LAYERS", world.layer.as_path()),
-        ("DEVICE_FAULT", &folder.path().join("fault")),
+        ("DEVICE_FAULT", &folder.join("fault")),
     ];
+    let log = folder.join(LOG);
+    let options = options(sequence.caches);
     if !sequence.has_files {
-        return start_server(&world.paths, sequence.caches, &[], &environment).expect("a device");
+        return start_logged_in(&world.paths, &options, &environment, &log).expect("a device");
     }
-    let uploads = folder.path().join("uploads");
-    let options = ["--watch", "--uploads", uploads.to_str().expect("UTF-8")];
+    let uploads = folder.join("uploads");
+    let options = [
+        &options[..],
+        &["--watch", "--uploads", uploads.to_str().expect("UTF-8")],
+    ]
+    .concat();
     let paths = [world.paths.clone(), files.paths()].concat();
-    start_server(&paths, sequence.caches, &options, &environment).expect("a device")
+    start_logged_in(&paths, &options, &environment, &log).expect("a device")
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use super::compare::Difference;
-use super::run::{Counts, Run};
+use super::run::{Counts, LOG, Run};
 use super::sequence::{Event, Sequence};
 use super::world::World;
 
@@ -18,11 +18,15 @@ const KIND_LENGTH: usize = 60;
 /// Plays a sequence; a panic of its client, which checks each frame, is a difference too.
 pub async fn play(world: &Arc<World>, sequence: Sequence) -> Result<Counts, Difference> {
     let world = Arc::clone(world);
-    let played = tokio::spawn(async move { Run::play(&world, &sequence).await });
-    match played.await {
-        Ok(played) => played,
-        Err(error) => Err(of_panic(error.into_panic())),
-    }
+    let folder = Arc::new(tempfile::tempdir().expect("a folder"));
+    let log = folder.path().join(LOG);
+    let of_run = Arc::clone(&folder);
+    let played = tokio::spawn(async move { Run::play(&world, &sequence, of_run.path()).await }).await;
+    let played = played.unwrap_or_else(|error| Err(of_panic(error.into_panic())));
+    played.map_err(|of| {
+        let log = std::fs::read_to_string(log).unwrap_or_default();
+        Difference::new(of.kind, format!("{}\n{log}", of.detail).trim_end())
+    })
 }
 
 /// Removes events, and fields of edits, until nothing can be removed.

@@ -1,7 +1,7 @@
 //! What sequences are compared with: a server without caches, which shows each view to a fresh client.
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 
 use serde_json::{Value, json};
@@ -36,7 +36,7 @@ impl World {
     pub async fn start() -> Option<Self> {
         let folder = tempfile::tempdir().expect("a folder");
         let paths = write_all(folder.path());
-        let server = start_server(&paths, Caches::Cold, &[], &[])?;
+        let server = start_server(&paths, Caches::Cold)?;
         let mut openings = HashMap::new();
         for volume in VOLUMES {
             let seat = Seat::open(server.address, volume.name, None).await;
@@ -77,15 +77,14 @@ impl World {
     }
 }
 
-/// Starts a server of these volumes, in an environment that has these variables too.
-pub fn start_server(
-    paths: &[PathBuf],
-    caches: Caches,
-    options: &[&str],
-    environment: &[(&str, &Path)],
-) -> Option<Process> {
-    let options = [&["--no-demo", "--rate-peer", "0"], caches.options(), options].concat();
-    process::start_in(paths, &options, environment)
+/// Starts a server of these volumes.
+pub fn start_server(paths: &[PathBuf], caches: Caches) -> Option<Process> {
+    process::start(paths, &options(caches))
+}
+
+/// Options of all servers.
+pub fn options(caches: Caches) -> Vec<&'static str> {
+    [&["--no-demo", "--rate-peer", "0"], caches.options()].concat()
 }
 
 /// What a fresh client of a server is shown of these views.
