@@ -68,7 +68,7 @@ const OFF: &[(Ingredient, &str)] = &[
     ),
     (
         Ingredient::OwnRangesOfSteps,
-        "a range is resolved when the surface is made",
+        "a range is resolved when the surface is made; the reference would need the step of the edit, not the one shown",
     ),
     (Ingredient::LateBadEdits, "a late `bad-edit` is applied"),
     (Ingredient::LostDevices, "ids of cuts begin again with a new engine"),
