@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 use crate::view::View;
 use crate::view::quality::{GuardName, MesherName, TopologyName};
 
+/// Tolerance of a surface in which nothing was merged: below any error.
+const NOTHING_MERGED: f32 = -1.0;
+
 /// Distance of a mesh from the surface it stands for, as it was measured, in world units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
@@ -121,10 +124,10 @@ impl ExtractionStatistics {
         Self {
             mesher: view.mesher,
             beta: view.beta_in_force(),
-            // Where everything that can be is merged, the tolerance has no bound.
+            // If everything that can be is merged, the tolerance has no bound; nor if nothing is, and JSON has no infinity.
             tolerance: view.tolerance_in_force(spacing).map(|tolerance| {
                 if tolerance < f32::MAX {
-                    tolerance
+                    tolerance.max(NOTHING_MERGED)
                 } else {
                     kernels.estimate.worst_leaf
                 }

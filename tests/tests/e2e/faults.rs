@@ -84,7 +84,7 @@ impl Faulty {
     }
 }
 
-fn build_layer(folder: &Path) -> PathBuf {
+pub fn build_layer(folder: &Path) -> PathBuf {
     let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/e2e/faults.c");
     let layer = folder.join("layer.so");
     let status = Command::new("cc")

@@ -24,6 +24,7 @@ mod questions;
 mod rest;
 mod shared;
 mod slices;
+mod states;
 mod strangers;
 mod stream;
 mod surfaces;

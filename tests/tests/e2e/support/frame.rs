@@ -50,6 +50,22 @@ pub enum Frame {
     Removed {
         surface: u8,
     },
+    Stepped {
+        step: u64,
+    },
+    Described {
+        volume: Value,
+        step: u64,
+    },
+    /// Who is in the group.
+    Group(Value),
+    /// What the member in control shows.
+    Led(Value),
+    /// How the member in control looks at it.
+    Posed(Value),
+    Left {
+        reason: String,
+    },
     /// Distances of a region's vertices.
     Errors {
         surface: u8,
@@ -67,6 +83,8 @@ pub enum Frame {
         code: String,
         message: String,
         open: bool,
+        /// Where a generation failed: that of its surface.
+        surface: Option<u8>,
         suggested_triangles: Option<u64>,
     },
     Closed {
@@ -103,6 +121,12 @@ impl Frame {
             Self::Opening { .. }
             | Self::Opened { .. }
             | Self::Removed { .. }
+            | Self::Stepped { .. }
+            | Self::Described { .. }
+            | Self::Group(_)
+            | Self::Led(_)
+            | Self::Posed(_)
+            | Self::Left { .. }
             | Self::Error { .. }
             | Self::Closed { .. } => None,
         }
@@ -232,7 +256,42 @@ impl Frame {
                     code: message.text("code"),
                     message: message.text("message"),
                     open: message.boolean("open"),
+                    surface: message.0["surface"].as_u64().map(|surface| surface as u8),
                     suggested_triangles: message.0["suggestedTriangles"].as_u64(),
+                }
+            }
+            "stepped" => {
+                message.has(&["step", "label"], &[]);
+                Self::Stepped {
+                    step: message.number("step"),
+                }
+            }
+            "described" => {
+                message.has(&["volume", "step"], &[]);
+                Self::Described {
+                    volume: message.0["volume"].clone(),
+                    step: message.number("step"),
+                }
+            }
+            "group" => {
+                message.has(
+                    &["group", "you", "control", "followers", "asks"],
+                    &["people", "key", "leaderAway"],
+                );
+                Self::Group(message.0)
+            }
+            "led" => {
+                message.has(&["volume", "step", "surfaces"], &[]);
+                Self::Led(message.0)
+            }
+            "posed" => {
+                message.has(&[], &["camera", "page"]);
+                Self::Posed(message.0)
+            }
+            "left" => {
+                message.has(&["reason"], &[]);
+                Self::Left {
+                    reason: message.text("reason"),
                 }
             }
             other => panic!("a message of type {other:?}, which the page does not know"),

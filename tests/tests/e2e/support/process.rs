@@ -42,6 +42,22 @@ pub fn launch_in(paths: &[PathBuf], options: &[&str], environment: &[(&str, &Pat
     Some((process, line))
 }
 
+/// As [`start_in`], with its errors and panics at the end of a file.
+pub fn start_logged_in(
+    paths: &[PathBuf],
+    options: &[&str],
+    environment: &[(&str, &Path)],
+    log: &Path,
+) -> Option<Process> {
+    let mut command = Command::new(command::binary());
+    command.envs(environment.iter().copied()).env("RUST_LOG", "error");
+    let options: Vec<_> = options.iter().copied().chain(["--no-auth"]).collect();
+    let log = std::fs::File::options().create(true).append(true).open(log);
+    let (process, _) = spawn(command, paths, &options, log.expect("a file").into())?;
+    wait_until_ready(&process);
+    Some(process)
+}
+
 fn wait_until_ready(process: &Process) {
     let start = Instant::now();
     while http::get(process.address, "/readyz").status != 200 {

@@ -59,6 +59,11 @@ impl Surface {
         matches!(self.stage, Stage::Done { measured: true, .. })
     }
 
+    /// Whether an annotation may come: all came that comes while it rests, or its newest generation failed. Marching cubes are not measured.
+    pub fn may_annotate(&self) -> bool {
+        self.is_measured() || self.is_marched && !self.is_running() || self.stage == Stage::Ended
+    }
+
     pub fn on_done(&mut self, generation: u32, statistics: &Value) {
         assert_eq!(generation, self.generation, "`done` of the newest generation");
         let improved = match self.stage {
@@ -115,6 +120,12 @@ impl Surface {
             !is_done && self.takes_up(generation),
             "generation {generation} ended before"
         );
+        self.stage = Stage::Ended;
+    }
+
+    /// A volume was opened: nothing is held, and what was running has ended.
+    pub fn on_opened(&mut self) {
+        self.shown.clear();
         self.stage = Stage::Ended;
     }
 

@@ -1,0 +1,78 @@
+//! A sequence as JSON: what clients send and what befalls the server, so that a failure can be replayed.
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// What a server keeps of earlier work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Caches {
+    /// Nothing but what was used last.
+    Cold,
+    /// So little that it is evicted all the time.
+    Tiny,
+    /// As much as a server keeps unless an option says otherwise.
+    Warm,
+}
+
+impl Caches {
+    pub const ALL: [Self; 3] = [Self::Cold, Self::Tiny, Self::Warm];
+
+    /// Options of `isopeel serve`.
+    pub fn options(self) -> &'static [&'static str] {
+        match self {
+            Self::Cold => &["--surface-memory", "0", "--shared-memory", "0", "--read-ahead", "0"],
+            Self::Tiny => &["--surface-memory", "2", "--shared-memory", "1", "--read-ahead", "1"],
+            Self::Warm => &[],
+        }
+    }
+}
+
+/// One event of a sequence.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Event {
+    /// A viewer sends a message.
+    Send { viewer: usize, message: Value },
+    /// A viewer sends an edit that is answered with `bad-edit`.
+    SendBad { viewer: usize, message: Value },
+    /// The same, but what is wrong is found while the surface is made.
+    SendLateBad { viewer: usize, message: Value },
+    /// A viewer opens a volume, and waits until it is open.
+    Open { viewer: usize, volume: String },
+    /// All viewers read for a while.
+    Wait { milliseconds: u64 },
+    /// All viewers wait until they rest, and what they show is compared. `newcomer`: also with what another viewer of the same server gets.
+    Settle { newcomer: bool },
+    /// One more viewer follows the first.
+    Follow,
+    /// The device is lost.
+    LoseDevice,
+    /// The server is killed and started again; all viewers connect and open anew, and nobody follows.
+    Restart,
+    /// The sequence's own file is replaced, and viewers that look at it open it again.
+    Replace { content: u64 },
+    /// The sequence's own series has one more step. `rewrite`: and another first one, and viewers that look at it open it again.
+    Grow { content: u64, rewrite: bool },
+    /// A volume is uploaded.
+    Upload { content: u64 },
+    /// The uploaded volume is deleted; viewers that look at it open their first one.
+    DeleteUpload,
+}
+
+/// A sequence, and the server that it is for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub struct Sequence {
+    /// What it was drawn from.
+    pub seed: u64,
+    pub caches: Caches,
+    /// Bytes a second that the first viewer reads; null: as many as come.
+    pub line: Option<u32>,
+    /// Whether it has files of its own, which the server watches, and uploads.
+    #[serde(default)]
+    pub has_files: bool,
+    /// The volume that each viewer opens first.
+    pub volumes: Vec<String>,
+    pub events: Vec<Event>,
+}
