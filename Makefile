@@ -100,6 +100,8 @@ lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) target/tools/carg
 .PHONY: build-tests
 build-tests: web-client
 	cargo test --locked --workspace --tests --no-run
+	# Once, before tests start many servers at the same time.
+	$(TESTED_BINARY) devices --check
 
 test-web: web-client ## the web client's unit tests
 	cd web && npm test --silent

@@ -22,11 +22,12 @@ LAYERS = {
         stages
         cut
         engine
+        check
         testing
     """,
     "server/src": """
         error math metrics pool
-        view problem
+        device view problem
         volumes
         extraction
         wire export access

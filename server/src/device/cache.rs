@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 /// What names the folder.
 pub const VARIABLE: &str = "ISOPEEL_KERNEL_CACHE";
 
-/// Variables by which drivers are told where to keep compiled kernels, and the folders below ours.
+/// Variables that set where drivers keep compiled kernels, and the folders below ours.
 const DRIVERS: [(&str, &str); 3] = [
     ("POCL_CACHE_DIR", "pocl"),
     ("CUDA_CACHE_PATH", "nvidia"),

@@ -101,7 +101,6 @@ pub struct Rest {
     child: Building,
     device: DeviceId,
     workaround: Workaround,
-    types: Vec<String>,
     verdicts: Verdicts,
 }
 
@@ -114,7 +113,7 @@ impl Rest {
         let ended = self.child.follow(progress, false).err();
         match ended {
             None => {
-                keep(&self.verdicts, &self.device, &self.types, self.workaround);
+                keep(&self.verdicts, &self.device, self.workaround);
                 Ok(())
             }
             Some(ended) => {
@@ -171,7 +170,7 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
     let mut reports = Vec::new();
     for device in candidates {
         let id = DeviceId::of(device);
-        if let Some(workaround) = verdicts.find(&id, &types) {
+        if let Some(workaround) = verdicts.find(&id) {
             return with_environment(&listed, device, workaround, None);
         }
         tracing::info!(
@@ -191,11 +190,10 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
                 child,
                 device: id.clone(),
                 workaround,
-                types: types.clone(),
                 verdicts: Verdicts::new(wanted.folder.as_deref()),
             });
             if rest.is_none() {
-                keep(&verdicts, &id, &types, workaround);
+                keep(&verdicts, &id, workaround);
             }
             return with_environment(&listed, device, workaround, rest);
         }
@@ -216,7 +214,7 @@ pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (L
         let (checked, _) = check(device, &types, &listed.environment, false, progress);
         let id = DeviceId::of(device);
         match checked.passed() {
-            Some(workaround) => keep(&verdicts, &id, &types, workaround),
+            Some(workaround) => keep(&verdicts, &id, workaround),
             None => verdicts.forget(&id),
         }
         checked
@@ -235,8 +233,8 @@ fn nothing(listed: &Listed) -> Unprepared {
     })
 }
 
-fn keep(verdicts: &Verdicts, device: &DeviceId, types: &[String], workaround: Workaround) {
-    if let Err(error) = verdicts.keep(device, types, workaround) {
+fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround) {
+    if let Err(error) = verdicts.keep(device, workaround) {
         tracing::warn!(
             "that {device} passed the check cannot be kept, so that the next start checks it again: {error}"
         );

@@ -111,7 +111,7 @@ impl Workaround {
 
 const POCL_METHOD: &str = "POCL_WORK_GROUP_METHOD";
 
-/// Sample types by the names that children are told.
+/// Sample types by their names in requests to children.
 pub(super) const TYPES: [(&str, SampleType); 5] = [
     ("u8", SampleType::U8),
     ("i8", SampleType::I8),

@@ -16,8 +16,6 @@ pub(super) struct Verdict {
     pub build: String,
     /// How the device passed.
     pub workaround: Workaround,
-    /// Sample types that were checked.
-    pub types: Vec<String>,
 }
 
 /// Keeps verdicts in a folder; without one, forgets them.
@@ -40,8 +38,8 @@ impl Verdicts {
         Some(self.folder.as_ref()?.join(format!("{hash:016x}.json")))
     }
 
-    /// How this device passed with these sample types.
-    pub fn find(&self, device: &DeviceId, types: &[String]) -> Option<Workaround> {
+    /// How this device passed.
+    pub fn find(&self, device: &DeviceId) -> Option<Workaround> {
         let bytes = std::fs::read(self.path(device)?).ok()?;
         let verdict: Verdict = serde_json::from_slice(&bytes).ok()?;
         let is_of = DeviceId {
@@ -49,15 +47,14 @@ impl Verdicts {
             ..verdict.device
         } == *device
             && verdict.build == build();
-        let has_all = types.iter().all(|one| verdict.types.contains(one));
-        (is_of && has_all).then_some(verdict.workaround)
+        is_of.then_some(verdict.workaround)
     }
 
     /// Keeps how a device passed. Failures are not kept: their cause may be gone the next time.
     ///
     /// # Errors
     /// The folder cannot be written.
-    pub fn keep(&self, device: &DeviceId, types: &[String], workaround: Workaround) -> std::io::Result<()> {
+    pub fn keep(&self, device: &DeviceId, workaround: Workaround) -> std::io::Result<()> {
         let (Some(path), Some(folder)) = (self.path(device), &self.folder) else {
             return Ok(());
         };
@@ -66,7 +63,6 @@ impl Verdicts {
             device: device.clone(),
             build: build(),
             workaround,
-            types: types.to_vec(),
         };
         // Whole or not at all, as other processes read it.
         let file = tempfile::NamedTempFile::new_in(folder)?;

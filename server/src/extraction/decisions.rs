@@ -1,5 +1,7 @@
 //! What is decided of a view that an error or a budget decides: a cut of the vertex tree, a cut of cubes, or a refusal.
 
+use std::rc::Rc;
+
 use isopeel_kernels::{Cut, CutParams, Surface};
 
 use super::WorkError;
@@ -9,7 +11,7 @@ pub(super) enum Decided {
     Tree(Surface),
     Cubes {
         params: CutParams,
-        cut: Cut,
+        cut: Rc<Cut>,
         /// The tree was not tried yet.
         can_improve: bool,
     },

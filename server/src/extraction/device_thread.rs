@@ -9,16 +9,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use isopeel_kernels::check::{Check, CheckError, STEPS, Scope};
+use isopeel_kernels::check::{Check, STEPS, Scope};
 use isopeel_kernels::{DeviceInfo, Engine, Error, SampleType, Tuning};
 use tokio::sync::{mpsc, watch};
 
-use super::WorkError;
 use super::lock::lock;
 use super::memory::{ThreadMemory, resident_bytes};
 use super::pins::Pins;
 use super::turns::{Job, Queue};
 use super::worker_state::{Histograms, JobError, WorkerState};
+use super::{OpenError, WorkError};
 use crate::metrics;
 
 /// From one attempt to open a lost device to the next. Meanwhile jobs fail at once.
@@ -49,21 +49,6 @@ pub struct Preparation {
     pub done: usize,
     /// Steps in all; 0 if that is not known.
     pub of: usize,
-}
-
-/// Why a device could not be opened.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum OpenError {
-    /// There is none, or it does not open.
-    #[error(transparent)]
-    Device(#[from] Error),
-    /// It computes wrong results.
-    #[error(transparent)]
-    Check(#[from] CheckError),
-    /// It is not to be used; the text says why, and what to do.
-    #[error("{0}")]
-    Refused(String),
 }
 
 /// A device that was chosen.

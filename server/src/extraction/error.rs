@@ -2,10 +2,24 @@
 
 use std::sync::Arc;
 
-use super::device_thread::OpenError;
 use crate::error::chain;
 use crate::view::EditError;
 use crate::volumes::ReadError;
+
+/// Why a device could not be opened.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// There is none, or it does not open.
+    #[error(transparent)]
+    Device(#[from] isopeel_kernels::Error),
+    /// It computes wrong results.
+    #[error(transparent)]
+    Check(#[from] isopeel_kernels::check::CheckError),
+    /// It is not to be used; the text says why, and what to do.
+    #[error("{0}")]
+    Refused(String),
+}
 
 /// Why a piece of work has no result. Each variant asks for another reaction of the caller.
 #[derive(Debug, thiserror::Error)]

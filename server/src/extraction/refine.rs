@@ -98,10 +98,9 @@ impl WorkerState {
                     Decided::Tree(surface) => return Ok(on.tree_refinement(surface, view, on.own_time(start))),
                     Decided::Cubes {
                         params,
-                        cut,
+                        cut: target,
                         can_improve,
                     } => {
-                        let target = Rc::new(cut);
                         let id = on.cuts.borrow_mut().keep(Rc::clone(&target));
                         (params, id, target, can_improve)
                     }

@@ -224,7 +224,7 @@ impl OnDevice<'_> {
                 let (params, cut) = target?;
                 return Ok(Decided::Cubes {
                     params,
-                    cut,
+                    cut: Rc::new(cut),
                     can_improve: !tree_first,
                 });
             }

@@ -115,7 +115,8 @@ impl OnDevice<'_> {
                 Decided::Cubes { params, cut, .. } => (params, cut),
             }
         } else {
-            self.target_within(view, ceiling_triangles, cancel)?
+            let (params, cut) = self.target_within(view, ceiling_triangles, cancel)?;
+            (params, Rc::new(cut))
         };
         let params = CutParams {
             state_error: params.mesher == Mesher::Dual,

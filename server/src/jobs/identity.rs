@@ -84,7 +84,10 @@ pub enum IdentityError {
 
 /// What is known of the files of a server's volumes: a file that changed after its header was read would be pinned as what it is not.
 #[derive(Debug, Default)]
-pub struct SeenFiles(Mutex<HashMap<(DatasetKey, Vec<u32>, PathBuf), Stamp>>);
+pub struct SeenFiles(Mutex<HashMap<SeenFile, Stamp>>);
+
+/// A file of a dataset, as often as the files of each of its steps were rewritten.
+type SeenFile = (DatasetKey, Vec<u32>, PathBuf);
 
 const SINCE_OPENED: &str = "the server opened it, start the server again";
 const SINCE_SUBMITTED: &str = "the job was submitted";

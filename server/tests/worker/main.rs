@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use isopeel::extraction::{DeviceState, DeviceWorker, OpeningProgress, WorkError};
+use isopeel::extraction::{DeviceState, DeviceWorker, OpenError, OpeningProgress, WorkError};
 use isopeel::view::{Edit, FeatureName, View};
 use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel_kernels::{DerivedFeature, Error, SampleType, Samples};

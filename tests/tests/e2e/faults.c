@@ -5,6 +5,8 @@
  *   "spoiled" as "lost", but nothing can be opened any more in this process, as with NVIDIA's driver. The file is removed.
  *   "gone"    as "lost", and the device cannot be opened as long as the file is there.
  *   "fail"    the next launch of a kernel fails as only a broken driver's does, nothing after it. The file is removed.
+ *   "crash K" a launch of kernel K ends the process as long as the file is there; "hang K": it never returns; "wrong K": the kernel does not
+ *             run, and the driver says that it did; "nobuild K": the program that has kernel K does not build.
  *   "full N"  no buffer of more than N bytes can be had as long as the file is there.
  *
  * A lost device answers "out of resources", as NVIDIA's driver does: the caller cannot tell that from memory that ran out. */
@@ -111,10 +113,42 @@ static cl_mem CL_API_CALL create_buffer(cl_context context, cl_mem_flags flags, 
     return target->clCreateBuffer(context, flags, bytes, host, error);
 }
 
+/* Whether the file says that this happens to this kernel. */
+static int is_kernel_fault(const char *what, cl_kernel kernel) {
+    char name[64] = "", wanted[80];
+    if (target->clGetKernelInfo(kernel, CL_KERNEL_FUNCTION_NAME, sizeof name - 1, name, NULL)) return 0;
+    snprintf(wanted, sizeof wanted, "%s %s", what, name);
+    char text[64];
+    pthread_mutex_lock(&lock);
+    read_fault(text);
+    pthread_mutex_unlock(&lock);
+    return strcmp(text, wanted) == 0;
+}
+
+static cl_int CL_API_CALL build_program(cl_program program, cl_uint count, const cl_device_id *devices, const char *options,
+                                        void(CL_CALLBACK *notify)(cl_program, void *), void *data) {
+    char text[64], kernel[80];
+    pthread_mutex_lock(&lock);
+    read_fault(text);
+    pthread_mutex_unlock(&lock);
+    size_t bytes = 0;
+    char *source = NULL;
+    if (strncmp(text, "nobuild ", 8) == 0 && !target->clGetProgramInfo(program, CL_PROGRAM_SOURCE, 0, NULL, &bytes) && (source = malloc(bytes))) {
+        snprintf(kernel, sizeof kernel, "void %s(", text + 8);
+        int is = !target->clGetProgramInfo(program, CL_PROGRAM_SOURCE, bytes, source, NULL) && strstr(source, kernel);
+        free(source);
+        if (is) return CL_BUILD_PROGRAM_FAILURE;
+    }
+    return target->clBuildProgram(program, count, devices, options, notify, data);
+}
+
 static cl_int CL_API_CALL enqueue_kernel(cl_command_queue queue, cl_kernel kernel, cl_uint dims, const size_t *offset, const size_t *global,
                                          const size_t *local, cl_uint waits, const cl_event *wait_list, cl_event *event) {
     if (is_lost(queue)) return CL_OUT_OF_RESOURCES;
     if (is_fault("fail")) return CL_INVALID_OPERATION;
+    if (is_kernel_fault("crash", kernel)) abort();
+    while (is_kernel_fault("hang", kernel)) sleep(1);
+    if (is_kernel_fault("wrong", kernel)) return target->clEnqueueMarkerWithWaitList(queue, waits, wait_list, event);
     return target->clEnqueueNDRangeKernel(queue, kernel, dims, offset, global, local, waits, wait_list, event);
 }
 
@@ -167,6 +201,7 @@ CL_API_ENTRY cl_int CL_API_CALL clInitLayer(cl_uint entries, const struct _cl_ic
     layer.clCreateContext = create_context;
     layer.clCreateCommandQueue = create_queue;
     layer.clCreateBuffer = create_buffer;
+    layer.clBuildProgram = build_program;
     layer.clEnqueueNDRangeKernel = enqueue_kernel;
     layer.clEnqueueReadBuffer = read_buffer;
     layer.clEnqueueWriteBuffer = write_buffer;

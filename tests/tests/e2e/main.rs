@@ -9,6 +9,7 @@ mod budgets;
 mod bytes;
 mod command_line;
 mod crowd;
+mod drivers;
 mod edits;
 mod expected_cuts;
 mod faults;

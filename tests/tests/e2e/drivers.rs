@@ -1,0 +1,142 @@
+//! What becomes of drivers that are broken: `faults.c` is a layer between isopeel and the driver.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use tempfile::TempDir;
+
+use crate::faults::build_layer;
+use crate::support::command::binary;
+use crate::support::server;
+
+/// A driver that fails in one way, and an isopeel that has not seen it before.
+struct Broken {
+    folder: TempDir,
+    layer: std::path::PathBuf,
+}
+
+impl Broken {
+    /// `None` if there is no device.
+    fn new(fault: &str) -> Option<Self> {
+        if !server::has_device() {
+            return None;
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let layer = build_layer(folder.path());
+        std::fs::write(folder.path().join("fault"), fault).expect("written");
+        Some(Self { folder, layer })
+    }
+
+    fn run(&self, arguments: &[&str]) -> Output {
+        let home = std::env::var_os("HOME").expect("a home");
+        let kept = Path::new(&home).join(".cache/pocl/kcache");
+        let kept = std::env::var_os("POCL_CACHE_DIR").map_or(kept, Into::into);
+        Command::new(binary())
+            .args(arguments)
+            .env("OPENCL_LAYERS", &self.layer)
+            .env("DEVICE_FAULT", self.folder.path().join("fault"))
+            .env("ISOPEEL_KERNEL_CACHE", self.folder.path().join("cache"))
+            // Compiled kernels are those that all tests use.
+            .env("POCL_CACHE_DIR", kept)
+            .env("ISOPEEL_CHECK_SECONDS", "4")
+            .stdin(Stdio::null())
+            .output()
+            .expect("the binary starts")
+    }
+
+    /// Checks the devices: what is said of them.
+    fn check(&self) -> String {
+        let output = self.run(&["devices", "--check"]);
+        assert_eq!(output.status.code(), Some(1), "{output:?}");
+        String::from_utf8(output.stdout).expect("text")
+    }
+}
+
+/// Every sentence names device, driver, stage and what happened.
+#[track_caller]
+fn says(text: &str, expected: &[&str]) {
+    for part in expected {
+        assert!(text.contains(part), "{part:?} is missing in: {text}");
+    }
+}
+
+#[test]
+fn a_driver_that_ends_the_process_is_a_sentence() {
+    let Some(broken) = Broken::new("crash minmax") else {
+        return;
+    };
+    let text = broken.check();
+    says(
+        &text,
+        &[
+            "FAILS",
+            "driver",
+            "stage minmax",
+            "signal 6",
+            "default settings",
+            "--trust-device",
+        ],
+    );
+}
+
+#[test]
+fn a_driver_that_hangs_is_a_sentence() {
+    let Some(broken) = Broken::new("hang minmax") else {
+        return;
+    };
+    says(&broken.check(), &["FAILS", "stage minmax did not end within 4 s"]);
+}
+
+#[test]
+fn a_driver_that_computes_wrong_results_is_a_sentence() {
+    let Some(broken) = Broken::new("wrong activate") else {
+        return;
+    };
+    says(
+        &broken.check(),
+        &["FAILS", "stage construct computes wrong results", "expected"],
+    );
+}
+
+#[test]
+fn a_driver_whose_compiler_fails_is_a_sentence() {
+    let Some(broken) = Broken::new("nobuild minmax") else {
+        return;
+    };
+    says(&broken.check(), &["FAILS", "stage minmax did not build"]);
+}
+
+#[test]
+fn a_device_without_memory_is_a_sentence() {
+    let Some(broken) = Broken::new("full 1000") else { return };
+    says(&broken.check(), &["FAILS", "device memory"]);
+}
+
+#[test]
+fn a_device_that_fails_is_used_only_if_it_is_trusted() {
+    let Some(broken) = Broken::new("crash minmax") else {
+        return;
+    };
+    let volume = broken.folder.path().join("ball.npy");
+    crate::support::ball::write(&volume);
+    let volume = volume.to_str().expect("text");
+    let refused = broken.run(&["extract", volume, "--iso", "0.5", "--stats"]);
+    let text = String::from_utf8_lossy(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(1), "{text}");
+    says(
+        &text,
+        &["no OpenCL device passes the check", "stage minmax", "--trust-device"],
+    );
+    // The driver is believed, and does what it does.
+    let trusted = broken.run(&[
+        "extract",
+        volume,
+        "--iso",
+        "0.5",
+        "--stats",
+        "--device",
+        "0",
+        "--trust-device",
+    ]);
+    assert_eq!(trusted.status.code(), None, "{trusted:?}");
+}
