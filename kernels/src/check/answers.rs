@@ -5,7 +5,7 @@ use crate::{Histogram, Surface, Vertex};
 use std::collections::HashMap;
 
 /// Values that depend on the compiler's rounding differ by less than this share.
-const ROUNDING: f64 = 1e-3;
+const ROUNDING: f64 = 1e-2;
 
 /// Of the surface.
 pub(super) const ISOVALUE: f32 = 40.0;
@@ -53,7 +53,7 @@ pub(super) const VERTEX_DISTANCE: f32 = 0.483869;
 pub(super) const CORNER_DISTANCE: f32 = 29.4788;
 /// Lower and upper end, and mean number of a bin.
 pub(super) const GRADIENT: [f32; 3] = [0.0, 13.4257, 122.821];
-pub(super) const CURVATURE: [f32; 3] = [-1.0, 1.0, 120.401];
+pub(super) const VARIANCE: [f32; 3] = [0.0, 82.6859, 113.234];
 pub(super) const UNEVEN_GRADIENT: [f32; 3] = [0.0, 13.2104, 104.563];
 
 /// What is known of a surface.

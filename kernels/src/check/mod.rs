@@ -218,8 +218,8 @@ impl<'a> Check<'a> {
         let iso = Isovalue::new(ISOVALUE)?;
         let pyramid = self.engine.build_pyramid(self.volume(), feature, iso, &Never)?;
         exact("number of triangles", pyramid.full_triangles(), FULL_TRIANGLES)?;
-        let curvature = Feature::Derived(DerivedFeature::MeanCurvature);
-        near_histogram(&self.engine.histogram(self.volume(), curvature)?, CURVATURE)?;
+        let variance = Feature::Derived(DerivedFeature::LocalVariance);
+        near_histogram(&self.engine.histogram(self.volume(), variance)?, VARIANCE)?;
         let lengths = DIMS.map(|n| (1..n).map(|i| 1.0 + (i % 3) as f32 / 4.0).collect());
         let uneven = RectilinearGrid::uneven(grid()?, lengths)?;
         let mut upload = self.engine.begin_upload(&uneven, self.sample_type, None)?;
