@@ -315,7 +315,9 @@ impl<'a> Check<'a> {
             .engine
             .distribution(volume, pyramid, &tree_params(), &self.shown_cut()?, 8)?;
         let sum = |bins: &[u32]| bins.iter().map(|&n| u64::from(n)).sum::<u64>();
-        exact("number of leaves", [sum(&counts.all), sum(&counts.coarse)], LEAVES)
+        exact("number of leaves", sum(&counts.all), LEAVES[0])?;
+        // Equal costs are merged in an order that depends on the compiler's rounding.
+        near("number of merged leaves", sum(&counts.coarse) as f32, LEAVES[1] as f32)
     }
 
     fn curve(&mut self) -> Result<(), Finding> {
