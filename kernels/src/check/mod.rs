@@ -174,15 +174,7 @@ impl<'a> Check<'a> {
     }
 
     fn dual(&mut self) -> Result<(), Finding> {
-        let full = CutParams {
-            mesher: Mesher::Dual,
-            ..CutParams::paper(-1.0)
-        };
-        let decimated = CutParams {
-            beta: BETA,
-            ..full.clone()
-        };
-        for (params, expected) in [(full, FULL), (decimated, DECIMATED)] {
+        for (params, expected) in [(dual_params(-1.0), FULL), (dual_params(BETA), DECIMATED)] {
             let surface = self
                 .engine
                 .peel(self.volume(), self.pyramid(), &params, Level::FINEST, &Never)?;
@@ -202,10 +194,7 @@ impl<'a> Check<'a> {
     }
 
     fn fit(&mut self) -> Result<(), Finding> {
-        let params = CutParams {
-            mesher: Mesher::Dual,
-            ..CutParams::paper(0.0)
-        };
+        let params = dual_params(0.0);
         let (_, _, triangles) = self
             .engine
             .fit(self.volume(), self.pyramid(), &params, BUDGET, &Never)?;
@@ -229,10 +218,7 @@ impl<'a> Check<'a> {
     }
 
     fn tree(&mut self) -> Result<(), Finding> {
-        let params = CutParams {
-            mesher: Mesher::Dual,
-            ..CutParams::paper(0.0)
-        };
+        let params = dual_params(0.0);
         let tree = self.engine.build_tree(self.volume(), self.pyramid(), &params, &Never)?;
         exact("number of triangles", tree.full_triangles(), FULL.triangles)?;
         self.tree = Some(tree);
@@ -244,7 +230,7 @@ impl<'a> Check<'a> {
             self.volume(),
             self.pyramid(),
             self.built_tree(),
-            &tree_params(),
+            &dual_params(0.0),
             &tree_goal(),
             &Never,
         )?;
@@ -252,11 +238,7 @@ impl<'a> Check<'a> {
     }
 
     fn error(&mut self) -> Result<(), Finding> {
-        let params = CutParams {
-            mesher: Mesher::Dual,
-            beta: BETA,
-            ..CutParams::paper(0.0)
-        };
+        let params = dual_params(BETA);
         let measured = self
             .engine
             .measure_error(self.volume(), self.pyramid(), &params, &Never)?;
@@ -266,7 +248,7 @@ impl<'a> Check<'a> {
             self.volume(),
             self.pyramid(),
             self.built_tree(),
-            &tree_params(),
+            &dual_params(0.0),
             &tree_goal(),
             &Never,
         )?;
@@ -275,9 +257,14 @@ impl<'a> Check<'a> {
 
     fn shown_cut(&self) -> Result<ShownCut<'_>, Finding> {
         let (volume, pyramid) = (self.volume(), self.pyramid());
-        let cut =
-            self.engine
-                .shown_tree_cut(volume, pyramid, self.built_tree(), &tree_params(), &tree_goal(), &Never)?;
+        let cut = self.engine.shown_tree_cut(
+            volume,
+            pyramid,
+            self.built_tree(),
+            &dual_params(0.0),
+            &tree_goal(),
+            &Never,
+        )?;
         Ok(cut)
     }
 
@@ -286,7 +273,7 @@ impl<'a> Check<'a> {
         // Beside the surface.
         let at = [5.3, 17.5, 16.5];
         let cut = self.shown_cut()?;
-        let probed = self.engine.probe(volume, pyramid, &tree_params(), at, Some(&cut))?;
+        let probed = self.engine.probe(volume, pyramid, &dual_params(0.0), at, Some(&cut))?;
         let Some(probed) = probed else {
             return exact("found a vertex", false, true);
         };
@@ -313,7 +300,7 @@ impl<'a> Check<'a> {
         let (volume, pyramid) = (self.volume(), self.pyramid());
         let counts = self
             .engine
-            .distribution(volume, pyramid, &tree_params(), &self.shown_cut()?, 8)?;
+            .distribution(volume, pyramid, &dual_params(0.0), &self.shown_cut()?, 8)?;
         let sum = |bins: &[u32]| bins.iter().map(|&n| u64::from(n)).sum::<u64>();
         exact("number of leaves", sum(&counts.all), LEAVES[0])?;
         // Equal costs are merged in an order that depends on the compiler's rounding.
@@ -324,7 +311,7 @@ impl<'a> Check<'a> {
         let (volume, pyramid) = (self.volume(), self.pyramid());
         let curve = self
             .engine
-            .error_curve(volume, pyramid, &tree_params(), &self.shown_cut()?, &Never)?;
+            .error_curve(volume, pyramid, &dual_params(0.0), &self.shown_cut()?, &Never)?;
         let ends = [curve.first(), curve.last()].map(|point| point.map_or(0, |point| point.triangles));
         exact("triangles at the ends", ends, CURVE)
     }
@@ -340,11 +327,7 @@ impl<'a> Check<'a> {
 
     fn distance(&mut self) -> Result<(), Finding> {
         let (volume, pyramid) = (self.volume(), self.pyramid());
-        let params = CutParams {
-            mesher: Mesher::Dual,
-            beta: BETA,
-            ..CutParams::paper(0.0)
-        };
+        let params = dual_params(BETA);
         let surface = self.engine.peel(volume, pyramid, &params, Level::FINEST, &Never)?;
         let distances = self
             .engine
@@ -387,10 +370,11 @@ impl<'a> Check<'a> {
     }
 }
 
-fn tree_params() -> CutParams {
+/// Parameters of the dual mesher; a cut of the tree takes only importance from them.
+fn dual_params(beta: f32) -> CutParams {
     CutParams {
         mesher: Mesher::Dual,
-        ..CutParams::paper(0.0)
+        ..CutParams::paper(beta)
     }
 }
 
