@@ -85,6 +85,9 @@ impl ByValue for layout::CutParams {}
 /// One part in so many of a device's memory may be kept idle between edits.
 const IDLE_SHARE: u64 = 16;
 
+/// Stage of a program of any text, and its name to a gate.
+const CUSTOM: &str = "custom program";
+
 /// An open device. Lives on one thread.
 pub(crate) struct Context {
     pub found: Found,
@@ -92,7 +95,7 @@ pub(crate) struct Context {
     pub tuning: Tuning,
     pub context: opencl3::context::Context,
     pub queue: CommandQueue,
-    programs: Programs,
+    pub programs: Programs,
     pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
     /// Pinned memory that meshes are read to.
@@ -168,7 +171,8 @@ impl Context {
 
     /// Builds a program of any text, which may include files of `cl/`.
     pub fn build(&self, source: &str, options: &str) -> Result<Program> {
-        Program::build(&self.context, &self.found, source, options, "custom program")
+        self.programs.pass(CUSTOM)?;
+        Program::build(&self.context, &self.found, source, options, CUSTOM)
     }
 
     /// A buffer of `len` elements, contents undefined.

@@ -2,6 +2,7 @@
 
 use crate::buffer::{Buffer, DeviceMemory};
 use crate::context::Context;
+use crate::program::Gate;
 use crate::stages::{self, histogram, minmax};
 use crate::volume::Slab;
 use crate::{DeviceInfo, Error, Feature, Grid, Histogram, Result, SampleType, StageTime, Tuning, Volume, tables};
@@ -66,6 +67,17 @@ impl Engine {
     /// The device in use.
     pub fn device(&self) -> &DeviceInfo {
         &self.cx.found.info
+    }
+
+    /// Names of the programs that were built so far, those of expressions excepted.
+    pub fn programs(&self) -> Vec<String> {
+        self.cx.programs.names()
+    }
+
+    /// Programs that are not built yet wait for `gate`. If it returns an error, so does all that needs such a program, with
+    /// [`Error::Refused`].
+    pub fn wait_for(&self, gate: Gate) {
+        self.cx.programs.wait_for(gate);
     }
 
     /// Whether the device still does what it is asked for: it gives back a byte that it holds.

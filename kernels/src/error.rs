@@ -66,6 +66,9 @@ pub enum Error {
         /// What was wrong and what was expected.
         why: String,
     },
+    /// No further program of the device is built; the text says why.
+    #[error("the device is not used any more: {0}")]
+    Refused(String),
     /// The caller's [`crate::Cancel`] said stop, between two stages.
     #[error("cancelled")]
     Cancelled,

@@ -86,12 +86,21 @@ impl Variant {
     }
 }
 
+fn name_of((file, variant): &(&'static str, Variant)) -> String {
+    format!("{file} {}", variant.options())
+}
+
 /// The kernels of a device's stages. A stage's program is built when one of its kernels is first wanted.
 pub(crate) struct Programs {
     /// The source of each kernel.
     source_of: HashMap<&'static str, &'static Source>,
     built: RefCell<HashMap<(&'static str, Variant), Rc<Program>>>,
+    /// What a program that is not built yet waits for.
+    gate: RefCell<Option<Gate>>,
 }
+
+/// Waits until the program of that name may be built ([`crate::Engine::programs`]), or says why it may not.
+pub type Gate = Box<dyn Fn(&str) -> std::result::Result<(), String>>;
 
 impl Programs {
     pub fn new(sources: &'static [Source]) -> Self {
@@ -99,7 +108,29 @@ impl Programs {
         Self {
             source_of: sources.iter().flat_map(names).collect(),
             built: RefCell::default(),
+            gate: RefCell::default(),
         }
+    }
+
+    /// No further program is built before `gate` lets it.
+    pub fn wait_for(&self, gate: Gate) {
+        self.gate.replace(Some(gate));
+    }
+
+    /// Waits until the program of that name may be built.
+    ///
+    /// # Errors
+    /// [`Error::Refused`]: what the gate says.
+    pub fn pass(&self, name: &str) -> Result<()> {
+        match &*self.gate.borrow() {
+            Some(gate) => gate(name).map_err(Error::Refused),
+            None => Ok(()),
+        }
+    }
+
+    /// Names of the programs that are built, in no order.
+    pub fn names(&self) -> Vec<String> {
+        self.built.borrow().keys().map(name_of).collect()
     }
 
     /// The program of the stage that has this kernel, for samples of a type, or for uneven axes.
@@ -126,6 +157,7 @@ impl Programs {
         if let Some(program) = self.built.borrow().get(&key) {
             return Ok(Rc::clone(program));
         }
+        self.pass(&name_of(&key))?;
         let program = Rc::new(build(source, &variant.options())?);
         self.built.borrow_mut().insert(key, Rc::clone(&program));
         Ok(program)

@@ -137,6 +137,9 @@ describe("the top line", () => {
     expect(summaryOf(final, 50, true, voxels(1))).toEqual({ parts: ["50 triangles so far"], activity: "Working" });
     expect(summaryOf({ ...INITIAL_STATE, connection: "waiting" }, 0, false, voxels(1))).toEqual({ parts: [], activity: "Reconnecting" });
     expect(summaryOf({ ...final, openedShare: 0.4 }, 0, false, voxels(1)).activity).toBe("Opening, 40 %");
+    const preparing = { ...final, openedShare: 0.4, preparing: { done: 12, of: 34 } };
+    expect(summaryOf(preparing, 0, false, voxels(1)).activity).toBe("Preparing the device, 12 of 34");
+    expect(hintText({ ...preparing, opening: true }, false)).toContain("Preparing the device, 12 of 34");
   });
 
   test("has the error measured, estimated with its sign, or not at all", () => {

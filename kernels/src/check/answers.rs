@@ -45,7 +45,7 @@ pub(super) const TREE: Known = Known {
 };
 pub(super) const MARCHED: [u64; 2] = [276, 165];
 pub(super) const LEAVES: [u64; 2] = [3134, 3097];
-pub(super) const CURVE: [u64; 2] = [6264, 6];
+pub(super) const CURVE_END: u64 = 16;
 pub(super) const ERROR: [f32; 2] = [0.155656, 1.09297];
 pub(super) const TREE_ERROR: f32 = 0.0384198;
 pub(super) const PROBED: [f32; 2] = [0.486036, 2085.75];

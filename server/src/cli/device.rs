@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use isopeel_kernels::{Engine, SampleType};
 
-use crate::device::{DeviceFailure, Prepared, Unprepared, Wanted, cache, prepare};
-use crate::extraction::{Choice, DeviceOptions, NoChoice, Report};
+use crate::device::{DeviceFailure, Prepared, Proven, Rest, Unprepared, Wanted, cache, prepare};
+use crate::extraction::{Choice, DeviceOptions, NoChoice, Report, SharedGate};
 
 /// Arguments of commands that use a device.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -75,17 +75,12 @@ impl DeviceArgs {
         let wanted = self.wanted(types.clone(), true);
         let choose = move |report: &Report| match prepare(&wanted, &|done, of| report.progress(done, of)) {
             Ok(mut prepared) => {
-                if let Some(rest) = prepared.rest.take() {
-                    let report = report.clone();
-                    // Children end with the thread that started them: this one, which is the device's.
-                    std::thread::spawn(move || {
-                        if let Err(failure) = rest.wait(&|_, _| ()) {
-                            tracing::error!("{failure}");
-                            report.refuse(failure.to_string());
-                        }
-                    });
-                }
-                Ok(choice(&prepared))
+                let rest = prepared.rest.take();
+                let gate = rest.map(|rest| checked_meanwhile(rest, report.clone()));
+                Ok(Choice {
+                    gate,
+                    ..choice(&prepared)
+                })
             }
             Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
             Err(Unprepared::NewProcess(environment)) => {
@@ -113,10 +108,29 @@ impl DeviceArgs {
     }
 }
 
+/// Goes on with a check. Programs wait at the gate until they have passed it.
+fn checked_meanwhile(rest: Rest, report: Report) -> SharedGate {
+    let proven = Arc::new(Proven::default());
+    let found = Arc::clone(&proven);
+    // Children end with the thread that started them: the caller's, which is the device's.
+    std::thread::spawn(move || {
+        let checked = rest
+            .wait(&|programs| found.add(programs))
+            .map_err(|failure| failure.to_string());
+        if let Err(why) = &checked {
+            tracing::error!("{why}");
+            report.refuse(why.clone());
+        }
+        found.end(checked);
+    });
+    Arc::new(move |program| proven.wait_for(program))
+}
+
 fn choice(prepared: &Prepared) -> Choice {
     Choice {
         selector: prepared.selector.clone(),
         tuning: prepared.tuning,
+        gate: None,
     }
 }
 

@@ -22,10 +22,8 @@ pub enum Request {
         index: usize,
         /// How it is used.
         workaround: Workaround,
-        /// Stages, in this order.
-        stages: Vec<String>,
-        /// Sample types.
-        types: Vec<String>,
+        /// Stage and sample type of each, in this order.
+        programs: Vec<(String, String)>,
     },
     /// Check a device.
     Check {
@@ -33,8 +31,10 @@ pub enum Request {
         index: usize,
         /// How it is used.
         workaround: Workaround,
-        /// Sample types.
-        types: Vec<String>,
+        /// Sample types of a first surface.
+        first: Vec<String>,
+        /// Sample types that are needed later.
+        later: Vec<String>,
     },
 }
 
@@ -52,6 +52,11 @@ pub enum Message {
         done: usize,
         /// Steps in all.
         of: usize,
+    },
+    /// A step has passed. These programs were built so far.
+    Passed {
+        /// As [`Engine::programs`] names them.
+        programs: Vec<String>,
     },
     /// All that a first surface needs is right.
     FirstSurface,
@@ -140,18 +145,18 @@ pub fn run(request: &Request) -> Result<(), BoxError> {
         Request::Build {
             index,
             workaround,
-            stages,
-            types,
+            programs,
         } => {
             // The check says what is wrong with a program, and which workaround helps.
-            let _ = build(*index, *workaround, stages, types);
+            let _ = build(*index, *workaround, programs);
             say(&Message::Done)
         }
         Request::Check {
             index,
             workaround,
-            types,
-        } => check(*index, *workaround, types),
+            first,
+            later,
+        } => check(*index, *workaround, first, later),
     }
 }
 
@@ -173,18 +178,17 @@ fn sample_types(names: &[String]) -> impl Iterator<Item = SampleType> {
     names.iter().filter_map(|name| type_of(name))
 }
 
-fn build(index: usize, workaround: Workaround, stages: &[String], types: &[String]) -> isopeel_kernels::Result<()> {
+fn build(index: usize, workaround: Workaround, programs: &[(String, String)]) -> isopeel_kernels::Result<()> {
     let engine = open(index, workaround)?;
-    for stage in stages {
-        sample_types(types).try_for_each(|sample_type| engine.build_stage(stage, sample_type))?;
-    }
-    Ok(())
+    let mut known = programs
+        .iter()
+        .filter_map(|(stage, name)| Some((stage, type_of(name)?)));
+    known.try_for_each(|(stage, sample_type)| engine.build_stage(stage, sample_type))
 }
 
-/// First what a first surface needs, of all types; then all else.
-fn check(index: usize, workaround: Workaround, types: &[String]) -> Result<(), BoxError> {
-    let types: Vec<SampleType> = sample_types(types).collect();
-    let of = STEPS.len() * types.len();
+/// First what a first surface needs, then all else.
+fn check(index: usize, workaround: Workaround, first: &[String], later: &[String]) -> Result<(), BoxError> {
+    let of = STEPS.len() * (first.len() + later.len());
     let mut done = 0;
     let mut begin = |stage: &str| {
         done += 1;
@@ -203,21 +207,34 @@ fn check(index: usize, workaround: Workaround, types: &[String]) -> Result<(), B
         Ok(engine) => engine,
         Err(error) => return say(&Message::Wrong { text: chain(&error) }),
     };
-    let mut checks: Vec<Check<'_>> = types.iter().map(|&one| Check::new(&engine, one)).collect();
-    for scope in [Scope::FirstSurface, Scope::Rest] {
-        for check in &mut checks {
+    let checks = |names| {
+        sample_types(names)
+            .map(|one| Check::new(&engine, one))
+            .collect::<Vec<_>>()
+    };
+    let (mut first, mut later) = (checks(first), checks(later));
+    let mut run = |checks: &mut [Check<'_>], scope| {
+        for check in checks {
             for step in STEPS.iter().filter(|step| step.scope == scope) {
                 begin(step.stage)?;
                 if let Err(error) = check.run(step) {
-                    return say(&Message::Wrong { text: text_of(&error) });
+                    say(&Message::Wrong { text: text_of(&error) })?;
+                    return Ok(false);
                 }
+                say(&Message::Passed {
+                    programs: engine.programs(),
+                })?;
             }
         }
-        if scope == Scope::FirstSurface {
-            say(&Message::FirstSurface)?;
-        }
+        Ok::<_, BoxError>(true)
+    };
+    if !run(&mut first, Scope::FirstSurface)? {
+        return Ok(());
     }
-    say(&Message::Done)
+    say(&Message::FirstSurface)?;
+    let all_right =
+        run(&mut first, Scope::Rest)? && run(&mut later, Scope::FirstSurface)? && run(&mut later, Scope::Rest)?;
+    if all_right { say(&Message::Done) } else { Ok(()) }
 }
 
 /// An error's chain, a compiler's log shortened to its first lines.

@@ -6,16 +6,18 @@
 //!
 //! - [`setup`]: ways to use a device, the workarounds among them.
 //! - [`child`]: what a child process does; [`run`]: how its parent sees it.
-//! - [`prepare`]: from a selector to a device that passed.
+//! - [`prepare`]: from a selector to a device that passed; [`proven`]: what has passed while the rest of a check runs.
 //! - [`cache`]: the folder of compiled kernels and verdicts.
 
 pub mod cache;
 pub mod child;
 mod listing;
 pub mod prepare;
+mod proven;
 mod run;
 pub mod setup;
 mod verdicts;
 
 pub use listing::{Listed, Unlisted, list};
-pub use prepare::{Checked, DeviceFailure, Prepared, Unprepared, Wanted, check_all, prepare};
+pub use prepare::{Checked, DeviceFailure, Prepared, Rest, Unprepared, Wanted, check_all, prepare};
+pub use proven::Proven;

@@ -15,8 +15,11 @@ use super::verdicts::Verdicts;
 /// Names what a process has chosen for the one that takes its place: it checks nothing once more.
 const CHOSEN: &str = "ISOPEEL_DEVICE_CHOSEN";
 
-/// Programs that a first surface needs and that take longest to compile come first.
-const SLOW_STAGES: [&str; 4] = ["dual", "construct", "classify", "cut"];
+/// Stages that a first surface needs. The check itself compiles in the order of need; so these begin with what it needs last.
+const FIRST_STAGES: [&str; 6] = ["dual", "classify", "cut", "histogram", "construct", "minmax"];
+
+/// Most processes that compile at once: drivers of GPUs let one after another open a device.
+const MAX_BUILDERS: usize = 4;
 
 /// What is wanted.
 #[derive(Clone, Debug, Default)]
@@ -105,12 +108,12 @@ pub struct Rest {
 }
 
 impl Rest {
-    /// Waits for its end, and keeps the verdict.
+    /// Waits for its end, and keeps the verdict. `passed` is told the programs that have passed.
     ///
     /// # Errors
     /// What was found wrong.
-    pub fn wait(mut self, progress: &dyn Fn(usize, usize)) -> Result<(), DeviceFailure> {
-        let ended = self.child.follow(progress, false).err();
+    pub fn wait(mut self, passed: &dyn Fn(Vec<String>)) -> Result<(), DeviceFailure> {
+        let ended = self.child.follow_rest(passed).err();
         match ended {
             None => {
                 keep(&self.verdicts, &self.device, self.workaround);
@@ -166,7 +169,7 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
         return with_environment(&listed, candidates[0], Workaround::None, None);
     }
     let verdicts = Verdicts::new(wanted.folder.as_deref());
-    let types = names_of(&wanted.types);
+    let types = Types::new(&wanted.types);
     let mut reports = Vec::new();
     for device in candidates {
         let id = DeviceId::of(device);
@@ -209,7 +212,7 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
 pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (Listed, Vec<Checked>) {
     let listed = list(folder.as_deref());
     let verdicts = Verdicts::new(folder.as_deref());
-    let types = names_of(&[]);
+    let types = Types::new(&[]);
     let checked = listed.devices.iter().map(|device| {
         let (checked, _) = check(device, &types, &listed.environment, false, progress);
         let id = DeviceId::of(device);
@@ -241,13 +244,48 @@ fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround) {
     }
 }
 
-/// Types to check: those wanted, and that of computed fields.
-fn names_of(types: &[SampleType]) -> Vec<String> {
-    let mut names: Vec<_> = types.iter().map(|&one| type_name(one).to_owned()).collect();
-    names.push(type_name(SampleType::F32).to_owned());
-    names.sort();
-    names.dedup();
-    names
+/// Names of the sample types to check.
+struct Types {
+    /// Those of a first surface.
+    first: Vec<String>,
+    /// That of computed fields, unless it is among the first.
+    later: Vec<String>,
+}
+
+impl Types {
+    fn new(wanted: &[SampleType]) -> Self {
+        let computed = type_name(SampleType::F32).to_owned();
+        let mut first: Vec<_> = wanted.iter().map(|&one| type_name(one).to_owned()).collect();
+        first.sort();
+        first.dedup();
+        if first.is_empty() {
+            first.push(computed.clone());
+        }
+        let later = if first.contains(&computed) {
+            Vec::new()
+        } else {
+            vec![computed]
+        };
+        Self { first, later }
+    }
+
+    /// Stage and type of all programs, in the order of need.
+    fn programs(&self) -> Vec<(String, String)> {
+        let others: Vec<_> = Engine::stages().filter(|stage| !FIRST_STAGES.contains(stage)).collect();
+        let of = |stages: &[&str], types: &[String]| {
+            let pairs = stages
+                .iter()
+                .flat_map(|stage| types.iter().map(|one| ((*stage).to_owned(), one.clone())));
+            pairs.collect::<Vec<_>>()
+        };
+        [
+            of(&FIRST_STAGES, &self.first),
+            of(&others, &self.first),
+            of(&FIRST_STAGES, &self.later),
+            of(&others, &self.later),
+        ]
+        .concat()
+    }
 }
 
 /// The devices that may be used, preferred first.
@@ -262,7 +300,7 @@ fn candidates<'a>(wanted: &Wanted, listed: &'a Listed) -> Vec<&'a DeviceInfo> {
 /// Tries one workaround after another. A child that goes on with the rest of the check is returned.
 fn check(
     device: &DeviceInfo,
-    types: &[String],
+    types: &Types,
     environment: &Environment,
     early: bool,
     progress: &dyn Fn(usize, usize),
@@ -304,32 +342,32 @@ struct Building {
 impl Building {
     fn start(
         device: &DeviceInfo,
-        types: &[String],
+        types: &Types,
         workaround: Workaround,
         environment: &Environment,
     ) -> Result<Self, Ended> {
         let check = Request::Check {
             index: device.index,
             workaround,
-            types: types.to_vec(),
+            first: types.first.clone(),
+            later: types.later.clone(),
         };
         let check = Running::start(&check, environment)?;
-        let builders = available_parallelism().map_or(1, |count| count.get() - 1).max(1);
+        let builders = available_parallelism()
+            .map_or(1, |count| count.get() - 1)
+            .clamp(1, MAX_BUILDERS);
         let mut shares = vec![Vec::new(); builders];
-        let others = Engine::stages().filter(|stage| !SLOW_STAGES.contains(stage));
-        for (at, stage) in SLOW_STAGES.into_iter().chain(others).enumerate() {
-            shares[at % builders].push(stage.to_owned());
+        for (at, program) in types.programs().into_iter().enumerate() {
+            shares[at % builders].push(program);
         }
-        let start = |stages| {
+        let started = shares.into_iter().map(|programs| {
             let request = Request::Build {
                 index: device.index,
                 workaround,
-                stages,
-                types: types.to_vec(),
+                programs,
             };
             Running::start(&request, environment)
-        };
-        let started = shares.into_iter().filter(|stages| !stages.is_empty()).map(start);
+        });
         Ok(Self {
             check,
             _builders: started.collect::<Result<_, _>>()?,
@@ -343,6 +381,16 @@ impl Building {
                 Message::Begin { done, of, .. } => progress(done, of),
                 Message::FirstSurface if early => return Ok(()),
                 _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits for the end of the check.
+    fn follow_rest(&mut self, passed: &dyn Fn(Vec<String>)) -> Result<(), Ended> {
+        while let Some(message) = self.check.next()? {
+            if let Message::Passed { programs } = message {
+                passed(programs);
             }
         }
         Ok(())
@@ -368,7 +416,7 @@ fn with_environment(
     }
     // The next process believes what this one found, so all of it must be known.
     if let Some(rest) = rest {
-        rest.wait(&|_, _| ()).map_err(Unprepared::Failed)?;
+        rest.wait(&|_| ()).map_err(Unprepared::Failed)?;
     }
     let chosen = Chosen {
         index: device.index,

@@ -51,13 +51,18 @@ pub struct Preparation {
     pub of: usize,
 }
 
+/// As [`isopeel_kernels::Gate`], for each time that the device is opened.
+pub type SharedGate = Arc<dyn Fn(&str) -> Result<(), String> + Send + Sync>;
+
 /// A device that was chosen.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct Choice {
     /// Index or a part of its name, as `isopeel devices` lists them; `None`: the first.
     pub selector: Option<String>,
     /// How its kernels are built and launched, if not by default.
     pub tuning: Option<Tuning>,
+    /// What its programs wait for, those of a first surface excepted.
+    pub gate: Option<SharedGate>,
 }
 
 /// Why there is none.
@@ -112,7 +117,12 @@ impl DeviceOptions {
     /// The device that `selector` names, opened without a check.
     pub fn unchecked(selector: Option<String>) -> Self {
         Self {
-            choose: Box::new(|_| Ok(Choice { selector, tuning: None })),
+            choose: Box::new(|_| {
+                Ok(Choice {
+                    selector,
+                    ..Choice::default()
+                })
+            }),
             types: Vec::new(),
             is_patient: false,
             surface_bytes: None,
@@ -188,6 +198,9 @@ impl DeviceThread {
             for step in STEPS.iter().filter(|step| step.scope == Scope::FirstSurface) {
                 check.run(step)?;
             }
+        }
+        if let Some(gate) = choice.gate.clone() {
+            engine.wait_for(Box::new(move |program| gate(program)));
         }
         Ok(engine)
     }

@@ -8,6 +8,7 @@ use std::time::Duration;
 use isopeel_kernels::Histogram;
 use tokio::sync::Semaphore;
 
+use super::device_thread::Preparation;
 use super::keys::{ALWAYS_DESCRIBED, HistogramKey, VolumeKey};
 use super::lock::lock;
 use super::residency::Lru;
@@ -97,6 +98,8 @@ impl Drop for Waiting {
 /// How much was done of what opening a volume takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OpeningProgress {
+    /// The device is being prepared; nothing else was done yet.
+    pub device: Option<Preparation>,
     /// Bytes so far.
     pub bytes: u64,
     /// Bytes in all: those of files to read, and those of samples, once for each time that the device goes through them.

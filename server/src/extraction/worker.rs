@@ -165,6 +165,11 @@ impl DeviceWorker {
         self.shared.state.borrow().clone()
     }
 
+    /// State of the device, now and later.
+    pub fn states(&self) -> watch::Receiver<DeviceState> {
+        self.shared.state.clone()
+    }
+
     /// Waits until the device is open.
     ///
     /// # Errors

@@ -11,8 +11,8 @@ use tokio_util::sync::CancellationToken;
 use crate::access::Identity;
 use crate::error::chain;
 use crate::extraction::{
-    Answer, DeviceWorker, EngineId, Extractor, FullCount, Held, Measurement, OpeningProgress, OpeningWatch, Question,
-    Refinement, ShownSurface, Step, WorkError, describe,
+    Answer, DeviceState, DeviceWorker, EngineId, Extractor, FullCount, Held, Measurement, OpeningProgress,
+    OpeningWatch, Question, Refinement, ShownSurface, Step, WorkError, describe,
 };
 use crate::view::View;
 use crate::volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
@@ -195,7 +195,10 @@ impl Backend for Live {
         progress: &watch::Sender<OpeningProgress>,
     ) -> Result<Opening, WorkError> {
         let open = async {
-            let device = self.extractor.worker().ready().await?;
+            let device = tokio::select! {
+                ready = self.extractor.worker().ready() => ready?,
+                never = report_device(self.extractor.worker().states(), progress) => never,
+            };
             let (worker, watch) = self.extractor.worker().watched(volume, view).await?;
             let (view, volume) = tokio::select! {
                 read = read(&worker, volume, view, token) => read?,
@@ -310,6 +313,25 @@ async fn described(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Box<Raw
         tracing::error!(%error, "a volume's description is no JSON");
         WorkError::Stopped
     })
+}
+
+/// States how far the device is, where it goes on.
+async fn report_device(mut states: watch::Receiver<DeviceState>, progress: &watch::Sender<OpeningProgress>) -> ! {
+    loop {
+        let preparation = match *states.borrow_and_update() {
+            DeviceState::Opening(preparation) if preparation.of > 0 => Some(preparation),
+            _ => None,
+        };
+        if let Some(preparation) = preparation {
+            progress.send_replace(OpeningProgress {
+                device: Some(preparation),
+                ..OpeningProgress::default()
+            });
+        }
+        if states.changed().await.is_err() {
+            std::future::pending().await
+        }
+    }
 }
 
 /// States how far the work is, where it goes on.

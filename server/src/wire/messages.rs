@@ -255,6 +255,13 @@ pub struct RegionError {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "type", rename_all = "kebab-case", rename_all_fields = "camelCase")]
 pub enum ServerMessage {
+    /// The device is being prepared: its driver is checked, and compiles. No volume is opened before.
+    Preparing {
+        /// Steps that are done.
+        done: usize,
+        /// Steps in all.
+        of: usize,
+    },
     /// The volume is being read, put on the device and counted.
     Opening {
         /// Bytes of files and samples that this has gone through so far.

@@ -186,6 +186,7 @@ async fn what_opening_takes_is_counted_for_everyone_who_waits_for_it() {
     );
     // Each field is read, put on the device, and counted by itself and its gradient. Its file is as long as its samples.
     let times = |done, all| OpeningProgress {
+        device: None,
         bytes: done * first.stored_bytes(),
         total_bytes: all * first.stored_bytes(),
     };

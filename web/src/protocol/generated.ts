@@ -544,7 +544,12 @@ export type Resume = {
 export type Role = "view" | "edit" | "export" | "upload" | "push" | "admin";
 
 /** A text frame from the server. */
-export type ServerMessage = { "type": "opening",
+export type ServerMessage = { "type": "preparing",
+  /** Steps that are done. */
+  done: number,
+  /** Steps in all. */
+  of: number,
+} | { "type": "opening",
   /** Bytes of files and samples that this has gone through so far. */
   bytes: number,
   /** Bytes that it has to go through. */

@@ -23,6 +23,8 @@ export interface ViewerState extends SurfaceState {
   readonly opening: boolean;
   /** How much of what that takes is done, 0 to 1; `undefined` where the server has not said so. */
   readonly openedShare: number | undefined;
+  /** Steps that come before it, while the server prepares its device. */
+  readonly preparing: { readonly done: number; readonly of: number } | undefined;
   /** The open volume. */
   readonly volume: VolumeInfo | undefined;
   /** The time step that is shown or being made, for people; `undefined` where its times are not known. */
@@ -66,13 +68,15 @@ export type ViewerEvent =
   /** A frame was rendered. */
   | { readonly type: "frame"; readonly at: number };
 
+/** What of an `open` is in the state after its answer. */
+const ANSWERED = { opening: false, openedShare: undefined, preparing: undefined } as const;
+
 export const INITIAL_STATE: ViewerState = {
   ...NEW_SURFACE,
+  ...ANSWERED,
   connection: "connecting",
   volumes: undefined,
   target: undefined,
-  opening: false,
-  openedShare: undefined,
   volume: undefined,
   stepLabel: undefined,
   watches: false,
@@ -94,7 +98,7 @@ export function reduce(state: ViewerState, event: ViewerEvent): ViewerState {
     case "volumes":
       return { ...state, volumes: event.volumes };
     case "open":
-      return everySurface({ ...state, target: event.target, opening: true, openedShare: undefined }, (one) => ({ ...one, refusal: undefined }));
+      return everySurface({ ...state, target: event.target, ...ANSWERED, opening: true }, (one) => ({ ...one, refusal: undefined }));
     case "surfaces":
       return arranged(state, event);
     case "sent":
@@ -129,8 +133,10 @@ function arranged(state: ViewerState, { surfaces, selected }: Extract<ViewerEven
 
 function receive(state: ViewerState, message: ServerMessage): ViewerState {
   switch (message.type) {
+    case "preparing":
+      return { ...state, preparing: { done: message.done, of: message.of }, openedShare: message.done / Math.max(1, message.of) };
     case "opening":
-      return { ...state, openedShare: message.bytes / Math.max(1, message.totalBytes) };
+      return { ...state, preparing: undefined, openedShare: message.bytes / Math.max(1, message.totalBytes) };
     case "opened":
       return opened(state, message);
     case "stepped":
@@ -169,7 +175,7 @@ function opened(state: ViewerState, { volume, edit, device, capabilities }: Extr
   // A server from before there were questions or several surfaces does not name them.
   const { questions = [], surfaces = 1, watches = false, groups = false } = capabilities as Partial<Capabilities>;
   const stepLabel = volume.times?.label;
-  const now = { ...state, opening: false, openedShare: undefined, volume, stepLabel, device, questions, watches, groups, maxSurfaces: surfaces };
+  const now = { ...state, ...ANSWERED, volume, stepLabel, device, questions, watches, groups, maxSurfaces: surfaces };
   if (!sameVolume) return { ...now, ...NEW_SURFACE, selected: 0, others: new Map(), view };
   // Another step replaces a surface when it arrives, another volume at once.
   const all = everySurface(now, (one) => ({ ...one, sentView: undefined, answers: outdated(one.answers), progress: undefined, finished: undefined }));
@@ -178,7 +184,7 @@ function opened(state: ViewerState, { volume, edit, device, capabilities }: Extr
 
 /** All surfaces that were made are made anew, each replaced when it arrives. */
 function stepped(state: ViewerState, label: string | null): ViewerState {
-  const now = { ...state, opening: false, openedShare: undefined, stepLabel: label ?? undefined };
+  const now = { ...state, ...ANSWERED, stepLabel: label ?? undefined };
   return everySurface(now, (one) => ({ ...one, working: true, answers: outdated(one.answers), progress: undefined, finished: undefined }));
 }
 
@@ -189,7 +195,7 @@ function begun(state: ViewerState, generation: number): ViewerState {
 
 /** It says of which surface it is where a generation failed, and else is about the last edit, or about `open`. */
 function refused(state: ViewerState, message: Extract<ServerMessage, { type: "error" }>): ViewerState {
-  const now = { ...state, opening: false, openedShare: undefined };
+  const now = { ...state, ...ANSWERED };
   const fail = (one: ViewerState): ViewerState => ({ ...one, working: false, refusal: message });
   if (message.surface !== undefined) return inSurface(now, message.surface, fail);
   return fail(everySurface(now, (one) => ({ ...one, working: false })));

@@ -83,13 +83,18 @@ function lastMs(all: readonly SurfaceState[]): number | undefined {
   return times.length === 0 ? undefined : Math.max(...times);
 }
 
-function activity({ connection, openedShare, opening }: ViewerState, busy: boolean): string {
+function activity({ connection, openedShare, preparing, opening }: ViewerState, busy: boolean): string {
   if (connection === "waiting") return "Reconnecting";
   if (connection === "connecting") return "Connecting";
   if (connection === "stopped") return "Disconnected";
+  if (preparing !== undefined) return preparingText(preparing);
   if (openedShare !== undefined) return `Opening, ${formatPercent(openedShare)}`;
   if (opening) return "Opening";
   return busy ? "Working" : "";
+}
+
+function preparingText({ done, of }: NonNullable<ViewerState["preparing"]>): string {
+  return `Preparing the device, ${done} of ${of}`;
 }
 
 /** Rows of the popover behind the top line. */
@@ -111,6 +116,7 @@ export function statusRows(state: ViewerState): readonly (readonly [string, stri
 export function hintText(state: ViewerState, busy: boolean): string {
   const { connection, shown, target, view, volumes } = state;
   if (volumes?.length === 0) return "There are no volumes here. Drop files on the page, or start the server with some: isopeel serve head.nrrd";
+  if (state.preparing !== undefined) return `${preparingText(state.preparing)}: this happens once for each driver`;
   if (state.opening) return `Opening ${volumes?.find((v) => v.id === target?.volume)?.title ?? target?.volume ?? ""}`;
   if (connection !== "connected") return state.volume === undefined ? "Connecting to the server" : "";
   if (state.volume === undefined) return state.refusal === undefined ? "" : "This volume could not be opened. Choose another one above";

@@ -111,6 +111,8 @@ fn unknown_or_malformed_messages_are_refused() {
 #[test]
 fn server_messages_have_the_names_of_the_protocol_page() {
     let expect = |message: ServerMessage, json: &str| assert_eq!(message.to_json(), json);
+    let preparing = ServerMessage::Preparing { done: 1, of: 2 };
+    expect(preparing, r#"{"type":"preparing","done":1,"of":2}"#);
     let opening = ServerMessage::Opening {
         bytes: 1,
         total_bytes: 2,

@@ -2,7 +2,7 @@
 
 use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, committed, prefix};
-use crate::extraction::{CutId, OpeningProgress, Shown};
+use crate::extraction::{CutId, OpeningProgress, Preparation, Shown};
 
 #[tokio::test]
 async fn edits_coalesce_while_the_first_step_of_one_is_made() {
@@ -144,9 +144,15 @@ async fn how_far_a_volume_is_is_said_until_it_is_open() {
     viewer.say(r#"{"type":"open","volume":"head"}"#).await;
     let open = viewer.opens.recv().await.expect("an open job");
     let progress = open.progress.clone().expect("a channel");
+    progress.send_replace(OpeningProgress {
+        device: Some(Preparation { done: 12, of: 34 }),
+        ..OpeningProgress::default()
+    });
+    viewer.expect(r#"{"type":"preparing","done":12,"of":34}"#).await;
     let at = |bytes| OpeningProgress {
         bytes,
         total_bytes: 100,
+        ..OpeningProgress::default()
     };
     progress.send_replace(at(30));
     viewer.expect(r#"{"type":"opening","bytes":30,"totalBytes":100}"#).await;
@@ -183,6 +189,7 @@ async fn how_far_a_volume_is_that_another_one_replaced_is_not_said() {
     progress.send_replace(OpeningProgress {
         bytes: 1,
         total_bytes: 2,
+        ..OpeningProgress::default()
     });
     first.answer();
     viewer.opens.recv().await.expect("an open job").answer();
