@@ -108,7 +108,7 @@ pub struct Rest {
 }
 
 impl Rest {
-    /// Waits for its end, and keeps the verdict. `passed` is told the programs that have passed.
+    /// Waits for its end, and keeps the verdict. `passed` gets the programs that have passed.
     ///
     /// # Errors
     /// What was found wrong.

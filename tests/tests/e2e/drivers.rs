@@ -140,3 +140,56 @@ fn a_device_that_fails_is_used_only_if_it_is_trusted() {
     ]);
     assert_eq!(trusted.status.code(), None, "{trusted:?}");
 }
+
+/// Kernels by their stages' files, in the order of their names.
+fn kernels() -> Vec<String> {
+    let folder = crate::support::repository().join("kernels/cl");
+    let mut files: Vec<_> = std::fs::read_dir(folder)
+        .expect("the kernels' sources")
+        .map(|entry| entry.expect("an entry").path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "cl"))
+        .collect();
+    files.sort();
+    let texts = files.iter().map(|file| std::fs::read_to_string(file).expect("text"));
+    let names = texts.flat_map(|text| {
+        let after = text
+            .split("__kernel")
+            .skip(1)
+            .map(|rest| rest.split_once("void ").expect("a kernel").1);
+        let names = after.map(|rest| rest.split_once('(').expect("a kernel").0.to_owned());
+        names.collect::<Vec<_>>()
+    });
+    names.collect()
+}
+
+/// Faults of three kernels, or of all with `ISOPEEL_FAULTS=all`.
+#[test]
+fn a_kernel_of_any_stage_that_fails_is_a_sentence() {
+    let all = kernels();
+    let is_all = std::env::var("ISOPEEL_FAULTS").is_ok_and(|which| which == "all");
+    let chosen: Vec<_> = if is_all {
+        all
+    } else {
+        all.into_iter()
+            .filter(|name| ["fit", "tree_relax", "probe"].contains(&name.as_str()))
+            .collect()
+    };
+    let mut unnoticed = Vec::new();
+    for kernel in chosen {
+        for fault in ["crash", "wrong", "nobuild"] {
+            let Some(broken) = Broken::new(&format!("{fault} {kernel}")) else {
+                return;
+            };
+            let output = broken.run(&["devices", "--check"]);
+            let text = String::from_utf8_lossy(&output.stdout);
+            let is_said = output.status.code() == Some(1)
+                && ["FAILS", "driver", "stage", "--trust-device"]
+                    .iter()
+                    .all(|part| text.contains(part));
+            if !is_said {
+                unnoticed.push(format!("{fault} {kernel}: {:?}", output.status));
+            }
+        }
+    }
+    assert!(unnoticed.is_empty(), "{unnoticed:#?}");
+}
