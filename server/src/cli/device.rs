@@ -76,7 +76,7 @@ impl DeviceArgs {
         let choose = move |report: &Report| match prepare(&wanted, &|done, of| report.progress(done, of)) {
             Ok(mut prepared) => {
                 let rest = prepared.rest.take();
-                let gate = rest.map(|rest| checked_meanwhile(rest, report.clone()));
+                let gate = rest.map(|rest| checked_meanwhile(rest, report.clone(), next));
                 Ok(Choice {
                     gate,
                     ..choice(&prepared)
@@ -108,20 +108,27 @@ impl DeviceArgs {
     }
 }
 
-/// Goes on with a check. Programs wait at the gate until they have passed it.
-fn checked_meanwhile(rest: Rest, report: Report) -> SharedGate {
+/// Goes on with a check. Programs wait at the gate until they have passed it. If the device fails, the server ends, or another process
+/// with the `next` environment takes its place.
+fn checked_meanwhile(rest: Rest, report: Report, next: NextEnvironment) -> SharedGate {
     let proven = Arc::new(Proven::default());
     let found = Arc::clone(&proven);
     // Children end with the thread that started them: the caller's, which is the device's.
     std::thread::spawn(move || {
-        let checked = rest
-            .wait(&|programs| found.add(programs))
-            .map_err(|failure| failure.to_string());
-        if let Err(why) = &checked {
-            tracing::error!("{why}");
-            report.refuse(why.clone());
-        }
-        found.end(checked);
+        let ended = match rest.wait(&|programs| found.add(programs)) {
+            Ok(()) => Ok(()),
+            Err(Unprepared::Failed(failure)) => {
+                tracing::error!("{failure}");
+                report.refuse(failure.to_string());
+                Err(failure.to_string())
+            }
+            Err(Unprepared::NewProcess(environment)) => {
+                *next.lock().unwrap_or_else(PoisonError::into_inner) = environment;
+                report.spoil();
+                Err("the server starts again with a workaround for its driver".to_owned())
+            }
+        };
+        found.end(ended);
     });
     Arc::new(move |program| proven.wait_for(program))
 }

@@ -102,8 +102,11 @@ impl Checked {
 /// The rest of a check that runs while a device is in use.
 pub struct Rest {
     child: Building,
-    device: DeviceId,
-    workaround: Workaround,
+    device: DeviceInfo,
+    types: Types,
+    environment: Environment,
+    /// Ways that were tried, the one in use last.
+    tried: Vec<(Workaround, Option<Ended>)>,
     verdicts: Verdicts,
 }
 
@@ -111,21 +114,38 @@ impl Rest {
     /// Waits for its end, and keeps the verdict. `passed` gets the programs that have passed.
     ///
     /// # Errors
-    /// What was found wrong.
-    pub fn wait(mut self, passed: &dyn Fn(Vec<String>)) -> Result<(), DeviceFailure> {
+    /// The device is not to be used any more, or by another process in a way that passed all of the check.
+    pub fn wait(mut self, passed: &dyn Fn(Vec<String>)) -> Result<(), Unprepared> {
+        let id = DeviceId::of(&self.device);
         let ended = self.child.follow_rest(passed).err();
-        match ended {
-            None => {
-                keep(&self.verdicts, &self.device, self.workaround);
-                Ok(())
-            }
-            Some(ended) => {
-                self.verdicts.forget(&self.device);
-                Err(DeviceFailure::Unreliable {
-                    report: format!("  {}, with {}: {ended}", self.device, self.workaround.text()),
-                })
-            }
+        let Some((workaround, outcome)) = self.tried.last_mut() else {
+            return Ok(());
+        };
+        *outcome = ended;
+        if outcome.is_none() {
+            keep(&self.verdicts, &id, *workaround);
+            return Ok(());
         }
+        self.verdicts.forget(&id);
+        drop(self.child);
+        let (checked, _) = check(
+            &self.device,
+            &self.types,
+            &self.environment,
+            false,
+            self.tried,
+            &|_, _| (),
+        );
+        let report = checked.report();
+        let Some(workaround) = checked.passed() else {
+            return Err(Unprepared::Failed(DeviceFailure::Unreliable { report }));
+        };
+        tracing::warn!(
+            "{id} is used with {}, as it fails otherwise:\n{report}",
+            workaround.text()
+        );
+        keep(&self.verdicts, &id, workaround);
+        Err(new_process(self.environment, &self.device, workaround))
     }
 }
 
@@ -180,7 +200,7 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
             device = device.name,
             "the device is new to this isopeel, and is checked first"
         );
-        let (checked, child) = check(device, &types, &listed.environment, wanted.early, progress);
+        let (checked, child) = check(device, &types, &listed.environment, wanted.early, Vec::new(), progress);
         if let Some(workaround) = checked.passed() {
             if workaround != Workaround::None {
                 tracing::warn!(
@@ -191,8 +211,10 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
             }
             let rest = child.map(|child| Rest {
                 child,
-                device: id.clone(),
-                workaround,
+                device: device.clone(),
+                types: types.clone(),
+                environment: listed.environment.clone(),
+                tried: checked.tried,
                 verdicts: Verdicts::new(wanted.folder.as_deref()),
             });
             if rest.is_none() {
@@ -214,7 +236,7 @@ pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (L
     let verdicts = Verdicts::new(folder.as_deref());
     let types = Types::new(&[]);
     let checked = listed.devices.iter().map(|device| {
-        let (checked, _) = check(device, &types, &listed.environment, false, progress);
+        let (checked, _) = check(device, &types, &listed.environment, false, Vec::new(), progress);
         let id = DeviceId::of(device);
         match checked.passed() {
             Some(workaround) => keep(&verdicts, &id, workaround),
@@ -245,6 +267,7 @@ fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround) {
 }
 
 /// Names of the sample types to check.
+#[derive(Clone)]
 struct Types {
     /// Those of a first surface.
     first: Vec<String>,
@@ -297,19 +320,22 @@ fn candidates<'a>(wanted: &Wanted, listed: &'a Listed) -> Vec<&'a DeviceInfo> {
     found.map(|at| &listed.devices[at]).into_iter().collect()
 }
 
-/// Tries one workaround after another. A child that goes on with the rest of the check is returned.
+/// Tries the workarounds that were not `tried`, one after another. A child that goes on with the rest of the check is returned.
 fn check(
     device: &DeviceInfo,
     types: &Types,
     environment: &Environment,
     early: bool,
+    tried: Vec<(Workaround, Option<Ended>)>,
     progress: &dyn Fn(usize, usize),
 ) -> (Checked, Option<Building>) {
+    let is_new = |one: &Workaround| tried.iter().all(|(before, _)| before != one);
+    let workarounds: Vec<_> = Workaround::of(device).into_iter().filter(is_new).collect();
     let mut checked = Checked {
         device: device.clone(),
-        tried: Vec::new(),
+        tried,
     };
-    for workaround in Workaround::of(device) {
+    for workaround in workarounds {
         let mut environment = environment.clone();
         environment.extend(pair(workaround.environment()));
         let outcome = Building::start(device, types, workaround, &environment)
@@ -416,8 +442,14 @@ fn with_environment(
     }
     // The next process believes what this one found, so all of it must be known.
     if let Some(rest) = rest {
-        rest.wait(&|_| ()).map_err(Unprepared::Failed)?;
+        rest.wait(&|_| ())?;
     }
+    Err(new_process(listed.environment.clone(), device, workaround))
+}
+
+/// Another process uses the device in this way, with `environment` and without a check.
+fn new_process(mut environment: Environment, device: &DeviceInfo, workaround: Workaround) -> Unprepared {
+    environment.extend(pair(workaround.environment()));
     let chosen = Chosen {
         index: device.index,
         workaround,
@@ -425,7 +457,7 @@ fn with_environment(
     if let Ok(text) = serde_json::to_string(&chosen) {
         environment.push((CHOSEN.to_owned(), text));
     }
-    Err(Unprepared::NewProcess(environment))
+    Unprepared::NewProcess(environment)
 }
 
 /// What the process before this one has chosen.

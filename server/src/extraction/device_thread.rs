@@ -90,6 +90,11 @@ impl Report {
         });
     }
 
+    /// The device is not to be used by this process any more: another one takes its place.
+    pub fn spoil(&self) {
+        self.0.send_replace(DeviceState::Spoiled);
+    }
+
     /// The device is not to be used any more: the server ends with this text.
     pub fn refuse(&self, why: String) {
         self.0
@@ -209,7 +214,7 @@ impl DeviceThread {
         tracing::info!(device = device.name, platform = device.platform, "device ready");
         self.state.send_if_modified(|state| {
             // The check that goes on may have refused it meanwhile.
-            let is_refused = matches!(state, DeviceState::Failed(_));
+            let is_refused = matches!(state, DeviceState::Failed(_) | DeviceState::Spoiled);
             if !is_refused {
                 *state = DeviceState::Ready(device);
             }

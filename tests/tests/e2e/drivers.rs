@@ -1,13 +1,17 @@
 //! What becomes of drivers that are broken: `faults.c` is a layer between isopeel and the driver.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
 use crate::faults::build_layer;
 use crate::support::command::binary;
-use crate::support::server;
+use crate::support::{http, process, server};
+
+/// Longest time until a workaround is found: kernels are compiled for it.
+const LIMIT: Duration = Duration::from_secs(240);
 
 /// A driver that fails in one way, and an isopeel that has not seen it before.
 struct Broken {
@@ -28,16 +32,13 @@ impl Broken {
     }
 
     fn run(&self, arguments: &[&str]) -> Output {
-        let home = std::env::var_os("HOME").expect("a home");
-        let kept = Path::new(&home).join(".cache/pocl/kcache");
-        let kept = std::env::var_os("POCL_CACHE_DIR").map_or(kept, Into::into);
         Command::new(binary())
             .args(arguments)
             .env("OPENCL_LAYERS", &self.layer)
             .env("DEVICE_FAULT", self.folder.path().join("fault"))
             .env("ISOPEEL_KERNEL_CACHE", self.folder.path().join("cache"))
             // Compiled kernels are those that all tests use.
-            .env("POCL_CACHE_DIR", kept)
+            .env("POCL_CACHE_DIR", compiled_kernels())
             .env("ISOPEEL_CHECK_SECONDS", "4")
             .stdin(Stdio::null())
             .output()
@@ -139,6 +140,60 @@ fn a_device_that_fails_is_used_only_if_it_is_trusted() {
         "--trust-device",
     ]);
     assert_eq!(trusted.status.code(), None, "{trusted:?}");
+}
+
+/// Folder of compiled kernels that all tests use.
+fn compiled_kernels() -> PathBuf {
+    let home = std::env::var_os("HOME").expect("a home");
+    let kept = Path::new(&home).join(".cache/pocl/kcache");
+    std::env::var_os("POCL_CACHE_DIR").map_or(kept, Into::into)
+}
+
+/// A stage fails that no first surface needs: the server has made surfaces already.
+#[test]
+fn a_server_whose_driver_fails_late_starts_again_with_a_workaround() {
+    let Some(broken) = Broken::new("wrong slice") else {
+        return;
+    };
+    let listed = broken.run(&["devices"]);
+    if !String::from_utf8_lossy(&listed.stdout).starts_with("0: pthread") {
+        // The fault is one that an option of PoCL helps against.
+        return;
+    }
+    let volume = broken.folder.path().join("ball.npy");
+    crate::support::ball::write(&volume);
+    let cache = broken.folder.path().join("cache");
+    let environment = [
+        ("OPENCL_LAYERS", &*broken.layer),
+        ("DEVICE_FAULT", &*broken.folder.path().join("fault")),
+        ("DEVICE_FAULT_UNLESS", Path::new("POCL_WORK_GROUP_METHOD")),
+        ("ISOPEEL_KERNEL_CACHE", &*cache),
+        ("POCL_CACHE_DIR", &*compiled_kernels()),
+    ];
+    let process = process::start_in(&[volume], &[], &environment).expect("a device");
+    let verdict = || {
+        let files = std::fs::read_dir(cache.join("devices")).ok()?;
+        let texts = files.map(|file| std::fs::read_to_string(file.expect("a file").path()).expect("text"));
+        texts.last()
+    };
+    let is_ready =
+        || http::send(process.address, "GET", "/readyz", &[], b"").is_some_and(|answer| answer.status == 200);
+    let start = Instant::now();
+    while verdict().is_none() || !is_ready() {
+        assert!(
+            start.elapsed() < LIMIT,
+            "the server has found no workaround: {:?}",
+            verdict()
+        );
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(
+        verdict().is_some_and(|text| text.contains("\"loops\"")),
+        "{:?}",
+        verdict()
+    );
+    let body = serde_json::json!({"volume": "ball", "iso": 0.5, "format": "stl"});
+    assert_eq!(http::post_json(process.address, "/api/v1/extract", &body).status, 200);
 }
 
 /// Kernels by their stages' files, in the order of their names.
