@@ -1,10 +1,9 @@
 //! The `isopeel` binary.
 
-use std::io::{self, IsTerminal};
+use std::io::{self, Write};
 use std::process::ExitCode;
 
-use isopeel::cli::{self, LogFormat};
-use tracing_subscriber::EnvFilter;
+use isopeel::cli::{self, log};
 
 fn main() -> ExitCode {
     for (name, folder) in isopeel::device::cache::driver_folders() {
@@ -15,22 +14,17 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return failed(&error),
     };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(cli.command.default_log()));
-    let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(io::stderr)
-        .with_ansi(io::stderr().is_terminal());
-    match cli.log_format {
-        LogFormat::Text => log.init(),
-        LogFormat::Json => log.json().flatten_event(true).init(),
-    }
-    match cli::run(cli) {
+    log::start(cli.log_format, cli.command.default_log());
+    let ended = cli::run(cli);
+    log::finish();
+    match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => failed(&*error),
     }
 }
 
 fn failed(error: &(dyn std::error::Error + 'static)) -> ExitCode {
-    eprintln!("error: {}", isopeel::error::chain(error));
+    // Without standard error there is nobody to say it to.
+    let _ = writeln!(io::stderr(), "error: {}", isopeel::error::chain(error));
     ExitCode::FAILURE
 }

@@ -7,6 +7,7 @@ pub mod devices;
 pub mod extract;
 pub mod info;
 pub mod jobs;
+pub mod log;
 pub mod serve;
 pub mod settings;
 pub mod token;

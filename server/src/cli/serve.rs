@@ -13,6 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::device::{DeviceArgs, NextEnvironment};
+use super::log;
 use crate::access::{
     Access, AllowedOrigin, Audit, AuditError, PublicUrl, Rates, Token, TokenError, TokenFile, TokenFileError,
     TokenWatch, TrustedProxy,
@@ -305,10 +306,12 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let has_ended = worker.end_within(DEVICE_GRACE);
     if matches!(served, Err(ServeError::Spoiled)) {
         tracing::warn!("another process takes the place of this one");
+        log::finish();
         return Err(Error::Relaunch(relaunch::relaunch(&address, token.as_ref(), &next)));
     }
     if !has_ended {
         tracing::warn!("the device is at work still, the process ends without it");
+        log::finish();
         signals::exit_now(served.is_ok());
     }
     Ok(served?)

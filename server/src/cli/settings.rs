@@ -17,6 +17,9 @@ const COMMAND: &str = "serve";
 const OPTION: &str = "config";
 const VARIABLE: &str = "ISOPEEL_CONFIG";
 
+/// Options whose values have commas. Lists of them are parted by semicolons.
+const HAVE_COMMAS: [&str; 1] = ["oidc-role"];
+
 /// The key of the paths, which have no option.
 const PATHS: &str = "paths";
 
@@ -122,6 +125,7 @@ fn with_variables(command: Command) -> Command {
                 let variable = variable_of(long);
                 // What may be given again is a list.
                 let arg = match arg.get_action() {
+                    ArgAction::Append if HAVE_COMMAS.contains(&long) => arg.value_delimiter(';'),
                     ArgAction::Append => arg.value_delimiter(','),
                     _ => arg,
                 };
@@ -258,6 +262,58 @@ mod tests {
         ] {
             let error = served(file, "isopeel serve").expect_err(file);
             assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn roles_of_groups_may_be_several_everywhere() {
+        let roles = |line: &str, file: &str| {
+            let args = format!("{:?}", served(file, line).expect("arguments"));
+            let (_, roles) = args.split_once("oidc_role: ").expect("the option");
+            roles.matches("GroupRoles").count()
+        };
+        assert_eq!(
+            roles("isopeel serve --oidc-role staff=edit,export --oidc-role *=view", ""),
+            2
+        );
+        assert_eq!(roles("isopeel serve --oidc-role staff=edit,export;*=view", ""), 2);
+        assert_eq!(
+            roles("isopeel serve", "oidc-role = [\"staff=edit,export\", \"*=view\"]"),
+            2
+        );
+    }
+
+    /// Lines of code in the documentation that call this program, with what a line after a backslash adds.
+    fn documented() -> Vec<(String, String)> {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let pages = ["docs", "server", "docker"].map(|folder| root.join(folder));
+        let pages = pages
+            .iter()
+            .flat_map(|folder| std::fs::read_dir(folder).expect("a folder"));
+        let pages = pages
+            .map(|page| page.expect("a page").path())
+            .chain([root.join("README.md"), root.join("CONTRIBUTING.md")]);
+        let mut found = Vec::new();
+        for page in pages.filter(|page| page.extension().is_some_and(|kind| kind == "md")) {
+            let text = std::fs::read_to_string(&page).expect("text").replace("\\\n", " ");
+            for line in text.lines() {
+                let line = line.strip_prefix("    ").unwrap_or_default();
+                if line.starts_with("isopeel ") {
+                    found.push((page.display().to_string(), line.to_owned()));
+                }
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn the_commands_of_the_documentation_are_understood() {
+        let lines = documented();
+        assert!(lines.len() > 15, "{lines:?}");
+        for (page, line) in lines {
+            let line = line.split(" # ").next().unwrap_or_default().replace(['\'', '"'], "");
+            let parsed = with_variables(Cli::command()).try_get_matches_from(words(&line));
+            assert!(parsed.is_ok(), "{page}: {line}: {}", parsed.expect_err("an error"));
         }
     }
 

@@ -17,6 +17,7 @@ mod interest;
 mod interrupted;
 mod jobs;
 mod kills;
+mod log;
 mod memory;
 mod metrics;
 mod mutated;

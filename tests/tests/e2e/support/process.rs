@@ -58,6 +58,16 @@ pub fn start_logged_in(
     Some(process)
 }
 
+/// A server without volumes that writes all lines of its log there.
+pub fn start_logging_to(log: Stdio) -> Option<Process> {
+    let mut command = Command::new(command::binary());
+    command.env("RUST_LOG", "debug");
+    let options = ["--no-auth", "--rate-peer", "0"];
+    let (process, _) = spawn(command, &[], &options, log)?;
+    wait_until_ready(&process);
+    Some(process)
+}
+
 fn wait_until_ready(process: &Process) {
     let start = Instant::now();
     while http::get(process.address, "/readyz").status != 200 {

@@ -1,0 +1,148 @@
+//! The log: lines on standard error. A thread of its own writes them, so that whoever logs neither waits nor fails where that cannot be
+//! written: a reader that is stuck, a pipe whose reader has ended, a full disk. Lines that find no place are dropped and counted, and the
+//! count is a line of its own when there is place again.
+
+use std::io::{self, IsTerminal, Write};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder, WorkerGuard};
+use tracing_subscriber::EnvFilter;
+
+use super::LogFormat;
+
+/// Lines that may wait.
+const WAITING_LINES: usize = 4096;
+
+/// Held until the log ends.
+static GUARD: Mutex<Option<WorkerGuard>> = Mutex::new(None);
+
+/// Starts the log. `RUST_LOG` says which lines it has, else `default_filter`.
+pub fn start(format: LogFormat, default_filter: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_filter));
+    let queue = Arc::new(OnceLock::new());
+    let (writer, guard) = NonBlockingBuilder::default()
+        .buffered_lines_limit(WAITING_LINES)
+        .thread_name("isopeel-log")
+        .finish(Lines::new(io::stderr(), format, Arc::clone(&queue)));
+    let _ = queue.set(writer.error_counter());
+    *GUARD.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(writer)
+        .with_ansi(io::stderr().is_terminal());
+    match format {
+        LogFormat::Text => log.init(),
+        LogFormat::Json => log.json().flatten_event(true).init(),
+    }
+}
+
+/// Ends the log once its lines are written, or after a second.
+pub fn finish() {
+    GUARD.lock().unwrap_or_else(PoisonError::into_inner).take();
+}
+
+/// Writes lines where it can.
+struct Lines<W> {
+    out: W,
+    format: LogFormat,
+    /// Knows the lines that the full queue did not take.
+    queue: Arc<OnceLock<ErrorCounter>>,
+    /// Lines that could not be written.
+    unwritten: usize,
+    /// Lines that are missing and were said to be.
+    said: usize,
+}
+
+impl<W: Write> Lines<W> {
+    fn new(out: W, format: LogFormat, queue: Arc<OnceLock<ErrorCounter>>) -> Self {
+        Self {
+            out,
+            format,
+            queue,
+            unwritten: 0,
+            said: 0,
+        }
+    }
+
+    fn dropped(&self) -> usize {
+        self.unwritten + self.queue.get().map_or(0, ErrorCounter::dropped_lines)
+    }
+
+    /// Says how many lines are missing since this was said last.
+    fn say_dropped(&mut self) -> io::Result<()> {
+        let dropped = self.dropped();
+        if dropped == self.said {
+            return Ok(());
+        }
+        let text = format!(
+            "{} lines of the log are missing here: standard error could not be written",
+            dropped - self.said
+        );
+        match self.format {
+            LogFormat::Text => writeln!(self.out, " WARN isopeel: {text}")?,
+            LogFormat::Json => writeln!(self.out, "{}", serde_json::json!({"level": "WARN", "message": text}))?,
+        }
+        self.said = dropped;
+        Ok(())
+    }
+}
+
+impl<W: Write> Write for Lines<W> {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        let written = self.say_dropped().and_then(|()| self.out.write_all(line));
+        self.unwritten += usize::from(written.is_err());
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        // What cannot be written is counted above.
+        let _ = self.out.flush();
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Takes what there is room for.
+    #[derive(Default)]
+    struct Disk {
+        text: String,
+        is_full: bool,
+    }
+
+    struct Room<'a>(&'a Mutex<Disk>);
+
+    impl Write for Room<'_> {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let mut disk = self.0.lock().expect("no panic");
+            if disk.is_full {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            disk.text += std::str::from_utf8(bytes).expect("text");
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn lines_that_could_not_be_written_are_counted_when_there_is_room_again() {
+        let disk = Mutex::new(Disk::default());
+        let mut lines = Lines::new(Room(&disk), LogFormat::Text, Arc::default());
+        let fill = |is_full| disk.lock().expect("no panic").is_full = is_full;
+        lines.write_all(b"one\n").expect("never fails");
+        fill(true);
+        lines.write_all(b"two\n").expect("never fails");
+        lines.write_all(b"three\n").expect("never fails");
+        fill(false);
+        lines.write_all(b"four\n").expect("never fails");
+        lines.write_all(b"five\n").expect("never fails");
+        let text = disk.lock().expect("no panic").text.clone();
+        let missing = " WARN isopeel: 2 lines of the log are missing here: standard error could not be written";
+        assert_eq!(text, format!("one\n{missing}\nfour\nfive\n"));
+    }
+}
