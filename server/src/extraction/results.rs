@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
-use isopeel_kernels::{StageTime, Surface, SurfaceError};
+use isopeel_kernels::{Level, StageTime, Surface, SurfaceError, SurfaceStatistics};
 
+use super::cuts::Cuts;
 use crate::view::View;
 
 /// A surface and its view.
@@ -73,6 +74,27 @@ pub struct Refinement {
     pub wall: Duration,
     /// The part of it from the cut to the mesh on the host.
     pub meshing: Duration,
+}
+
+impl Refinement {
+    /// No triangle of a view's surface.
+    pub fn nothing(view: &View) -> Self {
+        Self {
+            surface: Surface {
+                regions: Vec::new(),
+                remade: None,
+                prefix: Level::FINEST,
+                statistics: SurfaceStatistics::default(),
+            },
+            view: view.clone(),
+            cut: Cuts::new_id(),
+            target: None,
+            is_final: false,
+            can_improve: false,
+            wall: Duration::ZERO,
+            meshing: Duration::ZERO,
+        }
+    }
 }
 
 /// What is known of a surface before anything of it is made.

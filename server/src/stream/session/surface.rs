@@ -46,13 +46,10 @@ pub(super) struct SurfaceSession {
     pub holds_another_step: bool,
 }
 
-/// How the last generation of a surface failed.
-#[derive(Clone, Copy, Debug)]
+/// The last generation of a surface has failed.
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Failed {
-    /// The connection's budget, and the part that it had of it.
-    pub budget: Option<Budget>,
-    pub part: Option<Budget>,
-    /// Another part has become possible since.
+    /// Something has changed since.
     pub may_retry: bool,
 }
 
