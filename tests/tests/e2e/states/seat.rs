@@ -9,7 +9,6 @@ use tokio::net::TcpSocket;
 use tokio::time::{Instant, timeout_at};
 
 use super::compare::{Difference, Regions};
-use super::known::Ingredient;
 use super::model::{Model, View};
 use super::volumes::MISSING;
 use crate::support::chunk::Chunk;
@@ -22,8 +21,10 @@ const REST_LIMIT: Duration = Duration::from_secs(90);
 const SILENCE: Duration = Duration::from_secs(15);
 /// Bytes that the network takes on a slow line.
 const RECEIVE_BUFFER: u32 = 4096;
-/// A measured error may be above the guard by so much: vertices are on a lattice.
-const GUARD_TOLERANCE: f64 = 1.1;
+/// Edges that are named where a surface is not closed.
+const SHOWN_EDGES: usize = 4;
+/// Frames that are named where an outcome is not as expected.
+const SHOWN_FRAMES: usize = 40;
 
 /// A final surface.
 #[derive(Clone, Debug)]
@@ -123,8 +124,7 @@ impl Seat {
             socket.set_recv_buffer_size(RECEIVE_BUFFER).expect("a small buffer");
         }
         let tcp = socket.connect(address).await.expect("the server listens");
-        let mut viewer = Viewer::connect_on(tcp, address).await;
-        viewer.may_repeat = !Ingredient::RepeatedRegions.is_on();
+        let viewer = Viewer::connect_on(tcp, address).await;
         Self {
             viewer,
             model: Model::open("", &json!({})),
@@ -304,15 +304,16 @@ impl Seat {
 
     /// A surface of the dual mesher is closed but for the volume's faces, whatever the prefix.
     fn check_closed(&mut self, surface: u8, level: u8) {
-        let is_thin = self.dims.iter().any(|&n| n < 4) && !Ingredient::ThinVolumes.is_on();
-        if self.is_marched || self.had_mask[usize::from(surface)] || self.is_follower || is_thin {
+        if self.is_marched || self.had_mask[usize::from(surface)] || self.is_follower {
             return;
         }
         let open = open_edges(self.shown(surface).values(), self.dims);
-        if open > 0 {
+        if !open.is_empty() {
             let detail = format!(
-                "{open} open edges in a prefix of level {level} of surface {surface}: {}",
-                self.model.volume
+                "{} open edges in a prefix of level {level} of surface {surface} of {}: {:?}",
+                open.len(),
+                self.model.volume,
+                &open[..open.len().min(SHOWN_EDGES)]
             );
             self.found.get_or_insert(Difference::new("open edges", detail));
         }
@@ -435,23 +436,23 @@ impl Seat {
             let Some(of) = outcome.finals.last() else { continue };
             let stated = of.statistics["vertices"].as_u64().expect("a count");
             let (distinct, all) = of.vertices();
-            let is_checked = !self.had_mask[usize::from(surface)] || Ingredient::VerticesOfMasks.is_on();
-            if is_checked && !(distinct..=all).contains(&stated) {
+            if !(distinct..=all).contains(&stated) {
                 let detail = format!("{stated}, of {all} in chunks {distinct} are distinct; {view:?}");
                 return Err(Difference::new("vertices", detail));
             }
-            let guard = of.statistics["maxError"]
-                .as_f64()
-                .filter(|_| of.statistics["gaveWay"] == json!([]));
-            let Some((guard, measured)) = guard.zip(outcome.measured.as_ref()) else {
-                continue;
-            };
-            if measured.error[1] > guard * GUARD_TOLERANCE && Ingredient::MeasuredGuards.is_on() {
-                let detail = format!("measured {:?}, guard {guard}; {view:?}", measured.error);
-                return Err(Difference::new("guard", detail));
-            }
         }
         Ok(())
+    }
+
+    /// The last messages, chunks left out.
+    pub fn last_frames(&self) -> String {
+        let frames = self.viewer.log.iter().rev();
+        let frames = frames.filter(|frame| !matches!(frame, Frame::Chunk { .. } | Frame::Errors { .. }));
+        let texts: Vec<_> = frames
+            .take(SHOWN_FRAMES)
+            .map(|frame| brief(format!("{frame:?}")))
+            .collect();
+        texts.into_iter().rev().collect::<Vec<_>>().join("\n")
     }
 
     fn states(&self) -> Vec<(u32, usize, bool)> {
@@ -485,4 +486,13 @@ fn check_budget(surface: u8, of: &Final, name: &str, budget: &Value) -> Result<(
             format!("surface {surface}: {found} {name}, expected at most {limit}"),
         )),
     }
+}
+
+/// The beginning of a text.
+fn brief(mut text: String) -> String {
+    const LENGTH: usize = 240;
+    if let Some((end, _)) = text.char_indices().nth(LENGTH) {
+        text.truncate(end);
+    }
+    text
 }
