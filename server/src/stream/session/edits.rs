@@ -78,8 +78,8 @@ impl<B: Backend> Session<B> {
                 _ => self.change(number),
             }
         }
-        let overstaying = self.opened.as_ref().map(OpenVolume::overstaying);
-        overstaying.into_iter().flatten().for_each(|number| self.change(number));
+        let outdated = self.opened.as_ref().map(OpenVolume::outdated);
+        outdated.into_iter().flatten().for_each(|number| self.change(number));
     }
 
     pub(super) fn on_cancel(&mut self) {

@@ -80,10 +80,17 @@ impl<B: Backend> Session<B> {
     pub(super) fn end_failed(&mut self, surface: u8) {
         let Some(opened) = &mut self.opened else { return };
         let (volume, may_stay) = (opened.volume.clone(), opened.may_stay(surface));
+        let failure = opened
+            .surface(surface)
+            .and_then(|session| session.generation()?.failure.as_deref());
+        let failed = Failed {
+            shared_triangles: opened.shared_triangles(),
+            may_retry: failure.is_some_and(ServerMessage::suggests_budget),
+        };
         let Some(session) = opened.surface_mut(surface) else {
             return;
         };
-        session.failed = Some(Failed::default());
+        session.failed = Some(failed);
         let failure = match session.generation_mut() {
             Some(generation) if !may_stay && generation.failure.is_some() => {
                 generation.clear(&volume);

@@ -155,13 +155,18 @@ impl OpenVolume {
         Some(allotments)
     }
 
-    /// Surfaces that failed, and of which the client may not keep what it holds any more: they are tried again.
-    pub(super) fn overstaying(&self) -> Vec<u8> {
-        let failed = self
+    /// Surfaces that failed and are tried again though their parts are as they were: the client may not keep what it holds of them any more, or
+    /// another budget is to be suggested.
+    pub(super) fn outdated(&self) -> Vec<u8> {
+        let all = self.shared_triangles();
+        let is_outdated = |number: u8, surface: &SurfaceSession| {
+            let failed = surface.failed.filter(|_| surface.shares() && !surface.is_busy());
+            failed.is_some_and(|failed| failed.shared_triangles != all || !self.may_stay(number))
+        };
+        let outdated = self
             .surfaces()
-            .filter(|(_, surface)| surface.failed.is_some() && !surface.is_busy());
-        let numbers = failed.map(|(number, _)| number);
-        numbers.filter(|number| !self.may_stay(*number)).collect()
+            .filter(|&(number, surface)| is_outdated(number, surface));
+        outdated.map(|(number, _)| number).collect()
     }
 
     /// The budget of all together of which a surface gets a part of so many triangles.

@@ -47,9 +47,11 @@ pub(super) struct SurfaceSession {
 }
 
 /// The last generation of a surface has failed.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Failed {
-    /// Something has changed since.
+    /// Triangles of all surfaces that shared the budget then: what was suggested depends on them.
+    pub shared_triangles: Option<u64>,
+    /// Something has changed since, or another part of the budget may help.
     pub may_retry: bool,
 }
 

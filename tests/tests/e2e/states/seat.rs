@@ -1,6 +1,6 @@
 //! A viewer with what it has been sent, and the model of what it should be shown.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::net::SocketAddr;
 use std::time::Duration;
 
@@ -95,7 +95,9 @@ pub struct Seat {
     /// `bad-edit` so far, and how many were expected.
     bad_edits: usize,
     pub expected_bad_edits: usize,
-    /// Whether the question was answered that is asked to wait for rest, and chunks that are still to come.
+    /// Kinds of questions that were asked and not answered, but for the one that is asked to wait for rest.
+    questions: BTreeSet<String>,
+    /// Whether that one was answered, and chunks that are still to come.
     is_answered: bool,
     chunks_to_come: usize,
     /// Errors that no `superseded` has followed yet.
@@ -134,6 +136,7 @@ impl Seat {
             line,
             bad_edits: 0,
             expected_bad_edits: 0,
+            questions: BTreeSet::new(),
             is_answered: false,
             chunks_to_come: 0,
             errors: Vec::new(),
@@ -191,6 +194,12 @@ impl Seat {
     }
 
     pub async fn send(&mut self, message: Value) {
+        match message["type"].as_str() {
+            Some(kind @ ("probe" | "distribution" | "curve")) => drop(self.questions.insert(kind.to_owned())),
+            // These are not answered any more.
+            Some("open" | "cancel" | "remove") => self.questions.clear(),
+            _ => {}
+        }
         self.viewer.send(message).await;
     }
 
@@ -295,6 +304,7 @@ impl Seat {
                 self.chunks_to_come = answer["regions"].as_u64().expect("a count") as usize;
                 self.is_answered = true;
             }
+            Frame::Answer { kind, .. } => drop(self.questions.remove(if kind == "probed" { "probe" } else { &kind })),
             Frame::Errors { .. } => self.chunks_to_come = self.chunks_to_come.saturating_sub(1),
             Frame::Group(group) => self.group = group["group"].as_str().map(str::to_owned),
             Frame::Closed { code } => panic!("closed with {code:?}"),
@@ -335,7 +345,8 @@ impl Seat {
 
     fn take_error(&mut self, code: String, surface: Option<u8>, suggested_triangles: Option<u64>) {
         match code.as_str() {
-            "no-surface" | "unknown-surface" => return self.is_answered = true,
+            // It does not say which question is meant: those that were asked before are answered first.
+            "no-surface" | "unknown-surface" => return self.is_answered |= self.questions.pop_first().is_none(),
             "volume-removed" => return self.is_removed = true,
             "bad-edit" => return self.bad_edits += 1,
             _ => {}
