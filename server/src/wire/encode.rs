@@ -34,8 +34,8 @@ const _: () = assert!(LATTICE_RATIO.count_ones() == 1);
 /// Random bits, so that zeros in a vertex do not make the product 0.
 const HASH_KEYS: [u64; 2] = [0xa076_1d64_78bd_642f, 0xe703_7ed1_a0b4_28db];
 
-/// Corners of triangles that are hashed at a time.
-const HASHED_CORNERS: usize = 96;
+/// Triangles that are hashed at a time.
+const HASHED_TRIANGLES: usize = 32;
 
 impl WireVertex {
     /// Rounds to the wire's lattice. A region begins at a multiple of its unit, so vertices that are equal in two regions
@@ -59,12 +59,11 @@ impl WireVertex {
         }
     }
 
-    /// Of all that is sent of it: the product of its two words, folded, as in wyhash.
+    /// Of all that is sent of it.
     fn hash(self) -> u64 {
         let [a, b, c]: [u32; VERTEX_BYTES / 4] = bytemuck::cast(self);
         let first = u64::from(a) | u64::from(b) << 32;
-        let product = u128::from(first ^ HASH_KEYS[0]) * u128::from(u64::from(c) ^ HASH_KEYS[1]);
-        product as u64 ^ (product >> 64) as u64
+        folded_product(first ^ HASH_KEYS[0], u64::from(c) ^ HASH_KEYS[1])
     }
 }
 
@@ -186,24 +185,58 @@ fn check(region: &Region) -> Result<(), EncodeError> {
     Ok(())
 }
 
-/// Hash of a region's mesh as it is sent: a region whose hash the client holds is not sent again. Vertices count by what is sent of them,
-/// not by their numbers, which differ where the same mesh is made in another way; nor do those count that no triangle has. Two different meshes of one region collide once in 10¹⁹ times.
-pub fn content_hash(region: &Region) -> u64 {
-    VERTEX_HASHES.with_borrow_mut(|hashes| {
-        hashes.clear();
-        hashes.extend(region.vertices.iter().map(|vertex| WireVertex::quantise(vertex).hash()));
-        let mut hash = Xxh3::new();
-        hash.update(bytemuck::cast_slice(&region.level_triangles));
-        let mut corners = [0; HASHED_CORNERS];
-        for indices in region.indices.chunks(corners.len()) {
-            let corners = &mut corners[..indices.len()];
+/// Hashes of a region's mesh as it is sent. Vertices count by what is sent of them, not by their numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MeshHash {
+    /// Of its triangles, in whatever order: a region whose triangles the client holds is not sent again. Two different meshes of one region
+    /// collide once in 10¹⁹ times.
+    pub triangles: u64,
+    /// Of its triangles and their corners in order, and so of its chunk.
+    pub order: u64,
+}
+
+impl MeshHash {
+    /// Hashes a region's mesh.
+    pub fn of(region: &Region) -> Self {
+        VERTEX_HASHES.with_borrow_mut(|hashes| {
+            hashes.clear();
+            hashes.extend(region.vertices.iter().map(|vertex| WireVertex::quantise(vertex).hash()));
             // An index past the vertices is refused when the region is encoded.
-            let of = |&index: &u32| hashes.get(index as usize).copied().unwrap_or_default();
-            corners.iter_mut().zip(indices).for_each(|(to, index)| *to = of(index));
-            hash.update(bytemuck::cast_slice(&*corners));
-        }
-        hash.digest()
-    })
+            let of = |index: u32| hashes.get(index as usize).copied().unwrap_or_default();
+            let (mut triangles, mut order) = (0_u64, Xxh3::new());
+            let mut rest = region.indices.as_chunks::<3>().0;
+            for count in region.level_triangles {
+                let (level, coarser) = rest.split_at_checked(count as usize).unwrap_or((rest, &[]));
+                rest = coarser;
+                let mut sum = u64::from(count);
+                for batch in level.chunks(HASHED_TRIANGLES) {
+                    let mut corners = [[0; 3]; HASHED_TRIANGLES];
+                    for (to, triangle) in corners.iter_mut().zip(batch) {
+                        *to = triangle.map(of);
+                        sum = sum.wrapping_add(triangle_hash(*to));
+                    }
+                    order.update(bytemuck::cast_slice(&corners[..batch.len()]));
+                }
+                order.update(&count.to_le_bytes());
+                triangles = folded_product(triangles ^ sum, HASH_KEYS[0]).wrapping_add(sum);
+            }
+            let order = order.digest();
+            Self { triangles, order }
+        })
+    }
+}
+
+/// The two halves of a product, one over the other, as in wyhash.
+fn folded_product(a: u64, b: u64) -> u64 {
+    let product = u128::from(a) * u128::from(b);
+    product as u64 ^ (product >> 64) as u64
+}
+
+/// Of the hashes of a triangle's corners, whichever of them comes first.
+fn triangle_hash([a, b, c]: [u64; 3]) -> u64 {
+    let edge = |from: u64, to: u64| folded_product(from ^ HASH_KEYS[0], to.rotate_left(32) ^ HASH_KEYS[1]);
+    let sum = edge(a, b).wrapping_add(edge(b, c)).wrapping_add(edge(c, a));
+    folded_product(sum ^ HASH_KEYS[1], HASH_KEYS[0])
 }
 
 /// Bytes of all chunks of a surface; `None` where it is cancelled before. On the rayon pool of the caller.
