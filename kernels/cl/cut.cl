@@ -45,10 +45,10 @@ INLINED void cut_cubes(const CutCriterion *criterion, bool whole, __global const
             }
             const Node node = nodes[slots + i];
             uint result = level == 5 ? INTERNAL : state[find_slot(region, bricks, level + 1, code_cell(meta_code(node.meta), level))];
-            if (result == INTERNAL && node.count > 0 && !meta_missing(node.meta)) {
+            if (result == INTERNAL && node.count > 0) {
                 const float error = counted_error(criterion, node, level, vertex_records[slots + i].error);
                 if (level == criterion->params.prefix
-                    || (may_decimate(criterion->params, node, level, error)
+                    || (!meta_missing(node.meta) && may_decimate(criterion->params, node, level, error)
                         && decimation_key(criterion, node, level, error) <= criterion->params.threshold)) {
                     result = level;
                     count++;

@@ -48,8 +48,10 @@ inline bool is_on_border(const TreeBuildArgs args, uint cell_points, uint at) {
 inline uint point_flags(const TreeBuildArgs args, uint kind, uint at, uint cell_points, uint beside, uint end, int3 position, int3 last) {
     if (at < cell_points) return kind == FAN_CLOSED ? 0 : CLUSTER_LOCKED;
     if (kind != FAN_OPEN || !is_on_border(args, cell_points, beside) || !is_on_border(args, cell_points, end)) return CLUSTER_LOCKED;
-    const int3 on_face = (position == (int3)(0)) | (position == last * (int)VERTEX_LATTICE);
-    return CLUSTER_BORDER | (on_face.x ? 1u : 0) | (on_face.y ? 2u : 0) | (on_face.z ? 4u : 0);
+    const int3 is_low = position == (int3)(0), is_high = position == last * (int)VERTEX_LATTICE;
+    const uint low = (is_low.x ? 1u : 0) | (is_low.y ? 2u : 0) | (is_low.z ? 4u : 0);
+    const uint high = (is_high.x ? 1u : 0) | (is_high.y ? 2u : 0) | (is_high.z ? 4u : 0);
+    return CLUSTER_BORDER | low | high << CLUSTER_HIGH;
 }
 
 // What the triangles around a point say: its ring, its quadric, and whether it is on a border or may not merge. `last`: of the

@@ -2,7 +2,7 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use isopeel::wire::chunk::PrefixId;
-use isopeel::wire::encode::{content_hash, encode};
+use isopeel::wire::encode::{MeshHash, encode};
 use isopeel_kernels::{
     CutParams, Engine, Feature, Grid, Isovalue, Level, Mesher, Never, Region, Result, SampleType, Shape, Synthetic,
 };
@@ -32,7 +32,11 @@ fn encoder(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("encoder");
     group.sample_size(20).throughput(Throughput::Elements(triangles));
     group.bench_function("hash", |b| {
-        b.iter(|| regions.iter().fold(0, |all, region| all ^ content_hash(region)));
+        b.iter(|| {
+            regions
+                .iter()
+                .fold(0, |all, region| all ^ MeshHash::of(region).triangles)
+        });
     });
     group.bench_function("encode", |b| {
         b.iter(|| {

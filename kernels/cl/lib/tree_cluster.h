@@ -14,9 +14,12 @@
 #define MERGE_LENGTH_COST 1e-6f // cost of an edge's squared length: of merges that cost nothing else, short ones come first
 
 // A cluster's flags
-#define CLUSTER_FIXED_AXES 7 // axes along which it may not move, one bit each: it lies on a face of the volume there
+#define CLUSTER_LOW_FACES 7u // faces of the volume that it lies on, which it may not leave, one bit each: at the low ends of the axes
 #define CLUSTER_BORDER 8     // on the surface's border on the volume's faces
 #define CLUSTER_LOCKED 16    // beside missing samples, or where two fans meet: never merges
+#define CLUSTER_HIGH_FACES (CLUSTER_LOW_FACES << CLUSTER_HIGH) // faces at the high ends
+#define CLUSTER_HIGH 5
+#define CLUSTER_FACES (CLUSTER_LOW_FACES | CLUSTER_HIGH_FACES)
 
 // As dot_real3, without contraction: costs are the same from both sides of an edge, and on every device.
 INLINED real plain_dot(Real3 a, Real3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
@@ -124,20 +127,20 @@ INLINED Merges merge_pairs(PairBatch *batch, __global const TreeCluster *cluster
     q.c += a.c;
     q.k += a.k;
     const real one = 1.0f, zero = 0.0f;
-    const integer first_axes = first_flags & CLUSTER_FIXED_AXES, second_axes = second_flags & CLUSTER_FIXED_AXES;
-    const integer fixed = first_axes | second_axes;
+    const integer first_faces = first_flags & (int)CLUSTER_FACES, second_faces = second_flags & (int)CLUSTER_FACES;
+    const integer faces = first_faces | second_faces, fixed = faces | faces >> CLUSTER_HIGH; // along which axes, in the low bits
     const Real3 mean = scale_real3(q.m, EXACT_QUOTIENT(one, fmax(q.k, 1e-30f)));
     const Real3 pulled = times_quadrics(&q, mean);
     const Real3 rest = make_real3(q.b.x - pulled.x, q.b.y - pulled.y, q.b.z - pulled.z);
     const Real3 solved = solve_pulled(&q, fmax(MERGE_PULL * q.k, 1e-30f), rest);
     const Real3 best = make_real3(PICK((fixed & 1) != 0, zero, mean.x + solved.x), PICK((fixed & 2) != 0, zero, mean.y + solved.y),
                                   PICK((fixed & 4) != 0, zero, mean.z + solved.z));
-    const Real3 end = pick_real3(fixed == first_axes, make_real3(zero, zero, zero), between);
-    merges.to = pick_real3(first_axes == second_axes, best, end);
+    const Real3 end = pick_real3(faces == first_faces, make_real3(zero, zero, zero), between);
+    merges.to = pick_real3(first_faces == second_faces, best, end);
     const real error = fmax(plain_dot(merges.to, times_quadrics(&q, merges.to))
                                 - 2.0f * (q.b.x * merges.to.x + q.b.y * merges.to.y + q.b.z * merges.to.z) + q.c, 0.0f);
     const real cost = error - a.c - second_c + MERGE_LENGTH_COST * plain_dot(between, between) * q.k;
-    const integer may_merge = (((first_flags | second_flags) & CLUSTER_LOCKED) == 0) & ((fixed == first_axes) | (fixed == second_axes));
+    const integer may_merge = (((first_flags | second_flags) & CLUSTER_LOCKED) == 0) & ((faces == first_faces) | (faces == second_faces));
     merges.cost = PICK(may_merge, fmax(cost, 0.0f), INFINITY);
     merges.quadrics = q;
     return merges;

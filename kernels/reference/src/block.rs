@@ -4,7 +4,7 @@
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use crate::cluster::{Cluster, Quadric, Vector, add, cross, dot, edge_hash, merge, subtract};
+use crate::cluster::{Cluster, Quadric, Vector, add, cross, dot, edge_hash, join_faces, merge, subtract};
 use crate::tree::{FullMesh, LATTICE, Node, Point};
 
 /// Triangles around a cluster that merges.
@@ -89,7 +89,7 @@ impl Block {
             quadric: Quadric::default(),
             position: self.relative_to_block(point.position),
             cells: [point.cell; 2],
-            fixed: [false; 3],
+            faces: [[false; 2]; 3],
             on_border: false,
             is_locked: false,
             node: None,
@@ -169,7 +169,7 @@ impl Block {
                 }
                 let cluster = &mut self.clusters[at];
                 cluster.on_border = true;
-                cluster.fixed = std::array::from_fn(|i| position[i] == 0 || position[i] == last[i]);
+                cluster.faces = std::array::from_fn(|i| [position[i] == 0, position[i] == last[i]]);
             }
             _ => cluster.is_locked = true,
         }
@@ -414,7 +414,7 @@ impl Block {
             quadric,
             position,
             cells,
-            fixed: std::array::from_fn(|i| first.fixed[i] || second.fixed[i]),
+            faces: join_faces(&first, &second),
             on_border,
             is_locked: false,
             node: Some(index),

@@ -112,8 +112,8 @@ pub(crate) struct Cluster {
     pub(crate) position: Vector,
     /// Low and high cell of its points.
     pub(crate) cells: [[u32; 3]; 2],
-    /// Axes along which it may not move: it lies on a face of the volume there.
-    pub(crate) fixed: [bool; 3],
+    /// Faces of the volume that it lies on, which it may not leave: at the low and the high end of each axis.
+    pub(crate) faces: [[bool; 2]; 3],
     /// On the surface's border on the volume's faces.
     pub(crate) on_border: bool,
     /// Never merges.
@@ -133,22 +133,27 @@ pub(crate) struct Merge {
     pub(crate) cost: f32,
 }
 
+/// The faces of the volume that either of two clusters lies on.
+pub(crate) fn join_faces(a: &Cluster, b: &Cluster) -> [[bool; 2]; 3] {
+    std::array::from_fn(|axis| std::array::from_fn(|side| a.faces[axis][side] || b.faces[axis][side]))
+}
+
 /// Merges two clusters; `a` is the one of the smaller number, so that either side gets the same bits.
 pub(crate) fn merge(a: &Cluster, b: &Cluster) -> Merge {
-    let fixed: [bool; 3] = std::array::from_fn(|i| a.fixed[i] || b.fixed[i]);
+    let faces = join_faces(a, b);
     let between = subtract(b.position, a.position);
     let mut quadric = b.quadric.shifted(between.map(|x| -x));
     quadric.join(&a.quadric);
-    let to = if a.fixed == b.fixed {
+    let to = if a.faces == b.faces {
         let minimum = quadric.minimum();
-        std::array::from_fn(|i| if fixed[i] { 0.0 } else { minimum[i] })
-    } else if fixed == a.fixed {
+        std::array::from_fn(|i| if faces[i] == [false; 2] { minimum[i] } else { 0.0 })
+    } else if faces == a.faces {
         [0.0; 3]
     } else {
         between
     };
     // Where one of them lies on faces that the other does not, it has to lie on all of the other's.
-    let may_merge = !a.is_locked && !b.is_locked && (fixed == a.fixed || fixed == b.fixed);
+    let may_merge = !a.is_locked && !b.is_locked && (faces == a.faces || faces == b.faces);
     let more = quadric.sum(to) - a.quadric.c - b.quadric.c;
     let cost = more + LENGTH_COST * dot(between, between) * quadric.k;
     Merge {

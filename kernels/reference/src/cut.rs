@@ -78,7 +78,7 @@ pub fn importance_of(s: f32, f: f32, params: &CutParams) -> f32 {
 }
 
 /// Cuts top-down: the coarsest node of level 1 to `max_level` that is not `missing` and has `I <= β` is a leaf; so is an
-/// undecided node of level `prefix` (above 0) that is not `missing`; active cells below none are leaves of level 0.
+/// undecided node of level `prefix` (above 0); active cells below none are leaves of level 0.
 pub fn cut(pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Cut {
     guarded(pyramid, params, prefix, |_| true)
 }
@@ -96,8 +96,8 @@ pub fn guarded(pyramid: &Pyramid, params: &CutParams, prefix: Level, allow: impl
             let node = pyramid.nodes[usize::from(level)][&leaf.cube];
             let own = importance(&node, leaf, pyramid.dims, params);
             let unimportant = level <= params.max_level.get() && own <= params.beta;
-            let decided = (unimportant && allow(&leaf)) || level == prefix.get();
-            (decided && !node.missing).then_some((leaf, node))
+            let decided = (unimportant && !node.missing && allow(&leaf)) || level == prefix.get();
+            decided.then_some((leaf, node))
         });
         let (leaf, node) = above.unwrap_or((Leaf { level: 0, cube: cell }, *own));
         result.leaf_of.insert(cell, leaf);

@@ -1,7 +1,6 @@
 //! Cuts that are kept, by their ids.
 
 use std::rc::Rc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use isopeel_kernels::Cut;
 
@@ -11,9 +10,6 @@ use super::residency::Lru;
 /// Cuts that stay whatever they take, so that a large volume's surface changes region by region too: the one that a client shows, the one
 /// that it is on the way to, and that of the next step.
 const MIN_CUTS: usize = 3;
-
-/// The last id of a cut. Ids are unique in the process: sessions name cuts of a device that was lost after another one has taken its place.
-static LAST_ID: AtomicU64 = AtomicU64::new(0);
 
 /// Cuts that clients show or are on the way to.
 pub(super) struct Cuts {
@@ -41,25 +37,9 @@ impl Cuts {
         self.kept.get(&id).cloned()
     }
 
-    /// An id that no other cut has.
-    pub(super) fn new_id() -> CutId {
-        CutId::new(LAST_ID.fetch_add(1, Ordering::Relaxed) + 1)
-    }
-
     pub(super) fn keep(&mut self, cut: Rc<Cut>) -> CutId {
-        let id = Self::new_id();
+        let id = CutId::next();
         self.kept.insert(id, cut.device_bytes(), cut);
         id
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Cuts;
-
-    #[test]
-    fn no_two_cuts_of_a_process_have_one_id() {
-        let ids = [Cuts::new_id(), Cuts::new_id(), Cuts::new_id()];
-        assert!(ids[0] != ids[1] && ids[1] != ids[2] && ids[0] != ids[2], "{ids:?}");
     }
 }

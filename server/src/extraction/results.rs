@@ -1,8 +1,9 @@
 //! What the device gives back: a surface, or a step towards one.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use isopeel_kernels::{StageTime, Surface, SurfaceError};
+use isopeel_kernels::{Level, StageTime, Surface, SurfaceError, SurfaceStatistics};
 
 use crate::view::View;
 
@@ -17,14 +18,22 @@ pub struct Extraction {
     pub wall: Duration,
 }
 
+/// The last number of a cut. They are unique in the process: sessions name cuts of a device that was lost after another one has taken its place.
+static LAST_CUT: AtomicU64 = AtomicU64::new(0);
+
 /// A cut that the device's thread keeps for a while: the one that a client shows, or is on the way to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct CutId(u64);
 
 impl CutId {
-    /// The cut of that number; whoever makes cuts numbers them.
+    /// The cut of that number.
     pub fn new(number: u64) -> Self {
         Self(number)
+    }
+
+    /// An id that no other cut has.
+    pub(super) fn next() -> Self {
+        Self(LAST_CUT.fetch_add(1, Ordering::Relaxed) + 1)
     }
 }
 
@@ -75,6 +84,27 @@ pub struct Refinement {
     pub meshing: Duration,
 }
 
+impl Refinement {
+    /// No triangle of a view's surface.
+    pub fn nothing(view: &View) -> Self {
+        Self {
+            surface: Surface {
+                regions: Vec::new(),
+                remade: None,
+                prefix: Level::FINEST,
+                statistics: SurfaceStatistics::default(),
+            },
+            view: view.clone(),
+            cut: CutId::next(),
+            target: None,
+            is_final: false,
+            can_improve: false,
+            wall: Duration::ZERO,
+            meshing: Duration::ZERO,
+        }
+    }
+}
+
 /// What is known of a surface before anything of it is made.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FullCount {
@@ -93,4 +123,15 @@ pub struct Measurement {
     pub whole: SurfaceError,
     /// Of each region that has triangles.
     pub regions: Vec<([u32; 3], SurfaceError)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::CutId;
+
+    #[test]
+    fn no_two_cuts_of_a_process_have_one_id() {
+        let ids = [CutId::next(), CutId::next(), CutId::next()];
+        assert!(ids[0] != ids[1] && ids[1] != ids[2] && ids[0] != ids[2], "{ids:?}");
+    }
 }

@@ -7,12 +7,11 @@ use isopeel_kernels::{
     Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, Surface, Topology, TreeGoal, VertexTree,
 };
 
-use super::cuts::Cuts;
 use super::decisions::{Decided, TreeCut, lesser};
 use super::questions::index_inside;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
-use super::{Refinement, WorkError};
+use super::{CutId, Refinement, WorkError};
 use crate::metrics;
 use crate::view::View;
 use crate::view::quality::{Fitted, MaxError};
@@ -244,7 +243,7 @@ impl OnDevice<'_> {
         Refinement {
             surface,
             view: view.clone(),
-            cut: Cuts::new_id(),
+            cut: CutId::next(),
             target: None,
             is_final: true,
             can_improve: false,

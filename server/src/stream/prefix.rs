@@ -11,7 +11,7 @@ use super::shared::{Kept, RegionHashes, SharedStep};
 use crate::extraction::VertexErrors;
 use crate::pool::{self, Panicked};
 use crate::wire::chunk::PrefixId;
-use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, content_hash};
+use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 
 /// Triangles in a batch for each thread of the pool. Two batches take about 5 ms: so long another viewer's work waits.
 const BATCH_TRIANGLES: usize = 25_000;
@@ -113,10 +113,13 @@ fn differences(step: Arc<SharedStep>, held: &RegionHashes) -> Changes {
     }
     let mut changed = Vec::new();
     for (number, region) in step.regions.iter().enumerate() {
-        after.insert(region.coords, region.hash);
-        if held.get(&region.coords) != Some(&region.hash) {
+        let before = held.get(&region.coords);
+        let same = before.filter(|before| before.triangles == region.hash.triangles);
+        if same.is_none() {
             changed.push(Part::Made(number));
         }
+        // What is not sent again has the order in which it was sent.
+        after.insert(region.coords, *same.unwrap_or(&region.hash));
     }
     let unchanged = after.len() - changed.len();
     changed.extend(gone.into_iter().map(Part::Gone));
@@ -184,7 +187,7 @@ pub(super) async fn encode_errors(
             if token.is_cancelled() {
                 return Err(PrefixError::Cancelled);
             }
-            if held.get(&region.coords) != Some(&content_hash(&region)) {
+            if held.get(&region.coords) != Some(&MeshHash::of(&region)) {
                 return Ok(None);
             }
             Ok(Some(encode::encode_errors(&region, &distances, prefix)?))

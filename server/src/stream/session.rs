@@ -35,6 +35,7 @@
 
 mod draw_pause;
 mod edits;
+mod failing;
 mod generation;
 mod group;
 mod jobs;

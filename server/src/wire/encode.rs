@@ -7,7 +7,7 @@ use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, PrefixId, WireVertex};
+use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, PrefixId, VERTEX_BYTES, WireVertex};
 use super::index_codec::IndexWriter;
 use super::order::Traversal;
 use super::vertex_codec::VertexWriter;
@@ -31,6 +31,12 @@ pub const MAX_TASK_REGIONS: usize = 2;
 const LATTICE_RATIO: i32 = Vertex::LATTICE / LATTICE as i32;
 const _: () = assert!(LATTICE_RATIO.count_ones() == 1);
 
+/// Random bits, so that zeros in a vertex do not make the product 0.
+const HASH_KEYS: [u64; 2] = [0xa076_1d64_78bd_642f, 0xe703_7ed1_a0b4_28db];
+
+/// Triangles that are hashed at a time.
+const HASHED_TRIANGLES: usize = 32;
+
 impl WireVertex {
     /// Rounds to the wire's lattice. A region begins at a multiple of its unit, so vertices that are equal in two regions
     /// stay equal. 16 bits hold 127 cells, beyond which positions are clamped; the kernels guarantee 64.
@@ -51,6 +57,13 @@ impl WireVertex {
             smoothness: leading_byte(vertex.smoothness),
             feature: leading_byte(vertex.feature),
         }
+    }
+
+    /// Of all that is sent of it.
+    fn hash(self) -> u64 {
+        let [a, b, c]: [u32; VERTEX_BYTES / 4] = bytemuck::cast(self);
+        let first = u64::from(a) | u64::from(b) << 32;
+        folded_product(first ^ HASH_KEYS[0], u64::from(c) ^ HASH_KEYS[1])
     }
 }
 
@@ -172,22 +185,58 @@ fn check(region: &Region) -> Result<(), EncodeError> {
     Ok(())
 }
 
-/// Hash of a region's mesh with its vertices as they are sent: a region whose hash the client holds is not sent again. Two different meshes
-/// of one region collide once in 10¹⁹ times.
-pub fn content_hash(region: &Region) -> u64 {
-    let mut hash = Xxh3::new();
-    let mut sent = [WireVertex::default(); 64];
-    hash.update(&(region.vertices.len() as u64).to_le_bytes());
-    hash.update(bytemuck::cast_slice(&region.level_triangles));
-    for vertices in region.vertices.chunks(sent.len()) {
-        let sent = &mut sent[..vertices.len()];
-        sent.iter_mut()
-            .zip(vertices)
-            .for_each(|(to, from)| *to = WireVertex::quantise(from));
-        hash.update(bytemuck::cast_slice(&*sent));
+/// Hashes of a region's mesh as it is sent. Vertices count by what is sent of them, not by their numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MeshHash {
+    /// Of its triangles, in whatever order: a region whose triangles the client holds is not sent again. Two different meshes of one region
+    /// collide once in 10¹⁹ times.
+    pub triangles: u64,
+    /// Of its triangles and their corners in order, and so of its chunk.
+    pub order: u64,
+}
+
+impl MeshHash {
+    /// Hashes a region's mesh.
+    pub fn of(region: &Region) -> Self {
+        VERTEX_HASHES.with_borrow_mut(|hashes| {
+            hashes.clear();
+            hashes.extend(region.vertices.iter().map(|vertex| WireVertex::quantise(vertex).hash()));
+            // An index past the vertices is refused when the region is encoded.
+            let of = |index: u32| hashes.get(index as usize).copied().unwrap_or_default();
+            let (mut triangles, mut order) = (0_u64, Xxh3::new());
+            let mut rest = region.indices.as_chunks::<3>().0;
+            for count in region.level_triangles {
+                let (level, coarser) = rest.split_at_checked(count as usize).unwrap_or((rest, &[]));
+                rest = coarser;
+                let mut sum = u64::from(count);
+                for batch in level.chunks(HASHED_TRIANGLES) {
+                    let mut corners = [[0; 3]; HASHED_TRIANGLES];
+                    for (to, triangle) in corners.iter_mut().zip(batch) {
+                        *to = triangle.map(of);
+                        sum = sum.wrapping_add(triangle_hash(*to));
+                    }
+                    order.update(bytemuck::cast_slice(&corners[..batch.len()]));
+                }
+                order.update(&count.to_le_bytes());
+                triangles = folded_product(triangles ^ sum, HASH_KEYS[0]).wrapping_add(sum);
+            }
+            let order = order.digest();
+            Self { triangles, order }
+        })
     }
-    hash.update(bytemuck::cast_slice(&region.indices));
-    hash.digest()
+}
+
+/// The two halves of a product, one over the other, as in wyhash.
+fn folded_product(a: u64, b: u64) -> u64 {
+    let product = u128::from(a) * u128::from(b);
+    product as u64 ^ (product >> 64) as u64
+}
+
+/// Of the hashes of a triangle's corners, whichever of them comes first.
+fn triangle_hash([a, b, c]: [u64; 3]) -> u64 {
+    let edge = |from: u64, to: u64| folded_product(from ^ HASH_KEYS[0], to.rotate_left(32) ^ HASH_KEYS[1]);
+    let sum = edge(a, b).wrapping_add(edge(b, c)).wrapping_add(edge(c, a));
+    folded_product(sum ^ HASH_KEYS[1], HASH_KEYS[0])
 }
 
 /// Bytes of all chunks of a surface; `None` where it is cancelled before. On the rayon pool of the caller.
@@ -211,6 +260,8 @@ pub fn encoded_bytes(surface: &Surface, is_cancelled: &(dyn Fn() -> bool + Sync)
 thread_local! {
     /// One set of buffers for each thread: once they have grown, a chunk costs one allocation, its own bytes.
     static SCRATCH: RefCell<Scratch> = RefCell::default();
+    /// Hashes of a region's vertices.
+    static VERTEX_HASHES: RefCell<Vec<u64>> = RefCell::default();
 }
 
 /// Buffers of [`encode`], at most some megabytes.

@@ -468,6 +468,17 @@ pub enum ServerMessage {
 }
 
 impl ServerMessage {
+    /// Whether it is an error that another budget helps with.
+    pub fn suggests_budget(&self) -> bool {
+        matches!(
+            self,
+            Self::Error {
+                suggested_triangles: Some(_),
+                ..
+            }
+        )
+    }
+
     /// The text frame.
     pub fn to_json(&self) -> String {
         // serde_json fails on maps with other keys than strings alone, and there are none.

@@ -31,7 +31,7 @@ async fn the_full_surface_is_closed_and_counts_what_an_independent_program_count
         (&json!(0), &json!(0))
     );
     assert_eq!(
-        mesh::open_edges(viewer.shown.values(), demo::DIMS),
+        mesh::open_edges(viewer.shown.values(), demo::DIMS).len(),
         0,
         "edges that do not close"
     );

@@ -15,7 +15,7 @@ use super::volumes::Recipe;
 use super::{Args, BenchError, CaseName, Line, Spread, params, print, round};
 use crate::view::quality::MesherName;
 use crate::wire::chunk::{PrefixId, WireVertex};
-use crate::wire::encode::{self, MAX_TASK_REGIONS, content_hash};
+use crate::wire::encode::{self, MAX_TASK_REGIONS, MeshHash};
 
 /// Stage that reads the mesh back to the host.
 const READ_BACK: &str = "read back";
@@ -373,7 +373,7 @@ fn spread(runs: &[Timing], of: impl Fn(&Timing) -> f64) -> Spread {
 fn encode(surface: &Surface) -> Result<Vec<Bytes>, BenchError> {
     let frames = surface.regions.par_iter().with_max_len(MAX_TASK_REGIONS).map(|region| {
         // The session compares it with what the client holds.
-        std::hint::black_box(content_hash(region));
+        std::hint::black_box(MeshHash::of(region));
         Ok(encode::encode(region, PrefixId::cut(0, 1, 0))?)
     });
     frames.collect()

@@ -57,26 +57,11 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Surfaces that failed are tried again where something else has changed that gives them another part of the budget.
-    pub(super) fn retry_failed(&mut self) {
-        let retried = self.opened.as_mut().map(OpenVolume::offer_retries);
-        retried.into_iter().flatten().for_each(|number| self.retry(number));
-    }
-
-    fn retry(&mut self, number: u8) {
-        if let Some(session) = self.opened.as_mut().and_then(|opened| opened.surface_mut(number)) {
-            session.failed = None;
-        }
-        self.change(number);
-    }
-
     /// Gives each surface its part of the budget, once all that share it are counted. Those that get another one follow; `edited` is to
     /// be made anew in any case.
     pub(super) fn allot(&mut self, edited: Option<u8>) {
-        let Some(opened) = self.opened.as_mut() else { return };
-        if opened.allotments().is_some() {
-            opened.retried().into_iter().for_each(|number| self.retry(number));
-        }
+        let lacking = self.opened.as_mut().map(OpenVolume::lacking);
+        lacking.into_iter().flatten().for_each(|number| self.change(number));
         let Some(allotments) = self.opened.as_ref().and_then(|opened| opened.allotments()) else {
             return;
         };
@@ -85,9 +70,6 @@ impl<B: Backend> Session<B> {
             let Some(session) = opened.and_then(|opened| opened.surface_mut(number)) else {
                 continue;
             };
-            if session.failed.is_some() {
-                continue;
-            }
             let is_same = std::mem::replace(&mut session.allotted, budget) == budget;
             match session.generation_mut() {
                 Some(generation) if generation.is_unstepped() => generation.set_budget(budget),
@@ -96,6 +78,8 @@ impl<B: Backend> Session<B> {
                 _ => self.change(number),
             }
         }
+        let outdated = self.opened.as_ref().map(OpenVolume::outdated);
+        outdated.into_iter().flatten().for_each(|number| self.change(number));
     }
 
     pub(super) fn on_cancel(&mut self) {
@@ -148,7 +132,9 @@ impl<B: Backend> Session<B> {
             opened.remove(number);
         }
         self.send(&ServerMessage::Removed { surface: number });
-        self.retry_failed();
+        if let Some(opened) = &mut self.opened {
+            opened.offer_retries();
+        }
         self.allot(None);
     }
 
@@ -166,12 +152,15 @@ impl<B: Backend> Session<B> {
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
             return;
         };
-        let Some(generation) = session.stop() else { return };
+        let Some(mut generation) = session.stop() else { return };
         if !matches!(generation.sending, Sending::Idle) {
             // The pool's results are not awaited.
             self.pool = FuturesOrdered::new();
         }
         self.outbox.drop_surface(surface);
+        if generation.is_unsent_improvement() {
+            return;
+        }
         self.send(&ServerMessage::Superseded {
             surface,
             generation: generation.number,

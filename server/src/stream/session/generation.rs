@@ -25,7 +25,9 @@ use crate::extraction::{CutId, ExtractionStatistics, FullCount, Shown, ViewKey};
 use crate::metrics;
 use crate::view::View;
 use crate::view::quality::Budget;
+use crate::volumes::VolumeStep;
 use crate::wire::chunk::PrefixId;
+use crate::wire::messages::ServerMessage;
 
 pub(super) struct Generation {
     /// Number of its surface.
@@ -57,6 +59,8 @@ pub(super) struct Generation {
     pub draw_pause: DrawPause,
     /// Which of the connection's jobs was the last before it began to wait for its next.
     pub waits_since: u64,
+    /// Why its work failed. It is said when the client holds nothing any more that may not stay.
+    pub failure: Option<Box<ServerMessage>>,
     /// Until its first step is ready to be sent, where the viewer is in a group.
     pub first_step: Option<FirstStep>,
     /// When it was begun, where an edit has asked for it; a surface that is improved at rest has none.
@@ -139,11 +143,18 @@ impl Generation {
             stages: Vec::new(),
             draw_pause: DrawPause::default(),
             waits_since: 0,
+            failure: None,
             first_step: None,
             begun: None,
             _cancel: token.clone().drop_guard(),
             token,
         }
+    }
+
+    /// Whether it is a better surface of a generation that was done, and the client has seen nothing of it.
+    pub(super) fn is_unsent_improvement(&mut self) -> bool {
+        let is_seen = |sent: &mut Sent| sent.handed_over.is_some();
+        self.begun.is_none() && !self.committed && !self.sent().is_some_and(is_seen)
     }
 
     /// The same, that an edit has asked for.
@@ -215,6 +226,14 @@ impl Generation {
     /// Whether nothing of it was begun but the count: its part of the budget may still change.
     pub(super) fn is_unstepped(&self) -> bool {
         self.steps_made == 0 && matches!(self.making, Making::Waiting)
+    }
+
+    /// Its work failed, and the client is to hold nothing: that is its next step, behind the one that is sent.
+    pub(super) fn clear(&mut self, volume: &VolumeStep) {
+        self.making = match self.sending {
+            Sending::Idle => Making::Made(Offered::nothing(&self.view, volume)),
+            _ => Making::Waiting,
+        };
     }
 
     /// The step that waits to be sent.

@@ -18,13 +18,10 @@ use super::outbox::Frame;
 use super::rest::RestWork;
 use super::schedule::NextJob;
 use super::sharing::Verdict;
-use super::surface::{Phase, SurfaceSession};
+use super::surface::Phase;
 use super::{Outgoing, Session};
 use crate::error::chain;
 use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, SurfaceKey, WorkError};
-use crate::metrics;
-use crate::view::View;
-use crate::view::quality::Budget;
 use crate::wire::chunk::ChunkKind;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
@@ -467,76 +464,5 @@ impl<B: Backend> Session<B> {
             };
             DeviceDone::Opened(open, result)
         }));
-    }
-
-    fn fail_job(&mut self, surface: u8, error: &WorkError) {
-        let Some(suggested) = error.suggested_triangles() else {
-            tracing::debug!(error = chain(error), "a generation failed");
-            self.send_surface_error(surface, error.code(), error.public_message());
-            if error.rejects_view() {
-                return self.take_back(surface);
-            }
-            return self.end_failed(surface);
-        };
-        tracing::debug!(%error, "refused");
-        metrics::stream_error(error.code());
-        let (suggested_triangles, message) = self.explained(surface, suggested, error);
-        self.send(&ServerMessage::Error {
-            code: error.code(),
-            message,
-            open: true,
-            surface: Some(surface),
-            suggested_triangles: Some(suggested_triangles),
-        });
-        self.end_failed(surface);
-    }
-
-    /// A budget that would be accepted, and the error's text: where the budget is shared, `suggested` is a part of it.
-    fn explained(&self, surface: u8, suggested: u64, error: &WorkError) -> (u64, String) {
-        let (Some(opened), "over-budget") = (&self.opened, error.code()) else {
-            return (suggested, error.to_string());
-        };
-        let full = opened.surface(surface).map_or(0, SurfaceSession::full_triangles);
-        let whole = match opened.shared_triangles() {
-            Some(all) => Budget::whole_of(suggested, full, all),
-            None => suggested,
-        };
-        let whole = whole.saturating_add(opened.reserved());
-        if whole == suggested {
-            return (suggested, error.to_string());
-        }
-        let message = format!("{error}; it is this surface's part, ask for {whole} or more for all together");
-        (whole, message)
-    }
-
-    /// The view in force turned out to be none: the one before comes back, to those who follow too.
-    fn take_back(&mut self, surface: u8) {
-        self.end_generation(surface);
-        let Some(opened) = &mut self.opened else { return };
-        let opening = opened.opening_view().clone();
-        if let Some(session) = opened.surface_mut(surface).filter(|session| !session.edit_pending) {
-            let budget = session.view.budget;
-            (session.edit_pending, session.key) = (session.proven.is_some(), None);
-            if session.proven.is_none() {
-                session.edited = 0;
-            }
-            session.view = session.proven.clone().unwrap_or(View { budget, ..opening });
-        }
-        self.allot(None);
-        self.lead_or_follow();
-    }
-
-    fn fail_generation(&mut self, surface: u8, code: &'static str, message: String) {
-        self.send_surface_error(surface, code, message);
-        self.end_failed(surface);
-    }
-
-    /// Others may have waited for its triangles.
-    fn end_failed(&mut self, surface: u8) {
-        if let Some(session) = self.opened.as_mut().and_then(|opened| opened.surface_mut(surface)) {
-            session.fail();
-        }
-        self.end_generation(surface);
-        self.allot(None);
     }
 }

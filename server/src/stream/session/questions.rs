@@ -130,7 +130,7 @@ impl<B: Backend> Session<B> {
         let (Some(opened), None) = (&self.opened, &self.questions.job) else {
             return;
         };
-        if opened.phase != OpeningPhase::Open || opened.surfaces().any(|(_, surface)| surface.is_awaited()) {
+        if opened.phase != OpeningPhase::Open || opened.is_awaited() {
             return;
         }
         // The chunks of one annotation wait in the outbox at most.

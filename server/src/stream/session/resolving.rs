@@ -139,7 +139,9 @@ impl<B: Backend> Session<B> {
         if !is_made && let Some(session) = self.opened.as_mut().and_then(|opened| opened.surface_mut(surface)) {
             session.edit_pending = false;
         }
-        self.retry_failed();
+        if let Some(opened) = &mut self.opened {
+            opened.offer_retries();
+        }
         self.allot(Some(surface));
     }
 

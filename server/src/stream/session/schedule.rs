@@ -53,7 +53,8 @@ impl OpenVolume {
 
     /// The next job of a generation, unless something is to be waited for.
     fn next_of(&self, number: u8, generation: &Generation, pace: &Pace) -> Option<NextJob> {
-        if !matches!(generation.making, Making::Waiting) || self.encodes_first_step() {
+        let is_ready = matches!(generation.making, Making::Waiting) && generation.failure.is_none();
+        if !is_ready || self.encodes_first_step() {
             return None;
         }
         let surface = self.surface(number)?;

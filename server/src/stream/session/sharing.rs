@@ -1,12 +1,13 @@
 //! How surfaces share the connection's budget: in proportion to the triangles of their full surfaces, as far as a budget is in force for
 //! them. So a surface's part depends on what decides full surfaces alone, and an edit of anything else changes no other surface.
 //!
-//! A surface whose generation failed or was cancelled stays as it was. It has no part then, but what the client holds of it is reserved: the
-//! others share what is left. It is tried again when an edit, a removed surface or another time step gives it another part.
+//! Whether a surface can be made changes nothing of that either: one whose generation failed keeps its part, and is tried again when it gets
+//! another one. What the client holds of it goes where others share the budget and it is above its part. A surface whose generation was cancelled
+//! stays as it was, and what the client holds of it is reserved.
 
 use super::generation::Making;
 use super::open_volume::OpenVolume;
-use super::surface::{Failed, SurfaceSession};
+use super::surface::SurfaceSession;
 use crate::view::quality::Budget;
 use crate::wire::chunk::MAX_SURFACES;
 
@@ -29,9 +30,9 @@ fn total(numbers: impl Iterator<Item = u64>) -> u64 {
 pub(super) type Allotments = [Option<Budget>; MAX_SURFACES as usize];
 
 impl SurfaceSession {
-    /// Whether it has a part of the budget: not where β or an error decides alone, nor where it is not made as its view says.
+    /// Whether it has a part of the budget: not where β or an error decides alone, nor where it was cancelled.
     fn shares(&self) -> bool {
-        self.view.budget.is_some() && self.failed.is_none() && (self.is_busy() || self.is_counted())
+        self.view.budget.is_some() && (self.is_busy() || self.is_counted())
     }
 
     /// Whether the triangles of the full surface of its view are known.
@@ -52,9 +53,16 @@ impl SurfaceSession {
 
     /// What the client holds and others cannot have, as it has no part of the budget: in the budget's unit.
     fn reserved(&self) -> u64 {
-        if self.shares() {
-            return 0;
-        }
+        if self.shares() { 0 } else { self.held_of_budget() }
+    }
+
+    /// Whether it has failed, and what the client holds of it goes.
+    fn is_leaving(&self) -> bool {
+        self.generation().is_some_and(|generation| generation.failure.is_some())
+    }
+
+    /// What the client holds of it: in the budget's unit.
+    fn held_of_budget(&self) -> u64 {
         match (self.view.budget, self.kept) {
             (Some(Budget::Triangles(_)), _) => self.held_triangles,
             (Some(Budget::Bytes(_)), Some(Budget::Bytes(kept))) if !self.held.is_empty() => kept,
@@ -62,20 +70,21 @@ impl SurfaceSession {
         }
     }
 
-    /// The generation of its view has failed.
-    pub(super) fn fail(&mut self) {
-        self.failed = Some(Failed {
-            budget: self.view.budget,
-            part: self.allotted,
-            may_retry: false,
-        });
+    /// Whether it failed before its triangles were counted, and may be tried again to have a part of a budget that others share.
+    fn lacks_part(&mut self) -> bool {
+        let is_uncounted = self.view.budget.is_some() && !self.is_busy() && !self.is_counted();
+        let failed = self.failed.as_mut().filter(|_| is_uncounted);
+        failed.is_some_and(|failed| std::mem::take(&mut failed.may_retry))
     }
 
-    /// Something else has changed than its view. Whether it is to be tried again in any case: the budget is another one.
-    fn offer_retry(&mut self) -> bool {
-        let Some(failed) = &mut self.failed else { return false };
-        failed.may_retry = true;
-        failed.budget != self.view.budget
+    /// Whether what the client holds is above its part of the budget.
+    fn holds_more(&self) -> bool {
+        let part = self.allotted.map(|part| part.as_number(self.full_triangles()));
+        match part {
+            Some(Budget::Triangles(part)) => self.held_of_budget() > part.of(self.full_triangles()),
+            Some(Budget::Bytes(part)) => self.held_of_budget() > part,
+            None => false,
+        }
     }
 
     /// Whether a budget of this surface allows more than another one. Triangles and bytes are not compared.
@@ -95,9 +104,8 @@ impl SurfaceSession {
     /// Whether the client may get a smaller surface than it has, or is about to get.
     fn shrinks(&self) -> bool {
         let made_with = self.generation().and_then(|generation| generation.view.budget);
-        self.shares()
-            && self.is_busy()
-            && (self.exceeds(self.kept, self.allotted) || self.exceeds(made_with, self.allotted))
+        let gets_less = || self.exceeds(self.kept, self.allotted) || self.exceeds(made_with, self.allotted);
+        self.is_leaving() || self.shares() && self.is_busy() && gets_less()
     }
 }
 
@@ -125,7 +133,7 @@ impl OpenVolume {
     }
 
     /// What surfaces hold that have no part of the budget.
-    pub(super) fn reserved(&self) -> u64 {
+    fn reserved(&self) -> u64 {
         total(self.surfaces().map(|(_, surface)| surface.reserved()))
     }
 
@@ -147,44 +155,52 @@ impl OpenVolume {
         Some(allotments)
     }
 
-    /// Surfaces that failed and are to be tried again, after an edit, a step or the end of another surface. Those whose part has to be known
-    /// first follow by [`OpenVolume::retried`].
-    pub(super) fn offer_retries(&mut self) -> Vec<u8> {
-        let surfaces = self.surfaces_mut();
-        surfaces
-            .filter_map(|(number, surface)| surface.offer_retry().then_some(number))
-            .collect()
+    /// Surfaces that failed and are tried again though their parts are as they were: the client may not keep what it holds of them any more, or
+    /// another budget is to be suggested.
+    pub(super) fn outdated(&self) -> Vec<u8> {
+        let all = self.shared_triangles();
+        let is_outdated = |number: u8, surface: &SurfaceSession| {
+            let failed = surface.failed.filter(|_| surface.shares() && !surface.is_busy());
+            failed.is_some_and(|failed| failed.shared_triangles != all || !self.may_stay(number))
+        };
+        let outdated = self
+            .surfaces()
+            .filter(|&(number, surface)| is_outdated(number, surface));
+        outdated.map(|(number, _)| number).collect()
     }
 
-    /// Failed surfaces that would get another part of the budget than they failed with, if all that failed were tried again.
-    pub(super) fn retried(&mut self) -> Vec<u8> {
-        // Until all are counted, nobody's part is known.
-        if self
-            .surfaces()
-            .any(|(_, surface)| surface.shares() && !surface.is_counted())
-        {
+    /// The budget of all together of which a surface gets a part of so many triangles.
+    pub(super) fn whole_of(&self, number: u8, part: u64) -> u64 {
+        let whole = match (self.surface(number), self.shared_triangles()) {
+            (Some(surface), Some(all)) => Budget::whole_of(part, surface.full_triangles(), all),
+            _ => part,
+        };
+        whole.saturating_add(self.reserved())
+    }
+
+    /// Whether the client may keep what it holds of a surface that has failed: not of another time step, nor above its part of a budget that
+    /// others share.
+    pub(super) fn may_stay(&self, number: u8) -> bool {
+        let held = self.surface(number).filter(|surface| !surface.held.is_empty());
+        let is_taken = |surface: &SurfaceSession| self.is_budget_shared() && surface.shares() && surface.holds_more();
+        held.is_none_or(|surface| !surface.holds_another_step && !is_taken(surface))
+    }
+
+    /// Something else than the views of surfaces that failed has changed: those that have no part yet may be tried again for it.
+    pub(super) fn offer_retries(&mut self) {
+        let failed = self.surfaces_mut().filter_map(|(_, surface)| surface.failed.as_mut());
+        failed.for_each(|failed| failed.may_retry = true);
+    }
+
+    /// Surfaces that failed before they were counted, and are to be now that others share the budget.
+    pub(super) fn lacking(&mut self) -> Vec<u8> {
+        if !self.surfaces().any(|(_, surface)| surface.shares()) {
             return Vec::new();
         }
-        let counted = |surface: &SurfaceSession| surface.view.budget.is_some() && surface.is_counted();
-        let all = total(
-            self.surfaces()
-                .filter(|(_, s)| counted(s))
-                .map(|(_, s)| s.full_triangles()),
-        );
-        let mut retried = Vec::new();
-        for (number, surface) in self.surfaces_mut() {
-            let (full, is_counted, budget) = (surface.full_triangles(), counted(surface), surface.view.budget);
-            let Some(failed) = surface.failed.as_mut().filter(|failed| failed.may_retry) else {
-                continue;
-            };
-            failed.may_retry = false;
-            let number_of = |budget: Budget| budget.as_number(full);
-            let part = budget.map(|budget| number_of(budget.part(full, all)));
-            if is_counted && part != failed.part.map(number_of) {
-                retried.push(number);
-            }
-        }
-        retried
+        let surfaces = self.surfaces_mut();
+        surfaces
+            .filter_map(|(number, surface)| surface.lacks_part().then_some(number))
+            .collect()
     }
 
     /// What becomes of a step that was made. A final surface that has more of the budget than the one before waits until those that get less

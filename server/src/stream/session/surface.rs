@@ -46,13 +46,12 @@ pub(super) struct SurfaceSession {
     pub holds_another_step: bool,
 }
 
-/// How the last generation of a surface failed.
+/// The last generation of a surface has failed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Failed {
-    /// The connection's budget, and the part that it had of it.
-    pub budget: Option<Budget>,
-    pub part: Option<Budget>,
-    /// Another part has become possible since.
+    /// Triangles of all surfaces that shared the budget then: what was suggested depends on them.
+    pub shared_triangles: Option<u64>,
+    /// Something has changed since, or another part of the budget may help.
     pub may_retry: bool,
 }
 

@@ -113,7 +113,9 @@ impl<B: Backend> Session<B> {
                     .for_each(|(_, surface)| surface.edit_pending = false);
             }
         }
-        self.retry_failed();
+        if let Some(opened) = &mut self.opened {
+            opened.offer_retries();
+        }
         self.allot(None);
     }
 

@@ -60,6 +60,10 @@ impl<B: Backend> Session<B> {
         generation.committed = true;
         generation.can_improve = sent.can_improve;
         let ends = generation.is_overtaken && !sent.is_final;
+        let has_failed = generation.failure.is_some();
+        if has_failed && session.held.is_empty() {
+            (session.shown, session.kept) = (None, None);
+        }
         if sent.is_final {
             session.kept = generation
                 .view
@@ -72,6 +76,8 @@ impl<B: Backend> Session<B> {
         self.outbox.push_front(Frame::Ping(ping));
         if ends {
             self.end_generation(surface);
+        } else if has_failed {
+            self.end_failed(surface);
         }
     }
 

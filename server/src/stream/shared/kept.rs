@@ -63,7 +63,7 @@ impl Kept {
             let key = ChunkKey {
                 volume: Arc::clone(&kept.volume),
                 coords: note.coords,
-                hash: note.hash,
+                hash: note.hash.order,
             };
             Some((*note, entries.chunks.get(&key)?.clone()))
         };

@@ -88,6 +88,17 @@ pub(super) struct Offered {
     pub is_own: bool,
 }
 
+impl Offered {
+    /// A step after which the client holds nothing of the surface.
+    pub(super) fn nothing(view: &View, volume: &VolumeStep) -> Self {
+        let volume = Arc::new(volume.dataset().key());
+        Self {
+            step: Arc::new(SharedStep::again(Refinement::nothing(view), volume, Vec::new())),
+            is_own: false,
+        }
+    }
+}
+
 impl Shared {
     /// Keeps what was made within so many bytes; 0: nothing, but jobs that run are joined still.
     pub(super) fn new(budget: u64) -> Self {

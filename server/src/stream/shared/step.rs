@@ -14,10 +14,10 @@ use crate::metrics;
 use crate::pool;
 use crate::volumes::{DatasetKey, VolumeStep};
 use crate::wire::chunk::{PrefixId, with_prefix};
-use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, content_hash};
+use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 
-/// Content hash of each region that a client holds.
-pub(in crate::stream) type RegionHashes = FxHashMap<[u32; 3], u64>;
+/// Hashes of each region that a client holds.
+pub(in crate::stream) type RegionHashes = FxHashMap<[u32; 3], MeshHash>;
 
 /// About how many bytes a region and a hundred triangles are in chunks.
 const REGION_BYTES: u64 = 160;
@@ -38,7 +38,7 @@ pub(in crate::stream) struct SharedStep {
 #[derive(Debug)]
 pub(in crate::stream) struct SharedRegion {
     pub coords: [u32; 3],
-    pub hash: u64,
+    pub hash: MeshHash,
     pub triangles: usize,
     /// Until it is encoded.
     mesh: Mutex<Option<Region>>,
@@ -49,7 +49,7 @@ pub(in crate::stream) struct SharedRegion {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RegionNote {
     pub coords: [u32; 3],
-    pub hash: u64,
+    pub hash: MeshHash,
     pub triangles: usize,
 }
 
@@ -135,7 +135,7 @@ impl SharedStep {
         ChunkKey {
             volume: Arc::clone(&self.volume),
             coords: region.coords,
-            hash: region.hash,
+            hash: region.hash.order,
         }
     }
 
@@ -170,7 +170,7 @@ impl SharedRegion {
     fn new(mesh: Region) -> Self {
         Self {
             coords: mesh.coords,
-            hash: content_hash(&mesh),
+            hash: MeshHash::of(&mesh),
             triangles: mesh.indices.len() / 3,
             mesh: Mutex::new(Some(mesh)),
             chunk: OnceLock::new(),

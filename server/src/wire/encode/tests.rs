@@ -2,7 +2,7 @@ use isopeel_kernels::{Region, Vertex};
 use proptest::prelude::*;
 
 use super::super::chunk::{ChunkHeader, ChunkKind, HEADER_BYTES, PrefixId, WireVertex, decode, decode_errors};
-use super::{content_hash, encode, encode_errors};
+use super::{MeshHash, encode, encode_errors};
 
 fn vertex(position: [i32; 3]) -> Vertex {
     Vertex {
@@ -143,24 +143,38 @@ fn what_does_not_fit_together_is_refused() {
 #[test]
 fn the_hash_sees_everything_that_is_sent_but_generation_and_prefix() {
     let base = small_region();
-    let hash = content_hash(&base);
-    assert_eq!(content_hash(&base.clone()), hash);
+    let hash = MeshHash::of(&base);
+    assert_eq!(MeshHash::of(&base.clone()), hash);
     let mut other = base.clone();
     other.vertices.to_mut()[0].feature -= 256;
-    assert_ne!(content_hash(&other), hash);
+    assert_ne!(MeshHash::of(&other).triangles, hash.triangles);
     let mut other = base.clone();
     other.vertices.to_mut()[0].position[0] += super::LATTICE_RATIO;
-    assert_ne!(content_hash(&other), hash);
+    assert_ne!(MeshHash::of(&other).triangles, hash.triangles);
     // Less than is sent.
     let mut other = base.clone();
     other.vertices.to_mut()[0].position[0] += 1;
-    assert_eq!(content_hash(&other), hash);
+    assert_eq!(MeshHash::of(&other), hash);
     let mut other = base.clone();
     other.indices.to_mut().swap(0, 1);
-    assert_ne!(content_hash(&other), hash);
-    let mut other = base;
+    assert_ne!(MeshHash::of(&other).triangles, hash.triangles, "turned over");
+    let mut other = base.clone();
     other.level_triangles = [0, 1, 0, 1, 0, 0];
-    assert_ne!(content_hash(&other), hash);
+    assert_ne!(MeshHash::of(&other).triangles, hash.triangles);
+    // The same mesh, whose vertices have other numbers.
+    let mut other = base.clone();
+    other.vertices.to_mut().swap(0, 3);
+    let renumbered = |index: &u32| [3, 1, 2, 0][*index as usize];
+    other.indices = other.indices.iter().map(renumbered).collect::<Vec<_>>().into();
+    assert_eq!(MeshHash::of(&other), hash);
+    let prefix = PrefixId::cut(0, 0, 0);
+    assert_eq!(encode(&other, prefix), encode(&small_region(), prefix));
+    // The same triangles from another corner on.
+    let mut other = base;
+    other.indices.to_mut()[..3].rotate_left(1);
+    let turned = MeshHash::of(&other);
+    assert_eq!(turned.triangles, hash.triangles);
+    assert_ne!(turned.order, hash.order);
 }
 
 #[test]

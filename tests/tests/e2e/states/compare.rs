@@ -4,7 +4,6 @@ use std::collections::{BTreeSet, HashMap};
 
 use serde_json::Value;
 
-use super::known::Ingredient;
 use super::seat::{Failed, Final, Measured, Outcome};
 use crate::support::chunk::Chunk;
 
@@ -92,9 +91,7 @@ pub fn have_first(found: &Outcome, expected: &Outcome) -> bool {
 }
 
 fn failures(found: &Failed, expected: &Failed) -> Result<(), Difference> {
-    let is_nameless = found.surface.is_none() && Ingredient::SurfaceOfErrors.is_on();
-    let is_other = found.suggested_triangles != expected.suggested_triangles;
-    match is_nameless || is_other && Ingredient::SuggestedTriangles.is_on() {
+    match found.surface.is_none() || found.suggested_triangles != expected.suggested_triangles {
         true => Err(Difference::new("error", format!("{found:?}, expected {expected:?}"))),
         false => Ok(()),
     }

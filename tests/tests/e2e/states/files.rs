@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::compare::Difference;
 use super::sequence::Caches;
@@ -135,7 +135,14 @@ fn user(server: SocketAddr) -> User {
     }
 }
 
-/// What a server says of a volume.
+/// What a server says of the samples of a volume: how many steps there are, and the values of the first. What is derived from them is not in
+/// every description.
 fn describe(server: SocketAddr, volume: &str) -> Value {
-    http::get(server, &format!("/api/v1/volumes/{volume}")).json()
+    let described = http::get(server, &format!("/api/v1/volumes/{volume}")).json();
+    let fields = described["fields"].as_array().expect("fields");
+    let values: Vec<_> = fields
+        .iter()
+        .map(|field| (&field["range"], &field["histogram"]))
+        .collect();
+    json!([described["steps"], values])
 }

@@ -7,8 +7,7 @@ use std::collections::BTreeMap;
 use fastrand::Rng;
 use serde_json::{Value, json};
 
-use super::known::Ingredient;
-use super::model::{Model, View};
+use super::model::Model;
 use super::sequence::{Caches, Event, Sequence};
 use super::volumes::{OWN, SERIES, UPLOADED, VOLUMES, Volume};
 use super::world::World;
@@ -65,7 +64,7 @@ pub fn sequence(world: &World, seed: u64, bursts: usize) -> Sequence {
         earlier: BTreeMap::new(),
         has_several_surfaces: random.u8(..100) < 45,
         may_open: random.u8(..10) < 3,
-        may_follow: random.u8(..4) == 0 && (!has_files || Ingredient::ReplacedInGroups.is_on()),
+        may_follow: random.u8(..4) == 0,
         has_files,
         is_uploaded: false,
         first_volumes: volumes.clone(),
@@ -141,7 +140,7 @@ impl Generator<'_> {
 
     /// What befalls the server between edits.
     fn befall(&mut self) {
-        if Ingredient::LostDevices.is_on() && self.percent(8) {
+        if self.percent(8) {
             self.lose_device();
         }
         if self.may_follow && self.percent(20) {
@@ -184,7 +183,7 @@ impl Generator<'_> {
             .filter(|of| of["type"] == "edit");
         for edit in edits.collect::<Vec<_>>() {
             let mut model = self.models[viewer].clone();
-            if model.edit(&edit) && self.is_allowed(&model) {
+            if model.edit(&edit) {
                 self.models[viewer] = model;
                 self.send(viewer, edit);
             }
@@ -238,7 +237,7 @@ impl Generator<'_> {
                 self.begin_all_anew(OWN);
             }
             1 => {
-                let rewrite = Ingredient::RewrittenSeries.is_on() && self.random.bool();
+                let rewrite = self.random.bool();
                 self.added_steps += 1;
                 self.events.push(Event::Grow { content, rewrite });
                 if rewrite {
@@ -286,7 +285,7 @@ impl Generator<'_> {
             }
             33..38 if is_started => self.ask(viewer),
             38..44 if is_within && self.earlier.contains_key(&viewer) => self.go_back(viewer),
-            46..52 if volume.name == "fields" && is_started && Ingredient::LateBadEdits.is_on() => {
+            46..52 if volume.name == "fields" && is_started => {
                 let name = self.choose(&["field", "feature"]);
                 let message = json!({"type": "edit", name: "distance(labels==99)"});
                 self.events.push(Event::SendLateBad { viewer, message });
@@ -328,7 +327,7 @@ impl Generator<'_> {
     fn go_back(&mut self, viewer: usize) {
         let message = self.choose(&self.earlier[&viewer].clone());
         let mut model = self.models[viewer].clone();
-        if model.edit(&message) && self.is_allowed(&model) {
+        if model.edit(&message) {
             self.models[viewer] = model;
             self.send(viewer, message);
         }
@@ -338,27 +337,11 @@ impl Generator<'_> {
     fn edit(&mut self, viewer: usize) {
         for _ in 0..100 {
             let (mut model, edit) = (self.models[viewer].clone(), self.draw_edit(viewer));
-            if model.edit(&edit) && self.is_allowed(&model) {
+            if model.edit(&edit) {
                 self.models[viewer] = model;
                 return self.send(viewer, edit);
             }
         }
         panic!("no edit fits {:?}", self.models[viewer]);
-    }
-
-    /// Whether the views have nothing that is left out.
-    fn is_allowed(&self, model: &Model) -> bool {
-        let views = || {
-            model
-                .surfaces
-                .iter()
-                .filter(|(surface, _)| model.edited.contains(surface))
-                .map(|(_, view)| view)
-        };
-        let budgets = views().filter(|view| view.budget().is_some()).count();
-        let is_guarded = |view: &View| view.get("maxError") != "auto" || view.get("topology") != "auto";
-        let has_guarded_budget = views().any(|view| view.budget().is_some() && is_guarded(view));
-        (budgets < 2 || Ingredient::SharedBudgets.is_on())
-            && (!has_guarded_budget || Ingredient::GuardsBesideBudgets.is_on())
     }
 }

@@ -1,5 +1,5 @@
 //! A surface is a function of its view: random sequences of edits, and of what befalls a server meanwhile. Each settled state is compared
-//! with what a fresh client of a server without caches is shown, each prefix is checked by itself. [`known`] lists what is left out so far.
+//! with what a fresh client of a server without caches is shown, each prefix is checked by itself.
 //!
 //! The sequences are the same in each run, unless `ISOPEEL_STATES_SECONDS` asks for others for so long (`make fuzz`), from the seed
 //! `ISOPEEL_STATES_SEED` or a new one. One that fails is shrunk and printed as a line of JSON; `ISOPEEL_STATES_FILE` names a file with such lines to
@@ -8,7 +8,6 @@
 mod compare;
 mod files;
 mod generate;
-mod known;
 mod model;
 mod run;
 mod seat;
@@ -87,6 +86,7 @@ impl Tester {
                 (_, Ok(counts)) => self.counts += counts,
                 (sequence, Err(of)) => {
                     println!("seed {}: {}: {}", sequence.seed, of.kind, of.detail);
+                    println!("{}", serde_json::to_string(&sequence).expect("JSON"));
                     self.failures.entry(of.kind.clone()).or_insert((sequence, of));
                 }
             }

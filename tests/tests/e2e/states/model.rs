@@ -120,6 +120,8 @@ pub struct Model {
     pub edited: BTreeSet<u8>,
     /// Whether surface 0 was removed, which is there from the start.
     pub is_first_removed: bool,
+    /// Surfaces whose feature has its own range, and of which step: that at which the edit was sent.
+    pub range_steps: BTreeMap<u8, u64>,
 }
 
 impl Model {
@@ -133,6 +135,7 @@ impl Model {
             opening,
             edited: BTreeSet::new(),
             is_first_removed: false,
+            range_steps: BTreeMap::new(),
         }
     }
 
@@ -161,9 +164,11 @@ impl Model {
         let Some(surface) = u8::try_from(surface).ok().filter(|&surface| surface < 4) else {
             return false;
         };
-        let Some(view) = self.view(surface).edited(&edit) else {
+        let before = self.view(surface);
+        let Some(view) = before.edited(&edit) else {
             return false;
         };
+        self.note_range(surface, &before, &view);
         if BUDGETS.iter().any(|name| edit.contains_key(*name)) {
             let budget = view.budget().map(|(name, value)| (name, value.clone()));
             let shares = self.surfaces.values_mut().filter(|view| view.budget().is_some());
@@ -175,31 +180,64 @@ impl Model {
         true
     }
 
+    fn note_range(&mut self, surface: u8, before: &View, view: &View) {
+        let has_own = |view: &View| view.get("featureRange").is_null();
+        if !has_own(view) {
+            self.range_steps.remove(&surface);
+        } else if !has_own(before) || before.has_other_feature(view) {
+            self.range_steps.insert(surface, self.step);
+        }
+    }
+
     /// Removes a surface, which must be there.
     pub fn remove(&mut self, surface: u8) {
         self.surfaces.remove(&surface);
+        self.range_steps.remove(&surface);
         self.edited.remove(&surface);
         self.is_first_removed |= surface == 0;
     }
 
-    /// What a fresh client sends to be shown the same.
+    /// The step that a fresh client opens to be shown the same: the first of those of which a range is, or else that at hand.
+    pub fn first_step(&self) -> u64 {
+        let of_ranges = self
+            .range_steps
+            .iter()
+            .filter(|(surface, _)| self.edited.contains(surface));
+        of_ranges.map(|(_, step)| *step).min().unwrap_or(self.step)
+    }
+
+    /// What it sends then.
     pub fn messages(&self) -> Vec<Value> {
-        let remove = json!({"type": "remove", "surface": 0});
-        let is_removed = self.is_first_removed && !self.edited.is_empty();
-        let edit = |surface: &u8| {
-            let mut edit = self.surfaces[surface].0.clone();
-            edit.insert("type".into(), json!("edit"));
-            edit.insert("surface".into(), json!(surface));
-            if !self.surfaces[surface].is_by_error() {
-                edit.remove("minPart");
-                edit.remove("parts");
+        let mut messages = Vec::new();
+        if self.is_first_removed && !self.edited.is_empty() {
+            messages.push(json!({"type": "remove", "surface": 0}));
+        }
+        let step_of = |surface: &u8| self.range_steps.get(surface).copied().unwrap_or(self.step);
+        let mut step = self.first_step();
+        // Not of a range of its own: with the last ones.
+        let steps: BTreeSet<_> = self.edited.iter().map(step_of).chain([self.step]).collect();
+        let (others, last): (Vec<_>, Vec<_>) = steps.into_iter().partition(|step| *step != self.step);
+        for next in others.into_iter().chain(last) {
+            if next != step {
+                messages.push(json!({"type": "step", "step": next}));
+                step = next;
             }
-            Value::Object(edit)
-        };
-        is_removed
-            .then_some(remove)
-            .into_iter()
-            .chain(self.edited.iter().map(edit))
-            .collect()
+            let edited = self.edited.iter().filter(|surface| step_of(surface) == next);
+            messages.extend(edited.map(|&surface| self.full_edit(surface)));
+        }
+        messages
+    }
+
+    /// All values of a surface.
+    fn full_edit(&self, surface: u8) -> Value {
+        let view = &self.surfaces[&surface];
+        let mut edit = view.0.clone();
+        edit.insert("type".into(), json!("edit"));
+        edit.insert("surface".into(), json!(surface));
+        if !view.is_by_error() {
+            edit.remove("minPart");
+            edit.remove("parts");
+        }
+        Value::Object(edit)
     }
 }

@@ -240,34 +240,44 @@ impl<'a> Run<'a> {
         rested.into_iter().collect::<Result<(), _>>()?;
         assert!(!self.fault().exists(), "the device was lost before all rested");
         for number in 0..self.seats.len() {
-            let model = self.seats[number].model.clone();
-            if model.edited.is_empty() {
-                continue;
-            }
-            let reference = self.reference(&model).await?;
-            self.seats[number].check_budgets()?;
-            self.seats[number].check_statistics()?;
-            let outcomes = &self.seats[number].outcomes;
-            compare_all(&model, outcomes, &reference)?;
-            self.counts.first_prefixes += outcomes
-                .iter()
-                .zip(&*reference)
-                .filter(|(a, b)| compare::have_first(a, b))
-                .count();
-            self.counts.settled_surfaces += model.edited.len();
-            if newcomer {
-                let volume = self.files.id(&model.volume).to_owned();
-                let there = Model {
-                    volume,
-                    ..model.clone()
-                };
-                let shown = show(self.server(), &there).await?;
-                compare_all(&model, &shown, &reference)
-                    .map_err(|of| Difference::new(format!("newcomer: {}", of.kind), of.detail))?;
-                self.counts.newcomers += 1;
+            if !self.seats[number].model.edited.is_empty() {
+                self.compare(number).await?;
+                if newcomer {
+                    self.compare_newcomer(number).await?;
+                }
             }
         }
         self.settle_followers().await
+    }
+
+    /// What a viewer shows is what a fresh client is shown.
+    async fn compare(&mut self, number: usize) -> Result<(), Difference> {
+        let model = self.seats[number].model.clone();
+        let reference = self.reference(&model).await?;
+        let seat = &self.seats[number];
+        seat.check_budgets()?;
+        seat.check_statistics()?;
+        compare_all(&model, &seat.outcomes, &reference)
+            .map_err(|of| Difference::new(of.kind, format!("{}\n{}", of.detail, seat.last_frames())))?;
+        let both = seat.outcomes.iter().zip(&*reference);
+        self.counts.first_prefixes += both.filter(|(a, b)| compare::have_first(a, b)).count();
+        self.counts.settled_surfaces += model.edited.len();
+        Ok(())
+    }
+
+    /// So is another viewer of the same server.
+    async fn compare_newcomer(&mut self, number: usize) -> Result<(), Difference> {
+        let model = self.seats[number].model.clone();
+        let reference = self.reference(&model).await?;
+        let there = Model {
+            volume: self.files.id(&model.volume).to_owned(),
+            ..model.clone()
+        };
+        let shown = show(self.server(), &there).await?;
+        compare_all(&model, &shown, &reference)
+            .map_err(|of| Difference::new(format!("newcomer: {}", of.kind), of.detail))?;
+        self.counts.newcomers += 1;
+        Ok(())
     }
 
     /// Followers are shown what the leader shows.

@@ -1,6 +1,6 @@
 //! A viewer with what it has been sent, and the model of what it should be shown.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::net::SocketAddr;
 use std::time::Duration;
 
@@ -9,7 +9,6 @@ use tokio::net::TcpSocket;
 use tokio::time::{Instant, timeout_at};
 
 use super::compare::{Difference, Regions};
-use super::known::Ingredient;
 use super::model::{Model, View};
 use super::volumes::MISSING;
 use crate::support::chunk::Chunk;
@@ -22,8 +21,10 @@ const REST_LIMIT: Duration = Duration::from_secs(90);
 const SILENCE: Duration = Duration::from_secs(15);
 /// Bytes that the network takes on a slow line.
 const RECEIVE_BUFFER: u32 = 4096;
-/// A measured error may be above the guard by so much: vertices are on a lattice.
-const GUARD_TOLERANCE: f64 = 1.1;
+/// Edges that are named where a surface is not closed.
+const SHOWN_EDGES: usize = 4;
+/// Frames that are named where an outcome is not as expected.
+const SHOWN_FRAMES: usize = 40;
 
 /// A final surface.
 #[derive(Clone, Debug)]
@@ -94,7 +95,9 @@ pub struct Seat {
     /// `bad-edit` so far, and how many were expected.
     bad_edits: usize,
     pub expected_bad_edits: usize,
-    /// Whether the question was answered that is asked to wait for rest, and chunks that are still to come.
+    /// Kinds of questions that were asked and not answered, but for the one that is asked to wait for rest.
+    questions: BTreeSet<String>,
+    /// Whether that one was answered, and chunks that are still to come.
     is_answered: bool,
     chunks_to_come: usize,
     /// Errors that no `superseded` has followed yet.
@@ -123,8 +126,7 @@ impl Seat {
             socket.set_recv_buffer_size(RECEIVE_BUFFER).expect("a small buffer");
         }
         let tcp = socket.connect(address).await.expect("the server listens");
-        let mut viewer = Viewer::connect_on(tcp, address).await;
-        viewer.may_repeat = !Ingredient::RepeatedRegions.is_on();
+        let viewer = Viewer::connect_on(tcp, address).await;
         Self {
             viewer,
             model: Model::open("", &json!({})),
@@ -134,6 +136,7 @@ impl Seat {
             line,
             bad_edits: 0,
             expected_bad_edits: 0,
+            questions: BTreeSet::new(),
             is_answered: false,
             chunks_to_come: 0,
             errors: Vec::new(),
@@ -191,6 +194,12 @@ impl Seat {
     }
 
     pub async fn send(&mut self, message: Value) {
+        match message["type"].as_str() {
+            Some(kind @ ("probe" | "distribution" | "curve")) => drop(self.questions.insert(kind.to_owned())),
+            // These are not answered any more.
+            Some("open" | "cancel" | "remove") => self.questions.clear(),
+            _ => {}
+        }
         self.viewer.send(message).await;
     }
 
@@ -295,6 +304,7 @@ impl Seat {
                 self.chunks_to_come = answer["regions"].as_u64().expect("a count") as usize;
                 self.is_answered = true;
             }
+            Frame::Answer { kind, .. } => drop(self.questions.remove(if kind == "probed" { "probe" } else { &kind })),
             Frame::Errors { .. } => self.chunks_to_come = self.chunks_to_come.saturating_sub(1),
             Frame::Group(group) => self.group = group["group"].as_str().map(str::to_owned),
             Frame::Closed { code } => panic!("closed with {code:?}"),
@@ -304,15 +314,16 @@ impl Seat {
 
     /// A surface of the dual mesher is closed but for the volume's faces, whatever the prefix.
     fn check_closed(&mut self, surface: u8, level: u8) {
-        let is_thin = self.dims.iter().any(|&n| n < 4) && !Ingredient::ThinVolumes.is_on();
-        if self.is_marched || self.had_mask[usize::from(surface)] || self.is_follower || is_thin {
+        if self.is_marched || self.had_mask[usize::from(surface)] || self.is_follower {
             return;
         }
         let open = open_edges(self.shown(surface).values(), self.dims);
-        if open > 0 {
+        if !open.is_empty() {
             let detail = format!(
-                "{open} open edges in a prefix of level {level} of surface {surface}: {}",
-                self.model.volume
+                "{} open edges in a prefix of level {level} of surface {surface} of {}: {:?}",
+                open.len(),
+                self.model.volume,
+                &open[..open.len().min(SHOWN_EDGES)]
             );
             self.found.get_or_insert(Difference::new("open edges", detail));
         }
@@ -334,7 +345,8 @@ impl Seat {
 
     fn take_error(&mut self, code: String, surface: Option<u8>, suggested_triangles: Option<u64>) {
         match code.as_str() {
-            "no-surface" | "unknown-surface" => return self.is_answered = true,
+            // It does not say which question is meant: those that were asked before are answered first.
+            "no-surface" | "unknown-surface" => return self.is_answered |= self.questions.pop_first().is_none(),
             "volume-removed" => return self.is_removed = true,
             "bad-edit" => return self.bad_edits += 1,
             _ => {}
@@ -435,23 +447,23 @@ impl Seat {
             let Some(of) = outcome.finals.last() else { continue };
             let stated = of.statistics["vertices"].as_u64().expect("a count");
             let (distinct, all) = of.vertices();
-            let is_checked = !self.had_mask[usize::from(surface)] || Ingredient::VerticesOfMasks.is_on();
-            if is_checked && !(distinct..=all).contains(&stated) {
+            if !(distinct..=all).contains(&stated) {
                 let detail = format!("{stated}, of {all} in chunks {distinct} are distinct; {view:?}");
                 return Err(Difference::new("vertices", detail));
             }
-            let guard = of.statistics["maxError"]
-                .as_f64()
-                .filter(|_| of.statistics["gaveWay"] == json!([]));
-            let Some((guard, measured)) = guard.zip(outcome.measured.as_ref()) else {
-                continue;
-            };
-            if measured.error[1] > guard * GUARD_TOLERANCE && Ingredient::MeasuredGuards.is_on() {
-                let detail = format!("measured {:?}, guard {guard}; {view:?}", measured.error);
-                return Err(Difference::new("guard", detail));
-            }
         }
         Ok(())
+    }
+
+    /// The last messages, chunks left out.
+    pub fn last_frames(&self) -> String {
+        let frames = self.viewer.log.iter().rev();
+        let frames = frames.filter(|frame| !matches!(frame, Frame::Chunk { .. } | Frame::Errors { .. }));
+        let texts: Vec<_> = frames
+            .take(SHOWN_FRAMES)
+            .map(|frame| brief(format!("{frame:?}")))
+            .collect();
+        texts.into_iter().rev().collect::<Vec<_>>().join("\n")
     }
 
     fn states(&self) -> Vec<(u32, usize, bool)> {
@@ -485,4 +497,13 @@ fn check_budget(surface: u8, of: &Final, name: &str, budget: &Value) -> Result<(
             format!("surface {surface}: {found} {name}, expected at most {limit}"),
         )),
     }
+}
+
+/// The beginning of a text.
+fn brief(mut text: String) -> String {
+    const LENGTH: usize = 240;
+    if let Some((end, _)) = text.char_indices().nth(LENGTH) {
+        text.truncate(end);
+    }
+    text
 }

@@ -66,7 +66,7 @@ impl World {
     /// What a fresh client is shown of these views.
     pub async fn reference(&self, model: &Model) -> Result<Reference, Difference> {
         let messages = model.messages();
-        let key = json!([model.volume, model.step, messages]).to_string();
+        let key = json!([model.volume, model.first_step(), messages]).to_string();
         let known = self.known.lock().expect("not poisoned").get(&key).cloned();
         if let Some(known) = known {
             return Ok(known);
@@ -90,7 +90,7 @@ pub fn options(caches: Caches) -> Vec<&'static str> {
 /// What a fresh client of a server is shown of these views.
 pub async fn show(server: &Process, model: &Model) -> Result<[Outcome; 4], Difference> {
     let mut seat = Seat::connect(server.address, None).await;
-    seat.open_step(&model.volume, model.step).await;
+    seat.open_step(&model.volume, model.first_step()).await;
     seat.model = model.clone();
     seat.mark_masks(model.surfaces.iter().filter(|(_, view)| View::has_mask(view)));
     for message in model.messages() {

@@ -37,7 +37,7 @@ pub fn assert_bounds(chunk: &Chunk) {
 
 /// Edges that are not met by as many triangles in one direction as in the other, by the bits of their ends' positions
 /// across all regions; edges in the volume's own faces, where a surface may end, are left out.
-pub fn open_edges<'a>(chunks: impl IntoIterator<Item = &'a Chunk>, dims: [u32; 3]) -> usize {
+pub fn open_edges<'a>(chunks: impl IntoIterator<Item = &'a Chunk>, dims: [u32; 3]) -> Vec<[[i32; 3]; 2]> {
     let last = dims.map(|n| (n as i32 - 1) * LATTICE);
     let on_the_rim =
         |p: [i32; 3], q: [i32; 3]| (0..3).any(|axis| p[axis] == q[axis] && (p[axis] == 0 || p[axis] == last[axis]));
@@ -58,7 +58,8 @@ pub fn open_edges<'a>(chunks: impl IntoIterator<Item = &'a Chunk>, dims: [u32; 3
             }
         }
     }
-    balance.values().filter(|&&balance| balance != 0).count()
+    let open = balance.into_iter().filter(|(_, balance)| *balance != 0);
+    open.map(|((p, q), _)| [p, q]).collect()
 }
 
 /// Share of the area whose triangles are turned as their vertices' normals say: counter-clockwise seen from the side of

@@ -128,6 +128,22 @@ async fn a_bad_edit_takes_no_other_one_with_it() {
 }
 
 #[tokio::test]
+async fn a_question_waits_for_a_step_that_came_before_it() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(r#"{"type":"step","step":3}"#).await;
+    let job = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"probe","position":[1,2,3]}"#).await;
+    viewer.quiet().await;
+    assert!(viewer.questions.try_recv().is_err(), "of the step before");
+    job.resolve();
+    viewer.until("stepped").await;
+    viewer.step().await.answer(Answer::last(2, shapes(&[2])));
+    viewer.until("done").await;
+    let asked = viewer.questions.recv().await.expect("a question");
+    assert_eq!(asked.shown.expect("a surface").cut, crate::extraction::CutId::new(2));
+}
+
+#[tokio::test]
 async fn values_that_an_edit_leaves_open_are_those_of_its_step() {
     let mut viewer = showing(&Common::new(0)).await;
     viewer.say(FEATURE).await;

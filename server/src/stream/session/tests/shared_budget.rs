@@ -2,7 +2,7 @@
 
 use super::scripted::{Answer, shapes};
 use super::surfaces::iso;
-use super::viewer::{Viewer, prefix, prefix_of};
+use super::viewer::{Viewer, committed_of, prefix, prefix_of};
 use crate::extraction::{CutId, Shown, WorkError};
 use crate::view::View;
 use crate::view::quality::{Budget, TriangleBudget};
@@ -118,22 +118,23 @@ async fn a_minimum_budget_is_one_for_all_surfaces() {
     viewer
         .expect(r#"{"type":"superseded","surface":1,"generation":2}"#)
         .await;
-    // What failed shows nothing, and takes nothing from the other surface.
+    // What failed keeps its part: whether it can be made changes no other surface.
     let job = viewer.step().await;
-    assert_eq!((iso(&job), triangles(&job.view)), (10.0, 1000));
+    assert_eq!((iso(&job), triangles(&job.view)), (10.0, 800));
     job.answer(Answer::last(2, shapes(&[2])).of_full(4000));
     viewer.until("done").await;
     viewer.say(r#"{"type":"edit","surface":1,"triangles":1250}"#).await;
-    let job = viewer.step().await;
-    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 250));
-    job.answer(Answer::last(3, shapes(&[3])).of_full(1000));
-    viewer.until("done").await;
-    // The other one has 1000 of 1250 already.
+    for (surface, part, full) in [(20.0, 250, 1000), (10.0, 1000, 4000)] {
+        let job = viewer.step().await;
+        assert_eq!((iso(&job), triangles(&job.view)), (surface, part));
+        job.answer(Answer::last(3, shapes(&[3])).of_full(full));
+        viewer.until("done").await;
+    }
     viewer.quiet().await;
 }
 
 #[tokio::test]
-async fn what_a_failed_surface_keeps_is_reserved() {
+async fn what_a_failed_surface_holds_goes_where_others_share_its_budget() {
     let mut viewer = Viewer::opened().await;
     viewer
         .say(r#"{"type":"edit","iso":10,"triangles":1000,"topology":"preserve"}"#)
@@ -153,23 +154,81 @@ async fn what_a_failed_surface_keeps_is_reserved() {
         budget: 400,
     };
     assert!(job.reply.send(Err(error)).is_ok());
-    assert_eq!(viewer.until("error").await["surface"], 0);
-    // The 600 triangles of the other one were never shown: 900 of 1000 are there.
-    let job = viewer.step().await;
-    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 100));
-    job.answer(Answer::last(3, shapes(&[3])).of_full(6000).of_triangles(100));
+    // What is there of it goes before the other one comes, so that both are never above the budget.
+    viewer.expect(&prefix_of(0, 3, 0, [1, 0, 0], false)).await;
+    assert_eq!(viewer.chunk().await.header.vertex_count, 0);
+    viewer.expect(&committed_of(0, 3, 0, false)).await;
+    let error = viewer.text().await;
+    assert_eq!(
+        (&error["code"], &error["surface"], &error["suggestedTriangles"]),
+        (&"over-budget".into(), &0.into(), &2000.into())
+    );
     assert_eq!(viewer.until("done").await["surface"], 1);
     viewer.quiet().await;
     // An edit that gives it no other part does not try it again, the end of the other surface does.
     viewer.say(r#"{"type":"edit","surface":1,"alpha":0.1}"#).await;
     let job = viewer.step().await;
-    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 100));
-    job.answer(Answer::last(4, shapes(&[4])).of_full(6000).of_triangles(100));
+    assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
+    job.answer(Answer::last(4, shapes(&[4])).of_full(6000).of_triangles(600));
     viewer.until("done").await;
     viewer.quiet().await;
     viewer.say(r#"{"type":"remove","surface":1}"#).await;
     let job = viewer.step().await;
     assert_eq!((iso(&job), triangles(&job.view)), (10.0, 1000));
+}
+
+#[tokio::test]
+async fn a_surface_that_failed_alone_keeps_what_is_shown_until_others_share_its_budget() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit","iso":10,"triangles":1000}"#).await;
+    let first = Answer::last(1, shapes(&[1])).of_full(4000).of_triangles(900);
+    viewer.step().await.answer(first);
+    viewer.until("done").await;
+    let over = |minimum, budget| WorkError::OverBudget { minimum, budget };
+    viewer.say(r#"{"type":"edit","triangles":500}"#).await;
+    assert!(viewer.step().await.reply.send(Err(over(700, 500))).is_ok());
+    assert_eq!(viewer.error().await, ("over-budget".into(), true));
+    viewer.until("superseded").await;
+    viewer.quiet().await;
+    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+    viewer.count(1000).await;
+    for _ in 0..2 {
+        let job = viewer.step().await;
+        if iso(&job) == 20.0 {
+            assert_eq!(triangles(&job.view), 100);
+            job.answer(Answer::last(2, shapes(&[2])).of_full(1000));
+            continue;
+        }
+        assert_eq!(triangles(&job.view), 400, "it is tried again with its part");
+        assert!(job.reply.send(Err(over(700, 400))).is_ok());
+    }
+    let prefix = viewer.until("prefix").await;
+    assert_eq!((&prefix["surface"], &prefix["triangles"]), (&0.into(), &0.into()));
+    assert_eq!(viewer.until("error").await["suggestedTriangles"], 875);
+    assert_eq!(viewer.until("done").await["surface"], 1);
+    viewer.quiet().await;
+}
+
+/// Its triangles are not known then.
+#[tokio::test]
+async fn a_surface_that_failed_uncounted_gets_a_part_when_others_come() {
+    let mut viewer = Viewer::opened().await;
+    viewer.say(r#"{"type":"edit","iso":10,"triangles":500}"#).await;
+    let over = |minimum, budget| WorkError::OverBudget { minimum, budget };
+    assert!(viewer.step().await.reply.send(Err(over(700, 500))).is_ok());
+    viewer.until("superseded").await;
+    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+    let counts = [viewer.count(1000).await, viewer.count(1000).await];
+    assert!(counts.contains(&10.0) && counts.contains(&20.0), "{counts:?}");
+    for _ in 0..2 {
+        let job = viewer.step().await;
+        assert_eq!(triangles(&job.view), 250);
+        match iso(&job) {
+            20.0 => job.answer(Answer::last(2, shapes(&[2])).of_full(1000)),
+            _ => assert!(job.reply.send(Err(over(700, 250))).is_ok()),
+        }
+    }
+    assert_eq!(viewer.until("error").await["suggestedTriangles"], 1400);
 }
 
 #[tokio::test]

@@ -1,8 +1,8 @@
 //! Other time steps of the open volume.
 
 use super::scripted::{Answer, shapes};
-use super::viewer::{Viewer, prefix};
-use crate::extraction::{CutId, Shown};
+use super::viewer::{Viewer, committed, prefix};
+use crate::extraction::{CutId, Shown, WorkError};
 
 const TO_STEP_1: &str = r#"{"type":"step","step":1}"#;
 
@@ -26,6 +26,41 @@ async fn another_step_sends_what_differs_in_one_commit() {
     viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
     let job = viewer.step().await;
     assert_eq!((job.volume.step(), job.shown()), (1, Shown::Cut(CutId::new(3))));
+}
+
+/// What it had of the step before would pass for one of this step.
+#[tokio::test]
+async fn nothing_is_shown_of_a_surface_that_a_step_has_not() {
+    let mut viewer = Viewer::showing(&[1, 2]).await;
+    viewer.say(TO_STEP_1).await;
+    viewer.until("stepped").await;
+    let error = WorkError::OverBudget {
+        minimum: 300,
+        budget: 200,
+    };
+    assert!(viewer.step().await.reply.send(Err(error)).is_ok());
+    viewer.expect(&prefix(2, 0, [2, 0, 0], false)).await;
+    for region in 0..2 {
+        let header = viewer.chunk().await.header;
+        assert_eq!((header.region, header.vertex_count), ([region, 0, 0], 0));
+    }
+    viewer.expect(&committed(2, 0, false)).await;
+    assert_eq!(viewer.error().await, ("over-budget".into(), true));
+    viewer
+        .expect(r#"{"type":"superseded","surface":0,"generation":2}"#)
+        .await;
+    viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
+    let job = viewer.step().await;
+    assert_eq!((job.volume.step(), job.shown()), (1, Shown::Another));
+    // With what was sent before it failed, nothing is left of the other step either.
+    job.answer(Answer::prefix(7, shapes(&[5])));
+    viewer.until("committed").await;
+    let error = WorkError::OverBudget {
+        minimum: 300,
+        budget: 200,
+    };
+    assert!(viewer.step().await.reply.send(Err(error)).is_ok());
+    assert_eq!(viewer.error().await, ("over-budget".into(), true));
 }
 
 #[tokio::test]

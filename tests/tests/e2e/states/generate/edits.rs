@@ -2,7 +2,6 @@
 
 use serde_json::{Map, Value, json};
 
-use super::super::known::Ingredient;
 use super::super::model::View;
 use super::super::volumes::Volume;
 use super::{Generator, choice};
@@ -22,9 +21,6 @@ impl Generator<'_> {
         let volume = self.volume(viewer);
         if is_new {
             edit.insert("iso".into(), json!(self.choose(volume.isovalues)));
-            if volume.steps > 1 && !Ingredient::OwnRangesOfSteps.is_on() {
-                edit.insert("featureRange".into(), json!([0, 1]));
-            }
         }
         let mut changes = vec![
             "iso",
@@ -39,10 +35,9 @@ impl Generator<'_> {
             "mesher",
             "colors",
             "nothing",
+            "minPart",
+            "parts",
         ];
-        if Ingredient::Parts.is_on() {
-            changes.extend(["minPart", "parts"]);
-        }
         if !volume.masks.is_empty() {
             changes.extend(["mask"; 3]);
         }
@@ -85,9 +80,6 @@ impl Generator<'_> {
             "minPart" | "parts" => return self.add_parts(change, is_marched, view, volume, edit),
             _ => return,
         };
-        if value == "labels==99" && !Ingredient::EmptyMasks.is_on() {
-            return;
-        }
         edit.insert(
             if change == "colors" { "transferFunction" } else { change }.into(),
             value,
@@ -145,20 +137,19 @@ impl Generator<'_> {
         let triangles = self.triangles();
         let bytes = json!(self.choose(&[20_000, 100_000, 400_000]));
         let named: &[(&str, Value)] = match self.random.u8(..100) {
-            _ if is_marched && !Ingredient::CoarseMarching.is_on() => &[("beta", json!(-1))],
             _ if is_marched && self.random.bool() => &[("triangles", triangles)],
             _ if is_marched => &[("beta", beta)],
             0..25 => &[("beta", beta)],
             25..50 => &[("error", error)],
             50..80 => &[("triangles", triangles)],
-            80..87 if Ingredient::TightBudgets.is_on() => &[("bytes", bytes)],
+            80..87 => &[("bytes", bytes)],
             _ => &[("error", error), ("triangles", triangles)],
         };
         edit.extend(named.iter().map(|(name, value)| ((*name).to_owned(), value.clone())));
     }
 
     fn triangles(&mut self) -> Value {
-        if Ingredient::TightBudgets.is_on() && self.percent(40) {
+        if self.percent(40) {
             return self.choose(&[
                 json!(1),
                 json!(4),
@@ -200,8 +191,7 @@ impl Generator<'_> {
     fn add_feature(&mut self, view: &View, volume: &Volume, edit: &mut Map<String, Value>) {
         let feature = self.choose(volume.features);
         edit.insert("feature".into(), json!(feature));
-        let is_explicit = volume.steps > 1 && !Ingredient::OwnRangesOfSteps.is_on();
-        if is_explicit || view.get("feature") != feature && self.percent(40) {
+        if view.get("feature") != feature && self.percent(40) {
             let range = self.choose(&[[0.0, 1.0], [-1.0, 2.0], [0.0, 0.5], [0.0, 100.0]]);
             edit.insert("featureRange".into(), json!(range));
         }
@@ -209,9 +199,6 @@ impl Generator<'_> {
 
     fn add_field(&mut self, volume: &Volume, edit: &mut Map<String, Value>) {
         edit.insert("field".into(), json!(self.choose(volume.fields)));
-        if volume.steps > 1 && !Ingredient::OwnRangesOfSteps.is_on() {
-            edit.insert("featureRange".into(), json!([0, 1]));
-        }
         if self.random.bool() {
             edit.insert("iso".into(), json!(self.choose(volume.isovalues)));
         }

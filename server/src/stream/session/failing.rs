@@ -1,0 +1,108 @@
+//! Generations that fail: what is said, and what the client may keep.
+
+use super::super::backend::Backend;
+use super::Session;
+use super::surface::{Failed, SurfaceSession};
+use crate::error::chain;
+use crate::extraction::WorkError;
+use crate::metrics;
+use crate::view::View;
+use crate::wire::messages::ServerMessage;
+
+impl<B: Backend> Session<B> {
+    pub(super) fn fail_job(&mut self, surface: u8, error: &WorkError) {
+        tracing::debug!(error = chain(error), "a generation failed");
+        if error.rejects_view() && !self.is_proven(surface) {
+            self.send_surface_error(surface, error.code(), error.public_message());
+            return self.take_back(surface);
+        }
+        metrics::stream_error(error.code());
+        let (suggested_triangles, message) = match error.suggested_triangles() {
+            Some(suggested) => self.explained(surface, suggested, error),
+            None => (None, error.public_message()),
+        };
+        let opened = self.opened.as_mut();
+        let session = opened.and_then(|opened| opened.surface_mut(surface));
+        if let Some(generation) = session.and_then(SurfaceSession::generation_mut) {
+            generation.failure = Some(Box::new(ServerMessage::Error {
+                code: error.code(),
+                message,
+                open: true,
+                surface: Some(surface),
+                suggested_triangles,
+            }));
+        }
+        self.end_failed(surface);
+    }
+
+    /// Whether the view in force was shown before, be it of another time step.
+    fn is_proven(&self, surface: u8) -> bool {
+        let session = self.opened.as_ref().and_then(|opened| opened.surface(surface));
+        session.is_some_and(|session| session.proven.as_ref() == Some(&session.view))
+    }
+
+    /// A budget that would be accepted, and the error's text: where the budget is shared, `suggested` is a part of it.
+    fn explained(&self, surface: u8, suggested: u64, error: &WorkError) -> (Option<u64>, String) {
+        let (Some(opened), "over-budget") = (&self.opened, error.code()) else {
+            return (Some(suggested), error.to_string());
+        };
+        let whole = opened.whole_of(surface, suggested);
+        if whole == suggested {
+            return (Some(suggested), error.to_string());
+        }
+        let message = format!("{error}; it is this surface's part, ask for {whole} or more for all together");
+        (Some(whole), message)
+    }
+
+    /// The view in force turned out to be none: the one before comes back, to those who follow too.
+    fn take_back(&mut self, surface: u8) {
+        self.end_generation(surface);
+        let Some(opened) = &mut self.opened else { return };
+        let opening = opened.opening_view().clone();
+        if let Some(session) = opened.surface_mut(surface).filter(|session| !session.edit_pending) {
+            let budget = session.view.budget;
+            (session.edit_pending, session.key) = (session.proven.is_some(), None);
+            if session.proven.is_none() {
+                session.edited = 0;
+            }
+            session.view = session.proven.clone().unwrap_or(View { budget, ..opening });
+        }
+        self.allot(None);
+        self.lead_or_follow();
+    }
+
+    pub(super) fn fail_generation(&mut self, surface: u8, code: &'static str, message: String) {
+        self.send_surface_error(surface, code, message);
+        self.end_failed(surface);
+    }
+
+    /// Ends a generation that failed, once the client holds nothing of its surface that may not stay. Others may have waited for its triangles.
+    pub(super) fn end_failed(&mut self, surface: u8) {
+        let Some(opened) = &mut self.opened else { return };
+        let (volume, may_stay) = (opened.volume.clone(), opened.may_stay(surface));
+        let failure = opened
+            .surface(surface)
+            .and_then(|session| session.generation()?.failure.as_deref());
+        let failed = Failed {
+            shared_triangles: opened.shared_triangles(),
+            may_retry: failure.is_some_and(ServerMessage::suggests_budget),
+        };
+        let Some(session) = opened.surface_mut(surface) else {
+            return;
+        };
+        session.failed = Some(failed);
+        let failure = match session.generation_mut() {
+            Some(generation) if !may_stay && generation.failure.is_some() => {
+                generation.clear(&volume);
+                return self.allot(None);
+            }
+            Some(generation) => generation.failure.take(),
+            None => None,
+        };
+        if let Some(failure) = failure {
+            self.send(&failure);
+        }
+        self.end_generation(surface);
+        self.allot(None);
+    }
+}
