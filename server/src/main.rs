@@ -32,5 +32,5 @@ fn main() -> ExitCode {
 
 fn failed(error: &(dyn std::error::Error + 'static)) -> ExitCode {
     eprintln!("error: {}", isopeel::error::chain(error));
-    ExitCode::FAILURE
+    ExitCode::from(cli::exit_code(error))
 }

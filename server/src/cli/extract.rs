@@ -9,16 +9,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ArgGroup;
-use isopeel_kernels::{Histogram, MAX_LEVEL};
+use isopeel_kernels::MAX_LEVEL;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::device::DeviceArgs;
-use crate::export::{ExportError, Format};
+use crate::export::{ExportError, FileOptions, Format, why_empty};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
-use crate::view::{
-    ChosenPartsJson, Edit, EditError, FeatureName, InterestJson, TransferFunctionJson, View, parse_position,
-};
+use crate::view::{ChosenPartsJson, Edit, EditError, InterestJson, TransferFunctionJson, View, parse_position};
 use crate::volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
@@ -148,6 +146,10 @@ pub struct Args {
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
 
+    /// Write a surface without triangles too. Without it, no file is written and the exit code is 3
+    #[arg(long, requires = "output")]
+    allow_empty: bool,
+
     /// Print counts, times in milliseconds and sizes in bytes to stdout, as one JSON object
     #[arg(long)]
     stats: bool,
@@ -180,6 +182,9 @@ pub enum ExtractError {
         /// What is wrong with it.
         source: io::Error,
     },
+    /// The surface has no triangles, and `--allow-empty` is not given.
+    #[error("{0}; nothing was written, --allow-empty writes a file without triangles")]
+    Empty(String),
     /// The output's file cannot be written.
     #[error("output {}", path.display())]
     Output {
@@ -209,7 +214,7 @@ pub fn run(args: &Args) -> Result<(), ExtractError> {
     let volume = VolumeStep::new(dataset, args.step)?;
     // A folder that cannot be written is found before the extraction.
     let output = match (&args.output, format) {
-        (Some(path), Some(format)) => Some(Output::create(path, format)?),
+        (Some(path), Some(format)) => Some(Output::create(path, args.options(format))?),
         _ => None,
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -247,14 +252,10 @@ async fn extract(
     progress.say(&format!("extracting on {}", device.name.trim()));
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let extraction = extractor.extract(&volume, &view, &token).await?;
-    let statistics = ExtractionStatistics::new(
-        &extraction.surface.statistics,
-        &extraction.view,
-        volume.dataset().cell_lengths(),
-        extraction.wall,
-        &device.name,
-    );
-    if let Some(output) = output {
+    let statistics = extraction.statistics(&volume, &device.name);
+    let empty = why_empty(&extractor, &volume, &extraction.view, &statistics).await?;
+    let is_refused = empty.is_some() && output.is_some() && !args.allow_empty;
+    if let Some(output) = output.filter(|_| !is_refused) {
         progress.say(&format!(
             "writing {} triangles to {}",
             statistics.triangles,
@@ -267,12 +268,8 @@ async fn extract(
             tokio::task::spawn_blocking(move || output.write(extraction, &volume, (colored, &device.name), &token));
         written.await.map_err(io::Error::from)??;
     }
-    if statistics.triangles == 0 && statistics.full_triangles == 0 {
-        let histogram = extractor
-            .worker()
-            .histogram(&volume, &view.field, &FeatureName::None)
-            .await?;
-        eprintln!("isopeel: {}", no_surface(args.iso, &view, &histogram));
+    if let (Some(why), false) = (&empty, is_refused) {
+        eprintln!("isopeel: {why}");
     }
     for line in removed(args.min_part, args.parts().as_ref(), &statistics) {
         eprintln!("isopeel: {line}");
@@ -284,6 +281,9 @@ async fn extract(
         let mut line = serde_json::to_string(&statistics).map_err(io::Error::from)?;
         line.push('\n');
         super::print(line.as_bytes())?;
+    }
+    if let (Some(why), true) = (empty, is_refused) {
+        return Err(ExtractError::Empty(why));
     }
     progress.say("done");
     Ok(())
@@ -322,30 +322,19 @@ impl Args {
         Ok(defaults.apply(&edit.with_default_guards(), &dataset.field_names())?)
     }
 
+    /// How the surface is written.
+    fn options(&self, format: Format) -> FileOptions {
+        FileOptions {
+            allow_empty: self.allow_empty,
+            ..FileOptions::new(format)
+        }
+    }
+
     /// The parts that are hidden or kept.
     fn parts(&self) -> Option<ChosenPartsJson> {
         let given = |positions: &Vec<_>| (!positions.is_empty()).then(|| positions.clone());
         let hide = given(&self.hide_part).map(ChosenPartsJson::Hide);
         hide.or_else(|| given(&self.keep_part).map(ChosenPartsJson::Keep))
-    }
-}
-
-/// Why a mesh is empty: files without triangles are written too, so that a row of isovalues or steps goes on.
-fn no_surface(iso: f32, view: &View, histogram: &Histogram) -> String {
-    let nowhere = format!("no surface at isovalue {iso}");
-    let field = &view.field;
-    let [low, high] = histogram.range;
-    match &view.mask {
-        _ if histogram.bins.iter().all(|&samples| samples == 0) => {
-            format!("no surface: no sample of {field:?} has a value")
-        }
-        // The same test as the kernels': samples at the isovalue are inside.
-        _ if iso <= low || iso > high => format!(
-            "{nowhere}: values of {field:?} go from {low} to {high}, expected a number between them, such as {}",
-            0.5 * (low + high)
-        ),
-        Some(mask) => format!("{nowhere} where {}", mask.as_str()),
-        None => format!("{nowhere}: samples on both sides of it are parted by missing ones"),
     }
 }
 

@@ -117,6 +117,17 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
     }
 }
 
+/// Exit code of `isopeel extract` if the surface has no triangles and `--allow-empty` is not given.
+const EMPTY: u8 = 3;
+
+/// Returns the exit code of a command that ended with an error.
+pub fn exit_code(error: &(dyn std::error::Error + 'static)) -> u8 {
+    match error.downcast_ref() {
+        Some(extract::ExtractError::Empty(_)) => EMPTY,
+        _ => 1,
+    }
+}
+
 /// Prints to stdout. A closed pipe (`isopeel devices | head -1`) is no error.
 pub(crate) fn print(text: &[u8]) -> io::Result<()> {
     let mut out = io::stdout().lock();
@@ -129,6 +140,12 @@ pub(crate) fn print(text: &[u8]) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_empty_surface_has_an_exit_code_of_its_own() {
+        assert_eq!(exit_code(&extract::ExtractError::Empty("no surface".into())), 3);
+        assert_eq!(exit_code(&extract::ExtractError::Interrupted), 1);
+    }
 
     #[test]
     fn the_command_line_is_consistent() {

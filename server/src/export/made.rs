@@ -5,7 +5,7 @@ use std::io::Write;
 use serde_json::Value;
 use tokio_util::sync::CancellationToken;
 
-use super::{ExportError, Format, Mesh, extras, length, write};
+use super::{ExportError, FileOptions, Format, Mesh, extras, length, why_empty, write};
 use crate::extraction::{Extraction, ExtractionStatistics, Extractor, WorkError};
 use crate::pool::{self, Panicked};
 use crate::view::View;
@@ -24,12 +24,15 @@ pub struct MadeFile {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MakeError {
-    /// There is no surface.
+    /// The surface could not be made.
     #[error(transparent)]
     Work(#[from] WorkError),
     /// The surface does not fit its format.
     #[error(transparent)]
     Export(#[from] ExportError),
+    /// The surface has no triangles, and the request does not allow that.
+    #[error("{0}")]
+    Empty(String),
     /// The work panicked.
     #[error(transparent)]
     Panicked(#[from] Panicked),
@@ -44,14 +47,19 @@ pub async fn make(
     extractor: &Extractor,
     volume: VolumeStep,
     view: &View,
-    format: Format,
+    options: FileOptions,
     token: &CancellationToken,
 ) -> Result<MadeFile, MakeError> {
     let device = extractor.worker().ready().await?;
     let extraction = extractor.extract(&volume, view, token).await?;
+    if !options.allow_empty && extraction.surface.statistics.triangles == 0 {
+        let statistics = extraction.statistics(&volume, &device.name);
+        let why = why_empty(extractor, &volume, &extraction.view, &statistics).await?;
+        return Err(MakeError::Empty(why.unwrap_or_default()));
+    }
     let token = token.clone();
     let made = pool::run_export(move || {
-        MadeFile::new(extraction, &volume, (format, true), &device.name, &|| {
+        MadeFile::new(extraction, &volume, (&options, true), &device.name, &|| {
             token.is_cancelled()
         })
     });
@@ -66,13 +74,14 @@ impl MadeFile {
     pub fn new(
         extraction: Extraction,
         volume: &VolumeStep,
-        (format, colored): (Format, bool),
+        (options, colored): (&FileOptions, bool),
         device: &str,
         is_cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, ExportError> {
-        let Extraction { surface, view, wall } = extraction;
+        let format = options.format;
+        let statistics = extraction.statistics(volume, device);
+        let Extraction { surface, view, .. } = extraction;
         let dataset = volume.dataset();
-        let statistics = ExtractionStatistics::new(&surface.statistics, &view, dataset.cell_lengths(), wall, device);
         let extras = extras(volume, &view.to_edit(), &statistics);
         let (of_view, space) = dataset.index_space(&view);
         let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));

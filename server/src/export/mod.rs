@@ -12,6 +12,7 @@ use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
 use crate::volumes::{LengthUnit, VolumeStep};
 
+mod empty;
 pub mod glb;
 mod made;
 pub mod mesh;
@@ -21,10 +22,11 @@ pub mod stl;
 mod transform;
 pub mod vtp;
 
+pub(crate) use empty::why_empty;
 pub use made::{MadeFile, MakeError, make};
 pub use mesh::Mesh;
-pub use request::FileRequest;
-pub(crate) use request::{beside_edit, schema_beside_edit};
+pub(crate) use request::merged_schema;
+pub use request::{FileOptions, FileRequest};
 
 // Arrays are written as they are in memory, and all formats are little-endian.
 const _: () = assert!(

@@ -4,7 +4,9 @@ use std::time::Duration;
 
 use isopeel_kernels::{StageTime, Surface, SurfaceError};
 
+use super::ExtractionStatistics;
 use crate::view::View;
+use crate::volumes::VolumeStep;
 
 /// A surface and its view.
 #[derive(Clone, Debug)]
@@ -15,6 +17,14 @@ pub struct Extraction {
     pub view: View,
     /// Time on the device's thread, without waiting and reading files.
     pub wall: Duration,
+}
+
+impl Extraction {
+    /// Returns the statistics of the surface, which a device of this name made of the volume.
+    pub fn statistics(&self, volume: &VolumeStep, device: &str) -> ExtractionStatistics {
+        let spacing = volume.dataset().cell_lengths();
+        ExtractionStatistics::new(&self.surface.statistics, &self.view, spacing, self.wall, device)
+    }
 }
 
 /// A cut that the device's thread keeps for a while: the one that a client shows, or is on the way to.

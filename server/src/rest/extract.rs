@@ -12,7 +12,9 @@ use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::http::{HeaderName, HeaderValue, header};
 use axum::response::Response;
+use serde::de::Error;
 use serde::{Deserialize, Deserializer};
+use serde_json::Map;
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio_util::sync::CancellationToken;
@@ -22,11 +24,11 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::{ApiState, CONCURRENT_EXTRACTS};
 use crate::access::Identity;
-use crate::export::{self, FileRequest, Format, MadeFile, beside_edit, schema_beside_edit};
+use crate::export::{self, FileOptions, FileRequest, MadeFile, merged_schema};
 use crate::extraction::Extractor;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
-use crate::view::{Edit, View};
+use crate::view::View;
 use crate::volumes::VolumeStep;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
@@ -51,33 +53,32 @@ pub struct ExtractRequest {
     pub file: FileRequest,
 }
 
-/// The names that are not of the edit.
-#[derive(Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-struct What {
+/// The name that is not of the file's request.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "its schema alone is used")]
+struct Place {
     /// Id of the volume, as `GET /api/v1/volumes` lists it.
     volume: String,
-    /// Time step.
-    #[serde(default)]
-    step: u32,
-    /// File format.
-    format: Format,
 }
 
 impl<'de> Deserialize<'de> for ExtractRequest {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let (what, edit) = beside_edit(deserializer, &["volume", "step", "format"])?;
-        let What { volume, step, format } = what;
+        let mut object = Map::deserialize(deserializer)?;
+        let volume = object.remove("volume");
+        let volume = volume.ok_or_else(|| D::Error::missing_field("volume"))?;
         Ok(Self {
-            volume,
-            file: FileRequest { step, format, edit },
+            volume: String::deserialize(volume).map_err(D::Error::custom)?,
+            file: FileRequest::from_object(object)?,
         })
     }
 }
 
 impl PartialSchema for ExtractRequest {
     fn schema() -> RefOr<Schema> {
-        schema_beside_edit(What::schema(), "Volume and format, beside any of the edit's names.")
+        merged_schema(
+            [Place::schema(), FileRequest::schema()],
+            "Volume and format, beside any of the edit's names.",
+        )
     }
 }
 
@@ -87,8 +88,7 @@ impl ToSchema for ExtractRequest {
     }
 
     fn schemas(schemas: &mut Vec<(String, RefOr<Schema>)>) {
-        What::schemas(schemas);
-        Edit::schemas(schemas);
+        FileRequest::schemas(schemas);
     }
 }
 
@@ -128,7 +128,7 @@ impl ToSchema for File {}
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`body-too-large`: more than 64 KiB; or `too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-edit`: a value out of range, or `too-large`: more triangles than the server makes (`suggestedTriangles` says what it would), or than the format holds", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`: a value out of range; `empty-surface`: no triangles, and `allowEmpty` is not set; or `too-large`: more triangles than the server makes (`suggestedTriangles` says what it would), or than the format holds", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -142,11 +142,11 @@ pub async fn extract(
     let Json(ExtractRequest { volume, file }) = body?;
     let volume = state.volume(&who, &volume, file.step)?;
     let view = file.view(volume.dataset())?;
-    answer(state, volume, view, file.format).await
+    answer(state, volume, view, file.options).await
 }
 
 /// Makes a file, unless too many are being made, and answers it.
-async fn answer(state: ApiState, volume: VolumeStep, view: View, format: Format) -> Result<Response, ApiError> {
+async fn answer(state: ApiState, volume: VolumeStep, view: View, options: FileOptions) -> Result<Response, ApiError> {
     let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
         ApiError::busy(format!(
             "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"
@@ -156,7 +156,7 @@ async fn answer(state: ApiState, volume: VolumeStep, view: View, format: Format)
     // it has.
     let token = CancellationToken::new();
     let _cancel = token.clone().drop_guard();
-    let making = tokio::spawn(make(state.extractor, volume, view, format, token, permit));
+    let making = tokio::spawn(make(state.extractor, volume, view, options, token, permit));
     let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
         let deadline = EXPORT_DEADLINE.as_secs();
         ApiError::busy(format!(
@@ -179,12 +179,12 @@ async fn make(
     extractor: Extractor,
     volume: VolumeStep,
     view: View,
-    format: Format,
+    options: FileOptions,
     token: CancellationToken,
     permit: OwnedSemaphorePermit,
 ) -> Result<Made, ApiError> {
     let id = volume.dataset().id.clone();
-    let file = export::make(&extractor, volume, &view, format, &token).await?;
+    let file = export::make(&extractor, volume, &view, options, &token).await?;
     let measured = pool::run_export(move || {
         let bytes = file.length(&|| token.is_cancelled())?;
         Ok::<_, export::ExportError>((file, bytes))
@@ -289,14 +289,15 @@ mod tests {
     use tokio::sync::Semaphore;
 
     use super::*;
-    use crate::export::Mesh;
+    use crate::export::{Format, Mesh};
+    use crate::view::Edit;
 
     #[test]
     fn a_request_holds_volume_format_and_the_edits_names() {
         let json = r#"{"volume":"head","format":"ply","iso":-3.5,"featureRange":[0,1],"maxLevel":3}"#;
         let request: ExtractRequest = serde_json::from_str(json).unwrap();
         assert_eq!(
-            (request.volume.as_str(), request.file.step, request.file.format),
+            (request.volume.as_str(), request.file.step, request.file.options.format),
             ("head", 0, Format::Ply)
         );
         let expected = Edit {
@@ -325,6 +326,10 @@ mod tests {
             (
                 r#"{"volume":"head","format":"ply","alpha":"much"}"#,
                 "invalid type: string \"much\"",
+            ),
+            (
+                r#"{"volume":"head","format":"ply","allowEmpty":1}"#,
+                "invalid type: integer `1`, expected a boolean",
             ),
             ("[]", "invalid type: sequence"),
         ] {

@@ -412,6 +412,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         .collect();
     names.sort_unstable();
     let expected = [
+        "allowEmpty",
         "alpha",
         "beta",
         "bytes",

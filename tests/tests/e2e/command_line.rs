@@ -139,6 +139,37 @@ fn an_image_has_its_surface_in_one_place_whatever_its_format() {
 }
 
 #[test]
+fn a_surface_without_triangles_is_an_exit_code_and_no_file() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for (format, bytes) in [("glb", 12), ("ply", 4), ("stl", 84), ("vtp", 5)] {
+        let out = folder.path().join(format!("none.{format}"));
+        let line = "extract FILE --iso 1000 --stats -o".to_owned();
+        let file = demo_file();
+        let arguments = || words(&line, &file).chain([out.as_os_str()]);
+        let refused = command::run(arguments());
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(3), "{said}");
+        assert!(
+            said.contains("no surface at isovalue 1000: values of \"t1\" go from 0 to"),
+            "{said}"
+        );
+        assert!(!out.exists() && std::fs::read_dir(folder.path()).expect("a folder").count() == 0);
+        assert!(String::from_utf8_lossy(&refused.stdout).contains("\"triangles\":0"));
+
+        command::succeed(arguments().chain([OsStr::new("--allow-empty")]));
+        let written = std::fs::read(&out).expect("the file is written");
+        assert!(written.len() >= bytes, "{format}: {} bytes", written.len());
+        std::fs::remove_file(&out).expect("removed");
+    }
+    // Counted alone, none is an answer.
+    let counted = command::extract(["--iso".as_ref(), "1000".as_ref(), demo_file().as_os_str()]);
+    assert_eq!(counted["triangles"], 0);
+}
+
+#[test]
 fn a_beta_below_zero_gives_the_full_surface() {
     if !server::has_device() {
         return;

@@ -194,6 +194,26 @@ fn what_cannot_be_extracted_is_a_problem_with_a_stable_code() {
 }
 
 #[test]
+fn a_surface_without_triangles_is_refused_unless_it_is_allowed() {
+    let Some(address) = server::shared() else { return };
+    for format in ["glb", "ply", "stl", "vtp"] {
+        let mut nothing = extraction(format, 0.1);
+        nothing["iso"] = json!(1000);
+        let refused = http::post_json(address, "/api/v1/extract", &nothing);
+        assert_eq!(refused.problem(422), "empty-surface");
+        let detail = refused.json()["detail"].as_str().expect("a detail").to_owned();
+        assert!(detail.starts_with("no surface at isovalue 1000"), "{detail}");
+        nothing["allowEmpty"] = json!(true);
+        let allowed = http::post_json(address, "/api/v1/extract", &nothing);
+        assert_eq!(allowed.status, 200, "{}", String::from_utf8_lossy(&allowed.body));
+    }
+    let by_address = format!("/api/v1/extract?volume={}&format=stl&iso=1000", demo::ID);
+    assert_eq!(http::get(address, &by_address).problem(422), "empty-surface");
+    let allowed = http::get(address, &format!("{by_address}&allowEmpty=true"));
+    assert_eq!((allowed.status, allowed.body.len()), (200, 84));
+}
+
+#[test]
 fn unknown_paths_and_methods_are_problems_too() {
     let Some(address) = server::shared() else { return };
     http::get(address, "/api/v1/volumes/nothing").problem(404);

@@ -5,6 +5,7 @@ use clap::Parser;
 use super::super::{Cli, Command};
 use super::*;
 use crate::extraction::Extraction;
+use crate::view::FeatureName;
 use crate::volumes::testing;
 
 fn parse(line: &str) -> Result<Args, clap::Error> {
@@ -274,12 +275,12 @@ fn a_transfer_function_is_read_or_its_file_named() {
 fn an_output_that_cannot_be_written_fails_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
     assert!(matches!(
-        Output::create(folder.path(), Format::Glb),
+        Output::create(folder.path(), FileOptions::new(Format::Glb)),
         Err(ExtractError::Output { .. })
     ));
     let missing = folder.path().join("no/such/a.glb");
     assert!(matches!(
-        Output::create(&missing, Format::Glb),
+        Output::create(&missing, FileOptions::new(Format::Glb)),
         Err(ExtractError::Output { .. })
     ));
     let error = Format::from_path(Path::new("head.obj")).unwrap_err().to_string();
@@ -315,7 +316,7 @@ fn the_output_appears_whole_or_not_at_all() {
 
     let stopped = CancellationToken::new();
     stopped.cancel();
-    let output = Output::create(&path, Format::Glb).unwrap();
+    let output = Output::create(&path, FileOptions::new(Format::Glb)).unwrap();
     assert!(
         output
             .write(extraction(view.clone()), &volume, (true, "device"), &stopped)
@@ -323,7 +324,7 @@ fn the_output_appears_whole_or_not_at_all() {
     );
     assert_eq!(files(), 0);
 
-    let output = Output::create(&path, Format::Glb).unwrap();
+    let output = Output::create(&path, FileOptions::new(Format::Glb)).unwrap();
     assert_eq!(files(), 1);
     output
         .write(extraction(view), &volume, (true, "device"), &CancellationToken::new())
@@ -336,43 +337,10 @@ fn the_output_appears_whole_or_not_at_all() {
 fn a_folder_that_is_not_there_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let missing = folder.path().join("meshes");
-    let Err(ExtractError::Output { source, .. }) = Output::create(&missing.join("a.glb"), Format::Glb) else {
+    let Err(ExtractError::Output { source, .. }) =
+        Output::create(&missing.join("a.glb"), FileOptions::new(Format::Glb))
+    else {
         panic!("there is no folder to write to");
     };
     assert_eq!(source.to_string(), format!("there is no folder {}", missing.display()));
-}
-
-#[test]
-fn an_empty_mesh_says_why_it_is_empty() {
-    let view = |options: &str| {
-        let args = parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).unwrap();
-        args.view(&dataset()).unwrap()
-    };
-    let histogram = |samples| Histogram {
-        range: if samples > 0 { [0.0, 255.0] } else { [0.0; 2] },
-        bins: vec![samples; 256],
-    };
-    let (plain, masked) = (view(""), view("--mask gm>=3"));
-    for (iso, view, expected) in [
-        (
-            300.0,
-            &plain,
-            "no surface at isovalue 300: values of \"t1\" go from 0 to 255, expected a number between them, such as 127.5",
-        ),
-        (
-            0.0,
-            &masked,
-            "no surface at isovalue 0: values of \"t1\" go from 0 to 255, expected a number between them, such as 127.5",
-        ),
-        (9.0, &masked, "no surface at isovalue 9 where gm>=3"),
-        (
-            9.0,
-            &plain,
-            "no surface at isovalue 9: samples on both sides of it are parted by missing ones",
-        ),
-    ] {
-        assert_eq!(no_surface(iso, view, &histogram(9)), expected);
-    }
-    let none = no_surface(0.0, &plain, &histogram(0));
-    assert_eq!(none, "no surface: no sample of \"t1\" has a value");
 }

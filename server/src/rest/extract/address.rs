@@ -13,7 +13,7 @@ use sha2::{Digest, Sha256};
 
 use super::{ApiState, ExtractRequest, answer};
 use crate::access::Identity;
-use crate::export::Format;
+use crate::export::{FileOptions, Format};
 use crate::problem::{ApiError, Problem};
 use crate::view::View;
 use crate::volumes::VolumeStep;
@@ -37,8 +37,8 @@ impl TagSeed {
     }
 
     /// The same for what makes the same surface in the same format.
-    fn tag(self, volume: &VolumeStep, view: &View, format: Format) -> String {
-        let what = format!("{} {:?} {format:?} {view:?}", self.0, volume.key());
+    fn tag(self, volume: &VolumeStep, view: &View, options: &FileOptions) -> String {
+        let what = format!("{} {:?} {options:?} {view:?}", self.0, volume.key());
         // Weak: a file says how long it took to make.
         format!("W/\"{}\"", HEXLOWER.encode(&Sha256::digest(what)[..16]))
     }
@@ -71,7 +71,7 @@ impl TagSeed {
         (status = 400, description = "`bad-request`: an unknown or a missing name, one that is there twice, a wrong type", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-edit` or `too-large`, as of `POST`", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`, `empty-surface` or `too-large`, as of `POST`", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -89,10 +89,10 @@ pub async fn extract_by_address(
     // Whether the client may see the volume comes before what it has of it.
     let volume = state.volume(&who, &volume, file.step)?;
     let view = file.view(volume.dataset())?;
-    let tag = state.tag_seed.tag(&volume, &view, file.format);
+    let tag = state.tag_seed.tag(&volume, &view, &file.options);
     let mut response = match has(&headers, &tag) {
         true => StatusCode::NOT_MODIFIED.into_response(),
-        false => answer(state, volume, view, file.format).await?,
+        false => answer(state, volume, view, file.options).await?,
     };
     let answered = response.headers_mut();
     answered.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(ApiError::internal)?);

@@ -15,7 +15,7 @@ pub use result::DIGEST_HEADER;
 
 use super::ApiState;
 use crate::access::Identity;
-use crate::jobs::{JobInfo, JobRequest, Jobs, MAX_REQUEST_BYTES};
+use crate::jobs::{JobInfo, JobRequest, Jobs, MAX_REQUEST_BYTES, ManifestEntry};
 use crate::problem::{ApiError, Problem};
 
 /// Names a request, so that one which is sent again makes no second job.
@@ -29,6 +29,7 @@ pub(super) fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(show, remove))
         .routes(routes!(cancel))
         .routes(routes!(events::events))
+        .routes(routes!(manifest))
         .routes(routes!(result::result))
 }
 
@@ -115,6 +116,27 @@ async fn show(
     id: Result<Path<String>, PathRejection>,
 ) -> Result<Json<JobInfo>, ApiError> {
     Ok(Json(state.jobs()?.get(who.user(), &id?.0).await?))
+}
+
+/// The manifest of a batch job: all extractions in their order, each with its file, triangles, measured error and checksum, or why there is
+/// no file.
+#[utoipa::path(
+    get,
+    path = "/api/v1/jobs/{id}/results",
+    tag = "jobs",
+    params(("id" = String, Path, description = "A job's id")),
+    responses(
+        (status = 200, description = "The manifest", body = [ManifestEntry]),
+        (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+async fn manifest(
+    State(state): State<ApiState>,
+    who: Identity,
+    id: Result<Path<String>, PathRejection>,
+) -> Result<Json<Vec<ManifestEntry>>, ApiError> {
+    Ok(Json(state.jobs()?.manifest(who.user(), &id?.0).await?))
 }
 
 /// Ends a batch job that is queued or running. What it has made stays.
