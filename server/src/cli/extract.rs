@@ -13,16 +13,14 @@ use isopeel_kernels::MAX_LEVEL;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::device::DeviceArgs;
-use crate::export::{ExportError, FileOptions, Format, why_empty};
+use crate::export::{ExportError, FileOptions, FileRequest, Format, why_empty};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
 use crate::view::{ChosenPartsJson, Edit, EditError, InterestJson, TransferFunctionJson, View, parse_position};
-use crate::volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
+use crate::volumes::{Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
 
-/// Weight of the feature where one is chosen without `--alpha`.
-const FEATURE_ALPHA: f32 = 0.3;
 /// Maximum bytes of a transfer function's file; 64 points take some 4 KiB.
 const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
 
@@ -35,9 +33,9 @@ pub struct Args {
     #[arg(value_name = "PATH")]
     path: PathBuf,
 
-    /// Isovalue, in the field's units
+    /// Isovalue, in the field's units [default: the one that the field opens with in a viewer, which isopeel info explains]
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
-    iso: f32,
+    iso: Option<f32>,
 
     /// Field whose isosurface is extracted, or an expression over fields, as `log(rho)` [default: the main one]
     #[arg(long, value_name = "NAME")]
@@ -210,13 +208,16 @@ pub fn run(args: &Args) -> Result<(), ExtractError> {
     let mut dataset = open_dataset(&args.path)?;
     dataset.set_frame(args.frame);
     let dataset = Arc::new(dataset);
-    let view = args.view(&dataset)?;
+    // A count has no format, and any will do.
+    let request = args.request(format.unwrap_or(Format::Stl))?;
+    let view = request.view(&dataset)?;
     let volume = VolumeStep::new(dataset, args.step)?;
     // A folder that cannot be written is found before the extraction.
-    let output = match (&args.output, format) {
-        (Some(path), Some(format)) => Some(Output::create(path, args.options(format))?),
-        _ => None,
-    };
+    let output = args
+        .output
+        .as_deref()
+        .map(|path| Output::create(path, request))
+        .transpose()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let token = CancellationToken::new();
@@ -253,6 +254,12 @@ async fn extract(
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let extraction = extractor.extract(&volume, &view, &token).await?;
     let statistics = extraction.statistics(&volume, &device.name);
+    if let (None, Some(iso)) = (args.iso, extraction.view.iso) {
+        eprintln!(
+            "isopeel: isovalue {}, as the field opens with: isopeel info says why",
+            iso.get()
+        );
+    }
     let empty = why_empty(&extractor, &volume, &extraction.view, &statistics).await?;
     let is_refused = empty.is_some() && output.is_some() && !args.allow_empty;
     if let Some(output) = output.filter(|_| !is_refused) {
@@ -261,11 +268,9 @@ async fn extract(
             statistics.triangles,
             output.path.display()
         ));
-        let colored = args.transfer_function.is_some();
         // This thread waits for Ctrl-C.
         let volume = volume.clone();
-        let written =
-            tokio::task::spawn_blocking(move || output.write(extraction, &volume, (colored, &device.name), &token));
+        let written = tokio::task::spawn_blocking(move || output.write(extraction, &volume, &device.name, &token));
         written.await.map_err(io::Error::from)??;
     }
     if let (Some(why), false) = (&empty, is_refused) {
@@ -290,17 +295,16 @@ async fn extract(
 }
 
 impl Args {
-    /// The view of the arguments, over the command's own defaults and not the dataset's opening view.
-    fn view(&self, dataset: &Dataset) -> Result<View, ExtractError> {
-        let defaults = View::plain(&dataset.field_names());
-        let feature_alpha = self.feature.as_ref().map(|_| FEATURE_ALPHA);
+    /// The request of the arguments.
+    fn request(&self, format: Format) -> Result<FileRequest, ExtractError> {
+        let transfer_function = self.transfer_function.as_deref().map(read_transfer_function);
         let edit = Edit {
-            iso: Some(self.iso),
+            iso: self.iso,
             field: self.field.clone(),
             mask: self.mask.clone().map(Some),
             feature: self.feature.clone(),
             feature_range: self.feature_range.as_deref().and_then(|range| range.try_into().ok()),
-            alpha: self.alpha.or(feature_alpha),
+            alpha: self.alpha,
             beta: self.beta,
             error: self.error,
             triangles: self.triangles,
@@ -312,22 +316,18 @@ impl Args {
             mesher: Some(self.mesher),
             cap: Some(self.cap),
             max_level: Some(self.max_level),
-            transfer_function: self
-                .transfer_function
-                .as_deref()
-                .map(read_transfer_function)
-                .transpose()?,
+            transfer_function: transfer_function.transpose()?,
             interest: Some(self.interest.clone()),
         };
-        Ok(defaults.apply(&edit.with_default_guards(), &dataset.field_names())?)
-    }
-
-    /// How the surface is written.
-    fn options(&self, format: Format) -> FileOptions {
-        FileOptions {
+        let options = FileOptions {
             allow_empty: self.allow_empty,
             ..FileOptions::new(format)
-        }
+        };
+        Ok(FileRequest {
+            step: self.step,
+            options,
+            edit,
+        })
     }
 
     /// The parts that are hidden or kept.

@@ -5,10 +5,10 @@ use std::io::Write;
 use serde_json::Value;
 use tokio_util::sync::CancellationToken;
 
-use super::{ExportError, FileOptions, Format, Mesh, extras, length, why_empty, write};
+use super::{ExportError, FileRequest, Format, Mesh, extras, length, why_empty, write};
 use crate::extraction::{Extraction, ExtractionStatistics, Extractor, WorkError};
 use crate::pool::{self, Panicked};
-use crate::view::View;
+use crate::view::EditError;
 use crate::volumes::VolumeStep;
 
 /// A file that is made, not written yet.
@@ -27,6 +27,9 @@ pub enum MakeError {
     /// The surface could not be made.
     #[error(transparent)]
     Work(#[from] WorkError),
+    /// A value out of its range, or a field that the volume does not have.
+    #[error(transparent)]
+    Edit(#[from] EditError),
     /// The surface does not fit its format.
     #[error(transparent)]
     Export(#[from] ExportError),
@@ -46,39 +49,36 @@ pub enum MakeError {
 pub async fn make(
     extractor: &Extractor,
     volume: VolumeStep,
-    view: &View,
-    options: FileOptions,
+    request: &FileRequest,
     token: &CancellationToken,
 ) -> Result<MadeFile, MakeError> {
     let device = extractor.worker().ready().await?;
-    let extraction = extractor.extract(&volume, view, token).await?;
-    if !options.allow_empty && extraction.surface.statistics.triangles == 0 {
+    let view = request.view(volume.dataset())?;
+    let extraction = extractor.extract(&volume, &view, token).await?;
+    if !request.options.allow_empty && extraction.surface.statistics.triangles == 0 {
         let statistics = extraction.statistics(&volume, &device.name);
         let why = why_empty(extractor, &volume, &extraction.view, &statistics).await?;
         return Err(MakeError::Empty(why.unwrap_or_default()));
     }
-    let token = token.clone();
-    let made = pool::run_export(move || {
-        MadeFile::new(extraction, &volume, (&options, true), &device.name, &|| {
-            token.is_cancelled()
-        })
-    });
+    let (token, request) = (token.clone(), request.clone());
+    let made =
+        pool::run_export(move || MadeFile::new(extraction, &volume, &request, &device.name, &|| token.is_cancelled()));
     Ok(made.await??)
 }
 
 impl MadeFile {
-    /// The file of a surface, made on the device of that name; a GLB has the colours of its transfer function where it is `colored`.
+    /// The file of a surface, made on the device of that name.
     ///
     /// # Errors
     /// What the format cannot hold, and [`ExportError::Cancelled`].
     pub fn new(
         extraction: Extraction,
         volume: &VolumeStep,
-        (options, colored): (&FileOptions, bool),
+        request: &FileRequest,
         device: &str,
         is_cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, ExportError> {
-        let format = options.format;
+        let format = request.options.format;
         let statistics = extraction.statistics(volume, device);
         let Extraction { surface, view, .. } = extraction;
         let dataset = volume.dataset();
@@ -90,7 +90,7 @@ impl MadeFile {
         mesh.notices = notice.lines().map(str::to_owned).collect();
         // Before the mesh is copied to its reader: both are large.
         drop(surface);
-        if colored && format == Format::Glb {
+        if request.is_colored() && format == Format::Glb {
             mesh.colorize(&view.transfer_function, view.alpha);
         }
         Ok(Self {

@@ -35,7 +35,7 @@ impl FileOptions {
     }
 }
 
-/// One surface as a file. What is left out has the value that the volume opens with.
+/// One surface as a file, for the command line, batch jobs and REST alike. What is left out has the default of [`View::requested`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FileRequest {
     /// Time step.
@@ -54,8 +54,12 @@ impl FileRequest {
     /// # Errors
     /// A value out of its range, or a field that the volume does not have.
     pub fn view(&self, dataset: &Dataset) -> Result<View, EditError> {
-        let edit = self.edit.clone().with_default_guards();
-        dataset.opening_view()?.apply(&edit, &dataset.field_names())
+        View::requested(&self.edit, &dataset.field_names())
+    }
+
+    /// Whether its file has the colours of a transfer function: only of one that it names.
+    pub fn is_colored(&self) -> bool {
+        self.edit.transfer_function.is_some()
     }
 
     /// The request of a JSON object. By hand, because serde cannot flatten and refuse unknown fields at the same time.

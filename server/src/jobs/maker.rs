@@ -111,13 +111,9 @@ impl Maker for DeviceMaker {
                 detail,
             })
         };
-        let view = work
-            .request
-            .view(&dataset)
-            .map_err(|error| refused("bad-edit", error.to_string()))?;
         let volume =
             VolumeStep::new(dataset, work.request.step).map_err(|error| refused("unknown-step", error.to_string()))?;
-        let made = export::make(&self.extractor, volume, &view, work.request.options.clone(), token).await;
+        let made = export::make(&self.extractor, volume, &work.request, token).await;
         Ok(Box::new(made.map_err(failure)?))
     }
 
@@ -150,6 +146,7 @@ fn failure(error: MakeError) -> MakeFailure {
             MakeFailure::Refused(cause("too-large", error.to_string()))
         }
         MakeError::Export(error) => MakeFailure::Retry(cause("internal", crate::error::chain(&error))),
+        MakeError::Edit(error) => MakeFailure::Refused(cause("bad-edit", error.to_string())),
         MakeError::Empty(why) => MakeFailure::Empty(cause("empty-surface", why)),
         MakeError::Panicked(error) => MakeFailure::Retry(cause("internal", error.to_string())),
     }

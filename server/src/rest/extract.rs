@@ -24,11 +24,10 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::{ApiState, CONCURRENT_EXTRACTS};
 use crate::access::Identity;
-use crate::export::{self, FileOptions, FileRequest, MadeFile, merged_schema};
+use crate::export::{self, FileRequest, MadeFile, merged_schema};
 use crate::extraction::Extractor;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
-use crate::view::View;
 use crate::volumes::VolumeStep;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
@@ -43,8 +42,8 @@ const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
 /// Time after which an export is given up that is not made yet: some ten times what the largest surfaces take.
 const EXPORT_DEADLINE: Duration = Duration::from_secs(600);
 
-/// What `POST extract` asks for: volume and format, beside any of the edit's names. What is left out has the value that
-/// the volume opens with.
+/// What `POST extract` asks for: volume and format, beside any of the edit's names. What is left out has the default of
+/// the command line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExtractRequest {
     /// Id of the volume.
@@ -141,12 +140,13 @@ pub async fn extract(
 ) -> Result<Response, ApiError> {
     let Json(ExtractRequest { volume, file }) = body?;
     let volume = state.volume(&who, &volume, file.step)?;
-    let view = file.view(volume.dataset())?;
-    answer(state, volume, view, file.options).await
+    // Before it waits for anything.
+    file.view(volume.dataset())?;
+    answer(state, volume, file).await
 }
 
 /// Makes a file, unless too many are being made, and answers it.
-async fn answer(state: ApiState, volume: VolumeStep, view: View, options: FileOptions) -> Result<Response, ApiError> {
+async fn answer(state: ApiState, volume: VolumeStep, file: FileRequest) -> Result<Response, ApiError> {
     let permit = Arc::clone(&state.extracts).try_acquire_owned().map_err(|_| {
         ApiError::busy(format!(
             "{CONCURRENT_EXTRACTS} exports are under way, the most at a time, try again in a few seconds"
@@ -156,7 +156,7 @@ async fn answer(state: ApiState, volume: VolumeStep, view: View, options: FileOp
     // it has.
     let token = CancellationToken::new();
     let _cancel = token.clone().drop_guard();
-    let making = tokio::spawn(make(state.extractor, volume, view, options, token, permit));
+    let making = tokio::spawn(make(state.extractor, volume, file, token, permit));
     let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
         let deadline = EXPORT_DEADLINE.as_secs();
         ApiError::busy(format!(
@@ -178,13 +178,12 @@ struct Made {
 async fn make(
     extractor: Extractor,
     volume: VolumeStep,
-    view: View,
-    options: FileOptions,
+    request: FileRequest,
     token: CancellationToken,
     permit: OwnedSemaphorePermit,
 ) -> Result<Made, ApiError> {
     let id = volume.dataset().id.clone();
-    let file = export::make(&extractor, volume, &view, options, &token).await?;
+    let file = export::make(&extractor, volume, &request, &token).await?;
     let measured = pool::run_export(move || {
         let bytes = file.length(&|| token.is_cancelled())?;
         Ok::<_, export::ExportError>((file, bytes))

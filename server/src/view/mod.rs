@@ -10,6 +10,7 @@ mod mask;
 mod opening;
 mod parts;
 pub mod quality;
+mod request;
 mod transfer_function;
 
 use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL, Topology};

@@ -458,9 +458,11 @@ fn a_batch_needs_no_server() {
         return;
     }
     let setting = Setting::new();
-    // As the command has it by default, where REST has what the volume opens with.
-    let plain = json!({"iso": 1, "format": "ply", "error": "0.1vx", "feature": "none", "alpha": 0});
-    let extractions = [plain, extraction(2.0, "stl"), json!({"format": "stl", "iso": 400.0})];
+    let extractions = [
+        extraction(1.0, "ply"),
+        extraction(2.0, "stl"),
+        json!({"format": "stl", "iso": 400.0}),
+    ];
     let file = setting.folder.path().join("request.json");
     std::fs::write(
         &file,
@@ -490,6 +492,61 @@ fn a_batch_needs_no_server() {
         3,
         "no state is left: two surfaces and the manifest"
     );
+}
+
+#[test]
+fn the_same_words_make_the_same_surface_by_command_batch_and_rest() {
+    let setting = Setting::new();
+    let Some(server) = setting.server() else { return };
+    let folder = setting.folder.path();
+    let words = [
+        (json!({"iso": 1}), "--iso 1"),
+        (json!({}), ""),
+        (json!({"iso": 1, "beta": 0.02}), "--iso 1 --beta 0.02"),
+        (
+            json!({"iso": 1, "feature": "gradient-magnitude"}),
+            "--iso 1 --feature gradient-magnitude",
+        ),
+        (
+            json!({"iso": 1, "triangles": {"share": 0.1}}),
+            "--iso 1 --triangles 10%",
+        ),
+        (
+            json!({"iso": 1, "error": "0.1vx", "topology": "free"}),
+            "--iso 1 --error 0.1vx --topology free",
+        ),
+        (
+            json!({"iso": 1, "mesher": "marching-cubes"}),
+            "--iso 1 --mesher marching-cubes",
+        ),
+        (
+            json!({"iso": -9, "cap": true, "maxLevel": 3}),
+            "--iso -9 --cap --max-level 3",
+        ),
+    ];
+    let extractions: Vec<Value> = (words.iter())
+        .map(|(edit, _)| {
+            let mut extraction = edit.clone();
+            extraction["format"] = json!("ply");
+            extraction
+        })
+        .collect();
+    let file = folder.join("request.json");
+    let job = json!({"volume": "ball.npy", "extractions": extractions});
+    std::fs::write(&file, job.to_string()).expect("written");
+    let output = folder.join("out");
+    command::succeed(["batch".as_ref(), file.as_os_str(), "-o".as_ref(), output.as_os_str()]);
+    for (n, (extraction, (_, options))) in extractions.iter().zip(&words).enumerate() {
+        let one = folder.join("one.ply");
+        let by_command = command::extract_to(&setting.volume, options, &one);
+        let bytes = std::fs::read(&one).expect("a file");
+        assert!(by_command["triangles"].as_u64() > Some(100), "{options}: {by_command}");
+        assert!(
+            std::fs::read(output.join(format!("{n:05}.ply"))).expect("a result") == bytes,
+            "batch: {options}"
+        );
+        assert!(extracted(server.address, extraction) == bytes, "REST: {options}");
+    }
 }
 
 /// The lines of a folder's manifest.

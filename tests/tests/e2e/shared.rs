@@ -127,7 +127,12 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     let before = made();
     let export = |iso: Option<f64>| {
         let start = Instant::now();
-        let body = json!({"volume": "ball", "format": "glb", "iso": iso});
+        // As a viewer states what it opens with.
+        let mut body = json!({"volume": "ball", "format": "glb", "feature": "gradient-magnitude", "alpha": 0.5, "error": "0.1vx",
+            "triangles": {"share": 0.25, "max": 1_000_000}});
+        if let Some(iso) = iso {
+            body["iso"] = json!(iso);
+        }
         assert_eq!(http::post_json(address, "/api/v1/extract", &body).status, 200);
         start.elapsed()
     };

@@ -8,7 +8,7 @@ use tempfile::NamedTempFile;
 use tokio_util::sync::CancellationToken;
 
 use super::ExtractError;
-use crate::export::{ExportError, FileOptions, MadeFile};
+use crate::export::{ExportError, FileRequest, MadeFile};
 use crate::extraction::Extraction;
 use crate::volumes::VolumeStep;
 
@@ -18,12 +18,12 @@ const BUFFER_BYTES: usize = 1 << 20;
 /// A temporary file beside the output, renamed when it is complete and otherwise deleted.
 pub(super) struct Output {
     pub path: PathBuf,
-    options: FileOptions,
+    request: FileRequest,
     file: NamedTempFile,
 }
 
 impl Output {
-    pub(super) fn create(path: &Path, options: FileOptions) -> Result<Self, ExtractError> {
+    pub(super) fn create(path: &Path, request: FileRequest) -> Result<Self, ExtractError> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
         let mut builder = tempfile::Builder::new();
         builder.prefix(".isopeel-");
@@ -51,7 +51,7 @@ impl Output {
         })?;
         Ok(Self {
             path: path.to_owned(),
-            options,
+            request,
             file,
         })
     }
@@ -60,10 +60,10 @@ impl Output {
         mut self,
         extraction: Extraction,
         volume: &VolumeStep,
-        (colored, device): (bool, &str),
+        device: &str,
         token: &CancellationToken,
     ) -> Result<(), ExtractError> {
-        let made = MadeFile::new(extraction, volume, (&self.options, colored), device, &|| false)?;
+        let made = MadeFile::new(extraction, volume, &self.request, device, &|| false)?;
         let file = Interruptible {
             file: self.file.as_file_mut(),
             token,

@@ -13,7 +13,7 @@ use sha2::{Digest, Sha256};
 
 use super::{ApiState, ExtractRequest, answer};
 use crate::access::Identity;
-use crate::export::{FileOptions, Format};
+use crate::export::{FileRequest, Format};
 use crate::problem::{ApiError, Problem};
 use crate::view::View;
 use crate::volumes::VolumeStep;
@@ -37,8 +37,9 @@ impl TagSeed {
     }
 
     /// The same for what makes the same surface in the same format.
-    fn tag(self, volume: &VolumeStep, view: &View, options: &FileOptions) -> String {
-        let what = format!("{} {:?} {options:?} {view:?}", self.0, volume.key());
+    fn tag(self, volume: &VolumeStep, view: &View, file: &FileRequest) -> String {
+        let (options, colored) = (&file.options, file.is_colored());
+        let what = format!("{} {:?} {options:?} {colored} {view:?}", self.0, volume.key());
         // Weak: a file says how long it took to make.
         format!("W/\"{}\"", HEXLOWER.encode(&Sha256::digest(what)[..16]))
     }
@@ -89,10 +90,10 @@ pub async fn extract_by_address(
     // Whether the client may see the volume comes before what it has of it.
     let volume = state.volume(&who, &volume, file.step)?;
     let view = file.view(volume.dataset())?;
-    let tag = state.tag_seed.tag(&volume, &view, &file.options);
+    let tag = state.tag_seed.tag(&volume, &view, &file);
     let mut response = match has(&headers, &tag) {
         true => StatusCode::NOT_MODIFIED.into_response(),
-        false => answer(state, volume, view, file.options).await?,
+        false => answer(state, volume, file).await?,
     };
     let answered = response.headers_mut();
     answered.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(ApiError::internal)?);
