@@ -253,7 +253,7 @@ async fn extract(
     progress.say(&format!("extracting on {}", device.name.trim()));
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let extraction = extractor.extract(&volume, &view, &token).await?;
-    let statistics = extraction.statistics(&volume, &device.name);
+    let mut statistics = extraction.statistics(&volume, &device.name);
     if let (None, Some(iso)) = (args.iso, extraction.view.iso) {
         eprintln!(
             "isopeel: isovalue {}, as the field opens with: isopeel info says why",
@@ -271,7 +271,7 @@ async fn extract(
         // This thread waits for Ctrl-C.
         let volume = volume.clone();
         let written = tokio::task::spawn_blocking(move || output.write(extraction, &volume, &device.name, &token));
-        written.await.map_err(io::Error::from)??;
+        statistics = written.await.map_err(io::Error::from)??;
     }
     if let (Some(why), false) = (&empty, is_refused) {
         eprintln!("isopeel: {why}");
@@ -281,6 +281,9 @@ async fn extract(
     }
     for guard in &statistics.gave_way {
         eprintln!("isopeel: {}", gave_way(*guard, &statistics));
+    }
+    for notice in &statistics.notices {
+        eprintln!("isopeel: {notice}");
     }
     if args.stats {
         let mut line = serde_json::to_string(&statistics).map_err(io::Error::from)?;

@@ -1,8 +1,9 @@
 //! GLB, the binary form of glTF 2.0.
 //!
 //! One mesh of one primitive: loaders give each primitive vertices of its own, which would tear the surface where levels meet. Triangles
-//! come by level, finest first; `extras.levelTriangles` has their numbers. Positions are those of the volume's frame; the node turns them
-//! into what glTF asks for, metres with Y up. An empty surface is a scene without nodes.
+//! come by level, finest first; `extras.levelTriangles` has their numbers. Positions are relative to the mesh's origin, along the axes of the
+//! volume's frame; the node turns them into what glTF asks for, metres with Y up, and moves them to their place. An empty surface is a scene
+//! without nodes.
 
 use std::io::Write;
 
@@ -112,7 +113,7 @@ impl Document {
                 "asset": asset,
                 "scene": 0,
                 "scenes": [{ "nodes": [0] }],
-                "nodes": [node(mesh.unit)],
+                "nodes": [node(mesh)],
                 "meshes": [{ "name": "isosurface", "primitives": [primitive] }],
                 // glTF's default material is metallic and one-sided.
                 "materials": [{
@@ -130,16 +131,18 @@ impl Document {
 }
 
 /// The node that turns positions into metres with Y up: a patient's head (LPS) is up, the face looks along +Z, as glTF has it. Without a
-/// unit one world unit is one metre.
-fn node(unit: Option<LengthUnit>) -> Value {
+/// unit one world unit is one metre. Its translation is the mesh's origin.
+fn node(mesh: &Mesh) -> Value {
     use std::f64::consts::FRAC_1_SQRT_2;
-    let metres = unit.and_then(LengthUnit::metres).unwrap_or(1.0);
+    let metres = mesh.unit.and_then(LengthUnit::metres).unwrap_or(1.0);
+    let [x, y, z] = mesh.origin.map(|component| component * metres);
     json!({
         "name": "isosurface",
         "mesh": 0,
         // A quarter turn about x: (x, y, z) becomes (x, z, −y).
         "rotation": [-FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2],
         "scale": [metres, metres, metres],
+        "translation": [x, z, -y],
     })
 }
 
@@ -264,8 +267,9 @@ mod tests {
         assert_eq!(floats(words(&json, binary, &attributes["_SMOOTHNESS"])), [0.0; 6]);
         assert_eq!(floats(words(&json, binary, &attributes["_FEATURE"])), [1.0; 6]);
         let position = &json["accessors"][attributes["POSITION"].as_u64().unwrap() as usize];
-        assert_eq!(position["min"], json!([30.0, 1.0, 0.5]));
-        assert_eq!(position["max"], json!([35.25, 2.0, 0.5]));
+        // From the middle of the grid, (48, 16, 16).
+        assert_eq!(position["min"], json!([-18.0, -15.0, -15.5]));
+        assert_eq!(position["max"], json!([-12.75, -14.0, -15.5]));
     }
 
     #[test]
@@ -295,6 +299,7 @@ mod tests {
         mesh.unit = Some(LengthUnit::Millimetre);
         let node = node(&mesh);
         assert_eq!(node["scale"], json!([1e-3, 1e-3, 1e-3]));
+        assert_eq!(node["translation"], json!([0.048, 0.016, -0.016]));
         let turn: Vec<f64> = serde_json::from_value(node["rotation"].clone()).unwrap();
         let turn = crate::math::DQuat::from_slice(&turn);
         let up = turn * crate::math::DVec3::Z;

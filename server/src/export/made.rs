@@ -5,7 +5,7 @@ use std::io::Write;
 use serde_json::Value;
 use tokio_util::sync::CancellationToken;
 
-use super::{ExportError, FileRequest, Format, Mesh, extras, length, why_empty, write};
+use super::{ExportError, FileRequest, Format, Mesh, extras, length, stl, why_empty, write};
 use crate::extraction::{Extraction, ExtractionStatistics, Extractor, WorkError};
 use crate::pool::{self, Panicked};
 use crate::view::EditError;
@@ -79,7 +79,7 @@ impl MadeFile {
         is_cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, ExportError> {
         let format = request.options.format;
-        let statistics = extraction.statistics(volume, device);
+        let mut statistics = extraction.statistics(volume, device);
         let Extraction { surface, view, .. } = extraction;
         let dataset = volume.dataset();
         let extras = extras(volume, &view.to_edit(), &statistics);
@@ -90,6 +90,9 @@ impl MadeFile {
         mesh.notices = notice.lines().map(str::to_owned).collect();
         // Before the mesh is copied to its reader: both are large.
         drop(surface);
+        if format == Format::Stl {
+            statistics.notices.extend(stl::rounding(&mesh));
+        }
         if request.is_colored() && format == Format::Glb {
             mesh.colorize(&view.transfer_function, view.alpha);
         }

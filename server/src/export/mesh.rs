@@ -20,7 +20,9 @@ type Key = ([i64; 3], [i16; 2], u16, u16);
 /// A surface in world units. Vertices that regions share are joined, triangles ordered by level, finest first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// World positions.
+    /// World position to which `positions` are relative.
+    pub origin: [f64; 3],
+    /// Positions, relative to `origin` and along the world's axes.
     pub positions: Vec<[f32; 3]>,
     /// Unit normals towards lower values, in the world.
     pub normals: Vec<[f32; 3]>,
@@ -38,6 +40,8 @@ pub struct Mesh {
     pub frame: Frame,
     /// Unit of the positions, where it is known.
     pub unit: Option<LengthUnit>,
+    /// Smallest distance between samples along an axis.
+    pub smallest_spacing: f64,
     /// What is to be known of the volume, a line each.
     pub notices: Vec<String>,
 }
@@ -66,6 +70,8 @@ impl Mesh {
     ) -> Result<Self, ExportError> {
         let transform = Transform::new(geometry, uneven);
         let mut mesh = Self {
+            origin: transform.origin.to_array(),
+            smallest_spacing: geometry.spacing.into_iter().fold(f64::INFINITY, f64::min),
             frame: geometry.frame,
             unit: geometry.unit,
             ..Self::default()
@@ -128,6 +134,12 @@ impl Mesh {
             }
         }
         Ok(mesh)
+    }
+
+    /// World position of a vertex.
+    pub fn world(&self, vertex: usize) -> [f64; 3] {
+        let position = self.positions[vertex];
+        [0, 1, 2].map(|axis| self.origin[axis] + f64::from(position[axis]))
     }
 
     /// Gives every vertex the colour that `transfer` has at its blended feature `(1 − alpha)·s + alpha·f̂`, linear
@@ -286,8 +298,8 @@ pub(super) mod tests {
         assert_eq!(mesh.positions.len(), 6);
         assert_eq!(mesh.level_triangles, [3, 0, 1, 0, 0, 0]);
         assert_eq!(mesh.triangles, [[0, 1, 2], [1, 4, 5], [1, 5, 2], [0, 2, 3]]);
-        assert_eq!(mesh.positions[1], [32.0, 1.0, 0.5]);
-        assert_eq!(mesh.positions[4], [35.25, 1.0, 0.5]);
+        assert_eq!(mesh.world(1), [32.0, 1.0, 0.5]);
+        assert_eq!(mesh.world(4), [35.25, 1.0, 0.5]);
         assert_eq!(mesh.feature, [1.0; 6]);
     }
 
@@ -341,7 +353,7 @@ pub(super) mod tests {
             ..geometry()
         };
         let mesh = Mesh::new(&two_quads(), &turned).unwrap();
-        assert_eq!(mesh.positions[4], [-100.0 - 2.0, 10.0 + 35.25 * 0.5, 1001.5]);
+        assert_eq!(mesh.world(4), [-100.0 - 2.0, 10.0 + 35.25 * 0.5, 1001.5]);
         assert!(normal_of(&mesh, 0)[2] > 0.0);
     }
 
@@ -387,10 +399,12 @@ pub(super) mod tests {
         };
         let mesh = made_by(&surface, MesherName::Dual);
         let scale = 96.0 / x[96];
-        let expected = [x[30] * scale, 1.0, 0.5].map(|p| p as f32);
-        assert_eq!(mesh.positions[0], expected);
-        let last = [(x[35] + 0.25 * (x[36] - x[35])) * scale, 1.0, 0.5].map(|p| p as f32);
-        assert_eq!(mesh.positions[4], last);
+        let is_near = |vertex, expected: [f64; 3]| {
+            let apart = DVec3::from(mesh.world(vertex)) - DVec3::from(expected);
+            assert!(apart.length() < 1e-5, "{:?}, expected {expected:?}", mesh.world(vertex));
+        };
+        is_near(0, [x[30] * scale, 1.0, 0.5]);
+        is_near(4, [(x[35] + 0.25 * (x[36] - x[35])) * scale, 1.0, 0.5]);
         let [nx, _, nz] = mesh.normals[0];
         assert!(
             (nx / nz - 1.0).abs() < 1e-3,
@@ -422,7 +436,23 @@ pub(super) mod tests {
         surface.regions[1].coords = [1 << 20, 0, 0];
         let mesh = Mesh::new(&surface, &geometry()).unwrap();
         assert_eq!(mesh.positions.len(), 8);
-        assert_eq!(mesh.positions[4][0], (32u32 << 20) as f32);
+        assert_eq!(mesh.world(4)[0], f64::from(32u32 << 20));
+    }
+
+    #[test]
+    fn positions_far_from_the_origin_are_as_exact_as_near_it() {
+        let near = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let far_away = Geometry {
+            spacing: [0.05; 3],
+            origin: [500_000.0, 4.6e6, 120.0],
+            ..geometry()
+        };
+        let far = Mesh::new(&two_quads(), &far_away).unwrap();
+        for vertex in 0..near.positions.len() {
+            let expected = DVec3::from(near.world(vertex)) * 0.05 + DVec3::from(far_away.origin);
+            let apart = (DVec3::from(far.world(vertex)) - expected).length();
+            assert!(apart < 1e-6, "vertex {vertex} is {apart} off");
+        }
     }
 
     #[test]
@@ -440,7 +470,7 @@ pub(super) mod tests {
         ));
 
         let far = Geometry {
-            origin: [1e39, 0.0, 0.0],
+            spacing: [1e38; 3],
             ..geometry()
         };
         assert!(matches!(Mesh::new(&two_quads(), &far), Err(ExportError::OutOfRange(_))));

@@ -79,12 +79,12 @@ impl Format {
         let per_triangle = match self {
             // Vertices of 42 bytes (position, normal, two features, colour), three indices of 4.
             Self::Glb => 33,
-            // Vertices of 32 bytes; a count and three indices of 4.
-            Self::Ply => 29,
+            // Vertices of 44 bytes; a count and three indices of 4.
+            Self::Ply => 35,
             // Normal, corners, two bytes.
             Self::Stl => 50,
             // As PLY, with a level and four indices of 8.
-            Self::Vtp => 49,
+            Self::Vtp => 55,
         };
         triangles.saturating_mul(per_triangle)
     }
@@ -119,8 +119,8 @@ pub enum ExportError {
         /// The format with this limit.
         format: &'static str,
     },
-    /// World coordinates do not fit 32-bit floats.
-    #[error("a vertex lies at {0:?} world units, beyond what 32-bit floats hold")]
+    /// World coordinates do not fit the numbers of the format.
+    #[error("a vertex lies at {0:?} world units, beyond what the numbers of the format hold")]
     OutOfRange([f64; 3]),
     /// A region that is not consistent.
     #[error("region {region:?}: {why}")]
@@ -152,7 +152,7 @@ pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut 
 }
 
 /// What a GLB says about itself: volume, step, every value in force, statistics, notices; frame and unit of its positions, before the
-/// node turns them.
+/// node turns them. Equal for equal requests: times and memory are left out.
 pub fn extras(volume: &VolumeStep, edit: &Edit, statistics: &ExtractionStatistics) -> serde_json::Value {
     let dataset = volume.dataset();
     serde_json::json!({
@@ -162,7 +162,7 @@ pub fn extras(volume: &VolumeStep, edit: &Edit, statistics: &ExtractionStatistic
         "unit": dataset.geometry.unit.map(LengthUnit::symbol),
         "notice": dataset.notice(),
         "view": edit,
-        "statistics": statistics,
+        "statistics": statistics.of_surface(),
     })
 }
 

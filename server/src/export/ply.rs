@@ -5,7 +5,7 @@ use std::io::Write;
 use super::{ExportError, Mesh};
 use crate::volumes::LengthUnit;
 
-/// Writes `mesh`: a vertex has position, normal, `smoothness` and `feature` (0 to 1), a face its three corners. Faces come by level,
+/// Writes `mesh`: a vertex has position (64 bits, so that far from the origin nothing is lost), normal, `smoothness` and `feature` (0 to 1), a face its three corners. Faces come by level,
 /// finest first; a comment has their numbers. A property of faces beside the list of corners would be rejected by readers that
 /// expect lists alone (meshio).
 ///
@@ -17,7 +17,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
         "ply\nformat binary_little_endian 1.0\ncomment isopeel {}\ncomment frame {}, unit {}\n\
          comment faces of each level, finest first: {}\n{}\
          element vertex {}\n\
-         property float x\nproperty float y\nproperty float z\n\
+         property double x\nproperty double y\nproperty double z\n\
          property float nx\nproperty float ny\nproperty float nz\n\
          property float smoothness\nproperty float feature\n\
          element face {}\n\
@@ -31,8 +31,8 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
         mesh.positions.len(),
         mesh.triangles.len(),
     )?;
-    for (i, position) in mesh.positions.iter().enumerate() {
-        out.write_all(bytemuck::bytes_of(position))?;
+    for i in 0..mesh.positions.len() {
+        out.write_all(bytemuck::bytes_of(&mesh.world(i)))?;
         out.write_all(bytemuck::bytes_of(&mesh.normals[i]))?;
         out.write_all(bytemuck::bytes_of(&[mesh.smoothness[i], mesh.feature[i]]))?;
     }
@@ -58,8 +58,8 @@ mod tests {
     use super::super::mesh::tests::{geometry, surface, two_quads};
     use super::*;
 
-    /// Header, vertices as rows of 8 floats, faces as corners.
-    type Parsed = (String, Vec<[f32; 8]>, Vec<[u32; 3]>);
+    /// Header, vertices as rows of 8 numbers, faces as corners.
+    type Parsed = (String, Vec<[f64; 8]>, Vec<[u32; 3]>);
 
     fn parse(bytes: &[u8]) -> Parsed {
         let end = b"end_header\n";
@@ -70,10 +70,15 @@ mod tests {
             line.trim().parse().unwrap()
         };
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+        let double = |at: usize| f64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+        let number = |row: usize, i: usize| match i {
+            0..3 => double(row + 8 * i),
+            _ => f64::from(f32::from_bits(word(row + 24 + 4 * (i - 3)))),
+        };
         let vertices = (0..count("element vertex"))
-            .map(|v| std::array::from_fn(|i| f32::from_bits(word(body + 32 * v + 4 * i))))
+            .map(|v| std::array::from_fn(|i| number(body + 44 * v, i)))
             .collect::<Vec<_>>();
-        let faces = body + 32 * vertices.len();
+        let faces = body + 44 * vertices.len();
         let rows = (0..count("element face"))
             .map(|f| {
                 let row = faces + 13 * f;

@@ -12,7 +12,7 @@ const LENGTH_BYTES: u64 = 8;
 const PIECE: usize = 1 << 12;
 
 /// Writes `mesh`: a point has `normal`, `smoothness` and `feature` (0 to 1), a triangle the `level` of its leaf. `frame` and `unit` of the
-/// points are strings of the data set, as are the notices of the volume; without a unit or a notice these are missing.
+/// points, which have 64 bits, are strings of the data set, as are the notices of the volume; without a unit or a notice these are missing.
 ///
 /// # Errors
 /// Those of `out`.
@@ -33,7 +33,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     ]
     .concat();
     let cell_data = array("UInt8", "level", 1, triangles);
-    let positions = array("Float32", "Points", 3, 12 * points);
+    let positions = array("Float64", "Points", 3, 24 * points);
     let polygons = [
         array("Int64", "connectivity", 1, 24 * triangles),
         array("Int64", "offsets", 1, 8 * triangles),
@@ -67,7 +67,8 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     raw(out, bytemuck::cast_slice(&mesh.smoothness))?;
     raw(out, bytemuck::cast_slice(&mesh.feature))?;
     levels(mesh, out)?;
-    raw(out, bytemuck::cast_slice(&mesh.positions))?;
+    out.write_all(&(24 * points).to_le_bytes())?;
+    widened(out, (0..mesh.positions.len()).map(|vertex| mesh.world(vertex)))?;
     out.write_all(&(24 * triangles).to_le_bytes())?;
     widened(
         out,
@@ -113,7 +114,7 @@ fn levels(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     Ok(())
 }
 
-fn widened(out: &mut impl Write, mut numbers: impl Iterator<Item = i64>) -> io::Result<()> {
+fn widened<T: bytemuck::NoUninit>(out: &mut impl Write, mut numbers: impl Iterator<Item = T>) -> io::Result<()> {
     let mut piece = Vec::with_capacity(PIECE);
     loop {
         piece.extend(numbers.by_ref().take(PIECE));
@@ -182,7 +183,8 @@ mod tests {
             xml.contains("Name=\"notice\" NumberOfTuples=\"1\" format=\"ascii\">97 10 98 0<"),
             "{xml}"
         );
-        assert_eq!(array("Points"), bytemuck::cast_slice::<_, u8>(&mesh.positions));
+        let points: Vec<[f64; 3]> = bytemuck::pod_collect_to_vec(&array("Points"));
+        assert_eq!(points, (0..6).map(|vertex| mesh.world(vertex)).collect::<Vec<_>>());
         assert_eq!(array("normal"), bytemuck::cast_slice::<_, u8>(&mesh.normals));
         assert_eq!(array("feature"), bytemuck::cast_slice::<_, u8>(&[1.0f32; 6]));
         assert_eq!(array("level"), [0, 0, 0, 2]);

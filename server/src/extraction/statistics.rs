@@ -106,9 +106,25 @@ pub struct ExtractionStatistics {
     pub volume_bytes: u64,
     /// Name of the device.
     pub device: String,
+    /// What the format of a file could not keep. Never in the stream.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(test, ts(as = "Option<Vec<String>>", optional))]
+    pub notices: Vec<String>,
 }
 
 impl ExtractionStatistics {
+    /// Names of what it took to make a surface: it differs from one time to the next.
+    const COSTS: [&str; 4] = ["stagesMs", "wallMs", "deviceBytes", "volumeBytes"];
+
+    /// Returns the statistics of the surface alone, without what it took to make it, as a JSON object.
+    pub fn of_surface(&self) -> serde_json::Value {
+        let mut all = serde_json::to_value(self).unwrap_or_default();
+        if let Some(names) = all.as_object_mut() {
+            names.retain(|name, _| !Self::COSTS.contains(&name.as_str()));
+        }
+        all
+    }
+
     /// The kernels' statistics with the view, the time and the device.
     pub fn new(
         kernels: &isopeel_kernels::SurfaceStatistics,
@@ -156,6 +172,7 @@ impl ExtractionStatistics {
             device_bytes: kernels.device_bytes,
             volume_bytes: kernels.volume_bytes,
             device: device.to_owned(),
+            notices: Vec::new(),
         }
     }
 }

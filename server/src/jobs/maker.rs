@@ -164,4 +164,8 @@ impl ResultFile for MadeFile {
     fn error(&self) -> Option<MeasuredError> {
         self.statistics.error
     }
+
+    fn notices(&self) -> Vec<String> {
+        self.statistics.notices.clone()
+    }
 }

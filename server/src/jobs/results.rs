@@ -35,6 +35,8 @@ pub trait ResultFile: Send + 'static {
     fn triangles(&self) -> u64;
     /// How far its surface is from the full one, if that was measured.
     fn error(&self) -> Option<MeasuredError>;
+    /// What its format could not keep.
+    fn notices(&self) -> Vec<String>;
 }
 
 /// A result that is on the disk.

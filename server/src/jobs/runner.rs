@@ -157,7 +157,7 @@ impl<M: Maker> Runner<M> {
             Ok(file) => file,
             Err(failure) => return of_failure(failure, token),
         };
-        let (triangles, error) = (file.triangles(), file.error());
+        let (triangles, error, notices) = (file.triangles(), file.error(), file.notices());
         let left = self.quota_bytes.saturating_sub(work.bytes_taken);
         let written = match self
             .results
@@ -178,6 +178,7 @@ impl<M: Maker> Runner<M> {
             written,
             triangles,
             error,
+            notices,
             seconds: start.elapsed().as_secs_f64(),
         };
         (outcome, None)

@@ -194,6 +194,9 @@ pub struct ManifestEntry {
     /// Seconds that it took to make.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
+    /// What the file's format could not keep.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notices: Vec<String>,
     /// Why there is no file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub problem: Option<Cause>,

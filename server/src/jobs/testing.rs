@@ -95,6 +95,10 @@ impl ResultFile for Content {
     fn error(&self) -> Option<MeasuredError> {
         Some(MeasuredError { rms: 0.25, max: 0.5 })
     }
+
+    fn notices(&self) -> Vec<String> {
+        vec!["rounded".into()]
+    }
 }
 
 /// What a [`FakeMaker`] does instead of a file.

@@ -132,8 +132,62 @@ fn an_image_has_its_surface_in_one_place_whatever_its_format() {
         let other = mesh(name);
         assert_eq!(other.triangles, nrrd.triangles, "{name}");
         for (a, b) in other.positions.iter().zip(&nrrd.positions) {
-            let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(apart < 1e-4, "{name}: {a:?}, in NRRD {b:?}");
+        }
+    }
+}
+
+/// A ball of 30 samples across, as NRRD in metres, with the same spacing along all axes.
+fn write_ball(path: &Path, spacing: f64, origin: [f64; 3]) {
+    let mut file = std::fs::File::create(path).expect("a file");
+    let [x, y, z] = origin;
+    write!(
+        file,
+        "NRRD0005\ntype: float\ndimension: 3\nspace dimension: 3\nsizes: 40 40 40\nspace directions: ({spacing:e},0,0) (0,{spacing:e},0) \
+         (0,0,{spacing:e})\nspace origin: ({x:e},{y:e},{z:e})\nspace units: \"m\" \"m\" \"m\"\nendian: little\nencoding: raw\n\n"
+    )
+    .expect("written");
+    let samples = (0..64_000).flat_map(|i| {
+        let at = [i % 40, i / 40 % 40, i / 1600].map(|n| f64::from(n) - 19.3);
+        let radius = at.iter().map(|x| x * x).sum::<f64>().sqrt();
+        ((15.2 - radius) as f32).to_le_bytes()
+    });
+    file.write_all(&samples.collect::<Vec<u8>>()).expect("written");
+}
+
+#[test]
+fn a_surface_far_from_the_origin_is_as_exact_as_near_it() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    // Cells of 5 cm in coordinates of UTM.
+    let origin = [500_000.0, 4.6e6, 120.0];
+    let [near, far] = ["near.nrrd", "far.nrrd"].map(|name| folder.path().join(name));
+    write_ball(&near, 0.05, [0.0; 3]);
+    write_ball(&far, 0.05, origin);
+    for format in ["glb", "ply", "vtp", "stl"] {
+        let mesh = |volume: &Path| {
+            let out = folder.path().join(format!("ball.{format}"));
+            let statistics = command::extract_to(volume, "--iso 0 --triangles 20%", &out);
+            (statistics, files::read(format, &std::fs::read(&out).expect("written")))
+        };
+        let ((_, near), (statistics, far)) = (mesh(&near), mesh(&far));
+        assert_eq!(near.triangles, far.triangles, "{format}");
+        let [x, y, z] = origin;
+        let moved = if format == "glb" { [x, z, -y] } else { origin };
+        let pairs = near.positions.iter().zip(&far.positions);
+        let apart = pairs.flat_map(|(near, far)| [0, 1, 2].map(|i| (near[i] + moved[i] - far[i]).abs()));
+        let largest = apart.fold(0.0, f64::max);
+        let notices = &statistics["notices"];
+        if format == "stl" {
+            let said = notices[0].as_str().expect("a notice");
+            assert!(said.contains("rounded by up to 2.5e-1 m"), "{said}");
+            assert!((0.1..0.3).contains(&largest), "{largest}");
+        } else {
+            assert!(largest < 1e-5, "{format}: {largest} m");
+            assert!(notices.is_null(), "{notices}");
         }
     }
 }

@@ -122,16 +122,22 @@ fn every_format_holds_the_same_surface_in_the_same_place() {
             "triangles as PLY, STL, VTP and GLB"
         );
         // GLB is in metres, y up: x, z, −y of the world.
-        let glb: [[f32; 3]; 2] = extents.pop().expect("four");
+        let glb: [[f64; 3]; 2] = extents.pop().expect("four");
         let [low, high] = glb.map(|[x, y, z]| [1e3 * x, -1e3 * z, 1e3 * y]);
         let glb = [[low[0], high[1], low[2]], [high[0], low[1], high[2]]];
-        assert_eq!(extents, [extents[0]; 3], "extent as PLY, STL and VTP");
+        // An STL has 32 bits.
+        let in_32_bits = |extent: [[f64; 3]; 2]| extent.map(|corner| corner.map(|x| x as f32));
+        assert_eq!(
+            [extents[0], extents[2]].map(in_32_bits),
+            [in_32_bits(extents[1]); 2],
+            "extent as PLY, VTP and STL"
+        );
         let [low, high] = extents[0];
         for (here, there) in extents[0].iter().flatten().zip(glb.iter().flatten()) {
             assert!((here - there).abs() < 1e-3, "{:?}, as GLB {glb:?}", extents[0]);
         }
         // Spacing is 1 mm. In LPS sample (0, 0, 0) is at (98, 134, -72), x and y fall.
-        let dims = demo::DIMS.map(|n| n as f32 - 1.0);
+        let dims = demo::DIMS.map(|n| f64::from(n) - 1.0);
         for (axis, origin) in [98.0 - dims[0], 134.0 - dims[1], -72.0].into_iter().enumerate() {
             let last = origin + dims[axis];
             assert!(

@@ -808,6 +808,8 @@ export type Statistics = {
   volumeBytes: number,
   /** Name of the device. */
   device: string,
+  /** What the format of a file could not keep. Never in the stream. */
+  notices?: Array<string>,
 };
 
 /** An edit and the number of the surface that it is for, 0 where it is left out. */

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::ExtractError;
 use crate::export::{ExportError, FileRequest, MadeFile};
-use crate::extraction::Extraction;
+use crate::extraction::{Extraction, ExtractionStatistics};
 use crate::volumes::VolumeStep;
 
 /// Bytes of a write.
@@ -56,13 +56,14 @@ impl Output {
         })
     }
 
+    /// Writes the file of a surface. Returns its statistics, with what the format could not keep.
     pub(super) fn write(
         mut self,
         extraction: Extraction,
         volume: &VolumeStep,
         device: &str,
         token: &CancellationToken,
-    ) -> Result<(), ExtractError> {
+    ) -> Result<ExtractionStatistics, ExtractError> {
         let made = MadeFile::new(extraction, volume, &self.request, device, &|| false)?;
         let file = Interruptible {
             file: self.file.as_file_mut(),
@@ -85,7 +86,7 @@ impl Output {
             path: self.path,
             source: error.error,
         })?;
-        Ok(())
+        Ok(made.statistics)
     }
 }
 

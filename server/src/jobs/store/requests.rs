@@ -320,7 +320,7 @@ fn failures(transaction: &Transaction<'_>, job: i64) -> Result<Vec<Failure>, Sto
 fn manifest(transaction: &Transaction<'_>, job: i64) -> Result<Vec<ManifestEntry>, StoreError> {
     let mut rows = transaction.prepare(
         "SELECT extraction, state, request, triangles, error_rms, error_max, bytes, checksum, seconds, error_code,
-            error_detail FROM extractions WHERE job = ?1 ORDER BY extraction",
+            error_detail, notices FROM extractions WHERE job = ?1 ORDER BY extraction",
     )?;
     let entries = rows.query_map([job], |row| Ok(manifest_entry(row)))?;
     entries.map(|entry| entry?).collect()
@@ -340,6 +340,7 @@ fn manifest_entry(row: &Row<'_>) -> Result<ManifestEntry, StoreError> {
     let error = row.get::<_, Option<f32>>(4)?.zip(row.get(5)?);
     let checksum: Option<Checksum> = row.get(7)?;
     let (code, detail): (Option<String>, Option<String>) = (row.get(9)?, row.get(10)?);
+    let notices: String = row.get(11)?;
     Ok(ManifestEntry {
         extraction,
         state,
@@ -349,6 +350,7 @@ fn manifest_entry(row: &Row<'_>) -> Result<ManifestEntry, StoreError> {
         bytes: row.get(6)?,
         sha256: checksum.map(|checksum| HEXLOWER.encode(&checksum)),
         seconds: row.get(8)?,
+        notices: serde_json::from_str(&notices).map_err(|_| StoreError::Malformed(notices))?,
         problem: code.zip(detail).map(|(code, detail)| Cause { code, detail }),
     })
 }

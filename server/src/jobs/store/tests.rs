@@ -15,6 +15,7 @@ fn done(bytes: u64) -> Outcome {
         },
         triangles: 7,
         error: Some(MeasuredError { rms: 0.25, max: 0.5 }),
+        notices: vec!["rounded".into()],
         seconds: 2.0,
     }
 }
@@ -197,7 +198,7 @@ async fn an_empty_surface_is_noted_and_the_others_go_on() {
     let entries = store.manifest(OPERATOR, "x").await.unwrap();
     let first = serde_json::json!({
         "extraction": 0, "state": "done", "file": "00000.stl", "triangles": 7, "error": {"rms": 0.25, "max": 0.5},
-        "bytes": 100, "sha256": "03".repeat(32), "seconds": 2.0,
+        "bytes": 100, "sha256": "03".repeat(32), "seconds": 2.0, "notices": ["rounded"],
     });
     assert_eq!(serde_json::to_value(&entries[0]).unwrap(), first);
     let second = serde_json::json!({

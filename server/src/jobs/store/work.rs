@@ -46,6 +46,8 @@ pub enum Outcome {
         triangles: u64,
         /// Of its surface, if it was measured.
         error: Option<MeasuredError>,
+        /// What the file's format could not keep.
+        notices: Vec<String>,
         /// Time that it took.
         seconds: f64,
     },
@@ -167,11 +169,13 @@ fn apply(transaction: &Transaction<'_>, number: i64, extraction: u32, outcome: &
             written,
             triangles,
             error,
+            notices,
             seconds,
         } => {
+            let notices = serde_json::to_string(notices).map_err(|error| StoreError::Malformed(error.to_string()))?;
             transaction.execute(
                 "UPDATE extractions SET state = 'done', bytes = ?3, checksum = ?4, triangles = ?5, seconds = ?6,
-                    error_rms = ?7, error_max = ?8 WHERE job = ?1 AND extraction = ?2",
+                    error_rms = ?7, error_max = ?8, notices = ?9 WHERE job = ?1 AND extraction = ?2",
                 (
                     number,
                     extraction,
@@ -181,6 +185,7 @@ fn apply(transaction: &Transaction<'_>, number: i64, extraction: u32, outcome: &
                     seconds,
                     error.map(|error| error.rms),
                     error.map(|error| error.max),
+                    notices,
                 ),
             )?;
             transaction.execute(
