@@ -5,7 +5,7 @@ use std::io::Write;
 use serde_json::Value;
 use tokio_util::sync::CancellationToken;
 
-use super::{ExportError, FileRequest, Format, Mesh, extras, length, stl, why_empty, write};
+use super::{ExportError, FileDigest, FileRequest, Format, Mesh, digest, extras, stl, why_empty, write};
 use crate::extraction::{Extraction, ExtractionStatistics, Extractor, WorkError};
 use crate::pool::{self, Panicked};
 use crate::view::EditError;
@@ -120,12 +120,12 @@ impl MadeFile {
         self.format
     }
 
-    /// Number of bytes that [`MadeFile::write`] writes.
+    /// Length and hash of what [`MadeFile::write`] writes.
     ///
     /// # Errors
-    /// As [`length`].
-    pub fn length(&self, is_cancelled: &dyn Fn() -> bool) -> Result<u64, ExportError> {
-        length(&self.mesh, self.format, &self.extras, is_cancelled)
+    /// As [`digest`].
+    pub fn digest(&self, is_cancelled: &dyn Fn() -> bool) -> Result<FileDigest, ExportError> {
+        digest(&self.mesh, self.format, &self.extras, is_cancelled)
     }
 
     /// Writes it.

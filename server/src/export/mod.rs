@@ -3,10 +3,11 @@
 //! [`FileRequest`] is what is asked for, [`MadeFile`] what is made of it. [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`], [`stl`] and [`vtp`] stream it to a [`Write`]r. By hand: each writer is
 //! shorter than the conversion to a library's own mesh would be, and never holds the file in memory.
 
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::Xxh3;
 
 use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
@@ -166,33 +167,54 @@ pub fn extras(volume: &VolumeStep, edit: &Edit, statistics: &ExtractionStatistic
     })
 }
 
-/// Number of bytes that [`write`] writes.
+/// What a file is, before it is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileDigest {
+    /// Its length.
+    pub bytes: u64,
+    /// XXH3 of all of it.
+    pub hash: u128,
+}
+
+/// Returns length and hash of what [`write`] writes.
 ///
 /// # Errors
-/// What the format cannot hold; [`write`] then fails only if `out` does. [`ExportError::Io`] where it is cancelled.
-pub fn length(
+/// What the format cannot hold; [`write`] then fails only if `out` does. [`ExportError::Io`] if it is cancelled.
+pub fn digest(
     mesh: &Mesh,
     format: Format,
     extras: &serde_json::Value,
     is_cancelled: &dyn Fn() -> bool,
-) -> Result<u64, ExportError> {
-    let mut counter = Counter { bytes: 0, is_cancelled };
-    write(mesh, format, extras, &mut counter)?;
-    Ok(counter.bytes)
+) -> Result<FileDigest, ExportError> {
+    let digester = Digester {
+        bytes: 0,
+        hasher: Xxh3::new(),
+        is_cancelled,
+    };
+    let mut out = BufWriter::with_capacity(DIGEST_BUFFER_BYTES, digester);
+    write(mesh, format, extras, &mut out)?;
+    let Digester { bytes, hasher, .. } = out.into_inner().map_err(io::IntoInnerError::into_error)?;
+    let hash = hasher.digest128();
+    Ok(FileDigest { bytes, hash })
 }
 
-/// Counts bytes and drops them.
-struct Counter<'a> {
+/// Bytes that are hashed at once.
+const DIGEST_BUFFER_BYTES: usize = 1 << 16;
+
+/// Counts and hashes bytes, and drops them.
+struct Digester<'a> {
     bytes: u64,
+    hasher: Xxh3,
     is_cancelled: &'a dyn Fn() -> bool,
 }
 
-impl Write for Counter<'_> {
+impl Write for Digester<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if (self.is_cancelled)() {
             return Err(io::ErrorKind::BrokenPipe.into());
         }
         self.bytes += bytes.len() as u64;
+        self.hasher.update(bytes);
         Ok(bytes.len())
     }
 

@@ -339,36 +339,29 @@ async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
 }
 
 #[tokio::test]
-async fn more_exports_than_the_server_takes_are_told_to_come_back() {
-    let state = state();
-    let all = state
-        .extracts
-        .clone()
-        .acquire_many_owned(CONCURRENT_EXTRACTS as u32)
-        .await
-        .unwrap();
-    let export = || {
-        Request::post("/api/v1/extract")
-            .header(header::CONTENT_TYPE, "application/json")
-            .body(Body::from(r#"{"volume":"ramp","format":"glb","iso":3}"#))
-            .unwrap()
+async fn more_exports_than_wait_are_told_to_come_back() {
+    let state = ApiState {
+        exports: ExportQueue::new(QueueLimits {
+            running: 1,
+            waiting: 0,
+            ..EXPORTS
+        }),
+        ..state()
     };
-    let response = router(state.clone())
-        .layer(Extension(Identity::without_token()))
-        .oneshot(export())
-        .await
-        .unwrap();
+    let export = || {
+        let request = Request::post("/api/v1/extract").header(header::CONTENT_TYPE, "application/json");
+        let request = request.body(Body::from(r#"{"volume":"ramp","format":"glb","iso":3}"#));
+        let router = router(state.clone()).layer(Extension(Identity::without_token()));
+        router.oneshot(request.unwrap())
+    };
+    let running = state.exports.admit("a").await.unwrap();
+    let response = export().await.unwrap();
     assert_eq!(response.headers()[header::RETRY_AFTER], "2");
     problem(response, StatusCode::SERVICE_UNAVAILABLE, "busy").await;
-    drop(all);
+    drop(running);
     // A permit is free, and only the device is missing; a failed export returns its permit.
-    for _ in 0..=CONCURRENT_EXTRACTS {
-        let response = router(state.clone())
-            .layer(Extension(Identity::without_token()))
-            .oneshot(export())
-            .await
-            .unwrap();
-        problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;
+    for _ in 0..2 {
+        problem(export().await.unwrap(), StatusCode::SERVICE_UNAVAILABLE, "device").await;
     }
 }
 

@@ -200,6 +200,66 @@ fn what_cannot_be_extracted_is_a_problem_with_a_stable_code() {
 }
 
 #[test]
+fn equal_requests_have_equal_bytes_which_can_be_resumed() {
+    let Some(address) = server::shared() else { return };
+    for format in ["glb", "ply", "stl", "vtp"] {
+        let body = json!({"volume": demo::ID, "format": format, "iso": 101.5, "triangles": {"share": 0.05}});
+        let posted = http::post_json(address, "/api/v1/extract", &body).body;
+        let path = format!(
+            "/api/v1/extract?volume={}&format={format}&iso=101.5&triangles=%7B%22share%22%3A0.05%7D",
+            demo::ID
+        );
+        let whole = http::get(address, &path);
+        assert_eq!(whole.status, 200, "{}", String::from_utf8_lossy(&whole.body));
+        assert!(whole.body == posted, "{format}: POST and GET");
+        let ask = |method: &str, headers: &[(&str, &str)]| {
+            http::send(address, method, &path, headers, b"").expect("an answer")
+        };
+        let length = whole.body.len();
+        let head = ask("HEAD", &[]);
+        let of = |answer: &http::Answer| ["content-length", "etag"].map(|name| answer.header(name).to_owned());
+        assert_eq!(of(&head), of(&whole), "{format}");
+        let etag = whole.header("etag");
+        assert!(
+            etag.starts_with('"') && head.header("accept-ranges") == "bytes",
+            "{etag}"
+        );
+        assert_eq!(ask("GET", &[("if-none-match", etag)]).status, 304);
+
+        let half = length / 2;
+        let rest = ask("GET", &[("range", &format!("bytes={half}-")), ("if-range", etag)]);
+        assert_eq!(
+            (rest.status, rest.header("content-range")),
+            (206, format!("bytes {half}-{}/{length}", length - 1).as_str())
+        );
+        assert!(rest.body == whole.body[half..], "{format}");
+        let of_another = ask("GET", &[("range", "bytes=5-"), ("if-range", "\"another\"")]);
+        assert!(of_another.status == 200 && of_another.body == whole.body);
+        let beyond = ask("GET", &[("range", &format!("bytes={length}-"))]);
+        assert_eq!(beyond.problem(416), "bad-range");
+
+        for encoding in ["zstd", "gzip"] {
+            let packed = ask("GET", &[("accept-encoding", encoding)]);
+            assert_eq!((packed.status, packed.header("content-encoding")), (200, encoding));
+            assert!(
+                packed.body.len() < length,
+                "{format} as {encoding}: {} bytes of {length}",
+                packed.body.len()
+            );
+            let tag = packed.header("etag");
+            assert!(
+                tag != etag && packed.header("vary").contains("Accept-Encoding"),
+                "{tag}"
+            );
+            assert_eq!(
+                ask("GET", &[("accept-encoding", encoding), ("if-none-match", tag)]).status,
+                304
+            );
+        }
+    }
+}
+
+#[test]
 fn a_surface_without_triangles_is_refused_unless_it_is_allowed() {
     let Some(address) = server::shared() else { return };
     for format in ["glb", "ply", "stl", "vtp"] {

@@ -167,7 +167,11 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     assert_eq!(made(), before);
     for answer in [&file, &again] {
         assert_eq!(answer.header("cache-control"), "private, no-cache");
-        assert!(answer.header("vary").contains("Authorization, Cookie, Origin"));
+        assert!(
+            answer
+                .header("vary")
+                .contains("Authorization, Cookie, Origin, Accept-Encoding")
+        );
     }
     let other = shown("/api/v1/extract?volume=ball&format=stl&iso=3.5", tag);
     assert_eq!(other.status, 200);
