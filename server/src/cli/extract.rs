@@ -85,7 +85,7 @@ pub struct Args {
     /// Parts of the surface with a smaller area, in world units, are removed first; with --error, --triangles or --bytes. Budgets
     /// and guards then are about what is left [default: none are removed]
     #[arg(long, value_name = "AREA", allow_negative_numbers = true)]
-    min_part: Option<f32>,
+    min_part: Option<f64>,
 
     /// Part of the surface that is removed: the one next to this position, in world coordinates. As --min-part. May be given up to
     /// 64 times
@@ -342,7 +342,7 @@ impl Args {
 }
 
 /// How much was removed, where that was asked for, and which positions chose nothing.
-fn removed(min_part: Option<f32>, chosen: Option<&ChosenPartsJson>, statistics: &ExtractionStatistics) -> Vec<String> {
+fn removed(min_part: Option<f64>, chosen: Option<&ChosenPartsJson>, statistics: &ExtractionStatistics) -> Vec<String> {
     let (Some(parts), Some(triangles)) = (statistics.removed_parts, statistics.removed_triangles) else {
         return Vec::new();
     };

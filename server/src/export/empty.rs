@@ -30,7 +30,7 @@ pub(crate) async fn why_empty(
 fn all_removed(statistics: &ExtractionStatistics) -> Option<String> {
     match (statistics.full_triangles, statistics.removed_parts) {
         (0, Some(parts @ 1..)) => Some(format!(
-            "no part is left of the surface: minPart or parts removed all {parts} of it"
+            "nothing is left of the surface: all {parts} parts were removed"
         )),
         (full @ 1.., _) => Some(format!(
             "nothing is left of the surface's {full} triangles: expected topology preserve, or less decimation"
@@ -127,7 +127,7 @@ mod tests {
         assert_eq!(of(0, None), None);
         assert_eq!(of(0, Some(0)), None);
         let removed = of(0, Some(3)).unwrap();
-        assert!(removed.ends_with("minPart or parts removed all 3 of it"), "{removed}");
+        assert!(removed.ends_with("all 3 parts were removed"), "{removed}");
         let decimated = of(12, None).unwrap();
         assert!(
             decimated.starts_with("nothing is left of the surface's 12 triangles"),

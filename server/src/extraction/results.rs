@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use isopeel_kernels::{StageTime, Surface, SurfaceError};
+use isopeel_kernels::{StageTime, Surface};
 
-use super::ExtractionStatistics;
+use super::{ExtractionStatistics, MeasuredError};
 use crate::view::View;
 use crate::volumes::VolumeStep;
 
@@ -22,8 +22,8 @@ pub struct Extraction {
 impl Extraction {
     /// Returns the statistics of the surface, which a device of this name made of the volume.
     pub fn statistics(&self, volume: &VolumeStep, device: &str) -> ExtractionStatistics {
-        let spacing = volume.dataset().cell_lengths();
-        ExtractionStatistics::new(&self.surface.statistics, &self.view, spacing, self.wall, device)
+        let smallest = volume.dataset().smallest_length();
+        ExtractionStatistics::new(&self.surface.statistics, &self.view, smallest, self.wall, device)
     }
 }
 
@@ -99,8 +99,8 @@ pub struct FullCount {
 /// How far a final surface is from the undecimated one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
-    /// Of the whole surface.
-    pub whole: SurfaceError,
-    /// Of each region that has triangles.
-    pub regions: Vec<([u32; 3], SurfaceError)>,
+    /// Of the whole surface, world units.
+    pub whole: MeasuredError,
+    /// Of each region that has triangles, world units.
+    pub regions: Vec<([u32; 3], MeasuredError)>,
 }

@@ -35,14 +35,23 @@ pub struct EstimatedError {
     pub worst_leaf: f32,
 }
 
-impl From<SurfaceError> for MeasuredError {
-    fn from(SurfaceError { rms, max }: SurfaceError) -> Self {
+/// A length in world units, from the device's multiples of the smallest spacing.
+pub(super) fn in_world(length: f32, smallest: f64) -> f32 {
+    (f64::from(length) * smallest) as f32
+}
+
+impl MeasuredError {
+    /// In world units, from the device's multiples of the smallest spacing.
+    pub(super) fn in_world(SurfaceError { rms, max }: SurfaceError, smallest: f64) -> Self {
+        let [rms, max] = [rms, max].map(|length| in_world(length, smallest));
         Self { rms, max }
     }
 }
 
-impl From<ErrorEstimate> for EstimatedError {
-    fn from(ErrorEstimate { rms, worst_leaf }: ErrorEstimate) -> Self {
+impl EstimatedError {
+    /// As [`MeasuredError::in_world`].
+    fn in_world(ErrorEstimate { rms, worst_leaf }: ErrorEstimate, smallest: f64) -> Self {
+        let [rms, worst_leaf] = [rms, worst_leaf].map(|length| in_world(length, smallest));
         Self { rms, worst_leaf }
     }
 }
@@ -125,11 +134,11 @@ impl ExtractionStatistics {
         all
     }
 
-    /// The kernels' statistics with the view, the time and the device.
+    /// The kernels' statistics with the view, the time and the device. `smallest`: the spacing that lengths in them are multiples of.
     pub fn new(
         kernels: &isopeel_kernels::SurfaceStatistics,
         view: &View,
-        spacing: [f64; 3],
+        smallest: f64,
         wall: Duration,
         device: &str,
     ) -> Self {
@@ -141,22 +150,20 @@ impl ExtractionStatistics {
             mesher: view.mesher,
             beta: view.beta_in_force(),
             // If everything that can be is merged, the tolerance has no bound; nor if nothing is, and JSON has no infinity.
-            tolerance: view.tolerance_in_force(spacing).map(|tolerance| {
-                if tolerance < f32::MAX {
-                    tolerance.max(NOTHING_MERGED)
-                } else {
-                    kernels.estimate.worst_leaf
-                }
+            tolerance: view.tolerance_in_force(smallest).map(|tolerance| match tolerance {
+                ..0.0 => NOTHING_MERGED,
+                f32::MAX.. => in_world(kernels.estimate.worst_leaf, smallest),
+                _ => in_world(tolerance, smallest),
             }),
-            max_error: view.max_error_in_force().map(|distance| distance.world(spacing)),
+            max_error: view.max_error_in_force().map(|distance| distance.world(smallest)),
             topology: match view.topology_in_force() {
                 Topology::Preserve => TopologyName::Preserve,
                 Topology::Free => TopologyName::Free,
             },
-            gave_way: view.gave_way(spacing),
+            gave_way: view.gave_way(smallest),
             is_tree_cut: view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut),
-            error: kernels.error.map(Into::into),
-            estimated_error: Some(kernels.estimate.into()),
+            error: kernels.error.map(|error| MeasuredError::in_world(error, smallest)),
+            estimated_error: Some(EstimatedError::in_world(kernels.estimate, smallest)),
             full_triangles: kernels.full_triangles,
             removed_parts: kernels.removed.map(|removed| removed.parts),
             removed_triangles: kernels.removed.map(|removed| removed.full_triangles),

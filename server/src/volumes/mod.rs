@@ -195,6 +195,11 @@ impl Dataset {
         std::array::from_fn(|axis| self.geometry.spacing[axis] * largest[axis])
     }
 
+    /// The smallest of the [cell lengths](Self::cell_lengths): the unit of lengths on the device, world units.
+    pub fn smallest_length(&self) -> f64 {
+        self.cell_lengths().into_iter().fold(f64::INFINITY, f64::min)
+    }
+
     /// Names of the fields, the main one first.
     pub fn field_names(&self) -> Vec<&str> {
         self.fields.iter().map(|field| field.name.as_str()).collect()

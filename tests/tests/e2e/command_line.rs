@@ -193,6 +193,46 @@ fn a_surface_far_from_the_origin_is_as_exact_as_near_it() {
 }
 
 #[test]
+fn a_surface_is_the_same_at_any_spacing() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("ball.ply");
+    let volume = folder.path().join("ball.nrrd");
+    for options in [
+        "--beta -1",
+        "--triangles 10%",
+        "--feature gradient-magnitude --triangles 20%",
+        "--mesher marching-cubes",
+    ] {
+        let made = |spacing: f64| {
+            write_ball(&volume, spacing, [0.0; 3]);
+            let statistics = command::extract_to(&volume, &format!("--iso 0 {options}"), &out);
+            let mesh = files::read("ply", &std::fs::read(&out).expect("written"));
+            let error = statistics["error"]["rms"].as_f64().map(|rms| rms / spacing);
+            (mesh, error)
+        };
+        let (unit, error) = made(1.0);
+        for exponent in [-30, -12, 9, 30] {
+            let spacing = 10f64.powi(exponent);
+            let (mesh, error_here) = made(spacing);
+            assert_eq!(mesh.triangles, unit.triangles, "{options} at 1e{exponent}");
+            let pairs = mesh.positions.iter().zip(&unit.positions);
+            let apart = pairs.flat_map(|(here, there)| [0, 1, 2].map(|i| (here[i] / spacing - there[i]).abs()));
+            let largest = apart.fold(0.0, f64::max);
+            assert!(largest < 1e-5, "{options} at 1e{exponent}: {largest} spacings");
+            if let (Some(error), Some(here)) = (error, error_here) {
+                assert!(
+                    (here / error - 1.0).abs() < 1e-5,
+                    "{options} at 1e{exponent}: {here}, at 1 {error}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
 fn a_surface_without_triangles_is_an_exit_code_and_no_file() {
     if !server::has_device() {
         return;
