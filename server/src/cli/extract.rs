@@ -13,10 +13,12 @@ use isopeel_kernels::MAX_LEVEL;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::device::DeviceArgs;
-use crate::export::{ExportError, FileOptions, FileRequest, Format, why_empty};
+use crate::export::{FileOptions, FileRequest, Format, MakeError, why_empty};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
-use crate::view::{ChosenPartsJson, Edit, EditError, InterestJson, TransferFunctionJson, View, parse_position};
+use crate::view::{
+    ChosenPartsJson, Edit, EditError, InterestJson, Outward, TransferFunctionJson, View, parse_position,
+};
 use crate::volumes::{Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
@@ -144,6 +146,20 @@ pub struct Args {
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
 
+    /// Which side of the surface is its outside: that of high values, that of low values, or of a closed surface the side away from the volume
+    /// that it encloses, else the side of low values
+    #[arg(long, value_name = "SIDE", default_value = "auto")]
+    outward: Outward,
+
+    /// Unit of positions in a PLY or VTP, and of those of a volume that declares none: m, mm, cm, um, nm, km or angstrom. A GLB is always in
+    /// metres, an STL in millimetres [default: the volume's]
+    #[arg(long, value_name = "UNIT")]
+    unit: Option<String>,
+
+    /// Fields whose values become attributes of the vertices, in their own units: `temperature,pressure`. An STL holds none
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    field_values: Vec<String>,
+
     /// Write a surface without triangles too. Without it, no file is written and the exit code is 3
     #[arg(long, requires = "output")]
     allow_empty: bool,
@@ -169,9 +185,9 @@ pub enum ExtractError {
     /// Work on the device failed.
     #[error(transparent)]
     Work(#[from] WorkError),
-    /// The surface does not fit its format.
+    /// The file could not be made of the surface.
     #[error(transparent)]
-    Export(#[from] ExportError),
+    Make(#[from] MakeError),
     /// The transfer function's file cannot be read.
     #[error("transfer function {}", path.display())]
     TransferFunction {
@@ -204,7 +220,8 @@ pub enum ExtractError {
 /// # Errors
 /// [`ExtractError`].
 pub fn run(args: &Args) -> Result<(), ExtractError> {
-    let format = args.output.as_deref().map(Format::from_path).transpose()?;
+    let format = args.output.as_deref().map(Format::from_path).transpose();
+    let format = format.map_err(MakeError::Export)?;
     let mut dataset = open_dataset(&args.path)?;
     dataset.set_frame(args.frame);
     let dataset = Arc::new(dataset);
@@ -323,8 +340,11 @@ impl Args {
             interest: Some(self.interest.clone()),
         };
         let options = FileOptions {
+            format,
             allow_empty: self.allow_empty,
-            ..FileOptions::new(format)
+            outward: self.outward,
+            unit: self.unit.clone(),
+            field_values: self.field_values.clone(),
         };
         Ok(FileRequest {
             step: self.step,

@@ -9,6 +9,7 @@ use std::io::Write;
 
 use serde_json::{Value, json};
 
+use super::mesh::{FieldValues, attribute_names};
 use super::{ExportError, Mesh, fits_u32};
 use crate::volumes::LengthUnit;
 
@@ -16,6 +17,9 @@ const MAGIC: &[u8; 4] = b"glTF";
 const VERSION: u32 = 2;
 const JSON_CHUNK: &[u8; 4] = b"JSON";
 const BINARY_CHUNK: &[u8; 4] = b"BIN\0";
+
+/// Value of a field where it is missing.
+const MISSING: f32 = f32::MIN;
 
 // Constants of the glTF specification (those of WebGL).
 const FLOAT: u32 = 5126;
@@ -26,7 +30,7 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const TRIANGLES: u32 = 4;
 
 /// Writes `mesh` with `extras` under `asset.extras`. Attributes: `POSITION`, `NORMAL`, `_SMOOTHNESS` and `_FEATURE`
-/// (0 to 1), and `COLOR_0` where the mesh has colours.
+/// (0 to 1), one of each field, such as `_TEMPERATURE`, and `COLOR_0` where the mesh has colours.
 ///
 /// # Errors
 /// More than the 4 GiB of a GLB, or the errors of `out`.
@@ -53,6 +57,13 @@ pub fn write(mesh: &Mesh, extras: &Value, out: &mut impl Write) -> Result<(), Ex
         out.write_all(bytemuck::cast_slice(&mesh.normals))?;
         out.write_all(bytemuck::cast_slice(&mesh.smoothness))?;
         out.write_all(bytemuck::cast_slice(&mesh.feature))?;
+        for field in &mesh.fields {
+            // glTF has no NaN.
+            for value in &field.values {
+                let value = if value.is_finite() { *value } else { MISSING };
+                out.write_all(&value.to_le_bytes())?;
+            }
+        }
         // With an alpha of 1, because attributes must begin at multiples of four bytes.
         for &[r, g, b] in &mesh.colors {
             out.write_all(bytemuck::bytes_of(&[r, g, b, u16::MAX]))?;
@@ -94,6 +105,11 @@ impl Document {
         attribute("NORMAL", FLOAT, "VEC3", 12, json!({}));
         attribute("_SMOOTHNESS", FLOAT, "SCALAR", 4, json!({}));
         attribute("_FEATURE", FLOAT, "SCALAR", 4, json!({}));
+        let names = attribute_names(mesh, "_", &["_SMOOTHNESS", "_FEATURE"]);
+        let names: Vec<String> = names.iter().map(|name| name.to_ascii_uppercase()).collect();
+        for name in &names {
+            attribute(name, FLOAT, "SCALAR", 4, json!({}));
+        }
         if !mesh.colors.is_empty() {
             attribute("COLOR_0", UNSIGNED_SHORT, "VEC4", 8, json!({ "normalized": true }));
         }
@@ -106,7 +122,7 @@ impl Document {
             "indices": indices,
             "material": 0,
             "mode": TRIANGLES,
-            "extras": { "levelTriangles": mesh.level_triangles },
+            "extras": { "levelTriangles": mesh.level_triangles, "fields": fields(mesh, &names) },
         });
         Self {
             json: json!({
@@ -114,10 +130,10 @@ impl Document {
                 "scene": 0,
                 "scenes": [{ "nodes": [0] }],
                 "nodes": [node(mesh)],
-                "meshes": [{ "name": "isosurface", "primitives": [primitive] }],
+                "meshes": [{ "name": mesh.name, "primitives": [primitive] }],
                 // glTF's default material is metallic and one-sided.
                 "materials": [{
-                    "name": "matt",
+                    "name": mesh.name,
                     "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.8 },
                     "doubleSided": true,
                 }],
@@ -130,6 +146,25 @@ impl Document {
     }
 }
 
+/// What each attribute of a field is. A value that is missing is [`MISSING`].
+fn fields(mesh: &Mesh, names: &[String]) -> Vec<Value> {
+    let field = |(field, attribute): (&FieldValues, &String)| {
+        let present = field.values.iter().filter(|value| value.is_finite());
+        let range = present.fold(None, |range: Option<[f32; 2]>, &value| {
+            let [low, high] = range.unwrap_or([value; 2]);
+            Some([low.min(value), high.max(value)])
+        });
+        json!({
+            "attribute": attribute,
+            "field": field.name,
+            "unit": field.unit,
+            "range": range,
+            "missing": MISSING,
+        })
+    };
+    mesh.fields.iter().zip(names).map(field).collect()
+}
+
 /// The node that turns positions into metres with Y up: a patient's head (LPS) is up, the face looks along +Z, as glTF has it. Without a
 /// unit one world unit is one metre. Its translation is the mesh's origin.
 fn node(mesh: &Mesh) -> Value {
@@ -137,7 +172,7 @@ fn node(mesh: &Mesh) -> Value {
     let metres = mesh.unit.and_then(LengthUnit::metres).unwrap_or(1.0);
     let [x, y, z] = mesh.origin.map(|component| component * metres);
     json!({
-        "name": "isosurface",
+        "name": mesh.name,
         "mesh": 0,
         // A quarter turn about x: (x, y, z) becomes (x, z, −y).
         "rotation": [-FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2],

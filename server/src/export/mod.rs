@@ -14,12 +14,14 @@ use crate::view::Edit;
 use crate::volumes::{LengthUnit, VolumeStep};
 
 mod empty;
+mod field_values;
 pub mod glb;
 mod made;
 pub mod mesh;
 pub mod ply;
 mod request;
 pub mod stl;
+mod topology;
 mod transform;
 pub mod vtp;
 

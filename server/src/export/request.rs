@@ -8,8 +8,8 @@ use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::Format;
-use crate::view::{Edit, EditError, View};
-use crate::volumes::Dataset;
+use crate::view::{Edit, EditError, Outward, View};
+use crate::volumes::{Dataset, LengthUnit};
 
 /// How a surface is written.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -20,18 +20,52 @@ pub struct FileOptions {
     /// Whether a surface without triangles is written too. Without it such a surface is refused (`empty-surface`).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub allow_empty: bool,
+    /// Which side is the outside.
+    #[serde(default, skip_serializing_if = "Outward::is_auto")]
+    pub outward: Outward,
+    /// Unit of positions in a PLY or VTP, and what those of a volume are in that declares none: `mm`, `um`, `m` and so on. A GLB is always in
+    /// metres, an STL in millimetres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
+    /// Names of fields whose values are attributes of the vertices, in their own units. An STL holds none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub field_values: Vec<String>,
 }
 
 impl FileOptions {
     /// The names in JSON.
-    const NAMES: [&str; 2] = ["format", "allowEmpty"];
+    const NAMES: [&str; 5] = ["format", "allowEmpty", "outward", "unit", "fieldValues"];
 
     /// The options of a format, all others at their defaults.
     pub const fn new(format: Format) -> Self {
         Self {
             format,
             allow_empty: false,
+            outward: Outward::Auto,
+            unit: None,
+            field_values: Vec::new(),
         }
+    }
+
+    /// Checks the options for a volume. Returns the unit.
+    ///
+    /// # Errors
+    /// A unit that is none of lengths, or a field that the volume does not have.
+    fn check(&self, dataset: &Dataset) -> Result<Option<LengthUnit>, EditError> {
+        if let Some(name) = self.field_values.iter().find(|name| dataset.field(name).is_none()) {
+            let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
+            return Err(EditError {
+                field: "fieldValues",
+                why: format!("{name:?}, expected some of {}", names.join(", ")),
+            });
+        }
+        let Some(text) = &self.unit else { return Ok(None) };
+        let unit = LengthUnit::parse(text).filter(|unit| unit.metres().is_some());
+        let refused = || EditError {
+            field: "unit",
+            why: format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom"),
+        };
+        unit.map(Some).ok_or_else(refused)
     }
 }
 
@@ -54,7 +88,13 @@ impl FileRequest {
     /// # Errors
     /// A value out of its range, or a field that the volume does not have.
     pub fn view(&self, dataset: &Dataset) -> Result<View, EditError> {
+        self.options.check(dataset)?;
         View::requested(&self.edit, &dataset.field_names())
+    }
+
+    /// The unit that it names, if that is one.
+    pub(super) fn unit(&self) -> Option<LengthUnit> {
+        self.options.unit.as_deref().and_then(LengthUnit::parse)
     }
 
     /// Whether its file has the colours of a transfer function: only of one that it names.

@@ -17,7 +17,7 @@ pub fn rounding(mesh: &Mesh) -> Option<String> {
     };
     let largest = (0..mesh.positions.len()).map(of).fold(0.0, f64::max);
     let spacings = largest / mesh.smallest_spacing;
-    let unit = mesh.unit.map_or("", LengthUnit::symbol);
+    let unit = mesh.unit.map_or("", LengthUnit::ascii_symbol);
     (spacings > UNNOTICED).then(|| {
         format!(
             "STL holds numbers of 32 bits: so far from the origin positions are rounded by up to {largest:.1e} {unit}, {spacings:.2} of the \
@@ -34,7 +34,10 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     let triangles = fits_u32("triangles", mesh.triangles.len() as u64, "STL")?;
     // Must not begin with "solid", the mark of the text form.
     let mut header = [b' '; 80];
-    let (frame, unit) = (mesh.frame.name(), mesh.unit.map_or("unknown", LengthUnit::symbol));
+    let unit = mesh.unit.map_or("unknown", LengthUnit::ascii_symbol);
+    // As 3D Slicer reads it, of a patient's axes.
+    let space = if mesh.frame.is_anatomical() { "SPACE=" } else { "frame " };
+    let frame = mesh.frame.name();
     // Too short for the notices themselves.
     let notices = if mesh.notices.is_empty() {
         ""
@@ -42,7 +45,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
         ", notices: isopeel info"
     };
     let title = format!(
-        "isopeel {} binary STL, frame {frame}, unit {unit}{notices}",
+        "isopeel {} binary STL, {space}{frame}, unit {unit}{notices}",
         env!("CARGO_PKG_VERSION")
     );
     for (to, from) in header.iter_mut().zip(title.bytes()) {

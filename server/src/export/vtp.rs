@@ -4,6 +4,7 @@
 use std::io::{self, Write};
 
 use super::Mesh;
+use super::mesh::{attribute_names, srgb_bytes};
 use crate::volumes::LengthUnit;
 
 /// Bytes of the length before each array.
@@ -26,12 +27,18 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
              offset=\"{offset}\"/>\n"
         )
     };
-    let point_data = [
+    let mut point_data = [
         array("Float32", "normal", 3, 12 * points),
         array("Float32", "smoothness", 1, 4 * points),
         array("Float32", "feature", 1, 4 * points),
     ]
     .concat();
+    for name in names(mesh) {
+        point_data += &array("Float32", &name, 1, 4 * points);
+    }
+    if !mesh.colors.is_empty() {
+        point_data += &array("UInt8", "color", 3, 3 * points);
+    }
     let cell_data = array("UInt8", "level", 1, triangles);
     let positions = array("Float64", "Points", 3, 24 * points);
     let polygons = [
@@ -41,12 +48,25 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     .concat();
     let unit = mesh.unit.map(LengthUnit::symbol);
     let notice = (!mesh.notices.is_empty()).then(|| mesh.notices.join("\n"));
-    let field_data = [
+    let mut field_data = [
         text("frame", mesh.frame.name()),
         unit.map_or_else(String::new, |unit| text("unit", unit)),
         notice.map_or_else(String::new, |notice| text("notice", &notice)),
     ]
     .concat();
+    if mesh.frame.is_anatomical() {
+        // As 3D Slicer reads it.
+        field_data += &text("SPACE", mesh.frame.name());
+    }
+    for (field, name) in mesh.fields.iter().zip(names(mesh)) {
+        field_data += &text(&format!("field {name}"), &field.name);
+        if let Some(unit) = &field.unit {
+            field_data += &text(&format!("unit {name}"), unit);
+        }
+    }
+    for (name, value) in &mesh.provenance {
+        field_data += &text(name, value);
+    }
     write!(
         out,
         "<?xml version=\"1.0\"?>\n\
@@ -66,6 +86,13 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     raw(out, bytemuck::cast_slice(&mesh.normals))?;
     raw(out, bytemuck::cast_slice(&mesh.smoothness))?;
     raw(out, bytemuck::cast_slice(&mesh.feature))?;
+    for field in &mesh.fields {
+        raw(out, bytemuck::cast_slice(&field.values))?;
+    }
+    if !mesh.colors.is_empty() {
+        out.write_all(&(3 * points).to_le_bytes())?;
+        widened(out, mesh.colors.iter().map(|&color| srgb_bytes(color)))?;
+    }
     levels(mesh, out)?;
     out.write_all(&(24 * points).to_le_bytes())?;
     widened(out, (0..mesh.positions.len()).map(|vertex| mesh.world(vertex)))?;
@@ -77,6 +104,11 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     out.write_all(&(8 * triangles).to_le_bytes())?;
     widened(out, (1..=triangles).map(|end| 3 * end as i64))?;
     out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
+}
+
+/// Names of arrays of the fields.
+fn names(mesh: &Mesh) -> Vec<String> {
+    attribute_names(mesh, "", &["normal", "smoothness", "feature", "color"])
 }
 
 /// Where the next array begins, in bytes behind the underscore.

@@ -6,8 +6,8 @@ use std::time::Duration;
 use isopeel_kernels::{ErrorEstimate, SurfaceError, Topology};
 use serde::{Deserialize, Serialize};
 
-use crate::view::View;
 use crate::view::quality::{GuardName, MesherName, TopologyName};
+use crate::view::{Outward, View};
 
 /// Tolerance of a surface in which nothing was merged: below any error.
 const NOTHING_MERGED: f32 = -1.0;
@@ -54,6 +54,19 @@ impl EstimatedError {
         let [rms, worst_leaf] = [rms, worst_leaf].map(|length| in_world(length, smallest));
         Self { rms, worst_leaf }
     }
+}
+
+/// The shape of the surface in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct Shape {
+    /// The side that triangles and normals show: that of high or that of low values.
+    pub outward: Outward,
+    /// Whether each edge has two triangles.
+    pub is_closed: bool,
+    /// The volume that a closed surface encloses, in cubes of the file's unit.
+    pub volume: Option<f64>,
 }
 
 /// Counts, times and bytes of one surface.
@@ -115,6 +128,10 @@ pub struct ExtractionStatistics {
     pub volume_bytes: u64,
     /// Name of the device.
     pub device: String,
+    /// The shape of a file's surface. Never in the stream.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(test, ts(optional))]
+    pub shape: Option<Shape>,
     /// What the format of a file could not keep. Never in the stream.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(test, ts(as = "Option<Vec<String>>", optional))]
@@ -179,6 +196,7 @@ impl ExtractionStatistics {
             device_bytes: kernels.device_bytes,
             volume_bytes: kernels.volume_bytes,
             device: device.to_owned(),
+            shape: None,
             notices: Vec::new(),
         }
     }

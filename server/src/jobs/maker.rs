@@ -148,6 +148,7 @@ fn failure(error: MakeError) -> MakeFailure {
         MakeError::Export(error) => MakeFailure::Retry(cause("internal", crate::error::chain(&error))),
         MakeError::Edit(error) => MakeFailure::Refused(cause("bad-edit", error.to_string())),
         MakeError::Empty(why) => MakeFailure::Empty(cause("empty-surface", why)),
+        MakeError::Read(error) => MakeFailure::Retry(cause("unreadable-volume", crate::error::chain(&error))),
         MakeError::Panicked(error) => MakeFailure::Retry(cause("internal", error.to_string())),
     }
 }

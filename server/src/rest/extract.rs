@@ -84,7 +84,7 @@ impl ToSchema for ExtractRequest {
 }
 
 /// Schema of a file's bytes.
-struct File;
+pub(super) struct File;
 
 impl PartialSchema for File {
     fn schema() -> RefOr<Schema> {

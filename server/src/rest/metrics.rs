@@ -17,6 +17,7 @@ const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 #[utoipa::path(
     get,
     path = "/metrics",
+    operation_id = "show_metrics",
     tag = "health",
     responses(
         (status = 200, description = "The metrics", body = String, content_type = "text/plain"),

@@ -4,6 +4,7 @@
 //! a stable code.
 
 mod content_encoding;
+mod description;
 mod embed;
 mod error;
 mod export_queue;
@@ -35,7 +36,7 @@ use axum::routing::get;
 use tokio::sync::Semaphore;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
-use utoipa::OpenApi;
+use utoipa::{Modify, OpenApi};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
@@ -160,12 +161,18 @@ fn routed() -> OpenApiRouter<ApiState> {
 
 /// The description of this API, OpenAPI 3.1.
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    routed().into_openapi()
+    described(routed().into_openapi())
+}
+
+fn described(mut openapi: utoipa::openapi::OpenApi) -> utoipa::openapi::OpenApi {
+    description::Completed.modify(&mut openapi);
+    openapi
 }
 
 /// REST, and the web client on all other paths.
 pub fn router(state: ApiState) -> Router {
     let (router, description) = routed().split_for_parts();
+    let description = described(description);
     router
         .route("/api/v1/openapi.json", get(async move || axum::Json(description)))
         .method_not_allowed_fallback(method_not_allowed)

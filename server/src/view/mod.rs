@@ -8,6 +8,7 @@ mod feature;
 mod interest;
 mod mask;
 mod opening;
+mod outward;
 mod parts;
 pub mod quality;
 mod request;
@@ -24,6 +25,7 @@ pub use feature::{FeatureName, VectorName};
 pub use interest::InterestJson;
 pub use mask::Mask;
 pub use opening::{IsoReason, OpeningIso};
+pub use outward::Outward;
 pub use transfer_function::{PointJson, TransferFunctionJson};
 
 use error::quoted;

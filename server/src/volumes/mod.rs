@@ -267,6 +267,22 @@ impl Geometry {
         padded
     }
 
+    /// The same place in another unit: `from` is what its numbers are in, `to` what they become; if one of both is not known, they stay.
+    #[must_use]
+    pub fn in_unit(self, [from, to]: [Option<LengthUnit>; 2]) -> Self {
+        let metres = |unit: Option<LengthUnit>| unit.and_then(LengthUnit::metres);
+        let factor = match (metres(from), metres(to)) {
+            (Some(from), Some(to)) if from != to => from / to,
+            _ => 1.0,
+        };
+        Self {
+            spacing: self.spacing.map(|spacing| spacing * factor),
+            origin: self.origin.map(|component| component * factor),
+            unit: to.or(from).or(self.unit),
+            ..self
+        }
+    }
+
     /// From index space to the world.
     pub fn world_from_index(&self) -> DAffine3 {
         let [x, y, z] = [0, 1, 2].map(|axis| DVec3::from(self.direction[axis]) * self.spacing[axis]);

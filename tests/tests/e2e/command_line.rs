@@ -176,15 +176,23 @@ fn a_surface_far_from_the_origin_is_as_exact_as_near_it() {
         let ((_, near), (statistics, far)) = (mesh(&near), mesh(&far));
         assert_eq!(near.triangles, far.triangles, "{format}");
         let [x, y, z] = origin;
-        let moved = if format == "glb" { [x, z, -y] } else { origin };
+        let moved = match format {
+            "glb" => [x, z, -y],
+            // In millimetres.
+            "stl" => origin.map(|x| 1e3 * x),
+            _ => origin,
+        };
         let pairs = near.positions.iter().zip(&far.positions);
         let apart = pairs.flat_map(|(near, far)| [0, 1, 2].map(|i| (near[i] + moved[i] - far[i]).abs()));
         let largest = apart.fold(0.0, f64::max);
         let notices = &statistics["notices"];
         if format == "stl" {
             let said = notices[0].as_str().expect("a notice");
-            assert!(said.contains("rounded by up to 2.5e-1 m"), "{said}");
-            assert!((0.1..0.3).contains(&largest), "{largest}");
+            assert!(
+                said.contains("rounded by up to 2.") && said.contains("e2 mm, 5."),
+                "{said}"
+            );
+            assert!((100.0..300.0).contains(&largest), "{largest}");
         } else {
             assert!(largest < 1e-5, "{format}: {largest} m");
             assert!(notices.is_null(), "{notices}");

@@ -478,6 +478,9 @@ export type OpeningIso = {
   explanation: string,
 };
 
+/** Which side of a surface is its outside: the one that its triangles and normals show. */
+export type Outward = "auto" | "high" | "low";
+
 /** What the page of whoever has control shows beside its surfaces. */
 export type Pose = {
   /** Its camera. */
@@ -727,6 +730,16 @@ export type SessionInfo = {
   jobs: boolean,
 };
 
+/** The shape of the surface in a file. */
+export type Shape = {
+  /** The side that triangles and normals show: that of high or that of low values. */
+  outward: Outward,
+  /** Whether each edge has two triangles. */
+  isClosed: boolean,
+  /** The volume that a closed surface encloses, in cubes of the file's unit. */
+  volume: number | null,
+};
+
 /** A share of the full surface's triangles. */
 export type ShareBudget = {
   /** The share, above 0 and up to 1. */
@@ -808,6 +821,8 @@ export type Statistics = {
   volumeBytes: number,
   /** Name of the device. */
   device: string,
+  /** The shape of a file's surface. Never in the stream. */
+  shape?: Shape,
   /** What the format of a file could not keep. Never in the stream. */
   notices?: Array<string>,
 };

@@ -8,7 +8,7 @@ use tempfile::NamedTempFile;
 use tokio_util::sync::CancellationToken;
 
 use super::ExtractError;
-use crate::export::{ExportError, FileRequest, MadeFile};
+use crate::export::{ExportError, FileRequest, MadeFile, MakeError};
 use crate::extraction::{Extraction, ExtractionStatistics};
 use crate::volumes::VolumeStep;
 
@@ -80,7 +80,7 @@ impl Output {
                     source,
                 });
             }
-            Err(other) => return Err(other.into()),
+            Err(other) => return Err(MakeError::from(other).into()),
         }
         self.file.persist(&self.path).map_err(|error| ExtractError::Output {
             path: self.path,

@@ -13,7 +13,7 @@ use lru::LruCache;
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
-use super::{ApiState, ExtractRequest, Made};
+use super::{ApiState, ExtractRequest, File, Made};
 use crate::access::Identity;
 use crate::export::{FileDigest, FileRequest, Format};
 use crate::problem::{ApiError, Problem};
@@ -23,7 +23,7 @@ use crate::view::View;
 use crate::volumes::VolumeStep;
 
 /// Names whose values are text, also where they look like numbers.
-const TEXTS: [&str; 5] = ["volume", "format", "field", "feature", "mask"];
+const TEXTS: [&str; 7] = ["volume", "format", "field", "feature", "mask", "outward", "unit"];
 
 /// A cache asks again each time, whoever has asked before: what a volume is may change, and so may who sees it.
 const CACHED: [(HeaderName, HeaderValue); 2] = [
@@ -100,13 +100,13 @@ fn tag(digest: FileDigest, encoding: ContentEncoding) -> String {
         (
             status = 200,
             description = "The surface",
-            content_type = "model/gltf-binary",
+            content((File = "model/gltf-binary"), (File = "application/octet-stream"), (File = "model/stl")),
             headers(
                 ("etag" = String, description = "Of the bytes; strong"),
                 ("isopeel-statistics" = String, description = "The statistics, as JSON in ASCII"),
             ),
         ),
-        (status = 206, description = "A part of it"),
+        (status = 206, description = "A part of it", body = File, content_type = "application/octet-stream"),
         (status = 304, description = "The client has it"),
         (status = 400, description = "`bad-request`: an unknown or a missing name, one that is there twice, a wrong type", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),

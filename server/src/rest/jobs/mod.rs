@@ -48,6 +48,7 @@ impl ApiState {
 #[utoipa::path(
     post,
     path = "/api/v1/jobs",
+    operation_id = "submit_job",
     tag = "jobs",
     request_body = JobRequest,
     params(("idempotency-key" = Option<String>, Header, description = "1 to 255 visible ASCII characters: the same request with the same key makes one job")),
@@ -88,6 +89,7 @@ async fn submit(
 #[utoipa::path(
     get,
     path = "/api/v1/jobs",
+    operation_id = "list_jobs",
     tag = "jobs",
     responses(
         (status = 200, description = "All jobs, without their failures", body = [JobInfo]),
@@ -102,6 +104,7 @@ async fn list(State(state): State<ApiState>, who: Identity) -> Result<Json<Vec<J
 #[utoipa::path(
     get,
     path = "/api/v1/jobs/{id}",
+    operation_id = "show_job",
     tag = "jobs",
     params(("id" = String, Path, description = "A job's id")),
     responses(
@@ -123,6 +126,7 @@ async fn show(
 #[utoipa::path(
     get,
     path = "/api/v1/jobs/{id}/results",
+    operation_id = "show_job_results",
     tag = "jobs",
     params(("id" = String, Path, description = "A job's id")),
     responses(
@@ -143,6 +147,7 @@ async fn manifest(
 #[utoipa::path(
     post,
     path = "/api/v1/jobs/{id}/cancel",
+    operation_id = "cancel_job",
     tag = "jobs",
     params(("id" = String, Path, description = "A job's id")),
     responses(
@@ -164,6 +169,7 @@ async fn cancel(
 #[utoipa::path(
     delete,
     path = "/api/v1/jobs/{id}",
+    operation_id = "remove_job",
     tag = "jobs",
     params(("id" = String, Path, description = "A job's id")),
     responses(

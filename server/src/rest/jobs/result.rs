@@ -14,6 +14,7 @@ use crate::access::Identity;
 use crate::jobs::ResultInfo;
 use crate::problem::{ApiError, Problem};
 use crate::rest::ApiState;
+use crate::rest::extract::File;
 use crate::rest::ranges::part;
 
 /// SHA-256 of a whole result (RFC 9530).
@@ -23,6 +24,7 @@ pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
 #[utoipa::path(
     get,
     path = "/api/v1/jobs/{id}/results/{extraction}",
+    operation_id = "fetch_job_result",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "A job's id"),
@@ -33,13 +35,13 @@ pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
         (
             status = 200,
             description = "The file",
-            content((Vec<u8> = "model/gltf-binary"), (Vec<u8> = "application/octet-stream"), (Vec<u8> = "model/stl")),
+            content((File = "model/gltf-binary"), (File = "application/octet-stream"), (File = "model/stl")),
             headers(
                 ("repr-digest" = String, description = "`sha-256=:BASE64:` of the whole file"),
                 ("etag" = String, description = "The same in hexadecimal"),
             ),
         ),
-        (status = 206, description = "A part of it"),
+        (status = 206, description = "A part of it", body = File, content_type = "application/octet-stream"),
         (status = 304, description = "The client has it: `If-None-Match`"),
         (status = 404, description = "`unknown-job`, or `no-result`: it is not made yet, failed, or its surface is empty", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "`bad-range`: beyond the end of the file", body = Problem, content_type = "application/problem+json"),
