@@ -128,7 +128,7 @@ impl<'de> Deserialize<'de> for FileRequest {
 /// The names that are neither of the edit nor of the options.
 #[derive(ToSchema)]
 #[expect(dead_code, reason = "its schema alone is used")]
-struct Place {
+struct StepName {
     /// Time step; 0 if it is left out.
     step: Option<u32>,
 }
@@ -151,7 +151,7 @@ pub(crate) fn merged_schema(schemas: impl IntoIterator<Item = RefOr<Schema>>, de
 impl PartialSchema for FileRequest {
     fn schema() -> RefOr<Schema> {
         merged_schema(
-            [Place::schema(), FileOptions::schema(), Edit::schema()],
+            [StepName::schema(), FileOptions::schema(), Edit::schema()],
             "Step, format and options, beside any of the edit's names.",
         )
     }

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use axum::http::{HeaderMap, header};
 
-/// Levels of least work: the file is compressed while a client waits for it, and most of it are numbers that more work makes hardly smaller.
+/// The fastest levels: the file is compressed while a client waits for it, and most of it are numbers that more work makes hardly smaller.
 const ZSTD_LEVEL: i32 = 1;
 const GZIP_LEVEL: flate2::Compression = flate2::Compression::fast();
 

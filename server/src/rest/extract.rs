@@ -47,7 +47,7 @@ pub struct ExtractRequest {
 /// The name that is not of the file's request.
 #[derive(ToSchema)]
 #[expect(dead_code, reason = "its schema alone is used")]
-struct Place {
+struct VolumeName {
     /// Id of the volume, as `GET /api/v1/volumes` lists it.
     volume: String,
 }
@@ -67,7 +67,7 @@ impl<'de> Deserialize<'de> for ExtractRequest {
 impl PartialSchema for ExtractRequest {
     fn schema() -> RefOr<Schema> {
         merged_schema(
-            [Place::schema(), FileRequest::schema()],
+            [VolumeName::schema(), FileRequest::schema()],
             "Volume and format, beside any of the edit's names.",
         )
     }
