@@ -39,6 +39,11 @@ pub struct Args {
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
     iso: Option<f32>,
 
+    /// Labels of a segmentation whose surface is extracted, instead of one at an isovalue: by numbers or names, `7`, `3,Hippocampus`. They are of
+    /// --field, else of the first field with names of labels
+    #[arg(long, value_name = "LABELS", conflicts_with = "iso", allow_hyphen_values = true)]
+    label: Option<String>,
+
     /// Field whose isosurface is extracted, or an expression over fields, as `log(rho)` [default: the main one]
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
@@ -271,7 +276,7 @@ async fn extract(
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let extraction = extractor.extract(&volume, &view, &token).await?;
     let mut statistics = extraction.statistics(&volume, &device.name);
-    if let (None, Some(iso)) = (args.iso, extraction.view.iso) {
+    if let (None, None, Some(iso)) = (args.iso, &args.label, extraction.view.iso) {
         eprintln!(
             "isopeel: isovalue {}, as the field opens with: isopeel info says why",
             iso.get()
@@ -345,6 +350,7 @@ impl Args {
             outward: self.outward,
             unit: self.unit.clone(),
             field_values: self.field_values.clone(),
+            label: self.label.clone(),
         };
         Ok(FileRequest {
             step: self.step,

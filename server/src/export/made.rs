@@ -17,6 +17,7 @@ use crate::volumes::{LengthUnit, ReadError, VolumeStep};
 pub struct MadeFile {
     mesh: Mesh,
     format: Format,
+    stem: String,
     extras: Value,
     /// Of its surface.
     pub statistics: ExtractionStatistics,
@@ -127,6 +128,21 @@ fn name(volume: &VolumeStep, view: &View) -> String {
     format!("{}: {}{iso}{mask}", volume.dataset().id, view.field)
 }
 
+/// The name of a file without its extension: letters, digits and what else no system takes for something else.
+fn stem(volume: &str, request: &FileRequest, view: &View) -> String {
+    let what = match (&request.options.label, view.iso) {
+        (Some(labels), _) => format!("-{labels}"),
+        (None, Some(iso)) => format!("-{}", iso.get()),
+        (None, None) => String::new(),
+    };
+    let safe = |c: char| match c {
+        '.' | '-' | '+' | '_' => c,
+        c if c.is_ascii_alphanumeric() => c,
+        _ => '_',
+    };
+    format!("{volume}{what}").chars().map(safe).collect()
+}
+
 /// Where a surface comes from.
 fn provenance(volume: &VolumeStep, view: &View) -> Vec<(&'static str, String)> {
     let dataset = volume.dataset();
@@ -176,7 +192,10 @@ impl MadeFile {
         statistics.notices = notices(&mesh, format, &request.options);
         let notice = dataset.notice().unwrap_or_default();
         mesh.notices = notice.lines().map(str::to_owned).collect();
-        mesh.name = name(volume, &view);
+        mesh.name = match &request.options.label {
+            Some(labels) => format!("{}: {labels}", dataset.id),
+            None => name(volume, &view),
+        };
         mesh.provenance = provenance(volume, &view);
         if request.is_colored() {
             mesh.colorize(&view.transfer_function, view.alpha);
@@ -185,6 +204,7 @@ impl MadeFile {
         Ok(Self {
             mesh,
             format,
+            stem: stem(&dataset.id, request, &view),
             extras,
             statistics,
         })
@@ -196,9 +216,15 @@ impl MadeFile {
         Self {
             mesh,
             format,
+            stem: "a".to_owned(),
             extras: serde_json::json!({ "a": 1 }),
             statistics: ExtractionStatistics::default(),
         }
+    }
+
+    /// A name for its file: volume, and isovalue or labels.
+    pub fn file_name(&self) -> String {
+        format!("{}.{}", self.stem, self.format.extension())
     }
 
     /// Its format.

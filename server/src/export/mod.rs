@@ -16,6 +16,7 @@ use crate::volumes::{LengthUnit, VolumeStep};
 mod empty;
 mod field_values;
 pub mod glb;
+mod label;
 mod made;
 pub mod mesh;
 pub mod ply;

@@ -8,6 +8,7 @@ use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::Format;
+use super::label::around_labels;
 use crate::view::{Edit, EditError, Outward, View};
 use crate::volumes::{Dataset, LengthUnit};
 
@@ -30,11 +31,14 @@ pub struct FileOptions {
     /// Names of fields whose values are attributes of the vertices, in their own units. An STL holds none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub field_values: Vec<String>,
+    /// The surface around labels of a segmentation instead of one at an isovalue, by numbers or names: `7`, `3,Hippocampus`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label: Option<String>,
 }
 
 impl FileOptions {
     /// The names in JSON.
-    const NAMES: [&str; 5] = ["format", "allowEmpty", "outward", "unit", "fieldValues"];
+    const NAMES: [&str; 6] = ["format", "allowEmpty", "outward", "unit", "fieldValues", "label"];
 
     /// The options of a format, all others at their defaults.
     pub const fn new(format: Format) -> Self {
@@ -44,6 +48,7 @@ impl FileOptions {
             outward: Outward::Auto,
             unit: None,
             field_values: Vec::new(),
+            label: None,
         }
     }
 
@@ -89,7 +94,11 @@ impl FileRequest {
     /// A value out of its range, or a field that the volume does not have.
     pub fn view(&self, dataset: &Dataset) -> Result<View, EditError> {
         self.options.check(dataset)?;
-        View::requested(&self.edit, &dataset.field_names())
+        let fields = dataset.field_names();
+        match &self.options.label {
+            Some(labels) => View::requested(&around_labels(dataset, labels, &self.edit)?, &fields),
+            None => View::requested(&self.edit, &fields),
+        }
     }
 
     /// The unit that it names, if that is one.

@@ -64,7 +64,9 @@ fn complete(operation: &mut Operation) {
         answers.entry(status.to_owned()).or_insert_with(|| {
             let problem = Content::new(Some(Ref::from_schema_name("Problem")));
             let mut response = Response::new(description);
-            response.content.insert("application/problem+json".into(), problem.into());
+            response
+                .content
+                .insert("application/problem+json".into(), problem.into());
             RefOr::T(response)
         });
     }

@@ -142,8 +142,6 @@ pub async fn extract(
 struct Made {
     file: MadeFile,
     digest: FileDigest,
-    /// Id of the volume.
-    volume: String,
     permit: ExportPermit,
 }
 
@@ -179,19 +177,13 @@ impl Made {
         token: CancellationToken,
         permit: ExportPermit,
     ) -> Result<Self, ApiError> {
-        let id = volume.dataset().id.clone();
         let file = export::make(&extractor, volume, &request, &token).await?;
         let digested = pool::run_export(move || {
             let digest = file.digest(&|| token.is_cancelled())?;
             Ok::<_, export::ExportError>((file, digest))
         });
         let (file, digest) = digested.await.map_err(ApiError::internal)??;
-        Ok(Self {
-            file,
-            digest,
-            volume: id,
-            permit,
-        })
+        Ok(Self { file, digest, permit })
     }
 
     /// Answers all of it.
@@ -219,7 +211,7 @@ impl Made {
     /// The headers that do not depend on what of the file is sent.
     fn answer(&self) -> Result<response::Builder, ApiError> {
         let format = self.file.format();
-        let name = format!("{}.{}", self.volume, format.extension());
+        let name = self.file.file_name();
         let statistics = serde_json::to_string(&self.file.statistics).map_err(ApiError::internal)?;
         Ok(Response::builder()
             .header(header::CONTENT_TYPE, format.content_type())

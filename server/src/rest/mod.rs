@@ -42,7 +42,7 @@ use utoipa_axum::routes;
 
 pub use embed::EmbedInfo;
 pub use extract::{ExtractRequest, STATISTICS_HEADER};
-pub use jobs::{DIGEST_HEADER, KEY_HEADER};
+pub use jobs::{DIGEST_HEADER, KEY_HEADER, LAST_EVENT_ID};
 pub use session::SessionInfo;
 pub use slices::SLICE_HEADER;
 pub use uploads::{LENGTH_HEADER, OFFSET_HEADER, TUS_HEADER};

@@ -471,6 +471,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "format",
         "interest",
         "iso",
+        "label",
         "mask",
         "maxError",
         "maxLevel",

@@ -220,6 +220,54 @@ fn values_of_fields_are_attributes_in_their_units() {
     );
 }
 
+#[test]
+fn the_surface_of_a_label_is_around_its_samples() {
+    if !server::has_device() {
+        return;
+    }
+    let setting = Setting::new();
+    let labels = setting.path("labels.npy");
+    let balls = [
+        (1.0, [10.0, 10.0, 10.0]),
+        (2.0, [22.0, 20.0, 20.0]),
+        (7.0, [10.0, 22.0, 20.0]),
+    ];
+    ball::write_field(&labels, [32, 32, 32], |at| {
+        let is_in = |centre: &[f32; 3]| (0..3).map(|i| (at[i] - centre[i]).powi(2)).sum::<f32>() < 25.0;
+        balls
+            .iter()
+            .find(|(_, centre)| is_in(centre))
+            .map_or(0.0, |(label, _)| *label)
+    });
+    for (label, centres) in [("7", &balls[2..]), ("1,2", &balls[..2])] {
+        let (statistics, _, mesh) = setting.extract(&labels, &format!("--label {label} --beta -1"), "ply");
+        assert_eq!(statistics["shape"]["isClosed"], true, "{label}");
+        for position in &mesh.positions {
+            let near = |(_, centre): &(f32, [f32; 3])| {
+                let square = |i: usize| (position[i] - f64::from(centre[i])).powi(2);
+                ((0..3).map(square).sum::<f64>().sqrt() - 5.0).abs() < 1.5
+            };
+            assert!(centres.iter().any(near), "{label}: {position:?}");
+        }
+        let volume = volume(&mesh) / centres.len() as f64;
+        assert!((450.0..600.0).contains(&volume), "{label}: {volume}");
+    }
+    let path = labels.display().to_string();
+    let out = setting.path("none.stl").display().to_string();
+    let empty = command::run(["extract", &path, "--label", "5", "-o", &out]);
+    assert_eq!(
+        empty.status.code(),
+        Some(3),
+        "{}",
+        String::from_utf8_lossy(&empty.stderr)
+    );
+    let refused = command::fail(["extract", &path, "--label", "Pons", "--stats"]);
+    assert!(
+        refused.contains("label: \"Pons\", expected a whole number or a name"),
+        "{refused}"
+    );
+}
+
 /// Vertices whose triangles are not connected by edges at it.
 fn pinched(mesh: &FileMesh) -> usize {
     let mut around: HashMap<u32, Vec<[u32; 2]>> = HashMap::new();

@@ -23,7 +23,9 @@ use crate::view::View;
 use crate::volumes::VolumeStep;
 
 /// Names whose values are text, also where they look like numbers.
-const TEXTS: [&str; 7] = ["volume", "format", "field", "feature", "mask", "outward", "unit"];
+const TEXTS: [&str; 8] = [
+    "volume", "format", "field", "feature", "mask", "outward", "unit", "label",
+];
 
 /// A cache asks again each time, whoever has asked before: what a volume is may change, and so may who sees it.
 const CACHED: [(HeaderName, HeaderValue); 2] = [

@@ -11,6 +11,7 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+pub use events::LAST_EVENT_ID;
 pub use result::DIGEST_HEADER;
 
 use super::ApiState;
