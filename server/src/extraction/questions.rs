@@ -154,11 +154,12 @@ impl WorkerState {
         let nearest = match shown {
             None => None,
             Some(shown) => self.of_shown(volume, shown, turn, |on, params, cut, _| {
+                let view = &shown.view;
                 let found = on.engine.probe(on.volume, on.pyramid, params, index, Some(cut))?;
                 Ok(found.map(|found| NearestSurface {
                     distance: in_world(found.distance, on.smallest),
                     smoothness: found.smoothness,
-                    feature: found.feature,
+                    feature: view.feature.range_in_world([found.feature; 2], on.smallest)[0],
                     blended: found.blended,
                     importance: found.importance,
                     leaf: found.leaf.map(|leaf| NearestLeaf {
