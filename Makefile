@@ -21,7 +21,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
+	lint test-clients test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -39,7 +39,7 @@ run: prerequisites-run release ## install what is missing, build, serve the demo
 build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
 
 # What can be built is built first, so that the runners' summaries stand together at the end.
-test: prerequisites-test lint build-tests test-web test-rust test-oclgrind test-pocl-6 test-browser test-glb ## all tests, linters and formatters; what CI runs
+test: prerequisites-test lint build-tests test-web test-rust test-oclgrind test-pocl-6 test-browser test-glb test-clients ## all tests, linters and formatters; what CI runs
 
 prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
 	@tests/scripts/prerequisites.sh $*
@@ -188,6 +188,18 @@ test-service: build-tests tests/browser/node_modules/.package-lock.json ## the l
 test-glb: build-tests tests/glb/node_modules/.package-lock.json ## exported GLB files in the Khronos validator
 	cd tests/glb && ISOPEEL_BINARY=$(TESTED_BINARY) npm test --silent
 
+tests/clients/node_modules/.package-lock.json: tests/clients/package.json tests/clients/package-lock.json
+	cd tests/clients && $(NPM_CI)
+	@touch $@
+
+target/clients-venv/bin/openapi-python-client: tests/clients/requirements.txt
+	python3 -m venv target/clients-venv
+	target/clients-venv/bin/pip --quiet install --requirement tests/clients/requirements.txt
+	@touch $@
+
+test-clients: build-tests tests/clients/node_modules/.package-lock.json target/clients-venv/bin/openapi-python-client ## clients in TypeScript and Python, generated from server/openapi.json, against the server
+	cd tests/clients && ISOPEEL_BINARY=$(TESTED_BINARY) npm test --silent
+
 bench: prerequisites-run web-client ## isopeel beside its peers on this machine, written to BENCHMARKS.md
 	tests/scripts/bench.py $(if $(DEVICE),--device '$(DEVICE)') $(BENCH)
 
@@ -209,4 +221,4 @@ gallery: prerequisites-test release tests/browser/node_modules/.package-lock.jso
 	cd tests/browser && node gallery.mjs
 
 clean: ## remove what was built
-	rm -rf target web/dist web/node_modules tests/browser/node_modules tests/glb/node_modules artefacts
+	rm -rf target web/dist web/node_modules tests/browser/node_modules tests/clients/node_modules tests/glb/node_modules artefacts

@@ -36,7 +36,7 @@ fn main() -> Result<()> {
     for _ in 0..rounds {
         for ((.., volume), shortest) in cases.iter().zip(&mut shortest) {
             assert!(
-                engine.distance_field(&expression, &[volume], &Never)?.is_some(),
+                engine.distance_field(&expression, &[volume], 1.0, &Never)?.is_some(),
                 "some are inside"
             );
             for time in engine.take_times()? {

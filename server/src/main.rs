@@ -26,5 +26,5 @@ fn main() -> ExitCode {
 fn failed(error: &(dyn std::error::Error + 'static)) -> ExitCode {
     // Without standard error there is nobody to say it to.
     let _ = writeln!(io::stderr(), "error: {}", isopeel::error::chain(error));
-    ExitCode::FAILURE
+    ExitCode::from(cli::exit_code(error))
 }

@@ -45,7 +45,7 @@ pub struct Problem {
     /// What was wrong and what was expected.
     pub detail: String,
     /// What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `bad-upload`, `body-too-large`,
-    /// `busy`, `device`, `disk-full`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
+    /// `busy`, `device`, `disk-full`, `empty-surface`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
     /// `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-declared`, `over-quota`, `taken-over`, `too-large`, `too-many-jobs`,
     /// `too-many-requests`, `too-many-tickets`, `too-many-uploads`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-upload`,
     /// `unknown-volume`, `unreadable-volume`, `unsupported-media-type`, `unsupported-version`, `upload-finished`, `upload-incomplete`, `upload-locked`,

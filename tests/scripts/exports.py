@@ -85,7 +85,7 @@ def check_stl(path, triangles, points, edges):
     data = read_vtk(vtk.vtkSTLReader(), path)
     expect("STL in VTK, triangles", data.GetNumberOfPolys(), triangles)
     expect("STL in VTK, edges with one side", boundary(polygons(data)), edges)
-    expect("STL in VTK, place", np.array_equal(bounds(vtk_to_numpy(data.GetPoints().GetData())), bounds(points)), True)
+    expect("STL in VTK, place", np.array_equal(bounds(vtk_to_numpy(data.GetPoints().GetData())), bounds(points.astype(np.float32))), True)
     mesh = meshio.read(path)
     expect("STL in meshio, triangles", len(mesh.cells_dict["triangle"]), triangles)
     expect("STL, frame and unit", b"frame LPS, unit mm" in path.read_bytes()[:80], True)

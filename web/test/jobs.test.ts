@@ -12,12 +12,12 @@ const JOB: JobInfo = {
   id: "0123456789abcdef",
   volume: "head",
   state: "running",
-  extractions: { total: 3, done: 1, failed: 0 },
+  extractions: { total: 3, done: 1, failed: 0, empty: 0 },
   bytes: 1500,
   estimate: { triangles: 1000, bytes: 4500, seconds: 12 },
   submitted: 0,
 };
-const DONE: JobInfo = { ...JOB, state: "done", extractions: { total: 3, done: 3, failed: 0 } };
+const DONE: JobInfo = { ...JOB, state: "done", extractions: { total: 3, done: 3, failed: 0, empty: 0 } };
 
 describe("isovalues that are typed", () => {
   test("are numbers with anything usual between them", () => {
@@ -39,8 +39,9 @@ describe("a job in words", () => {
     expect(jobText({ ...JOB, etaSeconds: 7200 })).toBe("1 of 3 files, about 2 h left");
     expect(jobText({ ...JOB, paused: "disk-full" })).toBe("1 of 3 files, stands still: the server’s disk is full");
     expect(jobText(DONE)).toBe("3 files, 1.5 kB");
+    expect(jobText({ ...DONE, extractions: { total: 3, done: 2, failed: 0, empty: 1 } })).toBe("2 files, 1.5 kB, 1 without a surface");
     expect(jobText({ ...JOB, state: "cancelled" })).toBe("cancelled, 1 of 3 files, 1.5 kB");
-    const failed: JobInfo = { ...JOB, state: "failed", extractions: { total: 3, done: 1, failed: 2 } };
+    const failed: JobInfo = { ...JOB, state: "failed", extractions: { total: 3, done: 1, failed: 2, empty: 0 } };
     expect(jobText(failed)).toBe("failed, 1 of 3 files, 1.5 kB: 2 could not be made");
     expect(jobText({ ...failed, error: { code: "input-changed", detail: "head.nrrd has changed" } })).toContain("head.nrrd has changed");
     expect([0.2, 89, 90, 5399, 5400].map(formatDuration)).toEqual(["1 s", "89 s", "2 min", "90 min", "2 h"]);
@@ -52,6 +53,7 @@ describe("a job in words", () => {
     expect(justFinished([JOB], [DONE])).toEqual([DONE]);
     expect(justFinished([DONE], [DONE])).toEqual([]);
     expect(finishedText(DONE)).toBe("3 files of head are ready");
+    expect(finishedText({ ...DONE, extractions: { total: 3, done: 1, failed: 0, empty: 2 } })).toBe("1 file of head is ready, 2 without a surface");
     expect(finishedText({ ...DONE, state: "failed" })).toBe("The batch job of head has failed");
   });
 });
@@ -88,7 +90,7 @@ describe("what is asked of the server", () => {
 
   test("several results are one zip, without those that could not be made", async () => {
     answer(result);
-    const { name, file } = await fetchResults(BASE, { ...JOB, extractions: { total: 3, done: 2, failed: 1 } });
+    const { name, file } = await fetchResults(BASE, { ...JOB, extractions: { total: 3, done: 2, failed: 1, empty: 0 } });
     expect(name).toBe("head-01234567.zip");
     const found = unzipSync(new Uint8Array(await file.arrayBuffer()));
     expect(Object.entries(found).map(([name, bytes]) => [name, strFromU8(bytes)])).toEqual([["00000.stl", "0"], ["00002.stl", "2"]]);

@@ -149,7 +149,9 @@ fn distances(engine: &Engine, field: &Volume) {
     let below = Op::Compare(Comparison::Below, 0, 1);
     let ops = vec![Op::Field(0), Op::Number(0.0), below, Op::Select(2, 0, 1)];
     let expression = Expression::new(ops).expect("an expression");
-    let found = engine.distance_field(&expression, &[field], &Never).expect("distances");
+    let found = engine
+        .distance_field(&expression, &[field], 1.0, &Never)
+        .expect("distances");
     let planes = engine
         .download(&found.expect("values below 0"), 0..1)
         .expect("download");

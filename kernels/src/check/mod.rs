@@ -368,7 +368,7 @@ impl<'a> Check<'a> {
             Op::Compare(Comparison::Below, 0, 1),
             Op::Select(3, 1, 2),
         ])?;
-        let field = self.engine.distance_field(&inside, &[self.volume()], &Never)?;
+        let field = self.engine.distance_field(&inside, &[self.volume()], 1.0, &Never)?;
         let Some(field) = field else {
             return exact("found a distance field", false, true);
         };

@@ -6,7 +6,8 @@ use crate::{Cancel, Engine, Error, Expression, Result, SampleType, Volume};
 
 impl Engine {
     /// Euclidean distance of each sample, in world units, to the nearest one where the expression is neither 0 nor missing: 0 there. `None`
-    /// where there is no such sample. `fields`: those of the expression, in the order of their places.
+    /// where there is no such sample. `fields`: those of the expression, in the order of their places. `world`: world units of a unit of the
+    /// grid's spacing.
     ///
     /// # Errors
     /// As [`Engine::evaluate`]; more than 65536 samples along x or y.
@@ -14,6 +15,7 @@ impl Engine {
         &self,
         expression: &Expression,
         fields: &[&Volume],
+        world: f32,
         cancel: &dyn Cancel,
     ) -> Result<Option<Volume>> {
         let values = self.evaluate_slabs(expression, fields, cancel)?;
@@ -36,7 +38,7 @@ impl Engine {
             })
         };
         let distances = values.iter().map(like).collect::<Result<Vec<_>>>()?;
-        let axes = self.axes(first)?;
+        let axes = self.axes(first, world)?;
         let work = Work {
             cx: &self.cx,
             program: &program,
@@ -61,7 +63,7 @@ impl Engine {
     }
 
     /// Where a volume's samples are. The unit is the smallest spacing, so that squares stay in the range of a float.
-    fn axes(&self, volume: &Volume) -> Result<distance_field::Axes> {
+    fn axes(&self, volume: &Volume, world: f32) -> Result<distance_field::Axes> {
         let unit = volume.grid.smallest_spacing();
         let dims = volume.grid.dims.map(|n| n as usize);
         let (positions, scale) = match &volume.inverse_lengths {
@@ -84,7 +86,7 @@ impl Engine {
         Ok(Axes {
             positions: [x?, y?, z?],
             scale,
-            unit,
+            unit: unit * world,
             is_even: volume.inverse_lengths.is_none(),
         })
     }

@@ -9,11 +9,12 @@ use sha2::{Digest, Sha256};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use super::jobs::{cost, file_name, first_failure, progress_bar, read_request_file};
+use super::jobs::{MANIFEST_FILE, cost, empty_ones, first_failure, progress_bar, read_request_file, write_manifest};
 use crate::cli::device::DeviceArgs;
 use crate::extraction::{DeviceWorker, Extractor};
 use crate::jobs::{
     JobError, JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, OpenError, StateFolder, StateFolderError,
+    file_name,
 };
 use crate::volumes::{Catalog, Frame, ReadError, Reader, open_dataset};
 use crate::wire::encode::encoded_bytes;
@@ -28,7 +29,7 @@ pub struct Args {
     #[arg(value_name = "FILE.json")]
     file: PathBuf,
 
-    /// Folder for the surfaces, 00000.glb and so on; made where there is none
+    /// Folder for the surfaces, 00000.glb and so on, and for manifest.jsonl, which says what they are; made where there is none
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 
@@ -154,17 +155,28 @@ fn beside(file: &Path, name: &str) -> PathBuf {
 
 /// Makes a job, or goes on with it, and puts its results into a folder.
 async fn make(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), BatchError> {
-    let extensions: Vec<_> = request.extractions.iter().map(|e| e.format.extension()).collect();
+    let extensions: Vec<_> = request
+        .extractions
+        .iter()
+        .map(|e| e.options.format.extension())
+        .collect();
     let job = submit(jobs, request).await?;
     eprintln!("isopeel: {}", cost(job.estimate));
     let job = wait(jobs, &job.id).await?;
-    for (extraction, extension) in extensions.iter().enumerate() {
-        // None where it failed, or was taken before an interruption.
-        let Some(made) = jobs.result_path(&job.id, extraction as u32) else {
+    let entries = jobs.manifest(OPERATOR, &job.id).await?;
+    let manifest = output.join(MANIFEST_FILE);
+    write_manifest(&manifest, &entries).map_err(|source| BatchError::Output { path: manifest, source })?;
+    for (extraction, extension) in (0..).zip(extensions) {
+        // None if it failed, is empty, or was taken before an interruption.
+        let Some(made) = jobs.result_path(&job.id, extraction) else {
             continue;
         };
-        let path = output.join(file_name(extraction as u64, extension));
+        let path = output.join(file_name(extraction, extension));
         take(&made, &path).map_err(|source| BatchError::Output { path, source })?;
+    }
+    let empty = empty_ones(&entries);
+    if !empty.is_empty() {
+        eprintln!("isopeel: {empty}");
     }
     jobs.delete(OPERATOR, &job.id).await?;
     if job.state == JobState::Done {
@@ -198,7 +210,7 @@ async fn wait(jobs: &Jobs, id: &str) -> Result<JobInfo, BatchError> {
         changes.mark_unchanged();
         let job = jobs.get(OPERATOR, id).await?;
         let bar = bar.get_or_insert_with(|| progress_bar(job.extractions.total));
-        bar.set_position(job.extractions.done + job.extractions.failed);
+        bar.set_position(job.extractions.ended());
         bar.set_message(job.paused.clone().unwrap_or_default());
         if job.state.is_finished() {
             bar.finish_and_clear();

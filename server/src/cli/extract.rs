@@ -9,22 +9,20 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ArgGroup;
-use isopeel_kernels::{Histogram, MAX_LEVEL};
+use isopeel_kernels::MAX_LEVEL;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::device::DeviceArgs;
-use crate::export::{ExportError, Format};
+use crate::export::{FileOptions, FileRequest, Format, MakeError, why_empty};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::{Distance, GuardName, MaxError, MesherName, TopologyName, TriangleBudget};
 use crate::view::{
-    ChosenPartsJson, Edit, EditError, FeatureName, InterestJson, TransferFunctionJson, View, parse_position,
+    ChosenPartsJson, Edit, EditError, InterestJson, Outward, TransferFunctionJson, View, parse_position,
 };
-use crate::volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
+use crate::volumes::{Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 use output::Output;
 
-/// Weight of the feature where one is chosen without `--alpha`.
-const FEATURE_ALPHA: f32 = 0.3;
 /// Maximum bytes of a transfer function's file; 64 points take some 4 KiB.
 const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
 
@@ -37,9 +35,14 @@ pub struct Args {
     #[arg(value_name = "PATH")]
     path: PathBuf,
 
-    /// Isovalue, in the field's units
+    /// Isovalue, in the field's units [default: the one that the field opens with in a viewer, which isopeel info explains]
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
-    iso: f32,
+    iso: Option<f32>,
+
+    /// Labels of a segmentation whose surface is extracted, instead of one at an isovalue: by numbers or names, `7`, `3,Hippocampus`. They are of
+    /// --field, else of the first field with names of labels
+    #[arg(long, value_name = "LABELS", conflicts_with = "iso", allow_hyphen_values = true)]
+    label: Option<String>,
 
     /// Field whose isosurface is extracted, or an expression over fields, as `log(rho)` [default: the main one]
     #[arg(long, value_name = "NAME")]
@@ -89,7 +92,7 @@ pub struct Args {
     /// Parts of the surface with a smaller area, in world units, are removed first; with --error, --triangles or --bytes. Budgets
     /// and guards then are about what is left [default: none are removed]
     #[arg(long, value_name = "AREA", allow_negative_numbers = true)]
-    min_part: Option<f32>,
+    min_part: Option<f64>,
 
     /// Part of the surface that is removed: the one next to this position, in world coordinates. As --min-part. May be given up to
     /// 64 times
@@ -148,6 +151,24 @@ pub struct Args {
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
 
+    /// Which side of the surface is its outside: that of high values, that of low values, or of a closed surface the side away from the volume
+    /// that it encloses, else the side of low values
+    #[arg(long, value_name = "SIDE", default_value = "auto")]
+    outward: Outward,
+
+    /// Unit of positions in a PLY or VTP, and of those of a volume that declares none: m, mm, cm, um, nm, km or angstrom. A GLB is always in
+    /// metres, an STL in millimetres [default: the volume's]
+    #[arg(long, value_name = "UNIT")]
+    unit: Option<String>,
+
+    /// Fields whose values become attributes of the vertices, in their own units: `temperature,pressure`. An STL holds none
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    field_values: Vec<String>,
+
+    /// Write a surface without triangles too. Without it, no file is written and the exit code is 3
+    #[arg(long, requires = "output")]
+    allow_empty: bool,
+
     /// Print counts, times in milliseconds and sizes in bytes to stdout, as one JSON object
     #[arg(long)]
     stats: bool,
@@ -169,9 +190,9 @@ pub enum ExtractError {
     /// Work on the device failed.
     #[error(transparent)]
     Work(#[from] WorkError),
-    /// The surface does not fit its format.
+    /// The file could not be made of the surface.
     #[error(transparent)]
-    Export(#[from] ExportError),
+    Make(#[from] MakeError),
     /// The transfer function's file cannot be read.
     #[error("transfer function {}", path.display())]
     TransferFunction {
@@ -180,6 +201,9 @@ pub enum ExtractError {
         /// What is wrong with it.
         source: io::Error,
     },
+    /// The surface has no triangles, and `--allow-empty` is not given.
+    #[error("{0}; nothing was written, --allow-empty writes a file without triangles")]
+    Empty(String),
     /// The output's file cannot be written.
     #[error("output {}", path.display())]
     Output {
@@ -201,17 +225,21 @@ pub enum ExtractError {
 /// # Errors
 /// [`ExtractError`].
 pub fn run(args: &Args) -> Result<(), ExtractError> {
-    let format = args.output.as_deref().map(Format::from_path).transpose()?;
+    let format = args.output.as_deref().map(Format::from_path).transpose();
+    let format = format.map_err(MakeError::Export)?;
     let mut dataset = open_dataset(&args.path)?;
     dataset.set_frame(args.frame);
     let dataset = Arc::new(dataset);
-    let view = args.view(&dataset)?;
+    // A count has no format, and any will do.
+    let request = args.request(format.unwrap_or(Format::Stl))?;
+    let view = request.view(&dataset)?;
     let volume = VolumeStep::new(dataset, args.step)?;
     // A folder that cannot be written is found before the extraction.
-    let output = match (&args.output, format) {
-        (Some(path), Some(format)) => Some(Output::create(path, format)?),
-        _ => None,
-    };
+    let output = args
+        .output
+        .as_deref()
+        .map(|path| Output::create(path, request))
+        .transpose()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let token = CancellationToken::new();
@@ -247,32 +275,28 @@ async fn extract(
     progress.say(&format!("extracting on {}", device.name.trim()));
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let extraction = extractor.extract(&volume, &view, &token).await?;
-    let statistics = ExtractionStatistics::new(
-        &extraction.surface.statistics,
-        &extraction.view,
-        volume.dataset().cell_lengths(),
-        extraction.wall,
-        &device.name,
-    );
-    if let Some(output) = output {
+    let mut statistics = extraction.statistics(&volume, &device.name);
+    if let (None, None, Some(iso)) = (args.iso, &args.label, extraction.view.iso) {
+        eprintln!(
+            "isopeel: isovalue {}, as the field opens with: isopeel info says why",
+            iso.get()
+        );
+    }
+    let empty = why_empty(&extractor, &volume, &extraction.view, &statistics).await?;
+    let is_refused = empty.is_some() && output.is_some() && !args.allow_empty;
+    if let Some(output) = output.filter(|_| !is_refused) {
         progress.say(&format!(
             "writing {} triangles to {}",
             statistics.triangles,
             output.path.display()
         ));
-        let colored = args.transfer_function.is_some();
         // This thread waits for Ctrl-C.
         let volume = volume.clone();
-        let written =
-            tokio::task::spawn_blocking(move || output.write(extraction, &volume, (colored, &device.name), &token));
-        written.await.map_err(io::Error::from)??;
+        let written = tokio::task::spawn_blocking(move || output.write(extraction, &volume, &device.name, &token));
+        statistics = written.await.map_err(io::Error::from)??;
     }
-    if statistics.triangles == 0 && statistics.full_triangles == 0 {
-        let histogram = extractor
-            .worker()
-            .histogram(&volume, &view.field, &FeatureName::None)
-            .await?;
-        eprintln!("isopeel: {}", no_surface(args.iso, &view, &histogram));
+    if let (Some(why), false) = (&empty, is_refused) {
+        eprintln!("isopeel: {why}");
     }
     for line in removed(args.min_part, args.parts().as_ref(), &statistics) {
         eprintln!("isopeel: {line}");
@@ -280,27 +304,32 @@ async fn extract(
     for guard in &statistics.gave_way {
         eprintln!("isopeel: {}", gave_way(*guard, &statistics));
     }
+    for notice in &statistics.notices {
+        eprintln!("isopeel: {notice}");
+    }
     if args.stats {
         let mut line = serde_json::to_string(&statistics).map_err(io::Error::from)?;
         line.push('\n');
         super::print(line.as_bytes())?;
+    }
+    if let (Some(why), true) = (empty, is_refused) {
+        return Err(ExtractError::Empty(why));
     }
     progress.say("done");
     Ok(())
 }
 
 impl Args {
-    /// The view of the arguments, over the command's own defaults and not the dataset's opening view.
-    fn view(&self, dataset: &Dataset) -> Result<View, ExtractError> {
-        let defaults = View::plain(&dataset.field_names());
-        let feature_alpha = self.feature.as_ref().map(|_| FEATURE_ALPHA);
+    /// The request of the arguments.
+    fn request(&self, format: Format) -> Result<FileRequest, ExtractError> {
+        let transfer_function = self.transfer_function.as_deref().map(read_transfer_function);
         let edit = Edit {
-            iso: Some(self.iso),
+            iso: self.iso,
             field: self.field.clone(),
             mask: self.mask.clone().map(Some),
             feature: self.feature.clone(),
             feature_range: self.feature_range.as_deref().and_then(|range| range.try_into().ok()),
-            alpha: self.alpha.or(feature_alpha),
+            alpha: self.alpha,
             beta: self.beta,
             error: self.error,
             triangles: self.triangles,
@@ -312,14 +341,22 @@ impl Args {
             mesher: Some(self.mesher),
             cap: Some(self.cap),
             max_level: Some(self.max_level),
-            transfer_function: self
-                .transfer_function
-                .as_deref()
-                .map(read_transfer_function)
-                .transpose()?,
+            transfer_function: transfer_function.transpose()?,
             interest: Some(self.interest.clone()),
         };
-        Ok(defaults.apply(&edit.with_default_guards(), &dataset.field_names())?)
+        let options = FileOptions {
+            format,
+            allow_empty: self.allow_empty,
+            outward: self.outward,
+            unit: self.unit.clone(),
+            field_values: self.field_values.clone(),
+            label: self.label.clone(),
+        };
+        Ok(FileRequest {
+            step: self.step,
+            options,
+            edit,
+        })
     }
 
     /// The parts that are hidden or kept.
@@ -330,27 +367,8 @@ impl Args {
     }
 }
 
-/// Why a mesh is empty: files without triangles are written too, so that a row of isovalues or steps goes on.
-fn no_surface(iso: f32, view: &View, histogram: &Histogram) -> String {
-    let nowhere = format!("no surface at isovalue {iso}");
-    let field = &view.field;
-    let [low, high] = histogram.range;
-    match &view.mask {
-        _ if histogram.bins.iter().all(|&samples| samples == 0) => {
-            format!("no surface: no sample of {field:?} has a value")
-        }
-        // The same test as the kernels': samples at the isovalue are inside.
-        _ if iso <= low || iso > high => format!(
-            "{nowhere}: values of {field:?} go from {low} to {high}, expected a number between them, such as {}",
-            0.5 * (low + high)
-        ),
-        Some(mask) => format!("{nowhere} where {}", mask.as_str()),
-        None => format!("{nowhere}: samples on both sides of it are parted by missing ones"),
-    }
-}
-
 /// How much was removed, where that was asked for, and which positions chose nothing.
-fn removed(min_part: Option<f32>, chosen: Option<&ChosenPartsJson>, statistics: &ExtractionStatistics) -> Vec<String> {
+fn removed(min_part: Option<f64>, chosen: Option<&ChosenPartsJson>, statistics: &ExtractionStatistics) -> Vec<String> {
     let (Some(parts), Some(triangles)) = (statistics.removed_parts, statistics.removed_triangles) else {
         return Vec::new();
     };

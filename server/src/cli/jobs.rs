@@ -13,7 +13,7 @@ use sha2::{Digest, Sha256};
 use tempfile::NamedTempFile;
 
 use crate::access::{Token, TokenError};
-use crate::jobs::{Estimate, JobInfo, JobState, MAX_REQUEST_BYTES};
+use crate::jobs::{Estimate, ExtractionState, JobInfo, JobState, MAX_REQUEST_BYTES, ManifestEntry};
 use client::Client;
 pub(super) use watch::bar as progress_bar;
 
@@ -73,7 +73,7 @@ enum Command {
         #[arg(value_name = "ID")]
         id: String,
     },
-    /// Download the results of a job and check them; those that are there already are left
+    /// Download the results of a job and check them, with manifest.jsonl; those that are there already are left
     Fetch {
         /// Job
         #[arg(value_name = "ID")]
@@ -145,7 +145,7 @@ pub enum JobsError {
     #[error("result {extraction}: the checksum of what arrived is {found}, expected {expected}")]
     Checksum {
         /// Which, from 0.
-        extraction: u64,
+        extraction: u32,
         /// Of what arrived.
         found: String,
         /// Of what was made.
@@ -270,10 +270,11 @@ pub(super) fn cost(estimate: Estimate) -> String {
 /// A job in a line of a list.
 fn line(job: &JobInfo) -> String {
     let (counts, state) = (job.extractions, job.state.name());
-    let failed = match counts.failed {
+    let counted = |count, what: &str| match count {
         0 => String::new(),
-        failed => format!(", {failed} failed"),
+        count => format!(", {count} {what}"),
     };
+    let failed = counted(counts.failed, "failed") + &counted(counts.empty, "empty");
     let paused = job
         .paused
         .as_ref()
@@ -318,19 +319,20 @@ async fn fetch(client: &Client, id: &str, folder: &Path) -> Result<(), JobsError
         move |source| JobsError::File { path, source }
     };
     std::fs::create_dir_all(folder).map_err(fail(folder))?;
-    let job = client.job(id).await?;
-    let total = job.extractions.total;
-    let (bar, mut missing) = (watch::bar(total), 0);
-    for extraction in 0..total {
-        bar.set_position(extraction);
-        let Some(mut result) = client.result(id, extraction).await? else {
-            missing += 1;
+    let entries = client.manifest(id).await?;
+    let (bar, mut missing) = (watch::bar(entries.len() as u64), 0);
+    for entry in &entries {
+        let extraction = entry.extraction;
+        bar.set_position(extraction.into());
+        let (Some(name), Some(checksum)) = (&entry.file, &entry.sha256) else {
+            missing += u64::from(entry.state != ExtractionState::Empty);
             continue;
         };
-        let path = folder.join(file_name(extraction, &result.extension));
-        if checksum_of(&path).as_ref() == Some(&result.checksum) {
+        let path = folder.join(name);
+        if checksum_of(&path).as_ref() == Some(checksum) {
             continue;
         }
+        let mut result = client.result(id, extraction).await?;
         let mut file = NamedTempFile::new_in(folder).map_err(fail(folder))?;
         let mut hasher = Sha256::new();
         while let Some(bytes) = result.next().await? {
@@ -338,17 +340,18 @@ async fn fetch(client: &Client, id: &str, folder: &Path) -> Result<(), JobsError
             file.write_all(&bytes).map_err(fail(&path))?;
         }
         let found = HEXLOWER.encode(&hasher.finalize());
-        if found != result.checksum {
-            let expected = result.checksum;
+        if found != *checksum {
             return Err(JobsError::Checksum {
                 extraction,
                 found,
-                expected,
+                expected: checksum.clone(),
             });
         }
         file.persist(&path).map_err(|error| fail(&path)(error.error))?;
     }
     bar.finish_and_clear();
+    let path = folder.join(MANIFEST_FILE);
+    write_manifest(&path, &entries).map_err(fail(&path))?;
     if missing > 0 {
         Err(JobsError::Missing(missing))
     } else {
@@ -356,9 +359,34 @@ async fn fetch(client: &Client, id: &str, folder: &Path) -> Result<(), JobsError
     }
 }
 
-/// The name of a result's file: sorted by name they are in their order.
-pub(super) fn file_name(extraction: u64, extension: &str) -> String {
-    format!("{extraction:05}.{extension}")
+/// The file beside the results that says what they are.
+pub(super) const MANIFEST_FILE: &str = "manifest.jsonl";
+
+/// Writes a manifest, a line of JSON for each extraction, in place of one that is there.
+pub(super) fn write_manifest(path: &Path, entries: &[ManifestEntry]) -> io::Result<()> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let mut file = NamedTempFile::new_in(folder)?;
+    for entry in entries {
+        serde_json::to_writer(&mut file, entry)?;
+        file.write_all(b"\n")?;
+    }
+    file.persist(path)?;
+    Ok(())
+}
+
+/// What is said of extractions whose surfaces have no triangles; empty if there are none.
+pub(super) fn empty_ones(entries: &[ManifestEntry]) -> String {
+    let mut empty = entries.iter().filter(|entry| entry.state == ExtractionState::Empty);
+    let Some(first) = empty.next() else {
+        return String::new();
+    };
+    let why = first.problem.as_ref().map_or("", |cause| &cause.detail);
+    let count = 1 + empty.count();
+    format!(
+        "{count} of {} surfaces have no triangles; extraction {}: {why}",
+        entries.len(),
+        first.extraction
+    )
 }
 
 fn checksum_of(path: &Path) -> Option<String> {

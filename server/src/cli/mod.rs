@@ -15,7 +15,7 @@ pub mod token;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::error::BoxError;
 use crate::pool;
@@ -59,6 +59,10 @@ pub enum Command {
     Info(InfoArgs),
     /// List the OpenCL devices, the preferred one first; with --check, say which of them compute rightly
     Devices(devices::Args),
+    /// Print completions for a shell: `isopeel completions bash > ~/.local/share/bash-completion/completions/isopeel`
+    Completions(CompletionsArgs),
+    /// Write manual pages, one of each command, into a folder
+    Manual(ManualArgs),
     /// Time every stage on volumes made on the device, against the device's own speed; one JSON object a line
     Bench(bench::Args),
 }
@@ -76,6 +80,33 @@ pub struct InfoArgs {
     json: bool,
 }
 
+/// Arguments of `isopeel completions`.
+#[derive(Debug, clap::Args)]
+pub struct CompletionsArgs {
+    /// Shell
+    #[arg(value_enum, value_name = "SHELL")]
+    shell: clap_complete::Shell,
+}
+
+/// Arguments of `isopeel manual`.
+#[derive(Debug, clap::Args)]
+pub struct ManualArgs {
+    /// Folder, made if there is none
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+}
+
+fn completions(args: &CompletionsArgs) -> io::Result<()> {
+    let mut text = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "isopeel", &mut text);
+    print(&text)
+}
+
+fn manual(args: &ManualArgs) -> io::Result<()> {
+    std::fs::create_dir_all(&args.folder)?;
+    clap_mangen::generate_to(Cli::command(), &args.folder)
+}
+
 impl Command {
     /// Log level without `RUST_LOG`.
     pub fn default_log(&self) -> &'static str {
@@ -87,6 +118,8 @@ impl Command {
             | Self::Batch(_)
             | Self::Info(_)
             | Self::Devices(_)
+            | Self::Completions(_)
+            | Self::Manual(_)
             | Self::Bench(_) => "warn",
         }
     }
@@ -114,7 +147,20 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
             Ok(print(&text)?)
         }
         Command::Devices(args) => devices::run(&args),
+        Command::Completions(args) => Ok(completions(&args)?),
+        Command::Manual(args) => Ok(manual(&args)?),
         Command::Bench(args) => Ok(bench::run(&args)?),
+    }
+}
+
+/// Exit code of `isopeel extract` if the surface has no triangles and `--allow-empty` is not given.
+const EMPTY: u8 = 3;
+
+/// Returns the exit code of a command that ended with an error.
+pub fn exit_code(error: &(dyn std::error::Error + 'static)) -> u8 {
+    match error.downcast_ref() {
+        Some(extract::ExtractError::Empty(_)) => EMPTY,
+        _ => 1,
     }
 }
 
@@ -132,14 +178,32 @@ mod tests {
     use super::*;
 
     #[test]
+    fn an_empty_surface_has_an_exit_code_of_its_own() {
+        assert_eq!(exit_code(&extract::ExtractError::Empty("no surface".into())), 3);
+        assert_eq!(exit_code(&extract::ExtractError::Interrupted), 1);
+    }
+
+    #[test]
+    fn completions_and_manual_know_the_options() {
+        let mut text = Vec::new();
+        clap_complete::generate(clap_complete::Shell::Bash, &mut Cli::command(), "isopeel", &mut text);
+        assert!(String::from_utf8(text).unwrap().contains("--allow-empty"));
+        let folder = tempfile::tempdir().unwrap();
+        let args = ManualArgs {
+            folder: folder.path().join("man"),
+        };
+        manual(&args).unwrap();
+        let page = std::fs::read_to_string(args.folder.join("isopeel-extract.1")).unwrap();
+        assert!(page.contains("allow\\-empty"), "{page}");
+    }
+
+    #[test]
     fn the_command_line_is_consistent() {
-        use clap::CommandFactory;
         Cli::command().debug_assert();
     }
 
     #[test]
     fn every_option_has_help() {
-        use clap::CommandFactory;
         let cli = Cli::command();
         let commands = cli.get_subcommands();
         for command in commands.flat_map(|command| [command].into_iter().chain(command.get_subcommands())) {

@@ -1,13 +1,15 @@
 //! GLB, the binary form of glTF 2.0.
 //!
 //! One mesh of one primitive: loaders give each primitive vertices of its own, which would tear the surface where levels meet. Triangles
-//! come by level, finest first; `extras.levelTriangles` has their numbers. Positions are those of the volume's frame; the node turns them
-//! into what glTF asks for, metres with Y up. An empty surface is a scene without nodes.
+//! come by level, finest first; `extras.levelTriangles` has their numbers. Positions are relative to the mesh's origin, along the axes of the
+//! volume's frame; the node turns them into what glTF asks for, metres with Y up, and moves them to their place. An empty surface is a scene
+//! without nodes.
 
 use std::io::Write;
 
 use serde_json::{Value, json};
 
+use super::mesh::{FieldValues, attribute_names};
 use super::{ExportError, Mesh, fits_u32};
 use crate::volumes::LengthUnit;
 
@@ -15,6 +17,9 @@ const MAGIC: &[u8; 4] = b"glTF";
 const VERSION: u32 = 2;
 const JSON_CHUNK: &[u8; 4] = b"JSON";
 const BINARY_CHUNK: &[u8; 4] = b"BIN\0";
+
+/// Value of a field where it is missing.
+const MISSING: f32 = f32::MIN;
 
 // Constants of the glTF specification (those of WebGL).
 const FLOAT: u32 = 5126;
@@ -25,7 +30,7 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const TRIANGLES: u32 = 4;
 
 /// Writes `mesh` with `extras` under `asset.extras`. Attributes: `POSITION`, `NORMAL`, `_SMOOTHNESS` and `_FEATURE`
-/// (0 to 1), and `COLOR_0` where the mesh has colours.
+/// (0 to 1), one of each field, such as `_TEMPERATURE`, and `COLOR_0` where the mesh has colours.
 ///
 /// # Errors
 /// More than the 4 GiB of a GLB, or the errors of `out`.
@@ -52,6 +57,13 @@ pub fn write(mesh: &Mesh, extras: &Value, out: &mut impl Write) -> Result<(), Ex
         out.write_all(bytemuck::cast_slice(&mesh.normals))?;
         out.write_all(bytemuck::cast_slice(&mesh.smoothness))?;
         out.write_all(bytemuck::cast_slice(&mesh.feature))?;
+        for field in &mesh.fields {
+            // glTF has no NaN.
+            for value in &field.values {
+                let value = if value.is_finite() { *value } else { MISSING };
+                out.write_all(&value.to_le_bytes())?;
+            }
+        }
         // With an alpha of 1, because attributes must begin at multiples of four bytes.
         for &[r, g, b] in &mesh.colors {
             out.write_all(bytemuck::bytes_of(&[r, g, b, u16::MAX]))?;
@@ -93,6 +105,11 @@ impl Document {
         attribute("NORMAL", FLOAT, "VEC3", 12, json!({}));
         attribute("_SMOOTHNESS", FLOAT, "SCALAR", 4, json!({}));
         attribute("_FEATURE", FLOAT, "SCALAR", 4, json!({}));
+        let names = attribute_names(mesh, "_", &["_SMOOTHNESS", "_FEATURE"]);
+        let names: Vec<String> = names.iter().map(|name| name.to_ascii_uppercase()).collect();
+        for name in &names {
+            attribute(name, FLOAT, "SCALAR", 4, json!({}));
+        }
         if !mesh.colors.is_empty() {
             attribute("COLOR_0", UNSIGNED_SHORT, "VEC4", 8, json!({ "normalized": true }));
         }
@@ -105,18 +122,18 @@ impl Document {
             "indices": indices,
             "material": 0,
             "mode": TRIANGLES,
-            "extras": { "levelTriangles": mesh.level_triangles },
+            "extras": { "levelTriangles": mesh.level_triangles, "fields": fields(mesh, &names) },
         });
         Self {
             json: json!({
                 "asset": asset,
                 "scene": 0,
                 "scenes": [{ "nodes": [0] }],
-                "nodes": [node(mesh.unit)],
-                "meshes": [{ "name": "isosurface", "primitives": [primitive] }],
+                "nodes": [node(mesh)],
+                "meshes": [{ "name": mesh.name, "primitives": [primitive] }],
                 // glTF's default material is metallic and one-sided.
                 "materials": [{
-                    "name": "matt",
+                    "name": mesh.name,
                     "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.8 },
                     "doubleSided": true,
                 }],
@@ -129,17 +146,38 @@ impl Document {
     }
 }
 
+/// What each attribute of a field is. A value that is missing is [`MISSING`].
+fn fields(mesh: &Mesh, names: &[String]) -> Vec<Value> {
+    let field = |(field, attribute): (&FieldValues, &String)| {
+        let present = field.values.iter().filter(|value| value.is_finite());
+        let range = present.fold(None, |range: Option<[f32; 2]>, &value| {
+            let [low, high] = range.unwrap_or([value; 2]);
+            Some([low.min(value), high.max(value)])
+        });
+        json!({
+            "attribute": attribute,
+            "field": field.name,
+            "unit": field.unit,
+            "range": range,
+            "missing": MISSING,
+        })
+    };
+    mesh.fields.iter().zip(names).map(field).collect()
+}
+
 /// The node that turns positions into metres with Y up: a patient's head (LPS) is up, the face looks along +Z, as glTF has it. Without a
-/// unit one world unit is one metre.
-fn node(unit: Option<LengthUnit>) -> Value {
+/// unit one world unit is one metre. Its translation is the mesh's origin.
+fn node(mesh: &Mesh) -> Value {
     use std::f64::consts::FRAC_1_SQRT_2;
-    let metres = unit.and_then(LengthUnit::metres).unwrap_or(1.0);
+    let metres = mesh.unit.and_then(LengthUnit::metres).unwrap_or(1.0);
+    let [x, y, z] = mesh.origin.map(|component| component * metres);
     json!({
-        "name": "isosurface",
+        "name": mesh.name,
         "mesh": 0,
         // A quarter turn about x: (x, y, z) becomes (x, z, −y).
         "rotation": [-FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2],
         "scale": [metres, metres, metres],
+        "translation": [x, z, -y],
     })
 }
 
@@ -264,8 +302,9 @@ mod tests {
         assert_eq!(floats(words(&json, binary, &attributes["_SMOOTHNESS"])), [0.0; 6]);
         assert_eq!(floats(words(&json, binary, &attributes["_FEATURE"])), [1.0; 6]);
         let position = &json["accessors"][attributes["POSITION"].as_u64().unwrap() as usize];
-        assert_eq!(position["min"], json!([30.0, 1.0, 0.5]));
-        assert_eq!(position["max"], json!([35.25, 2.0, 0.5]));
+        // From the middle of the grid, (48, 16, 16).
+        assert_eq!(position["min"], json!([-18.0, -15.0, -15.5]));
+        assert_eq!(position["max"], json!([-12.75, -14.0, -15.5]));
     }
 
     #[test]
@@ -295,6 +334,7 @@ mod tests {
         mesh.unit = Some(LengthUnit::Millimetre);
         let node = node(&mesh);
         assert_eq!(node["scale"], json!([1e-3, 1e-3, 1e-3]));
+        assert_eq!(node["translation"], json!([0.048, 0.016, -0.016]));
         let turn: Vec<f64> = serde_json::from_value(node["rotation"].clone()).unwrap();
         let turn = crate::math::DQuat::from_slice(&turn);
         let up = turn * crate::math::DVec3::Z;

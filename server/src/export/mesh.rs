@@ -20,7 +20,9 @@ type Key = ([i64; 3], [i16; 2], u16, u16);
 /// A surface in world units. Vertices that regions share are joined, triangles ordered by level, finest first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// World positions.
+    /// World position to which `positions` are relative.
+    pub origin: [f64; 3],
+    /// Positions, relative to `origin` and along the world's axes.
     pub positions: Vec<[f32; 3]>,
     /// Unit normals towards lower values, in the world.
     pub normals: Vec<[f32; 3]>,
@@ -28,6 +30,10 @@ pub struct Mesh {
     pub smoothness: Vec<f32>,
     /// Normalised user feature `f̂` of a vertex, 0 to 1.
     pub feature: Vec<f32>,
+    /// Positions in index space, until values of fields are taken there.
+    pub(crate) index: Vec<[f32; 3]>,
+    /// Values of fields at the vertices.
+    pub fields: Vec<FieldValues>,
     /// Linear RGB of a vertex, 0 to 65535; empty without a transfer function.
     pub colors: Vec<[u16; 3]>,
     /// Triangles, counter-clockwise seen from the side of lower values, finest level first.
@@ -38,8 +44,25 @@ pub struct Mesh {
     pub frame: Frame,
     /// Unit of the positions, where it is known.
     pub unit: Option<LengthUnit>,
+    /// Smallest distance between samples along an axis.
+    pub smallest_spacing: f64,
     /// What is to be known of the volume, a line each.
     pub notices: Vec<String>,
+    /// What the surface is, for people: `head: t1 = 517`.
+    pub name: String,
+    /// Where the surface comes from: names and texts, for formats that hold some.
+    pub provenance: Vec<(&'static str, String)>,
+}
+
+/// Values of a field at the vertices of a mesh.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FieldValues {
+    /// Name of the field.
+    pub name: String,
+    /// Unit of the values, if the volume declares one.
+    pub unit: Option<String>,
+    /// A value for each vertex; NaN where it is missing.
+    pub values: Vec<f32>,
 }
 
 impl Mesh {
@@ -66,6 +89,8 @@ impl Mesh {
     ) -> Result<Self, ExportError> {
         let transform = Transform::new(geometry, uneven);
         let mut mesh = Self {
+            origin: transform.origin.to_array(),
+            smallest_spacing: geometry.spacing.into_iter().fold(f64::INFINITY, f64::min),
             frame: geometry.frame,
             unit: geometry.unit,
             ..Self::default()
@@ -130,6 +155,35 @@ impl Mesh {
         Ok(mesh)
     }
 
+    /// Adds a copy of a vertex, and returns its number.
+    pub(super) fn copy_vertex(&mut self, vertex: usize) -> u32 {
+        self.positions.push(self.positions[vertex]);
+        self.normals.push(self.normals[vertex]);
+        self.smoothness.push(self.smoothness[vertex]);
+        self.feature.push(self.feature[vertex]);
+        for field in &mut self.fields {
+            field.values.push(field.values[vertex]);
+        }
+        if !self.colors.is_empty() {
+            self.colors.push(self.colors[vertex]);
+        }
+        self.positions.len() as u32 - 1
+    }
+
+    /// Turns the mesh inside out: the other side of each triangle is seen, and normals point the other way.
+    pub(super) fn flip(&mut self) {
+        self.triangles.iter_mut().for_each(|[_, b, c]| std::mem::swap(b, c));
+        for component in self.normals.as_flattened_mut() {
+            *component = -*component;
+        }
+    }
+
+    /// World position of a vertex.
+    pub fn world(&self, vertex: usize) -> [f64; 3] {
+        let position = self.positions[vertex];
+        [0, 1, 2].map(|axis| self.origin[axis] + f64::from(position[axis]))
+    }
+
     /// Gives every vertex the colour that `transfer` has at its blended feature `(1 − alpha)·s + alpha·f̂`, linear
     /// in sRGB between points as in the viewer. Points whose colour is not `#rrggbb` are ignored.
     pub fn colorize(&mut self, transfer: &TransferFunctionJson, alpha: f32) {
@@ -152,6 +206,7 @@ impl Mesh {
     fn reserve(&mut self, vertices: usize) {
         let triangles: u64 = self.level_triangles.iter().sum();
         self.positions.reserve(vertices);
+        self.index.reserve(vertices);
         self.normals.reserve(vertices);
         self.smoothness.reserve(vertices);
         self.feature.reserve(vertices);
@@ -160,6 +215,8 @@ impl Mesh {
 
     fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], transform: &Transform<'_>) -> Result<(), ExportError> {
         self.positions.push(transform.position(lattice)?);
+        self.index
+            .push(lattice.map(|at| (at as f64 / f64::from(Vertex::LATTICE)) as f32));
         self.normals.push(transform.normal(lattice, vertex.unit_normal()));
         self.smoothness.push(f32::from(vertex.smoothness) / 65535.0);
         self.feature.push(f32::from(vertex.feature) / 65535.0);
@@ -214,6 +271,34 @@ fn color_at(points: &[(f32, [f32; 3])], x: f32) -> [f32; 3] {
             [0, 1, 2].map(|i| a.1[i] + (b.1[i] - a.1[i]) * t)
         }
     }
+}
+
+/// Names of attributes for the fields of a mesh: their own, with anything but ASCII letters and digits as `_`, behind a prefix; with a number
+/// if another one has that name.
+pub(super) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<String> {
+    let mut names: Vec<String> = taken.iter().map(|&name| name.to_owned()).collect();
+    for field in &mesh.fields {
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+        let name = format!("{prefix}{}", field.name.chars().map(plain).collect::<String>());
+        let free = |name: &String| !names.iter().any(|other| other.eq_ignore_ascii_case(name));
+        let numbered = (2..).map(|n| format!("{name}_{n}"));
+        let found = std::iter::once(name.clone()).chain(numbered).find(free);
+        names.push(found.unwrap_or(name));
+    }
+    names.split_off(taken.len())
+}
+
+/// A linear colour as bytes of sRGB, as PLY and VTP have colours.
+pub(super) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
+    color.map(|component| {
+        let linear = f32::from(component) / 65535.0;
+        let srgb = if linear <= 0.003_130_8 {
+            12.92 * linear
+        } else {
+            1.055 * linear.powf(1.0 / 2.4) - 0.055
+        };
+        (255.0 * srgb).round() as u8
+    })
 }
 
 /// From sRGB to linear (IEC 61966-2-1), as glTF defines vertex colours.
@@ -286,8 +371,8 @@ pub(super) mod tests {
         assert_eq!(mesh.positions.len(), 6);
         assert_eq!(mesh.level_triangles, [3, 0, 1, 0, 0, 0]);
         assert_eq!(mesh.triangles, [[0, 1, 2], [1, 4, 5], [1, 5, 2], [0, 2, 3]]);
-        assert_eq!(mesh.positions[1], [32.0, 1.0, 0.5]);
-        assert_eq!(mesh.positions[4], [35.25, 1.0, 0.5]);
+        assert_eq!(mesh.world(1), [32.0, 1.0, 0.5]);
+        assert_eq!(mesh.world(4), [35.25, 1.0, 0.5]);
         assert_eq!(mesh.feature, [1.0; 6]);
     }
 
@@ -341,7 +426,7 @@ pub(super) mod tests {
             ..geometry()
         };
         let mesh = Mesh::new(&two_quads(), &turned).unwrap();
-        assert_eq!(mesh.positions[4], [-100.0 - 2.0, 10.0 + 35.25 * 0.5, 1001.5]);
+        assert_eq!(mesh.world(4), [-100.0 - 2.0, 10.0 + 35.25 * 0.5, 1001.5]);
         assert!(normal_of(&mesh, 0)[2] > 0.0);
     }
 
@@ -387,10 +472,12 @@ pub(super) mod tests {
         };
         let mesh = made_by(&surface, MesherName::Dual);
         let scale = 96.0 / x[96];
-        let expected = [x[30] * scale, 1.0, 0.5].map(|p| p as f32);
-        assert_eq!(mesh.positions[0], expected);
-        let last = [(x[35] + 0.25 * (x[36] - x[35])) * scale, 1.0, 0.5].map(|p| p as f32);
-        assert_eq!(mesh.positions[4], last);
+        let is_near = |vertex, expected: [f64; 3]| {
+            let apart = DVec3::from(mesh.world(vertex)) - DVec3::from(expected);
+            assert!(apart.length() < 1e-5, "{:?}, expected {expected:?}", mesh.world(vertex));
+        };
+        is_near(0, [x[30] * scale, 1.0, 0.5]);
+        is_near(4, [(x[35] + 0.25 * (x[36] - x[35])) * scale, 1.0, 0.5]);
         let [nx, _, nz] = mesh.normals[0];
         assert!(
             (nx / nz - 1.0).abs() < 1e-3,
@@ -422,7 +509,23 @@ pub(super) mod tests {
         surface.regions[1].coords = [1 << 20, 0, 0];
         let mesh = Mesh::new(&surface, &geometry()).unwrap();
         assert_eq!(mesh.positions.len(), 8);
-        assert_eq!(mesh.positions[4][0], (32u32 << 20) as f32);
+        assert_eq!(mesh.world(4)[0], f64::from(32u32 << 20));
+    }
+
+    #[test]
+    fn positions_far_from_the_origin_are_as_exact_as_near_it() {
+        let near = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let far_away = Geometry {
+            spacing: [0.05; 3],
+            origin: [500_000.0, 4.6e6, 120.0],
+            ..geometry()
+        };
+        let far = Mesh::new(&two_quads(), &far_away).unwrap();
+        for vertex in 0..near.positions.len() {
+            let expected = DVec3::from(near.world(vertex)) * 0.05 + DVec3::from(far_away.origin);
+            let apart = (DVec3::from(far.world(vertex)) - expected).length();
+            assert!(apart < 1e-6, "vertex {vertex} is {apart} off");
+        }
     }
 
     #[test]
@@ -440,7 +543,7 @@ pub(super) mod tests {
         ));
 
         let far = Geometry {
-            origin: [1e39, 0.0, 0.0],
+            spacing: [1e38; 3],
             ..geometry()
         };
         assert!(matches!(Mesh::new(&two_quads(), &far), Err(ExportError::OutOfRange(_))));
@@ -459,6 +562,10 @@ pub(super) mod tests {
         let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
         mesh.colorize(&transfer, 1.0);
         assert_eq!(mesh.colors, [[65535, 0, 0]; 6]);
+        for byte in 0..=255u8 {
+            let linear = (linear(f32::from(byte) / 255.0) * 65535.0).round() as u16;
+            assert_eq!(srgb_bytes([linear, 0, 65535]), [byte, 0, 255]);
+        }
         mesh.colorize(&transfer, 0.0);
         assert_eq!(mesh.colors, [[0, 0, 65535]; 6]);
         mesh.colorize(&transfer, 0.5);

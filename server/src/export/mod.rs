@@ -3,28 +3,34 @@
 //! [`FileRequest`] is what is asked for, [`MadeFile`] what is made of it. [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`], [`stl`] and [`vtp`] stream it to a [`Write`]r. By hand: each writer is
 //! shorter than the conversion to a library's own mesh would be, and never holds the file in memory.
 
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::Xxh3;
 
 use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
 use crate::volumes::{LengthUnit, VolumeStep};
 
+mod empty;
+mod field_values;
 pub mod glb;
+mod label;
 mod made;
 pub mod mesh;
 pub mod ply;
 mod request;
 pub mod stl;
+mod topology;
 mod transform;
 pub mod vtp;
 
+pub(crate) use empty::why_empty;
 pub use made::{MadeFile, MakeError, make};
 pub use mesh::Mesh;
-pub use request::FileRequest;
-pub(crate) use request::{beside_edit, schema_beside_edit};
+pub(crate) use request::merged_schema;
+pub use request::{FileOptions, FileRequest};
 
 // Arrays are written as they are in memory, and all formats are little-endian.
 const _: () = assert!(
@@ -77,12 +83,12 @@ impl Format {
         let per_triangle = match self {
             // Vertices of 42 bytes (position, normal, two features, colour), three indices of 4.
             Self::Glb => 33,
-            // Vertices of 32 bytes; a count and three indices of 4.
-            Self::Ply => 29,
+            // Vertices of 44 bytes; a count and three indices of 4.
+            Self::Ply => 35,
             // Normal, corners, two bytes.
             Self::Stl => 50,
             // As PLY, with a level and four indices of 8.
-            Self::Vtp => 49,
+            Self::Vtp => 55,
         };
         triangles.saturating_mul(per_triangle)
     }
@@ -117,8 +123,8 @@ pub enum ExportError {
         /// The format with this limit.
         format: &'static str,
     },
-    /// World coordinates do not fit 32-bit floats.
-    #[error("a vertex lies at {0:?} world units, beyond what 32-bit floats hold")]
+    /// World coordinates do not fit the numbers of the format.
+    #[error("a vertex lies at {0:?} world units, beyond what the numbers of the format hold")]
     OutOfRange([f64; 3]),
     /// A region that is not consistent.
     #[error("region {region:?}: {why}")]
@@ -150,7 +156,7 @@ pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut 
 }
 
 /// What a GLB says about itself: volume, step, every value in force, statistics, notices; frame and unit of its positions, before the
-/// node turns them.
+/// node turns them. Equal for equal requests: times and memory are left out.
 pub fn extras(volume: &VolumeStep, edit: &Edit, statistics: &ExtractionStatistics) -> serde_json::Value {
     let dataset = volume.dataset();
     serde_json::json!({
@@ -160,37 +166,58 @@ pub fn extras(volume: &VolumeStep, edit: &Edit, statistics: &ExtractionStatistic
         "unit": dataset.geometry.unit.map(LengthUnit::symbol),
         "notice": dataset.notice(),
         "view": edit,
-        "statistics": statistics,
+        "statistics": statistics.of_surface(),
     })
 }
 
-/// Number of bytes that [`write`] writes.
+/// What a file is, before it is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileDigest {
+    /// Its length.
+    pub bytes: u64,
+    /// XXH3 of all of it.
+    pub hash: u128,
+}
+
+/// Returns length and hash of what [`write`] writes.
 ///
 /// # Errors
-/// What the format cannot hold; [`write`] then fails only if `out` does. [`ExportError::Io`] where it is cancelled.
-pub fn length(
+/// What the format cannot hold; [`write`] then fails only if `out` does. [`ExportError::Io`] if it is cancelled.
+pub fn digest(
     mesh: &Mesh,
     format: Format,
     extras: &serde_json::Value,
     is_cancelled: &dyn Fn() -> bool,
-) -> Result<u64, ExportError> {
-    let mut counter = Counter { bytes: 0, is_cancelled };
-    write(mesh, format, extras, &mut counter)?;
-    Ok(counter.bytes)
+) -> Result<FileDigest, ExportError> {
+    let digester = Digester {
+        bytes: 0,
+        hasher: Xxh3::new(),
+        is_cancelled,
+    };
+    let mut out = BufWriter::with_capacity(DIGEST_BUFFER_BYTES, digester);
+    write(mesh, format, extras, &mut out)?;
+    let Digester { bytes, hasher, .. } = out.into_inner().map_err(io::IntoInnerError::into_error)?;
+    let hash = hasher.digest128();
+    Ok(FileDigest { bytes, hash })
 }
 
-/// Counts bytes and drops them.
-struct Counter<'a> {
+/// Bytes that are hashed at once.
+const DIGEST_BUFFER_BYTES: usize = 1 << 16;
+
+/// Counts and hashes bytes, and drops them.
+struct Digester<'a> {
     bytes: u64,
+    hasher: Xxh3,
     is_cancelled: &'a dyn Fn() -> bool,
 }
 
-impl Write for Counter<'_> {
+impl Write for Digester<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if (self.is_cancelled)() {
             return Err(io::ErrorKind::BrokenPipe.into());
         }
         self.bytes += bytes.len() as u64;
+        self.hasher.update(bytes);
         Ok(bytes.len())
     }
 

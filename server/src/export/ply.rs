@@ -2,10 +2,11 @@
 
 use std::io::Write;
 
+use super::mesh::{attribute_names, srgb_bytes};
 use super::{ExportError, Mesh};
 use crate::volumes::LengthUnit;
 
-/// Writes `mesh`: a vertex has position, normal, `smoothness` and `feature` (0 to 1), a face its three corners. Faces come by level,
+/// Writes `mesh`: a vertex has position (64 bits, so that far from the origin nothing is lost), normal, `smoothness` and `feature` (0 to 1), a face its three corners. Faces come by level,
 /// finest first; a comment has their numbers. A property of faces beside the list of corners would be rejected by readers that
 /// expect lists alone (meshio).
 ///
@@ -14,27 +15,35 @@ use crate::volumes::LengthUnit;
 pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     write!(
         out,
-        "ply\nformat binary_little_endian 1.0\ncomment isopeel {}\ncomment frame {}, unit {}\n\
+        "ply\nformat binary_little_endian 1.0\ncomment isopeel {}\ncomment frame {}, unit {}\n{}\
          comment faces of each level, finest first: {}\n{}\
          element vertex {}\n\
-         property float x\nproperty float y\nproperty float z\n\
+         property double x\nproperty double y\nproperty double z\n\
          property float nx\nproperty float ny\nproperty float nz\n\
-         property float smoothness\nproperty float feature\n\
+         property float smoothness\nproperty float feature\n{}\
          element face {}\n\
          property list uchar uint vertex_indices\n\
          end_header\n",
         env!("CARGO_PKG_VERSION"),
         mesh.frame.name(),
-        mesh.unit.map_or("unknown", LengthUnit::symbol),
+        mesh.unit.map_or("unknown", LengthUnit::ascii_symbol),
+        space(mesh),
         mesh.level_triangles.map(|count| count.to_string()).join(" "),
-        notices(mesh),
+        comments(mesh),
         mesh.positions.len(),
+        properties(mesh),
         mesh.triangles.len(),
     )?;
-    for (i, position) in mesh.positions.iter().enumerate() {
-        out.write_all(bytemuck::bytes_of(position))?;
+    for i in 0..mesh.positions.len() {
+        out.write_all(bytemuck::bytes_of(&mesh.world(i)))?;
         out.write_all(bytemuck::bytes_of(&mesh.normals[i]))?;
         out.write_all(bytemuck::bytes_of(&[mesh.smoothness[i], mesh.feature[i]]))?;
+        for field in &mesh.fields {
+            out.write_all(bytemuck::bytes_of(&field.values[i]))?;
+        }
+        if let Some(&color) = mesh.colors.get(i) {
+            out.write_all(&srgb_bytes(color))?;
+        }
     }
     for triangle in &mesh.triangles {
         out.write_all(&[3])?;
@@ -43,14 +52,62 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     Ok(())
 }
 
-/// A comment for each notice. Comments are ASCII.
-fn notices(mesh: &Mesh) -> String {
-    let comment = |notice: &String| format!("comment notice: {}\n", notice.escape_default());
-    mesh.notices
-        .iter()
-        .filter(|line| !line.is_empty())
-        .map(comment)
+/// The patient's axes, as 3D Slicer reads them.
+fn space(mesh: &Mesh) -> String {
+    match mesh.frame.is_anatomical() {
+        true => format!("comment SPACE={}\n", mesh.frame.name()),
+        false => String::new(),
+    }
+}
+
+/// Comments on where the surface comes from, on fields, and the volume's notices. Comments are ASCII.
+fn comments(mesh: &Mesh) -> String {
+    let comment = |name: &str, text: &str| format!("comment {name}: {}\n", ascii(text));
+    let provenance = mesh.provenance.iter().map(|(name, text)| comment(name, text));
+    let fields = mesh.fields.iter().zip(names(mesh)).map(|(field, property)| {
+        let unit = field.unit.as_deref().unwrap_or("unknown");
+        comment("field", &format!("{property} is {}, unit {unit}", field.name))
+    });
+    let notices = mesh.notices.iter().filter(|line| !line.is_empty());
+    provenance
+        .chain(fields)
+        .chain(notices.map(|notice| comment("notice", notice)))
         .collect()
+}
+
+/// A text in a line of ASCII; what else there is in it is escaped as in Rust.
+fn ascii(text: &str) -> String {
+    let escaped = |c: char| match c {
+        ' '..='~' => c.to_string(),
+        _ => c.escape_default().to_string(),
+    };
+    text.chars().map(escaped).collect()
+}
+
+/// The properties of vertices behind those that all have.
+fn properties(mesh: &Mesh) -> String {
+    let fields = names(mesh).into_iter().map(|name| format!("property float {name}\n"));
+    let colors = ["red", "green", "blue"].map(|name| format!("property uchar {name}\n"));
+    let colors = colors.into_iter().filter(|_| !mesh.colors.is_empty());
+    fields.chain(colors).collect()
+}
+
+/// Names of properties of the fields: words of ASCII, each once.
+fn names(mesh: &Mesh) -> Vec<String> {
+    let taken = [
+        "x",
+        "y",
+        "z",
+        "nx",
+        "ny",
+        "nz",
+        "smoothness",
+        "feature",
+        "red",
+        "green",
+        "blue",
+    ];
+    attribute_names(mesh, "", &taken)
 }
 
 #[cfg(test)]
@@ -58,8 +115,8 @@ mod tests {
     use super::super::mesh::tests::{geometry, surface, two_quads};
     use super::*;
 
-    /// Header, vertices as rows of 8 floats, faces as corners.
-    type Parsed = (String, Vec<[f32; 8]>, Vec<[u32; 3]>);
+    /// Header, vertices as rows of 8 numbers, faces as corners.
+    type Parsed = (String, Vec<[f64; 8]>, Vec<[u32; 3]>);
 
     fn parse(bytes: &[u8]) -> Parsed {
         let end = b"end_header\n";
@@ -70,10 +127,15 @@ mod tests {
             line.trim().parse().unwrap()
         };
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+        let double = |at: usize| f64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+        let number = |row: usize, i: usize| match i {
+            0..3 => double(row + 8 * i),
+            _ => f64::from(f32::from_bits(word(row + 24 + 4 * (i - 3)))),
+        };
         let vertices = (0..count("element vertex"))
-            .map(|v| std::array::from_fn(|i| f32::from_bits(word(body + 32 * v + 4 * i))))
+            .map(|v| std::array::from_fn(|i| number(body + 44 * v, i)))
             .collect::<Vec<_>>();
-        let faces = body + 32 * vertices.len();
+        let faces = body + 44 * vertices.len();
         let rows = (0..count("element face"))
             .map(|f| {
                 let row = faces + 13 * f;

@@ -1,22 +1,87 @@
-//! What is asked for of one file: step and format, beside any of the edit's names.
+//! What is asked for of one file: step, format and options, beside any of the edit's names.
 
-use serde::de::{DeserializeOwned, Error};
+use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
+use utoipa::openapi::schema::{AdditionalProperties, Object, Type};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::Format;
-use crate::view::{Edit, EditError, View};
-use crate::volumes::Dataset;
+use super::label::around_labels;
+use crate::view::{Edit, EditError, Outward, View};
+use crate::volumes::{Dataset, LengthUnit};
 
-/// One surface as a file. What is left out has the value that the volume opens with.
+/// How a surface is written.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub struct FileOptions {
+    /// File format.
+    pub format: Format,
+    /// Whether a surface without triangles is written too. Without it such a surface is refused (`empty-surface`).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub allow_empty: bool,
+    /// Which side is the outside.
+    #[serde(default, skip_serializing_if = "Outward::is_auto")]
+    pub outward: Outward,
+    /// Unit of positions in a PLY or VTP, and what those of a volume are in that declares none: `mm`, `um`, `m` and so on. A GLB is always in
+    /// metres, an STL in millimetres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
+    /// Names of fields whose values are attributes of the vertices, in their own units. An STL holds none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub field_values: Vec<String>,
+    /// The surface around labels of a segmentation instead of one at an isovalue, by numbers or names: `7`, `3,Hippocampus`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label: Option<String>,
+}
+
+impl FileOptions {
+    /// The names in JSON.
+    const NAMES: [&str; 6] = ["format", "allowEmpty", "outward", "unit", "fieldValues", "label"];
+
+    /// The options of a format, all others at their defaults.
+    pub const fn new(format: Format) -> Self {
+        Self {
+            format,
+            allow_empty: false,
+            outward: Outward::Auto,
+            unit: None,
+            field_values: Vec::new(),
+            label: None,
+        }
+    }
+
+    /// Checks the options for a volume. Returns the unit.
+    ///
+    /// # Errors
+    /// A unit that is none of lengths, or a field that the volume does not have.
+    fn check(&self, dataset: &Dataset) -> Result<Option<LengthUnit>, EditError> {
+        if let Some(name) = self.field_values.iter().find(|name| dataset.field(name).is_none()) {
+            let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
+            return Err(EditError {
+                field: "fieldValues",
+                why: format!("{name:?}, expected some of {}", names.join(", ")),
+            });
+        }
+        let Some(text) = &self.unit else { return Ok(None) };
+        let unit = LengthUnit::parse(text).filter(|unit| unit.metres().is_some());
+        let refused = || EditError {
+            field: "unit",
+            why: format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom"),
+        };
+        unit.map(Some).ok_or_else(refused)
+    }
+}
+
+/// One surface as a file, for the command line, batch jobs and REST alike. What is left out has the default of [`View::requested`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FileRequest {
     /// Time step.
     pub step: u32,
-    /// File format.
-    pub format: Format,
+    /// How it is written.
+    #[serde(flatten)]
+    pub options: FileOptions,
     /// The edit.
     #[serde(flatten)]
     pub edit: Edit,
@@ -28,54 +93,76 @@ impl FileRequest {
     /// # Errors
     /// A value out of its range, or a field that the volume does not have.
     pub fn view(&self, dataset: &Dataset) -> Result<View, EditError> {
-        let edit = self.edit.clone().with_default_guards();
-        dataset.opening_view()?.apply(&edit, &dataset.field_names())
+        self.options.check(dataset)?;
+        let fields = dataset.field_names();
+        match &self.options.label {
+            Some(labels) => View::requested(&around_labels(dataset, labels, &self.edit)?, &fields),
+            None => View::requested(&self.edit, &fields),
+        }
     }
-}
 
-/// The names that are not of the edit.
-#[derive(Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-struct What {
-    /// Time step.
-    #[serde(default)]
-    step: u32,
-    /// File format.
-    format: Format,
+    /// The unit that it names, if that is one.
+    pub(super) fn unit(&self) -> Option<LengthUnit> {
+        self.options.unit.as_deref().and_then(LengthUnit::parse)
+    }
+
+    /// Whether its file has the colours of a transfer function: only of one that it names.
+    pub fn is_colored(&self) -> bool {
+        self.edit.transfer_function.is_some()
+    }
+
+    /// The request of a JSON object. By hand, because serde cannot flatten and refuse unknown fields at the same time.
+    ///
+    /// # Errors
+    /// The first name that is unknown or missing, or the first value of a wrong type.
+    pub(crate) fn from_object<E: Error>(mut object: Map<String, Value>) -> Result<Self, E> {
+        let step = object.remove("step").map(u32::deserialize).transpose();
+        let (options, edit): (Map<_, _>, Map<_, _>) = object
+            .into_iter()
+            .partition(|(name, _)| FileOptions::NAMES.contains(&name.as_str()));
+        Ok(Self {
+            step: step.map_err(E::custom)?.unwrap_or_default(),
+            options: FileOptions::deserialize(Value::Object(options)).map_err(E::custom)?,
+            edit: Edit::deserialize(Value::Object(edit)).map_err(E::custom)?,
+        })
+    }
 }
 
 impl<'de> Deserialize<'de> for FileRequest {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let (What { step, format }, edit) = beside_edit(deserializer, &["step", "format"])?;
-        Ok(Self { step, format, edit })
+        Self::from_object(Map::deserialize(deserializer)?)
     }
 }
 
-/// An object that has these names beside the edit's. By hand, because serde cannot flatten and refuse unknown fields at the same time.
-pub(crate) fn beside_edit<'de, D: Deserializer<'de>, T: DeserializeOwned>(
-    deserializer: D,
-    names: &[&str],
-) -> Result<(T, Edit), D::Error> {
-    let (what, edit): (Map<_, _>, Map<_, _>) = Map::deserialize(deserializer)?
-        .into_iter()
-        .partition(|(name, _)| names.contains(&name.as_str()));
-    let what = T::deserialize(Value::Object(what)).map_err(D::Error::custom)?;
-    let edit = Edit::deserialize(Value::Object(edit)).map_err(D::Error::custom)?;
-    Ok((what, edit))
+/// The names that are neither of the edit nor of the options.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "its schema alone is used")]
+struct StepName {
+    /// Time step; 0 if it is left out.
+    step: Option<u32>,
 }
 
-/// The schema of an object that has the names of `what` beside the edit's.
-pub(crate) fn schema_beside_edit(mut what: RefOr<Schema>, description: &str) -> RefOr<Schema> {
-    if let (RefOr::T(Schema::Object(what)), RefOr::T(Schema::Object(edit))) = (&mut what, Edit::schema()) {
-        what.properties.extend(edit.properties);
-        what.description = Some(description.into());
+/// The schema of an object that has the names of all these.
+pub(crate) fn merged_schema(schemas: impl IntoIterator<Item = RefOr<Schema>>, description: &str) -> RefOr<Schema> {
+    let mut merged = Object::new();
+    for schema in schemas {
+        if let RefOr::T(Schema::Object(object)) = schema {
+            merged.properties.extend(object.properties);
+            merged.required.extend(object.required);
+        }
     }
-    what
+    merged.schema_type = Type::Object.into();
+    merged.additional_properties = Some(Box::new(AdditionalProperties::FreeForm(false)));
+    merged.description = Some(description.into());
+    RefOr::T(Schema::Object(merged))
 }
 
 impl PartialSchema for FileRequest {
     fn schema() -> RefOr<Schema> {
-        schema_beside_edit(What::schema(), "Step and format, beside any of the edit's names.")
+        merged_schema(
+            [StepName::schema(), FileOptions::schema(), Edit::schema()],
+            "Step, format and options, beside any of the edit's names.",
+        )
     }
 }
 
@@ -85,7 +172,7 @@ impl ToSchema for FileRequest {
     }
 
     fn schemas(schemas: &mut Vec<(String, RefOr<Schema>)>) {
-        What::schemas(schemas);
+        FileOptions::schemas(schemas);
         Edit::schemas(schemas);
     }
 }
@@ -98,7 +185,7 @@ mod tests {
     fn a_request_reads_back_and_names_what_it_does_not_know() {
         let text = r#"{"step":2,"format":"stl","iso":-3.5,"beta":0.5}"#;
         let request: FileRequest = serde_json::from_str(text).unwrap();
-        assert_eq!((request.step, request.format), (2, Format::Stl));
+        assert_eq!((request.step, request.options.format), (2, Format::Stl));
         assert_eq!(serde_json::to_string(&request).unwrap(), text);
         for (text, expected) in [
             (r#"{"iso":1}"#, "missing field `format`"),
@@ -107,5 +194,15 @@ mod tests {
             let error = serde_json::from_str::<FileRequest>(text).unwrap_err().to_string();
             assert!(error.contains(expected), "{text}: {error}");
         }
+    }
+
+    #[test]
+    fn every_option_has_its_name_in_the_list() {
+        let RefOr::T(Schema::Object(options)) = FileOptions::schema() else {
+            panic!("options are an object");
+        };
+        let mut names = FileOptions::NAMES;
+        names.sort_unstable();
+        assert_eq!(options.properties.keys().collect::<Vec<_>>(), names);
     }
 }

@@ -6,15 +6,38 @@ use super::{ExportError, Mesh, fits_u32};
 use crate::math::{DVec3, triangle_normal};
 use crate::volumes::LengthUnit;
 
+/// Share of the smallest spacing that rounding may take without a notice.
+const UNNOTICED: f64 = 1e-3;
+
+/// Returns how far positions are rounded, if that is more than a thousandth of the smallest spacing: an STL holds 32-bit world positions.
+pub fn rounding(mesh: &Mesh) -> Option<String> {
+    let of = |vertex: usize| {
+        let rounded = mesh.world(vertex).map(|x| (x - f64::from(x as f32)).abs());
+        rounded.into_iter().fold(0.0, f64::max)
+    };
+    let largest = (0..mesh.positions.len()).map(of).fold(0.0, f64::max);
+    let spacings = largest / mesh.smallest_spacing;
+    let unit = mesh.unit.map_or("", LengthUnit::ascii_symbol);
+    (spacings > UNNOTICED).then(|| {
+        format!(
+            "STL holds numbers of 32 bits: so far from the origin positions are rounded by up to {largest:.1e} {unit}, {spacings:.2} of the \
+             smallest spacing; GLB, PLY and VTP keep them"
+        )
+    })
+}
+
 /// Writes `mesh`. A triangle's normal is that of its plane; a degenerate triangle has the zero normal.
 ///
 /// # Errors
-/// More than 2³² − 1 triangles, or the errors of `out`.
+/// More than 2³² − 1 triangles, positions beyond 32 bits, or the errors of `out`.
 pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     let triangles = fits_u32("triangles", mesh.triangles.len() as u64, "STL")?;
     // Must not begin with "solid", the mark of the text form.
     let mut header = [b' '; 80];
-    let (frame, unit) = (mesh.frame.name(), mesh.unit.map_or("unknown", LengthUnit::symbol));
+    let unit = mesh.unit.map_or("unknown", LengthUnit::ascii_symbol);
+    // As 3D Slicer reads it, of a patient's axes.
+    let space = if mesh.frame.is_anatomical() { "SPACE=" } else { "frame " };
+    let frame = mesh.frame.name();
     // Too short for the notices themselves.
     let notices = if mesh.notices.is_empty() {
         ""
@@ -22,7 +45,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
         ", notices: isopeel info"
     };
     let title = format!(
-        "isopeel {} binary STL, frame {frame}, unit {unit}{notices}",
+        "isopeel {} binary STL, {space}{frame}, unit {unit}{notices}",
         env!("CARGO_PKG_VERSION")
     );
     for (to, from) in header.iter_mut().zip(title.bytes()) {
@@ -31,8 +54,13 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     out.write_all(&header)?;
     out.write_all(&triangles.to_le_bytes())?;
     for triangle in &mesh.triangles {
-        let corners = triangle.map(|i| mesh.positions[i as usize]);
-        out.write_all(bytemuck::bytes_of(&plane_normal(corners)))?;
+        let normal = plane_normal(triangle.map(|i| mesh.positions[i as usize]));
+        let world = triangle.map(|i| mesh.world(i as usize));
+        let corners = world.map(|corner| corner.map(|x| x as f32));
+        if let Some(corner) = corners.iter().position(|corner| corner.iter().any(|x| !x.is_finite())) {
+            return Err(ExportError::OutOfRange(world[corner]));
+        }
+        out.write_all(bytemuck::bytes_of(&normal))?;
         out.write_all(bytemuck::bytes_of(&corners))?;
         out.write_all(&[0, 0])?;
     }
@@ -53,6 +81,7 @@ fn plane_normal(corners: [[f32; 3]; 3]) -> [f32; 3] {
 mod tests {
     use super::super::mesh::tests::{geometry, surface, two_quads};
     use super::*;
+    use crate::volumes::Geometry;
 
     /// Normal and corners of every triangle.
     fn parse(bytes: &[u8]) -> Vec<[[f32; 3]; 4]> {
@@ -80,6 +109,27 @@ mod tests {
             [[0.0, 0.0, 1.0], [30.0, 1.0, 0.5], [32.0, 1.0, 0.5], [32.0, 2.0, 0.5]]
         );
         assert_eq!(triangles[2][0], [0.0; 3]);
+    }
+
+    #[test]
+    fn what_rounding_takes_is_said_far_from_the_origin_alone() {
+        let at = |x| Geometry {
+            spacing: [0.05; 3],
+            origin: [x, 4.6e6, 120.0],
+            unit: Some(LengthUnit::Metre),
+            ..geometry()
+        };
+        let far = rounding(&Mesh::new(&two_quads(), &at(500_000.0)).unwrap()).unwrap();
+        assert!(
+            far.contains("rounded by up to 1.0e-1 m, 2.00 of the smallest spacing"),
+            "{far}"
+        );
+        assert_eq!(rounding(&Mesh::new(&two_quads(), &geometry()).unwrap()), None);
+        let beyond = Mesh::new(&two_quads(), &at(1e39)).unwrap();
+        assert!(matches!(
+            write(&beyond, &mut Vec::new()),
+            Err(ExportError::OutOfRange(_))
+        ));
     }
 
     #[test]

@@ -12,7 +12,11 @@ pub(super) struct Transform<'a> {
     uneven: Option<(&'a UnevenAxes, MesherName)>,
     /// Lengths of the cells in which the kernels make normals, where axes are uneven: the largest ones.
     largest: DVec3,
-    origin: DVec3,
+    /// World position of the middle of the grid, to which positions are relative: they are small numbers however far the volume is from the
+    /// world's origin, and 32 bits hold them.
+    pub origin: DVec3,
+    /// The middle of the grid on the lattice.
+    middle: DVec3,
     /// World length of one lattice unit along each axis.
     step: [DVec3; 3],
     /// Transforms normals: inverse transpose of `direction` up to a factor. Equal to `direction` where that is a rotation or a
@@ -28,17 +32,24 @@ impl<'a> Transform<'a> {
         let [x, y, z] = geometry.direction.map(DVec3::from);
         let cofactors = [y.cross(z), z.cross(x), x.cross(y)];
         let determinant = x.dot(cofactors[0]);
+        let step = [(x, 0), (y, 1), (z, 2)]
+            .map(|(direction, axis)| direction * geometry.spacing[axis] / f64::from(Vertex::LATTICE));
+        let middle = geometry
+            .dims
+            .map(|n| f64::from((n - 1) / 2) * f64::from(Vertex::LATTICE));
         Self {
             uneven,
             largest: uneven.map_or(DVec3::ONE, |(uneven, _)| uneven.largest_steps().into()),
-            origin: geometry.origin.into(),
-            step: [(x, 0), (y, 1), (z, 2)]
-                .map(|(direction, axis)| direction * geometry.spacing[axis] / f64::from(Vertex::LATTICE)),
+            origin: DVec3::from(geometry.origin) + combine(&step, middle),
+            middle: middle.into(),
+            step,
             normals: cofactors.map(|column| column * determinant.signum()),
             mirrors: determinant < 0.0,
         }
     }
 
+    /// Position of a vertex, relative to [`Transform::origin`].
+    ///
     /// # Errors
     /// Beyond 32-bit floats.
     pub fn position(&self, lattice: [i64; 3]) -> Result<[f32; 3], ExportError> {
@@ -47,9 +58,10 @@ impl<'a> Transform<'a> {
             None => on_lattice,
             Some((uneven, _)) => (uneven.even_of(index_of(lattice)) * f64::from(Vertex::LATTICE)).to_array(),
         };
-        let world = self.origin + combine(&self.step, even);
-        let position = world.to_array().map(|p| p as f32);
-        if position.iter().all(|p| p.is_finite()) {
+        let from_middle = combine(&self.step, (DVec3::from(even) - self.middle).to_array());
+        let position = from_middle.to_array().map(|p| p as f32);
+        let world = self.origin + from_middle;
+        if position.iter().all(|p| p.is_finite()) && world.is_finite() {
             Ok(position)
         } else {
             Err(ExportError::OutOfRange(world.to_array()))

@@ -4,6 +4,7 @@
 use std::io::{self, Write};
 
 use super::Mesh;
+use super::mesh::{attribute_names, srgb_bytes};
 use crate::volumes::LengthUnit;
 
 /// Bytes of the length before each array.
@@ -12,7 +13,7 @@ const LENGTH_BYTES: u64 = 8;
 const PIECE: usize = 1 << 12;
 
 /// Writes `mesh`: a point has `normal`, `smoothness` and `feature` (0 to 1), a triangle the `level` of its leaf. `frame` and `unit` of the
-/// points are strings of the data set, as are the notices of the volume; without a unit or a notice these are missing.
+/// points, which have 64 bits, are strings of the data set, as are the notices of the volume; without a unit or a notice these are missing.
 ///
 /// # Errors
 /// Those of `out`.
@@ -26,14 +27,20 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
              offset=\"{offset}\"/>\n"
         )
     };
-    let point_data = [
+    let mut point_data = [
         array("Float32", "normal", 3, 12 * points),
         array("Float32", "smoothness", 1, 4 * points),
         array("Float32", "feature", 1, 4 * points),
     ]
     .concat();
+    for name in names(mesh) {
+        point_data += &array("Float32", &name, 1, 4 * points);
+    }
+    if !mesh.colors.is_empty() {
+        point_data += &array("UInt8", "color", 3, 3 * points);
+    }
     let cell_data = array("UInt8", "level", 1, triangles);
-    let positions = array("Float32", "Points", 3, 12 * points);
+    let positions = array("Float64", "Points", 3, 24 * points);
     let polygons = [
         array("Int64", "connectivity", 1, 24 * triangles),
         array("Int64", "offsets", 1, 8 * triangles),
@@ -41,12 +48,25 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     .concat();
     let unit = mesh.unit.map(LengthUnit::symbol);
     let notice = (!mesh.notices.is_empty()).then(|| mesh.notices.join("\n"));
-    let field_data = [
+    let mut field_data = [
         text("frame", mesh.frame.name()),
         unit.map_or_else(String::new, |unit| text("unit", unit)),
         notice.map_or_else(String::new, |notice| text("notice", &notice)),
     ]
     .concat();
+    if mesh.frame.is_anatomical() {
+        // As 3D Slicer reads it.
+        field_data += &text("SPACE", mesh.frame.name());
+    }
+    for (field, name) in mesh.fields.iter().zip(names(mesh)) {
+        field_data += &text(&format!("field {name}"), &field.name);
+        if let Some(unit) = &field.unit {
+            field_data += &text(&format!("unit {name}"), unit);
+        }
+    }
+    for (name, value) in &mesh.provenance {
+        field_data += &text(name, value);
+    }
     write!(
         out,
         "<?xml version=\"1.0\"?>\n\
@@ -66,8 +86,16 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     raw(out, bytemuck::cast_slice(&mesh.normals))?;
     raw(out, bytemuck::cast_slice(&mesh.smoothness))?;
     raw(out, bytemuck::cast_slice(&mesh.feature))?;
+    for field in &mesh.fields {
+        raw(out, bytemuck::cast_slice(&field.values))?;
+    }
+    if !mesh.colors.is_empty() {
+        out.write_all(&(3 * points).to_le_bytes())?;
+        widened(out, mesh.colors.iter().map(|&color| srgb_bytes(color)))?;
+    }
     levels(mesh, out)?;
-    raw(out, bytemuck::cast_slice(&mesh.positions))?;
+    out.write_all(&(24 * points).to_le_bytes())?;
+    widened(out, (0..mesh.positions.len()).map(|vertex| mesh.world(vertex)))?;
     out.write_all(&(24 * triangles).to_le_bytes())?;
     widened(
         out,
@@ -76,6 +104,11 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     out.write_all(&(8 * triangles).to_le_bytes())?;
     widened(out, (1..=triangles).map(|end| 3 * end as i64))?;
     out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
+}
+
+/// Names of arrays of the fields.
+fn names(mesh: &Mesh) -> Vec<String> {
+    attribute_names(mesh, "", &["normal", "smoothness", "feature", "color"])
 }
 
 /// Where the next array begins, in bytes behind the underscore.
@@ -113,7 +146,7 @@ fn levels(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     Ok(())
 }
 
-fn widened(out: &mut impl Write, mut numbers: impl Iterator<Item = i64>) -> io::Result<()> {
+fn widened<T: bytemuck::NoUninit>(out: &mut impl Write, mut numbers: impl Iterator<Item = T>) -> io::Result<()> {
     let mut piece = Vec::with_capacity(PIECE);
     loop {
         piece.extend(numbers.by_ref().take(PIECE));
@@ -182,7 +215,8 @@ mod tests {
             xml.contains("Name=\"notice\" NumberOfTuples=\"1\" format=\"ascii\">97 10 98 0<"),
             "{xml}"
         );
-        assert_eq!(array("Points"), bytemuck::cast_slice::<_, u8>(&mesh.positions));
+        let points: Vec<[f64; 3]> = bytemuck::pod_collect_to_vec(&array("Points"));
+        assert_eq!(points, (0..6).map(|vertex| mesh.world(vertex)).collect::<Vec<_>>());
         assert_eq!(array("normal"), bytemuck::cast_slice::<_, u8>(&mesh.normals));
         assert_eq!(array("feature"), bytemuck::cast_slice::<_, u8>(&[1.0f32; 6]));
         assert_eq!(array("level"), [0, 0, 0, 2]);

@@ -37,9 +37,10 @@ impl WorkerState {
         self.evict_for(held + self.upload_bytes());
         let engine = Rc::clone(self.engine());
         let take_times = || engine.take_times().unwrap_or_default();
+        let world = volume.dataset().smallest_length() as f32;
         let computed = turn.run(self, &take_times, &Aside::default(), |cancel| {
             if found.is_distance {
-                engine.distance_field(&found.expression, &fields, cancel)
+                engine.distance_field(&found.expression, &fields, world, cancel)
             } else {
                 engine.evaluate(&found.expression, &fields, cancel).map(Some)
             }

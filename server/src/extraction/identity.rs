@@ -80,7 +80,7 @@ impl PyramidKey {
 /// Which parts of a full surface are left out.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct PartRules {
-    min_area: u32,
+    min_area: u64,
     /// Whether the parts at these positions are hidden, or else kept alone.
     chosen: Option<(bool, Vec<[u64; 3]>)>,
 }
@@ -89,7 +89,7 @@ impl PartRules {
     fn new(view: &View) -> Self {
         let all = |positions: &[[f64; 3]]| positions.iter().map(|position| position.map(long_bits)).collect();
         Self {
-            min_area: bits(view.min_part),
+            min_area: long_bits(view.min_part),
             chosen: view.parts.as_ref().map(|parts| match parts {
                 ChosenPartsJson::Hide(positions) => (true, all(positions)),
                 ChosenPartsJson::Keep(positions) => (false, all(positions)),

@@ -66,7 +66,7 @@ pub use questions::{
 pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
 pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
-pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError};
+pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError, Shape};
 pub use volume_info::{
     DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo, describe,
     describe_expression,

@@ -10,6 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::decisions::TreeCut;
 use super::keys::VolumeKey;
+use super::statistics::in_world;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
@@ -124,10 +125,12 @@ impl WorkerState {
                     Ok((kind_of(cut), points))
                 })?;
                 let (kind, points) = curve;
+                let smallest = volume.dataset().smallest_length();
+                let in_world = |point| CurvePoint::in_world(point, by_error, smallest);
                 Ok(Answer::Curve(Curve {
                     kind,
                     by_error,
-                    points: points.into_iter().map(CurvePoint::from).collect(),
+                    points: points.into_iter().map(in_world).collect(),
                 }))
             }
         }
@@ -151,20 +154,21 @@ impl WorkerState {
         let nearest = match shown {
             None => None,
             Some(shown) => self.of_shown(volume, shown, turn, |on, params, cut, _| {
+                let view = &shown.view;
                 let found = on.engine.probe(on.volume, on.pyramid, params, index, Some(cut))?;
                 Ok(found.map(|found| NearestSurface {
-                    distance: found.distance,
+                    distance: in_world(found.distance, on.smallest),
                     smoothness: found.smoothness,
-                    feature: found.feature,
+                    feature: view.feature.range_in_world([found.feature; 2], on.smallest)[0],
                     blended: found.blended,
                     importance: found.importance,
                     leaf: found.leaf.map(|leaf| NearestLeaf {
                         kind: kind_of(cut),
                         level: leaf.level,
-                        error: leaf.error,
+                        error: in_world(leaf.error, on.smallest),
                     }),
                     part: found.part.map(|part| part.number),
-                    part_area: found.part.map(|part| part.area),
+                    part_area: found.part.map(|part| in_world(part.area, on.smallest * on.smallest)),
                 }))
             })?,
         };
@@ -200,8 +204,12 @@ impl WorkerState {
             let regions = surface.regions;
             let distances = on.engine.vertex_distances(on.volume, on.pyramid, &regions, cancel)?;
             let both = regions.into_iter().zip(distances);
+            let in_world = |length| in_world(length, on.smallest);
             Ok(both
-                .map(|(region, distances)| VertexErrors { region, distances })
+                .map(|(region, distances)| VertexErrors {
+                    region,
+                    distances: distances.into_iter().map(in_world).collect(),
+                })
                 .collect())
         })
     }

@@ -3,9 +3,11 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use isopeel_kernels::{Level, StageTime, Surface, SurfaceError, SurfaceStatistics};
+use isopeel_kernels::{Level, StageTime, Surface, SurfaceStatistics};
 
+use super::{ExtractionStatistics, MeasuredError};
 use crate::view::View;
+use crate::volumes::VolumeStep;
 
 /// A surface and its view.
 #[derive(Clone, Debug)]
@@ -16,6 +18,14 @@ pub struct Extraction {
     pub view: View,
     /// Time on the device's thread, without waiting and reading files.
     pub wall: Duration,
+}
+
+impl Extraction {
+    /// Returns the statistics of the surface, which a device of this name made of the volume.
+    pub fn statistics(&self, volume: &VolumeStep, device: &str) -> ExtractionStatistics {
+        let smallest = volume.dataset().smallest_length();
+        ExtractionStatistics::new(&self.surface.statistics, &self.view, smallest, self.wall, device)
+    }
 }
 
 /// The last number of a cut. They are unique in the process: sessions name cuts of a device that was lost after another one has taken its place.
@@ -119,10 +129,10 @@ pub struct FullCount {
 /// How far a final surface is from the undecimated one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
-    /// Of the whole surface.
-    pub whole: SurfaceError,
-    /// Of each region that has triangles.
-    pub regions: Vec<([u32; 3], SurfaceError)>,
+    /// Of the whole surface, world units.
+    pub whole: MeasuredError,
+    /// Of each region that has triangles, world units.
+    pub regions: Vec<([u32; 3], MeasuredError)>,
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@ use std::time::Duration;
 use isopeel_kernels::{ErrorEstimate, SurfaceError, Topology};
 use serde::{Deserialize, Serialize};
 
-use crate::view::View;
 use crate::view::quality::{GuardName, MesherName, TopologyName};
+use crate::view::{Outward, View};
 
 /// Tolerance of a surface in which nothing was merged: below any error.
 const NOTHING_MERGED: f32 = -1.0;
@@ -35,16 +35,38 @@ pub struct EstimatedError {
     pub worst_leaf: f32,
 }
 
-impl From<SurfaceError> for MeasuredError {
-    fn from(SurfaceError { rms, max }: SurfaceError) -> Self {
+/// A length in world units, from the device's multiples of the smallest spacing.
+pub(super) fn in_world(length: f32, smallest: f64) -> f32 {
+    (f64::from(length) * smallest) as f32
+}
+
+impl MeasuredError {
+    /// In world units, from the device's multiples of the smallest spacing.
+    pub(super) fn in_world(SurfaceError { rms, max }: SurfaceError, smallest: f64) -> Self {
+        let [rms, max] = [rms, max].map(|length| in_world(length, smallest));
         Self { rms, max }
     }
 }
 
-impl From<ErrorEstimate> for EstimatedError {
-    fn from(ErrorEstimate { rms, worst_leaf }: ErrorEstimate) -> Self {
+impl EstimatedError {
+    /// As [`MeasuredError::in_world`].
+    fn in_world(ErrorEstimate { rms, worst_leaf }: ErrorEstimate, smallest: f64) -> Self {
+        let [rms, worst_leaf] = [rms, worst_leaf].map(|length| in_world(length, smallest));
         Self { rms, worst_leaf }
     }
+}
+
+/// The shape of the surface in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct Shape {
+    /// The side that triangles and normals show: that of high or that of low values.
+    pub outward: Outward,
+    /// Whether each edge has two triangles.
+    pub is_closed: bool,
+    /// The volume that a closed surface encloses, in cubes of the file's unit.
+    pub volume: Option<f64>,
 }
 
 /// Counts, times and bytes of one surface.
@@ -106,14 +128,34 @@ pub struct ExtractionStatistics {
     pub volume_bytes: u64,
     /// Name of the device.
     pub device: String,
+    /// The shape of a file's surface. Never in the stream.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(test, ts(optional))]
+    pub shape: Option<Shape>,
+    /// What the format of a file could not keep. Never in the stream.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(test, ts(as = "Option<Vec<String>>", optional))]
+    pub notices: Vec<String>,
 }
 
 impl ExtractionStatistics {
-    /// The kernels' statistics with the view, the time and the device.
+    /// Names of what it took to make a surface: it differs from one time to the next.
+    const COSTS: [&str; 4] = ["stagesMs", "wallMs", "deviceBytes", "volumeBytes"];
+
+    /// Returns the statistics of the surface alone, without what it took to make it, as a JSON object.
+    pub fn of_surface(&self) -> serde_json::Value {
+        let mut all = serde_json::to_value(self).unwrap_or_default();
+        if let Some(names) = all.as_object_mut() {
+            names.retain(|name, _| !Self::COSTS.contains(&name.as_str()));
+        }
+        all
+    }
+
+    /// The kernels' statistics with the view, the time and the device. `smallest`: the spacing that lengths in them are multiples of.
     pub fn new(
         kernels: &isopeel_kernels::SurfaceStatistics,
         view: &View,
-        spacing: [f64; 3],
+        smallest: f64,
         wall: Duration,
         device: &str,
     ) -> Self {
@@ -125,22 +167,20 @@ impl ExtractionStatistics {
             mesher: view.mesher,
             beta: view.beta_in_force(),
             // If everything that can be is merged, the tolerance has no bound; nor if nothing is, and JSON has no infinity.
-            tolerance: view.tolerance_in_force(spacing).map(|tolerance| {
-                if tolerance < f32::MAX {
-                    tolerance.max(NOTHING_MERGED)
-                } else {
-                    kernels.estimate.worst_leaf
-                }
+            tolerance: view.tolerance_in_force(smallest).map(|tolerance| match tolerance {
+                ..0.0 => NOTHING_MERGED,
+                f32::MAX.. => in_world(kernels.estimate.worst_leaf, smallest),
+                _ => in_world(tolerance, smallest),
             }),
-            max_error: view.max_error_in_force().map(|distance| distance.world(spacing)),
+            max_error: view.max_error_in_force().map(|distance| distance.world(smallest)),
             topology: match view.topology_in_force() {
                 Topology::Preserve => TopologyName::Preserve,
                 Topology::Free => TopologyName::Free,
             },
-            gave_way: view.gave_way(spacing),
+            gave_way: view.gave_way(smallest),
             is_tree_cut: view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut),
-            error: kernels.error.map(Into::into),
-            estimated_error: Some(kernels.estimate.into()),
+            error: kernels.error.map(|error| MeasuredError::in_world(error, smallest)),
+            estimated_error: Some(EstimatedError::in_world(kernels.estimate, smallest)),
             full_triangles: kernels.full_triangles,
             removed_parts: kernels.removed.map(|removed| removed.parts),
             removed_triangles: kernels.removed.map(|removed| removed.full_triangles),
@@ -156,6 +196,8 @@ impl ExtractionStatistics {
             device_bytes: kernels.device_bytes,
             volume_bytes: kernels.volume_bytes,
             device: device.to_owned(),
+            shape: None,
+            notices: Vec::new(),
         }
     }
 }

@@ -86,10 +86,10 @@ impl OnDevice<'_> {
         Ok(Some(tree))
     }
 
-    /// The guard on the error, where one was set; world units.
+    /// The guard on the error, where one was set; smallest spacings.
     fn error_guard(&self, view: &View) -> f32 {
         match view.max_error {
-            MaxError::At(distance) => distance.world(self.spacing),
+            MaxError::At(distance) => distance.in_spacings(self.smallest),
             MaxError::Auto | MaxError::None => f32::INFINITY,
         }
     }
@@ -112,7 +112,9 @@ impl OnDevice<'_> {
             self.keep_tree(tree);
         }
         Ok(TreeGoal {
-            tolerance: view.error.map_or(f32::NEG_INFINITY, |error| error.world(self.spacing)),
+            tolerance: view
+                .error
+                .map_or(f32::NEG_INFINITY, |error| error.in_spacings(self.smallest)),
             max_triangles: view.max_triangles(full).unwrap_or(u64::MAX),
             max_tolerance: self.error_guard(view),
             without,
@@ -123,7 +125,7 @@ impl OnDevice<'_> {
     fn part_filter(&self, view: &View) -> PartFilter {
         let index_of = |position| index_inside(&self.index_space, self.volume.grid().dims, position);
         PartFilter {
-            min_area: view.min_part,
+            min_area: ((view.min_part / (self.smallest * self.smallest)) as f32).min(f32::MAX),
             chosen: view.parts.as_ref().map(|parts| parts.to_kernel(index_of)),
         }
     }

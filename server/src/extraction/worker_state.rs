@@ -91,14 +91,15 @@ pub(super) struct OnDevice<'a> {
     aside: &'a Aside,
     /// Of the view as it was before the job.
     pub params: CutParams,
-    pub spacing: [f64; 3],
+    /// Smallest spacing: the unit of lengths on the device, world units.
+    pub smallest: f64,
     pub index_space: IndexSpace,
 }
 
 impl OnDevice<'_> {
     /// The parameters of a view that was fitted meanwhile.
     pub(super) fn params_of(&self, view: &View) -> CutParams {
-        view.cut_params(self.spacing, &self.index_space)
+        view.cut_params(self.smallest, &self.index_space)
             .unwrap_or_else(|| self.params.clone())
     }
 
@@ -256,7 +257,9 @@ impl WorkerState {
         )?;
         let feature = self.feature_fields(volume, &key.computed, false)?;
         let resident = self.volumes.peek(&key.volume).ok_or(WorkError::Stopped)?;
-        let histogram = self.engine.histogram(resident, feature.get())?;
+        let mut histogram = self.engine.histogram(resident, feature.get())?;
+        let smallest = volume.dataset().smallest_length();
+        histogram.range = key.computed.range_in_world(histogram.range, smallest);
         lock(&self.histograms).insert(key.clone(), 1, histogram.clone());
         Ok(histogram)
     }
@@ -331,9 +334,11 @@ impl WorkerState {
                     on.engine.measure_error(on.volume, on.pyramid, &params, cancel)?
                 }
             };
+            let in_world = |error| super::MeasuredError::in_world(error, on.smallest);
+            let regions = measured.regions.into_iter();
             Ok(Measurement {
-                whole: measured.whole,
-                regions: measured.regions,
+                whole: in_world(measured.whole),
+                regions: regions.map(|(region, error)| (region, in_world(error))).collect(),
             })
         })
     }
@@ -371,9 +376,9 @@ impl WorkerState {
         work: &impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
         let iso: Isovalue = view.iso.ok_or_else(no_finite_sample)?;
-        let spacing = volume.dataset().cell_lengths();
+        let smallest = volume.dataset().smallest_length();
         let (_, index_space) = volume.dataset().index_space(view);
-        let params = view.cut_params(spacing, &index_space).ok_or_else(no_finite_sample)?;
+        let params = view.cut_params(smallest, &index_space).ok_or_else(no_finite_sample)?;
         let key = PyramidKey::new(volume, view);
         let shown_volume = self
             .volumes
@@ -415,7 +420,7 @@ impl WorkerState {
             pauses: turn.others.is_some(),
             aside: &aside,
             params,
-            spacing,
+            smallest,
             index_space,
         };
         turn.run(self, &take_times, &aside, |cancel| work(&on, view, cancel))

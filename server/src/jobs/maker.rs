@@ -12,7 +12,7 @@ use super::results::ResultFile;
 use super::state::Cause;
 use super::store::work::Work;
 use crate::export::{self, ExportError, MadeFile, MakeError};
-use crate::extraction::{Extractor, WorkError};
+use crate::extraction::{Extractor, MeasuredError, WorkError};
 use crate::volumes::{Dataset, Reader, SharedCatalog, VolumeStep};
 
 /// Makes files.
@@ -34,6 +34,8 @@ pub enum MakeFailure {
     Retry(Cause),
     /// None will.
     Refused(Cause),
+    /// The surface has no triangles.
+    Empty(Cause),
     /// Nothing else of the job will succeed either.
     JobFailed(Cause),
 }
@@ -109,13 +111,9 @@ impl Maker for DeviceMaker {
                 detail,
             })
         };
-        let view = work
-            .request
-            .view(&dataset)
-            .map_err(|error| refused("bad-edit", error.to_string()))?;
         let volume =
             VolumeStep::new(dataset, work.request.step).map_err(|error| refused("unknown-step", error.to_string()))?;
-        let made = export::make(&self.extractor, volume, &view, work.request.format, token).await;
+        let made = export::make(&self.extractor, volume, &work.request, token).await;
         Ok(Box::new(made.map_err(failure)?))
     }
 
@@ -148,6 +146,9 @@ fn failure(error: MakeError) -> MakeFailure {
             MakeFailure::Refused(cause("too-large", error.to_string()))
         }
         MakeError::Export(error) => MakeFailure::Retry(cause("internal", crate::error::chain(&error))),
+        MakeError::Edit(error) => MakeFailure::Refused(cause("bad-edit", error.to_string())),
+        MakeError::Empty(why) => MakeFailure::Empty(cause("empty-surface", why)),
+        MakeError::Read(error) => MakeFailure::Retry(cause("unreadable-volume", crate::error::chain(&error))),
         MakeError::Panicked(error) => MakeFailure::Retry(cause("internal", error.to_string())),
     }
 }
@@ -159,5 +160,13 @@ impl ResultFile for MadeFile {
 
     fn triangles(&self) -> u64 {
         self.statistics.triangles
+    }
+
+    fn error(&self) -> Option<MeasuredError> {
+        self.statistics.error
+    }
+
+    fn notices(&self) -> Vec<String> {
+        self.statistics.notices.clone()
     }
 }

@@ -35,7 +35,10 @@ use tokio_util::sync::CancellationToken;
 pub use error::{JobError, StoreError};
 pub use identity::IdentityError;
 pub use results::{ReadResultError, ResultBytes};
-pub use state::{Cause, Estimate, Failure, JobEvent, JobInfo, JobRequest, JobState, Progress};
+pub use state::{
+    Cause, Estimate, ExtractionState, Failure, JobEvent, JobInfo, JobRequest, JobState, ManifestEntry, Progress,
+    file_name,
+};
 pub use state_folder::{StateFolder, StateFolderError};
 pub use store::requests::ResultInfo;
 
@@ -324,6 +327,14 @@ impl Jobs {
     /// Resolves when no more jobs are made.
     pub async fn stopped(&self) {
         self.0.stop.cancelled().await;
+    }
+
+    /// All extractions of a job, in their order.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`].
+    pub async fn manifest(&self, owner: &str, id: &str) -> Result<Vec<ManifestEntry>, JobError> {
+        self.0.store.manifest(owner, id).await
     }
 
     /// A result.

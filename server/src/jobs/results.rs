@@ -16,6 +16,7 @@ use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 
 use crate::export::ExportError;
+use crate::extraction::MeasuredError;
 
 /// Bytes of a write.
 const PART_BYTES: usize = 4 << 20;
@@ -32,6 +33,10 @@ pub trait ResultFile: Send + 'static {
     fn write(&self, out: &mut dyn Write) -> Result<(), ExportError>;
     /// Triangles of its surface.
     fn triangles(&self) -> u64;
+    /// How far its surface is from the full one, if that was measured.
+    fn error(&self) -> Option<MeasuredError>;
+    /// What its format could not keep.
+    fn notices(&self) -> Vec<String>;
 }
 
 /// A result that is on the disk.

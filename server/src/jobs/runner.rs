@@ -157,7 +157,7 @@ impl<M: Maker> Runner<M> {
             Ok(file) => file,
             Err(failure) => return of_failure(failure, token),
         };
-        let triangles = file.triangles();
+        let (triangles, error, notices) = (file.triangles(), file.error(), file.notices());
         let left = self.quota_bytes.saturating_sub(work.bytes_taken);
         let written = match self
             .results
@@ -177,6 +177,8 @@ impl<M: Maker> Runner<M> {
         let outcome = Outcome::Done {
             written,
             triangles,
+            error,
+            notices,
             seconds: start.elapsed().as_secs_f64(),
         };
         (outcome, None)
@@ -222,6 +224,7 @@ fn of_failure(failure: MakeFailure, token: &CancellationToken) -> (Outcome, Opti
         MakeFailure::Later => (Outcome::GivenBack, Some(Fault::Busy)),
         MakeFailure::Retry(cause) => (Outcome::Failed(cause), None),
         MakeFailure::Refused(cause) => (Outcome::Refused(cause), None),
+        MakeFailure::Empty(cause) => (Outcome::Empty(cause), None),
         MakeFailure::JobFailed(cause) => (Outcome::JobFailed(cause), None),
     }
 }

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::export::FileRequest;
+use crate::extraction::MeasuredError;
 
 /// What `POST jobs` asks for: surfaces of one volume, each a file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -26,7 +27,7 @@ pub enum JobState {
     Running,
     /// All results are there.
     Done,
-    /// Some extraction has no result, or its input changed. Results that were made are there.
+    /// Some extraction failed, all surfaces are empty, or its input changed. Results that were made are there.
     Failed,
     /// Somebody cancelled it. Results that were made are there.
     Cancelled,
@@ -75,6 +76,16 @@ pub struct Progress {
     pub done: u64,
     /// Without one, after three attempts or at once where others would not help.
     pub failed: u64,
+    /// Without one, because the surface has no triangles.
+    #[serde(default)]
+    pub empty: u64,
+}
+
+impl Progress {
+    /// How many are not to be made any more.
+    pub const fn ended(&self) -> u64 {
+        self.done + self.failed + self.empty
+    }
 }
 
 /// Why something has no result.
@@ -141,6 +152,59 @@ pub struct JobInfo {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(test, ts(as = "Option<Vec<Failure>>", optional))]
     pub failures: Vec<Failure>,
+}
+
+/// Where an extraction of a job is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ExtractionState {
+    /// It is not made yet, or was not when its job ended.
+    Waiting,
+    /// Its file is there.
+    Done,
+    /// Its surface has no triangles, so that there is no file.
+    Empty,
+    /// It has no file.
+    Failed,
+}
+
+/// An extraction of a job: a line of the job's manifest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct ManifestEntry {
+    /// Which, from 0.
+    pub extraction: u32,
+    /// Where it is.
+    pub state: ExtractionState,
+    /// Name of its file, where `isopeel batch` and `isopeel jobs fetch` write one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// Triangles of the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub triangles: Option<u64>,
+    /// Measured distance of the file's surface to the full one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<MeasuredError>,
+    /// Bytes of the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bytes: Option<u64>,
+    /// SHA-256 of the file, hexadecimal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
+    /// Seconds that it took to make.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seconds: Option<f64>,
+    /// What the file's format could not keep.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notices: Vec<String>,
+    /// Why there is no file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub problem: Option<Cause>,
+}
+
+/// The name of the file of an extraction: sorted by name the files are in the order of their extractions.
+pub fn file_name(extraction: u32, extension: &str) -> String {
+    format!("{extraction:05}.{extension}")
 }
 
 /// What has happened to a job.

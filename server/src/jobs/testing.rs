@@ -22,6 +22,7 @@ use super::store::requests::{NewJob, RequestKey};
 use super::store::work::Work;
 use super::{Limits, OPERATOR};
 use crate::export::ExportError;
+use crate::extraction::MeasuredError;
 use crate::volumes::testing::dataset;
 
 pub(super) const LIMITS: Limits = Limits { quota_bytes: 1 << 30 };
@@ -89,6 +90,14 @@ impl ResultFile for Content {
 
     fn triangles(&self) -> u64 {
         7
+    }
+
+    fn error(&self) -> Option<MeasuredError> {
+        Some(MeasuredError { rms: 0.25, max: 0.5 })
+    }
+
+    fn notices(&self) -> Vec<String> {
+        vec!["rounded".into()]
     }
 }
 

@@ -58,6 +58,7 @@ pub struct EmbedTokenInfo {
 #[utoipa::path(
     get,
     path = "/api/v1/embed",
+    operation_id = "show_embed",
     tag = "session",
     responses((status = 200, description = "The origins", body = EmbedInfo)),
 )]
@@ -71,6 +72,7 @@ pub async fn show(State(state): State<ApiState>) -> Json<EmbedInfo> {
 #[utoipa::path(
     post,
     path = "/api/v1/embed-tokens",
+    operation_id = "lend_embed_token",
     tag = "session",
     request_body = EmbedTokenRequest,
     responses(

@@ -66,7 +66,10 @@ impl From<MakeError> for ApiError {
     fn from(error: MakeError) -> Self {
         match error {
             MakeError::Work(error) => error.into(),
+            MakeError::Edit(error) => error.into(),
             MakeError::Export(error) => error.into(),
+            MakeError::Empty(why) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "empty-surface", why),
+            MakeError::Read(error) => WorkError::Unreadable(error.into()).into(),
             MakeError::Panicked(error) => Self::internal(error),
         }
     }

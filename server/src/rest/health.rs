@@ -44,6 +44,7 @@ pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiEr
 #[utoipa::path(
     get,
     path = "/api/v1/memory",
+    operation_id = "show_memory",
     tag = "health",
     responses(
         (status = 200, description = "Bytes by use, as of the device's last job", body = MemoryUse),

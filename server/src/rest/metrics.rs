@@ -4,7 +4,7 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 
-use super::{ApiState, CONCURRENT_EXTRACTS};
+use super::ApiState;
 use crate::extraction::MemoryUse;
 use crate::metrics;
 use crate::problem::{ApiError, Problem};
@@ -17,6 +17,7 @@ const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 #[utoipa::path(
     get,
     path = "/metrics",
+    operation_id = "show_metrics",
     tag = "health",
     responses(
         (status = 200, description = "The metrics", body = String, content_type = "text/plain"),
@@ -27,7 +28,7 @@ const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
     let worker = state.extractor.worker();
     metrics::queued(worker.queued());
-    metrics::exports(CONCURRENT_EXTRACTS - state.extracts.available_permits());
+    metrics::exports(state.exports.running());
     // A device that is still being opened, or could not be, holds nothing.
     if let Some(used) = worker.memory_now() {
         note_memory(&used);

@@ -3,13 +3,17 @@
 //! Handlers check the request, call catalog or extraction, and make the answer. Every error is an [`ApiError`], a problem document with
 //! a stable code.
 
+mod content_encoding;
+mod description;
 mod embed;
 mod error;
+mod export_queue;
 mod extract;
 mod health;
 mod jobs;
 mod metrics;
 mod oidc;
+mod ranges;
 mod session;
 mod slices;
 mod tickets;
@@ -32,13 +36,13 @@ use axum::routing::get;
 use tokio::sync::Semaphore;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
-use utoipa::OpenApi;
+use utoipa::{Modify, OpenApi};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub use embed::EmbedInfo;
 pub use extract::{ExtractRequest, STATISTICS_HEADER};
-pub use jobs::{DIGEST_HEADER, KEY_HEADER};
+pub use jobs::{DIGEST_HEADER, KEY_HEADER, LAST_EVENT_ID};
 pub use session::SessionInfo;
 pub use slices::SLICE_HEADER;
 pub use uploads::{LENGTH_HEADER, OFFSET_HEADER, TUS_HEADER};
@@ -50,7 +54,8 @@ use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
 use crate::uploads::Uploads;
 use crate::volumes::SharedCatalog;
-use extract::address::TagSeed;
+use export_queue::{ExportQueue, QueueLimits};
+use extract::address::KnownTags;
 
 /// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.
 const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -58,9 +63,14 @@ const MAX_BODY_BYTES: usize = 64 * 1024;
 /// Maximum time between two parts of a request's body, as for its head.
 const BODY_PAUSE: Duration = Duration::from_secs(10);
 
-/// Maximum exports at a time. Each holds a mesh in memory until its client has read it or timed out, with the regions it was made from
-/// some 100 MB for a million triangles.
-const CONCURRENT_EXTRACTS: usize = 4;
+/// Each export holds a mesh in memory until its client has read it or timed out, with the regions it was made from some 100 MB for a million
+/// triangles. One that waits holds a connection.
+const EXPORTS: QueueLimits = QueueLimits {
+    running: 4,
+    waiting: 32,
+    waiting_of_user: 8,
+    wait: Duration::from_secs(60),
+};
 
 /// Maximum planes of samples that are made at a time: some megabytes each.
 const CONCURRENT_SLICES: usize = 8;
@@ -73,8 +83,8 @@ const EVENT_STREAMS: usize = 64;
 pub struct ApiState {
     catalog: SharedCatalog,
     extractor: Extractor,
-    extracts: Arc<Semaphore>,
-    tag_seed: TagSeed,
+    exports: ExportQueue,
+    known_tags: KnownTags,
     slices: Arc<Semaphore>,
     events: Arc<Semaphore>,
     access: Access,
@@ -90,8 +100,8 @@ impl ApiState {
         Self {
             catalog,
             extractor,
-            extracts: Arc::new(Semaphore::new(CONCURRENT_EXTRACTS)),
-            tag_seed: TagSeed::random(),
+            exports: ExportQueue::new(EXPORTS),
+            known_tags: KnownTags::default(),
             slices: Arc::new(Semaphore::new(CONCURRENT_SLICES)),
             events: Arc::new(Semaphore::new(EVENT_STREAMS)),
             access,
@@ -151,12 +161,18 @@ fn routed() -> OpenApiRouter<ApiState> {
 
 /// The description of this API, OpenAPI 3.1.
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    routed().into_openapi()
+    described(routed().into_openapi())
+}
+
+fn described(mut openapi: utoipa::openapi::OpenApi) -> utoipa::openapi::OpenApi {
+    description::Completed.modify(&mut openapi);
+    openapi
 }
 
 /// REST, and the web client on all other paths.
 pub fn router(state: ApiState) -> Router {
     let (router, description) = routed().split_for_parts();
+    let description = described(description);
     router
         .route("/api/v1/openapi.json", get(async move || axum::Json(description)))
         .method_not_allowed_fallback(method_not_allowed)

@@ -44,6 +44,7 @@ pub struct Callback {
 #[utoipa::path(
     get,
     path = "/api/v1/oidc",
+    operation_id = "show_oidc",
     tag = "session",
     responses((status = 200, description = "It, or null", body = SignInWays)),
 )]
@@ -59,6 +60,7 @@ pub async fn show(State(state): State<ApiState>) -> Json<SignInWays> {
 #[utoipa::path(
     get,
     path = "/api/v1/oidc/login",
+    operation_id = "sign_in",
     tag = "session",
     responses(
         (status = 303, description = "To the issuer"),
@@ -75,6 +77,7 @@ pub async fn login(State(state): State<ApiState>) -> Result<Response, ApiError> 
 #[utoipa::path(
     get,
     path = "/api/v1/oidc/callback",
+    operation_id = "complete_sign_in",
     tag = "session",
     params(Callback),
     responses(
@@ -120,6 +123,7 @@ pub async fn callback(
 #[utoipa::path(
     delete,
     path = "/api/v1/session",
+    operation_id = "sign_out",
     tag = "session",
     responses(
         (status = 200, description = "The cookie is of no use any more, and streams that it has opened are closed", body = SignedOut),

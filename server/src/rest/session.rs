@@ -24,6 +24,7 @@ pub struct SessionRequest {
 #[utoipa::path(
     post,
     path = "/api/v1/session",
+    operation_id = "begin_session",
     tag = "session",
     request_body = SessionRequest,
     responses(
@@ -66,6 +67,7 @@ pub struct SessionInfo {
 #[utoipa::path(
     get,
     path = "/api/v1/session",
+    operation_id = "check_session",
     tag = "session",
     responses(
         (status = 200, description = "It may", body = SessionInfo),

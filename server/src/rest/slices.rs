@@ -110,11 +110,12 @@ pub struct SliceInfo<'a> {
 #[utoipa::path(
     get,
     path = "/api/v1/volumes/{id}/slices",
+    operation_id = "show_slice",
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), SliceQuery),
     responses(
         (status = 200, description = "The samples, or a PNG file", content_type = "application/octet-stream",
-         headers(("isopeel-slice" = SliceInfo, description = "Type, size and place of the samples, JSON in ASCII"))),
+         headers(("isopeel-slice" = String, description = "Type, size and place of the samples, JSON in ASCII"))),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume`, `unknown-step` or `unknown-field`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),

@@ -339,36 +339,29 @@ async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
 }
 
 #[tokio::test]
-async fn more_exports_than_the_server_takes_are_told_to_come_back() {
-    let state = state();
-    let all = state
-        .extracts
-        .clone()
-        .acquire_many_owned(CONCURRENT_EXTRACTS as u32)
-        .await
-        .unwrap();
-    let export = || {
-        Request::post("/api/v1/extract")
-            .header(header::CONTENT_TYPE, "application/json")
-            .body(Body::from(r#"{"volume":"ramp","format":"glb","iso":3}"#))
-            .unwrap()
+async fn more_exports_than_wait_are_told_to_come_back() {
+    let state = ApiState {
+        exports: ExportQueue::new(QueueLimits {
+            running: 1,
+            waiting: 0,
+            ..EXPORTS
+        }),
+        ..state()
     };
-    let response = router(state.clone())
-        .layer(Extension(Identity::without_token()))
-        .oneshot(export())
-        .await
-        .unwrap();
+    let export = || {
+        let request = Request::post("/api/v1/extract").header(header::CONTENT_TYPE, "application/json");
+        let request = request.body(Body::from(r#"{"volume":"ramp","format":"glb","iso":3}"#));
+        let router = router(state.clone()).layer(Extension(Identity::without_token()));
+        router.oneshot(request.unwrap())
+    };
+    let running = state.exports.admit("a").await.unwrap();
+    let response = export().await.unwrap();
     assert_eq!(response.headers()[header::RETRY_AFTER], "2");
     problem(response, StatusCode::SERVICE_UNAVAILABLE, "busy").await;
-    drop(all);
+    drop(running);
     // A permit is free, and only the device is missing; a failed export returns its permit.
-    for _ in 0..=CONCURRENT_EXTRACTS {
-        let response = router(state.clone())
-            .layer(Extension(Identity::without_token()))
-            .oneshot(export())
-            .await
-            .unwrap();
-        problem(response, StatusCode::SERVICE_UNAVAILABLE, "device").await;
+    for _ in 0..2 {
+        problem(export().await.unwrap(), StatusCode::SERVICE_UNAVAILABLE, "device").await;
     }
 }
 
@@ -398,6 +391,59 @@ async fn openapi_is_the_one_checked_in() {
     assert!(served == kept, "the API is no longer what server/openapi.json says");
 }
 
+/// Every value below `value` that has this name.
+fn all_named<'a>(value: &'a Value, name: &str, found: &mut Vec<&'a Value>) {
+    match value {
+        Value::Object(fields) => {
+            found.extend(fields.get(name));
+            fields.values().for_each(|field| all_named(field, name, found));
+        }
+        Value::Array(values) => values.iter().for_each(|value| all_named(value, name, found)),
+        _ => {}
+    }
+}
+
+#[test]
+fn openapi_is_complete() {
+    let openapi = serde_json::to_value(openapi()).unwrap();
+    let mut references = Vec::new();
+    all_named(&openapi, "$ref", &mut references);
+    assert!(references.len() > 100, "{}", references.len());
+    for reference in references {
+        let path = reference.as_str().unwrap().trim_start_matches('#');
+        assert!(openapi.pointer(path).is_some(), "{reference} is not there");
+    }
+    let mut names = Vec::new();
+    all_named(&openapi["paths"], "operationId", &mut names);
+    let mut once: Vec<&str> = names.iter().map(|name| name.as_str().unwrap()).collect();
+    once.sort_unstable();
+    once.dedup();
+    assert_eq!(once.len(), names.len(), "{names:?}");
+    assert_eq!(openapi["components"]["securitySchemes"]["token"]["scheme"], "bearer");
+    for (path, item) in openapi["paths"].as_object().unwrap() {
+        for (method, operation) in item.as_object().unwrap() {
+            assert!(operation["security"].is_array(), "{method} {path}");
+            let answers = operation["responses"].as_object().unwrap();
+            let has = |status: &&str| answers.contains_key(*status);
+            assert!(
+                !path.starts_with("/api/") || ["401", "403", "429"].iter().all(has),
+                "{method} {path}"
+            );
+            for (kind, content) in answers
+                .values()
+                .filter_map(|answer| answer["content"].as_object())
+                .flatten()
+            {
+                let is_binary = ["model/", "octet-stream"].iter().any(|part| kind.contains(part));
+                assert!(
+                    !is_binary || content["schema"]["type"] != "array",
+                    "{method} {path}: {kind}"
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
     let openapi = serde_json::to_value(openapi()).unwrap();
@@ -412,6 +458,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         .collect();
     names.sort_unstable();
     let expected = [
+        "allowEmpty",
         "alpha",
         "beta",
         "bytes",
@@ -420,19 +467,23 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "feature",
         "featureRange",
         "field",
+        "fieldValues",
         "format",
         "interest",
         "iso",
+        "label",
         "mask",
         "maxError",
         "maxLevel",
         "mesher",
         "minPart",
+        "outward",
         "parts",
         "step",
         "topology",
         "transferFunction",
         "triangles",
+        "unit",
         "volume",
     ];
     assert_eq!(names, expected);

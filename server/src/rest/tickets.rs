@@ -26,6 +26,7 @@ pub struct TicketInfo {
 #[utoipa::path(
     post,
     path = "/api/v1/tickets",
+    operation_id = "issue_ticket",
     tag = "session",
     responses(
         (status = 201, description = "The ticket", body = TicketInfo),

@@ -58,6 +58,7 @@ impl ApiState {
 #[utoipa::path(
     post,
     path = "/api/v1/uploads",
+    operation_id = "create_upload",
     tag = "uploads",
     request_body = UploadRequest,
     params(("idempotency-key" = Option<String>, Header, description = "1 to 255 visible ASCII characters: the same files with the same key make one upload")),
@@ -94,6 +95,7 @@ async fn create(
 #[utoipa::path(
     get,
     path = "/api/v1/uploads",
+    operation_id = "list_uploads",
     tag = "uploads",
     responses(
         (status = 200, description = "The uploads", body = UploadList),
@@ -108,6 +110,7 @@ async fn list(State(state): State<ApiState>, who: Identity) -> Result<Json<Uploa
 #[utoipa::path(
     get,
     path = "/api/v1/uploads/{id}",
+    operation_id = "show_upload",
     tag = "uploads",
     params(("id" = String, Path, description = "An upload's id")),
     responses(
@@ -128,6 +131,7 @@ async fn show(
 #[utoipa::path(
     delete,
     path = "/api/v1/uploads/{id}",
+    operation_id = "remove_upload",
     tag = "uploads",
     params(("id" = String, Path, description = "An upload's id")),
     responses(
@@ -149,6 +153,7 @@ async fn remove(
 #[utoipa::path(
     head,
     path = "/api/v1/uploads/{id}",
+    operation_id = "show_upload_offset",
     tag = "uploads",
     params(("id" = String, Path, description = "An upload's id")),
     responses(
@@ -187,6 +192,7 @@ async fn offset(
 #[utoipa::path(
     patch,
     path = "/api/v1/uploads/{id}",
+    operation_id = "send_upload_part",
     tag = "uploads",
     params(
         ("id" = String, Path, description = "An upload's id"),
@@ -290,6 +296,7 @@ fn by_tus(answer: Result<Response, ApiError>) -> Response {
 #[utoipa::path(
     post,
     path = "/api/v1/uploads/{id}/finish",
+    operation_id = "finish_upload",
     tag = "uploads",
     params(("id" = String, Path, description = "An upload's id")),
     responses(

@@ -48,6 +48,7 @@ impl From<&Dataset> for VolumeSummary {
 #[utoipa::path(
     get,
     path = "/api/v1/volumes",
+    operation_id = "list_volumes",
     tag = "volumes",
     responses((status = 200, description = "All volumes, in the order they were given, the demo last, then what the user has uploaded", body = [VolumeSummary])),
 )]
@@ -70,6 +71,7 @@ pub struct UnreadablePath {
 #[utoipa::path(
     get,
     path = "/api/v1/unreadable",
+    operation_id = "list_unreadable",
     tag = "volumes",
     responses((status = 200, description = "The paths, in the order they were given", body = [UnreadablePath])),
 )]
@@ -97,6 +99,7 @@ pub struct StepQuery {
 #[utoipa::path(
     get,
     path = "/api/v1/volumes/{id}",
+    operation_id = "show_volume",
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), StepQuery),
     responses(
@@ -138,6 +141,7 @@ pub struct ExpressionQuery {
 #[utoipa::path(
     get,
     path = "/api/v1/volumes/{id}/expression",
+    operation_id = "show_expression",
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), ExpressionQuery),
     responses(

@@ -64,7 +64,7 @@ pub struct Edit {
         deserialize_with = "quality::some_min_part"
     )]
     #[cfg_attr(test, ts(type = "number | null"))]
-    pub min_part: Option<f32>,
+    pub min_part: Option<f64>,
     /// Parts that are chosen by positions: hidden, or kept while all others are removed; null: all are shown. As `minPart`, with which
     /// both combine.
     #[serde(

@@ -99,6 +99,35 @@ fn fault_of(component: &str, fields: &[&str]) -> Option<String> {
 }
 
 impl FeatureName {
+    /// The power of length in the unit of its values, beside the unit of the fields that it is made of.
+    fn length_power(&self) -> i32 {
+        match self {
+            Self::None | Self::Field(_) => 0,
+            Self::Derived(feature) => match feature {
+                DerivedFeature::LocalVariance => 0,
+                DerivedFeature::GradientMagnitude | DerivedFeature::MeanCurvature => -1,
+                DerivedFeature::GaussianCurvature => -2,
+            },
+            Self::Vector(vector) => match vector.feature {
+                VectorFeature::Magnitude => 0,
+                VectorFeature::Divergence | VectorFeature::VorticityMagnitude | VectorFeature::Helicity => -1,
+                VectorFeature::QCriterion | VectorFeature::Lambda2 => -2,
+            },
+        }
+    }
+
+    /// A range of its values in world units, from those on the device, where lengths are multiples of the smallest spacing.
+    pub fn range_in_world(&self, range: [f32; 2], smallest: f64) -> [f32; 2] {
+        let unit = smallest.powi(self.length_power());
+        range.map(|value| ((f64::from(value) * unit) as f32).clamp(f32::MIN, f32::MAX))
+    }
+
+    /// The inverse of [`Self::range_in_world`].
+    pub fn range_on_device(&self, range: [f32; 2], smallest: f64) -> [f32; 2] {
+        let unit = smallest.powi(-self.length_power());
+        range.map(|value| ((f64::from(value) * unit) as f32).clamp(f32::MIN, f32::MAX))
+    }
+
     /// `none`.
     pub const NONE: &str = "none";
 

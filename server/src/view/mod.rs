@@ -8,8 +8,10 @@ mod feature;
 mod interest;
 mod mask;
 mod opening;
+mod outward;
 mod parts;
 pub mod quality;
+mod request;
 mod transfer_function;
 
 use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL, Topology};
@@ -23,6 +25,7 @@ pub use feature::{FeatureName, VectorName};
 pub use interest::InterestJson;
 pub use mask::Mask;
 pub use opening::{IsoReason, OpeningIso};
+pub use outward::Outward;
 pub use transfer_function::{PointJson, TransferFunctionJson};
 
 use error::quoted;
@@ -51,7 +54,7 @@ pub struct View {
     /// Instead of `beta`. Beside an error, the greater tolerance decides.
     pub budget: Option<Budget>,
     /// Parts of a smaller area are removed first, world units; 0: none are. Above 0 only where an error or a budget decides.
-    pub min_part: f32,
+    pub min_part: f64,
     /// Parts that were chosen, removed too or kept alone; `None`: all are shown. Only where an error or a budget decides.
     pub parts: Option<ChosenPartsJson>,
     /// What keeps the budget; found when the surface is planned, forgotten at the next edit.
@@ -358,19 +361,19 @@ impl View {
         Ok(())
     }
 
-    /// The parameters of a cut of cubes in a volume of this spacing, whose samples lie in the world as `index_space` says, those of a
-    /// cap's padding included; `None` before [`View::resolve`]. While a budget is not fitted, the threshold is the view's own.
-    pub fn cut_params(&self, spacing: [f64; 3], index_space: &IndexSpace) -> Option<CutParams> {
-        let tolerance = self.tolerance_in_force(spacing);
+    /// The parameters of a cut of cubes in a volume with this smallest spacing, whose samples lie in the world as `index_space` says, those of
+    /// a cap's padding included. Lengths in them are multiples of that spacing. `None` before [`View::resolve`]. While a budget is not fitted, the threshold is the view's own.
+    pub fn cut_params(&self, smallest: f64, index_space: &IndexSpace) -> Option<CutParams> {
+        let tolerance = self.tolerance_in_force(smallest);
         let interest = self.interest.iter().map(|interest| interest.to_kernel(index_space));
         Some(CutParams {
             alpha: self.alpha,
             tolerance: tolerance.filter(|&tolerance| tolerance >= 0.0),
-            feature_range: self.feature_range?,
+            feature_range: self.feature.range_on_device(self.feature_range?, smallest),
             max_level: self.max_level,
             transfer: self.transfer_function.to_kernel().ok()?,
             interest: interest.collect::<Option<_>>()?,
-            max_error: self.max_error_in_force().map(|distance| distance.world(spacing)),
+            max_error: self.max_error_in_force().map(|distance| distance.in_spacings(smallest)),
             topology: self.topology_in_force(),
             mesher: self.mesher.into(),
             cap: self.cap,
@@ -395,12 +398,14 @@ impl View {
 
     /// The guards that are `auto` and gave way to the budget: the error, where the tolerance is above what `auto` stands for beside β;
     /// then the topology.
-    pub fn gave_way(&self, spacing: [f64; 3]) -> Vec<GuardName> {
+    pub fn gave_way(&self, smallest: f64) -> Vec<GuardName> {
         let Some(fitted) = self.fitted else { return Vec::new() };
         let error = self.max_error == MaxError::Auto
             && self.is_by_error()
-            && fitted.threshold > MaxError::AUTO.world(spacing)
-            && self.error.is_none_or(|error| fitted.threshold > error.world(spacing));
+            && fitted.threshold > MaxError::AUTO.in_spacings(smallest)
+            && self
+                .error
+                .is_none_or(|error| fitted.threshold > error.in_spacings(smallest));
         let topology = self.topology == TopologyName::Auto && fitted.topology == Topology::Free;
         let both = [(GuardName::MaxError, error), (GuardName::Topology, topology)];
         both.into_iter()
@@ -428,12 +433,12 @@ impl View {
         (!self.is_by_error()).then_some(beta)
     }
 
-    /// The tolerance, where an error or a budget decides: the greater of both; world units. Below 0 nothing is decimated.
-    pub fn tolerance_in_force(&self, spacing: [f64; 3]) -> Option<f32> {
+    /// The tolerance, where an error or a budget decides: the greater of both; smallest spacings. Below 0 nothing is decimated.
+    pub fn tolerance_in_force(&self, smallest: f64) -> Option<f32> {
         let guard = self
             .max_error_in_force()
-            .map_or(f32::INFINITY, |guard| guard.world(spacing));
-        let error = self.error.map(|error| error.world(spacing).min(guard));
+            .map_or(f32::INFINITY, |guard| guard.in_spacings(smallest));
+        let error = self.error.map(|error| error.in_spacings(smallest).min(guard));
         let fitted = self.fitted.map(|fitted| fitted.threshold);
         let greater = match (error, fitted) {
             (Some(error), Some(fitted)) => error.max(fitted),

@@ -68,11 +68,19 @@ impl Distance {
     pub const EXPECTED: &str =
         "expected a number of world units, 0 or more, or text like \"0.25vx\" (multiples of the smallest spacing)";
 
-    /// In world units of a volume with this spacing.
-    pub fn world(self, spacing: [f64; 3]) -> f32 {
+    /// As multiples of this smallest spacing, which are the unit of lengths on the device; at most the largest finite number.
+    pub fn in_spacings(self, smallest: f64) -> f32 {
+        match self {
+            Self::World(distance) => ((f64::from(distance) / smallest) as f32).min(f32::MAX),
+            Self::Spacings(n) => n,
+        }
+    }
+
+    /// In world units of a volume with this smallest spacing.
+    pub fn world(self, smallest: f64) -> f32 {
         match self {
             Self::World(distance) => distance,
-            Self::Spacings(n) => (f64::from(n) * spacing.into_iter().fold(f64::INFINITY, f64::min)) as f32,
+            Self::Spacings(n) => (f64::from(n) * smallest) as f32,
         }
     }
 
@@ -247,8 +255,8 @@ pub fn some_max_error<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Opti
 }
 
 /// Null is 0, and not a name that is left out.
-pub fn some_min_part<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f32>, D::Error> {
-    let min_part = Option::<f32>::deserialize(deserializer)?;
+pub fn some_min_part<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    let min_part = Option::<f64>::deserialize(deserializer)?;
     Ok(Some(min_part.unwrap_or_default()))
 }
 
@@ -333,7 +341,7 @@ pub enum Budget {
 /// How a budget is met.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fitted {
-    /// Tolerance in force, world units, or for marching cubes β; below 0 nothing is decimated.
+    /// Tolerance in force, smallest spacings, or for marching cubes β; below 0 nothing is decimated.
     pub threshold: f32,
     /// Whether the topology is kept.
     pub topology: Topology,
@@ -380,7 +388,9 @@ mod tests {
             serde_json::from_str::<MaxError>("\"none\"").expect("JSON"),
             MaxError::None
         );
-        assert_eq!(Distance::Spacings(0.5).world([2.0, 0.5, 4.0]), 0.25);
+        assert_eq!(Distance::Spacings(0.5).in_spacings(1e-30), 0.5);
+        assert_eq!(Distance::World(0.5).in_spacings(2.0), 0.25);
+        assert_eq!(Distance::World(1.0).in_spacings(1e-50), f32::MAX);
     }
 
     #[test]

@@ -113,6 +113,16 @@ impl LengthUnit {
         }
     }
 
+    /// Its symbol in ASCII, for headers that hold nothing else.
+    pub const fn ascii_symbol(self) -> &'static str {
+        match self {
+            Self::Angstrom => "angstrom",
+            Self::Micrometre => "um",
+            Self::Degree => "degree",
+            other => other.symbol(),
+        }
+    }
+
     /// Its length in metres; `None` of an angle.
     pub const fn metres(self) -> Option<f64> {
         Some(match self {

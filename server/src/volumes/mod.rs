@@ -195,6 +195,11 @@ impl Dataset {
         std::array::from_fn(|axis| self.geometry.spacing[axis] * largest[axis])
     }
 
+    /// The smallest of the [cell lengths](Self::cell_lengths): the unit of lengths on the device, world units.
+    pub fn smallest_length(&self) -> f64 {
+        self.cell_lengths().into_iter().fold(f64::INFINITY, f64::min)
+    }
+
     /// Names of the fields, the main one first.
     pub fn field_names(&self) -> Vec<&str> {
         self.fields.iter().map(|field| field.name.as_str()).collect()
@@ -260,6 +265,22 @@ impl Geometry {
             }
         }
         padded
+    }
+
+    /// The same place in another unit: `from` is what its numbers are in, `to` what they become; if one of both is not known, they stay.
+    #[must_use]
+    pub fn in_unit(self, [from, to]: [Option<LengthUnit>; 2]) -> Self {
+        let metres = |unit: Option<LengthUnit>| unit.and_then(LengthUnit::metres);
+        let factor = match (metres(from), metres(to)) {
+            (Some(from), Some(to)) if from != to => from / to,
+            _ => 1.0,
+        };
+        Self {
+            spacing: self.spacing.map(|spacing| spacing * factor),
+            origin: self.origin.map(|component| component * factor),
+            unit: to.or(from).or(self.unit),
+            ..self
+        }
     }
 
     /// From index space to the world.

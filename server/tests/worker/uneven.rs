@@ -66,7 +66,7 @@ fn cross(a: Point, b: Point) -> Point {
 }
 
 fn positions(mesh: &Mesh) -> Vec<Point> {
-    mesh.positions.iter().map(|p| p.map(f64::from)).collect()
+    (0..mesh.positions.len()).map(|vertex| mesh.world(vertex)).collect()
 }
 
 /// Distance from each of some points to the nearest of others, at most.
@@ -206,7 +206,7 @@ async fn normals_are_exact_on_a_plane_but_for_their_rounding() {
     let cubes = format!(r#"{{{plain}, "mesher": "marching-cubes"}}"#);
     let (_, mesh) = extract(&worker, &dataset, &view(&dataset, &cubes)).await;
     assert!(mesh.normals.len() > 200);
-    for (position, [x, y, z]) in mesh.positions.iter().zip(&mesh.normals) {
+    for (position, [x, y, z]) in positions(&mesh).iter().zip(&mesh.normals) {
         let cosine = f64::from(-x - z) / 2f64.sqrt();
         assert!(cosine > 0.999_99, "{position:?}: {:?}, cosine {cosine}", [x, y, z]);
     }
@@ -216,11 +216,8 @@ async fn normals_are_exact_on_a_plane_but_for_their_rounding() {
     assert!(mesh.normals.len() > 200);
     let [_, z] = written_positions();
     let to_sum = |p: Point| p.map(|c| c / (p[0].abs() + p[1].abs() + p[2].abs()));
-    for (position, normal) in mesh.positions.iter().zip(&mesh.normals) {
-        let cell = z
-            .windows(2)
-            .find(|cell| f64::from(position[2]) < cell[1])
-            .expect("a cell");
+    for (position, normal) in positions(&mesh).iter().zip(&mesh.normals) {
+        let cell = z.windows(2).find(|cell| position[2] < cell[1]).expect("a cell");
         let share = (cell[1] - cell[0]) / (z[11] - z[10]);
         let [x, y, z] = normal.map(f64::from);
         let (found, exact) = (to_sum([x, y, z * share]), to_sum([-1.0, 0.0, -share]));
@@ -250,7 +247,8 @@ async fn stated_errors_are_bounds_from_above() {
             statistics.triangles < statistics.full_triangles / 2,
             "{rest}: decimated"
         );
-        let stated = statistics.error.expect("a measured error");
+        let step = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
+        let stated = made.statistics(&step, "device").error.expect("a measured error");
         let found = distances(&crossings, &mesh);
         let max = found.iter().copied().fold(0.0, f64::max);
         let rms = (found.iter().map(|d| d * d).sum::<f64>() / found.len() as f64).sqrt();
@@ -466,9 +464,9 @@ async fn positions_are_described_and_samples_can_be_counted() {
     let counted = Arc::new(counted);
     let cubes = view(&counted, r#"{"iso": 1, "beta": -1, "mesher": "marching-cubes"}"#);
     let (_, mesh) = extract(&worker, &counted, &cubes).await;
-    let crossing = |p: &[f32; 3]| p.iter().filter(|x| x.fract() == 0.0).count() >= 2;
+    let crossing = |p: &Point| p.iter().filter(|x| x.fract() == 0.0).count() >= 2;
     assert!(
-        mesh.positions.iter().all(crossing),
+        positions(&mesh).iter().all(crossing),
         "on the edges between whole numbers"
     );
 }

@@ -132,10 +132,143 @@ fn an_image_has_its_surface_in_one_place_whatever_its_format() {
         let other = mesh(name);
         assert_eq!(other.triangles, nrrd.triangles, "{name}");
         for (a, b) in other.positions.iter().zip(&nrrd.positions) {
-            let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(apart < 1e-4, "{name}: {a:?}, in NRRD {b:?}");
         }
     }
+}
+
+/// A ball of 30 samples across, as NRRD in metres, with the same spacing along all axes.
+fn write_ball(path: &Path, spacing: f64, origin: [f64; 3]) {
+    let mut file = std::fs::File::create(path).expect("a file");
+    let [x, y, z] = origin;
+    write!(
+        file,
+        "NRRD0005\ntype: float\ndimension: 3\nspace dimension: 3\nsizes: 40 40 40\nspace directions: ({spacing:e},0,0) (0,{spacing:e},0) \
+         (0,0,{spacing:e})\nspace origin: ({x:e},{y:e},{z:e})\nspace units: \"m\" \"m\" \"m\"\nendian: little\nencoding: raw\n\n"
+    )
+    .expect("written");
+    let samples = (0..64_000).flat_map(|i| {
+        let at = [i % 40, i / 40 % 40, i / 1600].map(|n| f64::from(n) - 19.3);
+        let radius = at.iter().map(|x| x * x).sum::<f64>().sqrt();
+        ((15.2 - radius) as f32).to_le_bytes()
+    });
+    file.write_all(&samples.collect::<Vec<u8>>()).expect("written");
+}
+
+#[test]
+fn a_surface_far_from_the_origin_is_as_exact_as_near_it() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    // Cells of 5 cm in coordinates of UTM.
+    let origin = [500_000.0, 4.6e6, 120.0];
+    let [near, far] = ["near.nrrd", "far.nrrd"].map(|name| folder.path().join(name));
+    write_ball(&near, 0.05, [0.0; 3]);
+    write_ball(&far, 0.05, origin);
+    for format in ["glb", "ply", "vtp", "stl"] {
+        let mesh = |volume: &Path| {
+            let out = folder.path().join(format!("ball.{format}"));
+            let statistics = command::extract_to(volume, "--iso 0 --triangles 20%", &out);
+            (statistics, files::read(format, &std::fs::read(&out).expect("written")))
+        };
+        let ((_, near), (statistics, far)) = (mesh(&near), mesh(&far));
+        assert_eq!(near.triangles, far.triangles, "{format}");
+        let [x, y, z] = origin;
+        let moved = match format {
+            "glb" => [x, z, -y],
+            // In millimetres.
+            "stl" => origin.map(|x| 1e3 * x),
+            _ => origin,
+        };
+        let pairs = near.positions.iter().zip(&far.positions);
+        let apart = pairs.flat_map(|(near, far)| [0, 1, 2].map(|i| (near[i] + moved[i] - far[i]).abs()));
+        let largest = apart.fold(0.0, f64::max);
+        let notices = &statistics["notices"];
+        if format == "stl" {
+            let said = notices[0].as_str().expect("a notice");
+            assert!(
+                said.contains("rounded by up to 2.") && said.contains("e2 mm, 5."),
+                "{said}"
+            );
+            assert!((100.0..300.0).contains(&largest), "{largest}");
+        } else {
+            assert!(largest < 1e-5, "{format}: {largest} m");
+            assert!(notices.is_null(), "{notices}");
+        }
+    }
+}
+
+#[test]
+fn a_surface_is_the_same_at_any_spacing() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("ball.ply");
+    let volume = folder.path().join("ball.nrrd");
+    for options in [
+        "--beta -1",
+        "--triangles 10%",
+        "--feature gradient-magnitude --triangles 20%",
+        "--mesher marching-cubes",
+    ] {
+        let made = |spacing: f64| {
+            write_ball(&volume, spacing, [0.0; 3]);
+            let statistics = command::extract_to(&volume, &format!("--iso 0 {options}"), &out);
+            let mesh = files::read("ply", &std::fs::read(&out).expect("written"));
+            let error = statistics["error"]["rms"].as_f64().map(|rms| rms / spacing);
+            (mesh, error)
+        };
+        let (unit, error) = made(1.0);
+        for exponent in [-30, -12, 9, 30] {
+            let spacing = 10f64.powi(exponent);
+            let (mesh, error_here) = made(spacing);
+            assert_eq!(mesh.triangles, unit.triangles, "{options} at 1e{exponent}");
+            let pairs = mesh.positions.iter().zip(&unit.positions);
+            let apart = pairs.flat_map(|(here, there)| [0, 1, 2].map(|i| (here[i] / spacing - there[i]).abs()));
+            let largest = apart.fold(0.0, f64::max);
+            assert!(largest < 1e-5, "{options} at 1e{exponent}: {largest} spacings");
+            if let (Some(error), Some(here)) = (error, error_here) {
+                assert!(
+                    (here / error - 1.0).abs() < 1e-5,
+                    "{options} at 1e{exponent}: {here}, at 1 {error}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_surface_without_triangles_is_an_exit_code_and_no_file() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for (format, bytes) in [("glb", 12), ("ply", 4), ("stl", 84), ("vtp", 5)] {
+        let out = folder.path().join(format!("none.{format}"));
+        let line = "extract FILE --iso 1000 --stats -o".to_owned();
+        let file = demo_file();
+        let arguments = || words(&line, &file).chain([out.as_os_str()]);
+        let refused = command::run(arguments());
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(3), "{said}");
+        assert!(
+            said.contains("no surface at isovalue 1000: values of \"t1\" go from 0 to"),
+            "{said}"
+        );
+        assert!(!out.exists() && std::fs::read_dir(folder.path()).expect("a folder").count() == 0);
+        assert!(String::from_utf8_lossy(&refused.stdout).contains("\"triangles\":0"));
+
+        command::succeed(arguments().chain([OsStr::new("--allow-empty")]));
+        let written = std::fs::read(&out).expect("the file is written");
+        assert!(written.len() >= bytes, "{format}: {} bytes", written.len());
+        std::fs::remove_file(&out).expect("removed");
+    }
+    // Counted alone, none is an answer.
+    let counted = command::extract(["--iso".as_ref(), "1000".as_ref(), demo_file().as_os_str()]);
+    assert_eq!(counted["triangles"], 0);
 }
 
 #[test]
@@ -160,7 +293,6 @@ fn bad_arguments_and_bad_files_are_refused_by_name() {
     let demo_file = demo_file();
     assert!(extract(&folder.path().join("nothing.nrrd"), "--iso 1").contains("nothing.nrrd"));
     assert!(extract(&demo_file, "--iso abc").contains("--iso"));
-    assert!(extract(&demo_file, "").contains("--iso"));
     assert!(extract(&demo_file, "--iso 100 --alpha 2").contains("alpha"));
     assert!(extract(&demo_file, "--iso 100 --max-level 9").contains("level"));
     assert!(extract(&demo_file, "--iso 100 --field nothing").contains("nothing"));

@@ -34,13 +34,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 fn centroids(mesh: &FileMesh) -> Vec<[f64; 3]> {
-    let of = |t: &[u32; 3]| {
-        std::array::from_fn(|axis| {
-            t.iter()
-                .map(|&v| f64::from(mesh.positions[v as usize][axis]) / 3.0)
-                .sum()
-        })
-    };
+    let of = |t: &[u32; 3]| std::array::from_fn(|axis| t.iter().map(|&v| mesh.positions[v as usize][axis] / 3.0).sum());
     mesh.triangles.iter().map(of).collect()
 }
 

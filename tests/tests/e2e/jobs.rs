@@ -51,8 +51,10 @@ pub fn request(extractions: &[Value]) -> Value {
 
 pub fn submit(address: SocketAddr, request: &Value, key: &str) -> http::Answer {
     let headers = [("content-type", "application/json"), ("idempotency-key", key)];
+    // Without a key where it is empty.
+    let headers = if key.is_empty() { &headers[..1] } else { &headers };
     let body = request.to_string();
-    http::send(address, "POST", "/api/v1/jobs", &headers, body.as_bytes()).expect("an answer")
+    http::send(address, "POST", "/api/v1/jobs", headers, body.as_bytes()).expect("an answer")
 }
 
 /// Waits until a job is finished.
@@ -140,7 +142,7 @@ fn a_job_makes_what_extract_does_and_keeps_it() {
     let last = &all.last().expect("events").2;
     assert_eq!(
         last["extractions"],
-        json!({"total": 5, "done": 5, "failed": 0}),
+        json!({"total": 5, "done": 5, "failed": 0, "empty": 0}),
         "{last}"
     );
     let (_, rest) = events(address, &id, &all[2].0.to_string());
@@ -157,10 +159,7 @@ fn a_job_makes_what_extract_does_and_keeps_it() {
         let result = http::get(address, &format!("/api/v1/jobs/{id}/results/{n}"));
         assert_eq!(result.status, 200);
         assert_eq!(result.header("etag"), format!("\"{}\"", checksum(&result.body)));
-        // Statistics in a GLB have times.
-        if extraction["format"] != "glb" {
-            assert!(result.body == extracted(address, extraction), "result {n}");
-        }
+        assert!(result.body == extracted(address, extraction), "result {n}");
         bytes += result.body.len() as u64;
     }
     assert_eq!(job["bytes"], bytes);
@@ -456,9 +455,11 @@ fn a_batch_needs_no_server() {
         return;
     }
     let setting = Setting::new();
-    // As the command has it by default, where REST has what the volume opens with.
-    let plain = json!({"iso": 1, "format": "ply", "error": "0.1vx", "feature": "none", "alpha": 0});
-    let extractions = [plain, extraction(2.0, "stl"), json!({"format": "stl", "iso": 400.0})];
+    let extractions = [
+        extraction(1.0, "ply"),
+        extraction(2.0, "stl"),
+        json!({"format": "stl", "iso": 400.0}),
+    ];
     let file = setting.folder.path().join("request.json");
     std::fs::write(
         &file,
@@ -472,7 +473,135 @@ fn a_batch_needs_no_server() {
     command::extract_to(&setting.volume, "--iso 1 --error 0.1vx", &one);
     assert!(std::fs::read(output.join("00000.ply")).expect("a result") == std::fs::read(one).expect("a file"));
     assert!(output.join("00001.stl").is_file());
-    // Nothing is at that isovalue: a file without a triangle.
-    assert_eq!(std::fs::metadata(output.join("00002.stl")).expect("a result").len(), 84);
-    assert_eq!(files_below(&output), 3, "no state is left");
+    // Nothing is at that isovalue.
+    let manifest = manifest(&output);
+    let states: Vec<&Value> = manifest.iter().map(|entry| &entry["state"]).collect();
+    assert_eq!(states, ["done", "done", "empty"]);
+    assert_eq!(manifest[1]["file"], "00001.stl");
+    assert_eq!(
+        manifest[1]["sha256"],
+        checksum(&std::fs::read(output.join("00001.stl")).expect("a result"))
+    );
+    assert!(manifest[1]["triangles"].as_u64() > Some(0) && manifest[1]["error"]["rms"].as_f64() > Some(0.0));
+    assert_eq!(manifest[2]["problem"]["code"], "empty-surface");
+    assert_eq!(
+        files_below(&output),
+        3,
+        "no state is left: two surfaces and the manifest"
+    );
+}
+
+#[test]
+fn the_same_words_make_the_same_surface_by_command_batch_and_rest() {
+    let setting = Setting::new();
+    let Some(server) = setting.server() else { return };
+    let folder = setting.folder.path();
+    let words = [
+        (json!({"iso": 1}), "--iso 1"),
+        (json!({}), ""),
+        (json!({"iso": 1, "beta": 0.02}), "--iso 1 --beta 0.02"),
+        (
+            json!({"iso": 1, "feature": "gradient-magnitude"}),
+            "--iso 1 --feature gradient-magnitude",
+        ),
+        (
+            json!({"iso": 1, "triangles": {"share": 0.1}}),
+            "--iso 1 --triangles 10%",
+        ),
+        (
+            json!({"iso": 1, "error": "0.1vx", "topology": "free"}),
+            "--iso 1 --error 0.1vx --topology free",
+        ),
+        (
+            json!({"iso": 1, "mesher": "marching-cubes"}),
+            "--iso 1 --mesher marching-cubes",
+        ),
+        (
+            json!({"iso": -9, "cap": true, "maxLevel": 3}),
+            "--iso -9 --cap --max-level 3",
+        ),
+    ];
+    let extractions: Vec<Value> = (words.iter())
+        .map(|(edit, _)| {
+            let mut extraction = edit.clone();
+            extraction["format"] = json!("ply");
+            extraction
+        })
+        .collect();
+    let file = folder.join("request.json");
+    let job = json!({"volume": "ball.npy", "extractions": extractions});
+    std::fs::write(&file, job.to_string()).expect("written");
+    let output = folder.join("out");
+    command::succeed(["batch".as_ref(), file.as_os_str(), "-o".as_ref(), output.as_os_str()]);
+    for (n, (extraction, (_, options))) in extractions.iter().zip(&words).enumerate() {
+        let one = folder.join("one.ply");
+        let by_command = command::extract_to(&setting.volume, options, &one);
+        let bytes = std::fs::read(&one).expect("a file");
+        assert!(by_command["triangles"].as_u64() > Some(100), "{options}: {by_command}");
+        assert!(
+            std::fs::read(output.join(format!("{n:05}.ply"))).expect("a result") == bytes,
+            "batch: {options}"
+        );
+        assert!(extracted(server.address, extraction) == bytes, "REST: {options}");
+    }
+}
+
+/// The lines of a folder's manifest.
+fn manifest(folder: &Path) -> Vec<Value> {
+    let text = std::fs::read_to_string(folder.join("manifest.jsonl")).expect("a manifest");
+    let lines = text.lines();
+    lines.map(|line| serde_json::from_str(line).expect("JSON")).collect()
+}
+
+#[test]
+fn a_surface_without_triangles_is_noted_in_a_job_and_written_where_that_is_asked_for() {
+    let setting = Setting::new();
+    let Some(server) = setting.server() else { return };
+    let address = server.address;
+    let url = format!("http://{address}");
+    let nothing = extraction(400.0, "stl");
+    let mut written = nothing.clone();
+    written["allowEmpty"] = json!(true);
+    let submitted = |extractions: &[Value]| {
+        let id = submit(address, &request(extractions), "").json()["id"].clone();
+        finished(address, id.as_str().expect("an id"))
+    };
+    let job = submitted(&[nothing.clone(), extraction(1.0, "stl"), written]);
+    assert_eq!(
+        (&job["state"], &job["extractions"]),
+        (&json!("done"), &json!({"total": 3, "done": 2, "failed": 0, "empty": 1})),
+        "{job}"
+    );
+    let path = format!("/api/v1/jobs/{}/results", job["id"].as_str().expect("an id"));
+    let entries = http::get(address, &path).json();
+    assert_eq!(
+        (&entries[0]["state"], &entries[2]["triangles"]),
+        (&json!("empty"), &json!(0))
+    );
+    assert_eq!(http::get(address, &format!("{path}/0")).problem(404), "no-result");
+    assert_eq!(http::get(address, &format!("{path}/2")).body.len(), 84);
+    let folder = setting.folder.path().join("fetched");
+    let id = job["id"].as_str().expect("an id");
+    command::succeed([
+        "jobs",
+        "--server",
+        &url,
+        "fetch",
+        id,
+        "-o",
+        folder.to_str().expect("UTF-8"),
+    ]);
+    let fetched = manifest(&folder);
+    assert_eq!(
+        (fetched.len(), &fetched[0]["problem"]["code"]),
+        (3, &json!("empty-surface"))
+    );
+    assert_eq!(files_below(&folder), 3, "two surfaces and the manifest");
+
+    let job = submitted(&[nothing.clone(), nothing]);
+    assert_eq!(
+        (&job["state"], &job["error"]["code"]),
+        (&json!("failed"), &json!("empty-surface")),
+        "{job}"
+    );
 }

@@ -12,6 +12,7 @@ mod crowd;
 mod drivers;
 mod edits;
 mod expected_cuts;
+mod exports;
 mod faults;
 mod interest;
 mod interrupted;

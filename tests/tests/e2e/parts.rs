@@ -54,14 +54,14 @@ fn characteristic(statistics: &Value) -> i64 {
 /// Statistics and mesh of an extraction.
 fn extract(volume: &Path, options: &str) -> (Value, FileMesh) {
     let out = volume.with_extension("stl");
-    let statistics = command::extract_to(volume, &format!("--iso 0 {options}"), &out);
+    let statistics = command::extract_to(volume, &format!("--iso 0 --allow-empty {options}"), &out);
     (statistics, files::read("stl", &std::fs::read(&out).expect("written")))
 }
 
 /// The triangles of each part of a mesh, by the bits of their corners' positions; triangles and parts in order.
-fn parts(mesh: &FileMesh) -> Vec<Vec<[[u32; 3]; 3]>> {
-    let mut above: HashMap<[u32; 3], [u32; 3]> = HashMap::new();
-    fn root(above: &mut HashMap<[u32; 3], [u32; 3]>, at: [u32; 3]) -> [u32; 3] {
+fn parts(mesh: &FileMesh) -> Vec<Vec<[[u64; 3]; 3]>> {
+    let mut above: HashMap<[u64; 3], [u64; 3]> = HashMap::new();
+    fn root(above: &mut HashMap<[u64; 3], [u64; 3]>, at: [u64; 3]) -> [u64; 3] {
         let mut at = at;
         loop {
             let next = *above.entry(at).or_insert(at);
@@ -71,7 +71,7 @@ fn parts(mesh: &FileMesh) -> Vec<Vec<[[u32; 3]; 3]>> {
             at = next;
         }
     }
-    let corners = |triangle: &[u32; 3]| triangle.map(|corner| mesh.positions[corner as usize].map(f32::to_bits));
+    let corners = |triangle: &[u32; 3]| triangle.map(|corner| mesh.positions[corner as usize].map(f64::to_bits));
     for triangle in &mesh.triangles {
         let [a, b, c] = corners(triangle);
         for (a, b) in [(a, b), (b, c)] {
@@ -79,7 +79,7 @@ fn parts(mesh: &FileMesh) -> Vec<Vec<[[u32; 3]; 3]>> {
             above.insert(a.max(b), a.min(b));
         }
     }
-    let mut parts: HashMap<[u32; 3], Vec<[[u32; 3]; 3]>> = HashMap::new();
+    let mut parts: HashMap<[u64; 3], Vec<[[u64; 3]; 3]>> = HashMap::new();
     for triangle in &mesh.triangles {
         let corners = corners(triangle);
         parts.entry(root(&mut above, corners[0])).or_default().push(corners);
@@ -234,10 +234,10 @@ fn on_ball(ball: usize) -> [f32; 3] {
 
 /// The middles and radii of balls that a mesh has something of.
 fn balls_of(mesh: &FileMesh) -> Vec<usize> {
-    let is_of = |ball: usize, at: [f32; 3]| {
+    let is_of = |ball: usize, at: [f64; 3]| {
         let (middle, radius) = BALLS[ball];
-        let distance = (0..3).map(|i| (at[i] - middle[i]).powi(2)).sum::<f32>().sqrt();
-        (distance - radius).abs() < 1.0
+        let distance2: f64 = (0..3).map(|i| (at[i] - f64::from(middle[i])).powi(2)).sum();
+        (distance2.sqrt() - f64::from(radius)).abs() < 1.0
     };
     let has = |&ball: &usize| mesh.positions.iter().any(|&at| is_of(ball, at));
     (0..BALLS.len()).filter(has).collect()

@@ -122,16 +122,22 @@ fn every_format_holds_the_same_surface_in_the_same_place() {
             "triangles as PLY, STL, VTP and GLB"
         );
         // GLB is in metres, y up: x, z, −y of the world.
-        let glb: [[f32; 3]; 2] = extents.pop().expect("four");
+        let glb: [[f64; 3]; 2] = extents.pop().expect("four");
         let [low, high] = glb.map(|[x, y, z]| [1e3 * x, -1e3 * z, 1e3 * y]);
         let glb = [[low[0], high[1], low[2]], [high[0], low[1], high[2]]];
-        assert_eq!(extents, [extents[0]; 3], "extent as PLY, STL and VTP");
+        // An STL has 32 bits.
+        let in_32_bits = |extent: [[f64; 3]; 2]| extent.map(|corner| corner.map(|x| x as f32));
+        assert_eq!(
+            [extents[0], extents[2]].map(in_32_bits),
+            [in_32_bits(extents[1]); 2],
+            "extent as PLY, VTP and STL"
+        );
         let [low, high] = extents[0];
         for (here, there) in extents[0].iter().flatten().zip(glb.iter().flatten()) {
             assert!((here - there).abs() < 1e-3, "{:?}, as GLB {glb:?}", extents[0]);
         }
         // Spacing is 1 mm. In LPS sample (0, 0, 0) is at (98, 134, -72), x and y fall.
-        let dims = demo::DIMS.map(|n| n as f32 - 1.0);
+        let dims = demo::DIMS.map(|n| f64::from(n) - 1.0);
         for (axis, origin) in [98.0 - dims[0], 134.0 - dims[1], -72.0].into_iter().enumerate() {
             let last = origin + dims[axis];
             assert!(
@@ -191,6 +197,86 @@ fn what_cannot_be_extracted_is_a_problem_with_a_stable_code() {
     assert!(codes.iter().all(stable), "{codes:?}");
     // after all that it still works
     assert_eq!(http::post_json(address, "/api/v1/extract", &good).status, 200);
+}
+
+#[test]
+fn equal_requests_have_equal_bytes_which_can_be_resumed() {
+    let Some(address) = server::shared() else { return };
+    for format in ["glb", "ply", "stl", "vtp"] {
+        let body = json!({"volume": demo::ID, "format": format, "iso": 101.5, "triangles": {"share": 0.05}});
+        let posted = http::post_json(address, "/api/v1/extract", &body).body;
+        let path = format!(
+            "/api/v1/extract?volume={}&format={format}&iso=101.5&triangles=%7B%22share%22%3A0.05%7D",
+            demo::ID
+        );
+        let whole = http::get(address, &path);
+        assert_eq!(whole.status, 200, "{}", String::from_utf8_lossy(&whole.body));
+        assert!(whole.body == posted, "{format}: POST and GET");
+        let ask = |method: &str, headers: &[(&str, &str)]| {
+            http::send(address, method, &path, headers, b"").expect("an answer")
+        };
+        let length = whole.body.len();
+        let head = ask("HEAD", &[]);
+        let of = |answer: &http::Answer| ["content-length", "etag"].map(|name| answer.header(name).to_owned());
+        assert_eq!(of(&head), of(&whole), "{format}");
+        let etag = whole.header("etag");
+        assert!(
+            etag.starts_with('"') && head.header("accept-ranges") == "bytes",
+            "{etag}"
+        );
+        assert_eq!(ask("GET", &[("if-none-match", etag)]).status, 304);
+
+        let half = length / 2;
+        let rest = ask("GET", &[("range", &format!("bytes={half}-")), ("if-range", etag)]);
+        assert_eq!(
+            (rest.status, rest.header("content-range")),
+            (206, format!("bytes {half}-{}/{length}", length - 1).as_str())
+        );
+        assert!(rest.body == whole.body[half..], "{format}");
+        let of_another = ask("GET", &[("range", "bytes=5-"), ("if-range", "\"another\"")]);
+        assert!(of_another.status == 200 && of_another.body == whole.body);
+        let beyond = ask("GET", &[("range", &format!("bytes={length}-"))]);
+        assert_eq!(beyond.problem(416), "bad-range");
+
+        for encoding in ["zstd", "gzip"] {
+            let packed = ask("GET", &[("accept-encoding", encoding)]);
+            assert_eq!((packed.status, packed.header("content-encoding")), (200, encoding));
+            assert!(
+                packed.body.len() < length,
+                "{format} as {encoding}: {} bytes of {length}",
+                packed.body.len()
+            );
+            let tag = packed.header("etag");
+            assert!(
+                tag != etag && packed.header("vary").contains("Accept-Encoding"),
+                "{tag}"
+            );
+            assert_eq!(
+                ask("GET", &[("accept-encoding", encoding), ("if-none-match", tag)]).status,
+                304
+            );
+        }
+    }
+}
+
+#[test]
+fn a_surface_without_triangles_is_refused_unless_it_is_allowed() {
+    let Some(address) = server::shared() else { return };
+    for format in ["glb", "ply", "stl", "vtp"] {
+        let mut nothing = extraction(format, 0.1);
+        nothing["iso"] = json!(1000);
+        let refused = http::post_json(address, "/api/v1/extract", &nothing);
+        assert_eq!(refused.problem(422), "empty-surface");
+        let detail = refused.json()["detail"].as_str().expect("a detail").to_owned();
+        assert!(detail.starts_with("no surface at isovalue 1000"), "{detail}");
+        nothing["allowEmpty"] = json!(true);
+        let allowed = http::post_json(address, "/api/v1/extract", &nothing);
+        assert_eq!(allowed.status, 200, "{}", String::from_utf8_lossy(&allowed.body));
+    }
+    let by_address = format!("/api/v1/extract?volume={}&format=stl&iso=1000", demo::ID);
+    assert_eq!(http::get(address, &by_address).problem(422), "empty-surface");
+    let allowed = http::get(address, &format!("{by_address}&allowEmpty=true"));
+    assert_eq!((allowed.status, allowed.body.len()), (200, 84));
 }
 
 #[test]

@@ -127,7 +127,12 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     let before = made();
     let export = |iso: Option<f64>| {
         let start = Instant::now();
-        let body = json!({"volume": "ball", "format": "glb", "iso": iso});
+        // As a viewer states what it opens with.
+        let mut body = json!({"volume": "ball", "format": "glb", "feature": "gradient-magnitude", "alpha": 0.5, "error": "0.1vx",
+            "triangles": {"share": 0.25, "max": 1_000_000}});
+        if let Some(iso) = iso {
+            body["iso"] = json!(iso);
+        }
         assert_eq!(http::post_json(address, "/api/v1/extract", &body).status, 200);
         start.elapsed()
     };
@@ -162,7 +167,11 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     assert_eq!(made(), before);
     for answer in [&file, &again] {
         assert_eq!(answer.header("cache-control"), "private, no-cache");
-        assert!(answer.header("vary").contains("Authorization, Cookie, Origin"));
+        assert!(
+            answer
+                .header("vary")
+                .contains("Authorization, Cookie, Origin, Accept-Encoding")
+        );
     }
     let other = shown("/api/v1/extract?volume=ball&format=stl&iso=3.5", tag);
     assert_eq!(other.status, 200);

@@ -478,6 +478,9 @@ export type OpeningIso = {
   explanation: string,
 };
 
+/** Which side of a surface is its outside: the one that its triangles and normals show. */
+export type Outward = "auto" | "high" | "low";
+
 /** What the page of whoever has control shows beside its surfaces. */
 export type Pose = {
   /** Its camera. */
@@ -498,7 +501,7 @@ export type Problem = {
   detail: string,
   /**
    * What programs tell problems apart by: `bad-edit`, `bad-job`, `bad-json`, `bad-range`, `bad-request`, `bad-slice`, `bad-upload`, `body-too-large`,
-   * `busy`, `device`, `disk-full`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
+   * `busy`, `device`, `disk-full`, `empty-surface`, `forbidden`, `foreign-host`, `foreign-origin`, `input-changed`, `internal`, `job-finished`, `job-not-finished`,
    * `jobs-off`, `key-reused`, `method-not-allowed`, `no-result`, `not-found`, `over-budget`, `over-declared`, `over-quota`, `taken-over`, `too-large`, `too-many-jobs`,
    * `too-many-requests`, `too-many-tickets`, `too-many-uploads`, `unauthorized`, `unknown-field`, `unknown-job`, `unknown-step`, `unknown-upload`,
    * `unknown-volume`, `unreadable-volume`, `unsupported-media-type`, `unsupported-version`, `upload-finished`, `upload-incomplete`, `upload-locked`,
@@ -517,6 +520,8 @@ export type Progress = {
   done: number,
   /** Without one, after three attempts or at once where others would not help. */
   failed: number,
+  /** Without one, because the surface has no triangles. */
+  empty: number,
 };
 
 /** How a camera shows depth. */
@@ -730,6 +735,16 @@ export type SessionInfo = {
   jobs: boolean,
 };
 
+/** The shape of the surface in a file. */
+export type Shape = {
+  /** The side that triangles and normals show: that of high or that of low values. */
+  outward: Outward,
+  /** Whether each edge has two triangles. */
+  isClosed: boolean,
+  /** The volume that a closed surface encloses, in cubes of the file's unit. */
+  volume: number | null,
+};
+
 /** A share of the full surface's triangles. */
 export type ShareBudget = {
   /** The share, above 0 and up to 1. */
@@ -811,6 +826,10 @@ export type Statistics = {
   volumeBytes: number,
   /** Name of the device. */
   device: string,
+  /** The shape of a file's surface. Never in the stream. */
+  shape?: Shape,
+  /** What the format of a file could not keep. Never in the stream. */
+  notices?: Array<string>,
 };
 
 /** An edit and the number of the surface that it is for, 0 where it is left out. */

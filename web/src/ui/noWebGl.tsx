@@ -3,10 +3,13 @@
 import { createResource, createSignal, For, Show } from "solid-js";
 import { render } from "solid-js/web";
 import { extract, listVolumes } from "../net/rest";
-import type { VolumeSummary } from "../protocol/types";
+import type { Edit, VolumeSummary } from "../protocol/types";
 import { FORMATS } from "./exportMenu";
 import { saveFile } from "./takeAlong";
 import { Button } from "./widgets/button";
+
+/** What is downloaded: the cut that a volume opens with. */
+const DOWNLOADED: Edit = { feature: "gradient-magnitude", alpha: 0.5, error: "0.1vx", triangles: { share: 0.25, max: 1_000_000 } };
 
 export function showNoWebGl(root: HTMLElement, base: URL, reason: string): void {
   root.replaceChildren();
@@ -19,7 +22,7 @@ function NoWebGl(props: { readonly base: URL; readonly reason: string }) {
   const download = async (volume: string, format: string) => {
     setNote("The mesh is being made");
     try {
-      saveFile(`${volume}.${format}`, await extract(props.base, volume, 0, format, { triangles: { share: 0.25, max: 1_000_000 } }));
+      saveFile(`${volume}.${format}`, await extract(props.base, volume, 0, format, DOWNLOADED));
       setNote("");
     } catch (error) {
       setNote(error instanceof Error ? error.message : String(error));

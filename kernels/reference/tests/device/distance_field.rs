@@ -107,7 +107,7 @@ impl Labels {
 
     fn check(&self, volume: &Volume, engine: &Engine) -> Result<(), TestCaseError> {
         let found = engine
-            .distance_field(&where_three(), &[volume], &Never)
+            .distance_field(&where_three(), &[volume], 1.0, &Never)
             .expect("distances");
         let (want, diagonal) = self.distances();
         let Some(found) = found else {
@@ -175,7 +175,7 @@ fn distances_to_one_sample_and_to_all() {
         labels.values = vec![255; count];
         let missing = labels.load(&engine);
         let found = engine
-            .distance_field(&where_three(), &[&missing], &Never)
+            .distance_field(&where_three(), &[&missing], 1.0, &Never)
             .expect("no fault");
         assert!(found.is_none(), "missing samples are not inside");
     }
@@ -222,7 +222,7 @@ fn others_have_turns_and_what_is_given_up_leaves_no_memory() {
             given_up_at,
             work: &|| labels.check(&volume, &engine).expect("the twin's distances"),
         };
-        let found = engine.distance_field(&where_three(), &[&volume], &others);
+        let found = engine.distance_field(&where_three(), &[&volume], 1.0, &others);
         assert!(
             matches!(found, Err(Error::Cancelled)),
             "goes on after poll {given_up_at}"

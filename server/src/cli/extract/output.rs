@@ -8,8 +8,8 @@ use tempfile::NamedTempFile;
 use tokio_util::sync::CancellationToken;
 
 use super::ExtractError;
-use crate::export::{ExportError, Format, MadeFile};
-use crate::extraction::Extraction;
+use crate::export::{ExportError, FileRequest, MadeFile, MakeError};
+use crate::extraction::{Extraction, ExtractionStatistics};
 use crate::volumes::VolumeStep;
 
 /// Bytes of a write.
@@ -18,12 +18,12 @@ const BUFFER_BYTES: usize = 1 << 20;
 /// A temporary file beside the output, renamed when it is complete and otherwise deleted.
 pub(super) struct Output {
     pub path: PathBuf,
-    format: Format,
+    request: FileRequest,
     file: NamedTempFile,
 }
 
 impl Output {
-    pub(super) fn create(path: &Path, format: Format) -> Result<Self, ExtractError> {
+    pub(super) fn create(path: &Path, request: FileRequest) -> Result<Self, ExtractError> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
         let mut builder = tempfile::Builder::new();
         builder.prefix(".isopeel-");
@@ -51,19 +51,20 @@ impl Output {
         })?;
         Ok(Self {
             path: path.to_owned(),
-            format,
+            request,
             file,
         })
     }
 
+    /// Writes the file of a surface. Returns its statistics, with what the format could not keep.
     pub(super) fn write(
         mut self,
         extraction: Extraction,
         volume: &VolumeStep,
-        (colored, device): (bool, &str),
+        device: &str,
         token: &CancellationToken,
-    ) -> Result<(), ExtractError> {
-        let made = MadeFile::new(extraction, volume, (self.format, colored), device, &|| false)?;
+    ) -> Result<ExtractionStatistics, ExtractError> {
+        let made = MadeFile::new(extraction, volume, &self.request, device, &|| false)?;
         let file = Interruptible {
             file: self.file.as_file_mut(),
             token,
@@ -79,13 +80,13 @@ impl Output {
                     source,
                 });
             }
-            Err(other) => return Err(other.into()),
+            Err(other) => return Err(MakeError::from(other).into()),
         }
         self.file.persist(&self.path).map_err(|error| ExtractError::Output {
             path: self.path,
             source: error.error,
         })?;
-        Ok(())
+        Ok(made.statistics)
     }
 }
 

@@ -5,13 +5,25 @@ use clap::Parser;
 use super::super::{Cli, Command};
 use super::*;
 use crate::extraction::Extraction;
-use crate::volumes::testing;
+use crate::view::FeatureName;
+use crate::volumes::{Dataset, testing};
 
 fn parse(line: &str) -> Result<Args, clap::Error> {
     match Cli::try_parse_from(line.split_whitespace())?.command {
         Command::Extract(args) => Ok(args),
         other => panic!("{other:?}"),
     }
+}
+
+impl Args {
+    /// The view of the arguments.
+    fn view(&self, dataset: &Dataset) -> Result<View, ExtractError> {
+        Ok(self.request(Format::Stl)?.view(dataset)?)
+    }
+}
+
+fn request(line: &str) -> FileRequest {
+    parse(line).unwrap().request(Format::Glb).unwrap()
 }
 
 fn dataset() -> Dataset {
@@ -28,7 +40,7 @@ fn dataset() -> Dataset {
 fn negative_numbers_are_values() {
     let args =
         parse("isopeel extract a.nrrd --iso -300 --beta -1 --feature gm --feature-range -5 -2.5 --stats").unwrap();
-    assert_eq!((args.iso, args.beta), (-300.0, Some(-1.0)));
+    assert_eq!((args.iso, args.beta), (Some(-300.0), Some(-1.0)));
     assert_eq!(args.feature_range, Some(vec![-5.0, -2.5]));
 }
 
@@ -36,7 +48,7 @@ fn negative_numbers_are_values() {
 fn a_result_must_be_asked_for_and_ranges_hold() {
     for line in [
         "isopeel extract a.nrrd --iso 1",
-        "isopeel extract a.nrrd --stats",
+        "isopeel extract --iso 1 --stats",
         "isopeel extract a.nrrd --iso 1 --stats --max-level 6",
         "isopeel extract a.nrrd --iso 1 --stats --feature gm --feature-range 1",
         "isopeel extract a.nrrd --iso 1 --stats --feature-range 1 2",
@@ -234,10 +246,7 @@ fn without_a_feature_smoothness_alone_decides() {
         .unwrap()
         .view(&dataset())
         .unwrap();
-    assert_eq!(
-        (view.feature, view.alpha),
-        (FeatureName::Field("gm".into()), FEATURE_ALPHA)
-    );
+    assert_eq!((view.feature, view.alpha), (FeatureName::Field("gm".into()), 0.3));
 }
 
 #[test]
@@ -274,12 +283,12 @@ fn a_transfer_function_is_read_or_its_file_named() {
 fn an_output_that_cannot_be_written_fails_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
     assert!(matches!(
-        Output::create(folder.path(), Format::Glb),
+        Output::create(folder.path(), request("isopeel extract a.nrrd --iso 1 --stats")),
         Err(ExtractError::Output { .. })
     ));
     let missing = folder.path().join("no/such/a.glb");
     assert!(matches!(
-        Output::create(&missing, Format::Glb),
+        Output::create(&missing, request("isopeel extract a.nrrd --iso 1 --stats")),
         Err(ExtractError::Output { .. })
     ));
     let error = Format::from_path(Path::new("head.obj")).unwrap_err().to_string();
@@ -315,18 +324,18 @@ fn the_output_appears_whole_or_not_at_all() {
 
     let stopped = CancellationToken::new();
     stopped.cancel();
-    let output = Output::create(&path, Format::Glb).unwrap();
+    let output = Output::create(&path, request("isopeel extract a.nrrd --iso 1 --stats")).unwrap();
     assert!(
         output
-            .write(extraction(view.clone()), &volume, (true, "device"), &stopped)
+            .write(extraction(view.clone()), &volume, "device", &stopped)
             .is_err()
     );
     assert_eq!(files(), 0);
 
-    let output = Output::create(&path, Format::Glb).unwrap();
+    let output = Output::create(&path, request("isopeel extract a.nrrd --iso 1 --stats")).unwrap();
     assert_eq!(files(), 1);
     output
-        .write(extraction(view), &volume, (true, "device"), &CancellationToken::new())
+        .write(extraction(view), &volume, "device", &CancellationToken::new())
         .unwrap();
     assert_eq!(files(), 1);
     assert_eq!(&std::fs::read(&path).unwrap()[..4], b"glTF");
@@ -336,43 +345,11 @@ fn the_output_appears_whole_or_not_at_all() {
 fn a_folder_that_is_not_there_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let missing = folder.path().join("meshes");
-    let Err(ExtractError::Output { source, .. }) = Output::create(&missing.join("a.glb"), Format::Glb) else {
+    let Err(ExtractError::Output { source, .. }) = Output::create(
+        &missing.join("a.glb"),
+        request("isopeel extract a.nrrd --iso 1 --stats"),
+    ) else {
         panic!("there is no folder to write to");
     };
     assert_eq!(source.to_string(), format!("there is no folder {}", missing.display()));
-}
-
-#[test]
-fn an_empty_mesh_says_why_it_is_empty() {
-    let view = |options: &str| {
-        let args = parse(&format!("isopeel extract a.nrrd --iso 1 --stats {options}")).unwrap();
-        args.view(&dataset()).unwrap()
-    };
-    let histogram = |samples| Histogram {
-        range: if samples > 0 { [0.0, 255.0] } else { [0.0; 2] },
-        bins: vec![samples; 256],
-    };
-    let (plain, masked) = (view(""), view("--mask gm>=3"));
-    for (iso, view, expected) in [
-        (
-            300.0,
-            &plain,
-            "no surface at isovalue 300: values of \"t1\" go from 0 to 255, expected a number between them, such as 127.5",
-        ),
-        (
-            0.0,
-            &masked,
-            "no surface at isovalue 0: values of \"t1\" go from 0 to 255, expected a number between them, such as 127.5",
-        ),
-        (9.0, &masked, "no surface at isovalue 9 where gm>=3"),
-        (
-            9.0,
-            &plain,
-            "no surface at isovalue 9: samples on both sides of it are parted by missing ones",
-        ),
-    ] {
-        assert_eq!(no_surface(iso, view, &histogram(9)), expected);
-    }
-    let none = no_surface(0.0, &plain, &histogram(0));
-    assert_eq!(none, "no surface: no sample of \"t1\" has a value");
 }

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 
 use super::JobsError;
 use crate::access::Token;
-use crate::jobs::JobInfo;
+use crate::jobs::{JobInfo, ManifestEntry};
 use crate::volumes::is_this_machine;
 
 /// A server, and who asks it.
@@ -26,9 +26,6 @@ struct Problem {
 
 /// A result that is being downloaded.
 pub(super) struct Download {
-    pub extension: String,
-    /// SHA-256 of the whole file, in hexadecimal.
-    pub checksum: String,
     response: Response,
     server: String,
 }
@@ -141,26 +138,17 @@ impl Client {
         self.parse(&self.send(Method::GET, &format!("/{id}")).await?)
     }
 
-    /// A result; `None` where there is none.
-    pub(super) async fn result(&self, id: &str, extraction: u64) -> Result<Option<Download>, JobsError> {
+    pub(super) async fn manifest(&self, id: &str) -> Result<Vec<ManifestEntry>, JobsError> {
+        self.parse(&self.send(Method::GET, &format!("/{id}/results")).await?)
+    }
+
+    /// Begins to download a result.
+    pub(super) async fn result(&self, id: &str, extraction: u32) -> Result<Download, JobsError> {
         let request = self.request(Method::GET, &format!("/{id}/results/{extraction}"));
-        let response = match self.answer(request).await {
-            Err(JobsError::Refused { code, .. }) if code == "no-result" => return Ok(None),
-            other => other?,
-        };
-        let value = |name: header::HeaderName| {
-            let value = response.headers().get(name).and_then(|value| value.to_str().ok());
-            value.unwrap_or_default().to_owned()
-        };
-        let checksum = value(header::ETAG).trim_matches('"').to_owned();
-        let name = value(header::CONTENT_DISPOSITION);
-        let extension = name.trim_end_matches('"').rsplit('.').next().unwrap_or_default();
-        Ok(Some(Download {
-            extension: extension.to_owned(),
-            checksum,
+        Ok(Download {
+            response: self.answer(request).await?,
             server: self.server.clone(),
-            response,
-        }))
+        })
     }
 
     /// The events of a job after one; `None` where there are no more.

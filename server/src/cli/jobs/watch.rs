@@ -23,7 +23,7 @@ pub(super) async fn watch(client: &Client, id: &str) -> Result<JobInfo, JobsErro
         // The stream ends with the job, and with the server.
         let job = client.job(id).await;
         if let Ok(job) = &job {
-            bar.set_position(job.extractions.done + job.extractions.failed);
+            bar.set_position(job.extractions.ended());
         }
         match (followed, job) {
             (_, Ok(job)) if job.state.is_finished() => {
@@ -55,7 +55,7 @@ async fn follow(client: &Client, id: &str, last: &mut String, bar: &ProgressBar)
                 read = Some(number.trim().to_owned());
             } else if let Some(data) = line.strip_prefix("data:") {
                 let event: JobEvent = client.parse(data.trim().as_bytes())?;
-                bar.set_position(event.extractions.done + event.extractions.failed);
+                bar.set_position(event.extractions.ended());
                 bar.set_message(
                     event
                         .paused

@@ -3,6 +3,8 @@
 use isopeel_kernels::Region;
 use serde::Serialize;
 
+use crate::extraction::statistics::in_world;
+
 /// The answer to a [`Question`](super::Question).
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
@@ -156,12 +158,17 @@ pub struct Curve {
     pub points: Vec<CurvePoint>,
 }
 
-impl From<isopeel_kernels::CurvePoint> for CurvePoint {
-    fn from(point: isopeel_kernels::CurvePoint) -> Self {
+impl CurvePoint {
+    /// In world units, from the device's multiples of the smallest spacing. β has no unit.
+    pub(super) fn in_world(point: isopeel_kernels::CurvePoint, by_error: bool, smallest: f64) -> Self {
+        let threshold = match by_error {
+            true => in_world(point.threshold, smallest),
+            false => point.threshold,
+        };
         Self {
             triangles: point.triangles,
-            rms: point.rms,
-            threshold: point.threshold,
+            rms: in_world(point.rms, smallest),
+            threshold,
         }
     }
 }

@@ -17,13 +17,13 @@ use super::error::StoreError;
 use super::state::{Cause, Estimate, JobEvent, JobInfo, JobState, Progress};
 
 /// Each version's changes, in order; a store of version n has had the first n.
-const MIGRATIONS: [&str; 1] = [include_str!("schema.sql")];
+const MIGRATIONS: [&str; 2] = [include_str!("schema.sql"), include_str!("schema-2.sql")];
 
 /// Another process that reads the store, such as a backup, holds it for moments.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Columns of [`job_info`].
-const JOB_COLUMNS: &str = "id, volume, state, total, done, failed, bytes, seconds, estimated_triangles, estimated_bytes, \
+const JOB_COLUMNS: &str = "id, volume, state, total, done, failed, empty, bytes, seconds, estimated_triangles, estimated_bytes, \
     estimated_seconds, submitted, started, finished, error_code, error_detail, number, \
     (SELECT count(DISTINCT owner) FROM jobs WHERE state IN ('queued', 'running'))";
 
@@ -120,38 +120,38 @@ fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
     let state = state(&row.get::<_, String>(2)?)?;
     let extractions = progress(row, 3)?;
     let (seconds, estimate): (f64, _) = (
-        row.get(7)?,
+        row.get(8)?,
         Estimate {
-            triangles: row.get(8)?,
-            bytes: row.get(9)?,
-            seconds: row.get(10)?,
+            triangles: row.get(9)?,
+            bytes: row.get(10)?,
+            seconds: row.get(11)?,
         },
     );
-    let owners = f64::from(row.get::<_, u32>(17)?);
-    let code: Option<String> = row.get(14)?;
-    let detail: Option<String> = row.get(15)?;
+    let owners = f64::from(row.get::<_, u32>(18)?);
+    let code: Option<String> = row.get(15)?;
+    let detail: Option<String> = row.get(16)?;
     let info = JobInfo {
         id: row.get(0)?,
         volume: row.get(1)?,
         state,
         paused: None,
         extractions,
-        bytes: row.get(6)?,
+        bytes: row.get(7)?,
         estimate,
         eta_seconds: (state == JobState::Running).then(|| eta(extractions, seconds, estimate) * owners),
-        submitted: row.get(11)?,
-        started: row.get(12)?,
-        finished: row.get(13)?,
+        submitted: row.get(12)?,
+        started: row.get(13)?,
+        finished: row.get(14)?,
         error: code.zip(detail).map(|(code, detail)| Cause { code, detail }),
         failures: Vec::new(),
     };
-    Ok((row.get(16)?, info))
+    Ok((row.get(17)?, info))
 }
 
 /// Seconds that the extractions take that are not made yet: as those before did, or as was estimated. With several owners each has a turn
 /// in so many.
 fn eta(extractions: Progress, seconds: f64, estimate: Estimate) -> f64 {
-    let left = (extractions.total - extractions.done - extractions.failed) as f64;
+    let left = (extractions.total - extractions.ended()) as f64;
     let each = match extractions.done {
         0 => estimate.seconds / extractions.total as f64,
         done => seconds / done as f64,
@@ -164,13 +164,14 @@ fn progress(row: &Row<'_>, from: usize) -> Result<Progress, StoreError> {
         total: row.get(from)?,
         done: row.get(from + 1)?,
         failed: row.get(from + 2)?,
+        empty: row.get(from + 3)?,
     })
 }
 
 /// Notes what has happened to a job, with its state since then.
 fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -> Result<(), StoreError> {
     let found = transaction.query_row(
-        "SELECT state, total, done, failed FROM jobs WHERE number = ?1",
+        "SELECT state, total, done, failed, empty FROM jobs WHERE number = ?1",
         [job],
         |row| Ok((row.get::<_, String>(0)?, progress(row, 1))),
     )?;

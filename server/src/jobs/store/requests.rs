@@ -1,13 +1,17 @@
 //! What clients ask the store for. Each request names an owner, who sees no jobs but their own.
 
-use rusqlite::Transaction;
+use data_encoding::HEXLOWER;
+use rusqlite::{Row, Transaction};
 
 use super::super::error::{JobError, StoreError};
 use super::super::results::Checksum;
-use super::super::state::{Cause, Estimate, Failure, JobEvent, JobInfo, JobState};
+use super::super::state::{
+    Cause, Estimate, ExtractionState, Failure, JobEvent, JobInfo, JobState, ManifestEntry, file_name,
+};
 use super::super::{Limits, MAX_JOBS, MAX_UNFINISHED_JOBS};
 use super::{JOB_COLUMNS, Store, add_event, job_info, now, optional};
 use crate::export::{FileRequest, Format};
+use crate::extraction::MeasuredError;
 
 /// Failures that are listed with a job.
 const LISTED_FAILURES: u32 = 100;
@@ -178,6 +182,19 @@ impl Store {
         .await
     }
 
+    /// All extractions of a job, in their order.
+    ///
+    /// # Errors
+    /// [`JobError::UnknownJob`].
+    pub async fn manifest(&self, owner: &str, id: &str) -> Result<Vec<ManifestEntry>, JobError> {
+        let (owner, id) = (owner.to_owned(), id.to_owned());
+        self.write(move |transaction| {
+            let (number, _) = get(transaction, &owner, &id)?;
+            Ok(manifest(transaction, number)?)
+        })
+        .await
+    }
+
     /// A result.
     ///
     /// # Errors
@@ -300,6 +317,44 @@ fn failures(transaction: &Transaction<'_>, job: i64) -> Result<Vec<Failure>, Sto
     Ok(failures.collect::<Result<_, _>>()?)
 }
 
+fn manifest(transaction: &Transaction<'_>, job: i64) -> Result<Vec<ManifestEntry>, StoreError> {
+    let mut rows = transaction.prepare(
+        "SELECT extraction, state, request, triangles, error_rms, error_max, bytes, checksum, seconds, error_code,
+            error_detail, notices FROM extractions WHERE job = ?1 ORDER BY extraction",
+    )?;
+    let entries = rows.query_map([job], |row| Ok(manifest_entry(row)))?;
+    entries.map(|entry| entry?).collect()
+}
+
+/// A line of a manifest, of a row of [`manifest`].
+fn manifest_entry(row: &Row<'_>) -> Result<ManifestEntry, StoreError> {
+    let (extraction, request): (u32, String) = (row.get(0)?, row.get(2)?);
+    let state = match row.get::<_, String>(1)?.as_str() {
+        "waiting" => ExtractionState::Waiting,
+        "done" => ExtractionState::Done,
+        "empty" => ExtractionState::Empty,
+        "failed" => ExtractionState::Failed,
+        other => return Err(StoreError::Malformed(format!("the state {other:?} of an extraction"))),
+    };
+    let extension = file_request(&request)?.options.format.extension();
+    let error = row.get::<_, Option<f32>>(4)?.zip(row.get(5)?);
+    let checksum: Option<Checksum> = row.get(7)?;
+    let (code, detail): (Option<String>, Option<String>) = (row.get(9)?, row.get(10)?);
+    let notices: String = row.get(11)?;
+    Ok(ManifestEntry {
+        extraction,
+        state,
+        file: (state == ExtractionState::Done).then(|| file_name(extraction, extension)),
+        triangles: row.get(3)?,
+        error: error.map(|(rms, max)| MeasuredError { rms, max }),
+        bytes: row.get(6)?,
+        sha256: checksum.map(|checksum| HEXLOWER.encode(&checksum)),
+        seconds: row.get(8)?,
+        notices: serde_json::from_str(&notices).map_err(|_| StoreError::Malformed(notices))?,
+        problem: code.zip(detail).map(|(code, detail)| Cause { code, detail }),
+    })
+}
+
 fn events(transaction: &Transaction<'_>, job: i64, after: i64) -> Result<Vec<JobEvent>, StoreError> {
     let mut rows =
         transaction.prepare("SELECT id, event FROM events WHERE job = ?1 AND id > ?2 ORDER BY id LIMIT ?3")?;
@@ -333,9 +388,10 @@ fn result(
         ("done", Some(checksum)) => Ok(ResultInfo {
             bytes,
             checksum,
-            format: file_request(&request)?.format,
+            format: file_request(&request)?.options.format,
         }),
         ("failed", _) => Err(Some(format!("failed: {detail}"))),
+        ("empty", _) => Err(Some(format!("is empty: {detail}"))),
         _ => Err(Some("is not made yet".to_owned())),
     })
 }

@@ -4,6 +4,8 @@ use super::super::testing::{LIMITS, job, open, open_new};
 use super::super::{Limits, MAX_ATTEMPTS, MAX_JOBS, MAX_UNFINISHED_JOBS, OPERATOR};
 use super::work::Outcome;
 use super::*;
+use crate::extraction::MeasuredError;
+use crate::jobs::ExtractionState;
 
 fn done(bytes: u64) -> Outcome {
     Outcome::Done {
@@ -12,6 +14,8 @@ fn done(bytes: u64) -> Outcome {
             checksum: [3; 32],
         },
         triangles: 7,
+        error: Some(MeasuredError { rms: 0.25, max: 0.5 }),
+        notices: vec!["rounded".into()],
         seconds: 2.0,
     }
 }
@@ -164,6 +168,94 @@ async fn what_no_attempt_would_change_fails_at_once() {
     assert_eq!(store.begin().await.unwrap().unwrap().job, "y");
 }
 
+fn empty() -> Outcome {
+    Outcome::Empty(Cause {
+        code: "empty-surface".into(),
+        detail: "no surface at isovalue 1".into(),
+    })
+}
+
+#[tokio::test]
+async fn an_empty_surface_is_noted_and_the_others_go_on() {
+    let (_folder, store, _) = open_new().await;
+    store.submit(job("x", None, 3), LIMITS).await.unwrap();
+    for outcome in [done(100), empty()] {
+        let work = store.begin().await.unwrap().unwrap();
+        assert!(store.finish(&work, outcome).await.unwrap());
+    }
+    let states = async || {
+        let entries = store.manifest(OPERATOR, "x").await.unwrap();
+        entries.into_iter().map(|entry| entry.state).collect::<Vec<_>>()
+    };
+    use ExtractionState::{Done, Empty, Waiting};
+    assert_eq!(states().await, [Done, Empty, Waiting]);
+    let work = store.begin().await.unwrap().unwrap();
+    assert!(store.finish(&work, empty()).await.unwrap());
+    let info = store.get(OPERATOR, "x").await.unwrap();
+    assert_eq!((info.state, info.error), (JobState::Done, None));
+    assert_eq!((info.extractions.done, info.extractions.empty), (1, 2));
+
+    let entries = store.manifest(OPERATOR, "x").await.unwrap();
+    let first = serde_json::json!({
+        "extraction": 0, "state": "done", "file": "00000.stl", "triangles": 7, "error": {"rms": 0.25, "max": 0.5},
+        "bytes": 100, "sha256": "03".repeat(32), "seconds": 2.0, "notices": ["rounded"],
+    });
+    assert_eq!(serde_json::to_value(&entries[0]).unwrap(), first);
+    let second = serde_json::json!({
+        "extraction": 1, "state": "empty",
+        "problem": {"code": "empty-surface", "detail": "no surface at isovalue 1"},
+    });
+    assert_eq!(serde_json::to_value(&entries[1]).unwrap(), second);
+    let missing = store.result(OPERATOR, "x", 1).await.unwrap_err().to_string();
+    assert_eq!(missing, "extraction 1 of job x is empty: no surface at isovalue 1");
+}
+
+#[tokio::test]
+async fn a_job_of_empty_surfaces_alone_has_failed() {
+    let (_folder, store, _) = open_new().await;
+    for (id, outcomes, code) in [
+        ("x", [empty(), empty()], "empty-surface"),
+        ("y", [empty(), Outcome::Refused(cause())], "extractions-failed"),
+    ] {
+        store.submit(job(id, None, 2), LIMITS).await.unwrap();
+        for outcome in outcomes {
+            let work = store.begin().await.unwrap().unwrap();
+            assert!(store.finish(&work, outcome).await.unwrap());
+        }
+        let info = store.get(OPERATOR, id).await.unwrap();
+        assert_eq!(
+            (info.state, info.error.unwrap().code.as_str()),
+            (JobState::Failed, code)
+        );
+    }
+}
+
+#[tokio::test]
+async fn a_store_of_the_first_version_is_brought_up_to_date() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("jobs.sqlite");
+    let old = Connection::open(&file).unwrap();
+    old.execute_batch(MIGRATIONS[0]).unwrap();
+    old.execute_batch(
+        "INSERT INTO jobs (id, owner, digest, volume, input, state, submitted, total, done, estimated_triangles,
+            estimated_bytes, estimated_seconds) VALUES ('x', 'operator', x'00', 'a', '{}', 'running', 1, 2, 1, 1, 1, 1);
+        INSERT INTO extractions (job, extraction, request, state) VALUES (1, 0, '{\"step\":0,\"format\":\"stl\"}', 'done');
+        INSERT INTO events (job, event) VALUES
+            (1, '{\"state\":\"running\",\"extractions\":{\"total\":2,\"done\":1,\"failed\":0}}');",
+    )
+    .unwrap();
+    old.pragma_update(None, "user_version", 1).unwrap();
+    drop(old);
+    let store = Store::open(&file).unwrap();
+    let info = store.get(OPERATOR, "x").await.unwrap();
+    assert_eq!((info.extractions.done, info.extractions.empty), (1, 0));
+    assert_eq!(store.events(OPERATOR, "x", 0).await.unwrap().0.len(), 1);
+    assert_eq!(
+        store.manifest(OPERATOR, "x").await.unwrap()[0].file.as_deref(),
+        Some("00000.stl")
+    );
+}
+
 #[tokio::test]
 async fn a_key_stands_for_one_request() {
     let (_folder, store, _) = open_new().await;
@@ -284,7 +376,7 @@ async fn a_store_of_a_newer_program_is_left_alone() {
     let error = Store::open(&file).unwrap_err().to_string();
     assert_eq!(
         error,
-        "the job store has version 9, this program knows those up to 1: start a newer one, or name another state folder"
+        "the job store has version 9, this program knows those up to 2: start a newer one, or name another state folder"
     );
 }
 

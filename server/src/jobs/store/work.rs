@@ -12,6 +12,7 @@ use super::super::state::{Cause, JobState};
 use super::requests::file_request;
 use super::{Store, add_event, now, optional};
 use crate::export::FileRequest;
+use crate::extraction::MeasuredError;
 
 /// The extraction that is made next.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,9 +44,15 @@ pub enum Outcome {
         written: Written,
         /// Of its surface.
         triangles: u64,
+        /// Of its surface, if it was measured.
+        error: Option<MeasuredError>,
+        /// What the file's format could not keep.
+        notices: Vec<String>,
         /// Time that it took.
         seconds: f64,
     },
+    /// The surface has no triangles, and a file of it was not asked for.
+    Empty(Cause),
     /// There is none; another attempt may have one.
     Failed(Cause),
     /// There is none, and no attempt will have one.
@@ -161,11 +168,14 @@ fn apply(transaction: &Transaction<'_>, number: i64, extraction: u32, outcome: &
         Outcome::Done {
             written,
             triangles,
+            error,
+            notices,
             seconds,
         } => {
+            let notices = serde_json::to_string(notices).map_err(|error| StoreError::Malformed(error.to_string()))?;
             transaction.execute(
-                "UPDATE extractions SET state = 'done', bytes = ?3, checksum = ?4, triangles = ?5, seconds = ?6
-                    WHERE job = ?1 AND extraction = ?2",
+                "UPDATE extractions SET state = 'done', bytes = ?3, checksum = ?4, triangles = ?5, seconds = ?6,
+                    error_rms = ?7, error_max = ?8, notices = ?9 WHERE job = ?1 AND extraction = ?2",
                 (
                     number,
                     extraction,
@@ -173,6 +183,9 @@ fn apply(transaction: &Transaction<'_>, number: i64, extraction: u32, outcome: &
                     &written.checksum[..],
                     triangles,
                     seconds,
+                    error.map(|error| error.rms),
+                    error.map(|error| error.max),
+                    notices,
                 ),
             )?;
             transaction.execute(
@@ -180,6 +193,7 @@ fn apply(transaction: &Transaction<'_>, number: i64, extraction: u32, outcome: &
                 (number, written.bytes, seconds),
             )?;
         }
+        Outcome::Empty(cause) => end_without_result(transaction, number, extraction, "empty", cause)?,
         Outcome::Refused(cause) => fail(transaction, number, extraction, cause)?,
         Outcome::Failed(cause) => {
             let query = "SELECT attempts FROM extractions WHERE job = ?1 AND extraction = ?2";
@@ -205,21 +219,35 @@ fn apply(transaction: &Transaction<'_>, number: i64, extraction: u32, outcome: &
 }
 
 fn fail(transaction: &Transaction<'_>, number: i64, extraction: u32, cause: &Cause) -> Result<(), StoreError> {
+    end_without_result(transaction, number, extraction, "failed", cause)
+}
+
+/// Ends an extraction as `failed` or `empty`, which is also the name of the job's column that counts them.
+fn end_without_result(
+    transaction: &Transaction<'_>,
+    number: i64,
+    extraction: u32,
+    state: &'static str,
+    cause: &Cause,
+) -> Result<(), StoreError> {
     transaction.execute(
-        "UPDATE extractions SET state = 'failed', error_code = ?3, error_detail = ?4 WHERE job = ?1 AND extraction = ?2",
-        (number, extraction, &cause.code, &cause.detail),
+        "UPDATE extractions SET state = ?3, error_code = ?4, error_detail = ?5 WHERE job = ?1 AND extraction = ?2",
+        (number, extraction, state, &cause.code, &cause.detail),
     )?;
-    transaction.execute("UPDATE jobs SET failed = failed + 1 WHERE number = ?1", [number])?;
+    let count = format!("UPDATE jobs SET {state} = {state} + 1 WHERE number = ?1");
+    transaction.execute(&count, [number])?;
     Ok(())
 }
 
-/// Ends the job where this extraction was its last one.
+/// Ends the job if this extraction was its last one: it has failed if one of them has, or if all are empty.
 fn finish_job(transaction: &Transaction<'_>, number: i64, extraction: u32) -> Result<(), StoreError> {
     transaction.execute(
-        "UPDATE jobs SET finished = ?2, state = CASE failed WHEN 0 THEN 'done' ELSE 'failed' END,
-            error_code = CASE failed WHEN 0 THEN NULL ELSE 'extractions-failed' END,
-            error_detail = CASE failed WHEN 0 THEN NULL ELSE failed || ' of ' || total || ' extractions have no result' END
-            WHERE number = ?1 AND done + failed = total",
+        "UPDATE jobs SET finished = ?2,
+            state = CASE WHEN failed > 0 OR empty = total THEN 'failed' ELSE 'done' END,
+            error_code = CASE WHEN failed > 0 THEN 'extractions-failed' WHEN empty = total THEN 'empty-surface' END,
+            error_detail = CASE WHEN failed > 0 THEN failed || ' of ' || total || ' extractions have no result'
+                WHEN empty = total THEN 'none of the ' || total || ' surfaces has triangles' END
+            WHERE number = ?1 AND done + failed + empty = total",
         (number, now()),
     )?;
     add_event(transaction, number, Some(extraction))

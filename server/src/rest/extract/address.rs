@@ -1,51 +1,89 @@
-//! A surface as a file, by an address that says all of it. The answer has a tag, so that a client which has kept the file learns that it is still the same
-//! before anything is made.
+//! A surface as a file, by an address that says all of it. The answer has the tag of its bytes, so that a client which has the file learns that
+//! it is still the same, and one that has a part of it gets the rest.
 
-use std::hash::{BuildHasher, RandomState};
+use std::num::NonZero;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use data_encoding::HEXLOWER;
+use lru::LruCache;
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
-use super::{ApiState, ExtractRequest, answer};
+use super::{ApiState, ExtractRequest, File, Made};
 use crate::access::Identity;
-use crate::export::Format;
+use crate::export::{FileDigest, FileRequest, Format};
 use crate::problem::{ApiError, Problem};
+use crate::rest::content_encoding::ContentEncoding;
+use crate::rest::ranges::part;
 use crate::view::View;
 use crate::volumes::VolumeStep;
 
 /// Names whose values are text, also where they look like numbers.
-const TEXTS: [&str; 5] = ["volume", "format", "field", "feature", "mask"];
+const TEXTS: [&str; 8] = [
+    "volume", "format", "field", "feature", "mask", "outward", "unit", "label",
+];
 
 /// A cache asks again each time, whoever has asked before: what a volume is may change, and so may who sees it.
 const CACHED: [(HeaderName, HeaderValue); 2] = [
     (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
-    (header::VARY, HeaderValue::from_static("Authorization, Cookie, Origin")),
+    (
+        header::VARY,
+        HeaderValue::from_static("Authorization, Cookie, Origin, Accept-Encoding"),
+    ),
 ];
 
-/// What no other process has: a tag names a volume by its id, which another file may have once the server starts again.
-#[derive(Clone, Copy)]
-pub(in crate::rest) struct TagSeed(u64);
+/// Files whose tags are known without making them.
+const MAX_KNOWN_TAGS: NonZero<usize> = NonZero::new(1024).expect("not 0");
 
-impl TagSeed {
-    pub(in crate::rest) fn random() -> Self {
-        Self(RandomState::new().hash_one(()))
-    }
+/// The tags of files that were made, by their requests: the same request makes the same bytes as long as the volume is what it is.
+#[derive(Clone, Debug)]
+pub(in crate::rest) struct KnownTags(Arc<Mutex<LruCache<RequestKey, FileDigest>>>);
 
-    /// The same for what makes the same surface in the same format.
-    fn tag(self, volume: &VolumeStep, view: &View, format: Format) -> String {
-        let what = format!("{} {:?} {format:?} {view:?}", self.0, volume.key());
-        // Weak: a file says how long it took to make.
-        format!("W/\"{}\"", HEXLOWER.encode(&Sha256::digest(what)[..16]))
+impl Default for KnownTags {
+    fn default() -> Self {
+        Self(Arc::new(Mutex::new(LruCache::new(MAX_KNOWN_TAGS))))
     }
 }
 
-/// Extracts a surface and answers it as a file, as `POST` does. The query has the same names: numbers, and objects and lists as JSON. `ETag` is the same for as long as the
-/// server runs and the volume is what it is; a client that shows it in `If-None-Match` is answered at once.
+/// What of a request decides the bytes of its file.
+type RequestKey = [u8; 32];
+
+fn request_key(volume: &VolumeStep, view: &View, file: &FileRequest) -> RequestKey {
+    let (options, colored) = (&file.options, file.is_colored());
+    let what = format!("{:?} {options:?} {colored} {view:?}", volume.key());
+    Sha256::digest(what).into()
+}
+
+impl KnownTags {
+    fn find(&self, key: &RequestKey) -> Option<FileDigest> {
+        self.lock().get(key).copied()
+    }
+
+    fn insert(&self, key: RequestKey, digest: FileDigest) {
+        self.lock().put(key, digest);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, LruCache<RequestKey, FileDigest>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The strong tag of a file's bytes, as they are sent.
+fn tag(digest: FileDigest, encoding: ContentEncoding) -> String {
+    let hash = HEXLOWER.encode(&digest.hash.to_be_bytes());
+    match encoding {
+        ContentEncoding::Identity => format!("\"{hash}\""),
+        _ => format!("\"{hash}-{}\"", encoding.name()),
+    }
+}
+
+/// Extracts a surface and answers it as a file, as `POST` does. The query has the same names: numbers, and objects and lists as JSON. `ETag` is that of the
+/// bytes, which are the same for the same request: a client that shows it in `If-None-Match` has nothing sent to it, and one that has a part
+/// of the file asks for the rest in `Range`.
 #[utoipa::path(
     get,
     path = "/api/v1/extract",
@@ -56,22 +94,27 @@ impl TagSeed {
         ("step" = Option<u32>, Query, description = "Time step; 0 where it is left out"),
         ("iso" = Option<f64>, Query, description = "The isovalue, and likewise any of the edit's names, each once: `alpha=0.5`, `triangles={\"share\":0.1}`"),
         ("if-none-match" = Option<String>, Header, description = "The `ETag` of a file that the client has"),
+        ("range" = Option<String>, Header, description = "`bytes=FIRST-LAST`: a part of the file, which is not compressed"),
+        ("if-range" = Option<String>, Header, description = "The `ETag` of the file that the client has a part of: of another one all is sent"),
+        ("accept-encoding" = Option<String>, Header, description = "`zstd` or `gzip`: the body is compressed"),
     ),
     responses(
         (
             status = 200,
             description = "The surface",
-            content_type = "model/gltf-binary",
+            content((File = "model/gltf-binary"), (File = "application/octet-stream"), (File = "model/stl")),
             headers(
-                ("etag" = String, description = "Of what the address asks for; weak"),
+                ("etag" = String, description = "Of the bytes; strong"),
                 ("isopeel-statistics" = String, description = "The statistics, as JSON in ASCII"),
             ),
         ),
+        (status = 206, description = "A part of it", body = File, content_type = "application/octet-stream"),
         (status = 304, description = "The client has it"),
         (status = 400, description = "`bad-request`: an unknown or a missing name, one that is there twice, a wrong type", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-edit` or `too-large`, as of `POST`", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "`bad-range`: beyond the end of the file", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`, `empty-surface` or `too-large`, as of `POST`", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -89,27 +132,64 @@ pub async fn extract_by_address(
     // Whether the client may see the volume comes before what it has of it.
     let volume = state.volume(&who, &volume, file.step)?;
     let view = file.view(volume.dataset())?;
-    let tag = state.tag_seed.tag(&volume, &view, file.format);
-    let mut response = match has(&headers, &tag) {
-        true => StatusCode::NOT_MODIFIED.into_response(),
-        false => answer(state, volume, view, file.format).await?,
+    let (key, known) = (request_key(&volume, &view, &file), state.known_tags.clone());
+    let encoding = ContentEncoding::accepted(&headers);
+    if let Some(digest) = known.find(&key).filter(|digest| has(&headers, *digest)) {
+        return not_modified(digest, encoding);
+    }
+    let made = Made::admitted(state, &who, volume, file).await?;
+    let digest = made.digest;
+    known.insert(key, digest);
+    if has(&headers, digest) {
+        return not_modified(digest, encoding);
+    }
+    let range = range_of(&headers, digest).map(|range| part(range, digest.bytes));
+    let mut response = match range {
+        Some(Err(beyond)) => {
+            let whole = format!("bytes */{}", digest.bytes);
+            ([(header::CONTENT_RANGE, whole)], beyond).into_response()
+        }
+        Some(Ok(Some(range))) => tagged(made.range(range)?, &tag(digest, ContentEncoding::Identity))?,
+        Some(Ok(None)) | None => tagged(made.whole(encoding)?, &tag(digest, encoding))?,
     };
-    let answered = response.headers_mut();
-    answered.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(ApiError::internal)?);
+    let ranges = HeaderValue::from_static("bytes");
+    response.headers_mut().insert(header::ACCEPT_RANGES, ranges);
+    Ok(response)
+}
+
+/// The `Range` of a request, unless `If-Range` names another file.
+fn range_of(headers: &HeaderMap, digest: FileDigest) -> Option<&str> {
+    let is_same = |shown: &HeaderValue| *shown == tag(digest, ContentEncoding::Identity).as_str();
+    let range = headers.get(header::RANGE)?;
+    let applies = headers.get(header::IF_RANGE).is_none_or(is_same);
+    applies.then(|| range.to_str().unwrap_or_default())
+}
+
+fn not_modified(digest: FileDigest, encoding: ContentEncoding) -> Result<Response, ApiError> {
+    tagged(StatusCode::NOT_MODIFIED.into_response(), &tag(digest, encoding))
+}
+
+/// An answer with the headers of its tag.
+fn tagged(mut response: Response, tag: &str) -> Result<Response, ApiError> {
+    let headers = response.headers_mut();
+    headers.insert(header::ETAG, HeaderValue::from_str(tag).map_err(ApiError::internal)?);
     for (name, value) in CACHED {
-        answered.insert(name, value);
+        headers.insert(name, value);
     }
     Ok(response)
 }
 
-/// Whether a client says that it has the file of this tag, or any.
-fn has(headers: &HeaderMap, tag: &str) -> bool {
-    let opaque = |tag: &str| tag.trim().trim_start_matches("W/").to_owned();
+/// Whether a client says that it has the file of this digest, in any encoding, or any file.
+fn has(headers: &HeaderMap, digest: FileDigest) -> bool {
+    let known =
+        [ContentEncoding::Identity, ContentEncoding::Zstd, ContentEncoding::Gzip].map(|as_sent| tag(digest, as_sent));
     let shown = headers.get_all(header::IF_NONE_MATCH).iter();
     let mut tags = shown
         .filter_map(|tags| tags.to_str().ok())
-        .flat_map(|tags| tags.split(','));
-    tags.any(|shown| shown.trim() == "*" || opaque(shown) == opaque(tag))
+        .flat_map(|tags| tags.split(','))
+        // Compared weakly, as RFC 9110 has it.
+        .map(|shown| shown.trim().trim_start_matches("W/"));
+    tags.any(|shown| shown == "*" || known.iter().any(|tag| tag == shown))
 }
 
 /// What a query asks for, or what is wrong with it.
@@ -183,20 +263,47 @@ mod tests {
 
     #[test]
     fn a_client_shows_one_tag_or_several() {
-        let shows = |tags: &[&'static str]| {
+        let digest = FileDigest { bytes: 1, hash: 0xab };
+        let whole = format!("{:032x}", 0xab);
+        let shows = |tags: &[&str]| {
             let mut headers = HeaderMap::new();
             for tags in tags {
-                headers.append(header::IF_NONE_MATCH, HeaderValue::from_static(tags));
+                headers.append(
+                    header::IF_NONE_MATCH,
+                    HeaderValue::from_str(&tags.replace("ab", &whole)).unwrap(),
+                );
             }
-            has(&headers, "W/\"ab\"")
+            has(&headers, digest)
         };
-        assert!(
-            shows(&["W/\"ab\""])
-                && shows(&["\"ab\""])
-                && shows(&["\"x\", W/\"ab\""])
-                && shows(&["\"x\"", "\"ab\""])
-                && shows(&["*"])
-        );
+        for tags in [
+            &["\"ab\""][..],
+            &["W/\"ab\""],
+            &["\"ab-zstd\""],
+            &["\"x\", \"ab-gzip\""],
+            &["\"x\"", "\"ab\""],
+            &["*"],
+        ] {
+            assert!(shows(tags), "{tags:?}");
+        }
         assert!(!shows(&[]) && !shows(&["\"x\""]) && !shows(&["ab"]) && !shows(&["\"abc\""]));
+    }
+
+    #[test]
+    fn a_range_of_another_file_is_none() {
+        let digest = FileDigest { bytes: 9, hash: 0xab };
+        let of = |if_range: Option<&str>| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::RANGE, HeaderValue::from_static("bytes=1-"));
+            if let Some(tag) = if_range {
+                headers.insert(header::IF_RANGE, HeaderValue::from_str(tag).unwrap());
+            }
+            range_of(&headers, digest).map(str::to_owned)
+        };
+        let same = tag(digest, ContentEncoding::Identity);
+        assert_eq!(of(None).as_deref(), Some("bytes=1-"));
+        assert_eq!(of(Some(&same)).as_deref(), Some("bytes=1-"));
+        for other in ["\"x\"", &format!("W/{same}"), &tag(digest, ContentEncoding::Zstd)] {
+            assert_eq!(of(Some(other)), None, "{other}");
+        }
     }
 }

@@ -17,7 +17,7 @@ use crate::problem::{ApiError, Problem};
 use crate::rest::{ApiState, EVENT_STREAMS};
 
 /// The last event that a client has seen, which browsers send when they connect again.
-const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
+pub const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
 
 /// What happens to a job, until it is finished: an event each time that its state changes or an extraction ends, from the first on, or after the
 /// one that `Last-Event-ID` names. Each has the name of the job's state and an id that increases. While a full disk or one that fails lets no
@@ -26,6 +26,7 @@ const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
 #[utoipa::path(
     get,
     path = "/api/v1/jobs/{id}/events",
+    operation_id = "follow_job",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "A job's id"),

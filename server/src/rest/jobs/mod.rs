@@ -11,11 +11,12 @@ use axum::response::{IntoResponse, Response};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+pub use events::LAST_EVENT_ID;
 pub use result::DIGEST_HEADER;
 
 use super::ApiState;
 use crate::access::Identity;
-use crate::jobs::{JobInfo, JobRequest, Jobs, MAX_REQUEST_BYTES};
+use crate::jobs::{JobInfo, JobRequest, Jobs, MAX_REQUEST_BYTES, ManifestEntry};
 use crate::problem::{ApiError, Problem};
 
 /// Names a request, so that one which is sent again makes no second job.
@@ -29,6 +30,7 @@ pub(super) fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(show, remove))
         .routes(routes!(cancel))
         .routes(routes!(events::events))
+        .routes(routes!(manifest))
         .routes(routes!(result::result))
 }
 
@@ -47,6 +49,7 @@ impl ApiState {
 #[utoipa::path(
     post,
     path = "/api/v1/jobs",
+    operation_id = "submit_job",
     tag = "jobs",
     request_body = JobRequest,
     params(("idempotency-key" = Option<String>, Header, description = "1 to 255 visible ASCII characters: the same request with the same key makes one job")),
@@ -87,6 +90,7 @@ async fn submit(
 #[utoipa::path(
     get,
     path = "/api/v1/jobs",
+    operation_id = "list_jobs",
     tag = "jobs",
     responses(
         (status = 200, description = "All jobs, without their failures", body = [JobInfo]),
@@ -101,6 +105,7 @@ async fn list(State(state): State<ApiState>, who: Identity) -> Result<Json<Vec<J
 #[utoipa::path(
     get,
     path = "/api/v1/jobs/{id}",
+    operation_id = "show_job",
     tag = "jobs",
     params(("id" = String, Path, description = "A job's id")),
     responses(
@@ -117,10 +122,33 @@ async fn show(
     Ok(Json(state.jobs()?.get(who.user(), &id?.0).await?))
 }
 
+/// The manifest of a batch job: all extractions in their order, each with its file, triangles, measured error and checksum, or why there is
+/// no file.
+#[utoipa::path(
+    get,
+    path = "/api/v1/jobs/{id}/results",
+    operation_id = "show_job_results",
+    tag = "jobs",
+    params(("id" = String, Path, description = "A job's id")),
+    responses(
+        (status = 200, description = "The manifest", body = [ManifestEntry]),
+        (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+async fn manifest(
+    State(state): State<ApiState>,
+    who: Identity,
+    id: Result<Path<String>, PathRejection>,
+) -> Result<Json<Vec<ManifestEntry>>, ApiError> {
+    Ok(Json(state.jobs()?.manifest(who.user(), &id?.0).await?))
+}
+
 /// Ends a batch job that is queued or running. What it has made stays.
 #[utoipa::path(
     post,
     path = "/api/v1/jobs/{id}/cancel",
+    operation_id = "cancel_job",
     tag = "jobs",
     params(("id" = String, Path, description = "A job's id")),
     responses(
@@ -142,6 +170,7 @@ async fn cancel(
 #[utoipa::path(
     delete,
     path = "/api/v1/jobs/{id}",
+    operation_id = "remove_job",
     tag = "jobs",
     params(("id" = String, Path, description = "A job's id")),
     responses(

@@ -9,12 +9,13 @@ use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use data_encoding::HEXLOWER;
-use http_range_header::parse_range_header;
 
 use crate::access::Identity;
 use crate::jobs::ResultInfo;
 use crate::problem::{ApiError, Problem};
 use crate::rest::ApiState;
+use crate::rest::extract::File;
+use crate::rest::ranges::part;
 
 /// SHA-256 of a whole result (RFC 9530).
 pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
@@ -23,6 +24,7 @@ pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
 #[utoipa::path(
     get,
     path = "/api/v1/jobs/{id}/results/{extraction}",
+    operation_id = "fetch_job_result",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "A job's id"),
@@ -33,15 +35,15 @@ pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
         (
             status = 200,
             description = "The file",
-            content((Vec<u8> = "model/gltf-binary"), (Vec<u8> = "application/octet-stream"), (Vec<u8> = "model/stl")),
+            content((File = "model/gltf-binary"), (File = "application/octet-stream"), (File = "model/stl")),
             headers(
                 ("repr-digest" = String, description = "`sha-256=:BASE64:` of the whole file"),
                 ("etag" = String, description = "The same in hexadecimal"),
             ),
         ),
-        (status = 206, description = "A part of it"),
+        (status = 206, description = "A part of it", body = File, content_type = "application/octet-stream"),
         (status = 304, description = "The client has it: `If-None-Match`"),
-        (status = 404, description = "`unknown-job`, or `no-result`: it is not made yet, or failed", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "`unknown-job`, or `no-result`: it is not made yet, failed, or its surface is empty", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "`bad-range`: beyond the end of the file", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),
     ),
@@ -95,45 +97,4 @@ pub(super) async fn result(
 
 fn etag(found: &ResultInfo) -> String {
     format!("\"{}\"", HEXLOWER.encode(&found.checksum))
-}
-
-/// The part that a `Range` asks for, from its first byte to the one behind its last; `None`: all of it, which answers several ranges and what
-/// is no range too.
-///
-/// # Errors
-/// It begins beyond the end.
-fn part(range: &str, bytes: u64) -> Result<Option<[u64; 2]>, ApiError> {
-    let Ok(parsed) = parse_range_header(range) else {
-        return Ok(None);
-    };
-    match parsed.validate(bytes).as_deref() {
-        Ok([one]) => Ok(Some([*one.start(), *one.end() + 1])),
-        Ok(_) => Ok(None),
-        Err(_) => {
-            let message = format!("range {range:?}, expected one in the {bytes} bytes of the result");
-            Err(ApiError::new(StatusCode::RANGE_NOT_SATISFIABLE, "bad-range", message))
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn one_range_is_a_part() {
-        for (range, expected) in [
-            ("bytes=0-9", Some([0, 10])),
-            ("bytes=90-", Some([90, 100])),
-            ("bytes=-10", Some([90, 100])),
-            ("bytes=90-1000", Some([90, 100])),
-            ("bytes=0-0,5-9", None),
-            ("lines=1-2", None),
-            ("", None),
-        ] {
-            assert_eq!(part(range, 100).unwrap_or(Some([0, 0])), expected, "{range}");
-        }
-        let beyond = part("bytes=100-", 100).unwrap_err();
-        assert_eq!(beyond.status(), StatusCode::RANGE_NOT_SATISFIABLE);
-    }
 }

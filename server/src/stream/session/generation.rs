@@ -253,14 +253,14 @@ impl Generation {
     }
 
     /// What is to be known of a step while it is sent.
-    pub(super) fn sent_of(&self, offered: &Offered, spacing: [f64; 3], device: &str) -> Sent {
+    pub(super) fn sent_of(&self, offered: &Offered, smallest: f64, device: &str) -> Sent {
         let made = &offered.step.made;
         let statistics = made.is_final.then(|| {
             let kernels = SurfaceStatistics {
                 stages: self.stages.clone(),
                 ..made.surface.statistics.clone()
             };
-            ExtractionStatistics::new(&kernels, &made.view, spacing, self.wall, device)
+            ExtractionStatistics::new(&kernels, &made.view, smallest, self.wall, device)
         });
         let triangles = offered.step.regions.iter().map(|region| region.triangles as u64);
         let own = offered.is_own.then(|| (triangles.sum(), made.meshing));

@@ -183,7 +183,7 @@ impl<B: Backend> Session<B> {
                 let message = ServerMessage::Measured {
                     surface,
                     generation: number,
-                    error: measured.whole.into(),
+                    error: measured.whole,
                     regions: regions
                         .map(|&(region, error)| RegionError {
                             region,
@@ -330,7 +330,7 @@ impl<B: Backend> Session<B> {
     /// Begins to send the step that was made of a surface.
     fn send_step(&mut self, surface: u8) {
         let Some(opened) = &mut self.opened else { return };
-        let (spacing, device) = (opened.volume.dataset().cell_lengths(), opened.device.clone());
+        let (smallest, device) = (opened.volume.dataset().smallest_length(), opened.device.clone());
         let Some(session) = opened.surface_mut(surface) else {
             return;
         };
@@ -338,7 +338,7 @@ impl<B: Backend> Session<B> {
             return;
         };
         let Some(made) = generation.take_made() else { return };
-        generation.sending = Sending::Comparing(generation.sent_of(&made, spacing, &device));
+        generation.sending = Sending::Comparing(generation.sent_of(&made, smallest, &device));
         let (held, token) = (Arc::clone(&session.held), generation.token.clone());
         self.pool.push_back(Box::pin(async move {
             PoolDone::Compared(compare(made.step, held, token).await)

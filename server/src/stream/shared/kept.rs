@@ -4,12 +4,11 @@ use std::hash::Hash;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use axum::body::Bytes;
-use isopeel_kernels::SurfaceError;
 use lru::LruCache;
 
 use super::RequestKey;
 use super::step::{ChunkKey, Chunks, RegionNote, SharedStep};
-use crate::extraction::{Measurement, Refinement};
+use crate::extraction::{MeasuredError, Measurement, Refinement};
 use crate::metrics;
 use crate::volumes::DatasetKey;
 
@@ -91,7 +90,7 @@ impl Kept {
     }
 
     pub(super) fn keep_measured(&self, key: RequestKey, measured: &Arc<Measurement>) {
-        let bytes = key.bytes() + measured.regions.len() * size_of::<([u32; 3], SurfaceError)>();
+        let bytes = key.bytes() + measured.regions.len() * size_of::<([u32; 3], MeasuredError)>();
         let measured = Arc::clone(measured);
         self.change(|entries| entries.measured.insert(key, bytes as u64, measured));
     }

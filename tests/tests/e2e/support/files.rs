@@ -8,14 +8,14 @@ use serde_json::Value;
 #[derive(Debug)]
 pub struct FileMesh {
     /// As the file places them: world units; of GLB metres, the second axis up.
-    pub positions: Vec<[f32; 3]>,
+    pub positions: Vec<[f64; 3]>,
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl FileMesh {
     /// Low and high corner.
-    pub fn extent(&self) -> [[f32; 3]; 2] {
-        let mut extent = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+    pub fn extent(&self) -> [[f64; 3]; 2] {
+        let mut extent = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
         for position in &self.positions {
             for axis in 0..3 {
                 extent[0][axis] = extent[0][axis].min(position[axis]);
@@ -57,8 +57,12 @@ fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"))
 }
 
-fn f32_at(bytes: &[u8], at: usize) -> f32 {
-    f32::from_bits(u32_at(bytes, at))
+fn f32_at(bytes: &[u8], at: usize) -> f64 {
+    f32::from_bits(u32_at(bytes, at)).into()
+}
+
+fn f64_at(bytes: &[u8], at: usize) -> f64 {
+    f64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"))
 }
 
 /// glTF 2.0 in its binary container. Every triangle of every mesh, placed by its only node.
@@ -129,22 +133,22 @@ fn glb(bytes: &[u8]) -> FileMesh {
     mesh
 }
 
-/// Where a node puts a position: scaled, then turned by its quaternion.
-fn placed(node: &Value, position: [f32; 3]) -> [f32; 3] {
-    assert!(node.get("matrix").is_none() && node.get("translation").is_none());
+/// Where a node puts a position: scaled, then turned by its quaternion, then moved.
+fn placed(node: &Value, position: [f64; 3]) -> [f64; 3] {
+    assert!(node.get("matrix").is_none());
     let numbers = |key: &str| -> Vec<f64> { serde_json::from_value(node[key].clone()).expect(key) };
-    let (turn, scale) = (numbers("rotation"), numbers("scale"));
-    let [x, y, z] = [0, 1, 2].map(|i| f64::from(position[i]) * scale[i]);
+    let (turn, scale, moved) = (numbers("rotation"), numbers("scale"), numbers("translation"));
+    let [x, y, z] = [0, 1, 2].map(|i| position[i] * scale[i]);
     // v + 2 q × (q × v + w v)
     let (q, w, v) = ([turn[0], turn[1], turn[2]], turn[3], [x, y, z]);
     let cross =
         |a: [f64; 3], b: [f64; 3]| [0, 1, 2].map(|i| a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3]);
     let inner = cross(q, v);
     let outer = cross(q, [0, 1, 2].map(|i| inner[i] + w * v[i]));
-    [0, 1, 2].map(|i| (v[i] + 2.0 * outer[i]) as f32)
+    [0, 1, 2].map(|i| v[i] + 2.0 * outer[i] + moved[i])
 }
 
-/// VTK's XML `PolyData`: arrays appended as raw bytes behind their lengths, 64 bits each.
+/// VTK's XML `PolyData`: arrays appended as raw bytes behind their lengths, 64 bits each, as are positions.
 fn vtp(bytes: &[u8]) -> FileMesh {
     let mark = b"<AppendedData encoding=\"raw\">\n_";
     let end = bytes
@@ -169,14 +173,14 @@ fn vtp(bytes: &[u8]) -> FileMesh {
     );
     FileMesh {
         positions: array("Points")
-            .chunks_exact(12)
-            .map(|point| [0, 4, 8].map(|part| f32_at(point, part)))
+            .chunks_exact(24)
+            .map(|point| [0, 8, 16].map(|part| f64_at(point, part)))
             .collect(),
         triangles: corners.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
     }
 }
 
-/// PLY 1.0, binary little-endian: `x y z` first among a vertex' properties, lists of three indices.
+/// PLY 1.0, binary little-endian: `x y z` in 64 bits first among a vertex' properties, lists of three indices.
 fn ply(bytes: &[u8]) -> FileMesh {
     let end = b"end_header\n";
     let header_bytes = bytes
@@ -225,14 +229,14 @@ fn ply(bytes: &[u8]) -> FileMesh {
         .collect();
     assert_eq!(names, ["x", "y", "z"]);
     assert!(
-        vertex_properties.iter().take(3).all(|&(width, _)| width == 4),
-        "positions are floats"
+        vertex_properties.iter().take(3).all(|&(width, _)| width == 8),
+        "positions are doubles"
     );
     assert_eq!(list, Some((1, 4)), "faces are lists of int, their length a uchar");
     let stride: usize = vertex_properties.iter().map(|(width, _)| width).sum();
     let body = &bytes[header_bytes..];
     let positions = (0..vertices)
-        .map(|i| [0, 4, 8].map(|part| f32_at(body, i * stride + part)))
+        .map(|i| [0, 8, 16].map(|part| f64_at(body, i * stride + part)))
         .collect();
     let face = 1 + 12 + face_bytes_after_list;
     let body = &body[vertices * stride..];

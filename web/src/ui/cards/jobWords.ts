@@ -4,6 +4,8 @@ import type { JobInfo } from "../../protocol/types";
 import { formatBytes, formatCount } from "../format";
 
 const files = (count: number) => (count === 1 ? "1 file" : `${formatCount(count)} files`);
+/** Extractions whose surfaces have no triangles. */
+const withoutSurface = (count: number) => (count > 0 ? `, ${formatCount(count)} without a surface` : "");
 
 /** 12 s, 5 min, 3 h: about as long. */
 export function formatDuration(seconds: number): string {
@@ -18,7 +20,7 @@ const PAUSES: Readonly<Record<string, string>> = {
 
 /** Where a job is. */
 export function jobText({ state, paused, extractions, bytes, etaSeconds, error }: JobInfo): string {
-  const { total, done, failed } = extractions;
+  const { total, done, failed, empty } = extractions;
   const made = `${formatCount(done)} of ${files(total)}`;
   const size = done > 0 ? `, ${formatBytes(bytes)}` : "";
   if (paused !== undefined && (state === "queued" || state === "running")) return `${made}, stands still: ${PAUSES[paused] ?? paused}`;
@@ -28,7 +30,7 @@ export function jobText({ state, paused, extractions, bytes, etaSeconds, error }
     case "running":
       return made + (etaSeconds === undefined ? "" : `, about ${formatDuration(etaSeconds)} left`);
     case "done":
-      return files(total) + size;
+      return files(done) + size + withoutSurface(empty);
     case "cancelled":
       return `cancelled, ${made}${size}`;
     case "failed":
@@ -43,6 +45,7 @@ export function submittedText({ extractions, estimate }: JobInfo): string {
 
 /** What is said when it has ended. */
 export function finishedText({ volume, state, extractions }: JobInfo): string {
-  if (state === "done") return `${files(extractions.total)} of ${volume} ${extractions.total === 1 ? "is" : "are"} ready`;
+  const { done, empty } = extractions;
+  if (state === "done") return `${files(done)} of ${volume} ${done === 1 ? "is" : "are"} ready${withoutSurface(empty)}`;
   return `The batch job of ${volume} ${state === "failed" ? "has failed" : "was cancelled"}`;
 }

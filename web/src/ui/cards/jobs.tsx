@@ -87,7 +87,7 @@ function Row(props: { readonly job: JobInfo; readonly onCancel: () => void; read
       <strong>{of()}</strong>
       <span class="about">{jobText(props.job)}</span>
       <Show when={!isFinished(props.job)}>
-        <progress max={extractions.total} value={extractions.done + extractions.failed} aria-label={`Progress of ${of()}`} />
+        <progress max={extractions.total} value={extractions.done + extractions.failed + extractions.empty} aria-label={`Progress of ${of()}`} />
       </Show>
       <span class="inline">
         <Show when={isFinished(props.job) && extractions.done > 0}>

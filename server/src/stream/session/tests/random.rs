@@ -131,7 +131,7 @@ impl Work {
             }
             Self::Measure(job) => {
                 let measured = Measurement {
-                    whole: isopeel_kernels::SurfaceError { rms: 0.0, max: 0.0 },
+                    whole: crate::extraction::MeasuredError { rms: 0.0, max: 0.0 },
                     regions: Vec::new(),
                 };
                 let _ = job.reply.send(match job.token.is_cancelled() {

@@ -2,13 +2,11 @@
 
 use std::time::Instant;
 
-use isopeel_kernels::SurfaceError;
-
 use super::super::draw_pause::DRAW_PAUSE;
 use super::super::rest::REST_AFTER;
 use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, committed, prefix};
-use crate::extraction::{CutId, Measurement, Shown, WorkError};
+use crate::extraction::{CutId, MeasuredError, Measurement, Shown, WorkError};
 
 #[tokio::test]
 async fn steps_come_coarse_first_and_end_with_the_statistics() {
@@ -230,7 +228,7 @@ async fn a_surface_that_rests_is_measured() {
     let mut viewer = Viewer::showing(&[1, 2]).await;
     let job = viewer.measurements.recv().await.expect("a measurement");
     assert!(done.elapsed() >= REST_AFTER);
-    let error = SurfaceError { rms: 0.5, max: 2.0 };
+    let error = MeasuredError { rms: 0.5, max: 2.0 };
     let measured = Measurement {
         whole: error,
         regions: vec![([1, 0, 0], error)],

@@ -2,14 +2,13 @@
 
 use std::time::Duration;
 
-use isopeel_kernels::SurfaceError;
 use tokio::time::Instant;
 
 use super::super::draw_pause::DRAW_PAUSE;
 use super::super::rest::REST_AFTER;
 use super::scripted::{Answer, Job, shapes};
 use super::viewer::{Viewer, committed, committed_of, prefix, prefix_of};
-use crate::extraction::{CutId, Measurement, Refinement, Shown, WorkError};
+use crate::extraction::{CutId, MeasuredError, Measurement, Refinement, Shown, WorkError};
 use crate::view::View;
 
 pub(super) fn iso<T>(job: &Job<T>) -> f32 {
@@ -348,7 +347,7 @@ async fn each_surface_that_rests_is_improved_and_measured_and_an_edit_postpones_
     assert!(job.reply.send(Ok(Some(better))).is_ok());
     viewer.expect(&prefix_of(1, 2, 0, [1, 0, 1], true)).await;
     assert_eq!(viewer.until("done").await["generation"], 2);
-    let error = SurfaceError { rms: 0.5, max: 2.0 };
+    let error = MeasuredError { rms: 0.5, max: 2.0 };
     for (surface, generation) in [(0, 3), (1, 2)] {
         let job = viewer.measurements.recv().await.expect("a measurement");
         let measured = Measurement {

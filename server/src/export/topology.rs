@@ -1,0 +1,331 @@
+//! What the triangles of a mesh say of its shape: vertices where sheets touch, whether it is closed, and the volume that it encloses.
+
+use super::Mesh;
+use crate::math::DVec3;
+
+/// Triangles around each vertex.
+struct Around {
+    /// Where the triangles of each vertex begin, and behind the last one.
+    first: Vec<u32>,
+    triangles: Vec<u32>,
+}
+
+impl Around {
+    fn new(mesh: &Mesh) -> Self {
+        let mut first = vec![0u32; mesh.positions.len() + 1];
+        for &corner in mesh.triangles.as_flattened() {
+            first[corner as usize + 1] += 1;
+        }
+        for vertex in 1..first.len() {
+            first[vertex] += first[vertex - 1];
+        }
+        let mut next = first.clone();
+        let mut triangles = vec![0; 3 * mesh.triangles.len()];
+        for (triangle, corners) in (0u32..).zip(&mesh.triangles) {
+            for &corner in corners {
+                triangles[next[corner as usize] as usize] = triangle;
+                next[corner as usize] += 1;
+            }
+        }
+        Self { first, triangles }
+    }
+
+    fn of(&self, vertex: u32) -> &[u32] {
+        let [from, to] = [0, 1].map(|i| self.first[vertex as usize + i] as usize);
+        &self.triangles[from..to]
+    }
+}
+
+/// A triangle at a vertex: its number, and its other corners in their order.
+#[derive(Clone, Copy)]
+struct Wedge {
+    triangle: u32,
+    next: u32,
+    previous: u32,
+}
+
+/// What [`split_pinched`] found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Topology {
+    /// Vertices that were added.
+    pub split: u64,
+    /// Whether each edge of each sheet has two triangles, of opposite directions.
+    pub is_closed: bool,
+}
+
+/// Splits each vertex at which several sheets touch, so that each sheet has one of its own: the triangles around a vertex are then connected by
+/// edges. Where sheets touch along an edge, the triangles that bound the same solid there are one sheet.
+pub(super) fn split_pinched(mesh: &mut Mesh) -> Topology {
+    let mut split = 0;
+    loop {
+        let pass = split_once(mesh);
+        split += pass.split;
+        // What connected the sheets at one vertex may have been split at another one. Each pass adds vertices, of which there are no more than
+        // corners.
+        if pass.split == 0 {
+            return Topology { split, ..pass };
+        }
+    }
+}
+
+/// One pass over all vertices.
+fn split_once(mesh: &mut Mesh) -> Topology {
+    let around = Around::new(mesh);
+    let mut topology = Topology {
+        split: 0,
+        is_closed: !mesh.triangles.is_empty(),
+    };
+    let mut wedges = Vec::new();
+    for vertex in 0..mesh.positions.len() as u32 {
+        wedges.clear();
+        wedges.extend(
+            around
+                .of(vertex)
+                .iter()
+                .filter_map(|&triangle| wedge(mesh, triangle, vertex)),
+        );
+        match single_fan(&wedges) {
+            Some(is_closed) => topology.is_closed &= is_closed,
+            None => {
+                let fans = fans(mesh, vertex, &wedges, &mut topology.is_closed);
+                topology.split += split(mesh, vertex, &wedges, &fans);
+            }
+        }
+    }
+    topology
+}
+
+/// A triangle as its corner sees it; `None` if two of its corners are one.
+fn wedge(mesh: &Mesh, triangle: u32, vertex: u32) -> Option<Wedge> {
+    let corners = mesh.triangles[triangle as usize];
+    let at = corners.iter().position(|&corner| corner == vertex)?;
+    let [next, previous] = [corners[(at + 1) % 3], corners[(at + 2) % 3]];
+    let is_proper = next != vertex && previous != vertex && next != previous;
+    is_proper.then_some(Wedge {
+        triangle,
+        next,
+        previous,
+    })
+}
+
+/// Whether the triangles at a vertex are one fan, and if so, whether it is closed. Most are.
+fn single_fan(wedges: &[Wedge]) -> Option<bool> {
+    let Some(first) = wedges.first() else {
+        return Some(true);
+    };
+    let (mut seen, mut at) = (1, first.previous);
+    while at != first.next {
+        let mut onward = wedges.iter().filter(|wedge| wedge.next == at);
+        at = match (onward.next(), onward.next()) {
+            (Some(wedge), None) => wedge.previous,
+            // The border, or several sheets.
+            (None, _) => break,
+            (Some(_), Some(_)) => return None,
+        };
+        seen += 1;
+        if seen > wedges.len() {
+            return None;
+        }
+    }
+    let is_closed = at == first.next;
+    let mut at = first.next;
+    while !is_closed {
+        let mut back = wedges.iter().filter(|wedge| wedge.previous == at);
+        at = match (back.next(), back.next()) {
+            (Some(wedge), None) => wedge.next,
+            (None, _) => break,
+            (Some(_), Some(_)) => return None,
+        };
+        seen += 1;
+        if seen > wedges.len() {
+            return None;
+        }
+    }
+    (seen == wedges.len()).then_some(is_closed)
+}
+
+/// The number of the fan of each triangle at a vertex. Clears `is_closed` if an edge has triangles without partners.
+fn fans(mesh: &Mesh, vertex: u32, wedges: &[Wedge], is_closed: &mut bool) -> Vec<usize> {
+    let mut fan: Vec<usize> = (0..wedges.len()).collect();
+    let mut join = |a: usize, b: usize| {
+        let (from, to) = (fan[a].max(fan[b]), fan[a].min(fan[b]));
+        fan.iter_mut().filter(|fan| **fan == from).for_each(|fan| *fan = to);
+    };
+    let mut ends: Vec<u32> = wedges.iter().flat_map(|wedge| [wedge.next, wedge.previous]).collect();
+    ends.sort_unstable();
+    ends.dedup();
+    for end in ends {
+        let with = |is_of: fn(&Wedge, u32) -> bool| -> Vec<usize> {
+            (0..wedges.len()).filter(|&i| is_of(&wedges[i], end)).collect()
+        };
+        let out = with(|wedge, end| wedge.next == end);
+        let back = with(|wedge, end| wedge.previous == end);
+        *is_closed &= out.len() == back.len();
+        match (&out[..], &back[..]) {
+            (&[a], &[b]) => join(a, b),
+            (&[_], &[]) | (&[], &[_]) => {}
+            _ => match partners(mesh, [vertex, end], wedges, &out, &back) {
+                Some(pairs) => pairs.into_iter().for_each(|(a, b)| join(a, b)),
+                // They cannot be told apart.
+                None => out
+                    .iter()
+                    .chain(&back)
+                    .for_each(|&i| join(i, out.first().copied().unwrap_or(i))),
+            },
+        }
+    }
+    fan
+}
+
+/// Which triangles at an edge with several bound the same solid: seen along the edge, from one that goes along it counter-clockwise over the
+/// outside to the next, and from one that goes back over the solid. `None` if directions do not take turns.
+fn partners(
+    mesh: &Mesh,
+    [from, to]: [u32; 2],
+    wedges: &[Wedge],
+    out: &[usize],
+    back: &[usize],
+) -> Option<Vec<(usize, usize)>> {
+    if out.len() != back.len() {
+        return None;
+    }
+    let position = |vertex: u32| DVec3::from(mesh.positions[vertex as usize].map(f64::from));
+    let axis = position(to) - position(from);
+    let u = axis.any_orthonormal_vector();
+    let v = axis.normalize_or_zero().cross(u);
+    let angle = |vertex: u32| {
+        let arm = position(vertex) - position(from);
+        arm.dot(v).atan2(arm.dot(u))
+    };
+    let along = out.iter().map(|&i| (angle(wedges[i].previous), true, i));
+    let against = back.iter().map(|&i| (angle(wedges[i].next), false, i));
+    let mut sides: Vec<(f64, bool, usize)> = along.chain(against).collect();
+    sides.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let count = sides.len();
+    let pairs = (0..count).filter(|&i| !sides[i].1).map(|i| {
+        let (_, is_along, partner) = sides[(i + 1) % count];
+        is_along.then_some((sides[i].2, partner))
+    });
+    pairs.collect()
+}
+
+/// Gives each fan of a vertex but the first one a vertex of its own. Returns how many were added.
+fn split(mesh: &mut Mesh, vertex: u32, wedges: &[Wedge], fans: &[usize]) -> u64 {
+    let mut others: Vec<usize> = fans.to_vec();
+    others.sort_unstable();
+    others.dedup();
+    for &fan in others.iter().skip(1) {
+        let copy = mesh.copy_vertex(vertex as usize);
+        for (wedge, _) in wedges.iter().zip(fans).filter(|(_, of)| **of == fan) {
+            let corners = &mut mesh.triangles[wedge.triangle as usize];
+            corners
+                .iter_mut()
+                .filter(|corner| **corner == vertex)
+                .for_each(|corner| *corner = copy);
+        }
+    }
+    others.len().saturating_sub(1) as u64
+}
+
+/// The volume that a closed mesh encloses, in cubes of its unit; below 0 if its triangles are seen from inside.
+pub(super) fn volume(mesh: &Mesh) -> f64 {
+    let of = |corners: &[u32; 3]| {
+        let [a, b, c] = corners.map(|i| DVec3::from(mesh.positions[i as usize].map(f64::from)));
+        a.dot(b.cross(c)) / 6.0
+    };
+    mesh.triangles.iter().map(of).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A mesh of these positions and triangles.
+    fn mesh(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Mesh {
+        let count = positions.len();
+        Mesh {
+            positions: positions.to_vec(),
+            normals: vec![[0.0, 0.0, 1.0]; count],
+            smoothness: vec![0.0; count],
+            feature: vec![0.0; count],
+            triangles: triangles.to_vec(),
+            ..Mesh::default()
+        }
+    }
+
+    /// Faces of a tetrahedron of these corners, seen from outside if the fourth is in front of none.
+    fn tetrahedron([a, b, c, d]: [u32; 4]) -> [[u32; 3]; 4] {
+        [[a, c, b], [a, b, d], [b, c, d], [c, a, d]]
+    }
+
+    const CORNERS: [[f32; 3]; 4] = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+    #[test]
+    fn a_closed_mesh_stays_as_it_is() {
+        let mut one = mesh(&CORNERS, &tetrahedron([0, 1, 2, 3]));
+        let before = one.clone();
+        let expected = Topology {
+            split: 0,
+            is_closed: true,
+        };
+        assert_eq!(split_pinched(&mut one), expected);
+        assert_eq!(one, before);
+        assert!((volume(&one) - 1.0 / 6.0).abs() < 1e-12);
+        one.flip();
+        assert!((volume(&one) + 1.0 / 6.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_border_is_no_pinch_and_not_closed() {
+        let mut open = mesh(&CORNERS, &tetrahedron([0, 1, 2, 3])[1..]);
+        let expected = Topology {
+            split: 0,
+            is_closed: false,
+        };
+        assert_eq!(split_pinched(&mut open), expected);
+    }
+
+    #[test]
+    fn solids_that_touch_at_a_vertex_get_one_each() {
+        let mut positions = CORNERS.to_vec();
+        positions.extend(CORNERS[1..].iter().map(|corner| corner.map(|x| -x)));
+        let mut triangles = tetrahedron([0, 1, 2, 3]).to_vec();
+        // Mirrored, so that it is seen from outside.
+        triangles.extend(tetrahedron([0, 5, 4, 6]));
+        let mut both = mesh(&positions, &triangles);
+        let topology = split_pinched(&mut both);
+        assert_eq!((topology.split, topology.is_closed), (1, true));
+        assert_eq!(both.positions.len(), 8);
+        assert_eq!(both.positions[7], both.positions[0]);
+        assert_eq!(split_pinched(&mut both).split, 0, "nothing is left to split");
+        let of_first = both.triangles[..4].iter().flatten().any(|&corner| corner == 0);
+        let of_second = both.triangles[4..].iter().flatten().any(|&corner| corner == 0);
+        assert!(of_first != of_second);
+    }
+
+    #[test]
+    fn solids_that_touch_along_an_edge_get_one_each() {
+        // Both have the edge from 0 to 3, one at positive x and y, the other at negative ones.
+        let mut positions = CORNERS.to_vec();
+        positions.extend([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]);
+        let mut triangles = tetrahedron([0, 1, 2, 3]).to_vec();
+        triangles.extend(tetrahedron([0, 4, 5, 3]));
+        let mut both = mesh(&positions, &triangles);
+        let topology = split_pinched(&mut both);
+        assert_eq!((topology.split, topology.is_closed), (2, true));
+        let shared: Vec<u32> = (0..8)
+            .filter(|vertex| both.triangles[..4].as_flattened().contains(vertex))
+            .filter(|vertex| both.triangles[4..].as_flattened().contains(vertex))
+            .collect();
+        assert!(shared.is_empty(), "{shared:?}");
+        assert!((volume(&both) - 2.0 / 6.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn degenerate_triangles_are_left_alone() {
+        let mut triangles = tetrahedron([0, 1, 2, 3]).to_vec();
+        triangles.push([0, 0, 1]);
+        let mut one = mesh(&CORNERS, &triangles);
+        assert_eq!(split_pinched(&mut one).split, 0);
+    }
+}

@@ -1,0 +1,73 @@
+//! What the description of the API says of every operation: how callers are known, and answers of the layers in front of the handlers.
+
+use utoipa::Modify;
+use utoipa::openapi::path::Operation;
+use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
+use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response};
+
+/// The scheme of tokens.
+const TOKEN: &str = "token";
+
+/// Answers of the gate, which every path below `/api/` may give.
+const OF_GATE: [(&str, &str); 4] = [
+    ("401", "`unauthorized`: no token, or one that is not valid"),
+    (
+        "403",
+        "`forbidden`: the token lacks the role; `foreign-origin`: a page of another origin",
+    ),
+    ("421", "`foreign-host`: the request is for another host"),
+    ("429", "`too-many-requests`"),
+];
+
+/// Paths that ask for no token.
+const PUBLIC: [&str; 4] = ["/healthz", "/readyz", "/api/v1/oidc", "/api/v1/embed"];
+
+/// Completes a description.
+pub(super) struct Completed;
+
+impl Modify for Completed {
+    fn modify(&self, openapi: &mut OpenApi) {
+        let components = openapi.components.get_or_insert_default();
+        let mut bearer = Http::new(HttpAuthScheme::Bearer);
+        bearer.description = Some("A token of the server; a server with `--no-auth` asks for none".into());
+        components.add_security_scheme(TOKEN, SecurityScheme::Http(bearer));
+        let none: [&str; 0] = [];
+        let asked = SecurityRequirement::new(TOKEN, none);
+        for (path, item) in &mut openapi.paths.paths {
+            let operations = [
+                &mut item.get,
+                &mut item.put,
+                &mut item.post,
+                &mut item.delete,
+                &mut item.head,
+                &mut item.patch,
+            ];
+            for operation in operations.into_iter().flatten() {
+                // An empty requirement: a server may ask for no token.
+                let security = if PUBLIC.contains(&path.as_str()) {
+                    vec![SecurityRequirement::default()]
+                } else {
+                    vec![asked.clone(), SecurityRequirement::default()]
+                };
+                operation.security = Some(security);
+                if path.starts_with("/api/") {
+                    complete(operation);
+                }
+            }
+        }
+    }
+}
+
+fn complete(operation: &mut Operation) {
+    for (status, description) in OF_GATE {
+        let answers = &mut operation.responses.responses;
+        answers.entry(status.to_owned()).or_insert_with(|| {
+            let problem = Content::new(Some(Ref::from_schema_name("Problem")));
+            let mut response = Response::new(description);
+            response
+                .content
+                .insert("application/problem+json".into(), problem.into());
+            RefOr::T(response)
+        });
+    }
+}

@@ -1,0 +1,262 @@
+//! Admission of exports: a few are made at a time, a few wait, and users take turns.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+
+use crate::problem::ApiError;
+
+/// Limits of a queue.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct QueueLimits {
+    /// Exports at a time.
+    pub running: usize,
+    /// Exports that wait, of all users.
+    pub waiting: usize,
+    /// Exports that wait, of one user.
+    pub waiting_of_user: usize,
+    /// Longest wait.
+    pub wait: Duration,
+}
+
+/// A queue of exports. Clones share it.
+#[derive(Clone, Debug)]
+pub(super) struct ExportQueue(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    limits: QueueLimits,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// Exports that run, by user.
+    running: HashMap<Arc<str>, usize>,
+    /// In the order in which they came.
+    waiting: Vec<Waiter>,
+}
+
+#[derive(Debug)]
+struct Waiter {
+    user: Arc<str>,
+    admit: oneshot::Sender<ExportPermit>,
+}
+
+/// Leave to make an export; dropped, the next one is admitted.
+#[derive(Debug)]
+pub(super) struct ExportPermit {
+    queue: ExportQueue,
+    user: Arc<str>,
+}
+
+impl ExportQueue {
+    pub(super) fn new(limits: QueueLimits) -> Self {
+        let state = Mutex::default();
+        Self(Arc::new(Shared { limits, state }))
+    }
+
+    /// Exports that run.
+    pub(super) fn running(&self) -> usize {
+        self.state().running.values().sum()
+    }
+
+    /// Waits until a user's export may be made.
+    ///
+    /// # Errors
+    /// `busy`: too many wait, or the wait took too long.
+    pub(super) async fn admit(&self, user: &str) -> Result<ExportPermit, ApiError> {
+        let limits = self.0.limits;
+        let admitted = match self.enter(user)? {
+            Entry::Admitted(permit) => return Ok(permit),
+            Entry::Waits(admitted) => admitted,
+        };
+        // Dropped with this future, when the client leaves: the waiter is passed over.
+        match tokio::time::timeout(limits.wait, admitted).await {
+            Ok(Ok(permit)) => Ok(permit),
+            _ => Err(ApiError::busy(format!(
+                "{} exports are under way, the most at a time, and none ended within {} s: try again in a few seconds",
+                limits.running,
+                limits.wait.as_secs()
+            ))),
+        }
+    }
+
+    fn enter(&self, user: &str) -> Result<Entry, ApiError> {
+        let (limits, user) = (self.0.limits, Arc::<str>::from(user));
+        let mut state = self.state();
+        // Whoever has left makes place.
+        state.waiting.retain(|waiter| !waiter.admit.is_closed());
+        if state.waiting.is_empty() && state.running.values().sum::<usize>() < limits.running {
+            *state.running.entry(Arc::clone(&user)).or_default() += 1;
+            let queue = self.clone();
+            return Ok(Entry::Admitted(ExportPermit { queue, user }));
+        }
+        let of_user = state.waiting.iter().filter(|waiter| waiter.user == user).count();
+        if state.waiting.len() >= limits.waiting || of_user >= limits.waiting_of_user {
+            return Err(ApiError::busy(format!(
+                "{} exports are under way and {} wait, {of_user} of them yours, expected up to {} that wait and up to {} of a user: try again \
+                 in a few seconds",
+                limits.running,
+                state.waiting.len(),
+                limits.waiting,
+                limits.waiting_of_user
+            )));
+        }
+        let (admit, admitted) = oneshot::channel();
+        state.waiting.push(Waiter { user, admit });
+        Ok(Entry::Waits(admitted))
+    }
+
+    /// Ends an export of a user, and admits the next one.
+    fn release(&self, user: &Arc<str>) {
+        let next = {
+            let mut state = self.state();
+            state.leave(user);
+            let is_free = state.running.values().sum::<usize>() < self.0.limits.running;
+            let next = is_free.then(|| state.next()).flatten();
+            if let Some(waiter) = &next {
+                *state.running.entry(Arc::clone(&waiter.user)).or_default() += 1;
+            }
+            next
+        };
+        if let Some(Waiter { user, admit }) = next {
+            let queue = self.clone();
+            // If the client has left, the permit comes back, and its drop admits another one.
+            let _ = admit.send(ExportPermit { queue, user });
+        }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+enum Entry {
+    Admitted(ExportPermit),
+    Waits(oneshot::Receiver<ExportPermit>),
+}
+
+impl State {
+    /// Takes the one who is admitted next: of the user with the fewest exports that run, the one who waits longest.
+    fn next(&mut self) -> Option<Waiter> {
+        let running = |waiter: &Waiter| self.running.get(&waiter.user).copied().unwrap_or_default();
+        let numbered = self.waiting.iter().enumerate();
+        let (place, _) = numbered.min_by_key(|(place, waiter)| (running(waiter), *place))?;
+        Some(self.waiting.remove(place))
+    }
+
+    fn leave(&mut self, user: &Arc<str>) {
+        if let Some(count) = self.running.get_mut(user) {
+            *count -= 1;
+            if *count == 0 {
+                self.running.remove(user);
+            }
+        }
+    }
+}
+
+impl Drop for ExportPermit {
+    fn drop(&mut self) {
+        self.queue.release(&self.user);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::pin::pin;
+    use std::task::Poll;
+
+    use futures_util::poll;
+
+    use super::*;
+
+    fn queue(running: usize) -> ExportQueue {
+        ExportQueue::new(QueueLimits {
+            running,
+            waiting: 4,
+            waiting_of_user: 3,
+            wait: Duration::from_secs(600),
+        })
+    }
+
+    #[tokio::test]
+    async fn users_take_turns_and_each_ones_exports_come_in_their_order() {
+        let queue = queue(1);
+        let first = queue.admit("a").await.unwrap();
+        let order = Arc::new(Mutex::new(Vec::new()));
+        let waiting: Vec<_> = ["a 1", "a 2", "a 3", "b 1"]
+            .map(|name| {
+                let (queue, order) = (queue.clone(), Arc::clone(&order));
+                tokio::spawn(async move {
+                    let _permit = queue.admit(&name[..1]).await.unwrap();
+                    order.lock().unwrap().push(name);
+                    tokio::task::yield_now().await;
+                })
+            })
+            .into();
+        while queue.state().waiting.len() < 4 {
+            tokio::task::yield_now().await;
+        }
+        let own = queue.admit("a").await.unwrap_err().to_string();
+        assert!(own.contains("3 of them yours"), "{own}");
+        let full = queue.admit("c").await.unwrap_err().to_string();
+        assert!(
+            full.starts_with("1 exports are under way and 4 wait, 0 of them yours"),
+            "{full}"
+        );
+        drop(first);
+        for one in waiting {
+            one.await.unwrap();
+        }
+        assert_eq!(
+            *order.lock().unwrap(),
+            ["a 1", "a 2", "a 3", "b 1"],
+            "nothing of either runs when one ends"
+        );
+        assert_eq!(queue.running(), 0);
+    }
+
+    #[tokio::test]
+    async fn a_user_with_fewer_exports_comes_first() {
+        let queue = queue(2);
+        let of_a = [queue.admit("a").await.unwrap(), queue.admit("a").await.unwrap()];
+        let (mut next_of_a, mut next_of_b) = (pin!(queue.admit("a")), pin!(queue.admit("b")));
+        assert!(poll!(&mut next_of_a).is_pending() && poll!(&mut next_of_b).is_pending());
+        let [one, other] = of_a;
+        drop(one);
+        assert!(poll!(&mut next_of_a).is_pending());
+        let Poll::Ready(Ok(_of_b)) = poll!(&mut next_of_b) else {
+            panic!("b is admitted before a second one of a");
+        };
+        drop(other);
+        assert!(poll!(&mut next_of_a).is_ready());
+    }
+
+    #[tokio::test]
+    async fn who_leaves_is_passed_over() {
+        let queue = queue(1);
+        let first = queue.admit("a").await.unwrap();
+        let mut left = Box::pin(queue.admit("a"));
+        assert!(poll!(&mut left).is_pending());
+        let mut stays = pin!(queue.admit("b"));
+        assert!(poll!(&mut stays).is_pending());
+        drop(left);
+        drop(first);
+        let Poll::Ready(Ok(permit)) = poll!(&mut stays) else {
+            panic!("the one who waits still is admitted");
+        };
+        drop(permit);
+        assert_eq!(queue.running(), 0);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_wait_ends() {
+        let queue = queue(1);
+        let _first = queue.admit("a").await.unwrap();
+        let late = queue.admit("b").await.unwrap_err().to_string();
+        assert!(late.contains("none ended within 600 s"), "{late}");
+    }
+}

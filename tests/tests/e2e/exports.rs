@@ -1,0 +1,328 @@
+//! What programs that read exports expect of them: outside, unit, values, and vertices of one sheet each.
+
+use std::collections::HashMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use crate::support::files::FileMesh;
+use crate::support::{ball, command, files, server};
+
+/// A ball of 12 samples' radius as NRRD, with high or low values inside, in this unit or none.
+fn write(path: &Path, inside: f32, unit: Option<&str>) {
+    let mut file = std::fs::File::create(path).expect("a file");
+    let units = unit.map_or(String::new(), |unit| {
+        format!("space units: \"{unit}\" \"{unit}\" \"{unit}\"\n")
+    });
+    // Of a patient's axes millimetres are assumed.
+    let space = match unit {
+        Some(_) => "space: left-posterior-superior",
+        None => "space dimension: 3",
+    };
+    write!(
+        file,
+        "NRRD0005\ntype: float\ndimension: 3\n{space}\nsizes: 32 32 32\nspace directions: (2,0,0) (0,2,0) (0,0,2)\n\
+         space origin: (100,0,0)\n{units}endian: little\nencoding: raw\n\n"
+    )
+    .expect("written");
+    let samples = (0..32_768).flat_map(|i| {
+        let at = [i % 32, i / 32 % 32, i / 1024].map(|n| n as f32 - 15.4);
+        let radius = at.iter().map(|x| x * x).sum::<f32>().sqrt();
+        (inside * (12.1 - radius)).to_le_bytes()
+    });
+    file.write_all(&samples.collect::<Vec<u8>>()).expect("written");
+}
+
+/// The volume that a mesh encloses: below 0 if it is inside out.
+fn volume(mesh: &FileMesh) -> f64 {
+    let of = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|corner| mesh.positions[corner as usize]);
+        let cross = [0, 1, 2].map(|i| b[(i + 1) % 3] * c[(i + 2) % 3] - b[(i + 2) % 3] * c[(i + 1) % 3]);
+        (a[0] * cross[0] + a[1] * cross[1] + a[2] * cross[2]) / 6.0
+    };
+    mesh.triangles.iter().map(of).sum()
+}
+
+struct Setting {
+    folder: tempfile::TempDir,
+}
+
+impl Setting {
+    fn new() -> Self {
+        Self {
+            folder: tempfile::tempdir().expect("a temporary folder"),
+        }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Statistics, bytes and mesh of an extraction.
+    fn extract(&self, volume: &Path, options: &str, format: &str) -> (serde_json::Value, Vec<u8>, FileMesh) {
+        let out = self.path(&format!("out.{format}"));
+        let statistics = command::extract_to(volume, options, &out);
+        let bytes = std::fs::read(&out).expect("written");
+        let mesh = files::read(format, &bytes);
+        (statistics, bytes, mesh)
+    }
+}
+
+#[test]
+fn the_outside_of_a_closed_surface_is_away_from_what_it_encloses() {
+    if !server::has_device() {
+        return;
+    }
+    let setting = Setting::new();
+    let [high, low] = ["high.nrrd", "low.nrrd"].map(|name| setting.path(name));
+    write(&high, 1.0, Some("mm"));
+    write(&low, -1.0, Some("mm"));
+    let ball = 4.0 / 3.0 * std::f64::consts::PI * 24.2f64.powi(3);
+    for format in ["glb", "ply", "stl", "vtp"] {
+        let in_unit = if format == "glb" { 1e-9 } else { 1.0 };
+        for (volume_file, options, outward, sign) in [
+            (&high, "", "low", 1.0),
+            (&low, "", "high", 1.0),
+            (&low, "--outward low", "low", -1.0),
+            (&low, "--outward high", "high", 1.0),
+            (&high, "--outward high", "high", -1.0),
+        ] {
+            let (statistics, _, mesh) = setting.extract(volume_file, &format!("--iso 0 {options}"), format);
+            let share = volume(&mesh) / (ball * in_unit);
+            assert!((share / sign - 1.0).abs() < 0.02, "{format} {options}: {share}");
+            let shape = &statistics["shape"];
+            assert_eq!(
+                (&shape["outward"], &shape["isClosed"]),
+                (&outward.into(), &true.into()),
+                "{format} {options}"
+            );
+            assert!(
+                (shape["volume"].as_f64().expect("a volume") / ball - 1.0).abs() < 0.02,
+                "{shape}"
+            );
+        }
+    }
+    // What leaves the volume encloses nothing.
+    let (open, ..) = setting.extract(&low, "--iso 5", "stl");
+    assert_eq!(
+        open["shape"],
+        serde_json::json!({"outward": "low", "isClosed": false, "volume": null})
+    );
+}
+
+#[test]
+fn files_are_in_the_unit_that_their_readers_take_them_for() {
+    if !server::has_device() {
+        return;
+    }
+    let setting = Setting::new();
+    let [micro, none, angstrom] = ["micro.nrrd", "none.nrrd", "angstrom.nrrd"].map(|name| setting.path(name));
+    write(&micro, 1.0, Some("µm"));
+    write(&none, 1.0, None);
+    write(&angstrom, 1.0, Some("angstrom"));
+    let width = |mesh: &FileMesh| {
+        let [low, high] = mesh.extent();
+        high[0] - low[0]
+    };
+    for (volume, options, format, expected, unit) in [
+        (&micro, "", "stl", 48.4e-3, "mm"),
+        (&micro, "", "ply", 48.4, "um"),
+        (&micro, "", "vtp", 48.4, "um"),
+        (&micro, "", "glb", 48.4e-6, "m"),
+        (&micro, "--unit mm", "ply", 48.4e-3, "mm"),
+        (&micro, "--unit m", "stl", 48.4e-3, "mm"),
+        (&micro, "--unit m", "vtp", 48.4e-6, "m"),
+        (&none, "", "stl", 48.4, "unknown"),
+        (&none, "", "ply", 48.4, "unknown"),
+        (&none, "--unit cm", "stl", 484.0, "mm"),
+        (&none, "--unit cm", "ply", 48.4, "cm"),
+        (&none, "--unit cm", "glb", 0.484, "m"),
+        (&angstrom, "", "ply", 48.4, "angstrom"),
+        (&angstrom, "", "stl", 48.4e-7, "mm"),
+    ] {
+        let (statistics, bytes, mesh) = setting.extract(volume, &format!("--iso 0 {options}"), format);
+        let found = width(&mesh);
+        assert!(
+            (found / expected - 1.0).abs() < 0.01,
+            "{format} {options}: {found}, expected {expected}"
+        );
+        let header = match format {
+            "stl" => &bytes[..80],
+            "ply" => &bytes[..bytes.windows(10).position(|w| w == b"end_header").expect("a header")],
+            _ => continue,
+        };
+        assert!(header.is_ascii());
+        let header = String::from_utf8_lossy(header);
+        assert_eq!(header.contains("SPACE=LPS"), volume != &none, "{header}");
+        assert!(header.contains(&format!("unit {unit}")), "{header}");
+        let notice = statistics["notices"][0].as_str().unwrap_or_default();
+        assert_eq!(
+            notice.contains("declares no unit"),
+            unit == "unknown" && format == "stl",
+            "{notice}"
+        );
+    }
+    let volume = micro.display().to_string();
+    let refused = command::fail(["extract", &volume, "--iso", "0", "--unit", "parsec", "--stats"]);
+    assert!(
+        refused.contains("unit: \"parsec\", expected one of m, mm, cm, um, nm, km or angstrom"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn values_of_fields_are_attributes_in_their_units() {
+    if !server::has_device() {
+        return;
+    }
+    let setting = Setting::new();
+    let folder = setting.path("fields");
+    std::fs::create_dir(&folder).expect("a folder");
+    let dims = [40, 36, 34];
+    let value = |[x, y, z]: [f32; 3]| 12.3 - ((x - 19.0).powi(2) + (y - 17.5).powi(2) + (z - 16.0).powi(2)).sqrt();
+    ball::write_field(&folder.join("ball.npy"), dims, value);
+    // Linear, so that it is known between samples.
+    ball::write_field(&folder.join("temp 1.npy"), dims, |[x, y, z]| {
+        300.0 + x - 2.0 * y + 0.5 * z
+    });
+    for options in ["", "--cap"] {
+        let options = format!("--field ball --iso 0 --beta -1 --field-values {options}");
+        let out = setting.path("out.ply");
+        let words = options.split_whitespace().map(String::from);
+        let line = ["extract".to_owned(), folder.display().to_string()];
+        let line = line.into_iter().chain(words.flat_map(|word| match word.as_str() {
+            "--field-values" => vec![word, "temp 1".to_owned()],
+            _ => vec![word],
+        }));
+        command::succeed(line.chain(["-o".to_owned(), out.display().to_string()]));
+        let bytes = std::fs::read(&out).expect("written");
+        let end = bytes.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
+        let header = String::from_utf8_lossy(&bytes[..end]);
+        assert!(header.contains("property float temp_1\n"), "{header}");
+        assert!(
+            header.contains("comment field: temp_1 is temp 1, unit unknown"),
+            "{header}"
+        );
+        let mesh = files::read("ply", &bytes);
+        for (row, position) in bytes[end..].chunks_exact(48).zip(&mesh.positions) {
+            let found = f64::from(f32::from_le_bytes(row[44..48].try_into().expect("four bytes")));
+            let expected = 300.0 + position[0] - 2.0 * position[1] + 0.5 * position[2];
+            assert!(
+                (found - expected).abs() < 1e-3,
+                "{found}, expected {expected} at {position:?}"
+            );
+        }
+    }
+    let path = folder.display().to_string();
+    let refused = command::fail(["extract", &path, "--iso", "0", "--field-values", "heat", "--stats"]);
+    assert!(
+        refused.contains("fieldValues: \"heat\", expected some of \"ball\", \"temp 1\""),
+        "{refused}"
+    );
+}
+
+#[test]
+fn the_surface_of_a_label_is_around_its_samples() {
+    if !server::has_device() {
+        return;
+    }
+    let setting = Setting::new();
+    let labels = setting.path("labels.npy");
+    let balls = [
+        (1.0, [10.0, 10.0, 10.0]),
+        (2.0, [22.0, 20.0, 20.0]),
+        (7.0, [10.0, 22.0, 20.0]),
+    ];
+    ball::write_field(&labels, [32, 32, 32], |at| {
+        let is_in = |centre: &[f32; 3]| (0..3).map(|i| (at[i] - centre[i]).powi(2)).sum::<f32>() < 25.0;
+        balls
+            .iter()
+            .find(|(_, centre)| is_in(centre))
+            .map_or(0.0, |(label, _)| *label)
+    });
+    for (label, centres) in [("7", &balls[2..]), ("1,2", &balls[..2])] {
+        let (statistics, _, mesh) = setting.extract(&labels, &format!("--label {label} --beta -1"), "ply");
+        assert_eq!(statistics["shape"]["isClosed"], true, "{label}");
+        for position in &mesh.positions {
+            let near = |(_, centre): &(f32, [f32; 3])| {
+                let square = |i: usize| (position[i] - f64::from(centre[i])).powi(2);
+                ((0..3).map(square).sum::<f64>().sqrt() - 5.0).abs() < 1.5
+            };
+            assert!(centres.iter().any(near), "{label}: {position:?}");
+        }
+        let volume = volume(&mesh) / centres.len() as f64;
+        assert!((450.0..600.0).contains(&volume), "{label}: {volume}");
+    }
+    let path = labels.display().to_string();
+    let out = setting.path("none.stl").display().to_string();
+    let empty = command::run(["extract", &path, "--label", "5", "-o", &out]);
+    assert_eq!(
+        empty.status.code(),
+        Some(3),
+        "{}",
+        String::from_utf8_lossy(&empty.stderr)
+    );
+    let refused = command::fail(["extract", &path, "--label", "Pons", "--stats"]);
+    assert!(
+        refused.contains("label: \"Pons\", expected a whole number or a name"),
+        "{refused}"
+    );
+}
+
+/// Vertices whose triangles are not connected by edges at it.
+fn pinched(mesh: &FileMesh) -> usize {
+    let mut around: HashMap<u32, Vec<[u32; 2]>> = HashMap::new();
+    for &[a, b, c] in &mesh.triangles {
+        for (at, ends) in [(a, [b, c]), (b, [c, a]), (c, [a, b])] {
+            around.entry(at).or_default().push(ends);
+        }
+    }
+    let is_pinched = |ends: &Vec<[u32; 2]>| {
+        let mut seen = vec![ends[0][0], ends[0][1]];
+        loop {
+            let before = seen.len();
+            for pair in ends {
+                if pair.iter().any(|end| seen.contains(end)) {
+                    seen.extend(
+                        pair.iter()
+                            .filter(|end| !seen.contains(end))
+                            .copied()
+                            .collect::<Vec<_>>(),
+                    );
+                }
+            }
+            if seen.len() == before {
+                return ends.iter().any(|pair| !seen.contains(&pair[0]));
+            }
+        }
+    };
+    around.values().filter(|ends| is_pinched(ends)).count()
+}
+
+#[test]
+fn a_vertex_is_of_one_sheet() {
+    if !server::has_device() {
+        return;
+    }
+    let setting = Setting::new();
+    let noise = setting.path("noise.npy");
+    ball::write_field(&noise, [24, 22, 20], |at| {
+        let [x, y, z] = at.map(|x| x as u32);
+        if x.min(y).min(z) == 0 || x == 23 || y == 21 || z == 19 {
+            return -1.0;
+        }
+        let hash = (x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663) ^ z.wrapping_mul(83_492_791))
+            .wrapping_mul(2_654_435_761);
+        (hash >> 8) as f32 / (1 << 24) as f32 - 0.5
+    });
+    for options in [
+        "--beta -1",
+        "--beta 0.1",
+        "--triangles 60%",
+        "--mesher marching-cubes --beta -1",
+    ] {
+        let (statistics, _, mesh) = setting.extract(&noise, &format!("--iso 0.013 {options}"), "ply");
+        assert!(mesh.triangles.len() > 1_000, "{options}");
+        assert_eq!(pinched(&mesh), 0, "{options}");
+        assert_eq!(statistics["vertices"], mesh.positions.len(), "{options}");
+    }
+}
