@@ -69,7 +69,7 @@ pub async fn make(
     let (token, request) = (token.clone(), request.clone());
     let made =
         pool::run_export(move || MadeFile::new(extraction, &volume, &request, &device.name, &|| token.is_cancelled()));
-    Ok(made.await??)
+    made.await?
 }
 
 /// The unit of a file's positions: millimetres in an STL, else what was asked for, else the volume's own. A volume without a unit has the one that
