@@ -48,7 +48,7 @@ pub enum Command {
     /// Serve volumes to browsers and programs over HTTP and WebSocket, until ctrl-c
     Serve(Box<serve::Args>),
     /// Extract one isosurface to a file, or count its triangles
-    Extract(extract::Args),
+    Extract(Box<extract::Args>),
     /// Submit, follow and fetch batch jobs of a server that keeps some (--state-folder)
     Jobs(jobs::Args),
     /// Make, list and revoke the tokens that a server with a --state-folder lets people and programs in by

@@ -6,7 +6,7 @@ use serde_json::Value;
 use tokio_util::sync::CancellationToken;
 
 use super::field_values::FieldSamples;
-use super::topology::{split_pinched, volume};
+use super::topology::{Topology, split_pinched, volume};
 use super::{ExportError, FileDigest, FileOptions, FileRequest, Format, Mesh, digest, extras, stl, why_empty, write};
 use crate::extraction::{Extraction, ExtractionStatistics, Extractor, Shape, WorkError};
 use crate::pool::{self, Panicked};
@@ -69,7 +69,7 @@ pub async fn make(
     let (token, request) = (token.clone(), request.clone());
     let made =
         pool::run_export(move || MadeFile::new(extraction, &volume, &request, &device.name, &|| token.is_cancelled()));
-    Ok(made.await??)
+    made.await?
 }
 
 /// The unit of a file's positions: millimetres in an STL, else what was asked for, else the volume's own. A volume without a unit has the one that
@@ -85,7 +85,8 @@ fn unit_of_file(format: Format, own: Option<LengthUnit>, asked: Option<LengthUni
 }
 
 /// Turns a mesh so that its outside is the side that was asked for.
-fn turn_outward(mesh: &mut Mesh, is_closed: bool, outward: Outward) -> Shape {
+fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape {
+    let Topology { split, is_closed } = topology;
     let volume = is_closed.then(|| volume(mesh));
     let shows_high = match outward {
         Outward::Auto => volume.is_some_and(|volume| volume < 0.0),
@@ -97,6 +98,7 @@ fn turn_outward(mesh: &mut Mesh, is_closed: bool, outward: Outward) -> Shape {
     }
     Shape {
         outward: if shows_high { Outward::High } else { Outward::Low },
+        split_vertices: split,
         is_closed,
         volume: volume.map(f64::abs),
     }
@@ -187,8 +189,7 @@ impl MadeFile {
         }
         mesh.index = Vec::new();
         let topology = split_pinched(&mut mesh);
-        statistics.vertices += topology.split;
-        statistics.shape = Some(turn_outward(&mut mesh, topology.is_closed, request.options.outward));
+        statistics.shape = Some(turn_outward(&mut mesh, topology, request.options.outward));
         statistics.notices = notices(&mesh, format, &request.options);
         let notice = dataset.notice().unwrap_or_default();
         mesh.notices = notice.lines().map(str::to_owned).collect();

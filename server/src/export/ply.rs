@@ -60,9 +60,18 @@ fn space(mesh: &Mesh) -> String {
     }
 }
 
+/// Longest text of a comment; a longer one is continued in the next comment of its name. Common readers refuse lines of 1024 bytes.
+const MAX_COMMENT: usize = 400;
+
 /// Comments on where the surface comes from, on fields, and the volume's notices. Comments are ASCII.
 fn comments(mesh: &Mesh) -> String {
-    let comment = |name: &str, text: &str| format!("comment {name}: {}\n", ascii(text));
+    let comment = |name: &str, text: &str| {
+        let text = ascii(text);
+        let lines = text.as_bytes().chunks(MAX_COMMENT).map(String::from_utf8_lossy);
+        lines
+            .map(|line| format!("comment {name}: {line}\n"))
+            .collect::<String>()
+    };
     let provenance = mesh.provenance.iter().map(|(name, text)| comment(name, text));
     let fields = mesh.fields.iter().zip(names(mesh)).map(|(field, property)| {
         let unit = field.unit.as_deref().unwrap_or("unknown");
@@ -112,6 +121,7 @@ fn names(mesh: &Mesh) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::mesh::FieldValues;
     use super::super::mesh::tests::{geometry, surface, two_quads};
     use super::*;
 
@@ -178,6 +188,47 @@ mod tests {
             .collect();
         assert_eq!(comments, ["0.2 \\u{b5}m", "as\\rassumed"]);
         assert_eq!(vertices.len(), 6);
+    }
+
+    #[test]
+    fn long_texts_are_comments_that_readers_take() {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let view = "0123456789".repeat(150);
+        mesh.provenance = vec![("view", view.clone())];
+        let mut bytes = Vec::new();
+        write(&mesh, &mut bytes).unwrap();
+        let (header, ..) = parse(&bytes);
+        assert!(header.lines().all(|line| line.len() < 500), "{header}");
+        let parts = header.lines().filter_map(|line| line.strip_prefix("comment view: "));
+        assert_eq!(parts.collect::<String>(), view);
+    }
+
+    #[test]
+    fn values_and_colours_stand_behind_what_all_vertices_have() {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let field = |name: &str| FieldValues {
+            name: name.to_owned(),
+            unit: Some("K".to_owned()),
+            values: vec![7.5; 6],
+        };
+        mesh.fields = vec![field("T (air)"), field("feature")];
+        mesh.colors = vec![[65535, 0, 0]; 6];
+        let mut bytes = Vec::new();
+        write(&mesh, &mut bytes).unwrap();
+        let header = String::from_utf8_lossy(&bytes);
+        for line in [
+            "property float T__air_",
+            "property float feature_2",
+            "property uchar blue",
+            "comment field: T__air_ is T (air), unit K",
+        ] {
+            assert!(header.contains(&format!("{line}\n")), "{line}");
+        }
+        let end = b"end_header\n";
+        let body = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
+        let expected = [7.5f32.to_le_bytes(), 7.5f32.to_le_bytes()].concat();
+        assert_eq!(bytes[body + 44..body + 55], [&expected[..], &[255, 0, 0]].concat());
+        assert_eq!(bytes.len(), body + 6 * 55 + 4 * 13);
     }
 
     #[test]

@@ -127,13 +127,15 @@ fn single_fan(wedges: &[Wedge]) -> Option<bool> {
             return None;
         }
     }
-    let is_closed = at == first.next;
+    if at == first.next {
+        return (seen == wedges.len()).then_some(true);
+    }
     let mut at = first.next;
-    while !is_closed {
+    loop {
         let mut back = wedges.iter().filter(|wedge| wedge.previous == at);
         at = match (back.next(), back.next()) {
             (Some(wedge), None) => wedge.next,
-            (None, _) => break,
+            (None, _) => return (seen == wedges.len()).then_some(false),
             (Some(_), Some(_)) => return None,
         };
         seen += 1;
@@ -141,7 +143,6 @@ fn single_fan(wedges: &[Wedge]) -> Option<bool> {
             return None;
         }
     }
-    (seen == wedges.len()).then_some(is_closed)
 }
 
 /// The number of the fan of each triangle at a vertex. Clears `is_closed` if an edge has triangles without partners.

@@ -63,6 +63,8 @@ impl EstimatedError {
 pub struct Shape {
     /// The side that triangles and normals show: that of high or that of low values.
     pub outward: Outward,
+    /// Vertices of the file beside those of the surface: where sheets touch, each has vertices of its own.
+    pub split_vertices: u64,
     /// Whether each edge has two triangles.
     pub is_closed: bool,
     /// The volume that a closed surface encloses, in cubes of the file's unit.

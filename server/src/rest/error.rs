@@ -69,7 +69,7 @@ impl From<MakeError> for ApiError {
             MakeError::Edit(error) => error.into(),
             MakeError::Export(error) => error.into(),
             MakeError::Empty(why) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "empty-surface", why),
-            MakeError::Read(error) => WorkError::Unreadable(error.into()).into(),
+            MakeError::Read(error) => WorkError::Unreadable(error).into(),
             MakeError::Panicked(error) => Self::internal(error),
         }
     }

@@ -739,6 +739,8 @@ export type SessionInfo = {
 export type Shape = {
   /** The side that triangles and normals show: that of high or that of low values. */
   outward: Outward,
+  /** Vertices of the file beside those of the surface: where sheets touch, each has vertices of its own. */
+  splitVertices: number,
   /** Whether each edge has two triangles. */
   isClosed: boolean,
   /** The volume that a closed surface encloses, in cubes of the file's unit. */

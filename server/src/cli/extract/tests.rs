@@ -10,7 +10,7 @@ use crate::volumes::{Dataset, testing};
 
 fn parse(line: &str) -> Result<Args, clap::Error> {
     match Cli::try_parse_from(line.split_whitespace())?.command {
-        Command::Extract(args) => Ok(args),
+        Command::Extract(args) => Ok(*args),
         other => panic!("{other:?}"),
     }
 }
