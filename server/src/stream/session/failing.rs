@@ -90,7 +90,8 @@ impl<B: Backend> Session<B> {
         let Some(session) = opened.surface_mut(surface) else {
             return;
         };
-        session.failed = Some(failed);
+        // What is suggested is what was known when it failed.
+        session.failed.get_or_insert(failed);
         let failure = match session.generation_mut() {
             Some(generation) if !may_stay && generation.failure.is_some() => {
                 generation.clear(&volume);
