@@ -90,6 +90,8 @@ missing_packages() {
     command -v "${CLANG:-clang}" >/dev/null || printf '%s\n' clang
     echo '#include <CL/cl_layer.h>' | cc -E - >/dev/null 2>&1 || printf '%s\n' opencl-c-headers
     command -v python3 >/dev/null || printf '%s\n' python3
+    # For the generated clients, in a virtual environment
+    python3 -c 'import ensurepip' 2>/dev/null || printf '%s\n' python3-venv
     # a browser without a font draws boxes
     has_chromium || printf '%s\n' chromium fonts-dejavu-core
 }
