@@ -38,7 +38,7 @@ impl Findings {
                 ..Conversion::default()
             };
             read(&survey, &mut |_| Ok(()))?;
-            self.set_ranks(path, survey.into_ranks(path)?);
+            self.set_ranks(path, survey.into_ranks(path, self.missing())?);
         }
         let conversion = Conversion {
             ranks: self.ranks(),
@@ -118,7 +118,7 @@ impl Conversion {
         self.losses.lock().unwrap_or_else(PoisonError::into_inner).add(losses);
     }
 
-    fn into_ranks(self, path: &Path) -> Result<LabelRanks, ReadError> {
+    fn into_ranks(self, path: &Path, missing: Option<f32>) -> Result<LabelRanks, ReadError> {
         let numbers = self
             .survey
             .map(|survey| survey.into_inner().unwrap_or_else(PoisonError::into_inner));
@@ -129,7 +129,7 @@ impl Conversion {
             );
             return Err(ReadError::new(path, "data", why));
         }
-        Ok(LabelRanks::new(numbers))
+        Ok(LabelRanks::new(numbers, missing))
     }
 }
 

@@ -15,6 +15,8 @@ struct State {
     notices: Notices,
     needs_ranks: bool,
     ranks: Option<Arc<LabelRanks>>,
+    /// The field's value for a sample that is missing.
+    missing: Option<f32>,
 }
 
 impl Findings {
@@ -58,6 +60,15 @@ impl Findings {
         self.state().needs_ranks = true;
     }
 
+    /// Says which value means that a sample is missing: it is no label.
+    pub(super) fn set_missing(&self, missing: Option<f32>) {
+        self.state().missing = missing;
+    }
+
+    pub(super) fn missing(&self) -> Option<f32> {
+        self.state().missing
+    }
+
     pub(super) fn set_ranks(&self, path: &Path, ranks: LabelRanks) {
         self.report(path, ranks.notice());
         self.state().ranks = Some(Arc::new(ranks));
@@ -83,16 +94,30 @@ pub struct LabelRanks {
     /// Index of 0, or where it would be less one.
     zero: i64,
     has_zero: bool,
+    /// The number of samples that are missing.
+    missing: Option<i128>,
 }
 
 impl LabelRanks {
-    pub(super) fn new(values: BTreeSet<i128>) -> Self {
+    /// Ranks of all `values` but the one that is the float `missing`.
+    pub(super) fn new(mut values: BTreeSet<i128>, missing: Option<f32>) -> Self {
+        let mut same = values.iter().copied().filter(|number| Some(*number as f32) == missing);
+        // Of several the float does not say which.
+        let missing = same.next().filter(|_| same.next().is_none());
+        if let Some(missing) = missing {
+            values.remove(&missing);
+        }
         let values: Vec<i128> = values.into_iter().collect();
         let (zero, has_zero) = match values.binary_search(&0) {
             Ok(at) => (at as i64, true),
             Err(at) => (at as i64 - 1, false),
         };
-        Self { values, zero, has_zero }
+        Self {
+            values,
+            zero,
+            has_zero,
+            missing,
+        }
     }
 
     fn rank_at(&self, index: usize) -> f32 {
@@ -102,8 +127,11 @@ impl LabelRanks {
         (if is_below { rank - 1 } else { rank }) as f32
     }
 
-    /// Where a number stands among the ranks: the rank of a label, or half a rank from its neighbours.
+    /// Where a number stands among the ranks: the rank of a label, or half a rank from its neighbours; NaN of the one that is missing.
     pub fn position(&self, number: i128) -> f32 {
+        if self.missing == Some(number) {
+            return f32::NAN;
+        }
         match self.values.binary_search(&number) {
             Ok(at) => self.rank_at(at),
             Err(0) => self.rank_at(0) - 0.5,
@@ -141,7 +169,7 @@ mod tests {
 
     #[test]
     fn ranks_are_in_the_order_of_the_numbers() {
-        let of = |numbers: &[i128]| LabelRanks::new(numbers.iter().copied().collect());
+        let of = |numbers: &[i128]| LabelRanks::new(numbers.iter().copied().collect(), None);
         let ranks = of(&[-LABEL * 8, -7, 3, 1 << 63]);
         assert_eq!(
             [-LABEL * 8, -7, 3, 1 << 63].map(|n| ranks.position(n)),
@@ -150,5 +178,13 @@ mod tests {
         let ranks = of(&[-7, 0, 3]);
         assert_eq!([-7, 0, 3].map(|n| ranks.position(n)), [-1.0, 0.0, 1.0]);
         assert_eq!(of(&[5]).position(1), 0.5);
+    }
+
+    #[test]
+    fn the_missing_number_is_no_label() {
+        let numbers = [0, 7, LABEL + 1, (1 << 31) - 1];
+        let ranks = LabelRanks::new(numbers.into(), Some(2_147_483_648.0));
+        assert!(ranks.position((1 << 31) - 1).is_nan());
+        assert_eq!(ranks.iter().collect::<Vec<_>>(), [(0.0, 0), (1.0, 7), (2.0, LABEL + 1)]);
     }
 }

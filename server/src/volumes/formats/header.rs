@@ -177,6 +177,7 @@ pub fn field(
     missing: Option<f32>,
     unit: Option<String>,
 ) -> Field {
+    samples.findings.set_missing(missing);
     Field {
         name,
         stored_type: stored_type.to_owned(),

@@ -168,7 +168,7 @@ pub const FORMATS: [Format; 17] = [
     Format {
         endings: &[".dcm", ".dicom"],
         open: dicom::open,
-        is_content: |head| head.get(128..132) == Some(b"DICM"),
+        is_content: dicom::is_dicom,
         is_volume: |_| true,
         has_parts: true,
     },

@@ -400,7 +400,12 @@ pub fn doubt_of_order(sizes: &[u64]) -> Option<String> {
     if sizes.last() == Some(&1) {
         return Some("the last axis has one sample and was left out".to_owned());
     }
-    if last > 4 || smallest_other < 2 * last {
+    let is_short = match count {
+        // A volume with so few samples along x is rarer than channels in the wrong place.
+        4.. => smallest_other > last,
+        _ => smallest_other >= 2 * last,
+    };
+    if last > 4 || !is_short {
         return None;
     }
     Some(match (count, long.next()) {
@@ -533,6 +538,8 @@ mod tests {
         assert!(doubt_of_order(&[16, 20, 24]).is_none());
         assert!(doubt_of_order(&[16, 20, 24, 3]).is_some_and(|why| why.contains("channels last")));
         assert!(doubt_of_order(&[480, 640, 3]).is_some_and(|why| why.contains("channels of an image")));
+        assert!(doubt_of_order(&[5, 6, 7, 4]).is_some_and(|why| why.contains("channels last")));
+        assert!(doubt_of_order(&[5, 6, 4]).is_none());
         assert!(doubt_of_order(&[16, 20, 24, 1]).is_some_and(|why| why.contains("left out")));
         assert!(doubt_of_order(&[2, 2, 2]).is_none());
     }

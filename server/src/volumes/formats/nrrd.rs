@@ -338,7 +338,7 @@ impl<'a> Header<'a> {
             _ => origin,
         };
         let geometry = header::geometry(path, &FIELDS, axes.dims, spacing, origin, direction)?;
-        Ok(self.framed(geometry, axes))
+        Ok(self.framed(geometry, axes, notices))
     }
 
     /// Numbers of the axes in space, of a field with one for each axis.
@@ -391,7 +391,7 @@ impl<'a> Header<'a> {
 
     /// The grid in the frame that `space` names. Lengths are in `space units`, else in `units` where these agree, else
     /// in the millimetres of a patient's frame.
-    fn framed(&self, mut geometry: Geometry, axes: &Axes) -> Geometry {
+    fn framed(&self, mut geometry: Geometry, axes: &Axes, notices: &mut Notices) -> Geometry {
         let (frame, signs) = self
             .get("space")
             .map_or((Frame::World, [1.0; 3]), header::frame_of_space);
@@ -407,6 +407,13 @@ impl<'a> Header<'a> {
         let named: Option<Vec<&str>> = of_space.or_else(of_axes);
         geometry.unit = match named.as_deref() {
             Some([first, rest @ ..]) if rest.iter().all(|unit| unit == first) => LengthUnit::parse(first),
+            Some(units) if units.len() > 1 && frame == Frame::World => {
+                notices.add(format!(
+                    "the units of the axes differ: {}; distances are the numbers of the file, without a unit",
+                    units.join(", ")
+                ));
+                None
+            }
             _ => None,
         }
         .or(frame.is_anatomical().then_some(LengthUnit::Millimetre));

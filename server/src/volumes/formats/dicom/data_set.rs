@@ -58,6 +58,7 @@ tags! {
     INTERCEPT = 0x0028_1052, "RescaleIntercept";
     SLOPE = 0x0028_1053, "RescaleSlope";
     RESCALE_TYPE = 0x0028_1054, "RescaleType";
+    MODALITY_TABLE = 0x0028_3000, "ModalityLUTSequence";
     PIXEL_MEASURES = 0x0028_9110, "PixelMeasuresSequence";
     VALUE_TRANSFORMATION = 0x0028_9145, "PixelValueTransformationSequence";
     UNITS = 0x0054_1001, "Units";
@@ -105,6 +106,7 @@ pub fn is_sequence(tag: Tag) -> bool {
             | SEGMENTS
             | SEGMENT_IDENTIFICATION
             | VALUE_TRANSFORMATION
+            | MODALITY_TABLE
             | SHARED_GROUPS
             | FRAME_GROUPS
     )

@@ -8,6 +8,7 @@ use flate2::bufread::DeflateDecoder;
 use super::super::super::location::{Blob, BlobReader};
 use super::super::super::stored::DEFLATE_RATIO;
 use super::super::super::{FileLocation, ReadError};
+use super::beginning::Beginning;
 use super::data_set::{DataSet, Fault, tag};
 use super::elements::{Elements, PixelElement, Stream, Writing};
 use super::frames::{self, Image};
@@ -16,9 +17,6 @@ use super::samples::{Kind, SampleFormat};
 use super::segments::Segmentation;
 use super::syntax::{Packing, Syntax};
 
-/// Bytes before the first element, the last four of which are [`MAGIC`].
-const PREAMBLE_BYTES: u64 = 132;
-const MAGIC: &[u8] = b"DICM";
 /// A header is a few kilobytes, of which only parts are read.
 const BUFFER_BYTES: usize = 1 << 13;
 /// Frames of a file, each of which takes some hundred bytes beside its samples.
@@ -43,6 +41,8 @@ pub struct ImageFile {
     pub segmentation: Option<Segmentation>,
     pub syntax: Syntax,
     pub pixels: Pixels,
+    /// Notices of what was repaired or is not used.
+    pub repairs: Vec<&'static str>,
 }
 
 /// Where the samples are.
@@ -53,15 +53,6 @@ pub enum Pixels {
     Deflated { from: u64, at: u64 },
     /// Each frame in fragments of its own: offset and length of each fragment.
     Fragments(Vec<Vec<(u64, u32)>>),
-}
-
-/// Whether a file begins as DICOM does.
-pub fn has_magic(location: &FileLocation) -> bool {
-    let mut magic = [0; MAGIC.len()];
-    let at = PREAMBLE_BYTES - MAGIC.len() as u64;
-    location
-        .open()
-        .is_ok_and(|blob| blob.read_exact_at(&mut magic, at).is_ok() && magic == MAGIC)
 }
 
 /// What a file holds.
@@ -84,10 +75,9 @@ pub fn read(location: &FileLocation, label: &FileLabel) -> Result<Found, ReadErr
     let fail = |fault: Fault| label.error(fault.field, fault.why);
     // The error's own path would be that of a file in the folder.
     let blob = location.open().map_err(|e| label.error("file", e.why))?;
-    if !has_magic(location) {
-        return Err(label.error("magic", "expected DICM behind the first 128 bytes"));
-    }
-    let (syntax, from, set, element) = elements(&blob).map_err(fail)?;
+    let beginning = Beginning::of_blob(&blob);
+    let beginning = beginning.ok_or_else(|| label.error("magic", "expected DICM behind the first 128 bytes"))?;
+    let (syntax, from, set, element) = elements(&blob, beginning).map_err(fail)?;
     let Some(element) = element else {
         return Ok(Found::Nothing);
     };
@@ -96,6 +86,7 @@ pub fn read(location: &FileLocation, label: &FileLabel) -> Result<Found, ReadErr
         syntax,
         from,
         set: &set,
+        beginning,
     };
     Ok(match header.images(&element, location, label) {
         Ok((_, images)) if images.is_empty() => Found::Nothing,
@@ -117,10 +108,18 @@ fn buffered<'a>(blob: &'a Blob<'_>, at: u64) -> BufReader<BlobReader<'a>> {
 }
 
 /// How the elements of a file are written, where they begin, and they up to the samples.
-fn elements(blob: &Blob<'_>) -> Result<(Syntax, u64, DataSet, Option<PixelElement>), Fault> {
-    let meta = Elements::new(buffered(blob, PREAMBLE_BYTES), EXPLICIT, PREAMBLE_BYTES, blob.len());
-    let (meta, from) = meta.meta()?;
-    let syntax = Syntax::of(meta.text(tag::TRANSFER_SYNTAX).as_deref())?;
+fn elements(blob: &Blob<'_>, beginning: Beginning) -> Result<(Syntax, u64, DataSet, Option<PixelElement>), Fault> {
+    let (syntax, from) = match beginning {
+        Beginning::Meta { at, .. } => {
+            let meta = Elements::new(buffered(blob, at), EXPLICIT, at, blob.len());
+            let (meta, from) = meta.meta()?;
+            (Syntax::of(meta.text(tag::TRANSFER_SYNTAX).as_deref())?, from)
+        }
+        Beginning::DataSet(writing) => {
+            let packing = Packing::Plain;
+            (Syntax { writing, packing }, 0)
+        }
+    };
     let stream = buffered(blob, from);
     let (set, element) = if syntax.packing == Packing::Deflated {
         let reach = blob.len().saturating_mul(DEFLATE_RATIO);
@@ -138,6 +137,7 @@ struct Header<'a> {
     /// Where the data set begins.
     from: u64,
     set: &'a DataSet,
+    beginning: Beginning,
 }
 
 impl Header<'_> {
@@ -164,8 +164,16 @@ impl Header<'_> {
             segmentation: Segmentation::of(set)?,
             syntax: self.syntax,
             pixels: self.pixels(element, &format, count)?,
+            repairs: self.repairs(),
         };
         Ok((file, frames::images(set, count)?))
+    }
+
+    /// What other programs may show otherwise.
+    fn repairs(&self) -> Vec<&'static str> {
+        let has_table = !self.set.items(tag::MODALITY_TABLE).is_empty();
+        let table = has_table.then_some("values are those stored: ModalityLUTSequence, a table of values, is not used");
+        self.beginning.repair().into_iter().chain(table).collect()
     }
 
     /// Finds the samples, and compares their size with what the header says.

@@ -1,7 +1,7 @@
 //! DICOM: a folder with the images of one or more series, or a file with several images
 //! (<https://www.dicomstandard.org>).
 //!
-//! - [`elements`]: the data elements of a file, of which a [`data_set`] is kept; [`syntax`]: how they are written.
+//! - [`beginning`]: how a file begins. [`elements`]: the data elements of a file, of which a [`data_set`] is kept; [`syntax`]: how they are written.
 //! - [`image`], [`frames`]: what the header says of each image.
 //! - [`samples`], [`codecs`]: stored samples and the values that they stand for.
 //! - [`segments`], [`segmentation`]: segments, and their labels. [`series`]: from images to volumes; [`source`] reads their samples.
@@ -9,6 +9,7 @@
 //! What identifies a patient is not read, or not shown: a volume is named by its series' number and its modality, an
 //! error names the folder and the number of a file. Unknown values of tags are not repeated, as they may be anything.
 
+mod beginning;
 mod codecs;
 mod data_set;
 mod elements;
@@ -32,6 +33,9 @@ use rayon::prelude::*;
 use super::super::beneath::is_link_out;
 use super::super::{FileLocation, OpenedFile, ReadError};
 use super::{FolderVolume, Format};
+pub use beginning::is_dicom;
+
+use beginning::Beginning;
 use image::Found;
 use label::FileLabel;
 
@@ -47,7 +51,7 @@ const MAX_DEPTH: usize = 6;
 /// Whether a path is a DICOM file by its first bytes, or a folder with some: in it or in folders below it, as archives write them.
 /// Looks at the first files only. A folder with volumes of other formats is none.
 pub fn holds(path: &Path) -> bool {
-    let is_dicom = |file: &PathBuf| image::has_magic(&FileLocation::disk(file));
+    let is_dicom = |file: &PathBuf| Beginning::of_file(&FileLocation::disk(file)).is_some();
     if !path.is_dir() {
         return is_dicom(&path.to_owned());
     }
@@ -164,7 +168,7 @@ fn read_folder(asked: &FileLabel) -> Result<Vec<Found>, ReadError> {
     }
     let read = files.par_iter().enumerate().map(|(i, path)| {
         let location = FileLocation::disk(path).beneath(&asked.asked);
-        if !image::has_magic(&location) {
+        if Beginning::of_file(&location).is_none() {
             return Ok(Found::Nothing);
         }
         let label = FileLabel {

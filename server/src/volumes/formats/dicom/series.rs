@@ -173,6 +173,8 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
         return segmentation::open(label, stack.images, segmentation);
     }
     let mut notices = Notices::default();
+    let repairs = stack.images.iter().flat_map(|image| &image.file.repairs);
+    repairs.for_each(|repair| notices.add(*repair));
     let (images, steps, kind) = arrange(stack.images, &mut notices).map_err(fail)?;
     let slices = images.len() / steps;
     let axis = step_between(&images[..slices], &plane, &mut notices).map_err(fail)?;

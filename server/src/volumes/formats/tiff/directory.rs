@@ -15,6 +15,7 @@ pub mod tag {
     pub const PHOTOMETRIC: u16 = 262;
     pub const IMAGE_DESCRIPTION: u16 = 270;
     pub const STRIP_OFFSETS: u16 = 273;
+    pub const ORIENTATION: u16 = 274;
     pub const SAMPLES_PER_PIXEL: u16 = 277;
     pub const ROWS_PER_STRIP: u16 = 278;
     pub const STRIP_BYTE_COUNTS: u16 = 279;
@@ -30,6 +31,8 @@ pub mod tag {
     pub const EXTRA_SAMPLES: u16 = 338;
     pub const SAMPLE_FORMAT: u16 = 339;
     pub const CHROMA_SUBSAMPLING: u16 = 530;
+    /// Of GDAL: the value of pixels without a measurement, as text.
+    pub const NO_DATA: u16 = 42113;
 }
 
 /// First bytes of a file, and how its numbers are written.

@@ -47,6 +47,7 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
     check_numbers(&series).map_err(fail)?;
     let mut files: Vec<Pages> = Vec::new();
     let mut descriptions: Vec<(Option<String>, Resolution)> = Vec::new();
+    let mut stack = Stack::of_pages(series.files.len());
     for (_, file) in &series.files {
         let opened = read_pages(file)?;
         if !is_slice(&opened) {
@@ -56,10 +57,13 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
             );
             return Err(ReadError::new(file.path(), "pages", why));
         }
+        if files.is_empty() {
+            stack.missing = opened.missing;
+        }
+        stack.tell_of_orientation(opened.orientation);
         descriptions.push((opened.description, opened.resolution));
         files.push(opened.pages);
     }
-    let mut stack = Stack::of_pages(files.len());
     stack.planes = (0..files.len()).map(|file| (file, 0)).collect();
     describe_slices(&mut stack, &descriptions).map_err(fail)?;
     let mut file = volume(location, &stack, files)?;

@@ -35,6 +35,10 @@ struct Opened {
     pages: Pages,
     description: Option<String>,
     resolution: Resolution,
+    /// As the specification numbers it: 1 is the first row at the top, the first column on the left.
+    orientation: u64,
+    /// The stored value of pixels without a measurement.
+    missing: Option<f64>,
 }
 
 /// Reads the directories of a file.
@@ -46,6 +50,8 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         mut pages,
         description,
         resolution,
+        orientation,
+        missing,
     } = read_pages(location)?;
     let fail = |why: String| ReadError::new(location.path(), "ImageDescription", why);
     let description = description.unwrap_or_default();
@@ -58,13 +64,15 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         extend_imagej(&mut pages, &description).map_err(fail)?;
     }
     let count = pages.pages.len();
-    let stack = if is_imagej {
+    let mut stack = if is_imagej {
         Stack::of_imagej(&description, count, resolution).map_err(fail)?
     } else {
         let mut stack = Stack::of_tifffile(&description, count).unwrap_or_else(|| Stack::of_pages(count));
         stack.keep_ratio(resolution);
         stack
     };
+    stack.missing = missing;
+    stack.tell_of_orientation(orientation);
     let file = volume(location, &chosen(location, vec![stack])?, vec![pages])?;
     let [x, y, z] = file.geometry.dims.map(u64::from);
     let doubt = doubt_of_order(&[file.steps.into(), z, y, x]).filter(|_| !is_imagej);
@@ -84,12 +92,17 @@ fn read_pages(location: &FileLocation) -> Result<Opened, ReadError> {
         },
         description: None,
         resolution: Resolution::default(),
+        orientation: 1,
+        missing: None,
     };
     let mut number = 0;
     let read = chain.for_each(|directory| {
         number += 1;
         if number == 1 {
             opened.description = directory.text(tag::IMAGE_DESCRIPTION)?;
+            opened.orientation = directory.number(tag::ORIENTATION, 1)?;
+            let missing = directory.text(tag::NO_DATA)?;
+            opened.missing = missing.and_then(|text| text.trim().parse().ok());
             opened.resolution = Resolution {
                 pixels: [
                     directory.rational(tag::X_RESOLUTION)?,
@@ -255,6 +268,10 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
         (calibration, StoredType::U8) if is_calibrated => calibration.map(Calibration::as_line),
         _ => None,
     };
+    let is_whole = !matches!(image.stored, StoredType::F16 | StoredType::F32 | StoredType::F64);
+    let missing = stack.missing.filter(|value| {
+        calibration.is_none() && !image.is_rgb && value.is_finite() && (!is_whole || value.fract() == 0.0)
+    });
     let fields = fields(location, stack, image).into_iter().map(|(name, channel, pick)| {
         let steps = (0..stack.frames).map(|frame| stack.step(channel, frame).to_vec());
         let source = PageSource {
@@ -269,7 +286,7 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
             name,
             stored_type: image.stored.name().to_owned(),
             sample_type: source.sample_type(),
-            missing: None,
+            missing: missing.map(|value| value as f32),
             unit: stack.value_unit.clone(),
             labels: Vec::new(),
             source: Arc::new(source),

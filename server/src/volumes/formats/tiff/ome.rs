@@ -143,6 +143,7 @@ fn stack(pixels: &Pixels, find: &mut FindFile<'_>) -> Result<Stack, String> {
         unit,
         calibration: None,
         value_unit: None,
+        missing: None,
         notices,
         planes: Vec::new(),
     };

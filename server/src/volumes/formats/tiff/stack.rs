@@ -19,6 +19,8 @@ pub struct Stack {
     pub calibration: Option<Calibration>,
     /// Unit of the values.
     pub value_unit: Option<String>,
+    /// The stored value of pixels without a measurement.
+    pub missing: Option<f64>,
     /// What was assumed.
     pub notices: Notices,
     /// File and page of every slice: by frame, then channel, then slice.
@@ -84,6 +86,7 @@ impl Stack {
             unit: None,
             calibration: None,
             value_unit: None,
+            missing: None,
             notices: Notices::default(),
             planes: (0..pages).map(|page| (0, page)).collect(),
         }
@@ -121,9 +124,39 @@ impl Stack {
         stack.calibrate_imagej(description);
         let interval = value("finterval").and_then(|text| text.parse().ok());
         stack.interval = interval.map(|interval| (interval, value("tunit").unwrap_or("sec").to_owned()));
-        let page = |Index { z, channel, frame }| (frame * slices + z) * channels + channel;
-        stack.planes = stack.order(|index| (0, page(index) as usize));
+        let order = value("order").filter(|order| !order.eq_ignore_ascii_case("default"));
+        let order = order.unwrap_or("czt").to_ascii_lowercase();
+        stack
+            .order_pages(&order)
+            .map_err(|why| format!("order is {order:?}, {why}"))?;
         Ok(stack)
+    }
+
+    /// Pages in an order of `c`, `z` and `t`, the fastest index first.
+    fn order_pages(&mut self, order: &str) -> Result<(), &'static str> {
+        let sizes = [self.channels.len() as u32, self.slices, self.frames];
+        let (mut strides, mut stride, mut seen) = ([0; 3], 1, [false; 3]);
+        for letter in order.chars() {
+            let axis = "czt".find(letter).filter(|&axis| !seen[axis]);
+            let axis = axis.ok_or("expected c, z and t in some order")?;
+            (strides[axis], seen[axis]) = (stride, true);
+            stride *= sizes[axis];
+        }
+        if seen.iter().zip(sizes).any(|(seen, size)| !seen && size > 1) {
+            return Err("expected each of c, z and t that has several pages");
+        }
+        let [c, z, t] = strides;
+        self.planes = self.order(|index| (0, (index.channel * c + index.z * z + index.frame * t) as usize));
+        Ok(())
+    }
+
+    /// Says that rows and columns are not turned. `orientation`: as the specification numbers it.
+    pub fn tell_of_orientation(&mut self, orientation: u64) {
+        if orientation != 1 {
+            self.notices.add(format!(
+                "rows and columns are as they are stored, as in ImageJ and tifffile: Orientation {orientation}, which turns or mirrors them, is not used"
+            ));
+        }
     }
 
     /// Pixels that are no squares, of a file that does not say how far slices are apart.
@@ -205,23 +238,65 @@ impl Stack {
         }
     }
 
-    /// What tifffile wrote into the first page: the array's shape, slowest axis first. Of four axes the first one is time, as in
-    /// `.npy`. `None` where another program wrote it, or the pages are another array's.
+    /// What tifffile wrote into the first page: the array's shape, slowest axis first, and the letters of its axes, if they were given. Of
+    /// four axes without letters the first one is time, as in `.npy`. `None` where another program wrote it, or the pages are another
+    /// array's.
     pub fn of_tifffile(description: &str, pages: usize) -> Option<Self> {
         let value: serde_json::Value = serde_json::from_str(description).ok()?;
-        let sizes: Option<Vec<u64>> = value
-            .get("shape")?
-            .as_array()?
-            .iter()
-            .map(serde_json::Value::as_u64)
-            .collect();
-        let &[frames, slices, _, _] = sizes?.as_slice() else {
-            return None;
-        };
+        let sizes = value.get("shape")?.as_array()?.iter().map(serde_json::Value::as_u64);
+        let sizes: Vec<u64> = sizes.collect::<Option<_>>()?;
+        let axes = value.get("axes").and_then(serde_json::Value::as_str);
+        let axes = axes.filter(|axes| axes.len() == sizes.len() && axes.is_ascii());
         let mut stack = Self::of_pages(pages);
-        stack.frames = u32::try_from(frames).ok().filter(|&n| n > 0)?;
-        stack.slices = u32::try_from(slices).ok()?;
-        (frames.checked_mul(slices)? == pages as u64).then_some(stack)
+        match (axes, sizes.as_slice()) {
+            (Some(axes), sizes) => return Some(Self::of_letters(&axes.to_ascii_lowercase(), sizes, pages)),
+            (None, &[frames, slices, _, _]) => {
+                stack.frames = u32::try_from(frames).ok().filter(|&n| n > 0)?;
+                stack.slices = u32::try_from(slices).ok()?;
+                (frames.checked_mul(slices)? == pages as u64).then_some(stack)
+            }
+            (None, [_, _, _, _, _, ..]) => {
+                let notice = format!(
+                    "the file does not say what the {} axes of {sizes:?} are: pages are slices",
+                    sizes.len()
+                );
+                stack.notices.add(notice);
+                Some(stack)
+            }
+            _ => None,
+        }
+    }
+
+    /// Pages of an array whose axes have these letters, the slowest first: the last two are those of a page.
+    fn of_letters(axes: &str, sizes: &[u64], pages: usize) -> Self {
+        let of_page = if axes.ends_with("yxs") { 3 } else { 2 };
+        let (above, below) = axes.split_at(axes.len().saturating_sub(of_page));
+        let mut stack = Self::of_pages(pages);
+        let size = |letter: char| {
+            let size = above.find(letter).map_or(1, |at| sizes[at]);
+            u32::try_from(size).ok().filter(|&size| size > 0)
+        };
+        let counts = [size('c'), size('z'), size('t')];
+        let total = counts
+            .iter()
+            .try_fold(1u64, |n, size| n.checked_mul(u64::from((*size)?)));
+        let is_known = below.starts_with("yx") && total == Some(pages as u64) && above.contains('z');
+        if let ([Some(channels), Some(slices), Some(frames)], true) = (counts, is_known) {
+            let order: String = above.chars().rev().filter(|letter| "czt".contains(*letter)).collect();
+            let mut ordered = stack.clone();
+            ordered.channels = vec![None; channels as usize];
+            (ordered.slices, ordered.frames) = (slices, frames);
+            if ordered.order_pages(&order).is_ok() {
+                return ordered;
+            }
+        }
+        if !(below == "yx" && above.len() == 1 && matches!(above, "z" | "q" | "i")) {
+            let axes = axes.to_ascii_uppercase();
+            let notice =
+                format!("the file says that its axes are {axes}, slowest first: pages are taken for slices, Z, Y, X");
+            stack.notices.add(notice);
+        }
+        stack
     }
 
     /// Planes in their order, each where `place` says.
@@ -277,6 +352,41 @@ mod tests {
             "",
         ] {
             assert!(Stack::of_tifffile(text, 6).is_none(), "{text}");
+        }
+    }
+
+    #[test]
+    fn pages_are_in_the_order_that_the_file_says() {
+        let text = "ImageJ=1.54f\nchannels=2\nslices=3\nframes=2\norder=";
+        let of = |order: &str| Stack::of_imagej(&format!("{text}{order}\n"), 12, Resolution::default());
+        assert_eq!(of("default").unwrap().step(1, 1), [(0, 7), (0, 9), (0, 11)]);
+        assert_eq!(of("zct").unwrap().step(1, 1), [(0, 9), (0, 10), (0, 11)]);
+        assert_eq!(of("tzc").unwrap().step(1, 1), [(0, 7), (0, 9), (0, 11)]);
+        assert!(of("zz").is_err() && of("c").is_err());
+    }
+
+    #[test]
+    fn letters_of_tifffile_say_what_axes_are() {
+        let of = |axes: &str, shape: &str| {
+            let text = format!(r#"{{"shape": [{shape}], "axes": "{axes}"}}"#);
+            let stack = Stack::of_tifffile(&text, 6).unwrap();
+            let sizes = [stack.channels.len() as u32, stack.slices, stack.frames];
+            (sizes, stack.step(0, 0).to_vec(), stack.notices.is_empty())
+        };
+        let pages = |pages: &[usize]| pages.iter().map(|page| (0, *page)).collect::<Vec<_>>();
+        assert_eq!(of("CZYX", "2, 3, 5, 7"), ([2, 3, 1], pages(&[0, 1, 2]), true));
+        assert_eq!(of("ZCYX", "3, 2, 5, 7"), ([2, 3, 1], pages(&[0, 2, 4]), true));
+        assert_eq!(of("ZTYXS", "3, 2, 5, 7, 3"), ([1, 3, 2], pages(&[0, 2, 4]), true));
+        let all = pages(&[0, 1, 2, 3, 4, 5]);
+        assert_eq!(of("ZYX", "6, 5, 7"), ([1, 6, 1], all.clone(), true));
+        for (axes, shape) in [
+            ("XYZ", "6, 5, 7"),
+            ("TYX", "6, 5, 7"),
+            ("CZYX", "4, 3, 5, 7"),
+            ("QYXZ", "6, 5, 7, 2"),
+            ("Y", "6"),
+        ] {
+            assert_eq!(of(axes, shape), ([1, 6, 1], all.clone(), false), "{axes}");
         }
     }
 

@@ -30,7 +30,7 @@ pub(super) fn fields_of(
         missing: values.missing(),
         unit: unit.clone(),
         labels: Vec::new(),
-        source: samples.source(channel),
+        source: samples.source(channel, values.missing()),
     };
     let names = match channels {
         Channels::Fields(names) => names,
@@ -68,16 +68,21 @@ impl ChannelSamples {
         }))
     }
 
-    fn source(&self, channel: u32) -> Arc<dyn Source> {
+    fn source(&self, channel: u32, missing: Option<f32>) -> Arc<dyn Source> {
+        let findings = match self {
+            Self::Plain(samples, _) => samples.findings.of_another_field(),
+            Self::Decoded(_) => Findings::default(),
+        };
+        findings.set_missing(missing);
         match self {
             Self::Plain(samples, distance) => Arc::new(StoredSamples {
                 first: u64::from(channel) * distance,
-                findings: samples.findings.of_another_field(),
+                findings,
                 ..samples.clone()
             }),
             Self::Decoded(source) => Arc::new(VariableSource {
                 channel,
-                findings: Findings::default(),
+                findings,
                 ..source.clone()
             }),
         }

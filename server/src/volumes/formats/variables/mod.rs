@@ -19,6 +19,7 @@ mod labels;
 mod long_float;
 mod lzf;
 mod netcdf3;
+mod nexus;
 mod reader;
 mod scale;
 mod source;
@@ -47,7 +48,8 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     if let Some(opened) = kinds::open(location, file.as_ref()) {
         return opened;
     }
-    let variables = file.variables();
+    let mut variables = file.variables();
+    nexus::find_axes(file.as_ref(), &mut variables);
     let chosen = match location.part() {
         Some(part) => vec![named(location, file.as_ref(), &variables, part)?],
         None => on_one_grid(location, variables)?,

@@ -23,19 +23,26 @@ pub struct Values {
 impl Values {
     /// As the attributes say. `stored` is the variable's type.
     pub fn of(variable: &Variable, stored: StoredType) -> Result<Self, String> {
-        let unsigned = variable
-            .text("_Unsigned")
-            .is_some_and(|text| text.eq_ignore_ascii_case("true"));
+        let says = |what: &str| {
+            variable
+                .text("_Unsigned")
+                .is_some_and(|text| text.eq_ignore_ascii_case(what))
+        };
+        let (unsigned, signed) = (says("true"), says("false"));
         let stored = match stored {
+            StoredType::U8 if signed => StoredType::I8,
+            StoredType::U16 if signed => StoredType::I16,
+            StoredType::U32 if signed => StoredType::I32,
             StoredType::I8 if unsigned => StoredType::U8,
             StoredType::I16 if unsigned => StoredType::U16,
             StoredType::I32 if unsigned => StoredType::U32,
             other => other,
         };
-        // Attributes of an unsigned variable are written in the signed type.
+        // Attributes are written in the variable's own type.
         let modulus = 2f64.powi(8 * stored.bytes() as i32);
         let as_stored = |value: &f64| match () {
             () if unsigned && *value < 0.0 => value + modulus,
+            () if signed && *value >= 0.5 * modulus => value - modulus,
             () if stored == StoredType::F16 => f16::from_f64(*value).to_f64(),
             () if stored == StoredType::F32 => f64::from(*value as f32),
             () => *value,

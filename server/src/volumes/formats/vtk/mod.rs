@@ -22,6 +22,10 @@ use crate::volumes::{Field, FileLocation, Frame, Geometry, LengthUnit, Notices, 
 /// Arrays that say which points and cells are copies of another piece's: no samples of the volume.
 const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
 
+/// Notices of arrays that other programs show otherwise.
+pub(super) const UNUSED_GHOSTS: &str = "vtkGhostType is not used: points and cells that it hides are shown";
+pub(super) const CELL_DATA: &str = "there are no point data: cell data are read, at the cells' centres";
+
 /// A grid of points.
 struct Grid {
     dims: [u32; 3],
@@ -144,13 +148,17 @@ fn opened<P>(
     samples: impl Fn(&Array, &P, &Geometry) -> Result<StoredSamples, ReadError>,
 ) -> Result<AsStored, ReadError> {
     let path = location.path();
+    let mut notices = Notices::default();
+    let has_ghosts = |list: &[(Array, P)]| list.iter().any(|(array, _)| array.name == GHOSTS[0]);
+    if has_ghosts(&arrays.point) || has_ghosts(&arrays.cell) {
+        notices.add(UNUSED_GHOSTS);
+    }
     for list in [&mut arrays.point, &mut arrays.cell] {
         list.retain(|(array, _)| !GHOSTS.contains(&array.name.as_str()));
     }
     let mut chosen = arrays.point;
-    let mut notices = Notices::default();
     if chosen.is_empty() {
-        notices.add("there are no point data: cell data are read, at the cells' centres");
+        notices.add(CELL_DATA);
         chosen = arrays.cell;
         grid = of_cells(grid).map_err(|why| ReadError::new(path, names.spacing, why))?;
     }

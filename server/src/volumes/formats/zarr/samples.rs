@@ -111,10 +111,12 @@ impl ZarrSamples {
     }
 
     pub(super) fn of_channel(&self, channel: u32) -> Self {
+        let findings = Findings::default();
+        findings.set_missing(self.missing());
         Self {
             channel,
             stored_bytes: OnceLock::new(),
-            findings: Findings::default(),
+            findings,
             ..self.clone()
         }
     }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use super::{Array, ChosenSteps, MAX_STEPS, World, roles_in_order, volume};
 use crate::volumes::formats::header::{self, GridFields};
 use crate::volumes::formats::variables::file::{Variable, VariableFile};
+use crate::volumes::formats::vtk;
 use crate::volumes::{FileLocation, OpenedFile, ReadError, TimeAxis};
 
 const ROOT: &str = "/VTKHDF";
@@ -55,12 +56,17 @@ pub(super) fn open(location: &FileLocation, file: &dyn VariableFile) -> Result<O
             steps.is_some(),
         )?;
         left_out.extend(others);
+        left_out.push(vtk::CELL_DATA.to_owned());
         arrays = of_cells;
         for axis in 0..3 {
             for row in 0..3 {
                 world.origin[row] += 0.5 * world.spacing[axis] * world.direction[axis][row];
             }
         }
+    }
+    let has_ghosts = |section: &str| file.variable(&format!("{ROOT}/{section}/vtkGhostType")).is_ok();
+    if has_ghosts("PointData") || has_ghosts("CellData") {
+        left_out.push(vtk::UNUSED_GHOSTS.to_owned());
     }
     if arrays.is_empty() && !left_out.is_empty() {
         let why = format!("none is on the grid, expected one at least: {}", left_out.join("; "));
