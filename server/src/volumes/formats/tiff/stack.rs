@@ -249,7 +249,7 @@ impl Stack {
         let axes = axes.filter(|axes| axes.len() == sizes.len() && axes.is_ascii());
         let mut stack = Self::of_pages(pages);
         match (axes, sizes.as_slice()) {
-            (Some(axes), sizes) => return Some(Self::of_letters(&axes.to_ascii_lowercase(), sizes, pages)),
+            (Some(axes), sizes) => Some(Self::of_letters(&axes.to_ascii_lowercase(), sizes, pages)),
             (None, &[frames, slices, _, _]) => {
                 stack.frames = u32::try_from(frames).ok().filter(|&n| n > 0)?;
                 stack.slices = u32::try_from(slices).ok()?;
