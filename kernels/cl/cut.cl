@@ -47,8 +47,9 @@ INLINED void cut_cubes(const CutCriterion *criterion, bool whole, __global const
             uint result = level == 5 ? INTERNAL : state[find_slot(region, bricks, level + 1, code_cell(meta_code(node.meta), level))];
             if (result == INTERNAL && node.count > 0) {
                 const float error = counted_error(criterion, node, level, vertex_records[slots + i].error);
-                if (level == criterion->params.prefix
-                    || (!meta_missing(node.meta) && may_decimate(criterion->params, node, level, error)
+                const bool missing = meta_missing(node.meta);
+                if ((level == criterion->params.prefix && (criterion->params.fills || !missing))
+                    || (!missing && may_decimate(criterion->params, node, level, error)
                         && decimation_key(criterion, node, level, error) <= criterion->params.threshold)) {
                     result = level;
                     count++;

@@ -32,7 +32,7 @@ impl Cut {
         sum_levels(self.regions.iter().map(|region| &region.leaves))
     }
 
-    /// Leaves that the prefix of a level of this cut would have.
+    /// Leaves that the prefix of a level of this cut would have. For the marching-cubes mesher, without those beside missing samples.
     pub fn prefix_leaves(&self, level: Level) -> u64 {
         let from = usize::from(level.get());
         self.regions

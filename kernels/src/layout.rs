@@ -50,8 +50,8 @@ layout! {
     Moments { g: [f32; 3], q: f32, f: f32, n: u32 }
     /// What the cut depends on.
     CutParams {
-        alpha: f32, threshold: f32, by_error: u32, feature_lo: f32, feature_span: f32, max_level: u32, prefix: u32, points: u32,
-        interests: u32, max_error: f32, preserve: u32, cap: u32,
+        alpha: f32, threshold: f32, by_error: u32, feature_lo: f32, feature_span: f32, max_level: u32, prefix: u32, fills: u32,
+        points: u32, interests: u32, max_error: f32, preserve: u32, cap: u32,
     }
     /// A region of interest.
     Interest { centre: [f32; 3], rows: [f32; 9], importance: f32, is_cube: u32 }

@@ -94,6 +94,7 @@ typedef struct {
     float feature_span; // hi - lo, above 0
     uint max_level;
     uint prefix;         // undecided cubes of this level count as leaves; 0: the final cut
+    uint fills;          // so do those that touch a missing sample
     uint points;         // control points of the transfer function
     uint interests;      // regions of interest
     float max_error;     // largest error of a decimated cube, world units; infinite: no guard

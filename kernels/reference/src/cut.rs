@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::interest::{CellBox, raise};
 use crate::{Node, Pyramid};
-use isopeel_kernels::{CutParams, Level};
+use isopeel_kernels::{CutParams, Level, Mesher};
 
 /// A leaf: level and cube coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -78,7 +78,7 @@ pub fn importance_of(s: f32, f: f32, params: &CutParams) -> f32 {
 }
 
 /// Cuts top-down: the coarsest node of level 1 to `max_level` that is not `missing` and has `I <= β` is a leaf; so is an
-/// undecided node of level `prefix` (above 0); active cells below none are leaves of level 0.
+/// undecided node of level `prefix` (above 0), for the dual mesher also one that is `missing`; active cells below none are leaves of level 0.
 pub fn cut(pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Cut {
     guarded(pyramid, params, prefix, |_| true)
 }
@@ -96,8 +96,9 @@ pub fn guarded(pyramid: &Pyramid, params: &CutParams, prefix: Level, allow: impl
             let node = pyramid.nodes[usize::from(level)][&leaf.cube];
             let own = importance(&node, leaf, pyramid.dims, params);
             let unimportant = level <= params.max_level.get() && own <= params.beta;
-            let decided = (unimportant && !node.missing && allow(&leaf)) || level == prefix.get();
-            decided.then_some((leaf, node))
+            let decided = !node.missing && unimportant && allow(&leaf);
+            let of_prefix = level == prefix.get() && (params.mesher == Mesher::Dual || !node.missing);
+            (decided || of_prefix).then_some((leaf, node))
         });
         let (leaf, node) = above.unwrap_or((Leaf { level: 0, cube: cell }, *own));
         result.leaf_of.insert(cell, leaf);

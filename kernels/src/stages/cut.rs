@@ -5,7 +5,7 @@ use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::layout::{self, CutParams, Grid, RegionCut};
-use crate::{Interest, InterestShape, Level, Result, Topology, Volume};
+use crate::{Interest, InterestShape, Level, Mesher, Result, Topology, Volume};
 
 /// Name of the stage.
 pub const STAGE: &str = "cut";
@@ -33,6 +33,8 @@ pub fn layout(params: &crate::CutParams, prefix: Level) -> CutParams {
         feature_span: hi - lo,
         max_level: params.max_level.get().into(),
         prefix: prefix.get().into(),
+        // Vertices of the marching-cubes mesher need samples at both ends of their edges.
+        fills: (params.mesher == Mesher::Dual).into(),
         points: params.transfer.points().len() as u32,
         interests: params.interest.len() as u32,
         max_error: params.max_error.unwrap_or(f32::INFINITY),

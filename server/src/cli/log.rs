@@ -23,7 +23,7 @@ pub fn start(format: LogFormat, default_filter: &str) {
     let (writer, guard) = NonBlockingBuilder::default()
         .buffered_lines_limit(WAITING_LINES)
         .thread_name("isopeel-log")
-        .finish(Lines::new(io::stderr(), format, Arc::clone(&queue)));
+        .finish(Lines::new(standard_error(), format, Arc::clone(&queue)));
     let _ = queue.set(writer.error_counter());
     *GUARD.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
     let log = tracing_subscriber::fmt()
@@ -34,6 +34,21 @@ pub fn start(format: LogFormat, default_filter: &str) {
         LogFormat::Text => log.init(),
         LogFormat::Json => log.json().flatten_event(true).init(),
     }
+}
+
+/// Standard error, without the lock that all of a process shares: a write that waits would hold it.
+#[cfg(unix)]
+fn standard_error() -> Box<dyn Write + Send> {
+    use std::os::fd::AsFd;
+    match io::stderr().as_fd().try_clone_to_owned() {
+        Ok(copy) => Box::new(std::fs::File::from(copy)),
+        Err(_) => Box::new(io::stderr()),
+    }
+}
+
+#[cfg(not(unix))]
+fn standard_error() -> Box<dyn Write + Send> {
+    Box::new(io::stderr())
 }
 
 /// Ends the log once its lines are written, or after a second.

@@ -403,7 +403,7 @@ pub fn doubt_of_order(sizes: &[u64]) -> Option<String> {
     let is_short = match count {
         // A volume with so few samples along x is rarer than channels in the wrong place.
         4.. => smallest_other > last,
-        _ => smallest_other >= 2 * last,
+        _ => smallest_other >= last.saturating_mul(2),
     };
     if last > 4 || !is_short {
         return None;
