@@ -3,7 +3,8 @@
 //! count is a line of its own when there is place again.
 
 use std::io::{self, IsTerminal, Write};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
+use std::time::Duration;
 
 use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
@@ -12,6 +13,9 @@ use super::LogFormat;
 
 /// Lines that may wait.
 const WAITING_LINES: usize = 4096;
+
+/// Longest time that the end of a process waits for its lines.
+const LIMIT: Duration = Duration::from_secs(1);
 
 /// Held until the log ends.
 static GUARD: Mutex<Option<WorkerGuard>> = Mutex::new(None);
@@ -53,7 +57,14 @@ fn standard_error() -> Box<dyn Write + Send> {
 
 /// Ends the log once its lines are written, or after a second.
 pub fn finish() {
-    GUARD.lock().unwrap_or_else(PoisonError::into_inner).take();
+    let guard = GUARD.lock().unwrap_or_else(PoisonError::into_inner).take();
+    let (ended, end) = mpsc::channel();
+    // In a thread that nobody waits for: the library says on standard error that lines are left, which then waits too.
+    std::thread::spawn(move || {
+        drop(guard);
+        let _ = ended.send(());
+    });
+    let _ = end.recv_timeout(LIMIT);
 }
 
 /// Writes lines where it can.

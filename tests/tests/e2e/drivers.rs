@@ -217,7 +217,7 @@ fn kernels() -> Vec<String> {
     names.collect()
 }
 
-/// Faults of three kernels, or of all with `ISOPEEL_FAULTS=all`.
+/// Faults of one kernel, or of all with `ISOPEEL_FAULTS=all`.
 #[test]
 fn a_kernel_of_any_stage_that_fails_is_a_sentence() {
     let all = kernels();
@@ -226,7 +226,7 @@ fn a_kernel_of_any_stage_that_fails_is_a_sentence() {
         all
     } else {
         all.into_iter()
-            .filter(|name| ["fit", "tree_relax", "probe"].contains(&name.as_str()))
+            .filter(|name| ["tree_relax"].contains(&name.as_str()))
             .collect()
     };
     let mut unnoticed = Vec::new();

@@ -107,7 +107,11 @@ fn a_batch_that_is_interrupted_goes_on_and_makes_nothing_anew() {
         let path = output.join(format!("{n:05}.stl"));
         assert_eq!(made(&path).as_ref(), Some(before), "extraction {n} was made anew");
     }
-    assert_eq!(files_below(&output), EXTRACTIONS + 1, "all of them and the manifest, and no state");
+    assert_eq!(
+        files_below(&output),
+        EXTRACTIONS + 1,
+        "all of them and the manifest, and no state"
+    );
 }
 
 /// Stands between clients and a server that starts again at another address, and keeps what either has sent.
