@@ -131,16 +131,16 @@ impl<W: Write> Write for Lines<W> {
 mod tests {
     use super::*;
 
-    /// Takes what there is room for.
+    /// Takes what there is space for.
     #[derive(Default)]
     struct Disk {
         text: String,
         is_full: bool,
     }
 
-    struct Room<'a>(&'a Mutex<Disk>);
+    struct Shared<'a>(&'a Mutex<Disk>);
 
-    impl Write for Room<'_> {
+    impl Write for Shared<'_> {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
             let mut disk = self.0.lock().expect("no panic");
             if disk.is_full {
@@ -156,9 +156,9 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_could_not_be_written_are_counted_when_there_is_room_again() {
+    fn lines_that_could_not_be_written_are_counted_when_there_is_space_again() {
         let disk = Mutex::new(Disk::default());
-        let mut lines = Lines::new(Room(&disk), LogFormat::Text, Arc::default());
+        let mut lines = Lines::new(Shared(&disk), LogFormat::Text, Arc::default());
         let fill = |is_full| disk.lock().expect("no panic").is_full = is_full;
         lines.write_all(b"one\n").expect("never fails");
         fill(true);
