@@ -94,11 +94,19 @@ fn main() -> std::io::Result<()> {
     for name in ["raw/plain", "raw/zipped", "bloscs"] {
         let dataset = here.join("../../tests/fixtures/volumes/convention.n5").join(name);
         let read = |file: &str| std::fs::read(dataset.join(file));
-        std::fs::write(folder.join(name.replace('/', "-")), with(read("attributes.json")?, read("0/0/0")?))?;
+        std::fs::write(
+            folder.join(name.replace('/', "-")),
+            with(read("attributes.json")?, read("0/0/0")?),
+        )?;
     }
     let folder = here.join("corpus/spim_data");
     std::fs::create_dir_all(&folder)?;
-    let read = |ending: &str| std::fs::read(here.join("../../tests/fixtures/volumes/convention_bdv").with_extension(ending));
+    let read = |ending: &str| {
+        std::fs::read(
+            here.join("../../tests/fixtures/volumes/convention_bdv")
+                .with_extension(ending),
+        )
+    };
     let xml = String::from_utf8_lossy(&read("xml")?).replace("convention_bdv.h5", "data");
     std::fs::write(folder.join("views"), with(xml.into_bytes(), read("h5")?))?;
     // Volumes of one chunk.
@@ -121,7 +129,10 @@ fn main() -> std::io::Result<()> {
     let shard = [words(&[48, 72]), raw.clone(), words(&[0, 0, 48])].concat();
     let seeds = [
         ("raw", with(info("uint16", r#""encoding":"raw""#).into(), raw.clone())),
-        ("gzip", with(info("uint16", r#""encoding":"raw""#).into(), write::gzip(&raw))),
+        (
+            "gzip",
+            with(info("uint16", r#""encoding":"raw""#).into(), write::gzip(&raw)),
+        ),
         ("labels", with(info("uint32", blocks).into(), labels)),
         ("shard", with(info("uint16", sharding).into(), shard)),
     ];

@@ -1,7 +1,7 @@
 //! The bricks that an isovalue touches.
 
-use super::args::kernel_args;
 use super::BRICK_GROUP;
+use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::Context;
 use crate::{Result, Volume};

@@ -4,7 +4,7 @@ use super::args::kernel_args;
 use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{Grid, Brick, Region};
+use crate::layout::{Brick, Grid, Region};
 use crate::{Result, Volume};
 
 /// Name of the stage.
@@ -37,7 +37,12 @@ pub fn run(
     let kernel = |name| cx.kernel(volume.sample_type, name);
     let grid = volume.layout();
     for slab in work {
-        let args = ClassifyArgs { grid, z0: slab.z0, iso, first_brick: slab.bricks.start as u32 };
+        let args = ClassifyArgs {
+            grid,
+            z0: slab.z0,
+            iso,
+            first_brick: slab.bricks.start as u32,
+        };
         cx.launch(
             STAGE,
             &kernel("classify")?,

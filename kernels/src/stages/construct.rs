@@ -4,7 +4,7 @@ use super::args::kernel_args;
 use super::{BRICK_GROUP, SlabWork};
 use crate::buffer::Buffer;
 use crate::context::{Context, LocalBytes};
-use crate::layout::{Grid, Brick, Moments, Node, VertexRecord, Quadric, Region};
+use crate::layout::{Brick, Grid, Moments, Node, Quadric, Region, VertexRecord};
 use crate::{Cancel, Feature, Result, SampleType, Volume, constants};
 
 /// Name of the stage.
@@ -66,7 +66,11 @@ const fn cells_bytes(brick_group: usize) -> usize {
 const fn local_bytes(brick_group: usize, whole: bool, has_block: bool) -> usize {
     const BLOCK_BYTES: usize = 11 * 11 * 11 * size_of::<f32>();
     let cubes = if whole { CUBES_BYTES } else { cells_bytes(brick_group) };
-    if has_block && cubes < BLOCK_BYTES { BLOCK_BYTES } else { cubes }
+    if has_block && cubes < BLOCK_BYTES {
+        BLOCK_BYTES
+    } else {
+        cubes
+    }
 }
 
 /// Its number in `cl/`.
@@ -202,12 +206,6 @@ pub fn link(
         &cx.kernel(volume.sample_type, "link")?,
         (near.len() / 3).div_ceil(BRICK_GROUP),
         BRICK_GROUP,
-        &[
-            &args,
-            region_index,
-            regions,
-            bricks,
-            near,
-        ],
+        &[&args, region_index, regions, bricks, near],
     )
 }

@@ -45,7 +45,13 @@ fn run(cx: &Context, volume: &Volume, pyramid: &Pyramid, kernel: &str, inputs: &
     let (bins, groups) = (constants::FIT_BINS as usize, GROUPS.min(pyramid.host_regions.len()));
     let changes = cx.buffer::<f32>(STAGE, groups * bins)?;
     let args = [inputs, &[&changes]].concat();
-    cx.launch(STAGE, &cx.kernel(volume.sample_type, kernel)?, groups, cx.tuning.region_group, &args)?;
+    cx.launch(
+        STAGE,
+        &cx.kernel(volume.sample_type, kernel)?,
+        groups,
+        cx.tuning.region_group,
+        &args,
+    )?;
     let mut sums = vec![0.0; bins];
     for of_group in cx.read(STAGE, &changes, changes.len())?.chunks_exact(bins) {
         for (sum, &change) in sums.iter_mut().zip(of_group) {

@@ -115,12 +115,21 @@ impl<'a> Source<'a> {
     fn arguments<'b>(&'b self, args: &'b DeriveArgs, z0: u32) -> Vec<&'b dyn Arg> {
         let lengths = self.inverse_lengths().map(|lengths| lengths as &dyn Arg);
         let samples = self.samples(z0).map(|samples| samples as &dyn Arg);
-        std::iter::once(args as &dyn Arg).chain(lengths).chain(samples).collect()
+        std::iter::once(args as &dyn Arg)
+            .chain(lengths)
+            .chain(samples)
+            .collect()
     }
 }
 
 /// Fills in the feature of the active cells.
-pub fn run(cx: &Context, source: &Source<'_>, input: &construct::Input<'_>, nodes: &Buffer<Node>, cancel: &dyn Cancel) -> Result<()> {
+pub fn run(
+    cx: &Context,
+    source: &Source<'_>,
+    input: &construct::Input<'_>,
+    nodes: &Buffer<Node>,
+    cancel: &dyn Cancel,
+) -> Result<()> {
     let (kernel, local) = (source.kernel(cx, "derive")?, source.local_bytes());
     for slab in input.work {
         let args = source.args(slab.z0, slab.bricks.start as u32, 0);
@@ -133,13 +142,29 @@ pub fn run(cx: &Context, source: &Source<'_>, input: &construct::Input<'_>, node
 }
 
 /// The feature at all samples of `planes` planes from `first` on, which is a multiple of 8, x fastest; NaN where it is missing.
-pub fn samples(cx: &Context, source: &Source<'_>, volume: &Volume, slab: &Slab, first: u32, planes: u32) -> Result<Buffer<f32>> {
+pub fn samples(
+    cx: &Context,
+    source: &Source<'_>,
+    volume: &Volume,
+    slab: &Slab,
+    first: u32,
+    planes: u32,
+) -> Result<Buffer<f32>> {
     let [nx, ny, _] = volume.grid.dims.map(|n| n as usize);
     let values = cx.buffer(STAGE, nx * ny * planes as usize)?;
     let args = source.args(slab.z0, first, planes);
-    let (groups, local) = (nx.div_ceil(8) * ny.div_ceil(8) * planes.div_ceil(8) as usize, source.local_bytes());
+    let (groups, local) = (
+        nx.div_ceil(8) * ny.div_ceil(8) * planes.div_ceil(8) as usize,
+        source.local_bytes(),
+    );
     let mut all = source.arguments(&args, slab.z0);
     all.extend([&values as &dyn Arg, &local]);
-    cx.launch(STAGE, &source.kernel(cx, "derive_samples")?, groups, cx.tuning.brick_group, &all)?;
+    cx.launch(
+        STAGE,
+        &source.kernel(cx, "derive_samples")?,
+        groups,
+        cx.tuning.brick_group,
+        &all,
+    )?;
     Ok(values)
 }

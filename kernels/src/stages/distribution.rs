@@ -31,7 +31,11 @@ pub fn of_cut(
     bins: u32,
 ) -> Result<Vec<u32>> {
     let counts = cx.filled(STAGE, 2 * bins as usize, 0)?;
-    let args = DistributionArgs { params, bins, points: 0 };
+    let args = DistributionArgs {
+        params,
+        bins,
+        points: 0,
+    };
     cx.launch(
         STAGE,
         &cx.kernel(volume.sample_type, "distribution_cut")?,

@@ -83,7 +83,10 @@ pub enum Work {
 /// The regions in which this is done.
 fn regions_at(work: &[Work], wanted: Work) -> Vec<u32> {
     let regions = (0..).zip(work);
-    regions.filter(|(_, work)| **work == wanted).map(|(region, _)| region).collect()
+    regions
+        .filter(|(_, work)| **work == wanted)
+        .map(|(region, _)| region)
+        .collect()
 }
 
 /// Appends the parts of regions in their order: their bricks, then their coarse levels.

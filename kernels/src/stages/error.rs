@@ -224,7 +224,11 @@ impl Measurement<'_> {
             heads: cx.filled(STAGE, vertices, NONE)?,
             next: cx.buffer(STAGE, corners)?,
         };
-        let args = ErrorPositionsArgs { grid: self.volume.layout(), params: *input.params, first_region: 0 };
+        let args = ErrorPositionsArgs {
+            grid: self.volume.layout(),
+            params: *input.params,
+            first_region: 0,
+        };
         cx.launch(
             STAGE,
             &kernel("error_positions")?,
@@ -258,7 +262,13 @@ impl Measurement<'_> {
                 &kernel("error_link")?,
                 count.div_ceil(BRICK_GROUP),
                 BRICK_GROUP,
-                &[&(first as u32), &(count as u32), input.corner_slots, &fans.heads, &fans.next],
+                &[
+                    &(first as u32),
+                    &(count as u32),
+                    input.corner_slots,
+                    &fans.heads,
+                    &fans.next,
+                ],
             )?;
             self.pause()?;
         }
@@ -266,12 +276,29 @@ impl Measurement<'_> {
     }
 
     fn find_seeds(&self, fans: &Fans) -> Result<Seeds> {
-        let Self { cx, volume, pyramid, input, .. } = *self;
+        let Self {
+            cx,
+            volume,
+            pyramid,
+            input,
+            ..
+        } = *self;
         let (bricks, regions) = (pyramid.bricks.len(), pyramid.host_regions.len());
         let grid_regions = pyramid.region_index.len();
-        let args = ErrorSeedsArgs { grid: volume.layout(), region_count: regions as u32, brick_count: bricks as u32, has_stand_ins: fans.stand_ins.is_some().into() };
+        let args = ErrorSeedsArgs {
+            grid: volume.layout(),
+            region_count: regions as u32,
+            brick_count: bricks as u32,
+            has_stand_ins: fans.stand_ins.is_some().into(),
+        };
         let launch = |kernel: &str, items: usize, args: &[&dyn crate::context::Arg]| {
-            cx.launch(STAGE, &cx.kernel(volume.sample_type, kernel)?, items.div_ceil(BRICK_GROUP), BRICK_GROUP, args)
+            cx.launch(
+                STAGE,
+                &cx.kernel(volume.sample_type, kernel)?,
+                items.div_ceil(BRICK_GROUP),
+                BRICK_GROUP,
+                args,
+            )
         };
         let found = Seeds {
             seeds: cx.buffer(STAGE, 8 * bricks)?,
@@ -280,17 +307,37 @@ impl Measurement<'_> {
         launch(
             "error_seeds",
             8 * bricks,
-            &[&args, &pyramid.regions, &pyramid.bricks, input.state, fans.stand_ins(), &fans.heads, &fans.positions, &found.seeds],
+            &[
+                &args,
+                &pyramid.regions,
+                &pyramid.bricks,
+                input.state,
+                fans.stand_ins(),
+                &fans.heads,
+                &fans.positions,
+                &found.seeds,
+            ],
         )?;
         let mut of_regions = cx.filled(STAGE, grid_regions, NONE)?;
-        launch("error_regions", regions, &[&args, &pyramid.regions, &found.seeds, &fans.positions, &of_regions])?;
+        launch(
+            "error_regions",
+            regions,
+            &[&args, &pyramid.regions, &found.seeds, &fans.positions, &of_regions],
+        )?;
         // Jump flooding: a seed reaches every region by steps of half the grid, a quarter and so on.
         let widest = volume.grid.regions().into_iter().max().unwrap_or(1);
         let mut step = widest.next_power_of_two() / 2;
         while step > 0 {
             let to = cx.buffer(STAGE, grid_regions)?;
-            let args = ErrorSpreadArgs { grid: volume.layout(), step };
-            launch("error_spread", grid_regions, &[&args, &fans.positions, &of_regions, &to])?;
+            let args = ErrorSpreadArgs {
+                grid: volume.layout(),
+                step,
+            };
+            launch(
+                "error_spread",
+                grid_regions,
+                &[&args, &fans.positions, &of_regions, &to],
+            )?;
             of_regions = to;
             step /= 2;
         }
@@ -332,11 +379,19 @@ impl Measurement<'_> {
     }
 
     fn measure_crossings(&self, slabs: &[SlabWork<'_>], fans: &Fans, seeds: &Seeds) -> Result<Sums> {
-        let Self { cx, volume, pyramid, input, .. } = *self;
+        let Self {
+            cx,
+            volume,
+            pyramid,
+            input,
+            ..
+        } = *self;
         let kernel = |name| cx.kernel(volume.sample_type, name);
         let mut sums = Sums::new(pyramid.host_regions.len());
         for slab in slabs {
-            let tasks = tasks(slab.regions.clone(), |region| pyramid.host_regions[region].level_base[1]);
+            let tasks = tasks(slab.regions.clone(), |region| {
+                pyramid.host_regions[region].level_base[1]
+            });
             self.measure(&mut sums, &tasks, |first_task, count, list, out| {
                 let args = ErrorCrossingsArgs {
                     grid: volume.layout(),
@@ -381,7 +436,13 @@ impl Measurement<'_> {
 
     /// A triangle reaches at most one region beyond its own: a slab measures the samples that it holds, of those.
     fn measure_samples(&self, fans: &Fans) -> Result<Sums> {
-        let Self { cx, volume, pyramid, input, .. } = *self;
+        let Self {
+            cx,
+            volume,
+            pyramid,
+            input,
+            ..
+        } = *self;
         let kernel = |name| cx.kernel(volume.sample_type, name);
         let [rx, ry, _] = volume.grid.regions();
         let layer = |region: &crate::layout::Region| region.region / (rx * ry);
@@ -440,7 +501,13 @@ pub fn run(
     input: &Input<'_>,
     cancel: &dyn Cancel,
 ) -> Result<(Vec<SurfaceError>, SurfaceError)> {
-    let measurement = Measurement { cx, volume, pyramid, input, cancel };
+    let measurement = Measurement {
+        cx,
+        volume,
+        pyramid,
+        input,
+        cancel,
+    };
     let fans = measurement.find_fans()?;
     let seeds = measurement.find_seeds(&fans)?;
     let slabs = slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());

@@ -1,10 +1,10 @@
 //! Range and 256 bins of a field or of a derived feature.
 
 use super::args::kernel_args;
-use crate::layout::Grid;
 use super::{BRICK_GROUP, derive};
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
+use crate::layout::Grid;
 use crate::volume::Slab;
 use crate::{Feature, Histogram, REGION_CELLS, Result, Volume};
 
@@ -107,7 +107,11 @@ fn for_each_launch(
 ) -> Result<()> {
     let source = derive::Source::of(volume, feature);
     let plane = volume.grid.dims[0] * volume.grid.dims[1];
-    let (samples, unit) = if source.is_some() { (DERIVED_SAMPLES, 8) } else { (LAUNCH_SAMPLES, 1) };
+    let (samples, unit) = if source.is_some() {
+        (DERIVED_SAMPLES, 8)
+    } else {
+        (LAUNCH_SAMPLES, 1)
+    };
     for (slab, first, planes) in runs(volume, samples, unit) {
         let values = source
             .as_ref()
@@ -147,7 +151,10 @@ pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histog
     })?;
     let mut bins = vec![0u64; 256];
     if lo > hi {
-        return Ok(Histogram { range: [0.0, 0.0], bins });
+        return Ok(Histogram {
+            range: [0.0, 0.0],
+            bins,
+        });
     }
     for_each_launch(cx, volume, feature, |launch| {
         let counters = cx.zeroed::<u32>(STAGE, 256)?;
@@ -161,7 +168,13 @@ pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histog
             hi,
         };
         let kernel = &cx.kernel(volume.sample_type, "histogram_bins")?;
-        cx.launch(STAGE, kernel, GROUPS, BRICK_GROUP, &[&args, launch.samples(), &counters])?;
+        cx.launch(
+            STAGE,
+            kernel,
+            GROUPS,
+            BRICK_GROUP,
+            &[&args, launch.samples(), &counters],
+        )?;
         for (bin, count) in bins.iter_mut().zip(cx.read(STAGE, &counters, 256)?) {
             *bin += u64::from(count);
         }

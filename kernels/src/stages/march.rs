@@ -1,7 +1,7 @@
 //! The paper's mesher: marching cubes on every leaf, with refinement.
 
-use super::args::kernel_args;
 use super::SlabWork;
+use super::args::kernel_args;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
@@ -48,7 +48,12 @@ pub fn gather(
         refined: cx.buffer(STAGE, pyramid.nodes.len())?,
     };
     for slab in work {
-        let args = MarchArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32 };
+        let args = MarchArgs {
+            grid,
+            z0: slab.z0,
+            iso: pyramid.iso,
+            first_region: slab.regions.start as u32,
+        };
         cx.launch(
             STAGE,
             &kernel("march_mark")?,
@@ -106,7 +111,12 @@ pub fn assemble(
         meshes,
     } = gathered;
     for slab in work {
-        let args = MarchArgs { grid, z0: slab.z0, iso: pyramid.iso, first_region: slab.regions.start as u32 };
+        let args = MarchArgs {
+            grid,
+            z0: slab.z0,
+            iso: pyramid.iso,
+            first_region: slab.regions.start as u32,
+        };
         cx.launch(
             STAGE,
             &kernel("march_vertices")?,

@@ -1,11 +1,11 @@
 //! Vertices as they leave the device.
 
-use super::args::kernel_args;
 use super::SlabWork;
+use super::args::kernel_args;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{Grid, Counters, CutParams, RegionMesh, Vertex, WorkVertex};
+use crate::layout::{Counters, CutParams, Grid, RegionMesh, Vertex, WorkVertex};
 use crate::{Result, Volume};
 
 /// Name of the stage.
@@ -49,7 +49,13 @@ pub fn run(
     let kernel = |name| cx.kernel(volume.sample_type, name);
     let grid = volume.layout();
     for slab in slabs {
-        let args = PackArgs { grid, z0: slab.z0, iso: pyramid.iso, params: *input.params, first_region: slab.regions.start as u32 };
+        let args = PackArgs {
+            grid,
+            z0: slab.z0,
+            iso: pyramid.iso,
+            params: *input.params,
+            first_region: slab.regions.start as u32,
+        };
         cx.launch(
             STAGE,
             &kernel("pack")?,

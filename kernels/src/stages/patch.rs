@@ -5,7 +5,7 @@ use super::march::Gathered;
 use crate::Pyramid;
 use crate::buffer::Buffer;
 use crate::context::Context;
-use crate::layout::{Grid, Counters, WorkVertex};
+use crate::layout::{Counters, Grid, WorkVertex};
 use crate::{Result, Volume};
 
 /// Name of the stage.

@@ -55,7 +55,13 @@ pub fn run(cx: &Context, volume: &Volume, axis: usize, index: u32) -> Result<Vec
             count,
         };
         let groups = (count as usize).div_ceil(BRICK_GROUP);
-        cx.launch(STAGE, &kernel("slice")?, groups, BRICK_GROUP, &[&args, &slab.samples, &out])?;
+        cx.launch(
+            STAGE,
+            &kernel("slice")?,
+            groups,
+            BRICK_GROUP,
+            &[&args, &slab.samples, &out],
+        )?;
     }
     cx.read(STAGE, &out, out.len())
 }
@@ -64,6 +70,10 @@ pub fn run(cx: &Context, volume: &Volume, axis: usize, index: u32) -> Result<Vec
 fn own_planes(volume: &Volume, layers: &Range<u32>) -> Range<u32> {
     let last = volume.grid.dims[2];
     let is_last = layers.end == volume.grid.regions()[2];
-    let end = if is_last { last } else { (layers.end * REGION_CELLS).min(last) };
+    let end = if is_last {
+        last
+    } else {
+        (layers.end * REGION_CELLS).min(last)
+    };
     layers.start * REGION_CELLS..end
 }

@@ -123,7 +123,13 @@ impl Cutter<'_> {
         local: usize,
         args: &[&dyn Arg],
     ) -> Result<()> {
-        self.cx.launch(stage, &self.cx.kernel(self.volume.sample_type, kernel)?, groups, local, args)
+        self.cx.launch(
+            stage,
+            &self.cx.kernel(self.volume.sample_type, kernel)?,
+            groups,
+            local,
+            args,
+        )
     }
 
     pub(super) fn regions(&self) -> usize {

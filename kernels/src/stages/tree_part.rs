@@ -5,8 +5,8 @@ use super::tree_cut::Cutter;
 use crate::buffer::Buffer;
 use crate::context::Arg;
 use crate::layout::{Grid, TreePartSum};
-use crate::tree::TreeParts;
 use crate::stages::BRICK_GROUP;
+use crate::tree::TreeParts;
 use crate::{Cancel, Result};
 
 /// Name of the stage.
@@ -45,7 +45,13 @@ impl Cutter<'_> {
     /// One work-item a point.
     fn launch_points(&self, kernel: &str, args: &[&dyn Arg]) -> Result<()> {
         let groups = self.tree.points.len().div_ceil(BRICK_GROUP);
-        self.cx.launch(STAGE, &self.cx.kernel(self.volume.sample_type, kernel)?, groups, BRICK_GROUP, args)
+        self.cx.launch(
+            STAGE,
+            &self.cx.kernel(self.volume.sample_type, kernel)?,
+            groups,
+            BRICK_GROUP,
+            args,
+        )
     }
 
     /// The part of each point, and its area.

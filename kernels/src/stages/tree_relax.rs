@@ -20,9 +20,18 @@ impl Cutter<'_> {
     /// Two sums of offsets of each node (`cl/lib/tree_offset.h`): of the triangles of its own region, and of those of others.
     /// `meshes`: how many triangles each region's mesh has.
     pub fn offsets(&self, work: &CutWork, meshes: &Buffer<RegionMesh>) -> Result<Buffer<u32>> {
-        let Self { cx, volume, pyramid, tree, .. } = *self;
+        let Self {
+            cx,
+            volume,
+            pyramid,
+            tree,
+            ..
+        } = *self;
         let sums = cx.zeroed(STAGE, 2 * tree.built.nodes.len())?;
-        let args = TreeOffsetsArgs { grid: volume.layout(), points: tree.point_count() };
+        let args = TreeOffsetsArgs {
+            grid: volume.layout(),
+            points: tree.point_count(),
+        };
         self.launch_wide(
             "tree_offsets",
             &[

@@ -7,7 +7,9 @@ use isopeel::volumes::{FileLocation, formats::zarr};
 
 // `attributes.json`, then a block.
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    let at = input.windows(common::SEPARATOR.len()).position(|w| w == common::SEPARATOR);
+    let at = input
+        .windows(common::SEPARATOR.len())
+        .position(|w| w == common::SEPARATOR);
     let (attributes, block) = match at {
         Some(at) => (&input[..at], &input[at + common::SEPARATOR.len()..]),
         None => (input, &[][..]),

@@ -7,7 +7,9 @@ use isopeel::volumes::{FileLocation, formats::precomputed};
 
 // `info` of a scale whose key is `s`, then its only chunk, or a shard.
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    let at = input.windows(common::SEPARATOR.len()).position(|w| w == common::SEPARATOR);
+    let at = input
+        .windows(common::SEPARATOR.len())
+        .position(|w| w == common::SEPARATOR);
     let (info, chunk) = match at {
         Some(at) => (&input[..at], &input[at + common::SEPARATOR.len()..]),
         None => (input, &[][..]),

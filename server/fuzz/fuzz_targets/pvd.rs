@@ -2,4 +2,8 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.pvd", input, isopeel::volumes::formats::vtk::collection::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read(
+    "a.pvd",
+    input,
+    isopeel::volumes::formats::vtk::collection::open
+));

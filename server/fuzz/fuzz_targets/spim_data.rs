@@ -3,4 +3,8 @@
 mod common;
 
 // BigDataViewer's XML, then the HDF5 file `data` that it names.
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.xml", input, isopeel::volumes::formats::big_data_viewer::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read(
+    "a.xml",
+    input,
+    isopeel::volumes::formats::big_data_viewer::open
+));

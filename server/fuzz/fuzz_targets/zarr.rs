@@ -7,7 +7,9 @@ use isopeel::volumes::{FileLocation, formats::zarr};
 
 // `zarr.json`, then a chunk or a shard.
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    let at = input.windows(common::SEPARATOR.len()).position(|w| w == common::SEPARATOR);
+    let at = input
+        .windows(common::SEPARATOR.len())
+        .position(|w| w == common::SEPARATOR);
     let (metadata, chunk) = match at {
         Some(at) => (&input[..at], &input[at + common::SEPARATOR.len()..]),
         None => (input, &[][..]),
