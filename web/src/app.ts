@@ -18,7 +18,6 @@ import { streamAddress } from "./net/credentials";
 import { StreamClient } from "./net/streamClient";
 import { Marks } from "./wiring/marks";
 import { Outputs } from "./wiring/outputs";
-import { isAboutOpening } from "./protocol/messages";
 import type { ServerMessage, VolumeSummary } from "./protocol/types";
 import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
@@ -271,7 +270,7 @@ export class App {
   private receive(message: ServerMessage): void {
     const volumeBefore = this.store.viewer.volume?.id;
     this.update({ type: "message", message });
-    if (this.questions.received(message) || isAboutQuestion(message) || isAboutOpening(message)) return this.later.soon();
+    if (this.questions.received(message) || isAboutQuestion(message)) return this.later.soon();
     if (this.together.receive(message) || isAboutGroup(message)) return this.refresh();
     switch (message.type) {
       case "opened":
@@ -289,6 +288,8 @@ export class App {
       case "superseded":
       case "removed":
         this.pipeline.event(message);
+        return this.later.soon();
+      case "opening":
         return this.later.soon();
       case "annotated":
         this.pipeline.annotated(message);

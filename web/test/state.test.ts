@@ -111,7 +111,7 @@ describe("opening", () => {
     expect(reading.openedShare).toBe(0.25);
     expect(run(reading, opened("ball-mirrored")).openedShare).toBeUndefined();
     expect(run(reading, open).openedShare).toBeUndefined();
-    const preparing = run(shown, open, message({ type: "preparing", done: 12, of: 34 }));
+    const preparing = run(shown, open, message({ type: "opening", bytes: 0, totalBytes: 0, device: { done: 12, of: 34 } }));
     expect(preparing.preparing).toEqual({ done: 12, of: 34 });
     expect(run(preparing, message({ type: "opening", bytes: 3, totalBytes: 12 })).preparing).toBeUndefined();
     expect(run(preparing, opened("ball-mirrored")).preparing).toBeUndefined();

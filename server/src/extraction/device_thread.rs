@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use isopeel_kernels::check::{Check, STEPS, Scope};
 use isopeel_kernels::{DeviceInfo, Engine, Error, SampleType, Tuning};
+use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 
 use super::lock::lock;
@@ -43,7 +44,8 @@ pub enum DeviceState {
 }
 
 /// How far a device is with what comes before its first surface.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Preparation {
     /// Steps that are done.
     pub done: usize,

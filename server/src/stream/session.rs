@@ -68,7 +68,7 @@ use super::backend::Backend;
 use super::groups::{GroupEvent, Member, group_event};
 use crate::access::Identity;
 use crate::error::chain;
-use crate::extraction::{OpeningProgress, Preparation, Question, WorkError};
+use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::metrics;
 use crate::volumes::{Dataset, Lease, StepKey, VolumeStep};
 use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
@@ -443,14 +443,12 @@ impl<B: Backend> Session<B> {
 
     /// The opening of a volume goes on. A client that does not read gets the newest state alone.
     fn on_progress(&mut self, progress: OpeningProgress) {
-        let message = match progress.device {
-            Some(Preparation { done, of }) => ServerMessage::Preparing { done, of },
-            None => ServerMessage::Opening {
-                bytes: progress.bytes,
-                total_bytes: progress.total_bytes,
-            },
+        let opening = ServerMessage::Opening {
+            bytes: progress.bytes,
+            total_bytes: progress.total_bytes,
+            device: progress.device,
         };
-        self.outbox.push_newest(Newest::Opening, message.to_json());
+        self.outbox.push_newest(Newest::Opening, opening.to_json());
     }
 }
 

@@ -11,7 +11,7 @@ pub use close::CloseCode;
 
 use super::chunk::{ChunkKind, MAX_SURFACES};
 use super::group::{Follower, LedSurface, Pose, Resume};
-use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Probe};
+use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Preparation, Probe};
 use crate::view::Edit;
 use crate::view::quality::MesherName;
 
@@ -255,19 +255,16 @@ pub struct RegionError {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "type", rename_all = "kebab-case", rename_all_fields = "camelCase")]
 pub enum ServerMessage {
-    /// The device is being prepared: its driver is checked, and compiles. No volume is opened before.
-    Preparing {
-        /// Steps that are done.
-        done: usize,
-        /// Steps in all.
-        of: usize,
-    },
     /// The volume is being read, put on the device and counted.
     Opening {
         /// Bytes of files and samples that this has gone through so far.
         bytes: u64,
         /// Bytes that it has to go through.
         total_bytes: u64,
+        /// The device is being prepared, and nothing was read yet.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[cfg_attr(test, ts(optional))]
+        device: Option<Preparation>,
     },
     /// The volume is open.
     Opened {

@@ -4,7 +4,7 @@
  */
 
 import { hasBudget, withBudget } from "../protocol/budget";
-import { isAboutOpening, parseServerMessage } from "../protocol/messages";
+import { parseServerMessage } from "../protocol/messages";
 import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
 import type { Leading } from "./leading";
@@ -269,7 +269,7 @@ export class StreamClient {
       this.handlers.onOnlyLooks(message.message);
       if (this.look()) return;
     }
-    if (this.opened || message.type === "error" || isAboutOpening(message)) this.handlers.onMessage(message);
+    if (this.opened || message.type === "error" || message.type === "opening") this.handlers.onMessage(message);
   }
 
   /** Whether it is about a group. What another shows is expected from then on. */

@@ -489,6 +489,14 @@ export type Pose = {
   page?: string,
 };
 
+/** How far a device is with what comes before its first surface. */
+export type Preparation = {
+  /** Steps that are done. */
+  done: number,
+  /** Steps in all; 0 if that is not known. */
+  of: number,
+};
+
 /** Body of every error answer. */
 export type Problem = {
   /** URI of the kind of problem: `urn:isopeel:problem:` and the code. */
@@ -549,16 +557,13 @@ export type Resume = {
 export type Role = "view" | "edit" | "export" | "upload" | "push" | "admin";
 
 /** A text frame from the server. */
-export type ServerMessage = { "type": "preparing",
-  /** Steps that are done. */
-  done: number,
-  /** Steps in all. */
-  of: number,
-} | { "type": "opening",
+export type ServerMessage = { "type": "opening",
   /** Bytes of files and samples that this has gone through so far. */
   bytes: number,
   /** Bytes that it has to go through. */
   totalBytes: number,
+  /** The device is being prepared, and nothing was read yet. */
+  device?: Preparation,
 } | { "type": "opened",
   /** As `GET /api/v1/volumes/{id}`. */
   volume: VolumeInfo,

@@ -11,7 +11,6 @@ type Kind = "number" | "string" | "boolean" | "object";
 
 /** Fields of each message and their JSON types; the insides of objects are not checked. */
 const FIELDS: Readonly<Record<ServerMessage["type"], Readonly<Record<string, Kind>>>> = {
-  preparing: { done: "number", of: "number" },
   opening: { bytes: "number", totalBytes: "number" },
   opened: { volume: "object", step: "number", edit: "object", device: "string", capabilities: "object" },
   stepped: { step: "number" },
@@ -73,9 +72,4 @@ export function parseServerMessage(text: string): ServerMessage {
     }
   }
   return message as ServerMessage;
-}
-
-/** How far the opening of a volume is. */
-export function isAboutOpening(message: ServerMessage): message is Extract<ServerMessage, { readonly type: "preparing" | "opening" }> {
-  return message.type === "preparing" || message.type === "opening";
 }

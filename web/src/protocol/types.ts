@@ -22,6 +22,7 @@ export type VolumeSummary = Immutable<Server.VolumeSummary>;
 export type Statistics = Immutable<Server.Statistics>;
 export type GuardName = Server.GuardName;
 export type TriangleBudget = Immutable<Server.TriangleBudget>;
+export type Preparation = Immutable<Server.Preparation>;
 export type Capabilities = Immutable<Server.Capabilities>;
 export type Problem = Immutable<Server.Problem>;
 export type SessionInfo = Immutable<Server.SessionInfo>;

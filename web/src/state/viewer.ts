@@ -1,7 +1,7 @@
 /** What the viewer knows of the server, the open volume and its surfaces on screen. Pure: `reduce` alone makes a new state. */
 
 import type { ConnectionState } from "../net/connection";
-import type { Capabilities, ServerMessage, View, VolumeInfo, VolumeSummary } from "../protocol/types";
+import type { Capabilities, Preparation, ServerMessage, View, VolumeInfo, VolumeSummary } from "../protocol/types";
 import { sorted } from "../transfer/model";
 import { isAboutQuestion, outdated, take, takeDistances } from "./answers";
 import type { Distances } from "./distances";
@@ -24,7 +24,7 @@ export interface ViewerState extends SurfaceState {
   /** How much of what that takes is done, 0 to 1; `undefined` where the server has not said so. */
   readonly openedShare: number | undefined;
   /** Steps that come before it, while the server prepares its device. */
-  readonly preparing: { readonly done: number; readonly of: number } | undefined;
+  readonly preparing: Preparation | undefined;
   /** The open volume. */
   readonly volume: VolumeInfo | undefined;
   /** The time step that is shown or being made, for people; `undefined` where its times are not known. */
@@ -131,12 +131,15 @@ function arranged(state: ViewerState, { surfaces, selected }: Extract<ViewerEven
   return { ...state, ...now, selected, others };
 }
 
+/** How much of what an `open` takes is done: of the preparation of the device, or then of the bytes. */
+function share(device: Preparation | undefined, { bytes, totalBytes }: { readonly bytes: number; readonly totalBytes: number }): number {
+  return device === undefined ? bytes / Math.max(1, totalBytes) : device.done / Math.max(1, device.of);
+}
+
 function receive(state: ViewerState, message: ServerMessage): ViewerState {
   switch (message.type) {
-    case "preparing":
-      return { ...state, preparing: { done: message.done, of: message.of }, openedShare: message.done / Math.max(1, message.of) };
     case "opening":
-      return { ...state, preparing: undefined, openedShare: message.bytes / Math.max(1, message.totalBytes) };
+      return { ...state, preparing: message.device, openedShare: share(message.device, message) };
     case "opened":
       return opened(state, message);
     case "stepped":

@@ -2,8 +2,8 @@ use proptest::prelude::*;
 
 use super::{Annotation, Capabilities, ClientMessage, RegionError, ServerMessage, SurfaceEdit};
 use crate::extraction::{
-    Curve, CurvePoint, Distribution, FieldValue, LeafKind, MeasuredError, NearestLeaf, NearestSurface, NoValue, Probe,
-    Question,
+    Curve, CurvePoint, Distribution, FieldValue, LeafKind, MeasuredError, NearestLeaf, NearestSurface, NoValue,
+    Preparation, Probe, Question,
 };
 use crate::view::quality::MesherName;
 use crate::wire::chunk::ChunkKind;
@@ -111,13 +111,17 @@ fn unknown_or_malformed_messages_are_refused() {
 #[test]
 fn server_messages_have_the_names_of_the_protocol_page() {
     let expect = |message: ServerMessage, json: &str| assert_eq!(message.to_json(), json);
-    let preparing = ServerMessage::Preparing { done: 1, of: 2 };
-    expect(preparing, r#"{"type":"preparing","done":1,"of":2}"#);
-    let opening = ServerMessage::Opening {
-        bytes: 1,
-        total_bytes: 2,
+    let opening = |bytes, device| ServerMessage::Opening {
+        bytes,
+        total_bytes: 2 * bytes,
+        device,
     };
-    expect(opening, r#"{"type":"opening","bytes":1,"totalBytes":2}"#);
+    let preparing = opening(0, Some(Preparation { done: 1, of: 2 }));
+    expect(
+        preparing,
+        r#"{"type":"opening","bytes":0,"totalBytes":0,"device":{"done":1,"of":2}}"#,
+    );
+    expect(opening(1, None), r#"{"type":"opening","bytes":1,"totalBytes":2}"#);
     let prefix = ServerMessage::Prefix {
         surface: 0,
         generation: 3,

@@ -148,7 +148,9 @@ async fn how_far_a_volume_is_is_said_until_it_is_open() {
         device: Some(Preparation { done: 12, of: 34 }),
         ..OpeningProgress::default()
     });
-    viewer.expect(r#"{"type":"preparing","done":12,"of":34}"#).await;
+    viewer
+        .expect(r#"{"type":"opening","bytes":0,"totalBytes":0,"device":{"done":12,"of":34}}"#)
+        .await;
     let at = |bytes| OpeningProgress {
         bytes,
         total_bytes: 100,
