@@ -45,10 +45,10 @@ INLINED void cut_cubes(const CutCriterion *criterion, bool whole, __global const
             }
             const Node node = nodes[slots + i];
             uint result = level == 5 ? INTERNAL : state[find_slot(region, bricks, level + 1, code_cell(meta_code(node.meta), level))];
-            if (result == INTERNAL && node.count > 0) {
+            const bool missing = meta_missing(node.meta);
+            if (result == INTERNAL && node.count > 0 && (criterion->params.fills || !missing)) {
                 const float error = counted_error(criterion, node, level, vertex_records[slots + i].error);
-                const bool missing = meta_missing(node.meta);
-                if ((level == criterion->params.prefix && (criterion->params.fills || !missing))
+                if (level == criterion->params.prefix
                     || (!missing && may_decimate(criterion->params, node, level, error)
                         && decimation_key(criterion, node, level, error) <= criterion->params.threshold)) {
                     result = level;
