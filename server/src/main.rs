@@ -24,7 +24,7 @@ fn main() -> ExitCode {
 }
 
 fn failed(error: &(dyn std::error::Error + 'static)) -> ExitCode {
-    // Without standard error there is nobody to say it to.
+    // Standard error may be closed.
     let _ = writeln!(io::stderr(), "error: {}", isopeel::error::chain(error));
     ExitCode::from(cli::exit_code(error))
 }

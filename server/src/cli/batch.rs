@@ -29,7 +29,7 @@ pub struct Args {
     #[arg(value_name = "FILE.json")]
     file: PathBuf,
 
-    /// Folder for the surfaces, 00000.glb and so on, and for manifest.jsonl, which says what they are; made where there is none
+    /// Folder for the surfaces, 00000.glb and so on, and for manifest.jsonl, which says what they are; made if there is none
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 

@@ -1,6 +1,6 @@
-//! The log: lines on standard error. A thread of its own writes them, so that whoever logs neither waits nor fails where that cannot be
-//! written: a reader that is stuck, a pipe whose reader has ended, a full disk. Lines that find no place are dropped and counted, and the
-//! count is a line of its own when there is place again.
+//! The log: lines on standard error. A thread of its own writes them, so that no other thread waits or fails if standard error cannot be
+//! written: a reader that is stuck, a pipe whose reader has ended, a full disk. Lines that cannot be written are dropped and counted, and the
+//! count is a line of its own once lines can be written again.
 
 use std::io::{self, IsTerminal, Write};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
@@ -59,7 +59,7 @@ fn standard_error() -> Box<dyn Write + Send> {
 pub fn finish() {
     let guard = GUARD.lock().unwrap_or_else(PoisonError::into_inner).take();
     let (ended, end) = mpsc::channel();
-    // In a thread that nobody waits for: the library says on standard error that lines are left, which then waits too.
+    // In a thread that is not joined: the library writes to standard error that lines are left, and then waits too.
     std::thread::spawn(move || {
         drop(guard);
         let _ = ended.send(());

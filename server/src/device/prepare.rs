@@ -97,6 +97,14 @@ impl Checked {
         });
         failed.collect::<Vec<_>>().join("\n")
     }
+
+    /// Logs that the device is used in this way, if that is a workaround.
+    fn warn_of(&self, workaround: Workaround) {
+        if workaround != Workaround::None {
+            let (device, how) = (DeviceId::of(&self.device), workaround.text());
+            tracing::warn!("{device} is used with {how}, as it fails otherwise:\n{}", self.report());
+        }
+    }
 }
 
 /// The rest of a check that runs while a device is in use.
@@ -117,7 +125,12 @@ impl Rest {
     /// The device is not to be used any more, or by another process in a way that passed all of the check.
     pub fn wait(mut self, passed: &dyn Fn(Vec<String>)) -> Result<(), Unprepared> {
         let id = DeviceId::of(&self.device);
-        let ended = self.child.follow_rest(passed).err();
+        let hear = |message| {
+            if let Message::Passed { programs } = message {
+                passed(programs);
+            }
+        };
+        let ended = self.child.follow(false, &hear).err();
         let Some((workaround, outcome)) = self.tried.last_mut() else {
             return Ok(());
         };
@@ -136,14 +149,11 @@ impl Rest {
             self.tried,
             &|_, _| (),
         );
-        let report = checked.report();
         let Some(workaround) = checked.passed() else {
+            let report = checked.report();
             return Err(Unprepared::Failed(DeviceFailure::Unreliable { report }));
         };
-        tracing::warn!(
-            "{id} is used with {}, as it fails otherwise:\n{report}",
-            workaround.text()
-        );
+        checked.warn_of(workaround);
         keep(&self.verdicts, &id, workaround);
         Err(new_process(self.environment, &self.device, workaround))
     }
@@ -202,13 +212,7 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
         );
         let (checked, child) = check(device, &types, &listed.environment, wanted.early, Vec::new(), progress);
         if let Some(workaround) = checked.passed() {
-            if workaround != Workaround::None {
-                tracing::warn!(
-                    "{id} is used with {}, as it fails otherwise:\n{}",
-                    workaround.text(),
-                    checked.report()
-                );
-            }
+            checked.warn_of(workaround);
             let rest = child.map(|child| Rest {
                 child,
                 device: device.clone(),
@@ -335,11 +339,16 @@ fn check(
         device: device.clone(),
         tried,
     };
+    let hear = |message| {
+        if let Message::Begin { done, of, .. } = message {
+            progress(done, of);
+        }
+    };
     for workaround in workarounds {
         let mut environment = environment.clone();
         environment.extend(pair(workaround.environment()));
         let outcome = Building::start(device, types, workaround, &environment)
-            .and_then(|mut child| child.follow(progress, early).map(|()| child));
+            .and_then(|mut child| child.follow(early, &hear).map(|()| child));
         match outcome {
             Ok(child) => {
                 checked.tried.push((workaround, None));
@@ -400,23 +409,12 @@ impl Building {
         })
     }
 
-    /// Waits for the end of the check, or until a first surface can be made.
-    fn follow(&mut self, progress: &dyn Fn(usize, usize), early: bool) -> Result<(), Ended> {
+    /// Hears the messages of the check until its end, or if `early` until a first surface can be made.
+    fn follow(&mut self, early: bool, hear: &dyn Fn(Message)) -> Result<(), Ended> {
         while let Some(message) = self.check.next()? {
             match message {
-                Message::Begin { done, of, .. } => progress(done, of),
                 Message::FirstSurface if early => return Ok(()),
-                _ => {}
-            }
-        }
-        Ok(())
-    }
-
-    /// Waits for the end of the check.
-    fn follow_rest(&mut self, passed: &dyn Fn(Vec<String>)) -> Result<(), Ended> {
-        while let Some(message) = self.check.next()? {
-            if let Message::Passed { programs } = message {
-                passed(programs);
+                message => hear(message),
             }
         }
         Ok(())

@@ -18,7 +18,7 @@ const VERSION: u32 = 2;
 const JSON_CHUNK: &[u8; 4] = b"JSON";
 const BINARY_CHUNK: &[u8; 4] = b"BIN\0";
 
-/// Value of a field where it is missing.
+/// Stands for a missing value of a field.
 const MISSING: f32 = f32::MIN;
 
 // Constants of the glTF specification (those of WebGL).

@@ -175,7 +175,7 @@ impl MadeFile {
         let Extraction { surface, view, .. } = extraction;
         let dataset = volume.dataset();
         let (of_view, space) = dataset.index_space(&view);
-        let placed = of_view.in_unit(unit_of_file(format, of_view.unit, request.unit()));
+        let placed = of_view.in_unit(unit_of_file(format, of_view.unit, request.options.length_unit()));
         let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
         let mut mesh = Mesh::new_unless(&surface, &placed, uneven, is_cancelled)?;
         // Before the mesh is copied to its reader: both are large.

@@ -52,11 +52,11 @@ impl FileOptions {
         }
     }
 
-    /// Checks the options for a volume. Returns the unit.
+    /// Checks the options for a volume.
     ///
     /// # Errors
     /// A unit that is none of lengths, or a field that the volume does not have.
-    fn check(&self, dataset: &Dataset) -> Result<Option<LengthUnit>, EditError> {
+    fn check(&self, dataset: &Dataset) -> Result<(), EditError> {
         if let Some(name) = self.field_values.iter().find(|name| dataset.field(name).is_none()) {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
             return Err(EditError {
@@ -64,13 +64,19 @@ impl FileOptions {
                 why: format!("{name:?}, expected some of {}", names.join(", ")),
             });
         }
-        let Some(text) = &self.unit else { return Ok(None) };
-        let unit = LengthUnit::parse(text).filter(|unit| unit.metres().is_some());
-        let refused = || EditError {
-            field: "unit",
-            why: format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom"),
-        };
-        unit.map(Some).ok_or_else(refused)
+        match &self.unit {
+            Some(text) if self.length_unit().is_none() => Err(EditError {
+                field: "unit",
+                why: format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom"),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// The unit of lengths that `unit` names, if it names one.
+    pub(super) fn length_unit(&self) -> Option<LengthUnit> {
+        let unit = LengthUnit::parse(self.unit.as_deref()?)?;
+        unit.metres().is_some().then_some(unit)
     }
 }
 
@@ -99,11 +105,6 @@ impl FileRequest {
             Some(labels) => View::requested(&around_labels(dataset, labels, &self.edit)?, &fields),
             None => View::requested(&self.edit, &fields),
         }
-    }
-
-    /// The unit that it names, if that is one.
-    pub(super) fn unit(&self) -> Option<LengthUnit> {
-        self.options.unit.as_deref().and_then(LengthUnit::parse)
     }
 
     /// Whether its file has the colours of a transfer function: only of one that it names.

@@ -86,7 +86,7 @@ impl OnDevice<'_> {
         Ok(Some(tree))
     }
 
-    /// The guard on the error, where one was set; smallest spacings.
+    /// The guard on the error, if one was set; smallest spacings.
     fn error_guard(&self, view: &View) -> f32 {
         match view.max_error {
             MaxError::At(distance) => distance.in_spacings(self.smallest),

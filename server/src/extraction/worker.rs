@@ -175,7 +175,7 @@ impl DeviceWorker {
     /// # Errors
     /// [`WorkError::NoDevice`]: it could not be opened; [`WorkError::Reopening`].
     pub async fn ready(&self) -> Result<DeviceInfo, WorkError> {
-        let mut state = self.shared.state.clone();
+        let mut state = self.states();
         let settled = state.wait_for(|s| !matches!(s, DeviceState::Opening(_))).await;
         match settled.map(|s| s.clone()) {
             Ok(DeviceState::Ready(info)) => Ok(info),
@@ -187,7 +187,7 @@ impl DeviceWorker {
 
     /// Resolves when the device can never be used by this process: it could not be opened at the start, or its driver is spoiled (`None`).
     pub async fn unusable(&self) -> Option<WorkError> {
-        let mut state = self.shared.state.clone();
+        let mut state = self.states();
         let is_final = |state: &DeviceState| matches!(state, DeviceState::Failed(_) | DeviceState::Spoiled);
         match state.wait_for(is_final).await.map(|state| state.clone()) {
             Ok(DeviceState::Failed(error)) => Some(WorkError::NoDevice(error)),

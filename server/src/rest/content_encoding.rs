@@ -40,7 +40,7 @@ impl ContentEncoding {
         let of = |encoding: Self| {
             let named = |name: &str| weights.iter().find(|(other, _)| other.eq_ignore_ascii_case(name));
             let weight = named(encoding.name()).or_else(|| named("*")).map(|(_, weight)| *weight);
-            // What is not named is not accepted, but for the file as it is, which comes last.
+            // An encoding that is not named is not accepted. Identity is, as the last choice.
             weight.unwrap_or(if encoding == Self::Identity {
                 f32::MIN_POSITIVE
             } else {

@@ -87,7 +87,7 @@ impl ExportQueue {
     fn enter(&self, user: &str) -> Result<Entry, ApiError> {
         let (limits, user) = (self.0.limits, Arc::<str>::from(user));
         let mut state = self.state();
-        // Whoever has left makes place.
+        // Clients that have left wait no more.
         state.waiting.retain(|waiter| !waiter.admit.is_closed());
         if state.waiting.is_empty() && state.running.values().sum::<usize>() < limits.running {
             *state.running.entry(Arc::clone(&user)).or_default() += 1;
@@ -140,7 +140,7 @@ enum Entry {
 }
 
 impl State {
-    /// Takes the one who is admitted next: of the user with the fewest exports that run, the one who waits longest.
+    /// Takes the export that is admitted next: of the user with the fewest running exports, the one that has waited longest.
     fn next(&mut self) -> Option<Waiter> {
         let running = |waiter: &Waiter| self.running.get(&waiter.user).copied().unwrap_or_default();
         let numbered = self.waiting.iter().enumerate();
@@ -246,7 +246,7 @@ mod tests {
         drop(left);
         drop(first);
         let Poll::Ready(Ok(permit)) = poll!(&mut stays) else {
-            panic!("the one who waits still is admitted");
+            panic!("the client that still waits is admitted");
         };
         drop(permit);
         assert_eq!(queue.running(), 0);

@@ -21,6 +21,7 @@ use utoipa::{PartialSchema, ToSchema};
 use super::ApiState;
 use super::content_encoding::ContentEncoding;
 use super::export_queue::ExportPermit;
+use super::ranges::content_range;
 use crate::access::Identity;
 use crate::export::{self, FileDigest, FileRequest, MadeFile, merged_schema};
 use crate::extraction::Extractor;
@@ -134,6 +135,8 @@ pub async fn extract(
 ) -> Result<Response, ApiError> {
     let Json(ExtractRequest { volume, file }) = body?;
     let volume = state.volume(&who, &volume, file.step)?;
+    // Before it waits for anything.
+    file.view(volume.dataset())?;
     let encoding = ContentEncoding::accepted(&headers);
     Made::admitted(state, &who, volume, file).await?.whole(encoding)
 }
@@ -153,8 +156,6 @@ impl Made {
         volume: VolumeStep,
         request: FileRequest,
     ) -> Result<Self, ApiError> {
-        // Before it waits for anything.
-        request.view(volume.dataset())?;
         let permit = state.exports.admit(who.user()).await?;
         // When the client disconnects, hyper drops this future. The work then ends at its next look at the token, and holds its permit until
         // it has.
@@ -199,7 +200,7 @@ impl Made {
 
     /// Answers the bytes from the first of these to the one before the last.
     fn range(self, [from, to]: [u64; 2]) -> Result<Response, ApiError> {
-        let range = format!("bytes {from}-{}/{}", to - 1, self.digest.bytes);
+        let range = content_range([from, to], self.digest.bytes);
         let answer = self.answer()?.status(StatusCode::PARTIAL_CONTENT);
         let answer = answer
             .header(header::CONTENT_LENGTH, to - from)

@@ -1,16 +1,47 @@
-//! Parts of files: the header `Range`.
+//! Parts of files: the headers `Range`, `If-Range` and `Content-Range`.
 
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
 use http_range_header::parse_range_header;
 
 use crate::problem::ApiError;
+
+/// What of a file a request asks for.
+pub(super) enum Asked {
+    Whole,
+    /// From its first byte to the one behind its last.
+    Part([u64; 2]),
+    /// A part that begins beyond the end: the answer to it.
+    Beyond(Response),
+}
+
+impl Asked {
+    /// What of the file with this tag and so many bytes is asked for: all of it if `If-Range` names another one.
+    pub(super) fn of(headers: &HeaderMap, tag: &str, bytes: u64) -> Self {
+        let applies = headers.get(header::IF_RANGE).is_none_or(|shown| shown == tag);
+        let range = headers.get(header::RANGE).filter(|_| applies);
+        match range.map(|range| part(range.to_str().unwrap_or_default(), bytes)) {
+            Some(Ok(Some(part))) => Self::Part(part),
+            Some(Ok(None)) | None => Self::Whole,
+            Some(Err(error)) => {
+                let whole = format!("bytes */{bytes}");
+                Self::Beyond(([(header::CONTENT_RANGE, whole)], error).into_response())
+            }
+        }
+    }
+}
+
+/// The value of `Content-Range` for a part of a file of so many bytes.
+pub(super) fn content_range([from, to]: [u64; 2], bytes: u64) -> String {
+    format!("bytes {from}-{}/{bytes}", to - 1)
+}
 
 /// The part that a `Range` asks for, from its first byte to the one behind its last; `None`: all of it, which answers several ranges and what
 /// is no range too.
 ///
 /// # Errors
 /// It begins beyond the end.
-pub(super) fn part(range: &str, bytes: u64) -> Result<Option<[u64; 2]>, ApiError> {
+fn part(range: &str, bytes: u64) -> Result<Option<[u64; 2]>, ApiError> {
     let Ok(parsed) = parse_range_header(range) else {
         return Ok(None);
     };

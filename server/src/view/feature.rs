@@ -98,6 +98,11 @@ fn fault_of(component: &str, fields: &[&str]) -> Option<String> {
     ))
 }
 
+/// A range times a factor, as far as 32 bits hold it.
+fn scaled(range: [f32; 2], factor: f64) -> [f32; 2] {
+    range.map(|value| ((f64::from(value) * factor) as f32).clamp(f32::MIN, f32::MAX))
+}
+
 impl FeatureName {
     /// The power of length in the unit of its values, beside the unit of the fields that it is made of.
     fn length_power(&self) -> i32 {
@@ -118,14 +123,12 @@ impl FeatureName {
 
     /// A range of its values in world units, from those on the device, where lengths are multiples of the smallest spacing.
     pub fn range_in_world(&self, range: [f32; 2], smallest: f64) -> [f32; 2] {
-        let unit = smallest.powi(self.length_power());
-        range.map(|value| ((f64::from(value) * unit) as f32).clamp(f32::MIN, f32::MAX))
+        scaled(range, smallest.powi(self.length_power()))
     }
 
     /// The inverse of [`Self::range_in_world`].
     pub fn range_on_device(&self, range: [f32; 2], smallest: f64) -> [f32; 2] {
-        let unit = smallest.powi(-self.length_power());
-        range.map(|value| ((f64::from(value) * unit) as f32).clamp(f32::MIN, f32::MAX))
+        scaled(range, smallest.powi(-self.length_power()))
     }
 
     /// `none`.

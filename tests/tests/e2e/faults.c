@@ -29,7 +29,7 @@ static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 static struct { void *object; int losses; } objects[MAX_OBJECTS];
 static int object_count, losses, is_spoiled;
 
-/* What the file says; an empty text where there is none, or where the environment has the variable that DEVICE_FAULT_UNLESS names. */
+/* What the file says; empty if there is none, or if the environment has the variable that DEVICE_FAULT_UNLESS names. */
 static void read_fault(char text[64]) {
     text[0] = 0;
     const char *path = getenv("DEVICE_FAULT"), *unless = getenv("DEVICE_FAULT_UNLESS");

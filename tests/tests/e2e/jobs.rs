@@ -51,7 +51,7 @@ pub fn request(extractions: &[Value]) -> Value {
 
 pub fn submit(address: SocketAddr, request: &Value, key: &str) -> http::Answer {
     let headers = [("content-type", "application/json"), ("idempotency-key", key)];
-    // Without a key where it is empty.
+    // An empty one has no key.
     let headers = if key.is_empty() { &headers[..1] } else { &headers };
     let body = request.to_string();
     http::send(address, "POST", "/api/v1/jobs", headers, body.as_bytes()).expect("an answer")

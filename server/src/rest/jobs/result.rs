@@ -15,7 +15,7 @@ use crate::jobs::ResultInfo;
 use crate::problem::{ApiError, Problem};
 use crate::rest::ApiState;
 use crate::rest::extract::File;
-use crate::rest::ranges::part;
+use crate::rest::ranges::{Asked, content_range};
 
 /// SHA-256 of a whole result (RFC 9530).
 pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
@@ -58,21 +58,13 @@ pub(super) async fn result(
     let Path((id, extraction)) = path?;
     let found = jobs.result(who.user(), &id, extraction).await?;
     let etag = etag(&found);
-    let is = |name: HeaderName| headers.get(name).map(|value| value == etag.as_str());
-    if is(header::IF_NONE_MATCH) == Some(true) {
+    if headers.get(header::IF_NONE_MATCH).is_some_and(|shown| *shown == *etag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, etag)]).into_response());
     }
-    // Of another file a range would be of no use.
-    let range = headers
-        .get(header::RANGE)
-        .filter(|_| is(header::IF_RANGE) != Some(false));
-    let range = match range.map(|range| part(range.to_str().unwrap_or_default(), found.bytes)) {
-        Some(Err(beyond)) => {
-            let whole = format!("bytes */{}", found.bytes);
-            return Ok(([(header::CONTENT_RANGE, whole)], beyond).into_response());
-        }
-        Some(Ok(range)) => range,
-        None => None,
+    let range = match Asked::of(&headers, &etag, found.bytes) {
+        Asked::Whole => None,
+        Asked::Part(range) => Some(range),
+        Asked::Beyond(answer) => return Ok(answer),
     };
     let [from, to] = range.unwrap_or([0, found.bytes]);
     let body = Body::from_stream(jobs.read(&id, extraction, from..to).await?);
@@ -87,10 +79,9 @@ pub(super) async fn result(
         .header(header::ETAG, etag);
     let answer = match range {
         None => answer,
-        Some(_) => answer.status(StatusCode::PARTIAL_CONTENT).header(
-            header::CONTENT_RANGE,
-            format!("bytes {from}-{}/{}", to - 1, found.bytes),
-        ),
+        Some(range) => answer
+            .status(StatusCode::PARTIAL_CONTENT)
+            .header(header::CONTENT_RANGE, content_range(range, found.bytes)),
     };
     answer.body(body).map_err(ApiError::internal)
 }

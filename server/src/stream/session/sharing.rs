@@ -30,7 +30,7 @@ fn total(numbers: impl Iterator<Item = u64>) -> u64 {
 pub(super) type Allotments = [Option<Budget>; MAX_SURFACES as usize];
 
 impl SurfaceSession {
-    /// Whether it has a part of the budget: not where β or an error decides alone, nor where it was cancelled.
+    /// Whether it has a part of the budget: not if β or an error decides alone, nor if it was cancelled.
     fn shares(&self) -> bool {
         self.view.budget.is_some() && (self.is_busy() || self.is_counted())
     }

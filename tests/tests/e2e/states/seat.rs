@@ -21,7 +21,7 @@ const REST_LIMIT: Duration = Duration::from_secs(90);
 const SILENCE: Duration = Duration::from_secs(15);
 /// Bytes that the network takes on a slow line.
 const RECEIVE_BUFFER: u32 = 4096;
-/// Edges that are named where a surface is not closed.
+/// Edges that are named if a surface is not closed.
 const SHOWN_EDGES: usize = 4;
 /// Frames that are named where an outcome is not as expected.
 const SHOWN_FRAMES: usize = 40;
@@ -95,7 +95,7 @@ pub struct Seat {
     /// `bad-edit` so far, and how many were expected.
     bad_edits: usize,
     pub expected_bad_edits: usize,
-    /// Kinds of questions that were asked and not answered, but for the one that is asked to wait for rest.
+    /// Kinds of questions that were asked and not answered, except the one that waits for rest.
     questions: BTreeSet<String>,
     /// Whether that one was answered, and chunks that are still to come.
     is_answered: bool,
