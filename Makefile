@@ -21,7 +21,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	lint test-clients test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
+	dependencies lint test-clients test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -82,12 +82,18 @@ target/tools/cargo-deny-$(DENY_VERSION):
 	cargo install --locked --quiet --debug --no-default-features --root target/tools cargo-deny --version $(DENY_VERSION)
 	@touch $@
 
-lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) target/tools/cargo-deny-$(DENY_VERSION) ## linters and formatters
+# What cargo-deny has passed. Lint compares it, for it takes a minute to build cargo-deny, and dependencies seldom change.
+CHECKED_DEPENDENCIES := tests/lint/dependencies.sha256
+dependencies: target/tools/cargo-deny-$(DENY_VERSION) ## licences, sources and bans of dependencies, after each change of Cargo.lock or deny.toml
+	target/tools/bin/cargo-deny --locked --log-level error check licenses bans sources
+	sha256sum Cargo.lock deny.toml >$(CHECKED_DEPENDENCIES)
+
+lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) ## linters and formatters
 	# All files: cargo fmt sees none that a macro declares.
 	git ls-files '*.rs' | xargs rustfmt --edition 2024 --check
 	cargo clippy --locked --workspace --all-targets --quiet -- -D warnings
 	target/tools/bin/cargo-machete
-	target/tools/bin/cargo-deny --locked --log-level error check licenses bans sources
+	sha256sum --check --quiet $(CHECKED_DEPENDENCIES) || { echo "dependencies have changed: type 'make dependencies', and commit $(CHECKED_DEPENDENCIES)" >&2; exit 1; }
 	$(CHECK_GENERATED)
 	docs/drawings.py --check
 	tests/lint/layers.py
@@ -110,6 +116,8 @@ test-web: web-client ## the web client's unit tests
 # The dev profile: it checks overflow and debug assertions, and its dependencies are optimised.
 # No examples, which are linted, and no tests in documentation, of which there are none.
 # Random cases are the same in each run, so that only a change makes it fail; `make fuzz` draws new ones.
+# Twice as many threads as cores of a small machine, for many tests wait.
+test-rust: export RUST_TEST_THREADS ?= 4
 test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
 	PROPTEST_RNG_SEED=2013 cargo test --locked --workspace --tests --no-fail-fast
 

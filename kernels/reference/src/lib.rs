@@ -4,7 +4,7 @@
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`derive`], [`construct`], [`cut`], [`march`],
 //! [`patch`], [`pack`], [`dual`], [`error`], [`tree`], [`tree_part`], [`tree_cut`], [`slice`], [`probe`], [`distribution`],
-//! [`curve`] and [`distance`]; beside them [`expression`] and [`distance_field`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and `relax`, over
+//! [`curve`] and [`distance`]; beside them [`expression`], [`distance_field`] and, for tests of whole surfaces, [`edges`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and `relax`, over
 //! [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. Both cuts use [`interest`].
 //! [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can also be fed with another's results: a test
 //! that fills [`Pyramid`] with nodes read back from a device gets a cut that must agree leaf for leaf. [`files`] reads test
@@ -27,6 +27,7 @@ pub mod distance;
 pub mod distance_field;
 pub mod distribution;
 pub mod dual;
+pub mod edges;
 pub mod error;
 pub mod expression;
 mod field;

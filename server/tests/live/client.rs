@@ -1,6 +1,6 @@
 //! A server on a real device, and a client that is written by `PROTOCOL.md` alone.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -12,6 +12,7 @@ use isopeel::serve::{Config, run};
 use isopeel::stream::{Deadlines, LiveOptions, StepTimes};
 use isopeel::volumes::Catalog;
 use isopeel::wire::chunk::{ChunkKind, DecodedChunk, LATTICE, decode};
+use isopeel_reference::edges;
 use serde_json::Value;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Mutex, MutexGuard};
@@ -254,7 +255,7 @@ impl Viewer {
                     }
                     assert_eq!(prefix["triangles"], self.triangles(), "{prefix}");
                     if self.closed {
-                        assert_eq!(self.odd_edges(), 0, "after {text}");
+                        assert_eq!(self.open_edges(), 0, "after {text}");
                     }
                 }
                 "superseded" => {
@@ -269,24 +270,16 @@ impl Viewer {
         }
     }
 
-    /// Number of edges with an odd number of triangles; vertices with equal positions are one.
-    pub fn odd_edges(&self) -> usize {
-        let mut odd = HashSet::new();
+    /// Number of edges where the surface is open; vertices with equal positions are one.
+    pub fn open_edges(&self) -> usize {
+        let mut edges = Vec::new();
         for mesh in self.held.values() {
             for triangle in &mesh.triangles {
                 let [a, b, c] = triangle.map(|i| mesh.vertices[i as usize]);
-                if a == b || b == c || c == a {
-                    continue;
-                }
-                for (a, b) in [(a, b), (b, c), (c, a)] {
-                    let edge = (a.min(b), a.max(b));
-                    if !odd.insert(edge) {
-                        odd.remove(&edge);
-                    }
-                }
+                edges.extend([[a, b], [b, c], [c, a]]);
             }
         }
-        odd.len()
+        edges::open(edges).len()
     }
 
     /// The number of triangles held.

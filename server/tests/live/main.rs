@@ -152,7 +152,7 @@ async fn every_commit_of_a_session_is_a_closed_surface() {
         while timeout(Duration::from_secs(3), viewer.until_done()).await.is_ok() {
             commits += 1;
         }
-        assert_eq!(viewer.odd_edges(), 0);
+        assert_eq!(viewer.open_edges(), 0);
     }
     assert!(commits > 30, "{commits}");
     server.stop().await;

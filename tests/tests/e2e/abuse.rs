@@ -213,7 +213,7 @@ async fn a_binary_frame_closes_with_1003_and_a_message_too_long_with_1009() {
 }
 
 /// So long that all buffers between a server and a client that does not read are full: the server sends little ahead of pongs.
-const ASKING: Duration = Duration::from_secs(40);
+const ASKING: Duration = Duration::from_secs(60);
 
 /// Opens the demo and asks for surface after surface, reading nothing: a client whose tab sleeps. Its receive buffer is
 /// small, so that the network takes little on its own.
@@ -238,7 +238,7 @@ async fn ask_without_reading(address: SocketAddr, stop: Instant) -> WebSocketStr
         }
         iso = if iso > 120.0 { 60.0 } else { iso + 7.0 };
         // Long enough for the whole surface: without pongs the server waits 2 s before it sends more than two prefixes.
-        tokio::time::sleep(Duration::from_millis(2500)).await;
+        tokio::time::sleep(Duration::from_secs(4)).await;
     }
     socket
 }

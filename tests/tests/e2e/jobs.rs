@@ -1,5 +1,7 @@
 //! Batch jobs of a server that lives: what they make, how they are followed, refused, cancelled and deleted; the commands for them.
 
+use std::fs::File;
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -313,6 +315,18 @@ fn bad_jobs_are_refused_by_name_and_others_can_be_cancelled() {
     );
 }
 
+/// In place: written anew, the file would be empty for a moment.
+fn flip_last_byte(path: &Path) {
+    let mut file = File::options().read(true).write(true).open(path).expect("the volume");
+    let mut byte = [0];
+    file.seek(SeekFrom::End(-1))
+        .and_then(|_| file.read_exact(&mut byte))
+        .expect("read");
+    file.seek(SeekFrom::End(-1))
+        .and_then(|_| file.write_all(&[!byte[0]]))
+        .expect("written");
+}
+
 #[test]
 fn an_input_that_changes_ends_the_job() {
     let setting = Setting::new();
@@ -323,9 +337,7 @@ fn an_input_that_changes_ends_the_job() {
         .as_str()
         .expect("an id")
         .to_owned();
-    let mut bytes = std::fs::read(&setting.volume).expect("the volume");
-    *bytes.last_mut().expect("bytes") ^= 1;
-    std::fs::write(&setting.volume, bytes).expect("written");
+    flip_last_byte(&setting.volume);
     let job = finished(address, &id);
     assert_eq!(
         (&job["state"], &job["error"]["code"]),

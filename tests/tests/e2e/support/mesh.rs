@@ -1,6 +1,6 @@
 //! What any mesh of isopeel must be, measured on the triangles themselves.
 
-use std::collections::HashMap;
+use isopeel_reference::edges::{self, Edge};
 
 use super::chunk::{Chunk, LATTICE};
 
@@ -37,29 +37,19 @@ pub fn assert_bounds(chunk: &Chunk) {
 
 /// Edges that are not met by as many triangles in one direction as in the other, by the bits of their ends' positions
 /// across all regions; edges in the volume's own faces, where a surface may end, are left out.
-pub fn open_edges<'a>(chunks: impl IntoIterator<Item = &'a Chunk>, dims: [u32; 3]) -> Vec<[[i32; 3]; 2]> {
+pub fn open_edges<'a>(chunks: impl IntoIterator<Item = &'a Chunk>, dims: [u32; 3]) -> Vec<Edge> {
     let last = dims.map(|n| (n as i32 - 1) * LATTICE);
     let on_the_rim =
         |p: [i32; 3], q: [i32; 3]| (0..3).any(|axis| p[axis] == q[axis] && (p[axis] == 0 || p[axis] == last[axis]));
-    let mut balance: HashMap<([i32; 3], [i32; 3]), i32> = HashMap::new();
+    let mut edges = Vec::new();
     for chunk in chunks {
         for triangle in &chunk.triangles {
-            let corners = triangle.map(|vertex| chunk.lattice(vertex));
-            for (p, q) in [
-                (corners[0], corners[1]),
-                (corners[1], corners[2]),
-                (corners[2], corners[0]),
-            ] {
-                // an edge that rounding shrank to a point closes nothing and opens nothing
-                if p != q && !on_the_rim(p, q) {
-                    let (key, step) = if p < q { ((p, q), 1) } else { ((q, p), -1) };
-                    *balance.entry(key).or_default() += step;
-                }
-            }
+            let [a, b, c] = triangle.map(|vertex| chunk.lattice(vertex));
+            let inside = [[a, b], [b, c], [c, a]].into_iter().filter(|&[p, q]| !on_the_rim(p, q));
+            edges.extend(inside.map(|edge| edge.map(|p| p.map(i64::from))));
         }
     }
-    let open = balance.into_iter().filter(|(_, balance)| *balance != 0);
-    open.map(|((p, q), _)| [p, q]).collect()
+    edges::open(edges)
 }
 
 /// Share of the area whose triangles are turned as their vertices' normals say: counter-clockwise seen from the side of
