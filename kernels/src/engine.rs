@@ -145,6 +145,11 @@ impl Engine {
         self.cx.pool.limit_idle(bytes);
     }
 
+    /// Gives memory that was freed and kept for the next surfaces back to the driver.
+    pub fn release_idle(&self) {
+        self.cx.pool.release_idle();
+    }
+
     /// Bytes that are allocated on the device, and on the host for surfaces.
     ///
     /// # Errors

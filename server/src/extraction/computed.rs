@@ -2,7 +2,7 @@
 
 use std::rc::Rc;
 
-use isopeel_kernels::Volume;
+use isopeel_kernels::{DeviceKind, Volume};
 
 use super::WorkError;
 use super::keys::VolumeKey;
@@ -35,6 +35,9 @@ impl WorkerState {
         // Distances are made in two fields in turns.
         let held = if found.is_distance { 2 * bytes } else { bytes };
         self.evict_for(held + self.upload_bytes());
+        if self.engine().device().kind == DeviceKind::Cpu {
+            self.make_host_space(held)?;
+        }
         let engine = Rc::clone(self.engine());
         let take_times = || engine.take_times().unwrap_or_default();
         let world = volume.dataset().smallest_length() as f32;
@@ -53,6 +56,7 @@ impl WorkerState {
             bytes,
             "field computed"
         );
+        self.computed.insert(key.clone());
         self.add_volume(key.clone(), bytes, Rc::new(computed));
         Ok(())
     }

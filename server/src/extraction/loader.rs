@@ -191,7 +191,7 @@ impl DeviceWorker {
         })
     }
 
-    /// Makes sure that the host has memory for a field before it is read; caches go for one that a caller waits for.
+    /// Makes sure that the host has memory for a field before it is read; caches are evicted for one that a caller waits for.
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let samples = volume.dataset().geometry.sample_count();
         let held = if key.padded || key.mask.is_some() {
@@ -209,16 +209,10 @@ impl DeviceWorker {
             _ => 0,
         };
         let needed = (held.saturating_add(on_device)).saturating_mul(key.sample_bytes(volume)? as u64);
-        match (HostMemory::now().admit(needed), purpose) {
-            (Err(_), Purpose::Now) => {}
-            (admitted, _) => return admitted,
+        match purpose {
+            Purpose::Now => self.make_host_space(needed).await,
+            Purpose::Ahead { .. } => HostMemory::now().admit(needed),
         }
-        self.on_device(|state| {
-            state.free_unpinned();
-            Ok(())
-        })
-        .await?;
-        HostMemory::now().admit(needed)
     }
 
     /// False where there is no space for a field that nobody waits for: what is left of it is not read.

@@ -5,7 +5,7 @@
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
 //!   viewers have open (`open_steps`).
-//! - `memory`: what memory is used for; `shares`: how much of it is kept for the next edits; `host_memory`: whether there is enough for what is to be made.
+//! - `memory`: what memory is used for; `shares`: how much of it is kept for the next edits; `host_memory`: whether there is enough for what is to be made; `host_space`: what is evicted where there is not.
 //! - `counting`: triangles of a full surface, before anything is made of it.
 //! - `questions`: what a viewer asks about the surface that it is shown.
 //! - `slices`: planes of samples.
@@ -28,6 +28,7 @@ mod extractor;
 mod feature_fields;
 mod grids;
 mod host_memory;
+mod host_space;
 mod identity;
 mod keys;
 mod loader;

@@ -1,7 +1,7 @@
 //! State of the device's thread: the engine, resident volumes, cached pyramids and histograms.
 
 use std::cell::RefCell;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -168,9 +168,13 @@ pub(super) struct WorkerState {
     pub(super) volumes: Lru<VolumeKey, Rc<Volume>>,
     /// Those that were read ahead and are not used yet, the oldest first.
     pub(super) ahead: Vec<VolumeKey>,
-    pyramids: Lru<PyramidKey, Rc<Pyramid>>,
-    trees: Rc<RefCell<Trees>>,
-    cuts: Rc<RefCell<Cuts>>,
+    /// Resident fields that expressions gave.
+    pub(super) computed: HashSet<VolumeKey>,
+    pub(super) pyramids: Lru<PyramidKey, Rc<Pyramid>>,
+    pub(super) trees: Rc<RefCell<Trees>>,
+    pub(super) cuts: Rc<RefCell<Cuts>>,
+    /// Maximum bytes of these three and of freed buffers.
+    pub(super) surface_bytes: u64,
     histograms: Histograms,
     pub(super) pins: Pins,
     /// Fields that are being loaded, each with its bytes on the device.
@@ -191,6 +195,8 @@ impl WorkerState {
             engine: Rc::new(engine),
             id: EngineId::new(),
             ahead: Vec::new(),
+            computed: HashSet::new(),
+            surface_bytes: shares.total(),
             pyramids: Lru::new(shares.pyramids),
             trees: Rc::new(RefCell::new(Lru::new(shares.trees))),
             cuts: Rc::new(RefCell::new(Cuts::new(shares.cuts))),
@@ -239,6 +245,18 @@ impl WorkerState {
 
     pub(super) fn add_volume(&mut self, key: VolumeKey, bytes: u64, volume: Rc<Volume>) {
         self.volumes.add(key, bytes, volume);
+        self.forget_evicted();
+    }
+
+    /// Forgets which fields were computed, of those that are resident no longer.
+    pub(super) fn forget_evicted(&mut self) {
+        let volumes = &self.volumes;
+        self.computed.retain(|key| volumes.peek(key).is_some());
+    }
+
+    /// Bytes that are kept of earlier edits, freed buffers left out.
+    pub(super) fn kept_surface_bytes(&self) -> u64 {
+        self.pyramids.cost() + self.trees.borrow().cost() + self.cuts.borrow().cost()
     }
 
     /// The histogram of a resident field or of a feature derived from it; cached.
@@ -485,18 +503,6 @@ impl WorkerState {
             ))
         };
         keys.iter().map(bytes).collect()
-    }
-
-    /// Frees all cached volumes and pyramids but the volumes that jobs wait for.
-    pub(super) fn free_unpinned(&mut self) {
-        let keys: Vec<_> = self
-            .volumes
-            .costs()
-            .map(|(key, _)| key)
-            .filter(|key| self.pins.holds(key))
-            .cloned()
-            .collect();
-        self.free_all_but(&keys);
     }
 
     /// Frees all cached volumes and pyramids but these volumes. False where there were none.
