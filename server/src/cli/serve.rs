@@ -33,6 +33,9 @@ use uploads::UploadArgs;
 const CEILING_TRIANGLES: u64 = 20_000_000;
 
 /// Some thousand surfaces of a million triangles.
+/// An expression of 64 operations over 1024³ samples takes less on two cores, but for the slowest functions.
+const REQUEST_SECONDS: u32 = 120;
+
 const JOB_QUOTA_MIB: u64 = 64 * 1024;
 
 /// Arguments of `isopeel serve`.
@@ -64,6 +67,10 @@ pub struct Args {
     memory: MemoryArgs,
 
     /// Look at the paths every two seconds: files that appear, as time steps or volumes, are offered without a restart
+    /// Time of the device that a field may take which an expression or a distance gives, in seconds; 0: as much as it takes
+    #[arg(long, value_name = "SECONDS", default_value_t = REQUEST_SECONDS)]
+    request_time: u32,
+
     #[arg(long)]
     watch: bool,
 
@@ -435,6 +442,7 @@ fn access(args: &Args, address: &ListenAddress, token: Option<&Token>, tokens: O
     // What reaches a Unix socket by a tunnel asks for a name of this machine.
     let address = match address {
         ListenAddress::Tcp(address) => *address,
+        request_time: (args.request_time > 0).then(|| Duration::from_secs(args.request_time.into())),
         ListenAddress::Unix(_) => (Ipv4Addr::LOCALHOST, 0).into(),
     };
     let (peer, token_rate) = (args.rate_peer, args.rate_token);

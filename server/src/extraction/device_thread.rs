@@ -119,6 +119,8 @@ pub struct DeviceOptions {
     /// processors, else a third of its memory, and never more than a third.
     pub surface_bytes: Option<u64>,
 }
+    /// Maximum time of the device that a request may take for a field that it has computed.
+    pub request_time: Option<Duration>,
 
 impl DeviceOptions {
     /// The device that `selector` names, opened without a check.
@@ -134,6 +136,7 @@ impl DeviceOptions {
             is_patient: false,
             surface_bytes: None,
         }
+            request_time: None,
     }
 }
 
@@ -143,6 +146,7 @@ pub(super) struct DeviceThread {
     pub is_patient: bool,
     pub surface_bytes: Option<u64>,
     pub state: Arc<watch::Sender<DeviceState>>,
+    pub request_time: Option<Duration>,
     pub memory: watch::Sender<ThreadMemory>,
     /// Number of the engine.
     pub engine: Arc<AtomicU64>,
@@ -234,7 +238,13 @@ impl DeviceThread {
 
     fn state_on(&self, engine: Engine) -> WorkerState {
         let histograms = Arc::clone(&self.histograms);
-        let state = WorkerState::new(engine, histograms, self.pins.clone(), self.surface_bytes);
+        let state = WorkerState::new(
+            engine,
+            histograms,
+            self.pins.clone(),
+            self.surface_bytes,
+            self.request_time,
+        );
         self.engine.store(state.id.number(), Ordering::Relaxed);
         state
     }

@@ -116,7 +116,7 @@ impl DeviceWorker {
         }
         if key.computed(volume).is_some() {
             return match purpose {
-                Purpose::Now => self.compute(volume, key).await,
+                Purpose::Now => self.compute(volume, key, progress).await,
                 // Its fields may be read ahead; it takes no time itself.
                 Purpose::Ahead { .. } => Ok(()),
             };
@@ -155,6 +155,10 @@ impl DeviceWorker {
             Ok(true) => read,
             Err(error) => Err(error),
         };
+        let loaded = match loaded {
+            Ok(()) => self.make_table(&key).await,
+            failed => failed,
+        };
         match loaded {
             Ok(()) => {
                 let ahead = matches!(purpose, Purpose::Ahead { .. });
@@ -171,21 +175,34 @@ impl DeviceWorker {
         }
     }
 
-    /// Computes a field on the device from others, which are loaded where they are not resident. Who waits for it has pinned them.
+    /// Makes the min/max table of an uploaded field, a slice at a time between other jobs.
+    async fn make_table(&self, key: &VolumeKey) -> Result<(), WorkError> {
+        loop {
+            let _turn = self.shared.slices.acquire().await;
+            let key = key.clone();
+            if self.on_device(move |state| state.continue_table(&key)).await? {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Computes a field on the device from others, which are loaded if they are not resident. The callers that wait for it have pinned them; it
+    /// ends a while after the last of them is gone, when `progress` is cancelled.
     fn compute<'a>(
         &'a self,
         volume: &'a VolumeStep,
         key: VolumeKey,
+        progress: Arc<ReadProgress>,
     ) -> Pin<Box<dyn Future<Output = Result<(), WorkError>> + Send + 'a>> {
-        // In a box: loading loads.
+        // Boxed because the future is recursive: loading loads.
         Box::pin(async move {
             let never = CancellationToken::new();
             self.with_volumes(
                 volume,
                 &never,
                 Caller::Cache,
-                Length::Long,
-                move |state, volume, turn| state.compute(volume, &key, turn),
+                Length::Field,
+                move |state, volume, turn| state.compute(volume, &key, &progress, turn),
             )
             .await
         })

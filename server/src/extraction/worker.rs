@@ -1,7 +1,7 @@
 //! The bounded queue to the thread that owns the device.
 //!
 //! The OpenCL context stays on one named thread; [`DeviceWorker`] is a cheap handle to it. The queue is first in, first out, and a job is
-//! short (one histogram, one prefix). A caller queues again for each further prefix, so viewers take turns and none starves. What takes
+//! short (one slice of a histogram, one prefix). A caller queues again for each further prefix, so viewers take turns and none starves. What takes
 //! long, a vertex tree, a measured error or an export, pauses for those that wait (`turns`).
 //!
 //! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
@@ -12,13 +12,13 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{DeviceInfo, Histogram};
-use tokio::sync::{mpsc, oneshot, watch};
+use isopeel_kernels::DeviceInfo;
+use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::device_thread::{DeviceOptions, DeviceState, DeviceThread, Preparation};
 use super::identity::EngineId;
-use super::keys::{HistogramKey, VolumeKey};
+use super::keys::VolumeKey;
 use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
 use super::memory::ThreadMemory;
@@ -26,10 +26,11 @@ use super::open_steps::AheadState;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
+use super::unfinished::Unfinished;
 use super::worker_state::{Histograms, JobError, WorkerState, no_finite_sample};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::metrics;
-use crate::view::{FeatureName, View};
+use crate::view::View;
 use crate::volumes::VolumeStep;
 
 /// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, viewers wait.
@@ -60,7 +61,12 @@ pub(super) struct Shared {
     /// Number of the engine, set by the thread.
     engine: Arc<AtomicU64>,
     /// A mutex of std: held for a look-up, never across an await.
-    histograms: Histograms,
+    pub histograms: Histograms,
+    pub unfinished: Unfinished,
+    /// Held while a slice of work on a whole volume is queued: edits wait for one of them at most, and callers take turns.
+    pub slices: Semaphore,
+    /// When the device has answered last to who asked whether it does.
+    last_answer: tokio::sync::Mutex<Option<Instant>>,
     pub loads: Loads,
     pub ahead: AheadState,
     permits: Permits,
@@ -103,6 +109,7 @@ impl DeviceWorker {
         } = options;
         let (jobs, waiting) = mpsc::channel::<Job<WorkerState>>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening(Preparation::default()));
+            request_time,
         let (memory, watched_memory) = watch::channel(ThreadMemory::default());
         let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
         let pins = Pins::default();
@@ -114,6 +121,7 @@ impl DeviceWorker {
             state: Arc::new(state),
             memory,
             engine: Arc::clone(&engine),
+            request_time,
             histograms: Arc::clone(&histograms),
             pins: pins.clone(),
         };
@@ -130,6 +138,9 @@ impl DeviceWorker {
                 loads: Loads::new(),
                 ahead: AheadState::new(),
                 permits: Permits::new(VIEWERS_JOBS),
+                unfinished: Unfinished::default(),
+                slices: Semaphore::new(1),
+                last_answer: tokio::sync::Mutex::default(),
                 pins,
                 thread: Some(thread),
             }),
@@ -225,41 +236,6 @@ impl DeviceWorker {
             watch: Some(Arc::clone(&watch)),
         };
         Ok((worker, watch))
-    }
-
-    /// Range and 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. Cached.
-    ///
-    /// # Errors
-    /// [`WorkError`], but never `Cancelled`.
-    pub async fn histogram(
-        &self,
-        volume: &VolumeStep,
-        field: &str,
-        feature: &FeatureName,
-    ) -> Result<Histogram, WorkError> {
-        let key = HistogramKey::new(volume, field, feature);
-        let kept = lock(&self.shared.histograms).get(&key).cloned();
-        metrics::looked_up("histogram", kept.is_some());
-        let histogram = match kept {
-            Some(histogram) => histogram,
-            None => {
-                let (never, key) = (CancellationToken::new(), key.clone());
-                self.with_volumes(volume, &never, Caller::Cache, Length::Short, move |state, volume, _| {
-                    state.histogram(volume, &key)
-                })
-                .await?
-            }
-        };
-        if let Some(watch) = &self.watch {
-            watch.made(&key);
-        }
-        Ok(histogram)
-    }
-
-    /// As [`DeviceWorker::histogram`], where it was made before.
-    pub(super) fn known_histogram(&self, volume: &VolumeStep, field: &str, feature: &FeatureName) -> Option<Histogram> {
-        let key = HistogramKey::new(volume, field, feature);
-        lock(&self.shared.histograms).peek(&key).cloned()
     }
 
     /// Fills in what depends on the data: the default isovalue and the feature's own range.

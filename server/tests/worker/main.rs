@@ -2,6 +2,7 @@
 
 mod computed;
 mod distances;
+mod slices;
 mod turns;
 mod uneven;
 
