@@ -17,7 +17,7 @@ use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::view::Mask;
-use crate::volumes::{Field, PIECE_SAMPLES, ReadProgress, VolumeStep};
+use crate::volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
 /// Copies of a field that is not sent in pieces: as it is read, as it is masked or padded, and as it goes to the device.
 const WHOLE_COPIES: u64 = 3;
@@ -279,9 +279,50 @@ impl DeviceWorker {
     }
 }
 
+/// Most files of a time step that are looked at before and after they are read.
+const MAX_STAMPS: usize = 4096;
+
+/// The files that a field and its mask are read from, with their stamps.
+fn stamps(volume: &VolumeStep, key: &VolumeKey) -> Vec<(FileLocation, Option<FileStamp>)> {
+    let field = key.field_of(volume).ok();
+    let labels = key.mask_of(volume).ok().flatten().map(|(_, labels)| labels);
+    let inputs = field
+        .into_iter()
+        .chain(labels)
+        .flat_map(|field| field.source.inputs(volume.step()));
+    let inputs = inputs.take(MAX_STAMPS);
+    inputs
+        .map(|location| {
+            let stamp = location.stamp();
+            (location, stamp)
+        })
+        .collect()
+}
+
+/// As [`read_samples`]. Samples of a file that was written or replaced meanwhile are an error, after which it is read once more.
+fn read(
+    volume: &VolumeStep,
+    key: &VolumeKey,
+    progress: &ReadProgress,
+    pieces: &mpsc::Sender<Piece>,
+) -> Result<(), WorkError> {
+    let before = stamps(volume, key);
+    read_samples(volume, key, progress, pieces)?;
+    match before.iter().find(|(location, stamp)| location.stamp() != *stamp) {
+        None => Ok(()),
+        Some((location, _)) => {
+            let why = "the file was written or replaced while it was read, expected it to rest";
+            Err(WorkError::Unreadable(ReadError {
+                again: true,
+                ..ReadError::new(location.path(), "data", why)
+            }))
+        }
+    }
+}
+
 /// Reads a field and sends its samples on. One that is padded is held as a whole, as the padding is below its minimum; and one that is
 /// masked, as no sample may have the value of missing ones.
-fn read(
+fn read_samples(
     volume: &VolumeStep,
     key: &VolumeKey,
     progress: &ReadProgress,

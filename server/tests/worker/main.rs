@@ -3,6 +3,7 @@
 mod computed;
 mod distances;
 mod slices;
+mod torn;
 mod turns;
 mod uneven;
 
