@@ -42,6 +42,9 @@ const VIEWERS_JOBS: usize = QUEUED_JOBS / 2;
 /// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
 
+/// How long an answer of the device counts.
+const ANSWER_AGE: Duration = Duration::from_secs(1);
+
 /// How often it is looked whether the thread has ended.
 const END_INTERVAL: Duration = Duration::from_millis(5);
 
@@ -106,10 +109,10 @@ impl DeviceWorker {
             types,
             is_patient,
             surface_bytes,
+            request_time,
         } = options;
         let (jobs, waiting) = mpsc::channel::<Job<WorkerState>>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening(Preparation::default()));
-            request_time,
         let (memory, watched_memory) = watch::channel(ThreadMemory::default());
         let histograms = Histograms::new(Mutex::new(Lru::new(KEPT_HISTOGRAMS)));
         let pins = Pins::default();
@@ -118,10 +121,10 @@ impl DeviceWorker {
             types,
             is_patient,
             surface_bytes,
+            request_time,
             state: Arc::new(state),
             memory,
             engine: Arc::clone(&engine),
-            request_time,
             histograms: Arc::clone(&histograms),
             pins: pins.clone(),
         };
@@ -135,12 +138,12 @@ impl DeviceWorker {
                 memory: watched_memory,
                 engine,
                 histograms,
-                loads: Loads::new(),
-                ahead: AheadState::new(),
-                permits: Permits::new(VIEWERS_JOBS),
                 unfinished: Unfinished::default(),
                 slices: Semaphore::new(1),
                 last_answer: tokio::sync::Mutex::default(),
+                loads: Loads::new(),
+                ahead: AheadState::new(),
+                permits: Permits::new(VIEWERS_JOBS),
                 pins,
                 thread: Some(thread),
             }),
@@ -169,6 +172,27 @@ impl DeviceWorker {
     /// The engine that jobs run on, now.
     pub fn engine(&self) -> EngineId {
         EngineId::of_number(self.shared.engine.load(Ordering::Relaxed))
+    }
+
+    /// Waits until the device has done a job, if it has done none for a second: false if it does not within the limit, because its driver is stuck
+    /// or it has that much to do.
+    pub async fn answers_within(&self, limit: Duration) -> bool {
+        let ask = async {
+            // One at a time: others wait for its answer.
+            let mut last = self.shared.last_answer.lock().await;
+            if last.is_some_and(|last| last.elapsed() < ANSWER_AGE) {
+                return true;
+            }
+            let never = CancellationToken::new();
+            let asked = self.run(&never, Caller::Viewer, Length::Short, |state, _| {
+                Ok(state.engine().answers())
+            });
+            // Another error than a stuck driver is the device's state.
+            let answers = asked.await.unwrap_or(true);
+            *last = answers.then(Instant::now);
+            answers
+        };
+        tokio::time::timeout(limit, ask).await.unwrap_or(false)
     }
 
     /// State of the device, now.
