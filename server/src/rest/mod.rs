@@ -48,7 +48,7 @@ pub use slices::SLICE_HEADER;
 pub use uploads::{LENGTH_HEADER, OFFSET_HEADER, TUS_HEADER};
 pub use volumes::{UnreadablePath, VolumeSummary};
 
-use crate::access::Access;
+use crate::access::{Access, SeatLimits, Seats};
 use crate::extraction::Extractor;
 use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
@@ -75,8 +75,12 @@ const EXPORTS: QueueLimits = QueueLimits {
 /// Maximum planes of samples that are made at a time: some megabytes each.
 const CONCURRENT_SLICES: usize = 8;
 
-/// Maximum streams of a job's events: each holds a connection.
-const EVENT_STREAMS: usize = 64;
+/// Streams of jobs' events: each holds a connection.
+const EVENT_STREAMS: SeatLimits = SeatLimits {
+    all: 64,
+    of_user: 32,
+    reserve: 4,
+};
 
 /// What handlers share; clones are cheap.
 #[derive(Clone)]
@@ -86,7 +90,7 @@ pub struct ApiState {
     exports: ExportQueue,
     known_tags: KnownTags,
     slices: Arc<Semaphore>,
-    events: Arc<Semaphore>,
+    events: Seats,
     access: Access,
     /// `None`: the server keeps none.
     jobs: Option<Jobs>,
@@ -103,7 +107,7 @@ impl ApiState {
             exports: ExportQueue::new(EXPORTS),
             known_tags: KnownTags::default(),
             slices: Arc::new(Semaphore::new(CONCURRENT_SLICES)),
-            events: Arc::new(Semaphore::new(EVENT_STREAMS)),
+            events: Seats::new(EVENT_STREAMS),
             access,
             jobs: None,
             uploads: None,
