@@ -254,7 +254,9 @@ async fn the_surface_that_is_shown_stays_where_nothing_else_is_kept() {
 async fn fields_of_expressions_stay_within_the_hosts_memory_and_edits_go_on() {
     let limit = 700 << 20;
     let options = ["--host-memory", "700", "--rate-peer", "0"];
-    let Some(server) = process::start(&[], &options) else { return };
+    let Some(server) = process::start(&[], &options) else {
+        return;
+    };
     let address = server.address;
     let mut viewer = Viewer::open(address, demo::ID).await;
     let mut peak = 0;
