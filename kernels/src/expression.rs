@@ -383,7 +383,7 @@ mod tests {
         assert!(expression.value(&[f32::NAN]).is_nan() && expression.value(&[-1.0]).is_nan());
         let operations = expression.encoded().operations;
         assert_eq!(operations[1], [constants::OPERATION_NUMBER, 0.5f32.to_bits()]);
-        assert_eq!(operations[2], [COMPARISON + Comparison::Above as u32 | 1 << 16, 0]);
+        assert_eq!(operations[2], [(COMPARISON + Comparison::Above as u32) | 1 << 16, 0]);
         assert_eq!(
             operations[5],
             [constants::OPERATION_SELECT | 3 << 8 | 4 << 16 | 2 << 24, 0]

@@ -13,6 +13,9 @@ use super::worker_state::WorkerState;
 /// What fields leave to the next surfaces, as far as these may keep so much.
 const SURFACE_RESERVE_BYTES: u64 = 128 << 20;
 
+/// Bytes that are freed beyond those that are needed, and what evicts so many.
+type Eviction = (u64, fn(&mut WorkerState, u64));
+
 impl DeviceWorker {
     /// Makes sure that this machine has memory for so many bytes; evicts what can be made again.
     ///
@@ -41,7 +44,7 @@ impl WorkerState {
         }
         let unused = self.surface_bytes.saturating_sub(self.kept_surface_bytes());
         let for_surfaces = unused.min(SURFACE_RESERVE_BYTES);
-        let evictions: [(u64, fn(&mut Self, u64)); 6] = [
+        let evictions: [Eviction; 6] = [
             (for_surfaces, Self::evict_freed_buffers),
             (for_surfaces, Self::evict_computed),
             (for_surfaces, Self::evict_fields),

@@ -57,7 +57,7 @@ impl Volumes {
             id: "large".into(),
             geometry: Geometry {
                 dims: [SIDE as u32; 3],
-                ..small.geometry.clone()
+                ..small.geometry
             },
             ..Dataset::clone(&dataset(vec![waves]))
         });
