@@ -142,15 +142,17 @@ test-volumes: web-client ## Rust: tests of large volumes, in the folder that ISO
 # in folders are in memory: on a disk they take 2 to 10 times as long.
 TIMES ?= 20
 MUTATIONS ?= 1000000
+# Expressions that differ in numbers alone, and a fiftieth of them of different shapes, after which a process may hold no more than before.
+EXPRESSIONS ?= 100000
 # Random sequences of edits, for so many seconds; STATES_SEED draws the same ones again.
 STATES_SECONDS ?= 3600
 STATES_SEED ?=
 FUZZ_FOLDER := $(or $(wildcard /dev/shm),$(TMPDIR),/tmp)
-fuzz: prerequisites-test web-client ## kernels against their twins on random volumes (TIMES), readers on changed files (MUTATIONS a format), a server on as many changed frames and requests, and on random sequences of edits (STATES_SECONDS); takes hours
+fuzz: prerequisites-test web-client ## kernels against their twins on random volumes (TIMES), many expressions (EXPRESSIONS), readers on changed files (MUTATIONS a format), a server on as many changed frames and requests, and on random sequences of edits (STATES_SECONDS); takes hours
 	TMPDIR=$(FUZZ_FOLDER) ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel --test volumes -- changed noise --nocapture
 	ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel-tests --test e2e -- mutated:: --nocapture
 	ISOPEEL_STATES_SECONDS=$(STATES_SECONDS) ISOPEEL_STATES_SEED=$(STATES_SEED) cargo test --locked --package isopeel-tests --test e2e -- states:: --nocapture
-	ISOPEEL_TEST_TIMES=$(TIMES) cargo test --locked --package isopeel-reference --test device
+	ISOPEEL_TEST_TIMES=$(TIMES) ISOPEEL_EXPRESSIONS=$(EXPRESSIONS) cargo test --locked --package isopeel-reference --test device
 
 containers: ## both images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes a quarter of an hour
 	tests/scripts/containers.sh

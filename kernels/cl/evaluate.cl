@@ -1,40 +1,80 @@
-// evaluate: a field that an expression over others gives, sample by sample. One work-item a sample. Built for each expression: EXPRESSION are
-// its statements (src/expression.rs), which make the float `value` of the floats f0, f1, …, and FIELD_0, … the types of the fields' samples.
-// Fields that it has not stand for the first one, and are not read.
+// evaluate: a field that an expression over others gives. The expression is a list of operations, which each work-item interprets for LANES
+// samples at a time: one program serves all expressions, so that none has to be compiled. In: the operations as pairs of words
+// (src/expression.rs), the samples of up to eight fields of any types. Out: floats, NaN where a field is missing or the value is not finite.
+// Fields that the expression does not have stand for the first one, and are not read.
 
 #include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/constants.h"
+#include "lib/device.h"
 #include "lib/layout.h"
+#include "lib/operations.h"
 
-#ifndef EXPRESSION
-#define EXPRESSION const float value = f0;
-#define FIELD_0 float
-#define FIELD_1 float
-#define FIELD_2 float
-#define FIELD_3 float
-#define FIELD_4 float
-#define FIELD_5 float
-#define FIELD_6 float
-#define FIELD_7 float
-#define FIELDS 1
-#endif
+// LANES samples from `at` on. What lies behind the last sample is the last one.
+#define LOAD_KIND(kind)                                                                                                \
+    {                                                                                                                  \
+        __global const kind *all = (__global const kind *)samples;                                                    \
+        if (at + LANES <= end) return LOAD_SAMPLES(all + at);                                                          \
+        for (uint i = 0; i < LANES; i++) last[i] = (float)all[min(at + i, end - 1)];                                   \
+        return LOAD_LANES(last);                                                                                       \
+    }
+INLINED real load_kind(__global const void *samples, uint type, ulong at, ulong end) {
+    float last[LANES];
+    switch (type) {
+        case TYPE_U8: LOAD_KIND(uchar)
+        case TYPE_I8: LOAD_KIND(char)
+        case TYPE_U16: LOAD_KIND(ushort)
+        case TYPE_I16: LOAD_KIND(short)
+        default: LOAD_KIND(float)
+    }
+}
 
-// A sample, NaN where it is missing.
-inline float known_sample(float v, float missing) { return v == missing ? NAN : v; }
+#define LOAD_FIELD(i)                                                                                                  \
+    if (i < args.fields) {                                                                                             \
+        const real v = load_kind(field_##i, args.type_##i, at, end);                                                   \
+        field[i] = PICK(v == args.missing_##i, NAN, v);                                                                \
+        known = known & (field[i] == field[i]);                                                                        \
+    }
 
-#define LOAD_FIELD(i) (i < FIELDS ? known_sample((float)field_##i[at], args.missing_##i) : 0.0f)
-
-// `planes` planes from `first` on, of a slab whose first plane is `z0`.
+// `count` samples from the one of number EVALUATE_BLOCK * `first` on.
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
-void evaluate(const EvaluateArgs args, __global const FIELD_0 *field_0, __global const FIELD_1 *field_1, __global const FIELD_2 *field_2,
-              __global const FIELD_3 *field_3, __global const FIELD_4 *field_4, __global const FIELD_5 *field_5,
-              __global const FIELD_6 *field_6, __global const FIELD_7 *field_7, __global float *out) {
-    const ulong item = get_global_id(0), plane = (ulong)args.grid.dims[0] * args.grid.dims[1];
-    if (item >= plane * args.planes) return;
-    const ulong at = plane * (args.first - args.z0) + item;
-    const float f0 = LOAD_FIELD(0), f1 = LOAD_FIELD(1), f2 = LOAD_FIELD(2), f3 = LOAD_FIELD(3);
-    const float f4 = LOAD_FIELD(4), f5 = LOAD_FIELD(5), f6 = LOAD_FIELD(6), f7 = LOAD_FIELD(7);
-    const bool is_known = !isnan(f0) && !isnan(f1) && !isnan(f2) && !isnan(f3) && !isnan(f4) && !isnan(f5) && !isnan(f6) && !isnan(f7);
-    EXPRESSION
-    out[at] = is_known && isfinite(value) ? value : NAN;
+void evaluate(const EvaluateArgs args, __global const uint2 *operations, __global const void *field_0, __global const void *field_1,
+              __global const void *field_2, __global const void *field_3, __global const void *field_4, __global const void *field_5,
+              __global const void *field_6, __global const void *field_7, __global float *out) {
+    const ulong begin = (ulong)args.first * EVALUATE_BLOCK, end = begin + args.count, at = begin + (ulong)get_global_id(0) * LANES;
+    if (at >= end) return;
+    real field[EXPRESSION_FIELDS], results[EXPRESSION_OPERATIONS], value = 0.0f;
+    integer known = value == value;
+    LOAD_FIELD(0)
+    LOAD_FIELD(1)
+    LOAD_FIELD(2)
+    LOAD_FIELD(3)
+    LOAD_FIELD(4)
+    LOAD_FIELD(5)
+    LOAD_FIELD(6)
+    LOAD_FIELD(7)
+    results[0] = value;
+    for (uint i = 0; i < args.operations; i++) {
+        const uint2 operation = operations[i];
+        const uint a = operation.x >> 8 & 255u, b = operation.x >> 16 & 255u, c = operation.x >> 24;
+        const real x = results[a], y = results[b];
+        switch (operation.x & 255u) {
+            case OPERATION_NUMBER: value = (real)(as_float(operation.y)); break;
+            case OPERATION_FIELD: value = field[operation.y]; break;
+            case OPERATION_AND: value = x * y; break;
+            case OPERATION_OR: value = fmax(x, y); break;
+            case OPERATION_NOT: value = 1.0f - x; break;
+            case OPERATION_SELECT: value = PICK(results[c] != 0.0f, x, y); break;
+            OPERATION_CASES
+        }
+        results[i] = value;
+    }
+    value = PICK(known & isfinite(value), value, NAN);
+    if (at + LANES <= end) {
+        STORE_LANES(value, out + at);
+        return;
+    }
+    float last[LANES];
+    STORE_LANES(value, last);
+    for (uint i = 0; at + i < end; i++) out[at + i] = last[i];
 }

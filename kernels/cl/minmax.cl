@@ -123,8 +123,8 @@ void minmax(const MinmaxArgs args, __global const SAMPLE *samples, __global floa
     __local float low[STORED_COLUMNS], high[STORED_COLUMNS], gap[STORED_COLUMNS];
     const Grid grid = args.grid;
     const uint lid = get_local_id(0), in_region = (uint)get_group_id(0) & 15, y = in_region & 3, z = in_region >> 2;
-    const uint runs = (grid.regions[0] + RUN - 1) / RUN, run = (uint)(get_group_id(0) >> 4), first_x = run % runs * RUN;
-    const uint first_region = (args.first_layer * grid.regions[1] + run / runs) * grid.regions[0] + first_x;
+    const uint runs = (grid.regions[0] + RUN - 1) / RUN, run = args.first_run + (uint)(get_group_id(0) >> 4), first_x = run % runs * RUN;
+    const uint first_region = run / runs * grid.regions[0] + first_x;
     const RowOfBricks row = row_of_bricks(args, samples, first_region, y, z);
     const Columns columns = {low, high, gap};
     for (uint i = lid; i < STORED_COLUMNS; i += BRICK_GROUP) {

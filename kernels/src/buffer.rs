@@ -50,6 +50,11 @@ impl Pool {
         self.idle_limit.set(self.idle_limit.get().min(bytes));
     }
 
+    /// Releases all that is idle.
+    pub fn release_idle(&self) {
+        self.idle.borrow_mut().clear();
+    }
+
     /// Resets the peak; returns the bytes in use.
     pub fn restart(&self) -> u64 {
         self.peak.set(self.now.get());
@@ -144,7 +149,7 @@ impl<T> Buffer<T> {
             Some((allocated, memory)) => (allocated, opencl3::memory::Buffer::new(memory)),
             None => {
                 let made = create().or_else(|_| {
-                    pool.idle.borrow_mut().clear();
+                    pool.release_idle();
                     create()
                 });
                 (bytes, made.map_err(|e| allocation_error(stage, bytes, limit_bytes, e))?)

@@ -78,6 +78,24 @@ constants! {
     FEATURE_HELICITY: u32 = 12;
     /// Maximum fields of an expression.
     EXPRESSION_FIELDS: u32 = 8;
+    /// Maximum operations of an expression.
+    EXPRESSION_OPERATIONS: u32 = 64;
+    /// Launches of `evaluate` begin at multiples of so many samples.
+    EVALUATE_BLOCK: u32 = 1024;
+    /// Operation of `evaluate`: a number.
+    OPERATION_NUMBER: u32 = 0;
+    /// Operation of `evaluate`: the sample of a field.
+    OPERATION_FIELD: u32 = 1;
+    /// Operation of `evaluate`: both of two conditions hold. A condition is 1 or 0.
+    OPERATION_AND: u32 = 2;
+    /// Operation of `evaluate`: one of two conditions holds, or both.
+    OPERATION_OR: u32 = 3;
+    /// Operation of `evaluate`: a condition does not hold.
+    OPERATION_NOT: u32 = 4;
+    /// Operation of `evaluate`: the first number where a condition holds, else the second one.
+    OPERATION_SELECT: u32 = 5;
+    /// Operations of `evaluate` from here on are functions and comparisons, whose cases are in `cl/lib/operations.h`.
+    OPERATION_FUNCTIONS: u32 = 8;
     /// Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
     DERIVE_BLOCK: u32 = 1360;
     /// Floats of the tables of `cl/lib/steps.h`, with uneven axes.

@@ -4,6 +4,7 @@ use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::cancel::{Cancel, check};
 use crate::device::{self, Found};
 use crate::error::OPEN;
+use crate::pace::Pace;
 use crate::program::{Program, Programs};
 use crate::sources::Source;
 use crate::{Error, Result, SampleType, StageTime, Tuning, layout};
@@ -16,6 +17,7 @@ use opencl3::types::{CL_BLOCKING, cl_event};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Instant;
 
 mod large_pages;
 pub mod read_back;
@@ -362,6 +364,21 @@ impl Context {
     /// Waits until everything that was started is done.
     pub fn finish(&self, stage: &'static str) -> Result<()> {
         self.queue.finish().map_err(|source| Error::Launch { stage, source })
+    }
+
+    /// Launches `units` of a piece of work and waits for their end, from which `pace` sizes the next launch.
+    pub fn paced(
+        &self,
+        stage: &'static str,
+        pace: &mut Pace,
+        units: u64,
+        launch: impl FnOnce() -> Result<()>,
+    ) -> Result<()> {
+        let start = Instant::now();
+        launch()?;
+        self.finish(stage)?;
+        pace.took(units, start.elapsed());
+        Ok(())
     }
 
     /// Waits for what was launched, so that whoever is let in by `cancel` does not.

@@ -3,20 +3,20 @@
 use crate::buffer::{Buffer, DeviceMemory};
 use crate::context::Context;
 use crate::program::Gate;
-use crate::stages::{self, histogram, minmax};
-use crate::volume::Slab;
+use crate::stages;
+use crate::stages::histogram::{self, HistogramWork};
 use crate::{DeviceInfo, Error, Feature, Grid, Histogram, Result, SampleType, StageTime, Tuning, Volume, tables};
-use std::rc::Rc;
 
 mod build;
 pub(crate) mod cut;
 mod distance_field;
-pub(crate) mod evaluate;
+mod evaluate;
 pub(crate) mod fit;
 mod generate;
 mod measure;
 pub(crate) mod peel;
 pub(crate) mod query;
+mod table;
 mod tree;
 mod tree_cut;
 mod tree_part;
@@ -27,8 +27,6 @@ pub struct Engine {
     pub(crate) cx: Context,
     pub(crate) cases: Buffer<u8>,
     pub(crate) case_facts: Buffer<u32>,
-    /// Programs of expressions, and that of distances.
-    expressions: evaluate::Programs,
 }
 
 impl Engine {
@@ -56,12 +54,7 @@ impl Engine {
         let cx = Context::open(selector, limit_bytes, tuning, stages::SOURCES)?;
         let cases = cx.upload("open", &tables::case_table())?;
         let case_facts = cx.upload("open", &tables::case_facts())?;
-        Ok(Self {
-            cx,
-            cases,
-            case_facts,
-            expressions: evaluate::Programs::new(),
-        })
+        Ok(Self { cx, cases, case_facts })
     }
 
     /// The device in use.
@@ -69,7 +62,7 @@ impl Engine {
         &self.cx.found.info
     }
 
-    /// Names of the programs that were built so far, those of expressions excepted.
+    /// Names of the programs that were built so far.
     pub fn programs(&self) -> Vec<String> {
         self.cx.programs.names()
     }
@@ -105,44 +98,14 @@ impl Engine {
         Ok(())
     }
 
-    /// A volume of slabs that are filled, with its min/max table.
-    pub(crate) fn resident(
-        &self,
-        grid: Grid,
-        sample_type: SampleType,
-        missing: Option<f32>,
-        slabs: Vec<Slab>,
-        inverse_lengths: Option<Rc<Buffer<f32>>>,
-    ) -> Result<Volume> {
-        let regions = grid.regions().iter().map(|&r| r as usize).product::<usize>();
-        let mut volume = Volume {
-            grid,
-            sample_type,
-            missing: missing.unwrap_or(f32::NAN),
-            slabs,
-            table: self.cx.buffer(minmax::STAGE, regions * 64)?,
-            missing_masks: Vec::new(),
-            inverse_lengths,
-        };
-        self.make_table(&mut volume)?;
-        Ok(volume)
-    }
-
-    /// Fills a volume's min/max table from its samples.
-    pub(crate) fn make_table(&self, volume: &mut Volume) -> Result<()> {
-        let regions = volume.table.len() / 64;
-        let masks = self.cx.zeroed::<[u32; 2]>(minmax::STAGE, regions)?;
-        let layout = volume.layout();
-        for slab in &volume.slabs {
-            minmax::run(&self.cx, volume.sample_type, &layout, slab, &volume.table, &masks)?;
-        }
-        volume.missing_masks = self.cx.read(minmax::STAGE, &masks, regions)?;
-        Ok(())
-    }
-
     /// Keeps at most so many bytes that were freed, for the next surfaces; or a sixteenth of the device's memory, if that is less.
     pub fn limit_idle(&self, bytes: u64) {
         self.cx.pool.limit_idle(bytes);
+    }
+
+    /// Gives memory that was freed and kept for the next surfaces back to the driver.
+    pub fn release_idle(&self) {
+        self.cx.pool.release_idle();
     }
 
     /// Bytes that are allocated on the device, and on the host for surfaces.
@@ -169,11 +132,25 @@ impl Engine {
     /// # Errors
     /// What the device says.
     pub fn histogram(&self, volume: &Volume, feature: Feature<'_>) -> Result<Histogram> {
+        let mut work = HistogramWork::default();
+        loop {
+            if let Some(histogram) = work.complete() {
+                return Ok(histogram);
+            }
+            self.continue_histogram(volume, feature, &mut work)?;
+        }
+    }
+
+    /// Does the next part of a histogram, one launch of some milliseconds. The parts before it may have been done by another engine.
+    ///
+    /// # Errors
+    /// What the device says; `work` is as before.
+    pub fn continue_histogram(&self, volume: &Volume, feature: Feature<'_>, work: &mut HistogramWork) -> Result<()> {
         let (volume, feature) = match feature {
             Feature::Field(field) => (field, Feature::None),
             other => (volume, other),
         };
-        histogram::run(&self.cx, volume, feature)
+        histogram::step(&self.cx, volume, feature, work)
     }
 
     /// Waits for what was started, and returns the time of each stage since the last call, pyramid or surface: whoever lets others use the

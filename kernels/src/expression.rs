@@ -2,10 +2,9 @@
 //! run long or read anything but a sample of each field.
 
 use crate::{Error, Result, constants};
-use std::fmt::Write;
 
 /// Maximum operations of an expression.
-pub const MAX_NODES: usize = 64;
+pub const MAX_NODES: usize = constants::EXPRESSION_OPERATIONS as usize;
 
 /// Index of an earlier operation.
 pub type Node = u8;
@@ -29,6 +28,8 @@ macro_rules! functions {
                 }
             }
 
+            /// As OpenCL C writes it.
+            #[cfg(test)]
             const fn code(self) -> &'static str {
                 match self {
                     $(Self::$variant => $code),*
@@ -70,7 +71,8 @@ macro_rules! functions {
     };
 }
 
-// A new function is a line here: variant, name for users, OpenCL C, Rust; and its twin in the reference crate's `expression.rs`.
+// A new function is a line here: variant, name for users, OpenCL C, Rust (`make generated` writes `cl/lib/operations.h`); and its twin in the
+// reference crate's `expression.rs`.
 functions! {
     /// A function of one number.
     Unary {
@@ -193,21 +195,61 @@ impl Op {
         }
     }
 
-    fn code(self) -> String {
-        match self {
+    /// What `cl/evaluate.cl` reads: number of the operation and its operands, a byte each; a number's bits or a field's place.
+    fn encoded(self) -> [u32; 2] {
+        let word = |operation: u32, [a, b, c]: [Node; 3]| {
+            operation | u32::from(a) << 8 | u32::from(b) << 16 | u32::from(c) << 24
+        };
+        let [word, value] = match self {
             // By its bits: no decimal is rounded.
-            Self::Number(x) => format!("as_float({:#010x}u)", x.to_bits()),
-            Self::Field(i) => format!("f{i}"),
-            Self::Unary(function, x) => format!("{}(n{x})", function.code()),
-            Self::Binary(function, x, y) if function.code().len() == 1 => format!("n{x} {} n{y}", function.code()),
-            Self::Binary(function, x, y) => format!("{}(n{x}, n{y})", function.code()),
-            Self::Compare(comparison, x, y) => format!("n{x} {} n{y}", comparison.code()),
-            Self::And(x, y) => format!("n{x} && n{y}"),
-            Self::Or(x, y) => format!("n{x} || n{y}"),
-            Self::Not(x) => format!("!n{x}"),
-            Self::Select(c, x, y) => format!("n{c} ? n{x} : n{y}"),
-        }
+            Self::Number(x) => [constants::OPERATION_NUMBER, x.to_bits()],
+            Self::Field(i) => [constants::OPERATION_FIELD, i.into()],
+            Self::Unary(function, x) => [word(UNARY + function as u32, [x, 0, 0]), 0],
+            Self::Binary(function, x, y) => [word(BINARY + function as u32, [x, y, 0]), 0],
+            Self::Compare(comparison, x, y) => [word(COMPARISON + comparison as u32, [x, y, 0]), 0],
+            Self::And(x, y) => [word(constants::OPERATION_AND, [x, y, 0]), 0],
+            Self::Or(x, y) => [word(constants::OPERATION_OR, [x, y, 0]), 0],
+            Self::Not(x) => [word(constants::OPERATION_NOT, [x, 0, 0]), 0],
+            Self::Select(c, x, y) => [word(constants::OPERATION_SELECT, [x, y, c]), 0],
+        };
+        [word, value]
     }
+}
+
+/// Number of the first function of one number in `cl/evaluate.cl`.
+const UNARY: u32 = constants::OPERATION_FUNCTIONS;
+/// Number of the first function of two numbers.
+const BINARY: u32 = UNARY + Unary::ALL.len() as u32;
+/// Number of the first comparison.
+const COMPARISON: u32 = BINARY + Binary::ALL.len() as u32;
+
+/// An expression as the device reads it.
+pub(crate) struct Encoded {
+    /// Its operations.
+    pub operations: Vec<[u32; 2]>,
+    /// How many fields it has.
+    pub fields: u32,
+}
+
+/// The text of `cl/lib/operations.h`: the cases of functions and comparisons, which make `value` of the operands `x` and `y`.
+#[cfg(test)]
+pub(crate) fn header() -> String {
+    let unary = Unary::ALL.iter().map(|function| match function.code() {
+        sign @ "-" => format!("{sign}x"),
+        name => format!("{name}(x)"),
+    });
+    let binary = Binary::ALL.iter().map(|function| match function.code() {
+        sign if sign.len() == 1 => format!("x {sign} y"),
+        name => format!("{name}(x, y)"),
+    });
+    let comparisons = Comparison::ALL
+        .iter()
+        .map(|comparison| format!("PICK(x {} y, 1.0f, 0.0f)", comparison.code()));
+    let cases = (UNARY..).zip(unary.chain(binary).chain(comparisons));
+    let cases: String = cases
+        .map(|(number, value)| format!(" \\\n    case {number}u: value = {value}; break;"))
+        .collect();
+    format!("#define OPERATION_CASES{cases}\n")
 }
 
 /// An expression whose value is a number, of one field or several.
@@ -291,19 +333,12 @@ impl Expression {
         if value.is_finite() { value } else { f32::NAN }
     }
 
-    /// The statements of `cl/evaluate.cl`: from the floats `f0`, `f1`, … the float `value`.
-    pub(crate) fn code(&self) -> String {
-        let mut code = String::from("#define EXPRESSION");
-        for (at, op) in self.ops.iter().enumerate() {
-            let kind = match op.kind() {
-                Kind::Number => "float",
-                Kind::Condition => "bool",
-            };
-            // Writing to a string does not fail.
-            let _ = write!(code, " const {kind} n{at} = {};", op.code());
+    /// As `cl/evaluate.cl` reads it.
+    pub(crate) fn encoded(&self) -> Encoded {
+        Encoded {
+            operations: self.ops.iter().map(|op| op.encoded()).collect(),
+            fields: self.fields.into(),
         }
-        let _ = writeln!(code, " const float value = n{};", self.ops.len() - 1);
-        code
     }
 }
 
@@ -333,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn values_and_code() {
+    fn values_and_encoding() {
         let ops = vec![
             Op::Field(0),
             Op::Number(0.5),
@@ -346,10 +381,12 @@ mod tests {
         assert_eq!(expression.value(&[1.0]), 0.0);
         assert_eq!(expression.value(&[0.25]), 0.5);
         assert!(expression.value(&[f32::NAN]).is_nan() && expression.value(&[-1.0]).is_nan());
+        let operations = expression.encoded().operations;
+        assert_eq!(operations[1], [constants::OPERATION_NUMBER, 0.5f32.to_bits()]);
+        assert_eq!(operations[2], [(COMPARISON + Comparison::Above as u32) | 1 << 16, 0]);
         assert_eq!(
-            expression.code(),
-            "#define EXPRESSION const float n0 = f0; const float n1 = as_float(0x3f000000u); const bool n2 = n0 > n1; \
-             const float n3 = log(n0); const float n4 = pow(n0, n1); const float n5 = n2 ? n3 : n4; const float value = n5;\n"
+            operations[5],
+            [constants::OPERATION_SELECT | 3 << 8 | 4 << 16 | 2 << 24, 0]
         );
     }
 }

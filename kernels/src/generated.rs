@@ -1,7 +1,7 @@
 //! The headers in `cl/lib/` that are generated from Rust. `make generated` writes them; a test fails when they are stale.
 
 use crate::tables::sheets::Sheets;
-use crate::{constants, stages};
+use crate::{constants, expression, stages};
 use std::path::PathBuf;
 
 /// Compares a generated file with the committed one, or writes it where `UPDATE_GENERATED` is set.
@@ -22,6 +22,15 @@ fn constants_header_is_fresh() {
         "constants.h",
         "Constants that host and device share, from kernels/src/constants.rs.",
         &constants::header(),
+    );
+}
+
+#[test]
+fn operations_header_is_fresh() {
+    check(
+        "operations.h",
+        "Functions and comparisons of expressions, from kernels/src/expression.rs.",
+        &expression::header(),
     );
 }
 

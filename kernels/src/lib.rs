@@ -35,6 +35,7 @@ mod feature;
 mod generated;
 pub mod interest;
 pub mod layout;
+mod pace;
 pub mod params;
 mod program;
 mod pyramid;
@@ -75,6 +76,7 @@ pub use pyramid::Pyramid;
 pub use rectilinear::RectilinearGrid;
 pub use shared_slice::SharedSlice;
 pub use sources::build_id;
+pub use stages::histogram::HistogramWork;
 pub use surface::{
     Count, ErrorEstimate, MeasuredError, Region, RemovedParts, StageTime, Surface, SurfaceError, SurfaceStatistics,
     Vertex,

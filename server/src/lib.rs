@@ -2,7 +2,7 @@
 //!
 //! In layers from the bottom up; each uses only those above it in this list:
 //!
-//! - [`error`], `math`, `pool`, [`problem`]: error chains, vectors, the CPU pool, HTTP errors.
+//! - [`error`], `math`, `pool`, [`private_folder`], [`problem`]: error chains, vectors, the CPU pool, folders of one user, HTTP errors.
 //! - [`view`]: what a user asks for, as JSON.
 //! - [`volumes`]: file formats, datasets and the catalog.
 //! - [`device`]: which device is used, and whether it is to be believed.
@@ -29,6 +29,7 @@ pub mod jobs;
 mod math;
 pub mod metrics;
 mod pool;
+pub mod private_folder;
 pub mod problem;
 pub mod rest;
 pub mod serve;

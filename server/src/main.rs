@@ -4,17 +4,20 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use isopeel::cli::{self, log};
+use isopeel::device::cache::{DriverFolders, driver_folders};
 
 fn main() -> ExitCode {
-    for (name, folder) in isopeel::device::cache::driver_folders() {
-        // SAFETY: this is the only thread so far.
-        unsafe { std::env::set_var(name, folder) };
-    }
     let cli = match cli::settings::parse() {
         Ok(cli) => cli,
         Err(error) => return failed(&error),
     };
+    let folders = cli.command.uses_device().then(driver_folders);
+    for (name, folder) in folders.iter().flat_map(|folders| &folders.variables) {
+        // SAFETY: this is the only thread so far.
+        unsafe { std::env::set_var(name, folder) };
+    }
     log::start(cli.log_format, cli.command.default_log());
+    folders.iter().for_each(DriverFolders::warn);
     let ended = cli::run(cli);
     log::finish();
     match ended {

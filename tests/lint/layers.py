@@ -14,7 +14,7 @@ from tree import read, text_files
 LAYERS = {
     "kernels/src": """
         constants error shared_slice sources tables
-        buffer cancel device interest layout transfer
+        buffer cancel device interest layout pace transfer
         params rectilinear tuning volume
         expression feature program surface synthetic
         context pyramid
@@ -26,7 +26,7 @@ LAYERS = {
         testing
     """,
     "server/src": """
-        error math metrics pool
+        error math metrics pool private_folder
         device view problem
         volumes
         extraction

@@ -92,7 +92,7 @@ cat >"$work/isopeel" <<'SCRIPT'
 before=
 for word; do
     case $before in
-    --state-folder | --uploads | --save) mkdir -p "$word" && chown 10001 "$word" ;;
+    --state-folder | --uploads | --save) mkdir -p "$word" && chmod 700 "$word" && chown 10001 "$word" ;;
     *) [ -e "$word" ] && chmod -R a+rX "$word" ;;
     esac
     folder=$(dirname -- "$word")

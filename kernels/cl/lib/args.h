@@ -18,50 +18,11 @@ typedef struct {
     float offset; // See `factor`.
 } GenerateArgs;
 
-// Arguments of `distance_field_before` and `distance_field_after`.
-typedef struct {
-    Grid grid; // Extent of the volume.
-    uint z0; // First plane of the slab.
-    uint planes; // Planes of the slab.
-    uint keep; // The plane at which the neighbouring slab goes on.
-    uint first; // First column of this launch.
-    uint columns; // Columns of this launch.
-    float scale; // Units of one step between positions.
-} DistanceColumnsArgs;
-
-// Arguments of `distance_field_envelope`.
-typedef struct {
-    Grid grid; // Extent of the volume.
-    uint axis; // Axis of the lines: 0 or 1.
-    uint first; // First line of this launch.
-    uint lines; // Lines of this launch.
-    uint is_even; // 1: positions are the numbers of the samples.
-    uint is_last; // 1: distances are written; 0: their squares.
-    float scale; // Units of one step between positions.
-    float unit; // World units of a unit of length.
-} DistanceLinesArgs;
-
-// Arguments of `evaluate`.
-typedef struct {
-    Grid grid; // Extent of the volume.
-    uint z0; // First plane of the slab.
-    uint first; // First plane of this launch.
-    uint planes; // Planes of this launch.
-    float missing_0; // Samples of the first field equal to this count as NaN.
-    float missing_1; // Of the second one.
-    float missing_2; // Of the third one.
-    float missing_3; // Of the fourth one.
-    float missing_4; // Of the fifth one.
-    float missing_5; // Of the sixth one.
-    float missing_6; // Of the seventh one.
-    float missing_7; // Of the eighth one.
-} EvaluateArgs;
-
 // Arguments of `minmax`.
 typedef struct {
     Grid grid; // Extent of the volume.
     uint z0; // First plane of the slab.
-    uint first_layer; // First layer of regions of this launch, counted in regions along z.
+    uint first_run; // First row of bricks' regions of this launch, counted in runs along x, then y, then z.
 } MinmaxArgs;
 
 // Arguments of `histogram_range`.
@@ -70,6 +31,7 @@ typedef struct {
     uint z0; // First plane of the slab.
     uint kind; // `FEATURE_NONE` for the samples themselves, `FEATURE_GRADIENT`, or `FEATURE_STORED` for values of `derive`.
     uint first_plane; // First plane of this launch.
+    uint first_row; // First row of this launch, in that plane.
     uint count; // Samples of this launch.
 } HistogramRangeArgs;
 
@@ -79,6 +41,7 @@ typedef struct {
     uint z0; // First plane of the slab.
     uint kind; // `FEATURE_NONE` for the samples themselves, `FEATURE_GRADIENT`, or `FEATURE_STORED` for values of `derive`.
     uint first_plane; // First plane of this launch.
+    uint first_row; // First row of this launch, in that plane.
     uint count; // Samples of this launch.
     float lo; // Minimum of the range.
     float hi; // Maximum of the range.
@@ -365,5 +328,52 @@ typedef struct {
     uint first; // The first point of this launch.
     uint end; // The point after the last.
 } DistanceArgs;
+
+// Arguments of `evaluate`.
+typedef struct {
+    uint first; // First sample of this launch, in blocks of EVALUATE_BLOCK.
+    uint count; // Samples of this launch.
+    uint operations; // Operations of the expression.
+    uint fields; // Fields of the expression.
+    uint type_0; // Sample type of the first field, `TYPE_U8` to `TYPE_F32`.
+    uint type_1; // Of the second one.
+    uint type_2; // Of the third one.
+    uint type_3; // Of the fourth one.
+    uint type_4; // Of the fifth one.
+    uint type_5; // Of the sixth one.
+    uint type_6; // Of the seventh one.
+    uint type_7; // Of the eighth one.
+    float missing_0; // Samples of the first field equal to this count as NaN.
+    float missing_1; // Of the second one.
+    float missing_2; // Of the third one.
+    float missing_3; // Of the fourth one.
+    float missing_4; // Of the fifth one.
+    float missing_5; // Of the sixth one.
+    float missing_6; // Of the seventh one.
+    float missing_7; // Of the eighth one.
+} EvaluateArgs;
+
+// Arguments of `distance_field_before` and `distance_field_after`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint planes; // Planes of the slab.
+    uint keep; // The plane at which the neighbouring slab goes on.
+    uint first; // First column of this launch.
+    uint columns; // Columns of this launch.
+    float scale; // Units of one step between positions.
+} DistanceColumnsArgs;
+
+// Arguments of `distance_field_envelope`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint axis; // Axis of the lines: 0 or 1.
+    uint first; // First line of this launch.
+    uint lines; // Lines of this launch.
+    uint is_even; // 1: positions are the numbers of the samples.
+    uint is_last; // 1: distances are written; 0: their squares.
+    float scale; // Units of one step between positions.
+    float unit; // World units of a unit of length.
+} DistanceLinesArgs;
 
 #endif

@@ -40,6 +40,24 @@
 #define FEATURE_HELICITY 12u
 // Maximum fields of an expression.
 #define EXPRESSION_FIELDS 8u
+// Maximum operations of an expression.
+#define EXPRESSION_OPERATIONS 64u
+// Launches of `evaluate` begin at multiples of so many samples.
+#define EVALUATE_BLOCK 1024u
+// Operation of `evaluate`: a number.
+#define OPERATION_NUMBER 0u
+// Operation of `evaluate`: the sample of a field.
+#define OPERATION_FIELD 1u
+// Operation of `evaluate`: both of two conditions hold. A condition is 1 or 0.
+#define OPERATION_AND 2u
+// Operation of `evaluate`: one of two conditions holds, or both.
+#define OPERATION_OR 3u
+// Operation of `evaluate`: a condition does not hold.
+#define OPERATION_NOT 4u
+// Operation of `evaluate`: the first number where a condition holds, else the second one.
+#define OPERATION_SELECT 5u
+// Operations of `evaluate` from here on are functions and comparisons, whose cases are in `cl/lib/operations.h`.
+#define OPERATION_FUNCTIONS 8u
 // Floats of a block of `derive` in local memory: 11^3 samples, and what the last lanes read behind them.
 #define DERIVE_BLOCK 1360u
 // Floats of the tables of `cl/lib/steps.h`, with uneven axes.

@@ -1,6 +1,6 @@
 //! Distances to samples where an expression holds.
 
-use crate::stages::distance_field::{self, Axes, MAX_LENGTH, PROGRAM, STAGE, Work};
+use crate::stages::distance_field::{self, Axes, MAX_LENGTH, STAGE, Work};
 use crate::volume::Slab;
 use crate::{Cancel, Engine, Error, Expression, Result, SampleType, Volume};
 
@@ -28,8 +28,6 @@ impl Engine {
                 why: format!("{length} samples along x or y, expected {MAX_LENGTH} or fewer"),
             });
         }
-        let options = format!("-cl-std=CL1.2 -DSAMPLE=float {}", self.cx.tuning.defines());
-        let program = self.expressions.get(PROGRAM, || self.cx.build(PROGRAM, &options))?;
         let like = |slab: &Slab| {
             Ok(Slab {
                 samples: self.cx.buffer(STAGE, slab.samples.len())?,
@@ -41,7 +39,6 @@ impl Engine {
         let axes = self.axes(first, world)?;
         let work = Work {
             cx: &self.cx,
-            program: &program,
             grid: first.layout(),
             axes: &axes,
             cancel,
@@ -59,7 +56,8 @@ impl Engine {
             return Ok(None);
         }
         let lengths = first.inverse_lengths.clone();
-        self.resident(grid, SampleType::F32, None, distances, lengths).map(Some)
+        self.resident(grid, SampleType::F32, None, distances, lengths, cancel)
+            .map(Some)
     }
 
     /// Where a volume's samples are. The unit is the smallest spacing, so that squares stay in the range of a float.

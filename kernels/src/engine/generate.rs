@@ -4,7 +4,9 @@
 use crate::stages::generate;
 use crate::synthetic::stored;
 use crate::volume::{Slab, slab_layers, slab_planes};
-use crate::{DeviceKind, DeviceSpeed, Engine, Error, Grid, Result, SampleType, Samples, StageTime, Synthetic, Volume};
+use crate::{
+    DeviceKind, DeviceSpeed, Engine, Error, Grid, Never, Result, SampleType, Samples, StageTime, Synthetic, Volume,
+};
 use std::ops::Range;
 use std::time::Instant;
 
@@ -62,7 +64,7 @@ impl Engine {
                 layers,
             });
         }
-        self.resident(grid, sample_type, None, slabs, None)
+        self.resident(grid, sample_type, None, slabs, None, &Never)
     }
 
     /// Makes the min/max table again from the samples on the device, as for a time step that just arrived there, and

@@ -1,17 +1,15 @@
 //! A field's samples on their way to the device, in pieces: the host never holds all of them.
 
-use crate::buffer::Buffer;
+use super::table::TableWork;
 use crate::volume::{Slab, slab_layers, slab_planes};
 use crate::{Engine, Error, Grid, RectilinearGrid, Result, SampleType, Samples, Volume};
 use std::rc::Rc;
 
 /// A field of which a part is on the device.
 pub struct Upload {
-    grid: Grid,
-    sample_type: SampleType,
-    missing: Option<f32>,
-    slabs: Vec<Slab>,
-    inverse_lengths: Option<Rc<Buffer<f32>>>,
+    /// Its table is made when all samples are there.
+    volume: Volume,
+    table: Option<TableWork>,
     /// Samples so far.
     done: u64,
 }
@@ -38,15 +36,14 @@ impl Engine {
                 layers,
             })
         });
+        let slabs = slabs.collect::<Result<_>>()?;
         let lengths = rectilinear.inverse_lengths();
         let lengths = lengths.map(|lengths| self.cx.upload("upload", &lengths));
+        let lengths = lengths.transpose()?.map(Rc::new);
         Ok(Upload {
-            sample_type,
-            missing,
-            slabs: slabs.collect::<Result<_>>()?,
-            inverse_lengths: lengths.transpose()?.map(Rc::new),
+            volume: self.without_table(grid, sample_type, missing, slabs, lengths)?,
+            table: None,
             done: 0,
-            grid,
         })
     }
 
@@ -56,17 +53,18 @@ impl Engine {
     /// More samples than the grid has, or of another type, or what the device says.
     pub fn continue_upload(&self, upload: &mut Upload, samples: &Samples) -> Result<()> {
         let (from, more) = (upload.done, samples.len() as u64);
-        if samples.sample_type() != upload.sample_type || more > upload.grid.sample_count() - from {
-            let (count, name) = (upload.grid.sample_count(), upload.sample_type.name());
+        let Volume { grid, sample_type, .. } = upload.volume;
+        if samples.sample_type() != sample_type || more > grid.sample_count() - from {
+            let (count, name) = (grid.sample_count(), sample_type.name());
             return Err(wrong(format!(
                 "{more} of {} after {from}, expected {count} of {name} in all",
                 samples.sample_type().name()
             )));
         }
-        let width = upload.sample_type.bytes() as u64;
-        let plane = plane_bytes(&upload.grid, upload.sample_type) as u64;
+        let width = sample_type.bytes() as u64;
+        let plane = plane_bytes(&grid, sample_type) as u64;
         let (begin, bytes) = (from * width, samples.as_bytes());
-        for slab in &mut upload.slabs {
+        for slab in &mut upload.volume.slabs {
             // Neighbouring slabs share planes.
             let first = u64::from(slab.z0) * plane;
             let start = begin.max(first);
@@ -81,19 +79,35 @@ impl Engine {
         Ok(())
     }
 
-    /// Makes the min/max table.
+    /// Makes the next part of the min/max table, which takes some milliseconds. True once it is complete.
     ///
     /// # Errors
     /// Fewer samples than the grid has, or no device memory.
-    pub fn finish_upload(&self, upload: Upload) -> Result<Volume> {
-        let expected = upload.grid.sample_count();
+    pub fn continue_table(&self, upload: &mut Upload) -> Result<bool> {
+        let expected = upload.volume.grid.sample_count();
         if upload.done != expected {
             return Err(wrong(format!("{}, expected {expected}", upload.done)));
         }
-        let Upload {
-            sample_type, missing, ..
-        } = upload;
-        self.resident(upload.grid, sample_type, missing, upload.slabs, upload.inverse_lengths)
+        let mut work = match upload.table.take() {
+            Some(work) => work,
+            None => self.begin_table(&upload.volume)?,
+        };
+        let is_complete = self.continue_table_of(&upload.volume, &mut work)?;
+        upload.table = Some(work);
+        Ok(is_complete)
+    }
+
+    /// The field, with what is missing of its min/max table.
+    ///
+    /// # Errors
+    /// As [`Engine::continue_table`].
+    pub fn finish_upload(&self, mut upload: Upload) -> Result<Volume> {
+        while !self.continue_table(&mut upload)? {}
+        let Upload { mut volume, table, .. } = upload;
+        if let Some(work) = table {
+            self.end_table(&mut volume, work)?;
+        }
+        Ok(volume)
     }
 
     /// Puts a field on the device and makes its min/max table. `missing` samples count as NaN.

@@ -5,15 +5,12 @@ use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::layout::Grid;
-use crate::program::Program;
+use crate::pace::Pace;
 use crate::volume::Slab;
-use crate::{Cancel, Result};
+use crate::{Cancel, Result, SampleType};
 
 /// Name of the stage.
 pub const STAGE: &str = "distance_field";
-
-/// What its program is made of.
-pub const PROGRAM: &str = "#include \"distance_field.cl\"\n";
 
 /// Maximum samples along x and y: two indices are packed into a word.
 pub const MAX_LENGTH: u32 = 1 << 16;
@@ -57,8 +54,11 @@ kernel_args! {
     }
 }
 
-/// Samples of one launch at most, where it can be smaller: on a CPU it ends within some 50 ms.
-const LAUNCH_SAMPLES: u64 = 1 << 22;
+/// Samples of the first launch of a pass.
+const FIRST_SAMPLES: u64 = 1 << 18;
+
+/// Samples of one launch at most.
+const MAX_SAMPLES: u64 = 1 << 24;
 
 /// Where samples are along the axes.
 pub struct Axes {
@@ -75,7 +75,6 @@ pub struct Axes {
 /// One volume's work.
 pub struct Work<'a> {
     pub cx: &'a Context,
-    pub program: &'a Program,
     pub grid: Grid,
     pub axes: &'a Axes,
     pub cancel: &'a dyn Cancel,
@@ -107,9 +106,10 @@ impl Work<'_> {
     fn column(&self, kernel: &str, values: &Slab, out: &Slab, keep: u32, nearest: &Buffer<u32>) -> Result<()> {
         let (columns, planes) = (nearest.len() as u64, self.planes(values));
         let group = (self.cx.tuning.lanes * BRICK_GROUP) as u64;
-        let step = (LAUNCH_SAMPLES / u64::from(planes)).max(1).next_multiple_of(group);
-        for first in (0..columns).step_by(step as usize) {
-            let some = step.min(columns - first);
+        let mut pace = pace_of(u64::from(planes) * group);
+        let mut first = 0;
+        while first < columns {
+            let some = (pace.units() * group).min(columns - first);
             let args = DistanceColumnsArgs {
                 grid: self.grid,
                 z0: values.z0,
@@ -120,8 +120,8 @@ impl Work<'_> {
                 scale: self.axes.scale[2],
             };
             let all: [&dyn Arg; 5] = [&args, &self.axes.positions[2], &values.samples, &out.samples, nearest];
-            let groups = some.div_ceil(group) as usize;
-            self.launch(kernel, groups, &all)?;
+            self.launch(kernel, some.div_ceil(group), &all, &mut pace)?;
+            first += some;
         }
         Ok(())
     }
@@ -130,9 +130,11 @@ impl Work<'_> {
     pub fn lines(&self, axis: usize, squares: &Slab, out: &Slab) -> Result<()> {
         let length = u64::from(self.grid.dims[axis]);
         let lines = squares.samples.bytes() / size_of::<f32>() as u64 / length;
-        let step = (LAUNCH_SAMPLES / length).max(BRICK_GROUP as u64);
-        for first in (0..lines).step_by(step as usize) {
-            let some = step.min(lines - first);
+        let group = BRICK_GROUP as u64;
+        let mut pace = pace_of(length * group);
+        let mut first = 0;
+        while first < lines {
+            let some = (pace.units() * group).min(lines - first);
             let args = DistanceLinesArgs {
                 grid: self.grid,
                 axis: axis as u32,
@@ -144,16 +146,24 @@ impl Work<'_> {
                 unit: self.axes.unit,
             };
             let all: [&dyn Arg; 4] = [&args, &self.axes.positions[axis], &squares.samples, &out.samples];
-            let groups = some.div_ceil(BRICK_GROUP as u64) as usize;
-            self.launch("distance_field_envelope", groups, &all)?;
+            self.launch("distance_field_envelope", some.div_ceil(group), &all, &mut pace)?;
+            first += some;
         }
         Ok(())
     }
 
     /// Others have a turn after each launch.
-    fn launch(&self, kernel: &str, groups: usize, args: &[&dyn Arg]) -> Result<()> {
-        self.cx
-            .launch(STAGE, self.program.get(kernel), groups, BRICK_GROUP, args)?;
+    fn launch(&self, kernel: &str, groups: u64, args: &[&dyn Arg], pace: &mut Pace) -> Result<()> {
+        let kernel = self.cx.kernel(SampleType::F32, kernel)?;
+        self.cx.paced(STAGE, pace, groups, || {
+            self.cx.launch(STAGE, &kernel, groups as usize, BRICK_GROUP, args)
+        })?;
         self.cx.pause(STAGE, self.cancel)
     }
+}
+
+/// Pace of a pass whose work-groups have so many samples, in work-groups.
+fn pace_of(group_samples: u64) -> Pace {
+    let groups = |samples: u64| (samples / group_samples).max(1);
+    Pace::new(groups(FIRST_SAMPLES), 1, groups(MAX_SAMPLES))
 }

@@ -1,13 +1,13 @@
 //! Fields that are computed from others by an expression.
 
-use super::BRICK_GROUP;
 use super::args::kernel_args;
+use super::construct::type_number;
+use super::BRICK_GROUP;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
-use crate::layout::Grid;
-use crate::program::Program;
-use crate::{Cancel, Result};
-use std::ops::Range;
+use crate::expression::Encoded;
+use crate::pace::Pace;
+use crate::{Cancel, Result, SampleType, constants};
 
 /// Name of the stage.
 pub const STAGE: &str = "evaluate";
@@ -15,14 +15,30 @@ pub const STAGE: &str = "evaluate";
 kernel_args! {
     /// Arguments of `evaluate`.
     EvaluateArgs {
-        /// Extent of the volume.
-        grid: Grid,
-        /// First plane of the slab.
-        z0: u32,
-        /// First plane of this launch.
+        /// First sample of this launch, in blocks of EVALUATE_BLOCK.
         first: u32,
-        /// Planes of this launch.
-        planes: u32,
+        /// Samples of this launch.
+        count: u32,
+        /// Operations of the expression.
+        operations: u32,
+        /// Fields of the expression.
+        fields: u32,
+        /// Sample type of the first field, `TYPE_U8` to `TYPE_F32`.
+        type_0: u32,
+        /// Of the second one.
+        type_1: u32,
+        /// Of the third one.
+        type_2: u32,
+        /// Of the fourth one.
+        type_3: u32,
+        /// Of the fifth one.
+        type_4: u32,
+        /// Of the sixth one.
+        type_5: u32,
+        /// Of the seventh one.
+        type_6: u32,
+        /// Of the eighth one.
+        type_7: u32,
         /// Samples of the first field equal to this count as NaN.
         missing_0: f32,
         /// Of the second one.
@@ -42,29 +58,59 @@ kernel_args! {
     }
 }
 
-/// Samples of one launch at most: on a CPU it ends within some 50 ms, for whoever has a turn after it.
-const LAUNCH_SAMPLES: u64 = 1 << 23;
+/// Samples of a block, with which launches begin.
+const BLOCK: u64 = constants::EVALUATE_BLOCK as u64;
 
-/// Fills a slab that holds `planes`. `fields`: the samples of each field in the slab, and the value of missing ones; eight of them.
+/// Blocks of the first launch, which tells what the expression costs.
+const FIRST_BLOCKS: u64 = 64;
+
+/// Blocks of one launch at most.
+const MAX_BLOCKS: u64 = 1 << 15;
+
+/// Pace of an expression's launches, in blocks.
+pub fn pace() -> Pace {
+    Pace::new(FIRST_BLOCKS, 1, MAX_BLOCKS)
+}
+
+/// A field of an expression.
+pub struct Input<'a> {
+    pub samples: &'a Buffer<u8>,
+    pub sample_type: SampleType,
+    /// Samples equal to this count as NaN.
+    pub missing: f32,
+}
+
+/// Fills `out`, which holds `samples` samples, in launches that `pace` sizes. `inputs`: the fields in the same slab; those that the expression does not
+/// have are not read.
 pub fn run(
     cx: &Context,
-    program: &Program,
-    grid: &Grid,
-    fields: [(&Buffer<u8>, f32); 8],
+    expression: &Encoded,
+    inputs: [Input<'_>; constants::EXPRESSION_FIELDS as usize],
     out: &Buffer<u8>,
-    planes: Range<u32>,
+    samples: u64,
+    pace: &mut Pace,
     cancel: &dyn Cancel,
 ) -> Result<()> {
-    let plane = u64::from(grid.dims[0]) * u64::from(grid.dims[1]);
-    let step = (LAUNCH_SAMPLES / plane).max(1) as u32;
-    let missing = fields.map(|(_, missing)| missing);
-    for first in planes.clone().step_by(step as usize) {
-        let some = step.min(planes.end - first);
+    let operations = cx.upload(STAGE, &expression.operations)?;
+    let kernel = cx.kernel(SampleType::F32, "evaluate")?;
+    let types = inputs.each_ref().map(|input| type_number(input.sample_type));
+    let missing = inputs.each_ref().map(|input| input.missing);
+    let mut done = 0;
+    while done < samples {
+        let count = (pace.units() * BLOCK).min(samples - done);
         let args = EvaluateArgs {
-            grid: *grid,
-            z0: planes.start,
-            first,
-            planes: some,
+            first: (done / BLOCK) as u32,
+            count: count as u32,
+            operations: expression.operations.len() as u32,
+            fields: expression.fields,
+            type_0: types[0],
+            type_1: types[1],
+            type_2: types[2],
+            type_3: types[3],
+            type_4: types[4],
+            type_5: types[5],
+            type_6: types[6],
+            type_7: types[7],
             missing_0: missing[0],
             missing_1: missing[1],
             missing_2: missing[2],
@@ -74,11 +120,14 @@ pub fn run(
             missing_6: missing[6],
             missing_7: missing[7],
         };
-        let mut all: Vec<&dyn Arg> = vec![&args];
-        all.extend(fields.iter().map(|(samples, _)| *samples as &dyn Arg));
+        let mut all: Vec<&dyn Arg> = vec![&args, &operations];
+        all.extend(inputs.iter().map(|input| input.samples as &dyn Arg));
         all.push(out);
-        let groups = (plane * u64::from(some)).div_ceil(BRICK_GROUP as u64) as usize;
-        cx.launch(STAGE, program.get("evaluate"), groups, BRICK_GROUP, &all)?;
+        let groups = count.div_ceil((BRICK_GROUP * cx.tuning.lanes) as u64) as usize;
+        cx.paced(STAGE, pace, count.div_ceil(BLOCK), || {
+            cx.launch(STAGE, &kernel, groups, BRICK_GROUP, &all)
+        })?;
+        done += count;
         cx.pause(STAGE, cancel)?;
     }
     Ok(())

@@ -1,12 +1,14 @@
-//! Range and 256 bins of a field or of a derived feature.
+//! Range and 256 bins of a field or of a derived feature, a launch at a time.
 
 use super::args::kernel_args;
 use super::{BRICK_GROUP, derive};
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::layout::Grid;
+use crate::pace::Pace;
 use crate::volume::Slab;
 use crate::{Feature, Histogram, REGION_CELLS, Result, Volume};
+use std::time::Instant;
 
 /// Name of the stage.
 pub const STAGE: &str = "histogram";
@@ -22,6 +24,8 @@ kernel_args! {
         kind: u32,
         /// First plane of this launch.
         first_plane: u32,
+        /// First row of this launch, in that plane.
+        first_row: u32,
         /// Samples of this launch.
         count: u32,
     }
@@ -35,6 +39,8 @@ kernel_args! {
         kind: u32,
         /// First plane of this launch.
         first_plane: u32,
+        /// First row of this launch, in that plane.
+        first_row: u32,
         /// Samples of this launch.
         count: u32,
         /// Minimum of the range.
@@ -44,46 +50,86 @@ kernel_args! {
     }
 }
 
-/// Work-groups of one launch: enough for a large GPU, few enough that a CPU reads long runs.
-const GROUPS: usize = 1024;
+/// Work-groups of one launch at most: enough for a large GPU, few enough that a CPU reads long runs.
+const MAX_GROUPS: usize = 1024;
 
-/// Samples of one launch at most, so that 32-bit counters hold.
-const LAUNCH_SAMPLES: u64 = 1 << 31;
+/// Samples that a work-item of a small launch reads.
+const ITEM_SAMPLES: usize = 64;
 
-/// The same where `derive` computes the values of a launch before: 64 MiB of them.
-const DERIVED_SAMPLES: u64 = 1 << 24;
+/// Samples of the first launch, and of one launch at most, so that 32-bit counters hold.
+const LAUNCH_SAMPLES: [u64; 2] = [1 << 20, 1 << 31];
 
-/// Runs of planes `(slab, first, planes)` of so many samples that together hold every sample once. Each begins at a multiple of `unit`.
-fn runs(volume: &Volume, samples: u64, unit: u32) -> Vec<(&Slab, u32, u32)> {
-    let grid = volume.grid;
-    let plane = u64::from(grid.dims[0]) * u64::from(grid.dims[1]);
-    let step = ((samples / plane) as u32 / unit * unit).max(unit);
-    let mut runs = Vec::new();
-    for slab in &volume.slabs {
-        // The last layer also owns the planes after its last cell.
-        let end = (slab.layers.end * REGION_CELLS).min(grid.dims[2]);
-        let end = if slab.layers.end == grid.regions()[2] {
-            grid.dims[2]
-        } else {
-            end
-        };
-        let mut first = slab.layers.start * REGION_CELLS;
-        while first < end {
-            let next = (first + step).min(end);
-            runs.push((slab, first, next - first));
-            first = next;
+/// The same where `derive` computes the values of a launch before: 64 MiB of them at most.
+const DERIVED_SAMPLES: [u64; 2] = [1 << 18, 1 << 24];
+
+/// Extents of bricks that are read back at once.
+const TABLE_EXTENTS: usize = 1 << 20;
+
+/// A histogram that is being made.
+#[derive(Clone, Debug)]
+pub struct HistogramWork {
+    pass: Pass,
+    range: [f32; 2],
+    bins: Vec<u64>,
+    pace: Pace,
+}
+
+/// What the next launch does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pass {
+    /// Begins, with what suits the feature.
+    First,
+    /// Widens the range by extents of bricks, from this one on.
+    Table { next: usize },
+    /// Widens the range by the rows from this one on, counted through all planes.
+    Range { next: u64 },
+    /// Counts the values of the rows from this one on.
+    Bins { next: u64 },
+    /// Nothing is left.
+    Done,
+}
+
+impl Default for HistogramWork {
+    fn default() -> Self {
+        Self {
+            pass: Pass::First,
+            range: [f32::INFINITY, f32::NEG_INFINITY],
+            bins: vec![0; 256],
+            pace: Pace::new(1, 1, 1),
         }
     }
-    runs
+}
+
+impl HistogramWork {
+    /// The histogram, once it is complete.
+    pub fn complete(&self) -> Option<Histogram> {
+        let [lo, hi] = self.range;
+        (self.pass == Pass::Done).then(|| Histogram {
+            range: if lo > hi { [0.0, 0.0] } else { self.range },
+            bins: self.bins.clone(),
+        })
+    }
+
+    fn widen(&mut self, ranges: impl IntoIterator<Item = [f32; 2]>) {
+        for [lo, hi] in ranges {
+            self.range = [self.range[0].min(lo), self.range[1].max(hi)];
+        }
+    }
+
+    /// Goes on with the bins, if there is a value.
+    fn begin_bins(&mut self) {
+        let is_empty = self.range[0] > self.range[1];
+        self.pass = if is_empty { Pass::Done } else { Pass::Bins { next: 0 } };
+    }
 }
 
 /// What the kernels read in one launch.
 struct Launch<'a> {
-    grid: Grid,
     /// `FEATURE_NONE`, `FEATURE_GRADIENT` or `FEATURE_STORED`.
     kind: u32,
     slab: &'a Slab,
     first_plane: u32,
+    first_row: u32,
     count: u32,
     /// In place of the slab's samples.
     values: Option<Buffer<f32>>,
@@ -96,89 +142,167 @@ impl Launch<'_> {
             None => &self.slab.samples,
         }
     }
-}
 
-/// Calls `each` for every launch, with the values of `derive` where it computes the feature.
-fn for_each_launch(
-    cx: &Context,
-    volume: &Volume,
-    feature: Feature<'_>,
-    mut each: impl FnMut(&Launch<'_>) -> Result<()>,
-) -> Result<()> {
-    let source = derive::Source::of(volume, feature);
-    let plane = volume.grid.dims[0] * volume.grid.dims[1];
-    let (samples, unit) = if source.is_some() {
-        (DERIVED_SAMPLES, 8)
-    } else {
-        (LAUNCH_SAMPLES, 1)
-    };
-    for (slab, first, planes) in runs(volume, samples, unit) {
-        let values = source
-            .as_ref()
-            .map(|source| derive::samples(cx, source, volume, slab, first, planes))
-            .transpose()?;
-        each(&Launch {
-            grid: volume.layout(),
-            kind: feature.kind_after_derive(volume),
-            slab,
-            first_plane: first,
-            count: planes * plane,
-            values,
-        })?;
+    fn groups(&self) -> usize {
+        (self.count as usize).div_ceil(BRICK_GROUP * ITEM_SAMPLES).min(MAX_GROUPS)
     }
-    Ok(())
 }
 
-/// Range over finite values, then the bins.
-pub fn run(cx: &Context, volume: &Volume, feature: Feature<'_>) -> Result<Histogram> {
-    let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
-    let ranges = cx.buffer::<[f32; 2]>(STAGE, GROUPS)?;
-    for_each_launch(cx, volume, feature, |launch| {
+/// A histogram of a volume in the making.
+struct Maker<'a> {
+    cx: &'a Context,
+    volume: &'a Volume,
+    feature: Feature<'a>,
+    source: Option<derive::Source<'a>>,
+}
+
+/// Does the next part of a histogram, which takes some milliseconds.
+pub fn step(cx: &Context, volume: &Volume, feature: Feature<'_>, work: &mut HistogramWork) -> Result<()> {
+    let source = derive::Source::of(volume, feature);
+    let maker = Maker {
+        cx,
+        volume,
+        feature,
+        source,
+    };
+    match work.pass {
+        Pass::First => {
+            let row = u64::from(volume.grid.dims[0]);
+            let [first, largest] = if maker.source.is_some() { DERIVED_SAMPLES } else { LAUNCH_SAMPLES };
+            work.pace = Pace::new(first / row, 1, (largest / row).max(1));
+            // The table has the extents of a field's own samples.
+            work.pass = match feature {
+                Feature::None => Pass::Table { next: 0 },
+                _ => Pass::Range { next: 0 },
+            };
+            step(cx, volume, feature, work)
+        }
+        Pass::Table { next } => {
+            let count = TABLE_EXTENTS.min(volume.table.len() - next);
+            let extents = cx.read_at(STAGE, &volume.table, next, count)?;
+            // Bricks without cells, or without values, have an empty extent.
+            work.widen(extents.into_iter().filter(|[lo, hi]| lo <= hi));
+            let is_finite = work.range[0] > f32::NEG_INFINITY && work.range[1] < f32::INFINITY;
+            if next + count < volume.table.len() {
+                work.pass = Pass::Table { next: next + count };
+            } else if is_finite || work.range[0] > work.range[1] {
+                work.begin_bins();
+            } else {
+                // Infinite samples hide the largest of the others.
+                work.range = [f32::INFINITY, f32::NEG_INFINITY];
+                work.pass = Pass::Range { next: 0 };
+            }
+            Ok(())
+        }
+        Pass::Range { next } => match maker.launch(next, work, Maker::range)? {
+            Some(next) => {
+                work.pass = Pass::Range { next };
+                Ok(())
+            }
+            None => {
+                work.begin_bins();
+                Ok(())
+            }
+        },
+        Pass::Bins { next } => {
+            let next = maker.launch(next, work, Maker::bins)?;
+            work.pass = next.map_or(Pass::Done, |next| Pass::Bins { next });
+            Ok(())
+        }
+        Pass::Done => Ok(()),
+    }
+}
+
+impl Maker<'_> {
+    /// Does one launch from a row on, counted through all planes; returns the row after it, if there is one.
+    fn launch(
+        &self,
+        next: u64,
+        work: &mut HistogramWork,
+        run: impl FnOnce(&Self, &Launch<'_>, &mut HistogramWork) -> Result<()>,
+    ) -> Result<Option<u64>> {
+        let start = Instant::now();
+        let [nx, ny, nz] = self.volume.grid.dims;
+        let (plane, in_plane) = ((next / u64::from(ny)) as u32, (next % u64::from(ny)) as u32);
+        let (slab, end) = self.slab_of(plane);
+        let left = u64::from(end - plane) * u64::from(ny) - u64::from(in_plane);
+        let rows = match &self.source {
+            // Blocks of eight planes.
+            Some(_) => (work.pace.units() / u64::from(8 * ny)).max(1) * u64::from(8 * ny),
+            None => work.pace.units(),
+        };
+        let rows = rows.min(left);
+        let values = match &self.source {
+            Some(source) => {
+                let planes = (rows / u64::from(ny)) as u32;
+                Some(derive::samples(self.cx, source, self.volume, slab, plane, planes)?)
+            }
+            None => None,
+        };
+        let launch = Launch {
+            kind: self.feature.kind_after_derive(self.volume),
+            slab,
+            first_plane: plane,
+            first_row: in_plane,
+            count: rows as u32 * nx,
+            values,
+        };
+        // What is read back ends the launch.
+        run(self, &launch, work)?;
+        work.pace.took(rows, start.elapsed());
+        let after = next + rows;
+        Ok((after < u64::from(nz) * u64::from(ny)).then_some(after))
+    }
+
+    /// The slab that has a plane, and the first plane after those that it has alone.
+    fn slab_of(&self, plane: u32) -> (&Slab, u32) {
+        let grid = self.volume.grid;
+        let layer = (plane / REGION_CELLS).min(grid.regions()[2] - 1);
+        let slab = self.volume.slabs.iter().find(|slab| slab.layers.contains(&layer));
+        let slab = slab.unwrap_or(&self.volume.slabs[0]);
+        // The last layer also has the planes after its last cell.
+        let is_last = slab.layers.end == grid.regions()[2];
+        let end = if is_last { grid.dims[2] } else { slab.layers.end * REGION_CELLS };
+        (slab, end)
+    }
+
+    fn range(&self, launch: &Launch<'_>, work: &mut HistogramWork) -> Result<()> {
+        let groups = launch.groups();
+        let ranges = self.cx.buffer::<[f32; 2]>(STAGE, groups)?;
         let args = HistogramRangeArgs {
-            grid: launch.grid,
+            grid: self.volume.layout(),
             z0: launch.slab.z0,
             kind: launch.kind,
             first_plane: launch.first_plane,
+            first_row: launch.first_row,
             count: launch.count,
         };
-        let kernel = &cx.kernel(volume.sample_type, "histogram_range")?;
-        cx.launch(STAGE, kernel, GROUPS, BRICK_GROUP, &[&args, launch.samples(), &ranges])?;
-        for [low, high] in cx.read(STAGE, &ranges, GROUPS)? {
-            lo = lo.min(low);
-            hi = hi.max(high);
-        }
+        let kernel = &self.cx.kernel(self.volume.sample_type, "histogram_range")?;
+        self.cx
+            .launch(STAGE, kernel, groups, BRICK_GROUP, &[&args, launch.samples(), &ranges])?;
+        work.widen(self.cx.read(STAGE, &ranges, groups)?);
         Ok(())
-    })?;
-    let mut bins = vec![0u64; 256];
-    if lo > hi {
-        return Ok(Histogram {
-            range: [0.0, 0.0],
-            bins,
-        });
     }
-    for_each_launch(cx, volume, feature, |launch| {
-        let counters = cx.zeroed::<u32>(STAGE, 256)?;
+
+    fn bins(&self, launch: &Launch<'_>, work: &mut HistogramWork) -> Result<()> {
+        let counters = self.cx.zeroed::<u32>(STAGE, work.bins.len())?;
+        let [lo, hi] = work.range;
         let args = HistogramBinsArgs {
-            grid: launch.grid,
+            grid: self.volume.layout(),
             z0: launch.slab.z0,
             kind: launch.kind,
             first_plane: launch.first_plane,
+            first_row: launch.first_row,
             count: launch.count,
             lo,
             hi,
         };
-        let kernel = &cx.kernel(volume.sample_type, "histogram_bins")?;
-        cx.launch(
-            STAGE,
-            kernel,
-            GROUPS,
-            BRICK_GROUP,
-            &[&args, launch.samples(), &counters],
-        )?;
-        for (bin, count) in bins.iter_mut().zip(cx.read(STAGE, &counters, 256)?) {
+        let kernel = &self.cx.kernel(self.volume.sample_type, "histogram_bins")?;
+        let all: [&dyn Arg; 3] = [&args, launch.samples(), &counters];
+        self.cx.launch(STAGE, kernel, launch.groups(), BRICK_GROUP, &all)?;
+        for (bin, count) in work.bins.iter_mut().zip(self.cx.read(STAGE, &counters, 256)?) {
             *bin += u64::from(count);
         }
         Ok(())
-    })?;
-    Ok(Histogram { range: [lo, hi], bins })
+    }
 }

@@ -6,6 +6,7 @@ use crate::context::Context;
 use crate::layout::Grid;
 use crate::volume::Slab;
 use crate::{Result, SampleType};
+use std::ops::Range;
 
 /// Name of the stage.
 pub const STAGE: &str = "minmax";
@@ -17,30 +18,35 @@ kernel_args! {
         grid: Grid,
         /// First plane of the slab.
         z0: u32,
-        /// First layer of regions of this launch, counted in regions along z.
-        first_layer: u32,
+        /// First row of bricks' regions of this launch, counted in runs along x, then y, then z.
+        first_run: u32,
     }
 }
 
-/// Fills the part of `table` and `missing_masks` (zero before) that `slab` serves.
+/// Runs of regions along x that a grid has in so many layers of regions.
+pub fn runs(cx: &Context, grid: &Grid, layers: u32) -> u32 {
+    grid.regions[0].div_ceil(cx.tuning.regions_in_run as u32) * grid.regions[1] * layers
+}
+
+/// Fills the part of `table` and `missing_masks` (zero before) that these runs of a slab have, which are counted from the volume's first one.
 pub fn run(
     cx: &Context,
     sample_type: SampleType,
     grid: &Grid,
     slab: &Slab,
+    runs: Range<u32>,
     table: &Buffer<[f32; 2]>,
     missing_masks: &Buffer<[u32; 2]>,
 ) -> Result<()> {
-    let runs = (grid.regions[0] as usize).div_ceil(cx.tuning.regions_in_run) * grid.regions[1] as usize;
     let args = MinmaxArgs {
         grid: *grid,
         z0: slab.z0,
-        first_layer: slab.layers.start,
+        first_run: runs.start,
     };
     cx.launch(
         STAGE,
         &cx.kernel(sample_type, "minmax")?,
-        slab.layers.len() * runs * 16,
+        runs.len() * 16,
         cx.tuning.brick_group,
         &[&args, &slab.samples, table, missing_masks],
     )

@@ -1,8 +1,6 @@
 //! One launcher for each file in `cl/`, by the same name. A launcher knows its kernels' arguments and nothing else.
 
 pub(crate) mod args;
-pub(crate) mod distance_field;
-pub(crate) mod evaluate;
 pub(crate) mod generate;
 
 /// Declares the product's stages: one file in `cl/` and one module here, of the same name.
@@ -20,7 +18,7 @@ macro_rules! stages {
         /// Structs of arguments of all kernels.
         #[cfg(test)]
         pub(crate) fn declarations() -> Vec<args::Declaration> {
-            [generate::declarations(), distance_field::declarations(), evaluate::declarations(), $($stage::declarations()),*].into_iter().flatten().collect()
+            [generate::declarations(), $($stage::declarations()),*].into_iter().flatten().collect()
         }
     };
     (@reads samples) => { true };
@@ -54,6 +52,8 @@ stages! {
     distribution
     curve
     distance: samples
+    evaluate
+    distance_field
 }
 
 use crate::Volume;

@@ -1,14 +1,16 @@
 //! Who has done what: a line of JSON for each sign-in, stream, export, job and upload, for all that is refused, and for tokens that come and go. Lines have
 //! no secrets, and no names of volumes: these may be those of patients.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{self, Receiver, SyncSender, TrySendError};
-use std::time::{Duration, SystemTime};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender, TrySendError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant, SystemTime};
 
 use axum::http::header::{HeaderMap, LOCATION};
 use axum::http::{Method, StatusCode};
@@ -19,11 +21,20 @@ use super::identity::Identity;
 use super::named::NamedToken;
 use crate::problem::ProblemCode;
 
+/// How long the refusals of a kind are counted before a line says how many there were.
+const COUNTED: Duration = Duration::from_secs(60);
+
+/// How often the counts are looked at.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Kinds of refusals that are counted at a time; those beyond count together, without user and peer.
+const MAX_KINDS: usize = 1_024;
+
 /// Lines that wait for the disk, some 200 bytes each. Requests do not: those beyond are counted, and a line says how many there were.
 const QUEUE: usize = 4_096;
 
 /// What happened.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Event {
     /// A token was shown for a cookie, or an issuer has sent somebody back.
@@ -72,6 +83,51 @@ enum Outcome {
     Abandoned,
 }
 
+/// Refusals that differ in nothing that a line says but time and id.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Kind {
+    event: Event,
+    status: Option<u16>,
+    code: Option<&'static str>,
+    /// User and token.
+    who: Option<(Arc<str>, Arc<str>)>,
+    peer: Option<IpAddr>,
+}
+
+/// Refusals that were counted instead of written.
+#[derive(Debug, Default)]
+struct Refusals {
+    /// Since when each kind is counted, and how many there were after the first.
+    kinds: HashMap<Kind, (Instant, u64)>,
+}
+
+impl Refusals {
+    /// Counts a refusal. True if it is the first of its kind for a while: it is to be written.
+    fn count(&mut self, mut kind: Kind, now: Instant) -> bool {
+        if self.kinds.len() >= MAX_KINDS && !self.kinds.contains_key(&kind) {
+            (kind.who, kind.peer) = (None, None);
+        }
+        match self.kinds.entry(kind) {
+            Entry::Occupied(mut found) => {
+                found.get_mut().1 += 1;
+                false
+            }
+            Entry::Vacant(space) => {
+                space.insert((now, 0));
+                true
+            }
+        }
+    }
+
+    /// Takes the counts that are to be written: of kinds that were first seen `age` ago or earlier.
+    fn take(&mut self, now: Instant, age: Duration) -> Vec<(Kind, u64)> {
+        let due = self.kinds.extract_if(|_, (since, _)| now.duration_since(*since) >= age);
+        due.map(|(kind, (_, more))| (kind, more))
+            .filter(|(_, more)| *more > 0)
+            .collect()
+    }
+}
+
 /// A line.
 #[derive(Debug, Serialize)]
 struct Line<'a> {
@@ -95,6 +151,9 @@ struct Line<'a> {
     /// The upload's id.
     #[serde(skip_serializing_if = "Option::is_none")]
     upload: Option<&'a str>,
+    /// So many more of the same, since the line before of this kind.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    count: Option<u64>,
 }
 
 enum Command {
@@ -113,6 +172,7 @@ pub struct Audit(Arc<Shared>);
 struct Shared {
     commands: SyncSender<Command>,
     lost: Arc<AtomicU64>,
+    refusals: Arc<Mutex<Refusals>>,
 }
 
 /// Why there is no audit log.
@@ -142,16 +202,21 @@ impl Audit {
         };
         let file = open(path).map_err(fail)?;
         let (commands, received) = mpsc::sync_channel(QUEUE);
-        let lost = Arc::new(AtomicU64::new(0));
+        let (lost, refusals) = (Arc::new(AtomicU64::new(0)), Arc::default());
         let writer = Writer {
             path: path.to_owned(),
             file,
             lost: Arc::clone(&lost),
+            refusals: Arc::clone(&refusals),
             complained: false,
         };
         let thread = std::thread::Builder::new().name("audit".into());
         thread.spawn(move || writer.run(&received)).map_err(fail)?;
-        Ok(Self(Arc::new(Shared { commands, lost })))
+        Ok(Self(Arc::new(Shared {
+            commands,
+            lost,
+            refusals,
+        })))
     }
 
     /// Opens the file anew, after it was moved away.
@@ -173,10 +238,25 @@ impl Audit {
     }
 
     fn write(&self, line: &Line<'_>) {
-        // There are no maps, whose keys might be no strings.
-        let mut text = serde_json::to_vec(line).unwrap_or_default();
-        text.push(b'\n');
-        self.send(Command::Write(text));
+        self.send(Command::Write(line.text()));
+    }
+
+    /// Writes a refusal, or counts it where one of its kind was written within the last minute: strangers cannot fill the disk.
+    fn refused(&self, line: &Line<'_>) {
+        let kind = Kind {
+            event: line.event,
+            status: line.status,
+            code: line.code,
+            who: line
+                .user
+                .zip(line.token)
+                .map(|(user, token)| (user.into(), token.into())),
+            peer: line.peer,
+        };
+        let is_first = lock(&self.0.refusals).count(kind, Instant::now());
+        if is_first {
+            self.write(line);
+        }
     }
 
     /// A token has appeared in the state folder, or is gone.
@@ -192,6 +272,7 @@ impl Audit {
             peer: None,
             job: None,
             upload: None,
+            count: None,
         });
     }
 
@@ -207,6 +288,19 @@ impl Audit {
             is_answered: false,
         }
     }
+}
+
+impl Line<'_> {
+    fn text(&self) -> Vec<u8> {
+        // There are no maps, whose keys might be no strings.
+        let mut text = serde_json::to_vec(self).unwrap_or_default();
+        text.push(b'\n');
+        text
+    }
+}
+
+fn lock(refusals: &Mutex<Refusals>) -> MutexGuard<'_, Refusals> {
+    refusals.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What a request of a path is, and the job or upload it is about.
@@ -278,7 +372,7 @@ impl Pending {
             self.event,
             Event::UploadCreate | Event::UploadFinish | Event::UploadDelete
         );
-        self.audit.write(&Line {
+        let line = Line {
             time: now(),
             event: self.event,
             result,
@@ -289,7 +383,12 @@ impl Pending {
             peer: self.peer,
             job: id.filter(|_| !is_upload),
             upload: id.filter(|_| is_upload),
-        });
+            count: None,
+        };
+        match result {
+            Outcome::Refused => self.audit.refused(&line),
+            Outcome::Ok | Outcome::Failed | Outcome::Abandoned => self.audit.write(&line),
+        }
     }
 }
 
@@ -316,13 +415,25 @@ struct Writer {
     path: PathBuf,
     file: File,
     lost: Arc<AtomicU64>,
+    refusals: Arc<Mutex<Refusals>>,
     /// An error was logged, and none that followed it.
     complained: bool,
 }
 
 impl Writer {
     fn run(mut self, commands: &Receiver<Command>) {
-        while let Ok(command) = commands.recv() {
+        let mut looked = Instant::now();
+        loop {
+            let command = match commands.recv_timeout(LOOK) {
+                Ok(command) => Some(command),
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => return self.write_counts(Duration::ZERO),
+            };
+            if looked.elapsed() >= LOOK {
+                self.write_counts(COUNTED);
+                looked = Instant::now();
+            }
+            let Some(command) = command else { continue };
             match command {
                 Command::Write(line) => {
                     let lost = self.lost.swap(0, Ordering::Relaxed);
@@ -337,9 +448,32 @@ impl Writer {
                     Err(error) => tracing::error!(%error, "the audit log is not opened anew, the old file goes on"),
                 },
                 Command::Flush(done) => {
+                    self.write_counts(Duration::ZERO);
                     let _ = done.send(());
                 }
             }
+        }
+    }
+
+    /// Writes how many refusals there were of the kinds that were first seen so long ago.
+    fn write_counts(&mut self, age: Duration) {
+        let counts = lock(&self.refusals).take(Instant::now(), age);
+        for (kind, count) in counts {
+            let who = kind.who.as_ref();
+            let line = Line {
+                time: now(),
+                event: kind.event,
+                result: Outcome::Refused,
+                status: kind.status,
+                code: kind.code,
+                user: who.map(|(user, _)| &**user),
+                token: who.map(|(_, token)| &**token),
+                peer: kind.peer,
+                job: None,
+                upload: None,
+                count: Some(count),
+            };
+            self.write(&line.text());
         }
     }
 
@@ -418,6 +552,49 @@ mod tests {
     }
 
     #[test]
+    fn refusals_are_written_once_a_minute_and_kind_and_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("audit");
+        let audit = Audit::open(&path).unwrap();
+        let refuse = |peer: u32| {
+            let refused = ApiError::new(StatusCode::UNAUTHORIZED, "unauthorized", "no").into_response();
+            let peer = Some(std::net::Ipv4Addr::from_bits(peer).into());
+            audit.begin(&Method::GET, "/api/v1/volumes", peer).answered(&refused);
+        };
+        (0..1_000).for_each(|_| refuse(1));
+        (0..3).for_each(|_| refuse(2));
+        audit.flush(Duration::from_secs(5));
+        let written = lines(&path);
+        let mut counts: Vec<_> = written.iter().map(|line| line["count"].as_u64()).collect();
+        counts.sort_unstable();
+        assert_eq!(counts, [None, None, Some(2), Some(999)], "{written:?}");
+        // However many addresses there are.
+        (0..50_000).for_each(|peer| refuse(0x0a00_0000 + peer));
+        audit.flush(Duration::from_secs(5));
+        let lines = lines(&path);
+        assert!(lines.len() <= written.len() + MAX_KINDS + 2, "{} lines", lines.len());
+        let counted: u64 = lines.iter().map(|line| line["count"].as_u64().unwrap_or(1)).sum();
+        assert_eq!(counted, 51_003);
+    }
+
+    #[test]
+    fn counts_are_those_of_a_minute() {
+        let (mut refusals, start) = (Refusals::default(), Instant::now());
+        let kind = Kind {
+            event: Event::Request,
+            status: Some(429),
+            code: None,
+            who: None,
+            peer: None,
+        };
+        let minute = start + COUNTED;
+        assert!(refusals.count(kind.clone(), start) && !refusals.count(kind.clone(), start));
+        assert!(refusals.take(minute - LOOK, COUNTED).is_empty());
+        assert_eq!(refusals.take(minute, COUNTED), [(kind.clone(), 1)]);
+        assert!(refusals.count(kind, minute) && refusals.take(minute + COUNTED, COUNTED).is_empty());
+    }
+
+    #[test]
     fn a_file_that_was_moved_away_is_made_anew_and_old_lines_stay() {
         let folder = tempfile::tempdir().unwrap();
         let [path, old] = ["audit", "audit.1"].map(|name| folder.path().join(name));
@@ -451,6 +628,7 @@ mod tests {
         let audit = Audit(Arc::new(Shared {
             commands,
             lost: Arc::clone(&lost),
+            refusals: Arc::default(),
         }));
         for _ in 0..5 {
             audit
@@ -463,6 +641,7 @@ mod tests {
             path: path.clone(),
             file: open(&path).unwrap(),
             lost,
+            refusals: Arc::default(),
             complained: false,
         };
         drop(audit);

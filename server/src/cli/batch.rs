@@ -16,6 +16,7 @@ use crate::jobs::{
     JobError, JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, OpenError, StateFolder, StateFolderError,
     file_name,
 };
+use crate::private_folder::FolderAccess;
 use crate::volumes::{Catalog, Frame, ReadError, Reader, open_dataset};
 use crate::wire::encode::encoded_bytes;
 
@@ -37,6 +38,10 @@ pub struct Args {
     /// the output's folder]
     #[arg(long, value_name = "DIR")]
     state_folder: Option<PathBuf>,
+
+    /// Who may use that folder beside this user: nobody, or its group too
+    #[arg(long, value_enum, default_value_t, value_name = "WHO")]
+    folder_access: FolderAccess,
 
     #[command(flatten)]
     device: DeviceArgs,
@@ -111,7 +116,7 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
     };
     std::fs::create_dir_all(&args.output).map_err(output)?;
     let own_folder = args.output.join(STATE_FOLDER);
-    let folder = StateFolder::open(args.state_folder.as_deref().unwrap_or(&own_folder))?;
+    let folder = StateFolder::open(args.state_folder.as_deref().unwrap_or(&own_folder), args.folder_access)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
         // Before the device is opened: PoCL's compiler ends the process in a handler of its own, unless it finds another one that it calls.

@@ -2,6 +2,7 @@
 //! written: a reader that is stuck, a pipe whose reader has ended, a full disk. Lines that cannot be written are dropped and counted, and the
 //! count is a line of its own once lines can be written again.
 
+use std::borrow::Cow;
 use std::io::{self, IsTerminal, Write};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 use std::time::Duration;
@@ -115,7 +116,7 @@ impl<W: Write> Lines<W> {
 
 impl<W: Write> Write for Lines<W> {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        let written = self.say_dropped().and_then(|()| self.out.write_all(line));
+        let written = self.say_dropped().and_then(|()| self.out.write_all(&indented(line)));
         self.unwritten += usize::from(written.is_err());
         Ok(line.len())
     }
@@ -125,6 +126,19 @@ impl<W: Write> Write for Lines<W> {
         let _ = self.out.flush();
         Ok(())
     }
+}
+
+/// An event whose lines but the first are indented: a name with a line break, of a file or of a field in one, cannot forge an event.
+fn indented(event: &[u8]) -> Cow<'_, [u8]> {
+    let (text, end) = match event.split_last() {
+        Some((b'\n', text)) => (text, &b"\n"[..]),
+        _ => (event, &b""[..]),
+    };
+    if !text.iter().any(|byte| matches!(byte, b'\n' | b'\r')) {
+        return Cow::Borrowed(event);
+    }
+    let lines: Vec<&[u8]> = text.split(|byte| matches!(byte, b'\n' | b'\r')).collect();
+    Cow::Owned([&lines.join(&b"\n    "[..]), end].concat())
 }
 
 #[cfg(test)]
@@ -153,6 +167,15 @@ mod tests {
         fn flush(&mut self) -> io::Result<()> {
             Ok(())
         }
+    }
+
+    #[test]
+    fn names_with_line_breaks_forge_no_events() {
+        assert_eq!(*indented(b"one\n"), *b"one\n");
+        assert_eq!(*indented(b""), *b"");
+        let forged = b" INFO read \"a\n2026-01-01 WARN isopeel: forged\r b\"\n";
+        let expected = b" INFO read \"a\n    2026-01-01 WARN isopeel: forged\n     b\"\n";
+        assert_eq!(*indented(forged), *expected);
     }
 
     #[test]

@@ -108,6 +108,14 @@ fn manual(args: &ManualArgs) -> io::Result<()> {
 }
 
 impl Command {
+    /// Whether it loads the drivers of devices.
+    pub fn uses_device(&self) -> bool {
+        match self {
+            Self::Serve(_) | Self::Extract(_) | Self::Batch(_) | Self::Devices(_) | Self::Bench(_) => true,
+            Self::Jobs(_) | Self::Token(_) | Self::Info(_) | Self::Completions(_) | Self::Manual(_) => false,
+        }
+    }
+
     /// Log level without `RUST_LOG`.
     pub fn default_log(&self) -> &'static str {
         match self {

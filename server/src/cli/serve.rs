@@ -21,6 +21,7 @@ use crate::access::{
 use crate::extraction::{DeviceOptions, DeviceWorker};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
+use crate::private_folder::FolderAccess;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
 use crate::stream::LiveOptions;
 use crate::uploads::FolderError;
@@ -31,6 +32,9 @@ use uploads::UploadArgs;
 
 /// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
+
+/// An expression of 64 operations over 1024³ samples takes less on two cores, but for the slowest functions.
+const REQUEST_SECONDS: u32 = 120;
 
 /// Some thousand surfaces of a million triangles.
 const JOB_QUOTA_MIB: u64 = 64 * 1024;
@@ -62,6 +66,10 @@ pub struct Args {
 
     #[command(flatten)]
     memory: MemoryArgs,
+
+    /// Time of the device that a field may take which an expression or a distance gives, in seconds; 0: as much as it takes
+    #[arg(long, value_name = "SECONDS", default_value_t = REQUEST_SECONDS)]
+    request_time: u32,
 
     /// Look at the paths every two seconds: files that appear, as time steps or volumes, are offered without a restart
     #[arg(long)]
@@ -128,6 +136,11 @@ pub struct Args {
     /// there is none. Without it there are none of these
     #[arg(long, value_name = "DIR", env = "ISOPEEL_STATE_FOLDER")]
     state_folder: Option<PathBuf>,
+
+    /// Who may use the folders of state and uploads beside this server's user: nobody, or their group too, as in containers whose volumes belong to a
+    /// group. Others may never
+    #[arg(long, value_enum, default_value_t, value_name = "WHO")]
+    folder_access: FolderAccess,
 
     /// Disk space for the results of batch jobs, in MiB: a job that may take more than is left is refused
     #[arg(long, value_name = "MIB", default_value_t = JOB_QUOTA_MIB, requires = "state_folder")]
@@ -251,12 +264,15 @@ pub fn run(args: &Args) -> Result<(), Error> {
         Some(watcher) => watcher.catalog(),
         None => Catalog::open(&args.paths, args.has_demo())?.in_frame(args.frame).into(),
     };
-    let uploads = args.uploads.open(args.frame, &catalog)?;
+    let uploads = args.uploads.open(args, &catalog)?;
     let may_get_some = args.uploads.are_taken() || (watcher.is_some() && !args.paths.is_empty());
     if catalog.now().datasets().is_empty() && !may_get_some {
         return Err(Error::NoVolume);
     }
-    let folder = args.state_folder.as_deref().map(StateFolder::open).transpose()?;
+    let folder = args.state_folder.as_deref();
+    let folder = folder
+        .map(|path| StateFolder::open(path, args.folder_access))
+        .transpose()?;
     let tokens = folder.as_ref().map(|folder| TokenFile::in_folder(folder.path()));
     let tokens = tokens.map(TokenWatch::open).transpose()?;
     let tokens = tokens.map(|tokens| tokens.with_audit(audit.clone()));
@@ -426,6 +442,7 @@ fn start_worker(
     DeviceWorker::start_with(DeviceOptions {
         is_patient,
         surface_bytes: args.memory.surface_bytes(),
+        request_time: (args.request_time > 0).then(|| Duration::from_secs(args.request_time.into())),
         ..args.device.server_options(types, next)
     })
 }

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use crate::access::{NamedToken, NewToken, Role, Roles, TokenFile, TokenFileError};
 use crate::jobs::{StateFolder, StateFolderError};
+use crate::private_folder::FolderAccess;
 
 /// Arguments of `isopeel token`.
 #[derive(Debug, clap::Args)]
@@ -15,6 +16,17 @@ pub struct Args {
     /// State folder of the server, which may be running: it knows of a change within 5 s. Made where there is none
     #[arg(long, global = true, value_name = "DIR", env = "ISOPEEL_STATE_FOLDER")]
     state_folder: Option<PathBuf>,
+
+    /// Who may use the state folder beside this user: nobody, or its group too
+    #[arg(
+        long,
+        global = true,
+        value_enum,
+        default_value_t,
+        value_name = "WHO",
+        env = "ISOPEEL_FOLDER_ACCESS"
+    )]
+    folder_access: FolderAccess,
 
     /// What to do.
     #[command(subcommand)]
@@ -75,7 +87,7 @@ pub enum CommandError {
 /// [`CommandError`].
 pub fn run(args: &Args) -> Result<(), CommandError> {
     let folder = args.state_folder.as_deref().ok_or(CommandError::NoFolder)?;
-    let file = TokenFile::in_folder(&StateFolder::prepare(folder)?);
+    let file = TokenFile::in_folder(&StateFolder::prepare(folder, args.folder_access)?);
     match &args.command {
         Command::Create { user, role, expires } => {
             let (token, made) = file.create(NewToken {

@@ -12,20 +12,87 @@ const DRIVERS: [(&str, &str); 3] = [
     ("MESA_SHADER_CACHE_DIR", "mesa"),
 ];
 
+/// Of these PoCL's.
+const POCL: &str = "POCL_CACHE_DIR";
+
+/// Free space that a folder of kernels must have at the start, more than those of a device take.
+const START_BYTES: u64 = 64 << 20;
+
+/// Free space that the next program must have.
+const MIN_BYTES: u64 = 4 << 20;
+
+/// A path that the environment names.
+fn path(name: &str) -> Option<PathBuf> {
+    let value = std::env::var_os(name).filter(|value| !value.is_empty());
+    value.map(PathBuf::from)
+}
+
 /// The folder: `ISOPEEL_KERNEL_CACHE`, else `isopeel` in the user's cache folder. `None`: the user has none.
 pub fn folder() -> Option<PathBuf> {
-    let path = |name: &str| {
-        std::env::var_os(name)
-            .filter(|value| !value.is_empty())
-            .map(PathBuf::from)
-    };
     path(VARIABLE)
         .or_else(|| path("XDG_CACHE_HOME").map(|cache| cache.join("isopeel")))
         .or_else(|| path("HOME").map(|home| home.join(".cache/isopeel")))
 }
 
-/// Where drivers keep compiled kernels, if `ISOPEEL_KERNEL_CACHE` names a folder and nothing else is set: variables for the environment.
-pub fn driver_folders() -> Vec<(&'static str, PathBuf)> {
+/// Where drivers keep compiled kernels: variables for the environment, and what is wrong with the folder that PoCL would have used.
+pub struct DriverFolders {
+    /// Names and values.
+    pub variables: Vec<(&'static str, PathBuf)>,
+    /// A sentence, if another folder is used.
+    pub warning: Option<String>,
+}
+
+impl DriverFolders {
+    /// Logs what is wrong, if anything is.
+    pub fn warn(&self) {
+        if let Some(warning) = &self.warning {
+            tracing::warn!("{warning}");
+        }
+    }
+}
+
+/// Chooses where drivers keep compiled kernels: below `ISOPEEL_KERNEL_CACHE`, if that is set and nothing else. PoCL ends the process if it cannot
+/// write its kernels, so that its folder is checked, and another one takes its place if it is of no use.
+pub fn driver_folders() -> DriverFolders {
+    let mut variables = below_ours();
+    let warning = match pocl_folder().map(|folder| (check(&folder, START_BYTES), folder)) {
+        Some((Ok(()), _)) => None,
+        Some((Err(why), folder)) => Some(format!("{}: {why}", folder.display())),
+        None => Some("this user has no folder for compiled kernels: HOME is not set".to_owned()),
+    };
+    let warning = warning.map(|why| {
+        let (spare, how) = match spare_folder() {
+            Ok(folder) => (Some(folder), "this one is used instead"),
+            Err(_) => (None, "there is no other one"),
+        };
+        variables.retain(|(name, _)| *name != POCL || spare.is_none());
+        let place = spare
+            .as_ref()
+            .map_or_else(String::new, |folder| format!(" {}", folder.display()));
+        variables.extend(spare.map(|folder| (POCL, folder)));
+        format!("the folder of PoCL's compiled kernels is of no use: {why}; {how}{place}. {POCL} names another one")
+    });
+    DriverFolders { variables, warning }
+}
+
+/// Says why nothing more may be compiled by PoCL, for clients; the log says where.
+///
+/// # Errors
+/// That sentence.
+pub fn check_space() -> Result<(), String> {
+    let Some(folder) = pocl_folder() else { return Ok(()) };
+    match free_bytes(&folder) {
+        Ok(free) if free < MIN_BYTES => {
+            tracing::error!(folder = %folder.display(), free, "no space for compiled kernels, expected {MIN_BYTES} bytes");
+            Err("the disk has no space for compiled kernels, the server's log says where".to_owned())
+        }
+        // One that was removed is made again.
+        _ => Ok(()),
+    }
+}
+
+/// Variables that ours stands for.
+fn below_ours() -> Vec<(&'static str, PathBuf)> {
     if std::env::var_os(VARIABLE).is_none() {
         return Vec::new();
     }
@@ -34,8 +101,77 @@ pub fn driver_folders() -> Vec<(&'static str, PathBuf)> {
     unset.map(|(name, below)| (name, folder.join(below))).collect()
 }
 
+/// Where PoCL keeps its kernels, if the variables of this process's environment say so.
+fn pocl_folder() -> Option<PathBuf> {
+    let ours = below_ours().into_iter().find(|(name, _)| *name == POCL);
+    path(POCL)
+        .or(ours.map(|(_, folder)| folder))
+        .or_else(|| path("XDG_CACHE_HOME").map(|cache| cache.join("pocl/kcache")))
+        .or_else(|| path("HOME").map(|home| home.join(".cache/pocl/kcache")))
+}
+
+/// A folder of this user alone among the temporary files.
+fn spare_folder() -> Result<PathBuf, String> {
+    let user = rustix::process::geteuid().as_raw();
+    let folder = std::env::temp_dir().join(format!("isopeel-kernels-{user}"));
+    check(&folder, START_BYTES).map(|()| folder)
+}
+
+/// Whether kernels can be kept in a folder, which is made if there is none. What others can write there would be run.
+fn check(folder: &Path, min_bytes: u64) -> Result<(), String> {
+    use std::os::unix::fs::MetadataExt;
+    let say = |error: std::io::Error| error.to_string();
+    make(folder).map_err(say)?;
+    let found = std::fs::metadata(folder).map_err(say)?;
+    let user = rustix::process::geteuid().as_raw();
+    if found.uid() != user {
+        return Err(format!("it belongs to user {}, expected {user}", found.uid()));
+    }
+    if found.mode() & 0o022 != 0 {
+        let mode = found.mode() & 0o7777;
+        return Err(format!(
+            "others may write there (mode {mode:04o}), and what is there is run: chmod go-w"
+        ));
+    }
+    let mut file = tempfile::tempfile_in(folder).map_err(say)?;
+    std::io::Write::write_all(&mut file, &[0; 4096]).map_err(say)?;
+    let free = free_bytes(folder).map_err(say)?;
+    if free < min_bytes {
+        return Err(format!("it has {free} bytes free, expected {min_bytes}"));
+    }
+    Ok(())
+}
+
+fn free_bytes(folder: &Path) -> std::io::Result<u64> {
+    let found = rustix::fs::statvfs(folder)?;
+    Ok(found.f_bavail.saturating_mul(found.f_frsize))
+}
+
 /// Makes a folder that only this user may read.
 pub(super) fn make(folder: &Path) -> std::io::Result<()> {
     use std::os::unix::fs::DirBuilderExt;
     std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn a_folder_of_kernels_is_checked_before_it_is_used() {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = parent.path().join("a/b");
+        check(&folder, 1).unwrap();
+        assert_eq!(std::fs::metadata(&folder).unwrap().permissions().mode() & 0o777, 0o700);
+        let full = check(&folder, u64::MAX).unwrap_err();
+        assert!(full.contains("bytes free, expected"), "{full}");
+        std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o777)).unwrap();
+        let open = check(&folder, 1).unwrap_err();
+        assert!(open.contains("others may write there (mode 0777)"), "{open}");
+        let file = parent.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        assert!(check(&file.join("below"), 1).is_err());
+    }
 }

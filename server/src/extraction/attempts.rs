@@ -1,18 +1,20 @@
 //! A job that is run until it has a result: its volumes are loaded, it is queued again as a long one, or on a device that was opened again.
 
+use std::pin::Pin;
+
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
-use super::keys::VolumeKey;
-use super::pins::Pin;
+use super::keys::{HistogramKey, VolumeKey};
+use super::pins;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::volumes::VolumeStep;
 
 /// How often a request's job is queued before it gets [`WorkError::Busy`]. Once more after its volumes were loaded: they are pinned, but
-/// where the device runs out of memory all but those of the running job go. Viewers try on.
-const MAX_REQUEST_ATTEMPTS: usize = 4;
+/// where the device runs out of memory all but those of the running job are evicted; and once more after histograms were made. Viewers try on.
+const MAX_REQUEST_ATTEMPTS: usize = 6;
 
 /// How often a job is queued again that a device was lost with: one that loses each device it runs on is given up.
 const MAX_LOSSES: usize = 1;
@@ -57,6 +59,14 @@ impl DeviceWorker {
                         Err(error) => error,
                     }
                 }
+                Err(JobError::NeedsHistograms(keys)) => {
+                    // They pin what they are made of.
+                    drop(_pin.take());
+                    match self.make_histograms(volume, keys, token).await {
+                        Ok(()) => continue,
+                        Err(error) => error,
+                    }
+                }
                 Err(JobError::TakesLong) => {
                     length = caller.long();
                     continue;
@@ -70,14 +80,36 @@ impl DeviceWorker {
         Err(WorkError::Busy)
     }
 
+    /// Makes histograms that a job needs.
+    fn make_histograms<'a>(
+        &'a self,
+        volume: &'a VolumeStep,
+        keys: Vec<HistogramKey>,
+        token: &'a CancellationToken,
+    ) -> Pin<Box<dyn Future<Output = Result<(), WorkError>> + Send + 'a>> {
+        // Boxed because the future is recursive: a histogram takes jobs.
+        Box::pin(async move {
+            let make = async {
+                for key in keys {
+                    self.histogram_of(volume, &key).await?;
+                }
+                Ok(())
+            };
+            tokio::select! {
+                made = make => made,
+                () = token.cancelled() => Err(WorkError::Cancelled),
+            }
+        })
+    }
+
     /// Loads fields that are not resident, and pins them until what is returned is dropped.
-    async fn load_pinned(
+    pub(super) async fn load_pinned(
         &self,
         volume: &VolumeStep,
         needed: Vec<(VolumeKey, u64)>,
         budget: u64,
         token: &CancellationToken,
-    ) -> Result<Pin, WorkError> {
+    ) -> Result<pins::Pin, WorkError> {
         let load = async {
             let pin = self.shared.pins.pin(&needed, budget).await;
             for (key, _) in needed {

@@ -20,6 +20,7 @@ use super::pins::Pins;
 use super::turns::{Job, Queue};
 use super::worker_state::{Histograms, JobError, WorkerState};
 use super::{OpenError, WorkError};
+use crate::device::cache;
 use crate::metrics;
 
 /// From one attempt to open a lost device to the next. Meanwhile jobs fail at once.
@@ -118,6 +119,8 @@ pub struct DeviceOptions {
     /// Maximum of what is kept of earlier edits, in bytes; by default [`super::PROCESSOR_BYTES`] if the device is this machine's
     /// processors, else a third of its memory, and never more than a third.
     pub surface_bytes: Option<u64>,
+    /// Maximum time of the device that a request may take for a field that it has computed.
+    pub request_time: Option<Duration>,
 }
 
 impl DeviceOptions {
@@ -133,6 +136,7 @@ impl DeviceOptions {
             types: Vec::new(),
             is_patient: false,
             surface_bytes: None,
+            request_time: None,
         }
     }
 }
@@ -142,6 +146,7 @@ pub(super) struct DeviceThread {
     pub types: Vec<SampleType>,
     pub is_patient: bool,
     pub surface_bytes: Option<u64>,
+    pub request_time: Option<Duration>,
     pub state: Arc<watch::Sender<DeviceState>>,
     pub memory: watch::Sender<ThreadMemory>,
     /// Number of the engine.
@@ -206,9 +211,14 @@ impl DeviceThread {
                 check.run(step)?;
             }
         }
-        if let Some(gate) = choice.gate.clone() {
-            engine.wait_for(Box::new(move |program| gate(program)));
-        }
+        let (gate, is_pocl) = (choice.gate.clone(), engine.device().pocl_version().is_some());
+        engine.wait_for(Box::new(move |program| {
+            if let Some(gate) = &gate {
+                gate(program)?;
+            }
+            // It ends the process if it cannot write what it has compiled.
+            if is_pocl { cache::check_space() } else { Ok(()) }
+        }));
         Ok(engine)
     }
 
@@ -234,7 +244,13 @@ impl DeviceThread {
 
     fn state_on(&self, engine: Engine) -> WorkerState {
         let histograms = Arc::clone(&self.histograms);
-        let state = WorkerState::new(engine, histograms, self.pins.clone(), self.surface_bytes);
+        let state = WorkerState::new(
+            engine,
+            histograms,
+            self.pins.clone(),
+            self.surface_bytes,
+            self.request_time,
+        );
         self.engine.store(state.id.number(), Ordering::Relaxed);
         state
     }

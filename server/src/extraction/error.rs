@@ -1,6 +1,7 @@
 //! Errors of work on the device.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::error::chain;
 use crate::view::EditError;
@@ -94,6 +95,12 @@ pub enum WorkError {
     /// The view does not fit the dataset.
     #[error(transparent)]
     Edit(#[from] EditError),
+    /// It took more of the device's time than a request may.
+    #[error("it takes more than {} s of the device's time, which is the limit of a request: ask for a simpler expression", limit.as_secs_f64())]
+    TookTooLong {
+        /// Maximum time of a request.
+        limit: Duration,
+    },
     /// A stage failed.
     #[error(transparent)]
     Device(isopeel_kernels::Error),
@@ -124,6 +131,7 @@ impl WorkError {
             | Self::TooLarge { .. }
             | Self::TooLargeForHost { .. }
             | Self::NoTree(_)
+            | Self::TookTooLong { .. }
             | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
             Self::OverBudget { .. } | Self::OverBytes { .. } => "over-budget",
             Self::Edit(_) => "bad-edit",
@@ -147,6 +155,7 @@ impl WorkError {
                 | Self::Unreadable(_)
                 | Self::TooLarge { .. }
                 | Self::TooLargeForHost { .. }
+                | Self::TookTooLong { .. }
                 | Self::NoTree(_)
         )
     }

@@ -220,13 +220,23 @@ impl Extractor {
     }
 
     /// Makes a surface that the host has memory for, of no more triangles than the server's limit.
-    async fn within_memory<T, F>(&self, make: impl FnOnce(u64) -> F) -> Result<T, WorkError>
+    /// Where it has not, caches are evicted and it is made once more.
+    async fn within_memory<T, F>(&self, make: impl Fn(u64) -> F) -> Result<T, WorkError>
     where
         F: Future<Output = Result<T, WorkError>>,
     {
-        let memory = HostMemory::now();
-        let made = make(self.ceiling_triangles.min(memory.triangles())).await;
-        made.map_err(|error| memory.explain(error, self.ceiling_triangles))
+        let try_now = async || {
+            let memory = HostMemory::now();
+            let made = make(self.ceiling_triangles.min(memory.triangles())).await;
+            made.map_err(|error| memory.explain(error, self.ceiling_triangles))
+        };
+        match try_now().await {
+            Err(WorkError::HostBusy { needed_bytes }) => {
+                self.worker.make_host_space(needed_bytes).await?;
+                try_now().await
+            }
+            outcome => outcome,
+        }
     }
 
     async fn bytes_of(&self, surface: Surface, caller: Caller, token: &CancellationToken) -> Result<u64, WorkError> {

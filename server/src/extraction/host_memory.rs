@@ -54,11 +54,13 @@ pub fn return_freed_memory() {
     }
 }
 
-/// Takes 10 to 15 ms for a hundred megabytes, in which who allocates waits.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-fn trim_heaps() {
+/// Gives unused pages of the allocator's heaps back to the system. Takes 10 to 15 ms for a hundred megabytes, during which allocations wait.
+pub(super) fn trim_heaps() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: gives unused pages of the allocator's heaps back, which no pointer is to.
-    unsafe { libc::malloc_trim(0) };
+    unsafe {
+        libc::malloc_trim(0)
+    };
 }
 
 /// Memory of the host, in bytes.
@@ -101,6 +103,13 @@ impl HostMemory {
             available: self.available.min(other.available),
             total: self.total.min(other.total),
         }
+    }
+
+    /// Bytes that have to be freed before so many may be allocated.
+    pub(super) fn missing(self, needed_bytes: u64) -> u64 {
+        needed_bytes
+            .saturating_add(RESERVE_BYTES)
+            .saturating_sub(self.available)
     }
 
     /// Whether so many bytes may be allocated.
@@ -207,6 +216,7 @@ mod tests {
             }
         ));
         assert!(HostMemory::UNKNOWN.admit(u64::MAX - RESERVE_BYTES).is_ok());
+        assert_eq!((MEMORY.missing(1000), MEMORY.missing(1200)), (0, 200));
     }
 
     #[test]

@@ -117,19 +117,6 @@ pub(super) fn view_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
     keys
 }
 
-/// Keys of the fields whose histograms a view needs: not padded, and without a mask. None where it has an isovalue and no feature.
-pub(super) fn histogram_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
-    if view.iso.is_some() && view.feature == FeatureName::None {
-        return Vec::new();
-    }
-    let whole = View {
-        mask: None,
-        cap: false,
-        ..view.clone()
-    };
-    view_keys(volume, &whole)
-}
-
 /// A histogram: of a field, or of a feature computed from it or from three fields.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct HistogramKey {

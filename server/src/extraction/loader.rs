@@ -17,7 +17,7 @@ use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::view::Mask;
-use crate::volumes::{Field, PIECE_SAMPLES, ReadProgress, VolumeStep};
+use crate::volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
 /// Copies of a field that is not sent in pieces: as it is read, as it is masked or padded, and as it goes to the device.
 const WHOLE_COPIES: u64 = 3;
@@ -116,7 +116,7 @@ impl DeviceWorker {
         }
         if key.computed(volume).is_some() {
             return match purpose {
-                Purpose::Now => self.compute(volume, key).await,
+                Purpose::Now => self.compute(volume, key, progress).await,
                 // Its fields may be read ahead; it takes no time itself.
                 Purpose::Ahead { .. } => Ok(()),
             };
@@ -155,6 +155,10 @@ impl DeviceWorker {
             Ok(true) => read,
             Err(error) => Err(error),
         };
+        let loaded = match loaded {
+            Ok(()) => self.make_table(&key).await,
+            failed => failed,
+        };
         match loaded {
             Ok(()) => {
                 let ahead = matches!(purpose, Purpose::Ahead { .. });
@@ -171,27 +175,40 @@ impl DeviceWorker {
         }
     }
 
-    /// Computes a field on the device from others, which are loaded where they are not resident. Who waits for it has pinned them.
+    /// Makes the min/max table of an uploaded field, a slice at a time between other jobs.
+    async fn make_table(&self, key: &VolumeKey) -> Result<(), WorkError> {
+        loop {
+            let _turn = self.shared.slices.acquire().await;
+            let key = key.clone();
+            if self.on_device(move |state| state.continue_table(&key)).await? {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Computes a field on the device from others, which are loaded if they are not resident. The callers that wait for it have pinned them; it
+    /// ends a while after the last of them is gone, when `progress` is cancelled.
     fn compute<'a>(
         &'a self,
         volume: &'a VolumeStep,
         key: VolumeKey,
+        progress: Arc<ReadProgress>,
     ) -> Pin<Box<dyn Future<Output = Result<(), WorkError>> + Send + 'a>> {
-        // In a box: loading loads.
+        // Boxed because the future is recursive: loading loads.
         Box::pin(async move {
             let never = CancellationToken::new();
             self.with_volumes(
                 volume,
                 &never,
                 Caller::Cache,
-                Length::Long,
-                move |state, volume, turn| state.compute(volume, &key, turn),
+                Length::Field,
+                move |state, volume, turn| state.compute(volume, &key, &progress, turn),
             )
             .await
         })
     }
 
-    /// Makes sure that the host has memory for a field before it is read; caches go for one that a caller waits for.
+    /// Makes sure that the host has memory for a field before it is read; caches are evicted for one that a caller waits for.
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let samples = volume.dataset().geometry.sample_count();
         let held = if key.padded || key.mask.is_some() {
@@ -209,16 +226,10 @@ impl DeviceWorker {
             _ => 0,
         };
         let needed = (held.saturating_add(on_device)).saturating_mul(key.sample_bytes(volume)? as u64);
-        match (HostMemory::now().admit(needed), purpose) {
-            (Err(_), Purpose::Now) => {}
-            (admitted, _) => return admitted,
+        match purpose {
+            Purpose::Now => self.make_host_space(needed).await,
+            Purpose::Ahead { .. } => HostMemory::now().admit(needed),
         }
-        self.on_device(|state| {
-            state.free_unpinned();
-            Ok(())
-        })
-        .await?;
-        HostMemory::now().admit(needed)
     }
 
     /// False where there is no space for a field that nobody waits for: what is left of it is not read.
@@ -268,9 +279,50 @@ impl DeviceWorker {
     }
 }
 
+/// Most files of a time step that are looked at before and after they are read.
+const MAX_STAMPS: usize = 4096;
+
+/// The files that a field and its mask are read from, with their stamps.
+fn stamps(volume: &VolumeStep, key: &VolumeKey) -> Vec<(FileLocation, Option<FileStamp>)> {
+    let field = key.field_of(volume).ok();
+    let labels = key.mask_of(volume).ok().flatten().map(|(_, labels)| labels);
+    let inputs = field
+        .into_iter()
+        .chain(labels)
+        .flat_map(|field| field.source.inputs(volume.step()));
+    let inputs = inputs.take(MAX_STAMPS);
+    inputs
+        .map(|location| {
+            let stamp = location.stamp();
+            (location, stamp)
+        })
+        .collect()
+}
+
+/// As [`read_samples`]. Samples of a file that was written or replaced meanwhile are an error, after which it is read once more.
+fn read(
+    volume: &VolumeStep,
+    key: &VolumeKey,
+    progress: &ReadProgress,
+    pieces: &mpsc::Sender<Piece>,
+) -> Result<(), WorkError> {
+    let before = stamps(volume, key);
+    read_samples(volume, key, progress, pieces)?;
+    match before.iter().find(|(location, stamp)| location.stamp() != *stamp) {
+        None => Ok(()),
+        Some((location, _)) => {
+            let why = "the file was written or replaced while it was read, expected it to rest";
+            Err(WorkError::Unreadable(ReadError {
+                again: true,
+                ..ReadError::new(location.path(), "data", why)
+            }))
+        }
+    }
+}
+
 /// Reads a field and sends its samples on. One that is padded is held as a whole, as the padding is below its minimum; and one that is
 /// masked, as no sample may have the value of missing ones.
-fn read(
+fn read_samples(
     volume: &VolumeStep,
     key: &VolumeKey,
     progress: &ReadProgress,

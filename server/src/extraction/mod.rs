@@ -5,9 +5,10 @@
 //!   `loading` is how far that is.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
 //!   viewers have open (`open_steps`).
-//! - `memory`: what memory is used for; `shares`: how much of it is kept for the next edits; `host_memory`: whether there is enough for what is to be made.
+//! - `memory`: what memory is used for; `shares`: how much of it is kept for the next edits; `host_memory`: whether there is enough for what is to be made; `host_space`: what is evicted where there is not.
 //! - `counting`: triangles of a full surface, before anything is made of it.
 //! - `questions`: what a viewer asks about the surface that it is shown.
+//! - `histograms`: ranges and histograms, made a slice at a time between other jobs; `unfinished` is what callers share of them.
 //! - `slices`: planes of samples.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
@@ -27,7 +28,9 @@ mod error;
 mod extractor;
 mod feature_fields;
 mod grids;
+mod histograms;
 mod host_memory;
+mod host_space;
 mod identity;
 mod keys;
 mod loader;
@@ -46,6 +49,7 @@ mod slices;
 mod statistics;
 mod tree_surfaces;
 mod turns;
+mod unfinished;
 mod uploads;
 mod volume_info;
 mod worker;

@@ -65,6 +65,16 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         });
     }
 
+    /// Drops the entries used longest ago, of those that `may_go`, until they have freed `cost`.
+    pub(super) fn free(&mut self, cost: u64, may_go: impl Fn(&K) -> bool) {
+        let mut freed = 0;
+        self.entries.retain(|(key, bytes, _)| {
+            let goes = freed < cost && may_go(key);
+            freed += if goes { *bytes } else { 0 };
+            !goes
+        });
+    }
+
     /// Inserts or replaces, as the one used last, evicting others until it fits. An entry above the budget is kept alone, or with those that stay anyway.
     pub(super) fn insert(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|e| e.0 != key);
@@ -126,6 +136,18 @@ mod tests {
         lru.insert('b', 4, 2);
         lru.evict_for(6, |key| *key != 'a');
         assert_eq!((lru.peek(&'a'), lru.peek(&'b')), (Some(&1), None));
+    }
+
+    #[test]
+    fn freeing_drops_no_more_than_it_has_to() {
+        let mut lru = Lru::new(10);
+        for key in ['a', 'b', 'c', 'd'] {
+            lru.insert(key, 2, key);
+        }
+        lru.free(3, |key| *key != 'b');
+        assert_eq!(lru.costs().map(|(key, _)| *key).collect::<Vec<_>>(), ['b', 'd']);
+        lru.free(0, |_| true);
+        assert_eq!(lru.len(), 2);
     }
 
     #[test]

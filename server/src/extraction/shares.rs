@@ -32,6 +32,11 @@ pub(super) struct Shares {
 }
 
 impl Shares {
+    /// Maximum bytes of all of them together.
+    pub(super) fn total(&self) -> u64 {
+        self.pyramids + self.trees + self.cuts + self.idle
+    }
+
     /// Of a device with so much memory, in a process that may hold `host_bytes`. `limit`: what `--surface-memory` says of all of them.
     pub(super) fn of(kind: DeviceKind, device_bytes: u64, host_bytes: u64, limit: Option<u64>) -> Self {
         let (memory, limit) = match kind {
@@ -57,16 +62,12 @@ mod tests {
 
     const GB: u64 = 1_000_000_000;
 
-    fn all(shares: Shares) -> u64 {
-        shares.pyramids + shares.trees + shares.cuts + shares.idle
-    }
-
     #[test]
     fn processors_keep_a_gibibyte_however_much_the_machine_has() {
         let large = Shares::of(DeviceKind::Cpu, 1000 * GB, 1000 * GB, None);
         assert_eq!(large, Shares::of(DeviceKind::Cpu, 24 * GB, 24 * GB, None));
         assert!(
-            all(large) <= PROCESSOR_BYTES && all(large) > PROCESSOR_BYTES - 1000,
+            large.total() <= PROCESSOR_BYTES && large.total() > PROCESSOR_BYTES - 1000,
             "{large:?}"
         );
         assert!(
@@ -98,9 +99,9 @@ mod tests {
     #[test]
     fn who_sets_a_limit_gets_it_on_every_device() {
         for kind in [DeviceKind::Cpu, DeviceKind::Gpu] {
-            let more = all(Shares::of(kind, 80 * GB, 80 * GB, Some(4 * GB)));
+            let more = Shares::of(kind, 80 * GB, 80 * GB, Some(4 * GB)).total();
             assert!(more <= 4 * GB && more > 4 * GB - 1000, "{kind:?}: {more}");
-            assert_eq!(all(Shares::of(kind, 80 * GB, 80 * GB, Some(0))), 0, "{kind:?}");
+            assert_eq!(Shares::of(kind, 80 * GB, 80 * GB, Some(0)).total(), 0, "{kind:?}");
         }
     }
 }

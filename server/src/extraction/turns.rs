@@ -40,6 +40,8 @@ pub(super) enum Length {
     Short,
     /// Takes long, and a viewer waits for it.
     Long,
+    /// Computes a field: takes as long as the expression says, and many may wait for it.
+    Field,
     /// Takes long, and a program waits for it, an export.
     Export,
     /// For a viewer that rests.
@@ -57,6 +59,7 @@ pub(super) fn job_labels(caller: Caller, length: Length) -> JobLabels {
         length: match length {
             Length::Short => "short",
             Length::Long => "long",
+            Length::Field => "field",
             Length::Export => "export",
             Length::Rest => "rest",
         },
@@ -67,6 +70,7 @@ pub(super) fn job_labels(caller: Caller, length: Length) -> JobLabels {
 pub(super) struct Permits {
     viewers: Arc<Semaphore>,
     long: Arc<Semaphore>,
+    field: Arc<Semaphore>,
     export: Arc<Semaphore>,
     rest: Arc<Semaphore>,
 }
@@ -77,6 +81,7 @@ impl Permits {
         Self {
             viewers: Arc::new(Semaphore::new(viewers)),
             long: Arc::new(Semaphore::new(1)),
+            field: Arc::new(Semaphore::new(1)),
             export: Arc::new(Semaphore::new(1)),
             rest: Arc::new(Semaphore::new(1)),
         }
@@ -88,6 +93,7 @@ impl Permits {
             (Length::Short, Caller::Viewer) => &self.viewers,
             (Length::Short, Caller::Request | Caller::Cache) => return None,
             (Length::Long, _) => &self.long,
+            (Length::Field, _) => &self.field,
             (Length::Export, _) => &self.export,
             (Length::Rest, _) => &self.rest,
         };

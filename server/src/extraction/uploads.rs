@@ -34,6 +34,16 @@ impl WorkerState {
         Ok(())
     }
 
+    /// Makes the next part of a field's min/max table; true once it is complete.
+    pub(super) fn continue_table(&mut self, key: &VolumeKey) -> Result<bool, JobError> {
+        let Some((bytes, mut upload)) = self.uploads.remove(key) else {
+            return Ok(true);
+        };
+        let is_complete = self.or_without_caches(|state| state.engine().continue_table(&mut upload))?;
+        self.uploads.insert(key.clone(), (bytes, upload));
+        Ok(is_complete)
+    }
+
     /// Makes a field resident of which all samples are on the device. `ahead`: nobody asked for it yet.
     pub(super) fn finish_upload(&mut self, key: VolumeKey, ahead: bool) -> Result<(), JobError> {
         let Some((bytes, upload)) = self.uploads.remove(&key) else {

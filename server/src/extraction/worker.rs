@@ -1,7 +1,7 @@
 //! The bounded queue to the thread that owns the device.
 //!
 //! The OpenCL context stays on one named thread; [`DeviceWorker`] is a cheap handle to it. The queue is first in, first out, and a job is
-//! short (one histogram, one prefix). A caller queues again for each further prefix, so viewers take turns and none starves. What takes
+//! short (one slice of a histogram, one prefix). A caller queues again for each further prefix, so viewers take turns and none starves. What takes
 //! long, a vertex tree, a measured error or an export, pauses for those that wait (`turns`).
 //!
 //! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
@@ -12,13 +12,13 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use isopeel_kernels::{DeviceInfo, Histogram};
-use tokio::sync::{mpsc, oneshot, watch};
+use isopeel_kernels::DeviceInfo;
+use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::device_thread::{DeviceOptions, DeviceState, DeviceThread, Preparation};
 use super::identity::EngineId;
-use super::keys::{HistogramKey, VolumeKey};
+use super::keys::VolumeKey;
 use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
 use super::memory::ThreadMemory;
@@ -26,10 +26,11 @@ use super::open_steps::AheadState;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
+use super::unfinished::Unfinished;
 use super::worker_state::{Histograms, JobError, WorkerState, no_finite_sample};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::metrics;
-use crate::view::{FeatureName, View};
+use crate::view::View;
 use crate::volumes::VolumeStep;
 
 /// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, viewers wait.
@@ -40,6 +41,9 @@ const VIEWERS_JOBS: usize = QUEUED_JOBS / 2;
 
 /// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
+
+/// How long an answer of the device counts.
+const ANSWER_AGE: Duration = Duration::from_secs(1);
 
 /// How often it is looked whether the thread has ended.
 const END_INTERVAL: Duration = Duration::from_millis(5);
@@ -60,7 +64,12 @@ pub(super) struct Shared {
     /// Number of the engine, set by the thread.
     engine: Arc<AtomicU64>,
     /// A mutex of std: held for a look-up, never across an await.
-    histograms: Histograms,
+    pub histograms: Histograms,
+    pub unfinished: Unfinished,
+    /// Held while a slice of work on a whole volume is queued: edits wait for one of them at most, and callers take turns.
+    pub slices: Semaphore,
+    /// When the device has answered last to who asked whether it does.
+    last_answer: tokio::sync::Mutex<Option<Instant>>,
     pub loads: Loads,
     pub ahead: AheadState,
     permits: Permits,
@@ -100,6 +109,7 @@ impl DeviceWorker {
             types,
             is_patient,
             surface_bytes,
+            request_time,
         } = options;
         let (jobs, waiting) = mpsc::channel::<Job<WorkerState>>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening(Preparation::default()));
@@ -111,6 +121,7 @@ impl DeviceWorker {
             types,
             is_patient,
             surface_bytes,
+            request_time,
             state: Arc::new(state),
             memory,
             engine: Arc::clone(&engine),
@@ -127,6 +138,9 @@ impl DeviceWorker {
                 memory: watched_memory,
                 engine,
                 histograms,
+                unfinished: Unfinished::default(),
+                slices: Semaphore::new(1),
+                last_answer: tokio::sync::Mutex::default(),
                 loads: Loads::new(),
                 ahead: AheadState::new(),
                 permits: Permits::new(VIEWERS_JOBS),
@@ -158,6 +172,27 @@ impl DeviceWorker {
     /// The engine that jobs run on, now.
     pub fn engine(&self) -> EngineId {
         EngineId::of_number(self.shared.engine.load(Ordering::Relaxed))
+    }
+
+    /// Waits until the device has done a job, if it has done none for a second: false if it does not within the limit, because its driver is stuck
+    /// or it has that much to do.
+    pub async fn answers_within(&self, limit: Duration) -> bool {
+        let ask = async {
+            // One at a time: others wait for its answer.
+            let mut last = self.shared.last_answer.lock().await;
+            if last.is_some_and(|last| last.elapsed() < ANSWER_AGE) {
+                return true;
+            }
+            let never = CancellationToken::new();
+            let asked = self.run(&never, Caller::Viewer, Length::Short, |state, _| {
+                Ok(state.engine().answers())
+            });
+            // Another error than a stuck driver is the device's state.
+            let answers = asked.await.unwrap_or(true);
+            *last = answers.then(Instant::now);
+            answers
+        };
+        tokio::time::timeout(limit, ask).await.unwrap_or(false)
     }
 
     /// State of the device, now.
@@ -225,41 +260,6 @@ impl DeviceWorker {
             watch: Some(Arc::clone(&watch)),
         };
         Ok((worker, watch))
-    }
-
-    /// Range and 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. Cached.
-    ///
-    /// # Errors
-    /// [`WorkError`], but never `Cancelled`.
-    pub async fn histogram(
-        &self,
-        volume: &VolumeStep,
-        field: &str,
-        feature: &FeatureName,
-    ) -> Result<Histogram, WorkError> {
-        let key = HistogramKey::new(volume, field, feature);
-        let kept = lock(&self.shared.histograms).get(&key).cloned();
-        metrics::looked_up("histogram", kept.is_some());
-        let histogram = match kept {
-            Some(histogram) => histogram,
-            None => {
-                let (never, key) = (CancellationToken::new(), key.clone());
-                self.with_volumes(volume, &never, Caller::Cache, Length::Short, move |state, volume, _| {
-                    state.histogram(volume, &key)
-                })
-                .await?
-            }
-        };
-        if let Some(watch) = &self.watch {
-            watch.made(&key);
-        }
-        Ok(histogram)
-    }
-
-    /// As [`DeviceWorker::histogram`], where it was made before.
-    pub(super) fn known_histogram(&self, volume: &VolumeStep, field: &str, feature: &FeatureName) -> Option<Histogram> {
-        let key = HistogramKey::new(volume, field, feature);
-        lock(&self.shared.histograms).peek(&key).cloned()
     }
 
     /// Fills in what depends on the data: the default isovalue and the feature's own range.

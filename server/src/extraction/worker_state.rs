@@ -1,7 +1,7 @@
 //! State of the device's thread: the engine, resident volumes, cached pyramids and histograms.
 
 use std::cell::RefCell;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -17,7 +17,7 @@ use super::feature_fields::FeatureFields;
 use super::grids::padded_grid;
 use super::host_memory::HostMemory;
 use super::identity::{EngineId, PyramidKey};
-use super::keys::{HistogramKey, VolumeKey, feature_keys, histogram_keys, view_keys, with_inputs};
+use super::keys::{HistogramKey, VolumeKey, view_keys, with_inputs};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
@@ -38,6 +38,8 @@ pub(super) enum JobError {
     /// Not all of these fields are resident: load them and queue the job again. With their bytes on the device, and the maximum of
     /// all resident ones.
     NotResident { needed: Vec<(VolumeKey, u64)>, budget: u64 },
+    /// These histograms are not cached: make them and queue the job again.
+    NeedsHistograms(Vec<HistogramKey>),
     /// More is to be done than a short job may: queue it again as a long one.
     TakesLong,
     /// Queuing again would not help.
@@ -61,7 +63,7 @@ impl From<JobError> for WorkError {
     fn from(halt: JobError) -> Self {
         match halt {
             JobError::Failed(error) => error,
-            JobError::NotResident { .. } | JobError::TakesLong => Self::Stopped,
+            JobError::NotResident { .. } | JobError::NeedsHistograms(_) | JobError::TakesLong => Self::Stopped,
         }
     }
 }
@@ -168,10 +170,16 @@ pub(super) struct WorkerState {
     pub(super) volumes: Lru<VolumeKey, Rc<Volume>>,
     /// Those that were read ahead and are not used yet, the oldest first.
     pub(super) ahead: Vec<VolumeKey>,
-    pyramids: Lru<PyramidKey, Rc<Pyramid>>,
-    trees: Rc<RefCell<Trees>>,
-    cuts: Rc<RefCell<Cuts>>,
-    histograms: Histograms,
+    /// Resident fields that expressions gave.
+    pub(super) computed: HashSet<VolumeKey>,
+    pub(super) pyramids: Lru<PyramidKey, Rc<Pyramid>>,
+    pub(super) trees: Rc<RefCell<Trees>>,
+    pub(super) cuts: Rc<RefCell<Cuts>>,
+    /// Maximum bytes of these three and of freed buffers.
+    pub(super) surface_bytes: u64,
+    /// Maximum time of the device for a field that a request has computed.
+    pub(super) request_time: Option<Duration>,
+    pub(super) histograms: Histograms,
     pub(super) pins: Pins,
     /// Fields that are being loaded, each with its bytes on the device.
     pub(super) uploads: HashMap<VolumeKey, (u64, Upload)>,
@@ -180,8 +188,14 @@ pub(super) struct WorkerState {
 }
 
 impl WorkerState {
-    /// `surface_bytes`: what may be kept of earlier edits, where that was set.
-    pub(super) fn new(engine: Engine, histograms: Histograms, pins: Pins, surface_bytes: Option<u64>) -> Self {
+    /// `surface_bytes`: what may be kept of earlier edits, where that was set. `request_time`: as in [`super::DeviceOptions`].
+    pub(super) fn new(
+        engine: Engine,
+        histograms: Histograms,
+        pins: Pins,
+        surface_bytes: Option<u64>,
+        request_time: Option<Duration>,
+    ) -> Self {
         let device = engine.device();
         let host_bytes = HostMemory::now().total();
         let shares = Shares::of(device.kind, device.memory_bytes, host_bytes, surface_bytes);
@@ -191,6 +205,9 @@ impl WorkerState {
             engine: Rc::new(engine),
             id: EngineId::new(),
             ahead: Vec::new(),
+            computed: HashSet::new(),
+            surface_bytes: shares.total(),
+            request_time,
             pyramids: Lru::new(shares.pyramids),
             trees: Rc::new(RefCell::new(Lru::new(shares.trees))),
             cuts: Rc::new(RefCell::new(Cuts::new(shares.cuts))),
@@ -239,61 +256,51 @@ impl WorkerState {
 
     pub(super) fn add_volume(&mut self, key: VolumeKey, bytes: u64, volume: Rc<Volume>) {
         self.volumes.add(key, bytes, volume);
+        self.forget_evicted();
     }
 
-    /// The histogram of a resident field or of a feature derived from it; cached.
-    pub(super) fn histogram(&mut self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, JobError> {
-        if let Some(histogram) = lock(&self.histograms).get(key) {
-            return Ok(histogram.clone());
-        }
-        let keys = feature_keys(volume, &key.volume.field, &key.computed, false);
-        self.use_fields(
-            volume,
-            if keys.is_empty() {
-                std::slice::from_ref(&key.volume)
-            } else {
-                &keys
-            },
-        )?;
-        let feature = self.feature_fields(volume, &key.computed, false)?;
-        let resident = self.volumes.peek(&key.volume).ok_or(WorkError::Stopped)?;
-        let mut histogram = self.engine.histogram(resident, feature.get())?;
-        let smallest = volume.dataset().smallest_length();
-        histogram.range = key.computed.range_in_world(histogram.range, smallest);
-        lock(&self.histograms).insert(key.clone(), 1, histogram.clone());
-        Ok(histogram)
+    /// Forgets which fields were computed, of those that are resident no longer.
+    pub(super) fn forget_evicted(&mut self) {
+        let volumes = &self.volumes;
+        self.computed.retain(|key| volumes.peek(key).is_some());
     }
 
-    fn has_histogram(&self, key: &HistogramKey) -> bool {
-        lock(&self.histograms).peek(key).is_some()
+    /// Bytes that are kept of earlier edits, freed buffers left out.
+    pub(super) fn kept_surface_bytes(&self) -> u64 {
+        self.pyramids.cost() + self.trees.borrow().cost() + self.cuts.borrow().cost()
     }
 
-    /// Fills in isovalue and feature range. All of the view's volumes are required at once, so that they are loaded at once.
+    /// Fills in isovalue and feature range. All histograms that this takes are required at once.
     pub(super) fn resolve(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), JobError> {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
         }
         let field = HistogramKey::new(volume, &view.field, &FeatureName::None);
         let feature = HistogramKey::new(volume, &view.field, &view.feature);
-        let needs_field = view.iso.is_none() && !self.has_histogram(&field);
-        let needs_feature =
-            view.feature_range.is_none() && view.feature != FeatureName::None && !self.has_histogram(&feature);
-        if needs_field || needs_feature {
-            self.use_fields(volume, &histogram_keys(volume, view))?;
-        }
-        // Before the other one, because two closures cannot borrow the state.
-        let opening_iso = if view.iso.is_none() {
-            let unit = volume
-                .dataset()
-                .field(&view.field)
-                .and_then(|field| field.unit.as_deref());
-            Some(OpeningIso::of(&self.histogram(volume, &field)?, unit))
-        } else {
-            None
+        let needs_field = view.iso.is_none();
+        let needs_feature = view.feature_range.is_none() && view.feature != FeatureName::None;
+        let mut missing = Vec::new();
+        let mut cached = |key: &HistogramKey, is_needed: bool| {
+            let found = lock(&self.histograms).get(key).cloned();
+            if found.is_none() && is_needed {
+                missing.push(key.clone());
+            }
+            found
         };
+        let (of_field, of_feature) = (cached(&field, needs_field), cached(&feature, needs_feature));
+        if !missing.is_empty() {
+            return Err(JobError::NeedsHistograms(missing));
+        }
+        let unit = volume
+            .dataset()
+            .field(&view.field)
+            .and_then(|field| field.unit.as_deref());
+        let opening_iso = of_field
+            .filter(|_| needs_field)
+            .map(|histogram| OpeningIso::of(&histogram, unit));
         view.resolve(
             || opening_iso.ok_or(JobError::Failed(WorkError::Stopped)),
-            || self.histogram(volume, &feature),
+            || of_feature.ok_or(JobError::Failed(WorkError::Stopped)),
         )
     }
 
@@ -445,7 +452,7 @@ impl WorkerState {
     }
 
     /// A feature with its fields, which are resident.
-    fn feature_fields(
+    pub(super) fn feature_fields(
         &self,
         volume: &VolumeStep,
         feature: &FeatureName,
@@ -485,18 +492,6 @@ impl WorkerState {
             ))
         };
         keys.iter().map(bytes).collect()
-    }
-
-    /// Frees all cached volumes and pyramids but the volumes that jobs wait for.
-    pub(super) fn free_unpinned(&mut self) {
-        let keys: Vec<_> = self
-            .volumes
-            .costs()
-            .map(|(key, _)| key)
-            .filter(|key| self.pins.holds(key))
-            .cloned()
-            .collect();
-        self.free_all_but(&keys);
     }
 
     /// Frees all cached volumes and pyramids but these volumes. False where there were none.

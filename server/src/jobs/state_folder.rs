@@ -4,6 +4,8 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::private_folder::{self, FolderAccess, FolderAccessError};
+
 /// Held by the server that uses the folder.
 const LOCK: &str = "lock";
 
@@ -26,6 +28,9 @@ pub enum StateFolderError {
         /// Why not.
         source: io::Error,
     },
+    /// Others may use it, or it cannot be made.
+    #[error("state folder")]
+    Access(#[from] FolderAccessError),
     /// Locks and fsync of such file systems do not hold what they promise.
     #[error("state folder {} is on {kind}, expected a disk of this machine: its locks and its fsync are relied on", path.display())]
     Network {
@@ -43,12 +48,12 @@ pub enum StateFolderError {
 }
 
 impl StateFolder {
-    /// Opens and locks a folder, made for this user alone where there is none.
+    /// Opens and locks a folder, made for this user alone if there is none.
     ///
     /// # Errors
     /// [`StateFolderError`].
-    pub fn open(path: &Path) -> Result<Self, StateFolderError> {
-        let path = Self::prepare(path)?;
+    pub fn open(path: &Path, access: FolderAccess) -> Result<Self, StateFolderError> {
+        let path = Self::prepare(path, access)?;
         let fail = |source| StateFolderError::Io {
             path: path.clone(),
             source,
@@ -63,20 +68,17 @@ impl StateFolder {
         }
     }
 
-    /// Where a folder is, made for this user alone where there is none, for who changes it beside the server that uses it.
+    /// Returns where a folder is, made for this user alone if there is none, for commands that change it beside the server that uses it.
     ///
     /// # Errors
     /// [`StateFolderError`].
-    pub fn prepare(path: &Path) -> Result<PathBuf, StateFolderError> {
-        let fail = |source| StateFolderError::Io {
-            path: path.to_owned(),
-            source,
-        };
-        make_folder(path).map_err(fail)?;
-        let path = path.canonicalize().map_err(fail)?;
-        match file_system(&path).map_err(fail)?.and_then(network_file_system) {
-            Some(kind) => Err(StateFolderError::Network { path, kind }),
-            None => Ok(path),
+    pub fn prepare(path: &Path, access: FolderAccess) -> Result<PathBuf, StateFolderError> {
+        let path = private_folder::open(path, access)?;
+        let found = file_system(&path).map(|found| found.and_then(network_file_system));
+        match found {
+            Ok(Some(kind)) => Err(StateFolderError::Network { path, kind }),
+            Ok(None) => Ok(path),
+            Err(source) => Err(StateFolderError::Io { path, source }),
         }
     }
 
@@ -84,13 +86,6 @@ impl StateFolder {
     pub fn path(&self) -> &Path {
         &self.path
     }
-}
-
-fn make_folder(path: &Path) -> io::Result<()> {
-    let mut builder = std::fs::DirBuilder::new();
-    #[cfg(unix)]
-    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-    builder.recursive(true).create(path)
 }
 
 /// The magic number of the file system that a folder is on, where the system tells it.
@@ -145,19 +140,22 @@ mod tests {
     fn a_folder_has_one_server_at_a_time() {
         let parent = tempfile::tempdir().unwrap();
         let path = parent.path().join("a/b");
-        let folder = StateFolder::open(&path).unwrap();
+        let folder = StateFolder::open(&path, FolderAccess::User).unwrap();
         assert_eq!(folder.path(), path.canonicalize().unwrap());
-        let second = StateFolder::open(&path).unwrap_err();
+        let second = StateFolder::open(&path, FolderAccess::User).unwrap_err();
         assert!(matches!(&second, StateFolderError::InUse { .. }), "{second}");
         drop(folder);
-        assert!(StateFolder::open(&path).is_ok());
+        assert!(StateFolder::open(&path, FolderAccess::User).is_ok());
     }
 
     #[test]
     fn a_file_is_no_folder() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        let error = StateFolder::open(file.path()).unwrap_err();
-        assert!(matches!(&error, StateFolderError::Io { .. }), "{error}");
+        let error = StateFolder::open(file.path(), FolderAccess::User).unwrap_err();
+        assert!(
+            matches!(&error, StateFolderError::Access(FolderAccessError::Io { .. })),
+            "{error}"
+        );
     }
 
     #[cfg(target_os = "linux")]

@@ -21,7 +21,7 @@ pub(super) enum ContentEncoding {
 
 impl ContentEncoding {
     /// In the order in which they are preferred.
-    const ALL: [Self; 3] = [Self::Zstd, Self::Gzip, Self::Identity];
+    pub(super) const ALL: [Self; 3] = [Self::Zstd, Self::Gzip, Self::Identity];
 
     /// Its name in headers.
     pub(super) const fn name(self) -> &'static str {

@@ -24,6 +24,7 @@ impl From<WorkError> for ApiError {
             WorkError::Edit(_)
             | WorkError::TooManyTriangles { .. }
             | WorkError::OverBudget { .. }
+            | WorkError::TookTooLong { .. }
             | WorkError::OverBytes { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             WorkError::TooLargeForHost { .. } => StatusCode::PAYLOAD_TOO_LARGE,
             _ if error.code() == "too-large" => StatusCode::INSUFFICIENT_STORAGE,

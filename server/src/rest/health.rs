@@ -1,11 +1,16 @@
 //! Whether the server lives, and whether it can work.
 
+use std::time::Duration;
+
 use axum::Json;
 use axum::extract::State;
 
 use super::ApiState;
 use crate::extraction::{DeviceState, MemoryUse, Preparation, WorkError};
 use crate::problem::{ApiError, Problem};
+
+/// Time that the device has to do the smallest job. Probes are often given as much.
+const ANSWER_LIMIT: Duration = Duration::from_secs(5);
 
 /// Whether the process answers.
 #[utoipa::path(
@@ -18,19 +23,23 @@ pub async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Whether the device is open and takes work.
+/// Whether the device is open and does what it is asked for: it is given a byte to read, and has five seconds.
 #[utoipa::path(
     get,
     path = "/readyz",
     tag = "health",
     responses(
         (status = 200, description = "The device is ready", body = String, content_type = "text/plain"),
-        (status = 503, description = "The device is being opened, or could not be", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "The device is being opened, could not be, or does not answer", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiError> {
     match state.extractor.worker().state() {
-        DeviceState::Ready(_) => Ok("ready\n"),
+        DeviceState::Ready(_) if state.extractor.worker().answers_within(ANSWER_LIMIT).await => Ok("ready\n"),
+        DeviceState::Ready(_) => Err(ApiError::busy(format!(
+            "the device has not answered for {} s: its driver is stuck, or it has too much to do",
+            ANSWER_LIMIT.as_secs()
+        ))),
         DeviceState::Opening(Preparation { of: 0, .. }) => Err(ApiError::busy("the device is being opened")),
         DeviceState::Opening(Preparation { done, of }) => Err(ApiError::busy(format!(
             "the device is being prepared: {done} of {of} steps are done"

@@ -13,6 +13,7 @@ mod health;
 mod jobs;
 mod metrics;
 mod oidc;
+mod precompressed;
 mod ranges;
 mod session;
 mod slices;
@@ -30,7 +31,7 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
-use axum::http::{Method, Uri};
+use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tokio::sync::Semaphore;
@@ -48,7 +49,7 @@ pub use slices::SLICE_HEADER;
 pub use uploads::{LENGTH_HEADER, OFFSET_HEADER, TUS_HEADER};
 pub use volumes::{UnreadablePath, VolumeSummary};
 
-use crate::access::Access;
+use crate::access::{Access, SeatLimits, Seats};
 use crate::extraction::Extractor;
 use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
@@ -56,6 +57,7 @@ use crate::uploads::Uploads;
 use crate::volumes::SharedCatalog;
 use export_queue::{ExportQueue, QueueLimits};
 use extract::address::KnownTags;
+use precompressed::Precompressed;
 
 /// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.
 const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -75,8 +77,12 @@ const EXPORTS: QueueLimits = QueueLimits {
 /// Maximum planes of samples that are made at a time: some megabytes each.
 const CONCURRENT_SLICES: usize = 8;
 
-/// Maximum streams of a job's events: each holds a connection.
-const EVENT_STREAMS: usize = 64;
+/// Streams of jobs' events: each holds a connection.
+const EVENT_STREAMS: SeatLimits = SeatLimits {
+    all: 64,
+    of_user: 32,
+    reserve: 4,
+};
 
 /// What handlers share; clones are cheap.
 #[derive(Clone)]
@@ -86,7 +92,7 @@ pub struct ApiState {
     exports: ExportQueue,
     known_tags: KnownTags,
     slices: Arc<Semaphore>,
-    events: Arc<Semaphore>,
+    events: Seats,
     access: Access,
     /// `None`: the server keeps none.
     jobs: Option<Jobs>,
@@ -103,7 +109,7 @@ impl ApiState {
             exports: ExportQueue::new(EXPORTS),
             known_tags: KnownTags::default(),
             slices: Arc::new(Semaphore::new(CONCURRENT_SLICES)),
-            events: Arc::new(Semaphore::new(EVENT_STREAMS)),
+            events: Seats::new(EVENT_STREAMS),
             access,
             jobs: None,
             uploads: None,
@@ -169,12 +175,24 @@ fn described(mut openapi: utoipa::openapi::OpenApi) -> utoipa::openapi::OpenApi 
     openapi
 }
 
+/// The description as it is sent: written once.
+fn described_once(description: &utoipa::openapi::OpenApi) -> Arc<Precompressed> {
+    // It has no maps whose keys are no strings.
+    let text = serde_json::to_vec(description).unwrap_or_default();
+    let hash = format!("{:032x}", xxhash_rust::xxh3::xxh3_128(&text));
+    Arc::new(Precompressed::new(text.into(), hash, true))
+}
+
 /// REST, and the web client on all other paths.
 pub fn router(state: ApiState) -> Router {
     let (router, description) = routed().split_for_parts();
-    let description = described(description);
+    let description = described_once(&described(description));
+    let answer_description = async move |request: HeaderMap| {
+        let json = HeaderValue::from_static("application/json");
+        description.respond(&request, HeaderMap::from_iter([(header::CONTENT_TYPE, json)]))
+    };
     router
-        .route("/api/v1/openapi.json", get(async move || axum::Json(description)))
+        .route("/api/v1/openapi.json", get(answer_description))
         .method_not_allowed_fallback(method_not_allowed)
         .fallback(web_client::serve)
         .layer(CatchPanicLayer::custom(panicked))

@@ -1,12 +1,16 @@
 //! The web client, embedded in the binary as Vite built it, and served as static files.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
+use axum::body::Bytes;
+use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use axum::response::{IntoResponse, Response};
 use data_encoding::HEXLOWER;
 use rust_embed::RustEmbed;
 
+use super::precompressed::Precompressed;
 use crate::problem::ApiError;
 
 // Release builds embed the files, debug builds read the folder.
@@ -24,6 +28,9 @@ const HASHED_FOLDER: &str = "assets/";
 const FOREVER: &str = "public, max-age=31536000, immutable";
 /// May be cached, but is requested again each time; the entity tag makes that a 304.
 const REVALIDATE: &str = "no-cache";
+
+/// Files whose bodies are kept, more than the client has.
+const MAX_BODIES: usize = 1_024;
 
 /// Answers paths without a route of their own: a file of the client; the client's page for other paths without an extension, which are
 /// addresses of the client; a problem 404 otherwise and below `/api/`.
@@ -57,7 +64,6 @@ pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
 }
 
 fn respond(name: &str, data: Cow<'static, [u8]>, hash: [u8; 32], request: &HeaderMap) -> Response {
-    let tag = format!("\"{}\"", HEXLOWER.encode(&hash));
     let caching = if name.starts_with(HASHED_FOLDER) {
         FOREVER
     } else {
@@ -65,23 +71,31 @@ fn respond(name: &str, data: Cow<'static, [u8]>, hash: [u8; 32], request: &Heade
     };
     let mut headers = HeaderMap::new();
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static(caching));
-    if let Ok(value) = HeaderValue::from_str(&tag) {
-        headers.insert(header::ETAG, value);
-    }
-    let known = request.get_all(header::IF_NONE_MATCH).iter().any(|value| {
-        let tags = value.to_str().unwrap_or_default().split(',').map(str::trim);
-        tags.into_iter().any(|t| t == "*" || t.trim_start_matches("W/") == tag)
-    });
-    if known {
-        return (StatusCode::NOT_MODIFIED, headers).into_response();
-    }
-    if let Ok(value) = HeaderValue::from_str(&content_type(name)) {
+    let content_type = content_type(name);
+    if let Ok(value) = HeaderValue::from_str(&content_type) {
         headers.insert(header::CONTENT_TYPE, value);
     }
-    match data {
-        Cow::Borrowed(bytes) => (headers, bytes).into_response(),
-        Cow::Owned(bytes) => (headers, bytes).into_response(),
+    body(data, hash, &content_type).respond(request, headers)
+}
+
+/// The body of a file, which is compressed once for all who ask for it.
+fn body(data: Cow<'static, [u8]>, hash: [u8; 32], content_type: &str) -> Arc<Precompressed> {
+    static BODIES: Mutex<BTreeMap<[u8; 32], Arc<Precompressed>>> = Mutex::new(BTreeMap::new());
+    let mut bodies = BODIES.lock().unwrap_or_else(PoisonError::into_inner);
+    // A debug build serves a folder whose files change.
+    if bodies.len() >= MAX_BODIES {
+        bodies.clear();
     }
+    let body = bodies.entry(hash).or_insert_with(|| {
+        let bytes = match data {
+            Cow::Borrowed(bytes) => Bytes::from_static(bytes),
+            Cow::Owned(bytes) => bytes.into(),
+        };
+        let is_compressible = ["text/", "application/json", "application/wasm", "image/svg"];
+        let is_compressible = is_compressible.iter().any(|kind| content_type.starts_with(kind));
+        Arc::new(Precompressed::new(bytes, HEXLOWER.encode(&hash), is_compressible))
+    });
+    Arc::clone(body)
 }
 
 fn content_type(name: &str) -> String {
@@ -96,6 +110,8 @@ fn content_type(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use axum::http::StatusCode;
+
     use super::*;
 
     async fn get(method: Method, path: &str) -> Response {
@@ -103,7 +119,9 @@ mod tests {
     }
 
     fn file(name: &str, bytes: &'static [u8], request: &HeaderMap) -> Response {
-        respond(name, Cow::Borrowed(bytes), [7; 32], request)
+        let mut hash = [7; 32];
+        hash[..4].copy_from_slice(&(bytes.len() as u32).to_le_bytes());
+        respond(name, Cow::Borrowed(bytes), hash, request)
     }
 
     #[tokio::test]
@@ -142,7 +160,7 @@ mod tests {
 
         let mut request = HeaderMap::new();
         request.insert(header::IF_NONE_MATCH, tag);
-        let response = file("index.html", b"<!doctype html>", &request);
+        let response = file("index.html", b"let a", &request);
         assert_eq!(response.status(), StatusCode::NOT_MODIFIED);
         assert_eq!(response.headers()[header::CACHE_CONTROL], REVALIDATE);
 

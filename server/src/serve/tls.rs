@@ -1,6 +1,6 @@
 //! TLS of the server's own: a certificate and its key from files, which are read again while the server runs.
 
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -80,9 +80,25 @@ impl Tls {
     }
 }
 
+/// Bytes of a file of certificates or a key at most.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+fn read_file(path: &Path) -> io::Result<Vec<u8>> {
+    let mut text = Vec::new();
+    std::fs::File::open(path)?
+        .take(MAX_FILE_BYTES + 1)
+        .read_to_end(&mut text)?;
+    if text.len() as u64 > MAX_FILE_BYTES {
+        return Err(io::Error::other(format!(
+            "it has more than {MAX_FILE_BYTES} bytes, expected a certificate or a key"
+        )));
+    }
+    Ok(text)
+}
+
 fn read(certificate: &Path, key: &Path) -> Result<ServerConfig, TlsError> {
     let text = |path: &Path| {
-        std::fs::read(path).map_err(|source| TlsError::Read {
+        read_file(path).map_err(|source| TlsError::Read {
             path: path.to_owned(),
             source,
         })
@@ -140,6 +156,10 @@ mod tests {
         assert!(matches!(tls.reload(), Err(TlsError::Malformed { .. })));
         std::fs::remove_file(&certificate).unwrap();
         assert!(matches!(tls.reload(), Err(TlsError::Read { .. })));
+        // One that never ends.
+        std::os::unix::fs::symlink("/dev/zero", &certificate).unwrap();
+        assert!(matches!(tls.reload(), Err(TlsError::Read { .. })));
+        std::fs::remove_file(&certificate).unwrap();
         // The key is not replaced yet.
         std::fs::copy(&other, &certificate).unwrap();
         assert!(matches!(tls.reload(), Err(TlsError::Refused { .. })));

@@ -30,6 +30,10 @@ use crate::wire::messages::ServerMessage;
 
 /// Maximum groups: one for every 16 viewers there may be.
 pub(super) const MAX_GROUPS: usize = 64;
+/// Those that one user may lead at a time, administrators excepted.
+pub(super) const MAX_GROUPS_OF_USER: usize = MAX_GROUPS / 4;
+/// Those that are left to administrators.
+const RESERVED_GROUPS: usize = MAX_GROUPS / 16;
 /// Maximum followers of a group: a lecture, and some viewers beside it.
 pub(super) const MAX_FOLLOWERS: usize = 1000;
 /// A group that was forgotten ends after so long.
@@ -104,7 +108,9 @@ struct Followed {
 /// Why a viewer is in no group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum GroupError {
-    #[error("there are {MAX_GROUPS} groups, try again later")]
+    #[error(
+        "there are as many groups as may be, {MAX_GROUPS} in all and {MAX_GROUPS_OF_USER} of a user: try again later"
+    )]
     TooMany,
     #[error("there is no such group, or it has ended: ask for a new link")]
     Unknown,
@@ -156,6 +162,16 @@ pub(super) struct Member {
     members_due: Instant,
 }
 
+/// Whether a leader may have one more group.
+fn has_place(all: &HashMap<String, Weak<Group>>, leader: &Leader) -> bool {
+    let groups = all.values().filter_map(Weak::upgrade);
+    let own = groups.filter(|group| group.leader.user == leader.user).count();
+    match leader.is_admin {
+        true => all.len() < MAX_GROUPS,
+        false => all.len() < MAX_GROUPS - RESERVED_GROUPS && own < MAX_GROUPS_OF_USER,
+    }
+}
+
 impl Groups {
     pub(super) fn with_pause(leader_pause: Duration) -> Self {
         Self {
@@ -171,9 +187,9 @@ impl Groups {
 
     /// Starts a group. `id` is random, and all that who joins has to know.
     pub(super) fn lead(&self, id: String, leader: Leader) -> Result<Member, GroupError> {
-        self.make_space();
+        self.make_space(&leader);
         let mut all = self.all();
-        if all.len() >= MAX_GROUPS {
+        if !has_place(&all, &leader) {
             return Err(GroupError::TooMany);
         }
         let connection = CancellationToken::new();

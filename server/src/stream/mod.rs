@@ -139,7 +139,7 @@ async fn upgrade<B: Backend>(
                     shutdown,
                     ..
                 } = state;
-                match common.viewers.enter() {
+                match common.viewers.enter(&who) {
                     Some(_entered) => {
                         let _connected = ConnectedViewer::enter();
                         socket::serve(socket, backend, common, who, deadlines, shutdown).await;

@@ -1,10 +1,8 @@
 //! The viewers that are connected, and what each may hold because of the others.
 
-use std::sync::Arc;
+use crate::access::{Identity, Seat, SeatLimits, Seats};
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-
-/// Maximum viewers; a further one is closed with 4002. What most of them do is to look: of those that edit, as many have a job in the
+/// Maximum viewers, of which one user has half and administrators have the last ones; a further one is closed with 4002. What most of them do is to look: of those that edit, as many have a job in the
 /// device's queue as it has space for, and the others wait in order.
 pub const MAX_VIEWERS: usize = 1024;
 
@@ -17,25 +15,28 @@ const MIN_AHEAD_BYTES: usize = AHEAD_BYTES / MAX_VIEWERS;
 
 /// Connected viewers. Clones count together.
 #[derive(Clone)]
-pub(super) struct Viewers(Arc<Semaphore>);
+pub(super) struct Viewers(Seats);
 
 impl Default for Viewers {
     fn default() -> Self {
-        Self(Arc::new(Semaphore::new(MAX_VIEWERS)))
+        Self(Seats::new(SeatLimits {
+            all: MAX_VIEWERS,
+            of_user: MAX_VIEWERS / 2,
+            reserve: MAX_VIEWERS / 64,
+        }))
     }
 }
 
 impl Viewers {
-    /// One more, who leaves when this is dropped; `None` where there is no space.
-    pub fn enter(&self) -> Option<OwnedSemaphorePermit> {
-        Arc::clone(&self.0).try_acquire_owned().ok()
+    /// One more, who leaves when this is dropped; `None` if there is no seat for this user.
+    pub fn enter(&self, who: &Identity) -> Option<Seat> {
+        self.0.take(who)
     }
 
     /// Bytes of a surface in a viewer's outbox below which its next batch is encoded: less where there are many, for all of them may
     /// stop reading.
     pub fn ahead_bytes(&self) -> usize {
-        let connected = MAX_VIEWERS - self.0.available_permits();
-        (AHEAD_BYTES / connected.max(1)).clamp(MIN_AHEAD_BYTES, MAX_AHEAD_BYTES)
+        (AHEAD_BYTES / self.0.taken().max(1)).clamp(MIN_AHEAD_BYTES, MAX_AHEAD_BYTES)
     }
 }
 
@@ -45,14 +46,14 @@ mod tests {
 
     #[test]
     fn the_more_viewers_the_less_is_encoded_ahead_for_each() {
-        let viewers = Viewers::default();
+        let (viewers, operator) = (Viewers::default(), Identity::without_token());
         assert_eq!(viewers.ahead_bytes(), MAX_AHEAD_BYTES);
-        let entered: Vec<_> = (0..MAX_VIEWERS).map_while(|_| viewers.enter()).collect();
+        let entered: Vec<_> = (0..MAX_VIEWERS).map_while(|_| viewers.enter(&operator)).collect();
         assert_eq!(entered.len(), MAX_VIEWERS);
-        assert!(viewers.enter().is_none());
+        assert!(viewers.enter(&operator).is_none());
         assert_eq!(viewers.ahead_bytes() * MAX_VIEWERS, AHEAD_BYTES);
         drop(entered);
-        assert!(viewers.enter().is_some());
+        assert!(viewers.enter(&operator).is_some());
         assert_eq!(viewers.ahead_bytes(), MAX_AHEAD_BYTES);
     }
 }

@@ -9,6 +9,7 @@ use std::time::SystemTime;
 use serde::{Deserialize, Serialize};
 
 use super::names::DeclaredFile;
+use crate::private_folder::{self, FolderAccess, FolderAccessError};
 
 /// Held by the server that uses the folder.
 const LOCK: &str = "lock";
@@ -29,6 +30,17 @@ pub enum FolderError {
         path: PathBuf,
         /// Why not.
         source: io::Error,
+    },
+    /// Others may use it, or it cannot be made.
+    #[error("folder of uploads")]
+    Access(#[from] FolderAccessError),
+    /// All who see the volumes of a folder that is served would see the uploads.
+    #[error("folder of uploads {} is below {}, which is served to all: expected a folder beside it", path.display(), served.display())]
+    Served {
+        /// The folder.
+        path: PathBuf,
+        /// The folder that is served.
+        served: PathBuf,
     },
     /// Another server uses it.
     #[error("folder of uploads {} is used by another server, expected one of its own", path.display())]
@@ -58,17 +70,16 @@ pub struct UploadFolder {
 }
 
 impl UploadFolder {
-    /// Opens and locks a folder, made for this user alone where there is none.
+    /// Opens and locks a folder, made for this user alone if there is none.
     ///
     /// # Errors
     /// [`FolderError`].
-    pub fn open(path: &Path) -> Result<Self, FolderError> {
+    pub fn open(path: &Path, access: FolderAccess) -> Result<Self, FolderError> {
+        let path = private_folder::open(path, access)?;
         let fail = |source| FolderError::Io {
-            path: path.to_owned(),
+            path: path.clone(),
             source,
         };
-        make_folder(path).map_err(fail)?;
-        let path = path.canonicalize().map_err(fail)?;
         let mut options = OpenOptions::new();
         let lock = options.create(true).truncate(false).write(true).open(path.join(LOCK));
         let lock = lock.map_err(fail)?;
@@ -76,6 +87,22 @@ impl UploadFolder {
             Ok(()) => Ok(Self { path, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path }),
             Err(TryLockError::Error(source)) => Err(fail(source)),
+        }
+    }
+
+    /// Checks that it is in none of the folders that are served to all.
+    ///
+    /// # Errors
+    /// [`FolderError::Served`].
+    pub fn is_beside(&self, served: &[PathBuf]) -> Result<(), FolderError> {
+        // Those that do not exist are no folders: addresses, and what is read later.
+        let folders = served.iter().filter_map(|path| path.canonicalize().ok());
+        match folders.into_iter().find(|folder| self.path.starts_with(folder)) {
+            Some(served) => Err(FolderError::Served {
+                path: self.path.clone(),
+                served,
+            }),
+            None => Ok(()),
         }
     }
 
@@ -88,7 +115,7 @@ impl UploadFolder {
     /// Makes the folder of an upload.
     pub(super) fn make(&self, id: &str, record: &Record) -> io::Result<PathBuf> {
         let (aside, path) = (self.path.join(format!("{ASIDE}{id}")), self.path.join(id));
-        make_folder(&aside.join(FILES))?;
+        private_folder::make(&aside.join(FILES))?;
         write_record(&aside, record)?;
         std::fs::rename(&aside, &path)?;
         File::open(&self.path)?.sync_all()?;
@@ -157,13 +184,6 @@ pub(super) fn files_of(folder: &Path) -> PathBuf {
     folder.join(FILES)
 }
 
-fn make_folder(path: &Path) -> io::Result<()> {
-    let mut builder = std::fs::DirBuilder::new();
-    #[cfg(unix)]
-    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-    builder.recursive(true).create(path)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -186,32 +206,57 @@ mod tests {
         use std::os::unix::fs::PermissionsExt;
         let parent = tempfile::tempdir().unwrap();
         let path = parent.path().join("a/uploads");
-        let folder = UploadFolder::open(&path).unwrap();
+        let folder = UploadFolder::open(&path, FolderAccess::User).unwrap();
         assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o700);
-        assert!(matches!(UploadFolder::open(&path), Err(FolderError::InUse { .. })));
+        assert!(matches!(
+            UploadFolder::open(&path, FolderAccess::User),
+            Err(FolderError::InUse { .. })
+        ));
         drop(folder);
-        assert!(UploadFolder::open(&path).is_ok());
+        assert!(UploadFolder::open(&path, FolderAccess::User).is_ok());
         let file = tempfile::NamedTempFile::new().unwrap();
-        assert!(matches!(UploadFolder::open(file.path()), Err(FolderError::Io { .. })));
+        assert!(matches!(
+            UploadFolder::open(file.path(), FolderAccess::User),
+            Err(FolderError::Access(FolderAccessError::Io { .. }))
+        ));
+    }
+
+    #[test]
+    fn uploads_below_a_served_folder_are_refused() {
+        let parent = tempfile::tempdir().unwrap();
+        let path = parent.path().join("served/uploads");
+        let folder = UploadFolder::open(&path, FolderAccess::User).unwrap();
+        let beside = [
+            parent.path().join("other"),
+            path.join("below"),
+            "https://a.example/b".into(),
+        ];
+        std::fs::create_dir(&beside[0]).unwrap();
+        assert!(folder.is_beside(&beside).is_ok());
+        for served in [parent.path().join("served"), path.clone()] {
+            let error = folder.is_beside(&[served]).unwrap_err().to_string();
+            assert!(error.contains("which is served to all"), "{error}");
+        }
     }
 
     #[test]
     fn what_is_half_made_or_half_removed_is_swept_and_the_rest_is_kept() {
         let parent = tempfile::tempdir().unwrap();
-        let folder = UploadFolder::open(parent.path()).unwrap();
+        let path = parent.path().join("uploads");
+        let folder = UploadFolder::open(&path, FolderAccess::User).unwrap();
         let kept = folder.make("kept", &record()).unwrap();
         let removed = folder.make("removed", &record()).unwrap();
         std::fs::write(files_of(&removed).join("a.nii"), b"1234567").unwrap();
         let aside = folder.put_aside("removed").unwrap();
         assert!(aside.exists() && !removed.exists());
-        let half = parent.path().join(".half");
-        make_folder(&half).unwrap();
-        make_folder(&parent.path().join("strange")).unwrap();
+        let half = path.join(".half");
+        private_folder::make(&half).unwrap();
+        private_folder::make(&path.join("strange")).unwrap();
         let found = folder.list().unwrap();
         assert_eq!(found.len(), 1);
         assert_eq!((found[0].0.as_str(), &found[0].1), ("kept", &kept));
         assert!(!aside.exists() && !half.exists(), "what was put aside is gone");
-        assert!(parent.path().join("strange").exists(), "what is none of ours is let be");
+        assert!(path.join("strange").exists(), "what is none of ours is let be");
         let ready = Record {
             is_ready: true,
             ..record()

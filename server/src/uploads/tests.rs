@@ -4,6 +4,7 @@ use axum::body::Bytes;
 use futures_util::{StreamExt, stream};
 
 use super::*;
+use crate::private_folder::FolderAccess;
 
 const ANN: Reader<'static> = Reader::new("ann", false);
 const BOB: Reader<'static> = Reader::new("bob", false);
@@ -76,7 +77,7 @@ impl Case {
 }
 
 fn open(folder: &tempfile::TempDir, limits: Limits, catalog: &SharedCatalog) -> Uploads {
-    let folder = UploadFolder::open(&folder.path().join("uploads")).unwrap();
+    let folder = UploadFolder::open(&folder.path().join("uploads"), FolderAccess::User).unwrap();
     Uploads::open(folder, limits, Frame::Lps, catalog.clone()).unwrap()
 }
 

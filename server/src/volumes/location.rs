@@ -34,7 +34,31 @@ pub struct FileLocation {
     beneath: Option<Arc<Path>>,
 }
 
+/// What the system says of a file: another one when it is written or replaced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileStamp {
+    /// Device and number.
+    file: [u64; 2],
+    bytes: u64,
+    /// Seconds and nanoseconds of the last write and of the last change.
+    times: [i64; 4],
+}
+
 impl FileLocation {
+    /// The file's stamp; `None` if there is none, as it is in memory, in a store over a network, or gone.
+    pub fn stamp(&self) -> Option<FileStamp> {
+        use std::os::unix::fs::MetadataExt;
+        if self.memory.is_some() || self.address.is_some() {
+            return None;
+        }
+        let found = std::fs::metadata(&self.path).ok()?;
+        Some(FileStamp {
+            file: [found.dev(), found.ino()],
+            bytes: found.len(),
+            times: [found.mtime(), found.mtime_nsec(), found.ctime(), found.ctime_nsec()],
+        })
+    }
+
     /// A file on disk.
     pub fn disk(path: impl Into<PathBuf>) -> Self {
         Self {

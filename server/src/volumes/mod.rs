@@ -62,7 +62,7 @@ pub use findings::{Findings, LabelRanks};
 pub use frame::{Frame, LengthUnit};
 pub use isopeel_kernels::Samples;
 pub use labels::{Label, MAX_LABELS};
-pub use location::FileLocation;
+pub use location::{FileLocation, FileStamp};
 pub use memory::memory_dataset;
 pub use notices::Notices;
 

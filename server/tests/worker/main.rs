@@ -2,6 +2,8 @@
 
 mod computed;
 mod distances;
+mod slices;
+mod torn;
 mod turns;
 mod uneven;
 

@@ -374,3 +374,71 @@ fn help_and_version_are_there() {
         assert!(help.contains(option), "{option} in {help}");
     }
 }
+
+/// PoCL cannot do without a folder of compiled kernels: where there is none of use, another one takes its place, and a warning says so.
+#[test]
+fn without_a_folder_for_kernels_another_one_is_used() {
+    use std::os::unix::fs::PermissionsExt;
+    if !crate::support::server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let open = folder.path().join("open");
+    std::fs::create_dir(&open).expect("a folder");
+    std::fs::set_permissions(&open, PermissionsExt::from_mode(0o777)).expect("its mode");
+    for (name, value, why) in [
+        ("POCL_CACHE_DIR", "/proc/nowhere", "/proc/nowhere"),
+        ("HOME", "/proc/nowhere", "/proc/nowhere"),
+        ("HOME", "", "HOME is not set"),
+        ("POCL_CACHE_DIR", open.to_str().expect("text"), "others may write there"),
+    ] {
+        let output = std::process::Command::new(command::binary())
+            .arg("devices")
+            .env_remove("POCL_CACHE_DIR")
+            .env_remove("XDG_CACHE_HOME")
+            .env("TMPDIR", folder.path())
+            .env(name, value)
+            .output()
+            .expect("the binary starts");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            output.status.success() && !output.stdout.is_empty(),
+            "{name}={value}: {said}"
+        );
+        assert!(
+            said.contains(why) && said.contains("isopeel-kernels-"),
+            "{name}={value}: {said}"
+        );
+    }
+    let mut folders = std::fs::read_dir(folder.path()).expect("a folder");
+    let made = folders.find_map(|entry| {
+        let entry = entry.expect("an entry");
+        let is_spare = entry.file_name().to_string_lossy().starts_with("isopeel-kernels-");
+        is_spare.then(|| entry.metadata().expect("metadata").permissions().mode() & 0o777)
+    });
+    assert_eq!(made, Some(0o700));
+}
+
+#[test]
+fn folders_that_others_may_use_and_uploads_that_all_would_see_are_refused() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().expect("a folder");
+    let [state, served] = ["state", "served"].map(|name| folder.path().join(name));
+    for path in [&state, &served] {
+        std::fs::create_dir(path).expect("a folder");
+        std::fs::set_permissions(path, PermissionsExt::from_mode(0o755)).expect("its mode");
+    }
+    ball::write(&served.join("ball.npy"));
+    let text = |path: &std::path::Path| path.to_str().expect("text").to_owned();
+    let serve = ["serve", "--listen", "127.0.0.1:0", "--no-auth"].map(str::to_owned);
+    let refused = |more: &[String]| command::fail(serve.iter().chain(more));
+    let said = refused(&["--state-folder".into(), text(&state)]);
+    assert!(
+        said.contains("has mode 0755") && said.contains("chmod go-rwx"),
+        "{said}"
+    );
+    let said = refused(&["--uploads".into(), text(&state)]);
+    assert!(said.contains("has mode 0755"), "{said}");
+    let said = refused(&[text(&served), "--uploads".into(), text(&served.join("uploads"))]);
+    assert!(said.contains("which is served to all"), "{said}");
+}

@@ -302,3 +302,26 @@ async fn memory_that_cannot_be_had_is_named() {
     assert_eq!(counts(&viewer.edit(json!({"iso": 100})).await), counts(&shown[0]));
     assert_eq!(server.losses(), 0);
 }
+
+/// The device's kernel never returns until the fault is mended: requests wait for it, and probes learn of it.
+#[test]
+fn a_driver_that_is_stuck_is_noticed() {
+    let Some(faulty) = Faulty::start() else { return };
+    let address = faulty.address();
+    faulty.ready();
+    faulty.fail("hang evaluate");
+    let asking = std::thread::spawn(move || {
+        http::get(address, "/api/v1/volumes/ball/slices?axis=z&index=5&field=2*ball").status
+    });
+    let start = Instant::now();
+    while http::get(address, "/readyz").status == 200 {
+        assert!(start.elapsed() < LIMIT, "the server says that it is ready");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    let answer = http::get(address, "/readyz");
+    assert_eq!(answer.problem(503), "busy");
+    assert_eq!(http::get(address, "/healthz").status, 200);
+    faulty.mend();
+    faulty.ready();
+    assert_eq!(asking.join().expect("no panic"), 200);
+}

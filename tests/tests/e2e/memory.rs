@@ -247,3 +247,35 @@ async fn the_surface_that_is_shown_stays_where_nothing_else_is_kept() {
     assert!(found > 0.0 && same == trees, "{trees}; {found}, {same}");
     viewer.close().await;
 }
+
+/// Each expression gives a field of 35 MB, of floats. Kept without a limit, forty of them take three times the memory that the server has.
+#[tokio::test(flavor = "multi_thread")]
+#[cfg(target_os = "linux")]
+async fn fields_of_expressions_stay_within_the_hosts_memory_and_edits_go_on() {
+    let limit = 700 << 20;
+    let options = ["--host-memory", "700", "--rate-peer", "0"];
+    let Some(server) = process::start(&[], &options) else {
+        return;
+    };
+    let address = server.address;
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    let mut peak = 0;
+    for n in 0..40 {
+        let field = format!("t1*{}", n + 2);
+        let path = format!("/api/v1/volumes/{}/slices?axis=z&index=5&field={field}", demo::ID);
+        let answer = tokio::task::spawn_blocking(move || http::get(address, &path)).await;
+        assert_eq!(answer.expect("no panic").status, 200, "{field}");
+        peak = peak.max(server.resident_bytes());
+        if n % 4 == 3 {
+            // Fails where an edit is refused.
+            viewer.edit(json!({"iso": 80 + n})).await;
+        }
+    }
+    viewer.close().await;
+    println!("{peak} bytes at most, the limit is {limit}");
+    assert!(peak < limit * 11 / 10, "{peak} bytes, the limit is {limit}");
+    // A newcomer is served too.
+    let mut viewer = Viewer::open(address, demo::ID).await;
+    viewer.edit(json!({"iso": demo::ISO})).await;
+    viewer.close().await;
+}

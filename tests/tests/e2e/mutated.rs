@@ -266,7 +266,6 @@ fn start(folder: &Path, log: &Path) -> Option<Process> {
     });
     let state = folder.join("state");
     let uploads = folder.join("uploads");
-    std::fs::create_dir_all(&uploads).expect("a folder");
     let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
     let (state, uploads) = (text(&state), text(&uploads));
     let options = [

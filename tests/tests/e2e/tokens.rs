@@ -244,7 +244,8 @@ async fn close_code_of_revoked(viewer: &mut WebSocketStream<TcpStream>) -> Optio
 #[test]
 fn a_role_that_is_for_nothing_says_so() {
     let folder = tempfile::tempdir().expect("a folder");
-    let state = folder.path().to_str().expect("UTF-8");
+    let state = folder.path().join("state");
+    let state = state.to_str().expect("UTF-8");
     let said = |role: &str| {
         let made = command::run([
             "token",
@@ -266,7 +267,8 @@ fn a_role_that_is_for_nothing_says_so() {
 #[test]
 fn tokens_that_make_no_sense_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    let state = folder.path().to_str().expect("UTF-8");
+    let state = folder.path().join("state");
+    let state = state.to_str().expect("UTF-8");
     let refused = |arguments: &[&str]| command::fail([&["token"], arguments, &["--state-folder", state]].concat());
     assert!(refused(&["create", "--user", "ann"]).contains("--role"));
     assert!(refused(&["create", "--user", "a b", "--role", "view"]).contains("expected 1 to 64"));

@@ -154,3 +154,42 @@ fn what_does_not_fit_is_refused() {
         assert!(engine.evaluate(&sum, fields, &Never).is_err());
     }
 }
+
+/// Expressions that differ in numbers alone, and as many shapes of others: so many of the first, a fiftieth of them of the second, unless
+/// `ISOPEEL_EXPRESSIONS` says how many, as `make fuzz` does.
+const EXPRESSIONS: u64 = 2000;
+
+/// One program serves all: the process maps no more files, and holds no more memory, however many there were.
+#[test]
+#[cfg(target_os = "linux")]
+fn many_expressions_leave_nothing_behind() {
+    let Some(engine) = device() else { return };
+    let recipe = Recipe::plain([37, 11, 9], super::recipes::Pattern::Waves(7), 5);
+    let of = fields(&engine, &recipe);
+    let volumes = of.each_ref().map(|loaded| &loaded.volume);
+    let evaluate = |expression: &Expression| drop(engine.evaluate(expression, &volumes, &Never).expect("evaluate"));
+    let held = || {
+        let read = |name: &str| std::fs::read_to_string(format!("/proc/self/{name}")).expect("proc");
+        let pages = read("statm")
+            .split_whitespace()
+            .nth(1)
+            .and_then(|n| n.parse::<u64>().ok());
+        (read("maps").lines().count(), pages.expect("a number") * 4096)
+    };
+    let count = std::env::var("ISOPEEL_EXPRESSIONS").ok().and_then(|n| n.parse().ok());
+    let count = count.unwrap_or(EXPRESSIONS);
+    // What the first ones compile and allocate stays.
+    (0..20).for_each(|seed| evaluate(&random_expression(seed)));
+    let (maps, bytes) = held();
+    for seed in 0..count / 50 {
+        evaluate(&random_expression(seed));
+    }
+    for n in 0..count {
+        let ops = vec![Op::Field(0), Op::Number(n as f32), Op::Binary(Binary::Multiply, 0, 1)];
+        evaluate(&Expression::new(ops).expect("an expression"));
+    }
+    let (maps_after, bytes_after) = held();
+    println!("{count} expressions: {maps} mappings became {maps_after}, {bytes} bytes {bytes_after}");
+    assert!(maps_after < maps + 50, "{maps} mappings became {maps_after}");
+    assert!(bytes_after < bytes + 100_000_000, "{bytes} bytes became {bytes_after}");
+}

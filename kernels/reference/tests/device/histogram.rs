@@ -1,7 +1,8 @@
 //! Range and distribution of samples and of gradients.
 
-use super::recipes::{DIMS, any_recipe};
+use super::recipes::{DIMS, Pattern, any_recipe};
 use super::*;
+use isopeel_kernels::{HistogramWork, SampleType};
 use isopeel_reference::histogram;
 
 /// Bins may differ by what lies within rounding of their ends.
@@ -58,5 +59,40 @@ fn gradients_have_the_twins_histogram() {
     for i in 0..DIMS.len() {
         let recipe = Recipe::waves_on(i);
         check(&engine, &load(&engine, &recipe), true).expect("the same histogram");
+    }
+}
+
+/// Of several launches, which are sized by the time of those before them.
+#[test]
+fn a_volume_of_many_launches_has_the_twins_histogram() {
+    let Some(engine) = device() else { return };
+    let recipe = Recipe::plain([211, 170, 97], Pattern::Waves(20), 3);
+    let loaded = load(&engine, &recipe);
+    let mut work = HistogramWork::default();
+    let mut parts = 0;
+    while work.complete().is_none() {
+        let feature = Feature::Derived(DerivedFeature::GradientMagnitude);
+        engine
+            .continue_histogram(&loaded.volume, feature, &mut work)
+            .expect("a part");
+        parts += 1;
+    }
+    assert!(parts > 3, "{parts} parts");
+    for gradient in [false, true] {
+        check(&engine, &loaded, gradient).expect("the same histogram");
+    }
+}
+
+/// The largest and smallest finite ones count, whichever other samples their bricks have.
+#[test]
+fn infinite_samples_are_left_out() {
+    let Some(engine) = device() else { return };
+    for kind in [SampleType::F32, SampleType::I16] {
+        let recipe = Recipe {
+            kind,
+            missing: true,
+            ..Recipe::plain([40, 33, 35], Pattern::Extremes, 3)
+        };
+        check(&engine, &load(&engine, &recipe), false).expect("the same histogram");
     }
 }

@@ -1,6 +1,6 @@
 //! Minimum and maximum of every brick, and which bricks touch a missing sample.
 
-use super::recipes::any_recipe;
+use super::recipes::{Pattern, any_recipe};
 use super::*;
 use isopeel_kernels::testing::MinmaxContents;
 use isopeel_kernels::{BRICK_CELLS, REGION_CELLS};
@@ -42,4 +42,12 @@ fn check(engine: &Engine, loaded: &Loaded) -> Result<(), TestCaseError> {
 fn every_brick_has_the_twins_range() {
     let Some(engine) = device() else { return };
     proptest!(config(12), |(recipe in any_recipe())| check(&engine, &load(&engine, &recipe))?);
+}
+
+/// Of several launches.
+#[test]
+fn every_brick_of_a_large_volume_has_the_twins_range() {
+    let Some(engine) = device() else { return };
+    let recipe = Recipe::plain([230, 210, 190], Pattern::Waves(20), 3);
+    check(&engine, &load(&engine, &recipe)).expect("the same ranges");
 }

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::super::token::lifetime;
+use super::Args;
 use crate::uploads::{FolderError, Limits, UploadFolder, Uploads};
-use crate::volumes::{Frame, SharedCatalog};
+use crate::volumes::SharedCatalog;
 
 /// Some volumes of 1024³ samples.
 const QUOTA_MIB: u64 = 20 * 1024;
@@ -37,16 +38,17 @@ impl UploadArgs {
         self.uploads.is_some()
     }
 
-    /// The uploads of the folder, those that are volumes in the catalog.
-    pub(super) fn open(&self, frame: Frame, catalog: &SharedCatalog) -> Result<Option<Uploads>, FolderError> {
+    /// The uploads of the folder, those that are volumes in the catalog. `args`: all options of the server.
+    pub(super) fn open(&self, args: &Args, catalog: &SharedCatalog) -> Result<Option<Uploads>, FolderError> {
         let Some(path) = &self.uploads else { return Ok(None) };
-        let folder = UploadFolder::open(path)?;
+        let folder = UploadFolder::open(path, args.folder_access)?;
+        folder.is_beside(&args.paths)?;
         let limits = Limits {
             quota_bytes: self.upload_quota.saturating_mul(1 << 20),
             keep: self.upload_expiry,
             keep_unfinished: self.upload_timeout,
         };
-        let opened = Uploads::open(folder, limits, frame, catalog.clone());
+        let opened = Uploads::open(folder, limits, args.frame, catalog.clone());
         opened.map(Some).map_err(|source| FolderError::Io {
             path: path.clone(),
             source,

@@ -13,7 +13,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use rusqlite::{Connection, OptionalExtension, Row, Transaction, TransactionBehavior};
 use tokio::sync::Mutex;
 
-use super::error::StoreError;
+use super::error::{JobError, StoreError};
 use super::state::{Cause, Estimate, JobEvent, JobInfo, JobState, Progress};
 
 /// Each version's changes, in order; a store of version n has had the first n.
@@ -35,7 +35,11 @@ pub struct Store {
     connection: Arc<Mutex<Connection>>,
     /// The owner who had the last turn.
     last_owner: Arc<std::sync::Mutex<String>>,
+    reserve: Arc<Path>,
 }
+
+/// Bytes of a file that gives its space to what frees more: that jobs end and go is written even if the disk is full.
+const RESERVE_BYTES: usize = 1 << 20;
 
 impl Store {
     /// Opens the store in a file, which is made where there is none.
@@ -49,10 +53,33 @@ impl Store {
         connection.pragma_update(None, "synchronous", "FULL")?;
         connection.pragma_update(None, "foreign_keys", true)?;
         migrate(&mut connection)?;
+        let reserve = file.with_extension("reserve");
+        keep_reserve(&reserve);
         Ok(Self {
             connection: Arc::new(Mutex::new(connection)),
             last_owner: Arc::default(),
+            reserve: reserve.into(),
         })
+    }
+
+    /// Runs a transaction that frees space. If the disk is full, it is run once more with the space of the reserve, which is made again as soon as
+    /// there is some.
+    pub(super) async fn write_from_reserve<T: Send + 'static>(
+        &self,
+        work: impl Fn(&Transaction<'_>) -> Result<T, JobError> + Clone + Send + 'static,
+    ) -> Result<T, JobError> {
+        let outcome = match self.write(work.clone()).await {
+            Err(JobError::Store(error)) if error.is_full() => {
+                tracing::warn!("the disk of the job store is full, its reserve is used");
+                // Without a reserve it fails once more.
+                let _ = std::fs::remove_file(&self.reserve);
+                self.write(work).await
+            }
+            outcome => outcome,
+        };
+        let reserve = Arc::clone(&self.reserve);
+        let _ = tokio::task::spawn_blocking(move || keep_reserve(&reserve)).await;
+        outcome
     }
 
     /// Runs a transaction.
@@ -88,6 +115,18 @@ impl Store {
             Ok(results.collect::<Result<_, _>>()?)
         })
         .await
+    }
+}
+
+/// Makes the reserve if there is none and the disk has space for it.
+fn keep_reserve(path: &Path) {
+    if path.exists() {
+        return;
+    }
+    if let Err(error) = std::fs::write(path, vec![0; RESERVE_BYTES]) {
+        tracing::debug!(%error, "there is no space for the reserve of the job store");
+        // What was written of it.
+        let _ = std::fs::remove_file(path);
     }
 }
 

@@ -135,10 +135,10 @@ impl Store {
     /// [`JobError::UnknownJob`], [`JobError::Finished`].
     pub async fn cancel(&self, owner: &str, id: &str) -> Result<JobInfo, JobError> {
         let (owner, id) = (owner.to_owned(), id.to_owned());
-        self.write(move |transaction| {
+        self.write_from_reserve(move |transaction| {
             let (number, info) = get(transaction, &owner, &id)?;
             if info.state.is_finished() {
-                let (job, state) = (id, info.state.name());
+                let (job, state) = (id.clone(), info.state.name());
                 return Err(JobError::Finished { job, state });
             }
             let changed = "UPDATE jobs SET state = ?2, finished = ?3 WHERE number = ?1";
@@ -156,10 +156,10 @@ impl Store {
     /// [`JobError::UnknownJob`], [`JobError::NotFinished`].
     pub async fn delete(&self, owner: &str, id: &str) -> Result<(), JobError> {
         let (owner, id) = (owner.to_owned(), id.to_owned());
-        self.write(move |transaction| {
+        self.write_from_reserve(move |transaction| {
             let (number, info) = get(transaction, &owner, &id)?;
             if !info.state.is_finished() {
-                return Err(JobError::NotFinished(id));
+                return Err(JobError::NotFinished(id.clone()));
             }
             let deleted = transaction.execute("DELETE FROM jobs WHERE number = ?1", [number]);
             deleted.map_err(StoreError::from)?;

@@ -404,3 +404,22 @@ async fn writes_are_on_the_disk_when_they_return() {
     );
     drop(folder);
 }
+
+#[tokio::test]
+async fn what_frees_space_is_written_on_a_full_disk() {
+    let (folder, store, _) = open_new().await;
+    let reserve = folder.path().join("jobs.reserve");
+    assert_eq!(std::fs::metadata(&reserve).unwrap().len(), RESERVE_BYTES as u64);
+    let taken = reserve.clone();
+    // As a disk that is full as long as the reserve is on it.
+    let work = move |_: &Transaction<'_>| {
+        let full = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_FULL);
+        let full = StoreError::from(rusqlite::Error::SqliteFailure(full, None));
+        if taken.exists() { Err(full.into()) } else { Ok(7) }
+    };
+    assert_eq!(store.write_from_reserve(work).await.unwrap(), 7);
+    assert!(reserve.exists(), "it is made again");
+    store.submit(job("x", None, 1), LIMITS).await.unwrap();
+    store.cancel(OPERATOR, "x").await.unwrap();
+    store.delete(OPERATOR, "x").await.unwrap();
+}

@@ -1,7 +1,10 @@
-//! The body of an export: written on a blocking thread, as fast as the client reads.
+//! The body of an export: written on a blocking thread, as fast as the client reads. What a slow client has not read yet goes to a temporary file,
+//! so that the mesh and the permit are free for others.
 
-use std::io::{self, Write};
-use std::time::Duration;
+use std::fs::File;
+use std::io::{self, Read, Seek, Write};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use axum::body::{Body, Bytes};
 use tokio::runtime::Handle;
@@ -17,6 +20,14 @@ const QUEUED_CHUNKS: usize = 4;
 /// Time after which a client that reads no chunk is disconnected, as on the WebSocket: its mesh takes memory.
 const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
 
+/// Time that a client may let the writer wait altogether before the rest is spooled.
+const SPOOL_AFTER: Duration = Duration::from_secs(2);
+/// Bytes of all temporary files together. A client that finds no space there is waited for, as long as it reads.
+const SPOOL_BYTES: u64 = 8 << 30;
+
+/// Bytes that are spooled.
+static SPOOLED: AtomicU64 = AtomicU64::new(0);
+
 /// What of a file is sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Part {
@@ -26,24 +37,33 @@ pub(super) enum Part {
     Range([u64; 2]),
 }
 
-/// Sends a part of a file. The permit is held until mesh and thread are released.
+/// Sends a part of a file. The permit is held until the mesh is released: when all is sent, or spooled.
 pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static) -> Body {
-    send_within(file, part, permit, CHUNK_DEADLINE)
+    send_within(file, part, permit, CHUNK_DEADLINE, SPOOL_AFTER)
 }
 
-fn send_within(file: MadeFile, part: Part, permit: impl Send + 'static, deadline: Duration) -> Body {
+fn send_within(
+    file: MadeFile,
+    part: Part,
+    permit: impl Send + 'static,
+    deadline: Duration,
+    patience: Duration,
+) -> Body {
     let (chunks, mut queue) = mpsc::channel(QUEUED_CHUNKS);
     let runtime = Handle::current();
     tokio::task::spawn_blocking(move || {
-        let _permit = permit;
-        let chunks = ChunkWriter {
+        let mut chunks = ChunkWriter {
             chunks,
             runtime,
             deadline,
+            patience,
+            spool: None,
             failed: None,
         };
-        let out = io::BufWriter::with_capacity(CHUNK_BYTES, chunks);
-        if let Err(error) = write(&file, part, out) {
+        let written = write(&file, part, io::BufWriter::with_capacity(CHUNK_BYTES, &mut chunks));
+        drop((file, permit));
+        let sent = written.and_then(|()| Ok(chunks.send_spooled()?));
+        if let Err(error) = sent {
             tracing::debug!(
                 cause = crate::error::chain(&error),
                 "an export was not taken to its end"
@@ -102,13 +122,56 @@ impl<W: Write> Write for Window<W> {
     }
 }
 
-/// Sends each write to the socket's task as one chunk.
+/// Sends each write to the socket's task as one chunk, or to a temporary file.
 struct ChunkWriter {
     chunks: mpsc::Sender<Bytes>,
     runtime: Handle,
     deadline: Duration,
+    /// Time that it still waits before it spools.
+    patience: Duration,
+    spool: Option<Spool>,
     /// Why a write failed. Then all fail at once: an encoder or a buffer that is dropped writes what it has, and would wait once more.
     failed: Option<io::ErrorKind>,
+}
+
+impl ChunkWriter {
+    /// Sends a chunk once the client has read enough of those before; false if it does not within the limit.
+    fn send(&mut self, chunk: Bytes, limit: Duration) -> io::Result<bool> {
+        match self.runtime.block_on(self.chunks.send_timeout(chunk, limit)) {
+            Ok(()) => Ok(true),
+            Err(mpsc::error::SendTimeoutError::Timeout(_)) => Ok(false),
+            Err(mpsc::error::SendTimeoutError::Closed(_)) => Err(self.fail(io::ErrorKind::BrokenPipe)),
+        }
+    }
+
+    /// As [`ChunkWriter::send`], for a client that has no other chance.
+    fn send_or_fail(&mut self, chunk: Bytes) -> io::Result<()> {
+        match self.send(chunk, self.deadline)? {
+            true => Ok(()),
+            false => Err(self.fail(io::ErrorKind::TimedOut)),
+        }
+    }
+
+    fn fail(&mut self, kind: io::ErrorKind) -> io::Error {
+        self.failed = Some(kind);
+        kind.into()
+    }
+
+    /// Sends what was spooled, as the client reads it.
+    fn send_spooled(&mut self) -> io::Result<()> {
+        let Some(mut spool) = self.spool.take() else {
+            return Ok(());
+        };
+        spool.file.rewind()?;
+        let mut left = spool.written;
+        while left > 0 {
+            let mut chunk = vec![0; CHUNK_BYTES.min(usize::try_from(left).unwrap_or(CHUNK_BYTES))];
+            spool.file.read_exact(&mut chunk)?;
+            left -= chunk.len() as u64;
+            self.send_or_fail(chunk.into())?;
+        }
+        Ok(())
+    }
 }
 
 impl Write for ChunkWriter {
@@ -117,18 +180,64 @@ impl Write for ChunkWriter {
             return Err(kind.into());
         }
         let part = &bytes[..bytes.len().min(CHUNK_BYTES)];
-        let send = self.chunks.send_timeout(Bytes::copy_from_slice(part), self.deadline);
-        let kind = match self.runtime.block_on(send) {
-            Ok(()) => return Ok(part.len()),
-            Err(mpsc::error::SendTimeoutError::Timeout(_)) => io::ErrorKind::TimedOut,
-            Err(mpsc::error::SendTimeoutError::Closed(_)) => io::ErrorKind::BrokenPipe,
-        };
-        self.failed = Some(kind);
-        Err(kind.into())
+        if self.spool.is_none() {
+            let start = Instant::now();
+            if self.send(Bytes::copy_from_slice(part), self.patience.min(self.deadline))? {
+                self.patience = self.patience.saturating_sub(start.elapsed());
+                return Ok(part.len());
+            }
+            // It was waited for as long as any client is.
+            if self.patience >= self.deadline {
+                return Err(self.fail(io::ErrorKind::TimedOut));
+            }
+            self.spool = Spool::begin();
+        }
+        if !self.spool.as_mut().is_some_and(|spool| spool.take(part)) {
+            // Without space the client is waited for, from here on.
+            self.send_spooled()?;
+            self.send_or_fail(Bytes::copy_from_slice(part))?;
+            self.patience = Duration::MAX;
+        }
+        Ok(part.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+/// A temporary file without a name, whose bytes are counted.
+struct Spool {
+    file: File,
+    written: u64,
+    counted: u64,
+}
+
+impl Spool {
+    /// `None`: no file can be made.
+    fn begin() -> Option<Self> {
+        let file = tempfile::tempfile().ok()?;
+        Some(Self {
+            file,
+            written: 0,
+            counted: 0,
+        })
+    }
+
+    /// Appends bytes; false if there is no space for them.
+    fn take(&mut self, bytes: &[u8]) -> bool {
+        let length = bytes.len() as u64;
+        self.counted += length;
+        let has_space = SPOOLED.fetch_add(length, Ordering::Relaxed) + length <= SPOOL_BYTES;
+        let is_taken = has_space && self.file.write_all(bytes).is_ok();
+        self.written += if is_taken { length } else { 0 };
+        is_taken
+    }
+}
+
+impl Drop for Spool {
+    fn drop(&mut self) {
+        SPOOLED.fetch_sub(self.counted, Ordering::Relaxed);
     }
 }
 
@@ -206,7 +315,7 @@ mod tests {
         let deadline = Duration::from_millis(20);
         for encoding in [ContentEncoding::Identity, ContentEncoding::Gzip, ContentEncoding::Zstd] {
             let (file, permit) = (large_file(Format::Stl), permit_of(&semaphore).await);
-            let body = send_within(file, Part::Whole(encoding), permit, deadline);
+            let body = send_within(file, Part::Whole(encoding), permit, deadline, Duration::MAX);
             drop(permit_of(&semaphore).await);
             let mut stream = body.into_data_stream();
             let mut chunks = 0;
@@ -215,5 +324,18 @@ mod tests {
             }
             assert!(chunks <= QUEUED_CHUNKS, "{encoding:?}: {chunks}");
         }
+    }
+
+    #[tokio::test]
+    async fn a_slow_client_gets_its_file_and_holds_neither_mesh_nor_permit() {
+        let semaphore = Arc::new(Semaphore::new(1));
+        let (file, mut expected) = (large_file(Format::Stl), Vec::new());
+        file.write(&mut expected).unwrap();
+        let permit = permit_of(&semaphore).await;
+        let body = send_within(file, WHOLE, permit, CHUNK_DEADLINE, Duration::from_millis(20));
+        // It has read nothing yet.
+        drop(permit_of(&semaphore).await);
+        let bytes = axum::body::to_bytes(body, usize::MAX).await.unwrap();
+        assert!(bytes == expected);
     }
 }

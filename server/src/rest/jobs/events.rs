@@ -2,16 +2,15 @@
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::sync::Arc;
 
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use tokio::sync::{OwnedSemaphorePermit, watch};
+use tokio::sync::watch;
 
-use crate::access::Identity;
+use crate::access::{Identity, Seat};
 use crate::jobs::{JobEvent, Jobs};
 use crate::problem::{ApiError, Problem};
 use crate::rest::{ApiState, EVENT_STREAMS};
@@ -50,9 +49,14 @@ pub(super) async fn events(
     let jobs = state.jobs()?.clone();
     let Path(id) = id?;
     let after = last_event_id(&headers)?;
-    let permit = Arc::clone(&state.events)
-        .try_acquire_owned()
-        .map_err(|_| ApiError::busy(format!("{EVENT_STREAMS} streams of events are open, as many as may be")))?;
+    let seat = state.events.take(&who).ok_or_else(|| {
+        ApiError::busy(format!(
+            "{} streams of events are open, expected fewer than {} of a user and {} in all",
+            state.events.taken(),
+            EVENT_STREAMS.of_user,
+            EVENT_STREAMS.all - EVENT_STREAMS.reserve
+        ))
+    })?;
     let changes = jobs.changes();
     let (first, is_finished) = jobs.events(who.user(), &id, after).await?;
     if first.is_empty() && is_finished {
@@ -66,7 +70,7 @@ pub(super) async fn events(
         who,
         id,
         changes,
-        _permit: permit,
+        _seat: seat,
     };
     let events = futures_util::stream::unfold(followed, Followed::next);
     Ok(Sse::new(events).keep_alive(KeepAlive::default()).into_response())
@@ -95,7 +99,7 @@ struct Followed {
     /// Why the job stands still, as was told last.
     paused: Option<String>,
     changes: watch::Receiver<()>,
-    _permit: OwnedSemaphorePermit,
+    _seat: Seat,
 }
 
 impl Followed {

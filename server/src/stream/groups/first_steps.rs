@@ -93,6 +93,7 @@ mod tests {
         let groups = Groups::default();
         let who = Leader {
             user: "ann".into(),
+            is_admin: false,
             key: "1".into(),
         };
         let leader = groups.lead("1".into(), who).expect("a group");

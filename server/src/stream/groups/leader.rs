@@ -7,7 +7,7 @@ use subtle::ConstantTimeEq;
 use tokio::time::{Instant, sleep};
 use tokio_util::sync::CancellationToken;
 
-use super::{Group, GroupError, Groups, LEADER, MAX_GROUPS, Member};
+use super::{Group, GroupError, Groups, LEADER, MAX_GROUPS_OF_USER, Member, has_place};
 
 /// How long a group waits for a leader whose connection was lost: a page tries again every eight seconds or sooner.
 pub(super) const PAUSE: Duration = Duration::from_secs(30);
@@ -16,19 +16,27 @@ pub(super) const PAUSE: Duration = Duration::from_secs(30);
 #[derive(Clone, Debug)]
 pub(in crate::stream) struct Leader {
     pub user: String,
+    pub is_admin: bool,
     /// Random, for the leader alone: who has it and is this user may come back.
     pub key: String,
 }
 
 impl Groups {
-    /// Where there are as many as may be, the one ends whose leader has been away longest.
-    pub(super) fn make_space(&self) {
-        let all: Vec<Arc<Group>> = self.all().values().filter_map(Weak::upgrade).collect();
-        if all.len() < MAX_GROUPS {
-            return;
-        }
+    /// If there is no place for a group of this leader, the one ends whose leader has been away longest: of this user's, if there are too many of
+    /// those.
+    pub(super) fn make_space(&self, leader: &Leader) {
+        let all: Vec<Arc<Group>> = {
+            let all = self.all();
+            if has_place(&all, leader) {
+                return;
+            }
+            all.values().filter_map(Weak::upgrade).collect()
+        };
+        let own = || all.iter().filter(|group| group.leader.user == leader.user);
+        let of_user = !leader.is_admin && own().count() >= MAX_GROUPS_OF_USER;
         let away = all
             .iter()
+            .filter(|group| !of_user || group.leader.user == leader.user)
             .filter_map(|group| Some((group.members.borrow().away?, group)));
         if let Some((_, group)) = away.min_by_key(|(since, _)| *since) {
             self.end(group);

@@ -84,6 +84,7 @@ impl<B: Backend> Session<B> {
     fn leader(&self, key: String) -> Leader {
         Leader {
             user: self.who.user().to_owned(),
+            is_admin: self.who.may(Role::Admin),
             key,
         }
     }

@@ -10,7 +10,7 @@ use super::faults::holder;
 use super::scripted::{Answer, shapes};
 use super::viewer::Viewer;
 use crate::access::{Identity, Role};
-use crate::stream::groups::{Groups, LONGEST_WAIT, Leader, MAX_FOLLOWERS, MAX_GROUPS};
+use crate::stream::groups::{Groups, LONGEST_WAIT, Leader, MAX_FOLLOWERS, MAX_GROUPS, MAX_GROUPS_OF_USER};
 
 /// Messages about the group, in between others.
 async fn group_message(viewer: &mut Viewer, name: &str) -> Value {
@@ -231,6 +231,7 @@ async fn control_is_given_to_who_asks_and_comes_back() {
 fn key_of(user: &str) -> Leader {
     Leader {
         user: user.into(),
+        is_admin: user == "root",
         key: "k".repeat(32),
     }
 }
@@ -338,7 +339,7 @@ async fn a_leader_is_waited_for_and_not_for_ever() {
 
 #[tokio::test]
 async fn there_are_only_so_many_groups_and_followers() {
-    let (groups, ann) = (Groups::default(), key_of("ann"));
+    let (groups, ann) = (Groups::default(), key_of("root"));
     let mut leaders: Vec<_> = (0..MAX_GROUPS)
         .map(|i| groups.lead(i.to_string(), ann.clone()).expect("a group"))
         .collect();
@@ -361,4 +362,28 @@ async fn there_are_only_so_many_groups_and_followers() {
     let another = groups.lead("another".into(), ann.clone()).expect("a group");
     assert!(groups.join("5", None, false).is_err() && groups.join("9", None, false).is_ok());
     drop((last, another));
+}
+
+#[tokio::test]
+async fn no_user_leads_all_groups_and_administrators_find_a_place() {
+    let groups = Groups::default();
+    let lead_all = |user: &str| -> Vec<_> {
+        let leader = key_of(user);
+        let lead = |i: usize| groups.lead(format!("{user} {i}"), leader.clone()).ok();
+        (0..MAX_GROUPS).map_while(lead).collect()
+    };
+    let mut leaders = lead_all("ann");
+    assert_eq!(leaders.len(), MAX_GROUPS_OF_USER);
+    for user in ["bob", "eve", "joe", "lea"] {
+        leaders.extend(lead_all(user));
+    }
+    assert!(leaders.len() < MAX_GROUPS && groups.lead("one more".into(), key_of("sue")).is_err());
+    // A user who has too many loses the one whose leader is away.
+    drop(leaders.remove(3));
+    assert!(groups.join("ann 3", None, false).is_ok());
+    let again = groups.lead("again".into(), key_of("ann")).expect("a group");
+    assert!(groups.join("ann 3", None, false).is_err());
+    leaders.push(again);
+    leaders.extend(lead_all("root"));
+    assert_eq!(leaders.len(), MAX_GROUPS);
 }

@@ -1,0 +1,83 @@
+//! Sizes of launches, from the time that those before them took: other jobs wait for the end of a launch, whatever the device and the work.
+
+use std::time::Duration;
+
+/// Time that a launch is sized for. Half of what others may wait, as work is not even and the processors are shared.
+const TARGET: Duration = Duration::from_millis(15);
+
+/// A launch is at most so many times as large as the one before.
+const GROWTH: u64 = 4;
+
+/// Sizes of the launches of one piece of work, in any unit.
+#[derive(Clone, Debug)]
+pub(crate) struct Pace {
+    next: u64,
+    smallest: u64,
+    largest: u64,
+}
+
+impl Pace {
+    /// Begins with `first` units, and stays between `smallest` and `largest`.
+    pub fn new(first: u64, smallest: u64, largest: u64) -> Self {
+        Self {
+            next: first.clamp(smallest, largest),
+            smallest,
+            largest,
+        }
+    }
+
+    /// Units of the next launch.
+    pub fn units(&self) -> u64 {
+        self.next
+    }
+
+    /// Notes that a launch of `units` took so long.
+    pub fn took(&mut self, units: u64, time: Duration) {
+        let fitting = units as f64 * TARGET.as_secs_f64() / time.as_secs_f64().max(1e-6);
+        let largest = units.saturating_mul(GROWTH);
+        self.next = (fitting as u64).min(largest).clamp(self.smallest, self.largest);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Units of the launches of `work` units that take `each` apiece.
+    fn launches(work: u64, each: Duration) -> Vec<u64> {
+        let (mut pace, mut done, mut all) = (Pace::new(100, 10, 1_000_000), 0, Vec::new());
+        while done < work {
+            let units = pace.units().min(work - done);
+            pace.took(units, each.mul_f64(units as f64));
+            done += units;
+            all.push(units);
+        }
+        all
+    }
+
+    #[test]
+    fn launches_take_the_target_whatever_a_unit_costs() {
+        for nanoseconds in [10, 1_000, 100_000] {
+            let each = Duration::from_nanos(nanoseconds);
+            let all = launches(30_000_000 / nanoseconds * 100, each);
+            let longest = all.iter().max().copied().unwrap_or_default();
+            let time = each.mul_f64(longest as f64);
+            assert!(time <= TARGET * 2, "{nanoseconds} ns: a launch of {time:?}");
+            assert!(
+                time >= TARGET / 2 || longest == 1_000_000,
+                "{nanoseconds} ns: the longest takes {time:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn one_slow_launch_makes_the_next_one_small_within_its_limits() {
+        let mut pace = Pace::new(1000, 10, 1_000_000);
+        pace.took(1000, Duration::from_secs(1));
+        assert_eq!(pace.units(), 15);
+        pace.took(15, Duration::from_secs(60));
+        assert_eq!(pace.units(), 10);
+        pace.took(10, Duration::from_nanos(1));
+        assert_eq!(pace.units(), 40);
+    }
+}

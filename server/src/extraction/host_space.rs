@@ -1,0 +1,98 @@
+//! Makes space on the host for what is to be allocated there, where the device is this machine's processors: whatever can be loaded or computed
+//! again is evicted before anything is refused.
+
+use isopeel_kernels::DeviceKind;
+use tokio_util::sync::CancellationToken;
+
+use super::WorkError;
+use super::host_memory::{HostMemory, trim_heaps};
+use super::turns::{Caller, Length};
+use super::worker::DeviceWorker;
+use super::worker_state::WorkerState;
+
+/// What fields leave to the next surfaces, as far as these may keep so much.
+const SURFACE_RESERVE_BYTES: u64 = 128 << 20;
+
+/// Bytes that are freed beyond those that are needed, and what evicts so many.
+type Eviction = (u64, fn(&mut WorkerState, u64));
+
+impl DeviceWorker {
+    /// Makes sure that this machine has memory for so many bytes; evicts what can be made again.
+    ///
+    /// # Errors
+    /// As [`HostMemory::admit`].
+    pub(super) async fn make_host_space(&self, needed_bytes: u64) -> Result<(), WorkError> {
+        let never = CancellationToken::new();
+        let job = self.run(&never, Caller::Cache, Length::Short, move |state, _| {
+            Ok(state.make_host_space(needed_bytes)?)
+        });
+        Ok(job.await?)
+    }
+}
+
+impl WorkerState {
+    /// Makes sure that this machine has memory for so many bytes. Evicts, until it has: freed buffers, computed fields, other fields, then what
+    /// is kept of earlier edits. Fields also leave some memory to the next surfaces, so that edits do not wait for an eviction.
+    ///
+    /// # Errors
+    /// As [`HostMemory::admit`]: what is left is pinned by running jobs, or is no cache.
+    pub(super) fn make_host_space(&mut self, needed_bytes: u64) -> Result<(), WorkError> {
+        let admitted = HostMemory::now().admit(needed_bytes);
+        let never_fits = matches!(admitted, Err(WorkError::TooLargeForHost { .. }));
+        if never_fits || self.engine().device().kind != DeviceKind::Cpu {
+            return admitted;
+        }
+        let unused = self.surface_bytes.saturating_sub(self.kept_surface_bytes());
+        let for_surfaces = unused.min(SURFACE_RESERVE_BYTES);
+        let evictions: [Eviction; 6] = [
+            (for_surfaces, Self::evict_freed_buffers),
+            (for_surfaces, Self::evict_computed),
+            (for_surfaces, Self::evict_fields),
+            (0, Self::evict_trees),
+            (0, Self::evict_pyramids),
+            (0, |state, _| state.cuts.borrow_mut().clear()),
+        ];
+        let mut evicted = false;
+        for (reserve, evict) in evictions {
+            let missing = HostMemory::now().missing(needed_bytes.saturating_add(reserve));
+            if missing > 0 {
+                evict(self, missing);
+                // What was freed is memory of the host again once the pool has let it go.
+                self.engine().release_idle();
+                evicted = true;
+            }
+        }
+        if evicted {
+            if HostMemory::now().missing(needed_bytes) > 0 {
+                trim_heaps();
+            }
+            tracing::debug!(needed_bytes, memory = ?HostMemory::now(), "caches made space on the host");
+        }
+        HostMemory::now().admit(needed_bytes)
+    }
+
+    fn evict_freed_buffers(&mut self, _: u64) {
+        self.engine().release_idle();
+    }
+
+    fn evict_computed(&mut self, bytes: u64) {
+        let (pins, computed) = (&self.pins, &self.computed);
+        self.volumes
+            .free(bytes, |key| computed.contains(key) && !pins.holds(key));
+        self.forget_evicted();
+    }
+
+    fn evict_fields(&mut self, bytes: u64) {
+        let pins = &self.pins;
+        self.volumes.free(bytes, |key| !pins.holds(key));
+        self.forget_evicted();
+    }
+
+    fn evict_trees(&mut self, bytes: u64) {
+        self.trees.borrow_mut().free(bytes, |_| true);
+    }
+
+    fn evict_pyramids(&mut self, bytes: u64) {
+        self.pyramids.free(bytes, |_| true);
+    }
+}

@@ -1,0 +1,56 @@
+//! Histograms in the making, which their callers share.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+
+use isopeel_kernels::HistogramWork;
+
+use super::keys::HistogramKey;
+use super::lock::lock;
+
+/// Histograms in the making that are remembered, 4 KiB each: those of viewers who left meanwhile among them.
+const MAX_UNFINISHED: usize = 256;
+
+/// Histograms in the making.
+#[derive(Default)]
+pub(super) struct Unfinished {
+    works: Mutex<HashMap<HistogramKey, Arc<tokio::sync::Mutex<HistogramWork>>>>,
+}
+
+impl Unfinished {
+    /// The work on a histogram. Locked by the caller who does it.
+    pub(super) fn of(&self, key: &HistogramKey) -> Arc<tokio::sync::Mutex<HistogramWork>> {
+        let mut works = lock(&self.works);
+        if works.len() >= MAX_UNFINISHED && !works.contains_key(key) {
+            works.retain(|_, work| Arc::strong_count(work) > 1);
+        }
+        Arc::clone(works.entry(key.clone()).or_default())
+    }
+
+    pub(super) fn forget(&self, key: &HistogramKey) {
+        lock(&self.works).remove(key);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::view::FeatureName;
+    use crate::volumes::{VolumeStep, testing};
+
+    #[test]
+    fn only_so_many_are_remembered_and_none_that_is_being_made_is_forgotten() {
+        let dataset = Arc::new(testing::dataset("head", [5, 6, 7], &["density"]));
+        let volume = VolumeStep::new(dataset, 0).expect("a step");
+        let key = |n: usize| HistogramKey::new(&volume, &format!("{n}*density"), &FeatureName::None);
+        let unfinished = Unfinished::default();
+        let held = unfinished.of(&key(0));
+        for n in 1..3 * MAX_UNFINISHED {
+            unfinished.of(&key(n));
+        }
+        assert!(lock(&unfinished.works).len() <= MAX_UNFINISHED);
+        assert!(Arc::ptr_eq(&held, &unfinished.of(&key(0))));
+        unfinished.forget(&key(0));
+        assert!(!Arc::ptr_eq(&held, &unfinished.of(&key(0))));
+    }
+}

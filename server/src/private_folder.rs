@@ -1,0 +1,175 @@
+//! Folders of the server's user alone: what is in them is secret, or believed.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Who may use such a folder beside the server's user.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum FolderAccess {
+    /// Nobody.
+    #[default]
+    User,
+    /// Its group too, and it may be root's: of volumes that a container gets.
+    Group,
+}
+
+/// Why a folder is not used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FolderAccessError {
+    /// It cannot be made or looked at.
+    #[error("folder {}", path.display())]
+    Io {
+        /// The folder.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// It is another user's.
+    #[error(
+        "folder {} belongs to user {owner}, expected {user}, the server's: sudo chown -R {user} '{}'", path.display(), path.display()
+    )]
+    Owner {
+        /// The folder.
+        path: PathBuf,
+        /// Whose it is.
+        owner: u32,
+        /// Whose it should be.
+        user: u32,
+    },
+    /// Others may read or change what is in it.
+    #[error(
+        "folder {} has mode {mode:04o}, expected no rights of {}: chmod {} '{}'", path.display(), access.others(), access.remedy(), path.display()
+    )]
+    Mode {
+        /// The folder.
+        path: PathBuf,
+        /// Its mode.
+        mode: u32,
+        /// What was asked for.
+        access: FolderAccess,
+    },
+}
+
+impl FolderAccess {
+    /// Mode bits that a folder must not have.
+    fn forbidden(self) -> u32 {
+        match self {
+            Self::User => 0o077,
+            Self::Group => 0o007,
+        }
+    }
+
+    fn others(self) -> &'static str {
+        match self {
+            Self::User => "group and others (--folder-access group lets the group in)",
+            Self::Group => "others",
+        }
+    }
+
+    fn remedy(self) -> &'static str {
+        match self {
+            Self::User => "go-rwx",
+            Self::Group => "o-rwx",
+        }
+    }
+}
+
+/// Opens a folder: makes it for this user alone if there is none, else checks whose it is and who may use it.
+///
+/// # Errors
+/// [`FolderAccessError`].
+pub fn open(path: &Path, access: FolderAccess) -> Result<PathBuf, FolderAccessError> {
+    let fail = |source| FolderAccessError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    make(path).map_err(fail)?;
+    let path = path.canonicalize().map_err(fail)?;
+    check(path, access)
+}
+
+/// Makes a folder that only this user may use, and those above it.
+///
+/// # Errors
+/// The system's.
+pub fn make(path: &Path) -> io::Result<()> {
+    let mut builder = std::fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.recursive(true).create(path)
+}
+
+#[cfg(unix)]
+fn check(path: PathBuf, access: FolderAccess) -> Result<PathBuf, FolderAccessError> {
+    use std::os::unix::fs::MetadataExt;
+    let found = match std::fs::metadata(&path) {
+        Ok(found) => found,
+        Err(source) => return Err(FolderAccessError::Io { path, source }),
+    };
+    let (owner, user, mode) = (found.uid(), rustix::process::geteuid().as_raw(), found.mode() & 0o7777);
+    let is_roots = access == FolderAccess::Group && owner == 0;
+    if owner != user && !is_roots {
+        return Err(FolderAccessError::Owner { path, owner, user });
+    }
+    if mode & access.forbidden() != 0 {
+        return Err(FolderAccessError::Mode { path, mode, access });
+    }
+    Ok(path)
+}
+
+#[cfg(not(unix))]
+fn check(path: PathBuf, _: FolderAccess) -> Result<PathBuf, FolderAccessError> {
+    Ok(path)
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn a_folder_that_others_may_use_is_refused_with_the_command_that_helps() {
+        let parent = tempfile::tempdir().unwrap();
+        let path = parent.path().join("a/b");
+        let made = open(&path, FolderAccess::User).unwrap();
+        let mode = |mode| std::fs::set_permissions(&made, PermissionsExt::from_mode(mode)).unwrap();
+        assert_eq!(std::fs::metadata(&made).unwrap().permissions().mode() & 0o777, 0o700);
+        for (set, user, group) in [
+            (0o700, true, true),
+            (0o750, false, true),
+            (0o2770, false, true),
+            (0o755, false, false),
+            (0o777, false, false),
+            (0o701, false, false),
+        ] {
+            mode(set);
+            assert_eq!(open(&path, FolderAccess::User).is_ok(), user, "{set:o}");
+            assert_eq!(open(&path, FolderAccess::Group).is_ok(), group, "{set:o}");
+        }
+        mode(0o755);
+        let error = open(&path, FolderAccess::User).unwrap_err().to_string();
+        assert!(
+            error.contains("has mode 0755, expected no rights of group and others")
+                && error.ends_with(&format!("chmod go-rwx '{}'", made.display())),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_folder_of_another_user_is_refused() {
+        // Root's; where the test is root's, that of its parent is made another's.
+        let parent = tempfile::tempdir().unwrap();
+        let is_root = rustix::process::geteuid().is_root();
+        let path = if is_root {
+            std::os::unix::fs::chown(parent.path(), Some(65534), None).unwrap();
+            parent.path()
+        } else {
+            Path::new("/")
+        };
+        let error = open(path, FolderAccess::User).unwrap_err();
+        assert!(matches!(&error, FolderAccessError::Owner { .. }), "{error}");
+        assert!(error.to_string().contains("sudo chown -R"), "{error}");
+    }
+}

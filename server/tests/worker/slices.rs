@@ -1,0 +1,212 @@
+//! Work on a whole volume leaves others their turns, ends with its callers, and has a limit.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use isopeel::extraction::{DeviceOptions, DeviceWorker, WorkError};
+use isopeel::view::{FeatureName, View};
+use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel_kernels::{DerivedFeature, Samples};
+use tokio::time::{sleep, timeout};
+use tokio_util::sync::CancellationToken;
+
+use crate::{ALONE, dataset, field, view};
+
+/// Samples along each axis of the large volume.
+const SIDE: usize = 256;
+
+/// Waves along each axis.
+#[derive(Debug)]
+struct Waves;
+
+impl Source for Waves {
+    fn stored_bytes(&self) -> u64 {
+        4 * SIDE.pow(3) as u64
+    }
+
+    fn inputs(&self, _: u32) -> Vec<FileLocation> {
+        Vec::new()
+    }
+
+    fn read(&self, _: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
+        progress.add(self.stored_bytes());
+        let wave: Vec<f32> = (0..SIDE).map(|i| (i as f32 * 0.3).sin()).collect();
+        let sample = |i: usize| wave[i % SIDE] + wave[i / SIDE % SIDE] + wave[i / SIDE / SIDE];
+        Ok(Samples::F32((0..SIDE.pow(3)).map(sample).collect()))
+    }
+}
+
+/// A large volume that is resident, and a small one whose histogram is known.
+struct Volumes {
+    worker: DeviceWorker,
+    large: VolumeStep,
+    large_view: View,
+    small: VolumeStep,
+    small_view: View,
+}
+
+impl Volumes {
+    async fn start(options: DeviceOptions) -> Self {
+        let small = dataset(vec![field("small", &Arc::default())]);
+        let waves = Field {
+            source: Arc::new(Waves),
+            ..field("waves", &Arc::default())
+        };
+        let large = Arc::new(Dataset {
+            id: "large".into(),
+            geometry: Geometry {
+                dims: [SIDE as u32; 3],
+                ..small.geometry
+            },
+            ..Dataset::clone(&dataset(vec![waves]))
+        });
+        let volumes = Self {
+            worker: DeviceWorker::start_with(options).expect("a thread"),
+            large_view: view(&large, "{}"),
+            large: VolumeStep::new(large, 0).expect("a step"),
+            small_view: view(&small, "{}"),
+            small: VolumeStep::new(small, 0).expect("a step"),
+        };
+        let Self { worker, large, .. } = &volumes;
+        worker
+            .histogram(large, "waves", &FeatureName::None)
+            .await
+            .expect("a histogram");
+        volumes.job_of_another().await;
+        volumes
+    }
+
+    /// A job of somebody who looks at the small volume.
+    async fn job_of_another(&self) {
+        let token = CancellationToken::new();
+        let resolved = self.worker.resolve(&self.small, &self.small_view, &token).await;
+        resolved.expect("resolves");
+    }
+
+    /// Jobs of others that run while `work` does.
+    async fn jobs_beside<T>(&self, work: impl Future<Output = T>) -> (usize, T) {
+        let jobs = AtomicUsize::new(0);
+        let others = async {
+            loop {
+                self.job_of_another().await;
+                jobs.fetch_add(1, Ordering::Relaxed);
+            }
+        };
+        let done = tokio::select! {
+            done = work => done,
+            () = others => unreachable!("there is no end of others"),
+        };
+        (jobs.into_inner(), done)
+    }
+}
+
+/// The longest expression that is allowed, of the slowest functions.
+fn costly(field: &str, seed: u32) -> String {
+    (0..9).fold(format!("{field}+{seed}"), |inner, n| {
+        format!("pow(log(abs({inner})+{}),1.{n})", n + 1)
+    })
+}
+
+fn gradient() -> FeatureName {
+    FeatureName::Derived(DerivedFeature::GradientMagnitude)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn others_work_while_a_large_volume_is_described() {
+    let _alone = ALONE.lock().await;
+    let volumes = Volumes::start(DeviceOptions::unchecked(None)).await;
+    let Volumes { worker, large, .. } = &volumes;
+    let (jobs, histogram) = volumes.jobs_beside(worker.histogram(large, "waves", &gradient())).await;
+    assert_eq!(
+        histogram.expect("a histogram").bins.iter().sum::<u64>(),
+        SIDE.pow(3) as u64
+    );
+    assert!(jobs >= 10, "{jobs} jobs of others while a histogram was made");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_description_that_nobody_waits_for_pauses_and_goes_on_for_the_next_caller() {
+    let _alone = ALONE.lock().await;
+    let volumes = Volumes::start(DeviceOptions::unchecked(None)).await;
+    let Volumes {
+        worker,
+        large,
+        large_view,
+        ..
+    } = &volumes;
+    let feature = gradient();
+    let left = timeout(Duration::from_millis(20), worker.histogram(large, "waves", &feature)).await;
+    assert!(left.is_err(), "it took less than 20 ms");
+    sleep(Duration::from_secs(2)).await;
+    let (_, watch) = worker.watched(large, large_view).await.expect("a device");
+    assert!(watch.progress().total_bytes > 0, "the histogram was made for nobody");
+    // Callers of the same share the work.
+    let (a, b) = tokio::join!(
+        worker.histogram(large, "waves", &feature),
+        worker.histogram(large, "waves", &feature),
+    );
+    let (a, b) = (a.expect("a histogram"), b.expect("a histogram"));
+    assert_eq!((a.range, &a.bins), (b.range, &b.bins));
+    assert_eq!(a.bins.iter().sum::<u64>(), SIDE.pow(3) as u64);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn others_work_while_a_costly_expression_is_computed() {
+    let _alone = ALONE.lock().await;
+    let volumes = Volumes::start(DeviceOptions::unchecked(None)).await;
+    let Volumes { worker, large, .. } = &volumes;
+    let (jobs, slice) = volumes
+        .jobs_beside(worker.slice(large, &costly("waves", 1), 2, 5))
+        .await;
+    assert!(slice.is_ok(), "{slice:?}");
+    assert!(jobs >= 20, "{jobs} jobs of others while an expression was computed");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_expression_that_nobody_waits_for_ends_and_leaves_no_memory() {
+    let _alone = ALONE.lock().await;
+    let volumes = Volumes::start(DeviceOptions::unchecked(None)).await;
+    let Volumes { worker, large, .. } = &volumes;
+    let bytes = async || worker.memory().await.expect("a device").volume_bytes;
+    let before = bytes().await;
+    // More than one, as each goes on for a while: the next edit may ask for it again.
+    for seed in 0..6 {
+        let text = costly("waves", seed);
+        let left = timeout(Duration::from_millis(50), worker.slice(large, &text, 2, 5)).await;
+        assert!(left.is_err(), "it took less than 50 ms");
+    }
+    sleep(Duration::from_secs(6)).await;
+    volumes.job_of_another().await;
+    let computed = (bytes().await - before) / (4 * SIDE.pow(3) as u64);
+    assert!(
+        computed <= 3,
+        "{computed} of 6 fields that nobody waited for were computed"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_field_that_takes_too_much_time_is_refused() {
+    let _alone = ALONE.lock().await;
+    let volumes = Volumes::start(DeviceOptions {
+        request_time: Some(Duration::from_millis(60)),
+        ..DeviceOptions::unchecked(None)
+    })
+    .await;
+    let Volumes {
+        worker, large, small, ..
+    } = &volumes;
+    let error = worker
+        .slice(large, &costly("waves", 1), 2, 5)
+        .await
+        .expect_err("too long");
+    assert!(matches!(error, WorkError::TookTooLong { .. }), "{error:?}");
+    assert_eq!(error.code(), "too-large");
+    assert!(
+        error
+            .to_string()
+            .starts_with("it takes more than 0.06 s of the device's time"),
+        "{error}"
+    );
+    worker.slice(small, "2*small", 2, 5).await.expect("it is small");
+}
