@@ -8,8 +8,10 @@ pub mod extract;
 pub mod info;
 pub mod jobs;
 pub mod log;
+mod output;
 pub mod serve;
 pub mod settings;
+mod surface;
 pub mod token;
 
 use std::io::{self, Write};
@@ -53,8 +55,8 @@ pub enum Command {
     Jobs(jobs::Args),
     /// Make, list and revoke the tokens that a server with a --state-folder lets people and programs in by
     Token(token::Args),
-    /// Extract many isosurfaces of a volume to files, without a server; interrupted, the same command goes on
-    Batch(batch::Args),
+    /// Extract isosurfaces of many volumes and time steps to files, without a server; interrupted, the same command goes on
+    Batch(Box<batch::Args>),
     /// Say what a volume is: dimensions, type, spacing, range and histogram of every field
     Info(InfoArgs),
     /// List the OpenCL devices, the preferred one first; with --check, say which of them compute rightly

@@ -130,19 +130,24 @@ fn name(volume: &VolumeStep, view: &View) -> String {
     format!("{}: {}{iso}{mask}", volume.dataset().id, view.field)
 }
 
-/// The name of a file without its extension: letters, digits and what else no system takes for something else.
+/// The name of a file without its extension.
 fn stem(volume: &str, request: &FileRequest, view: &View) -> String {
     let what = match (&request.options.label, view.iso) {
         (Some(labels), _) => format!("-{labels}"),
         (None, Some(iso)) => format!("-{}", iso.get()),
         (None, None) => String::new(),
     };
+    safe_name(&format!("{volume}{what}"))
+}
+
+/// A text as a part of a file's name: letters, digits and what else no system takes for something else.
+pub(crate) fn safe_name(text: &str) -> String {
     let safe = |c: char| match c {
         '.' | '-' | '+' | '_' => c,
         c if c.is_ascii_alphanumeric() => c,
         _ => '_',
     };
-    format!("{volume}{what}").chars().map(safe).collect()
+    text.chars().map(safe).collect()
 }
 
 /// Where a surface comes from.

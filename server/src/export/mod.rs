@@ -27,6 +27,7 @@ mod transform;
 pub mod vtp;
 
 pub(crate) use empty::why_empty;
+pub(crate) use made::safe_name;
 pub use made::{MadeFile, MakeError, make};
 pub use mesh::Mesh;
 pub(crate) use request::merged_schema;
@@ -39,7 +40,7 @@ const _: () = assert!(
 );
 
 /// File format of an exported surface.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
     /// Binary glTF 2.0, in metres and Y up, with smoothness and feature as vertex attributes.
@@ -53,6 +54,9 @@ pub enum Format {
 }
 
 impl Format {
+    /// The names of all, for people.
+    pub const EXPECTED: &str = "glb, ply, stl or vtp";
+
     /// The format of a file name's extension.
     ///
     /// # Errors

@@ -39,6 +39,7 @@ mod open_steps;
 mod pins;
 mod questions;
 mod refine;
+mod release;
 mod residency;
 mod results;
 mod shares;

@@ -168,8 +168,8 @@ pub(super) struct WorkerState {
     pub(super) volumes: Lru<VolumeKey, Rc<Volume>>,
     /// Those that were read ahead and are not used yet, the oldest first.
     pub(super) ahead: Vec<VolumeKey>,
-    pyramids: Lru<PyramidKey, Rc<Pyramid>>,
-    trees: Rc<RefCell<Trees>>,
+    pub(super) pyramids: Lru<PyramidKey, Rc<Pyramid>>,
+    pub(super) trees: Rc<RefCell<Trees>>,
     cuts: Rc<RefCell<Cuts>>,
     histograms: Histograms,
     pub(super) pins: Pins,

@@ -89,7 +89,7 @@ pub struct SeenFiles(Mutex<HashMap<SeenFile, Stamp>>);
 /// A file of a dataset, as often as the files of each of its steps were rewritten.
 type SeenFile = (DatasetKey, Vec<u32>, PathBuf);
 
-const SINCE_OPENED: &str = "the server opened it, start the server again";
+const SINCE_OPENED: &str = "it was opened, start again";
 const SINCE_SUBMITTED: &str = "the job was submitted";
 
 impl SeenFiles {
@@ -134,6 +134,15 @@ impl Identity {
             files: paths.into_iter().map(pin).collect::<Result<_, _>>()?,
             header: header(dataset),
         })
+    }
+
+    /// Hash of what was read, wherever the files are.
+    pub fn content(&self) -> String {
+        let mut hasher = Xxh3::new();
+        for hash in self.files.iter().map(|pinned| &pinned.hash).chain([&self.header]) {
+            hasher.update(hash.as_bytes());
+        }
+        hex(&hasher)
     }
 
     /// Whether all files have the size and time that they had.
@@ -372,7 +381,7 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert!(
-            error.starts_with("a.raw: its size changed since the server opened it"),
+            error.starts_with("a.raw: its size changed since it was opened"),
             "{error}"
         );
     }

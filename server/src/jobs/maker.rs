@@ -122,8 +122,8 @@ impl Maker for DeviceMaker {
     }
 }
 
-/// What the runner does about an error.
-fn failure(error: MakeError) -> MakeFailure {
+/// What is done about an error.
+pub(crate) fn failure(error: MakeError) -> MakeFailure {
     let cause = |code: &str, detail: String| Cause {
         code: code.into(),
         detail,

@@ -33,7 +33,8 @@ use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 
 pub use error::{JobError, StoreError};
-pub use identity::IdentityError;
+pub use identity::{Identity as InputIdentity, IdentityError, SeenFiles};
+pub(crate) use maker::{MakeFailure, failure};
 pub use results::{ReadResultError, ResultBytes};
 pub use state::{
     Cause, Estimate, ExtractionState, Failure, JobEvent, JobInfo, JobRequest, JobState, ManifestEntry, Progress,
@@ -49,7 +50,7 @@ use crate::extraction::Extractor;
 use crate::view::View;
 use crate::volumes::{Dataset, Reader, SharedCatalog, VolumeStep};
 use estimate::{EstimateError, estimate};
-use identity::{Identity, SeenFiles};
+use identity::Identity;
 use maker::DeviceMaker;
 use results::Results;
 use runner::{Backoff, Runner, Signals};

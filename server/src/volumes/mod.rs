@@ -56,7 +56,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use beneath::follow_links;
-pub use catalog::{Catalog, SharedCatalog, Unreadable, open_path};
+pub use catalog::{Catalog, SharedCatalog, Unreadable, open_each, open_path};
 pub use demo::demo;
 pub use findings::{Findings, LabelRanks};
 pub use frame::{Frame, LengthUnit};
