@@ -3,6 +3,7 @@
 mod inputs;
 mod manifest;
 mod request;
+mod series;
 mod steps;
 mod volumes;
 
@@ -34,10 +35,6 @@ pub struct Args {
     /// Folder for the surfaces and for manifest.jsonl, which says what they are; made if there is none
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-
-    /// Format of the files of volumes
-    #[arg(long, value_enum, value_name = "FORMAT")]
-    format: Option<Format>,
 
     /// Time steps of each volume, counted from 0: `all`, or numbers and ranges, `0,5..9`; a volume with fewer steps has those that it has
     /// [default: all]
@@ -138,7 +135,7 @@ pub fn run(args: &Args) -> Result<(), BatchError> {
     let Some(file) = args.request_file() else {
         return volumes::run(args);
     };
-    if args.format.is_some() || args.steps.is_some() || args.surface.is_some() {
+    if args.steps.is_some() || args.surface.is_some() {
         return Err(BatchError::OptionsBesideRequest(file.to_owned()));
     }
     request::run(args, file)

@@ -1,21 +1,25 @@
 //! `isopeel extract`
 
 use std::io::{self, IsTerminal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ArgGroup;
+use isopeel_kernels::SampleType;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::device::DeviceArgs;
-use crate::cli::output::{Output, OutputError};
+use crate::cli::output::{Output, OutputError, STDOUT};
+use crate::cli::stdin::InputPath;
 use crate::cli::surface::{SurfaceArgs, TransferFunctionError};
-use crate::export::{FileRequest, Format, MadeFile, MakeError, why_empty};
+use crate::export::{
+    FieldSamples, FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty,
+};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::GuardName;
-use crate::view::{ChosenPartsJson, EditError, View};
-use crate::volumes::{Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
+use crate::view::{ChosenPartsJson, EditError};
+use crate::volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 use crate::wire::encode::encoded_bytes;
 
 /// Arguments of `isopeel extract`.
@@ -23,7 +27,7 @@ use crate::wire::encode::encoded_bytes;
 #[command(group(ArgGroup::new("result").args(["output", "stats"]).required(true).multiple(true)))]
 pub struct Args {
     /// Volume: a file, a folder whose files share one grid and become the fields of one dataset, or the address of a Zarr store (https://,
-    /// http://, s3://) or of a volume of Neuroglancer (precomputed://https://…)
+    /// http://, s3://) or of a volume of Neuroglancer (precomputed://https://…); -: stdin
     #[arg(value_name = "PATH")]
     path: PathBuf,
 
@@ -42,7 +46,8 @@ pub struct Args {
     #[command(flatten)]
     device: DeviceArgs,
 
-    /// File to write; its extension is the format: .glb (in metres, Y up), .ply, .stl or .vtp
+    /// File to write; its extension is the format: .glb (in metres, Y up), .ply, .stl, .vtp, .obj, .3mf, .surf.gii (GIFTI)
+    /// or .precomputed.zip (Neuroglancer); -: stdout, with --format
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
 
@@ -79,6 +84,12 @@ pub enum ExtractError {
     /// The output's file cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// The file is for stdout, and nothing says its format.
+    #[error("-o - does not say the format: expected --format, {}", Format::EXPECTED)]
+    NoFormat,
+    /// Two things for stdout.
+    #[error("--stats beside -o -: both are for stdout, expected one of them")]
+    StatisticsBesideFile,
     /// Stdout is closed, or no thread or signal handler could be had.
     #[error("the process could not go on")]
     System(#[from] io::Error),
@@ -92,27 +103,25 @@ pub enum ExtractError {
 /// # Errors
 /// [`ExtractError`].
 pub fn run(args: &Args) -> Result<(), ExtractError> {
-    let format = args.output.as_deref().map(Format::from_path).transpose();
-    let format = format.map_err(MakeError::Export)?;
-    let mut dataset = open_dataset(&args.path)?;
-    dataset.set_frame(args.frame);
-    let dataset = Arc::new(dataset);
-    // A count has no format, and any will do.
-    let request = args.surface.request(format.unwrap_or(Format::Stl), args.step)?;
-    let view = request.view(&dataset)?;
+    let format = args.format()?;
+    let input = InputPath::new(&args.path)?;
+    let (dataset, others) = args.volumes(input.path())?;
+    let request = args.surface.request(format, args.step)?;
     let volume = VolumeStep::new(dataset, args.step)?;
+    let surfaces = request.surfaces(&volume, &others)?;
     // A folder that cannot be written is found before the extraction.
-    let output = args
-        .output
-        .as_deref()
-        .map(Output::create)
-        .transpose()?
-        .map(|output| (output, request));
+    let output = args.output.as_deref().map(Output::create).transpose()?;
+    let work = Work {
+        volume,
+        request,
+        surfaces,
+        output,
+    };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let token = CancellationToken::new();
         let interrupt = token.clone();
-        let mut work = Box::pin(extract(args, volume, view, output, token));
+        let mut work = Box::pin(extract(args, work, token));
         tokio::select! {
             outcome = &mut work => return outcome,
             signal = tokio::signal::ctrl_c() => signal?,
@@ -126,69 +135,139 @@ pub fn run(args: &Args) -> Result<(), ExtractError> {
     })
 }
 
-async fn extract(
-    args: &Args,
+/// What is to be done.
+struct Work {
     volume: VolumeStep,
-    view: View,
-    output: Option<(Output, FileRequest)>,
-    token: CancellationToken,
-) -> Result<(), ExtractError> {
+    request: FileRequest,
+    surfaces: Vec<FileSurface>,
+    output: Option<Output>,
+}
+
+async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<(), ExtractError> {
+    let Work {
+        volume,
+        request,
+        surfaces,
+        output,
+    } = work;
     let progress = Progress::new();
     progress.say("opening the device");
-    let types = volume.dataset().fields.iter().map(|field| field.sample_type).collect();
+    let fields = surfaces.iter().flat_map(|surface| &surface.volume.dataset().fields);
+    let mut types: Vec<SampleType> = fields.map(|field| field.sample_type).collect();
+    types.dedup();
     let preparing = progress.clone();
     let options = args.device.options(types, move |text| preparing.say(text));
     let worker = DeviceWorker::start_with(options)?;
     let device = worker.ready().await?;
     progress.say(&format!("extracting on {}", device.name.trim()));
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
-    let extraction = extractor.extract(&volume, &view, &token).await?;
-    let mut statistics = extraction.statistics(&volume, &device.name);
-    if let (None, None, Some(iso)) = (args.surface.iso, &args.surface.label, extraction.view.iso) {
-        eprintln!(
-            "isopeel: isovalue {}, as the field opens with: isopeel info says why",
-            iso.get()
-        );
+    let (mut made, mut counted) = (Vec::new(), Vec::new());
+    for surface in surfaces {
+        let measuring = request.options.measuring();
+        let extracted = extractor.extract_measured(&surface.volume, &surface.view, measuring, &token);
+        let extraction = extracted.await?;
+        let statistics = extraction.statistics(&surface.volume, &device.name);
+        if let (None, None, Some(iso)) = (
+            surface.request.edit.iso,
+            &surface.request.options.label,
+            extraction.view.iso,
+        ) {
+            eprintln!(
+                "isopeel: isovalue {}, as the field opens with: isopeel info says why",
+                iso.get()
+            );
+        }
+        for line in said(args, &statistics) {
+            eprintln!("isopeel: {line}");
+        }
+        if let Some(why) = why_empty(&extractor, &surface.volume, &extraction.view, &statistics).await? {
+            if output.is_some() && !args.surface.allow_empty {
+                print_statistics(args, statistics)?;
+                return Err(ExtractError::Empty(why));
+            }
+            eprintln!("isopeel: {why}");
+        }
+        if output.is_some() {
+            // This thread waits for Ctrl-C.
+            let fields = FieldSamples::of(&extractor, &surface.volume, surface.values(), &token).await?;
+            let (device, stopped) = (device.name.clone(), token.clone());
+            let mesh = move || MadeSurface::new(extraction, fields, &surface, &device, &|| stopped.is_cancelled());
+            let mesh = tokio::task::spawn_blocking(mesh).await.map_err(io::Error::from)??;
+            made.push(mesh);
+        } else {
+            counted.push(statistics);
+        }
     }
-    let empty = why_empty(&extractor, &volume, &extraction.view, &statistics).await?;
-    let is_refused = empty.is_some() && output.is_some() && !args.surface.allow_empty;
-    if let Some((output, request)) = output.filter(|_| !is_refused) {
+    let mut statistics = ExtractionStatistics::of_several(counted);
+    if let Some(output) = output {
+        let file = MadeFile::new(&volume, &request, made);
+        statistics = file.statistics.clone();
         progress.say(&format!(
             "writing {} triangles to {}",
             statistics.triangles,
             output.path.display()
         ));
-        // This thread waits for Ctrl-C.
-        let volume = volume.clone();
-        let written = tokio::task::spawn_blocking(move || {
-            let made = MadeFile::new(extraction, &volume, &request, &device.name, &|| token.is_cancelled())?;
-            output.write(&made, &token)?;
-            Ok::<_, ExtractError>(made.statistics)
-        });
-        statistics = written.await.map_err(io::Error::from)??;
-    }
-    if let (Some(why), false) = (&empty, is_refused) {
-        eprintln!("isopeel: {why}");
-    }
-    for line in removed(args.surface.min_part, args.surface.parts().as_ref(), &statistics) {
-        eprintln!("isopeel: {line}");
-    }
-    for guard in &statistics.gave_way {
-        eprintln!("isopeel: {}", gave_way(*guard, &statistics));
+        let written = tokio::task::spawn_blocking(move || output.write(&file, &token));
+        written.await.map_err(io::Error::from)??;
     }
     for notice in &statistics.notices {
         eprintln!("isopeel: {notice}");
     }
-    if args.stats {
-        let mut line = serde_json::to_string(&statistics).map_err(io::Error::from)?;
-        line.push('\n');
-        super::print(line.as_bytes())?;
-    }
-    if let (Some(why), true) = (empty, is_refused) {
-        return Err(ExtractError::Empty(why));
-    }
+    print_statistics(args, statistics)?;
     progress.say("done");
     Ok(())
+}
+
+fn print_statistics(args: &Args, statistics: ExtractionStatistics) -> io::Result<()> {
+    if !args.stats {
+        return Ok(());
+    }
+    let mut line = serde_json::to_string(&statistics)?;
+    line.push('\n');
+    super::print(line.as_bytes())
+}
+
+/// What was removed, and which guards gave way.
+fn said(args: &Args, statistics: &ExtractionStatistics) -> Vec<String> {
+    let mut lines = removed(args.surface.min_part, args.surface.parts().as_ref(), statistics);
+    lines.extend(statistics.gave_way.iter().map(|guard| gave_way(*guard, statistics)));
+    lines
+}
+
+impl Args {
+    /// The format that was named, or that the output's name says.
+    fn format(&self) -> Result<Format, ExtractError> {
+        let is_stdout = self.output.as_deref() == Some(Path::new(STDOUT));
+        if is_stdout && self.stats {
+            return Err(ExtractError::StatisticsBesideFile);
+        }
+        match (self.surface.format, &self.output) {
+            (Some(format), _) => Ok(format),
+            (None, Some(_)) if is_stdout => Err(ExtractError::NoFormat),
+            (None, Some(path)) => Ok(Format::from_path(path).map_err(MakeError::Export)?),
+            // A count has no format, and one that holds any number of surfaces will do.
+            (None, None) => Ok(Format::Glb),
+        }
+    }
+
+    /// The volume, and those that surfaces name by their paths.
+    fn volumes(&self, path: &Path) -> Result<(Arc<Dataset>, OtherVolumes), ExtractError> {
+        let open = |path: &Path, revision| {
+            let mut dataset = open_dataset(path)?;
+            dataset.set_frame(self.frame);
+            // Two volumes of one name are not one volume on the device.
+            dataset.revision = revision;
+            Ok::<_, ReadError>(Arc::new(dataset))
+        };
+        let mut others = OtherVolumes::new();
+        for path in self.surface.other_volumes() {
+            let revision = 1 + others.len() as u32;
+            if !others.contains_key(path) {
+                others.insert(path.to_owned(), open(Path::new(path), revision)?);
+            }
+        }
+        Ok((open(path, 0)?, others))
+    }
 }
 
 /// How much was removed, where that was asked for, and which positions chose nothing.

@@ -11,6 +11,7 @@ pub mod log;
 mod output;
 pub mod serve;
 pub mod settings;
+mod stdin;
 mod surface;
 pub mod token;
 
@@ -21,6 +22,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::error::BoxError;
 use crate::pool;
+use stdin::InputPath;
 
 /// Isosurfaces of volumes, decimated by importance before they are made.
 #[derive(Debug, Parser)]
@@ -73,7 +75,7 @@ pub enum Command {
 #[derive(Debug, clap::Args)]
 pub struct InfoArgs {
     /// Volume: a file, a folder whose files share one grid, or the address of a Zarr store (https://, http://, s3://) or of a volume of
-    /// Neuroglancer (precomputed://https://…)
+    /// Neuroglancer (precomputed://https://…); -: stdin
     #[arg(value_name = "PATH")]
     path: PathBuf,
 
@@ -140,11 +142,11 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
         Command::Token(args) => Ok(token::run(&args)?),
         Command::Batch(args) => Ok(batch::run(&args)?),
         Command::Info(InfoArgs { path, json }) => {
-            let mut text = Vec::new();
+            let (mut text, input) = (Vec::new(), InputPath::new(&path)?);
             if json {
-                info::run_json(&path, &mut text)?;
+                info::run_json(input.path(), &mut text)?;
             } else {
-                info::run(&path, &mut text)?;
+                info::run(input.path(), &mut text)?;
             }
             Ok(print(&text)?)
         }

@@ -1,7 +1,6 @@
 //! Files that commands write, completely or not at all.
 
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
@@ -16,10 +15,14 @@ const BUFFER_BYTES: usize = 1 << 20;
 /// Prefix of names of files that are not complete.
 pub(super) const TEMPORARY: &str = ".isopeel-";
 
-/// A temporary file beside the output, renamed when it is complete and otherwise deleted.
+/// The path that stands for stdout.
+pub(super) const STDOUT: &str = "-";
+
+/// A temporary file beside the output, renamed when it is complete and otherwise deleted; or stdout.
 pub(super) struct Output {
     pub path: PathBuf,
-    file: NamedTempFile,
+    /// `None`: stdout.
+    file: Option<NamedTempFile>,
     hasher: Option<Sha256>,
 }
 
@@ -51,6 +54,9 @@ pub enum OutputError {
 impl Output {
     /// Creates the temporary file, so that a folder that cannot be written is found before the work.
     pub(super) fn create(path: &Path) -> Result<Self, OutputError> {
+        if path == Path::new(STDOUT) {
+            return Self::stdout();
+        }
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
         let mut builder = tempfile::Builder::new();
         builder.prefix(TEMPORARY);
@@ -78,7 +84,20 @@ impl Output {
         })?;
         Ok(Self {
             path: path.to_owned(),
-            file,
+            file: Some(file),
+            hasher: None,
+        })
+    }
+
+    fn stdout() -> Result<Self, OutputError> {
+        let path = PathBuf::from(STDOUT);
+        if io::stdout().is_terminal() {
+            let source = io::Error::other("stdout is a terminal, expected a pipe or a file");
+            return Err(OutputError::File { path, source });
+        }
+        Ok(Self {
+            path,
+            file: None,
             hasher: None,
         })
     }
@@ -93,35 +112,42 @@ impl Output {
 
     /// Writes the file of a surface and gives it its name.
     pub(super) fn write(mut self, made: &MadeFile, token: &CancellationToken) -> Result<WrittenFile, OutputError> {
-        let mut file = Interruptible {
-            file: self.file.as_file_mut(),
+        let mut stdout = io::stdout();
+        let out: &mut dyn Write = match &mut self.file {
+            Some(file) => file.as_file_mut(),
+            None => &mut stdout,
+        };
+        let mut out = Interruptible {
+            out,
             token,
             hasher: self.hasher,
             bytes: 0,
         };
-        let mut out = BufWriter::with_capacity(BUFFER_BYTES, &mut file);
-        let written = made.write(&mut out).and_then(|()| Ok(out.flush()?));
-        drop(out);
-        let (bytes, hasher) = (file.bytes, file.hasher);
+        let mut buffered = BufWriter::with_capacity(BUFFER_BYTES, &mut out);
+        let written = made.write(&mut buffered).and_then(|()| Ok(buffered.flush()?));
+        drop(buffered);
+        let (bytes, hasher) = (out.bytes, out.hasher);
         let fail = |path, source| OutputError::File { path, source };
         match written {
             Ok(()) => {}
             Err(ExportError::Io(source)) => return Err(fail(self.path, source)),
             Err(other) => return Err(OutputError::Export(other)),
         }
-        match self.file.persist(&self.path) {
-            Ok(_) => Ok(WrittenFile {
-                bytes,
-                sha256: hasher.map(|hasher| hasher.finalize().into()),
-            }),
-            Err(error) => Err(fail(self.path, error.error)),
+        if let Some(file) = self.file
+            && let Err(error) = file.persist(&self.path)
+        {
+            return Err(fail(self.path, error.error));
         }
+        Ok(WrittenFile {
+            bytes,
+            sha256: hasher.map(|hasher| hasher.finalize().into()),
+        })
     }
 }
 
-/// A file whose writes fail once the token is cancelled.
+/// An output whose writes fail once the token is cancelled.
 struct Interruptible<'a> {
-    file: &'a mut File,
+    out: &'a mut dyn Write,
     token: &'a CancellationToken,
     hasher: Option<Sha256>,
     bytes: u64,
@@ -133,7 +159,7 @@ impl Write for Interruptible<'_> {
             // `Interrupted` would be retried.
             return Err(io::Error::other("interrupted"));
         }
-        let written = self.file.write(bytes)?;
+        let written = self.out.write(bytes)?;
         if let Some(hasher) = &mut self.hasher {
             hasher.update(&bytes[..written]);
         }
@@ -142,7 +168,7 @@ impl Write for Interruptible<'_> {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
+        self.out.flush()
     }
 }
 

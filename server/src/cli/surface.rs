@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use isopeel_kernels::MAX_LEVEL;
 
-use crate::export::{FileOptions, FileRequest, Format};
+use crate::export::{Compress, FileOptions, FileRequest, Format, SurfaceOptions};
 use crate::view::quality::{Distance, MaxError, MesherName, TopologyName, TriangleBudget};
 use crate::view::{ChosenPartsJson, Edit, InterestJson, Outward, TransferFunctionJson, parse_position};
 
@@ -122,14 +122,37 @@ pub struct SurfaceArgs {
     #[arg(long, value_name = "SIDE")]
     outward: Option<Outward>,
 
-    /// Unit of positions in a PLY or VTP, and of those of a volume that declares none: m, mm, cm, um, nm, km or angstrom. A GLB is always in
-    /// metres, an STL in millimetres [default: the volume's]
+    /// Unit of positions in a PLY, VTP or OBJ, and of those of a volume that declares none: m, mm, cm, um, nm, km or angstrom. A GLB is always in
+    /// metres, STL, 3MF and GIFTI are in millimetres, precomputed meshes in nanometres [default: the volume's]
     #[arg(long, value_name = "UNIT")]
     unit: Option<String>,
 
-    /// Fields whose values become attributes of the vertices, in their own units: `temperature,pressure`. An STL holds none
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    field_values: Vec<String>,
+    /// Fields, and expressions over fields, whose values become attributes of the vertices, in their own units:
+    /// `temperature,magnitude(u,v,w)`; in GLB, PLY and VTP
+    #[arg(long, value_name = "NAMES")]
+    field_values: Option<String>,
+
+    /// Format of the file, or of all files of a batch [default: what the file's name says]
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    pub(super) format: Option<Format>,
+
+    /// How the file is compressed: zlib for a VTP; meshopt for a GLB on a page, with positions of 16 bits, which Blender does not read
+    /// [default: none]
+    #[arg(long, value_enum, value_name = "HOW")]
+    compress: Option<Compress>,
+
+    /// Seconds that measuring the error may take, which takes about as long as all else; after them the file has none [default: no bound]
+    #[arg(long, value_name = "SECONDS")]
+    measure: Option<f64>,
+
+    /// Do not measure the error
+    #[arg(long, conflicts_with = "measure")]
+    no_measure: bool,
+
+    /// One of several surfaces of a GLB, 3MF, OBJ or precomputed file, JSON with what differs from the other options: any name of a request, beside `volume` (a
+    /// path), `step`, `label`, `name`, `color` and `opacity`, as `{"iso":300,"color":"#d2b48c","opacity":0.4}`. May be given up to 64 times
+    #[arg(long = "surface", value_name = "JSON", value_parser = parse_surface)]
+    surfaces: Vec<SurfaceOptions>,
 
     /// Write a surface without triangles too, which otherwise is no file
     #[arg(long, requires = "output")]
@@ -179,10 +202,20 @@ impl SurfaceArgs {
             allow_empty: self.allow_empty,
             outward: self.outward.unwrap_or_default(),
             unit: self.unit.clone(),
-            field_values: self.field_values.clone(),
+            field_values: self.field_values.as_deref().map(listed).unwrap_or_default(),
             label: self.label.clone(),
+            compress: self.compress.unwrap_or_default(),
+            measure: if self.no_measure { Some(0.0) } else { self.measure },
+            surfaces: self.surfaces.clone(),
         };
         Ok(FileRequest { step, options, edit })
+    }
+
+    /// Paths of other volumes that surfaces are of.
+    pub(super) fn other_volumes(&self) -> impl Iterator<Item = &str> {
+        self.surfaces
+            .iter()
+            .filter_map(|surface| surface.look.volume.as_deref())
     }
 
     /// The parts that are hidden or kept.
@@ -191,6 +224,32 @@ impl SurfaceArgs {
         let hide = given(&self.hide_part).map(ChosenPartsJson::Hide);
         hide.or_else(|| given(&self.keep_part).map(ChosenPartsJson::Keep))
     }
+}
+
+/// The parts of a list: commas in brackets and quotes belong to a part.
+fn listed(text: &str) -> Vec<String> {
+    let (mut depth, mut quote, mut parts) = (0, None, vec![String::new()]);
+    for c in text.chars() {
+        match c {
+            ',' if depth == 0 && quote.is_none() => {
+                parts.push(String::new());
+                continue;
+            }
+            '(' if quote.is_none() => depth += 1,
+            ')' if quote.is_none() => depth -= 1,
+            '"' | '`' if quote.is_none() => quote = Some(c),
+            _ if quote == Some(c) => quote = None,
+            _ => {}
+        }
+        if let Some(part) = parts.last_mut() {
+            part.push(c);
+        }
+    }
+    parts.iter().map(|part| part.trim().to_owned()).collect()
+}
+
+fn parse_surface(text: &str) -> Result<SurfaceOptions, serde_json::Error> {
+    serde_json::from_str(text)
 }
 
 fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, TransferFunctionError> {
@@ -210,6 +269,15 @@ fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, TransferF
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_are_parted_by_commas_outside_of_brackets() {
+        assert_eq!(listed("temperature"), ["temperature"]);
+        assert_eq!(
+            listed("a, magnitude(u,v,log(w)),`x,y`+1"),
+            ["a", "magnitude(u,v,log(w))", "`x,y`+1"]
+        );
+    }
 
     #[test]
     fn a_transfer_function_is_read_or_its_file_named() {

@@ -64,7 +64,7 @@ pub use questions::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
     Question, ShownSurface, VertexErrors,
 };
-pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
+pub use results::{CutId, Extraction, FullCount, Measurement, Measuring, Refinement, Shown, Step};
 pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError, Shape};

@@ -185,6 +185,19 @@ fn what_fails_is_noted_and_all_else_is_made_once() {
     let (code, stderr, _) = setting.run(&inputs, &options.replace("0.1vx", "0.2vx"));
     assert_eq!(code, Some(0), "{stderr}");
     assert_ne!(setting.made("a-head.ply"), after[0]);
+
+    // Steps that ParaView reads as one.
+    let (code, stderr, _) = setting.run(&["b/steps.nii"], "--iso 0 --format vtp --steps 1..9");
+    assert_eq!(code, Some(0), "{stderr}");
+    let collection = std::fs::read_to_string(setting.output().join("steps.pvd")).expect("a collection");
+    let steps: Vec<&str> = collection.lines().filter(|line| line.starts_with("<DataSet")).collect();
+    assert_eq!(
+        steps,
+        [
+            "<DataSet timestep=\"1\" group=\"\" part=\"0\" file=\"steps-1.vtp\"/>",
+            "<DataSet timestep=\"2\" group=\"\" part=\"0\" file=\"steps-2.vtp\"/>",
+        ]
+    );
 }
 
 #[test]

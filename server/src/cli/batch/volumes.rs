@@ -14,16 +14,15 @@ use tokio_util::sync::CancellationToken;
 
 use super::inputs::{Input, open_all};
 use super::manifest::{Line, Manifest};
+use super::series::Series;
 use super::steps::Steps;
 use super::{Args, BatchError, Interrupt};
 use crate::cli::jobs::{empty_ones, progress_bar};
 use crate::cli::output::{Output, OutputError, WrittenFile};
-use crate::export::{self, FileRequest, MadeFile};
+use crate::export::{self, FileRequest, Format, MadeFile, OtherVolumes};
 use crate::extraction::{ExtractionStatistics, Extractor};
-use crate::jobs::{
-    Cause, ExtractionState, IdentityError, InputIdentity, MAX_ATTEMPTS, MakeFailure, ManifestEntry, SeenFiles, failure,
-};
-use crate::volumes::VolumeStep;
+use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
+use crate::volumes::{IdentityError, InputIdentity, SeenFiles, VolumeStep};
 
 /// Surfaces that are worked on at a time: while one is on the device, the file of the one before is written, or the volume of the next one is
 /// read.
@@ -53,8 +52,9 @@ struct Batch<'a> {
 
 /// Makes the surfaces of all volumes and time steps.
 pub(super) fn run(args: &Args) -> Result<(), BatchError> {
-    let format = args.format.ok_or(BatchError::NoFormat)?;
-    let request = args.surface.clone().unwrap_or_default().request(format, 0)?;
+    let surface = args.surface.clone().unwrap_or_default();
+    let format = surface.format.ok_or(BatchError::NoFormat)?;
+    let request = surface.request(format, 0)?;
     let inputs = open_all(&args.inputs)?;
     args.create_folder()?;
     let output = |source| BatchError::Output {
@@ -63,7 +63,7 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
     };
     let manifest = Arc::new(Manifest::open(&args.output).map_err(output)?);
     let seen = Arc::new(SeenFiles::default());
-    let (items, types) = items(args, inputs, format.extension(), &seen);
+    let Plan { items, types, series } = plan(args, inputs, format.extension(), &seen);
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let lines = runtime.block_on(async {
         let mut interrupt = Interrupt::new()?;
@@ -85,14 +85,31 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
         }
     })?;
     manifest.finish(&lines).map_err(output)?;
+    if format == Format::Vtp {
+        let made = lines.iter().filter_map(|line| line.entry.file.as_deref()).collect();
+        series
+            .iter()
+            .try_for_each(|series| series.write(&args.output, &made))
+            .map_err(output)?;
+    }
     summary(&lines)
 }
 
-/// The items of all inputs in their order, and the sample types of their fields.
-fn items(args: &Args, inputs: Vec<Input>, extension: &str, seen: &SeenFiles) -> (Vec<Item>, Vec<SampleType>) {
+/// What is to be done.
+#[derive(Default)]
+struct Plan {
+    items: Vec<Item>,
+    /// Sample types of all fields.
+    types: Vec<SampleType>,
+    /// The volumes with several time steps.
+    series: Vec<Series>,
+}
+
+/// The items of all inputs in their order.
+fn plan(args: &Args, inputs: Vec<Input>, extension: &str, seen: &SeenFiles) -> Plan {
     let all = Steps::All;
     let steps = args.steps.as_ref().unwrap_or(&all);
-    let (mut items, mut types) = (Vec::new(), Vec::new());
+    let mut plan = Plan::default();
     for (revision, Input { path, name, dataset }) in (0..).zip(inputs) {
         let volume = path.to_string_lossy().into_owned();
         let item = |step, opened| Item {
@@ -104,7 +121,7 @@ fn items(args: &Args, inputs: Vec<Input>, extension: &str, seen: &SeenFiles) -> 
             Ok(dataset) => dataset,
             Err(error) => {
                 let why = cause("unreadable-volume", crate::error::chain(&error));
-                items.push(item(0, Err(why)));
+                plan.items.push(item(0, Err(why)));
                 continue;
             }
         };
@@ -113,28 +130,33 @@ fn items(args: &Args, inputs: Vec<Input>, extension: &str, seen: &SeenFiles) -> 
         dataset.revision = revision;
         seen.note(&dataset);
         for sample_type in dataset.fields.iter().map(|field| field.sample_type) {
-            if !types.contains(&sample_type) {
-                types.push(sample_type);
+            if !plan.types.contains(&sample_type) {
+                plan.types.push(sample_type);
             }
         }
         let chosen = steps.of(dataset.steps);
         let dataset = Arc::new(dataset);
         if chosen.is_empty() {
             let why = format!("it has {} time steps, and none of them was asked for", dataset.steps);
-            items.push(item(0, Err(cause("unknown-step", why))));
+            plan.items.push(item(0, Err(cause("unknown-step", why))));
         }
         let digits = dataset.steps.saturating_sub(1).to_string().len();
+        let file_of = |step: u32| match dataset.steps {
+            1 => format!("{name}.{extension}"),
+            _ => format!("{name}-{step:0digits$}.{extension}"),
+        };
+        if chosen.len() > 1 {
+            let files = chosen.iter().map(|&step| (step, file_of(step)));
+            plan.series.push(Series::new(name.clone(), &dataset, files));
+        }
         for step in chosen {
-            let file = match dataset.steps {
-                1 => format!("{name}.{extension}"),
-                _ => format!("{name}-{step:0digits$}.{extension}"),
-            };
+            let file = file_of(step);
             let opened = VolumeStep::new(Arc::clone(&dataset), step);
             let opened = opened.map_err(|error| cause("unknown-step", error.to_string()));
-            items.push(item(step, opened.map(|volume| (volume, file))));
+            plan.items.push(item(step, opened.map(|volume| (volume, file))));
         }
     }
-    (items, types)
+    plan
 }
 
 fn cause(code: &str, detail: String) -> Cause {
@@ -298,7 +320,7 @@ impl Batch<'_> {
         };
         let mut attempts = 1;
         loop {
-            let error = match export::make(&self.extractor, volume.clone(), &request, &self.token).await {
+            let error = match export::make(&self.extractor, volume, &OtherVolumes::new(), &request, &self.token).await {
                 Ok(made) => return Ok(made),
                 Err(error) => error,
             };

@@ -8,9 +8,9 @@ use isopeel_kernels::MAX_LEVEL;
 use super::super::{Cli, Command};
 use super::*;
 use crate::view::Edit;
-use crate::view::FeatureName;
 use crate::view::quality::{Distance, MaxError, TopologyName};
-use crate::volumes::{Dataset, testing};
+use crate::view::{FeatureName, View};
+use crate::volumes::testing;
 
 fn parse(line: &str) -> Result<Args, clap::Error> {
     match Cli::try_parse_from(line.split_whitespace())?.command {
@@ -271,6 +271,15 @@ fn the_extension_says_the_format() {
     let error = Format::from_path(Path::new("head.xyz")).unwrap_err().to_string();
     assert_eq!(
         error,
-        "\"head.xyz\" does not say the format: expected a name that ends in .glb, .ply, .stl or .vtp"
+        "\"head.xyz\" does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii or .precomputed.zip"
     );
+    for (name, format) in [
+        ("a.PLY", Format::Ply),
+        ("a.3mf", Format::ThreeMf),
+        ("lh.white.surf.gii", Format::Gifti),
+        ("a.precomputed.zip", Format::Precomputed),
+    ] {
+        assert_eq!(Format::from_path(Path::new(name)).unwrap(), format);
+    }
+    assert!(Format::from_path(Path::new("a.zip")).is_err());
 }
