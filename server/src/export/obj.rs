@@ -115,9 +115,9 @@ mod tests {
         assert!(text.contains("# notice: a\\nb\n"), "{text}");
         let vertices = numbers(&text, "v");
         assert_eq!(vertices.len(), 12);
-        for vertex in 0..6 {
-            assert_eq!(vertices[vertex][..3], mesh.world(vertex));
-            assert_eq!(vertices[vertex][3..], [1.0, 0.0, 0.2]);
+        for (number, vertex) in vertices.iter().enumerate() {
+            assert_eq!(vertex[..3], mesh.world(number % 6));
+            assert_eq!(vertex[3..], [1.0, 0.0, 0.2]);
         }
         assert_eq!(numbers(&text, "vn")[11], [0.0, 0.0, 1.0]);
         let faces = numbers(&text, "f");

@@ -53,16 +53,19 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     }
     out.write_all(&header)?;
     out.write_all(&triangles.to_le_bytes())?;
+    // Once for the six triangles of a vertex.
+    let placed: Vec<[f32; 3]> = (0..mesh.positions.len())
+        .map(|i| mesh.world(i).map(|x| x as f32))
+        .collect();
+    let is_outside = |i: &usize| placed[*i].iter().any(|x| !x.is_finite());
+    if let Some(vertex) = (0..placed.len()).find(is_outside) {
+        return Err(ExportError::OutOfRange(mesh.world(vertex)));
+    }
     let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
     for triangle in &mesh.triangles {
         let normal = plane_normal(triangle.map(|i| mesh.positions[i as usize]));
-        let world = triangle.map(|i| mesh.world(i as usize));
-        let corners = world.map(|corner| corner.map(|x| x as f32));
-        if let Some(corner) = corners.iter().position(|corner| corner.iter().any(|x| !x.is_finite())) {
-            return Err(ExportError::OutOfRange(world[corner]));
-        }
         rows.extend_from_slice(bytemuck::bytes_of(&normal));
-        rows.extend_from_slice(bytemuck::bytes_of(&corners));
+        rows.extend_from_slice(bytemuck::bytes_of(&triangle.map(|i| placed[i as usize])));
         rows.extend_from_slice(&[0, 0]);
         flush(&mut rows, out, PIECE_BYTES)?;
     }

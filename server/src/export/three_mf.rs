@@ -307,7 +307,7 @@ mod tests {
         assert_eq!((triangles.len(), &triangles[..4]), (8, &mesh.triangles[..]));
         let colors: Vec<_> = named("m:color").map(|color| color["color"].as_str()).collect();
         assert_eq!(colors, ["#FF0000", "#000000", "#FFFFFF"]);
-        let last = named("triangle").last().unwrap();
+        let last = named("triangle").next_back().unwrap();
         assert_eq!(["p1", "p2", "p3"].map(|corner| last[corner].as_str()), ["0", "0", "1"]);
         assert!(named("triangle").next().unwrap().get("p1").is_none());
     }

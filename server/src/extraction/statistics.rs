@@ -165,14 +165,10 @@ impl ExtractionStatistics {
     }
 
     fn add(&mut self, next: Self) {
-        let largest = |a: Option<MeasuredError>, b: Option<MeasuredError>| {
-            let (a, b) = a.zip(b)?;
-            Some(MeasuredError {
-                rms: a.rms.max(b.rms),
-                max: a.max.max(b.max),
-            })
-        };
-        self.error = largest(self.error, next.error);
+        self.error = self.error.zip(next.error).map(|(a, b)| MeasuredError {
+            rms: a.rms.max(b.rms),
+            max: a.max.max(b.max),
+        });
         self.estimated_error = None;
         self.full_triangles += next.full_triangles;
         self.active_cells += next.active_cells;

@@ -171,7 +171,7 @@ impl PackedBuffer {
         if filter != "NONE" {
             compression["filter"] = filter.into();
         }
-        let view = self.view(&packed, stride * values.len(), compression);
+        let view = self.view(&packed, size_of_val(values), compression);
         self.views[view]["byteStride"] = stride.into();
         self.views[view]["target"] = ARRAY_BUFFER.into();
         Ok(self.accessor(view, component, shape, values.len(), more))
