@@ -53,6 +53,14 @@ async function ready(url, server) {
   assert.fail('the server was not ready within 60 s')
 }
 
+test('several surfaces are nodes of one valid GLB', async () => {
+  const path = join(folder, 'several.glb')
+  const surfaces = ['{"name":"skin","iso":60,"color":"#d2b48c","opacity":0.4}', '{"iso":110}']
+  const named = surfaces.flatMap((surface) => ['--surface', surface])
+  const { stdout } = await run(binary, ['extract', volume, '--error', '0.3vx', ...named, '-o', path, '--stats'])
+  assert.equal(await trianglesOfValid(await readFile(path)), JSON.parse(stdout).triangles)
+})
+
 for (const beta of ['-1', '0.02', '0.1']) {
   test(`extract at beta ${beta} writes a valid GLB`, async () => {
     const path = join(folder, `beta${beta}.glb`)

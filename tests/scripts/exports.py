@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Exported surfaces in the programs of others: meshio, VTK, and Open3D where it is installed.
+"""Exported surfaces in the programs of others: meshio, VTK, trimesh, lib3mf, nibabel, and Open3D where it is installed.
 
     tests/scripts/exports.py ISOPEEL      # the binary
 
 Each reader must find the vertices and triangles that `--stats` counts, in the same place, whole: no edge of a closed surface has one
-side. Frame and unit must be where each format has a field for them. Runs in the environment of fixtures.py, or where ANY_PYTHON is set in any that has
-meshio and VTK.
+side. Frame and unit must be where each format has a field for them. Runs in the environment of fixtures.py, or if ANY_PYTHON is set in any that has
+these.
 """
 import importlib.util
 import json
@@ -25,8 +25,13 @@ if Path(sys.prefix) != VENV and not os.environ.get("ANY_PYTHON"):
         sys.exit("run tests/scripts/fixtures.py first, which makes the environment")
     os.execv(VENV / "bin/python", [VENV / "bin/python", *sys.argv])
 
+import zipfile
+
+import lib3mf
 import meshio
+import nibabel
 import numpy as np
+import trimesh
 import vtk
 from vtk.util.numpy_support import vtk_to_numpy
 
@@ -88,7 +93,7 @@ def check_stl(path, triangles, points, edges):
     expect("STL in VTK, place", np.array_equal(bounds(vtk_to_numpy(data.GetPoints().GetData())), bounds(points.astype(np.float32))), True)
     mesh = meshio.read(path)
     expect("STL in meshio, triangles", len(mesh.cells_dict["triangle"]), triangles)
-    expect("STL, frame and unit", b"frame LPS, unit mm" in path.read_bytes()[:80], True)
+    expect("STL, frame and unit", b"SPACE=LPS, unit mm" in path.read_bytes()[:80], True)
 
 
 def check_vtp(path, triangles, points):
@@ -124,6 +129,66 @@ def check_glb(path, triangles, points):
     expect("GLB in VTK, metres with Y up", bool(np.allclose(bounds(placed), bounds(turned), atol=1e-6)), True)
 
 
+def check_obj(path, triangles, points):
+    data = read_vtk(vtk.vtkOBJReader(), path)
+    expect("OBJ in VTK, triangles", data.GetNumberOfPolys(), triangles)
+    read = trimesh.load(path, process=False)
+    expect("OBJ in trimesh, triangles and vertices", (len(read.faces), len(read.vertices)), (triangles, len(points)))
+    expect("OBJ in trimesh, place", bool(np.abs(read.vertices - points).max() < 1e-4), True)
+    head = path.read_text()[:2000]
+    expect("OBJ, frame and unit", "# frame LPS, unit mm" in head, True)
+
+
+def check_3mf(path, triangles, points):
+    wrapper = lib3mf.get_wrapper()
+    model = wrapper.CreateModel()
+    reader = model.QueryReader("3mf")
+    reader.SetStrictModeActive(True)
+    reader.ReadFromFile(str(path))
+    warnings = [reader.GetWarning(i) for i in range(reader.GetWarningCount())]
+    expect("3MF in lib3mf, warnings", warnings, [])
+    expect("3MF in lib3mf, unit", model.GetUnit(), lib3mf.ModelUnit.MilliMeter)
+    objects = model.GetMeshObjects()
+    expect("3MF in lib3mf, objects", objects.Count(), 1)
+    objects.MoveNext()
+    mesh = objects.GetCurrentMeshObject()
+    expect("3MF in lib3mf, triangles and vertices", (mesh.GetTriangleCount(), mesh.GetVertexCount()), (triangles, len(points)))
+    expect("3MF in lib3mf, name", mesh.GetName().startswith("t1"), True)
+    scene = trimesh.load(path)
+    extent = np.asarray(scene.bounds).ravel()
+    expect("3MF in trimesh, place", bool(np.allclose(extent, bounds(points), atol=1e-3)), True)
+
+
+def check_gifti(path, triangles, points):
+    image = nibabel.load(path)
+    found, corners = image.agg_data("NIFTI_INTENT_POINTSET"), image.agg_data("NIFTI_INTENT_TRIANGLE")
+    expect("GIFTI in nibabel, triangles", corners.shape, (triangles, 3))
+    expect("GIFTI in nibabel, RAS", bool(np.allclose(found * [-1, -1, 1], points, atol=1e-4)), True)
+    array = image.get_arrays_from_intent("NIFTI_INTENT_POINTSET")[0]
+    expect("GIFTI in nibabel, space", array.coordsys.dataspace, 1)
+    expect("GIFTI in nibabel, unit", image.meta["unit"], "mm")
+
+
+def check_precomputed(path, triangles, placed):
+    """`placed`: the corners of each triangle. In another unit rounding decides otherwise which of two sheets that lie on each other is which."""
+    with zipfile.ZipFile(path) as package:
+        expect("precomputed, kind", json.loads(package.read("info"))["@type"], "neuroglancer_legacy_mesh")
+        (fragment,) = json.loads(package.read("1:0"))["fragments"]
+        data = package.read(fragment)
+    if importlib.util.find_spec("cloudvolume"):
+        from cloudvolume import Mesh
+
+        mesh = Mesh.from_precomputed(data)
+        found, corners = mesh.vertices, mesh.faces
+        print("cloud-volume: read")
+    else:
+        count = struct.unpack_from("<I", data)[0]
+        found = np.frombuffer(data, "<f4", 3 * count, 4).reshape(-1, 3)
+        corners = np.frombuffer(data, "<u4", offset=4 + 12 * count).reshape(-1, 3)
+    expect("precomputed, triangles", len(corners), triangles)
+    expect("precomputed, nanometres", bool(np.allclose(found[corners], placed * 1e6, rtol=1e-6, atol=1e2)), True)
+
+
 def main():
     binary = sys.argv[1]
     with tempfile.TemporaryDirectory() as temporary:
@@ -134,7 +199,12 @@ def main():
         edges = boundary(corners)
         check_stl(extract(binary, folder, "stl")[0], triangles, points, edges)
         check_vtp(extract(binary, folder, "vtp")[0], triangles, points)
+        check_vtp(extract(binary, folder, "vtp", "--compress", "zlib")[0], triangles, points)
         check_glb(extract(binary, folder, "glb")[0], triangles, points)
+        check_obj(extract(binary, folder, "obj")[0], triangles, points)
+        check_3mf(extract(binary, folder, "3mf")[0], triangles, points)
+        check_gifti(extract(binary, folder, "surf.gii")[0], triangles, points)
+        check_precomputed(extract(binary, folder, "precomputed.zip")[0], triangles, points[corners])
         turned = meshio.read(extract(binary, folder, "ply", "--frame", "RAS")[0])
         expect("--frame RAS", bool(np.allclose(turned.points * [-1, -1, 1], points, atol=1e-4)), True)
         counted = meshio.read(extract(binary, folder, "ply", "--frame", "index")[0])

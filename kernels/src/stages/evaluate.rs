@@ -1,8 +1,8 @@
 //! Fields that are computed from others by an expression.
 
+use super::BRICK_GROUP;
 use super::args::kernel_args;
 use super::construct::type_number;
-use super::BRICK_GROUP;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::expression::Encoded;

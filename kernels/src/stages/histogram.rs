@@ -144,7 +144,9 @@ impl Launch<'_> {
     }
 
     fn groups(&self) -> usize {
-        (self.count as usize).div_ceil(BRICK_GROUP * ITEM_SAMPLES).min(MAX_GROUPS)
+        (self.count as usize)
+            .div_ceil(BRICK_GROUP * ITEM_SAMPLES)
+            .min(MAX_GROUPS)
     }
 }
 
@@ -168,7 +170,11 @@ pub fn step(cx: &Context, volume: &Volume, feature: Feature<'_>, work: &mut Hist
     match work.pass {
         Pass::First => {
             let row = u64::from(volume.grid.dims[0]);
-            let [first, largest] = if maker.source.is_some() { DERIVED_SAMPLES } else { LAUNCH_SAMPLES };
+            let [first, largest] = if maker.source.is_some() {
+                DERIVED_SAMPLES
+            } else {
+                LAUNCH_SAMPLES
+            };
             work.pace = Pace::new(first / row, 1, (largest / row).max(1));
             // The table has the extents of a field's own samples.
             work.pass = match feature {
@@ -262,7 +268,11 @@ impl Maker<'_> {
         let slab = slab.unwrap_or(&self.volume.slabs[0]);
         // The last layer also has the planes after its last cell.
         let is_last = slab.layers.end == grid.regions()[2];
-        let end = if is_last { grid.dims[2] } else { slab.layers.end * REGION_CELLS };
+        let end = if is_last {
+            grid.dims[2]
+        } else {
+            slab.layers.end * REGION_CELLS
+        };
         (slab, end)
     }
 

@@ -1,41 +1,52 @@
-//! `isopeel batch`: a batch job without a server.
+//! `isopeel batch`: many surfaces without a server.
 
-use std::fs::File;
+mod inputs;
+mod manifest;
+mod request;
+mod series;
+mod steps;
+mod volumes;
+
 use std::io;
 use std::path::{Path, PathBuf};
 
-use data_encoding::HEXLOWER;
-use sha2::{Digest, Sha256};
-use tokio::signal::unix::{SignalKind, signal};
-use tokio_util::sync::CancellationToken;
+use isopeel_kernels::SampleType;
+use tokio::signal::unix::{Signal, SignalKind, signal};
 
-use super::jobs::{MANIFEST_FILE, cost, empty_ones, first_failure, progress_bar, read_request_file, write_manifest};
+use super::output::OutputError;
+use super::surface::{SurfaceArgs, TransferFunctionError};
 use crate::cli::device::DeviceArgs;
-use crate::extraction::{DeviceWorker, Extractor};
-use crate::jobs::{
-    JobError, JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, OpenError, StateFolder, StateFolderError,
-    file_name,
-};
+use crate::export::Format;
+use crate::extraction::{DeviceWorker, Extractor, WorkError};
+use crate::jobs::{JobError, OpenError, StateFolderError};
 use crate::private_folder::FolderAccess;
-use crate::volumes::{Catalog, Frame, ReadError, Reader, open_dataset};
+use crate::volumes::{Frame, ReadError};
 use crate::wire::encode::encoded_bytes;
-
-/// Below the output's folder, while the job is not done.
-const STATE_FOLDER: &str = ".isopeel-batch";
+use steps::Steps;
 
 /// Arguments of `isopeel batch`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Request, JSON as `{"volume":"head.nrrd","extractions":[{"iso":517,"format":"glb"}, …]}`; the path of the volume is relative to the file
-    #[arg(value_name = "FILE.json")]
-    file: PathBuf,
+    /// Volumes: files, patterns of their names ('scans/*.nii.gz'), folders, each file of which is a volume, and addresses as extract takes them. Or a
+    /// request of one volume, JSON as `{"volume":"head.nrrd","extractions":[{"iso":517,"format":"glb"}, …]}`; the path of the volume is relative to
+    /// the file
+    #[arg(value_name = "VOLUME", required = true)]
+    inputs: Vec<PathBuf>,
 
-    /// Folder for the surfaces, 00000.glb and so on, and for manifest.jsonl, which says what they are; made if there is none
+    /// Folder for the surfaces and for manifest.jsonl, which says what they are; made if there is none
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 
-    /// Folder on a disk of this machine for what is made while the job is not done: the same command then goes on [default: .isopeel-batch in
-    /// the output's folder]
+    /// Time steps of each volume, counted from 0: `all`, or numbers and ranges, `0,5..9`; a volume with fewer steps has those that it has
+    /// [default: all]
+    #[arg(long, value_name = "STEPS")]
+    steps: Option<Steps>,
+
+    #[command(flatten)]
+    surface: Option<SurfaceArgs>,
+
+    /// Of a request: folder on a disk of this machine for what is made while the job is not done: the same command then goes on [default:
+    /// .isopeel-batch in the output's folder]
     #[arg(long, value_name = "DIR")]
     state_folder: Option<PathBuf>,
 
@@ -87,6 +98,32 @@ pub enum BatchError {
     /// Some surfaces were not made.
     #[error("{0}")]
     Failed(String),
+    /// The device cannot be used.
+    #[error(transparent)]
+    Device(#[from] WorkError),
+    /// The transfer function's file cannot be read.
+    #[error(transparent)]
+    TransferFunction(#[from] TransferFunctionError),
+    /// A file of a surface cannot be written.
+    #[error("{0}; what was made is in the manifest, and the same command goes on")]
+    Write(#[source] OutputError),
+    /// A request's file beside what it says itself.
+    #[error("a request has its own format, steps and surfaces: expected none of these options beside {}", .0.display())]
+    OptionsBesideRequest(PathBuf),
+    /// No format.
+    #[error("--format is missing: expected the format of the files, {}", Format::EXPECTED)]
+    NoFormat,
+    /// A pattern that is none.
+    #[error("{pattern:?} is no pattern of files")]
+    Pattern {
+        /// The pattern.
+        pattern: String,
+        /// What is wrong with it.
+        source: glob::PatternError,
+    },
+    /// Nothing to do.
+    #[error("{0:?} matches no file")]
+    NoMatch(String),
     /// Ctrl-C, or SIGTERM.
     #[error("interrupted, the same command goes on")]
     Interrupted,
@@ -95,144 +132,67 @@ pub enum BatchError {
     System(#[from] io::Error),
 }
 
-/// Makes all surfaces of a request.
+/// Makes all surfaces of a request, or of many volumes.
 ///
 /// # Errors
 /// [`BatchError`].
 pub fn run(args: &Args) -> Result<(), BatchError> {
-    let mut request = read_request(&args.file).map_err(|source| BatchError::Request {
-        path: args.file.clone(),
-        source,
-    })?;
-    let mut dataset = open_dataset(&beside(&args.file, &request.volume))?;
-    dataset.set_frame(args.frame);
-    request.volume = dataset.id.clone();
-    let mut catalog = Catalog::default();
-    let types = dataset.fields.iter().map(|field| field.sample_type).collect();
-    catalog.add(dataset);
-    let output = |source| BatchError::Output {
-        path: args.output.clone(),
-        source,
+    let Some(file) = args.request_file() else {
+        return volumes::run(args);
     };
-    std::fs::create_dir_all(&args.output).map_err(output)?;
-    let own_folder = args.output.join(STATE_FOLDER);
-    let folder = StateFolder::open(args.state_folder.as_deref().unwrap_or(&own_folder), args.folder_access)?;
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    runtime.block_on(async {
-        // Before the device is opened: PoCL's compiler ends the process in a handler of its own, unless it finds another one that it calls.
-        let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-        let worker = DeviceWorker::start_with(args.device.options(types, |text| tracing::info!("{text}")))?;
-        let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
-        let stop = CancellationToken::new();
-        // The store counts in 63 bits.
-        let unlimited = Limits {
-            quota_bytes: i64::MAX as u64,
-        };
-        let jobs = Jobs::open(folder, unlimited, catalog.into(), extractor, stop.clone()).await?;
-        let runner = tokio::spawn(jobs.clone().run());
-        let made = tokio::select! {
-            made = make(&jobs, request, &args.output) => made,
-            _ = interrupt.recv() => Err(BatchError::Interrupted),
-            _ = terminate.recv() => Err(BatchError::Interrupted),
-        };
-        stop.cancel();
-        let _ = runner.await;
-        made
-    })?;
-    if args.state_folder.is_none() {
-        // What is left of it is empty.
-        let _ = std::fs::remove_dir_all(own_folder);
+    if args.steps.is_some() || args.surface.is_some() {
+        return Err(BatchError::OptionsBesideRequest(file.to_owned()));
     }
-    Ok(())
+    request::run(args, file)
 }
 
-fn read_request(file: &Path) -> io::Result<JobRequest> {
-    Ok(serde_json::from_slice(&read_request_file(file)?)?)
+impl Args {
+    /// The file of a request, if it is the only input. Folders of Zarr have no such names.
+    fn request_file(&self) -> Option<&Path> {
+        let [file] = &self.inputs[..] else { return None };
+        let is_json = file
+            .extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+        (is_json && !file.is_dir()).then_some(file)
+    }
+
+    fn create_folder(&self) -> Result<(), BatchError> {
+        std::fs::create_dir_all(&self.output).map_err(|source| BatchError::Output {
+            path: self.output.clone(),
+            source,
+        })
+    }
+
+    /// Starts the device's thread.
+    fn extractor(&self, types: Vec<SampleType>) -> io::Result<Extractor> {
+        let options = self.device.options(types, |text| tracing::info!("{text}"));
+        Ok(Extractor::new(
+            DeviceWorker::start_with(options)?,
+            u64::MAX,
+            encoded_bytes,
+        ))
+    }
 }
 
-/// A path of a file that another one names.
-fn beside(file: &Path, name: &str) -> PathBuf {
-    if name.contains("://") {
-        return name.into();
-    }
-    file.parent().unwrap_or(Path::new("")).join(name)
+/// Ctrl-C and SIGTERM. To be made before the device is opened: PoCL's compiler ends the process in a handler of its own, unless it finds another one
+/// that it calls.
+struct Interrupt {
+    interrupt: Signal,
+    terminate: Signal,
 }
 
-/// Makes a job, or goes on with it, and puts its results into a folder.
-async fn make(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), BatchError> {
-    let extensions: Vec<_> = request
-        .extractions
-        .iter()
-        .map(|e| e.options.format.extension())
-        .collect();
-    let job = submit(jobs, request).await?;
-    eprintln!("isopeel: {}", cost(job.estimate));
-    let job = wait(jobs, &job.id).await?;
-    let entries = jobs.manifest(OPERATOR, &job.id).await?;
-    let manifest = output.join(MANIFEST_FILE);
-    write_manifest(&manifest, &entries).map_err(|source| BatchError::Output { path: manifest, source })?;
-    for (extraction, extension) in (0..).zip(extensions) {
-        // None if it failed, is empty, or was taken before an interruption.
-        let Some(made) = jobs.result_path(&job.id, extraction) else {
-            continue;
-        };
-        let path = output.join(file_name(extraction, extension));
-        take(&made, &path).map_err(|source| BatchError::Output { path, source })?;
+impl Interrupt {
+    fn new() -> io::Result<Self> {
+        Ok(Self {
+            interrupt: signal(SignalKind::interrupt())?,
+            terminate: signal(SignalKind::terminate())?,
+        })
     }
-    let empty = empty_ones(&entries);
-    if !empty.is_empty() {
-        eprintln!("isopeel: {empty}");
-    }
-    jobs.delete(OPERATOR, &job.id).await?;
-    if job.state == JobState::Done {
-        return Ok(());
-    }
-    let first = first_failure(&job);
-    let why = job
-        .error
-        .map_or("the job was cancelled".to_owned(), |cause| cause.detail);
-    Err(BatchError::Failed(why + &first))
-}
 
-/// Submits a job under the name of its request, so that an interrupted one goes on. One that has ended in another way is made anew.
-async fn submit(jobs: &Jobs, request: JobRequest) -> Result<JobInfo, BatchError> {
-    let text = serde_json::to_vec(&request).map_err(io::Error::from)?;
-    let operator = Reader::new(OPERATOR, true);
-    let key = HEXLOWER.encode(&Sha256::digest(text));
-    let (job, is_new) = jobs.submit(operator, Some(key.clone()), request.clone()).await?;
-    if is_new || matches!(job.state, JobState::Queued | JobState::Running | JobState::Done) {
-        return Ok(job);
-    }
-    jobs.delete(OPERATOR, &job.id).await?;
-    Ok(jobs.submit(operator, Some(key), request).await?.0)
-}
-
-/// Waits until a job is finished, with a bar on stderr where that is a terminal.
-async fn wait(jobs: &Jobs, id: &str) -> Result<JobInfo, BatchError> {
-    let mut changes = jobs.changes();
-    let mut bar = None;
-    loop {
-        changes.mark_unchanged();
-        let job = jobs.get(OPERATOR, id).await?;
-        let bar = bar.get_or_insert_with(|| progress_bar(job.extractions.total));
-        bar.set_position(job.extractions.ended());
-        bar.set_message(job.paused.clone().unwrap_or_default());
-        if job.state.is_finished() {
-            bar.finish_and_clear();
-            return Ok(job);
+    async fn wait(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
         }
-        // Nobody sends any more where the runner has ended.
-        changes.changed().await.map_err(io::Error::other)?;
-    }
-}
-
-/// Moves a file, to another disk too.
-fn take(from: &Path, to: &Path) -> io::Result<()> {
-    match std::fs::rename(from, to) {
-        Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {
-            std::fs::copy(from, to)?;
-            File::open(to)?.sync_all()
-        }
-        other => other,
     }
 }

@@ -389,7 +389,8 @@ pub(super) fn empty_ones(entries: &[ManifestEntry]) -> String {
     )
 }
 
-fn checksum_of(path: &Path) -> Option<String> {
+/// SHA-256 of a file, hexadecimal; `None` if it cannot be read.
+pub(super) fn checksum_of(path: &Path) -> Option<String> {
     let (mut file, mut hasher) = (std::fs::File::open(path).ok()?, Sha256::new());
     let mut bytes = vec![0; 1 << 20];
     loop {

@@ -8,8 +8,11 @@ pub mod extract;
 pub mod info;
 pub mod jobs;
 pub mod log;
+mod output;
 pub mod serve;
 pub mod settings;
+mod stdin;
+mod surface;
 pub mod token;
 
 use std::io::{self, Write};
@@ -19,6 +22,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::error::BoxError;
 use crate::pool;
+use stdin::InputPath;
 
 /// Isosurfaces of volumes, decimated by importance before they are made.
 #[derive(Debug, Parser)]
@@ -53,8 +57,8 @@ pub enum Command {
     Jobs(jobs::Args),
     /// Make, list and revoke the tokens that a server with a --state-folder lets people and programs in by
     Token(token::Args),
-    /// Extract many isosurfaces of a volume to files, without a server; interrupted, the same command goes on
-    Batch(batch::Args),
+    /// Extract isosurfaces of many volumes and time steps to files, without a server; interrupted, the same command goes on
+    Batch(Box<batch::Args>),
     /// Say what a volume is: dimensions, type, spacing, range and histogram of every field
     Info(InfoArgs),
     /// List the OpenCL devices, the preferred one first; with --check, say which of them compute rightly
@@ -71,7 +75,7 @@ pub enum Command {
 #[derive(Debug, clap::Args)]
 pub struct InfoArgs {
     /// Volume: a file, a folder whose files share one grid, or the address of a Zarr store (https://, http://, s3://) or of a volume of
-    /// Neuroglancer (precomputed://https://…)
+    /// Neuroglancer (precomputed://https://…); -: stdin
     #[arg(value_name = "PATH")]
     path: PathBuf,
 
@@ -146,11 +150,11 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
         Command::Token(args) => Ok(token::run(&args)?),
         Command::Batch(args) => Ok(batch::run(&args)?),
         Command::Info(InfoArgs { path, json }) => {
-            let mut text = Vec::new();
+            let (mut text, input) = (Vec::new(), InputPath::new(&path)?);
             if json {
-                info::run_json(&path, &mut text)?;
+                info::run_json(input.path(), &mut text)?;
             } else {
-                info::run(&path, &mut text)?;
+                info::run(input.path(), &mut text)?;
             }
             Ok(print(&text)?)
         }

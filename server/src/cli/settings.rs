@@ -306,13 +306,31 @@ mod tests {
         found
     }
 
+    /// The words of a line as a shell has them: what is in quotes is one word.
+    fn shell_words(line: &str) -> Vec<String> {
+        let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
+        for c in line.chars() {
+            match c {
+                _ if quote == Some(c) => quote = None,
+                '\'' | '"' if quote.is_none() => {
+                    quote = Some(c);
+                    word.get_or_insert_default();
+                }
+                ' ' if quote.is_none() => words.extend(word.take()),
+                _ => word.get_or_insert_default().push(c),
+            }
+        }
+        words.extend(word);
+        words
+    }
+
     #[test]
     fn the_commands_of_the_documentation_are_understood() {
         let lines = documented();
         assert!(lines.len() > 15, "{lines:?}");
         for (page, line) in lines {
-            let line = line.split(" # ").next().unwrap_or_default().replace(['\'', '"'], "");
-            let parsed = with_variables(Cli::command()).try_get_matches_from(words(&line));
+            let line = line.split(" # ").next().unwrap_or_default();
+            let parsed = with_variables(Cli::command()).try_get_matches_from(shell_words(line));
             assert!(parsed.is_ok(), "{page}: {line}: {}", parsed.expect_err("an error"));
         }
     }

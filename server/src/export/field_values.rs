@@ -1,28 +1,56 @@
 //! Values of a field at the vertices of a surface, trilinear between its samples.
 
 use isopeel_kernels::Samples;
+use tokio_util::sync::CancellationToken;
 
 use super::mesh::FieldValues;
-use crate::volumes::{Field, ReadError, ReadProgress, VolumeStep};
+use crate::extraction::{Extractor, WorkError};
+use crate::volumes::{Dataset, Field, VolumeStep};
 
-/// A field with the samples of a time step.
-pub(super) struct FieldSamples<'a> {
-    pub field: &'a Field,
-    pub samples: Samples,
-    pub dims: [u32; 3],
+/// A field, or an expression over fields, with the samples of a time step.
+pub struct FieldSamples {
+    field: Field,
+    /// All of them in pieces of so many samples, the last one perhaps of fewer.
+    pieces: Vec<Samples>,
+    piece: usize,
+    dims: [u32; 3],
 }
 
-impl<'a> FieldSamples<'a> {
-    /// Reads the samples of a field at a volume's time step.
+/// The field of that name, or the one that an expression gives.
+pub(super) fn field_of(dataset: &Dataset, name: &str) -> Option<Field> {
+    dataset.field(name).cloned().or_else(|| dataset.computed_field(name))
+}
+
+impl FieldSamples {
+    /// The samples of fields and expressions by their names, from the device, which has those of the surface already.
     ///
     /// # Errors
-    /// What is wrong with the file.
-    pub(super) fn read(volume: &VolumeStep, field: &'a Field) -> Result<Self, ReadError> {
-        Ok(Self {
-            field,
-            samples: field.source.read(volume.step(), &ReadProgress::default())?,
-            dims: volume.dataset().geometry.dims,
-        })
+    /// The device's, and what is wrong with a file.
+    pub async fn of(
+        extractor: &Extractor,
+        volume: &VolumeStep,
+        names: &[String],
+        token: &CancellationToken,
+    ) -> Result<Vec<Self>, WorkError> {
+        let mut found = Vec::new();
+        for name in names {
+            let Some(field) = field_of(volume.dataset(), name) else {
+                continue;
+            };
+            let (pieces, planes) = extractor.worker().samples(volume, name, token).await?;
+            let dims = volume.dataset().geometry.dims;
+            found.push(Self {
+                field,
+                pieces,
+                piece: planes as usize * dims[0] as usize * dims[1] as usize,
+                dims,
+            });
+        }
+        Ok(found)
+    }
+
+    fn sample(&self, at: usize) -> f32 {
+        self.pieces[at / self.piece].get(at % self.piece)
     }
 
     /// The values at positions of index space, `padding` samples further in.
@@ -62,7 +90,7 @@ impl<'a> FieldSamples<'a> {
             // One that does not count may be missing.
             if weight > 0.0 {
                 let [x, y, z] = [0, 1, 2].map(|axis| low[axis] + offset[axis]);
-                let sample = self.samples.get(x + nx * (y + ny * z));
+                let sample = self.sample(x + nx * (y + ny * z));
                 if Some(sample) == self.field.missing {
                     return f32::NAN;
                 }
@@ -93,9 +121,11 @@ mod tests {
             }
         }
         all[2] = -1.0;
+        let (low, high) = all.split_at(6);
         let field = FieldSamples {
-            field: &field,
-            samples: Samples::F32(all),
+            field,
+            pieces: vec![Samples::F32(low.to_vec()), Samples::F32(high.to_vec())],
+            piece: 6,
             dims: [3, 2, 2],
         };
         let values = field.at(

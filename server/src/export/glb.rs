@@ -1,16 +1,18 @@
 //! GLB, the binary form of glTF 2.0.
 //!
-//! One mesh of one primitive: loaders give each primitive vertices of its own, which would tear the surface where levels meet. Triangles
+//! A node, a mesh and a material for each surface. A mesh has one primitive: loaders give each primitive vertices of its own, which would tear the surface where levels meet. Triangles
 //! come by level, finest first; `extras.levelTriangles` has their numbers. Positions are relative to the mesh's origin, along the axes of the
 //! volume's frame; the node turns them into what glTF asks for, metres with Y up, and moves them to their place. An empty surface is a scene
 //! without nodes.
+
+pub(super) mod packed;
 
 use std::io::Write;
 
 use serde_json::{Value, json};
 
-use super::mesh::{FieldValues, attribute_names};
-use super::{ExportError, Mesh, fits_u32};
+use super::mesh::{FieldValues, Material, attribute_names, linear};
+use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
 use crate::volumes::LengthUnit;
 
 const MAGIC: &[u8; 4] = b"glTF";
@@ -29,17 +31,37 @@ const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const TRIANGLES: u32 = 4;
 
-/// Writes `mesh` with `extras` under `asset.extras`. Attributes: `POSITION`, `NORMAL`, `_SMOOTHNESS` and `_FEATURE`
+/// Writes `meshes` with `extras` under `asset.extras`. Attributes: `POSITION`, `NORMAL`, `_SMOOTHNESS` and `_FEATURE`
 /// (0 to 1), one of each field, such as `_TEMPERATURE`, and `COLOR_0` where the mesh has colours.
 ///
 /// # Errors
 /// More than the 4 GiB of a GLB, or the errors of `out`.
-pub fn write(mesh: &Mesh, extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
-    let document = Document::new(mesh, extras);
-    let mut text = serde_json::to_vec(&document.json).map_err(std::io::Error::from)?;
-    text.resize(text.len().next_multiple_of(4), b' ');
+pub fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
+    let mut buffer = Buffer::default();
+    let primitives = (0..)
+        .zip(shown(meshes))
+        .map(|(i, mesh)| primitive(mesh, i, &mut buffer))
+        .collect();
+    let nodes = (0..)
+        .zip(shown(meshes))
+        .map(|(i, mesh)| node_at(mesh, i, mesh.origin, 1.0))
+        .collect();
+    let materials = shown(meshes).map(material).collect();
+    let mut json = document(meshes, extras, primitives, nodes, materials);
+    if buffer.bytes > 0 {
+        json["accessors"] = buffer.accessors.into();
+        json["bufferViews"] = buffer.views.into();
+        json["buffers"] = json!([{ "byteLength": buffer.bytes }]);
+    }
+    write_chunks(&json, buffer.bytes, out)?;
+    // In the order of the views.
+    shown(meshes).try_for_each(|mesh| write_arrays(mesh, out))
+}
 
-    let binary = document.binary_bytes;
+/// Writes all that comes before so many bytes of the binary chunk.
+fn write_chunks(json: &Value, binary: u64, out: &mut impl Write) -> Result<(), ExportError> {
+    let mut text = serde_json::to_vec(json).map_err(std::io::Error::from)?;
+    text.resize(text.len().next_multiple_of(4), b' ');
     let binary_chunk = if binary > 0 { 8 + binary } else { 0 };
     let total = 12 + 8 + text.len() as u64 + binary_chunk;
     let total = fits_u32("file size in bytes", total, "GLB")?;
@@ -53,130 +75,157 @@ pub fn write(mesh: &Mesh, extras: &Value, out: &mut impl Write) -> Result<(), Ex
     if binary > 0 {
         out.write_all(&(binary as u32).to_le_bytes())?;
         out.write_all(BINARY_CHUNK)?;
-        out.write_all(bytemuck::cast_slice(&mesh.positions))?;
-        out.write_all(bytemuck::cast_slice(&mesh.normals))?;
-        out.write_all(bytemuck::cast_slice(&mesh.smoothness))?;
-        out.write_all(bytemuck::cast_slice(&mesh.feature))?;
-        for field in &mesh.fields {
-            // glTF has no NaN.
-            for value in &field.values {
-                let value = if value.is_finite() { *value } else { MISSING };
-                out.write_all(&value.to_le_bytes())?;
-            }
-        }
-        // With an alpha of 1, because attributes must begin at multiples of four bytes.
-        for &[r, g, b] in &mesh.colors {
-            out.write_all(bytemuck::bytes_of(&[r, g, b, u16::MAX]))?;
-        }
-        out.write_all(bytemuck::cast_slice(&mesh.triangles))?;
     }
     Ok(())
 }
 
-/// The JSON of a mesh, and the length of the binary chunk. Its views are in the order in which [`write`] writes.
-struct Document {
-    json: Value,
-    binary_bytes: u64,
+/// Meshes that have triangles.
+fn shown(meshes: &[Mesh]) -> impl Iterator<Item = &Mesh> {
+    meshes.iter().filter(|mesh| !mesh.triangles.is_empty())
 }
 
-impl Document {
-    fn new(mesh: &Mesh, extras: &Value) -> Self {
-        let asset = json!({
-            "version": "2.0",
-            "generator": concat!("isopeel ", env!("CARGO_PKG_VERSION")),
-            "extras": extras,
-        });
-        if mesh.triangles.is_empty() {
-            return Self {
-                json: json!({ "asset": asset, "scene": 0, "scenes": [{ "name": "empty isosurface" }] }),
-                binary_bytes: 0,
-            };
+/// Writes the arrays of a mesh in the order of its views.
+fn write_arrays(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
+    out.write_all(bytemuck::cast_slice(&mesh.positions))?;
+    out.write_all(bytemuck::cast_slice(&mesh.normals))?;
+    out.write_all(bytemuck::cast_slice(&mesh.smoothness))?;
+    out.write_all(bytemuck::cast_slice(&mesh.feature))?;
+    let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
+    for field in &mesh.fields {
+        // glTF has no NaN.
+        for value in &field.values {
+            let value = if value.is_finite() { *value } else { MISSING };
+            rows.extend_from_slice(&value.to_le_bytes());
+            flush(&mut rows, out, PIECE_BYTES)?;
         }
-        let mut buffer = Buffer::default();
-        let vertices = mesh.positions.len();
-        let (min, max) = bounds(&mesh.positions);
-        let mut attributes = serde_json::Map::new();
-        let mut attribute = |name: &str, component: u32, shape: &str, bytes: usize, more: Value| {
-            let view = buffer.view(vertices * bytes, ARRAY_BUFFER);
-            let accessor = buffer.accessor(view, component, shape, vertices, more);
-            attributes.insert(name.to_owned(), accessor.into());
-        };
-        attribute("POSITION", FLOAT, "VEC3", 12, json!({ "min": min, "max": max }));
-        attribute("NORMAL", FLOAT, "VEC3", 12, json!({}));
-        attribute("_SMOOTHNESS", FLOAT, "SCALAR", 4, json!({}));
-        attribute("_FEATURE", FLOAT, "SCALAR", 4, json!({}));
-        let names = attribute_names(mesh, "_", &["_SMOOTHNESS", "_FEATURE"]);
-        let names: Vec<String> = names.iter().map(|name| name.to_ascii_uppercase()).collect();
-        for name in &names {
-            attribute(name, FLOAT, "SCALAR", 4, json!({}));
-        }
-        if !mesh.colors.is_empty() {
-            attribute("COLOR_0", UNSIGNED_SHORT, "VEC4", 8, json!({ "normalized": true }));
-        }
+    }
+    // With an alpha of 1, because attributes must begin at multiples of four bytes.
+    for &[r, g, b] in &mesh.colors {
+        rows.extend_from_slice(bytemuck::bytes_of(&[r, g, b, u16::MAX]));
+        flush(&mut rows, out, PIECE_BYTES)?;
+    }
+    flush(&mut rows, out, 0)?;
+    out.write_all(bytemuck::cast_slice(&mesh.triangles))?;
+    Ok(())
+}
 
-        let triangles = mesh.triangles.len();
-        let indices = buffer.view(triangles * 12, ELEMENT_ARRAY_BUFFER);
-        let indices = buffer.accessor(indices, UNSIGNED_INT, "SCALAR", triangles * 3, json!({}));
-        let primitive = json!({
-            "attributes": attributes,
-            "indices": indices,
-            "material": 0,
-            "mode": TRIANGLES,
-            "extras": { "levelTriangles": mesh.level_triangles, "fields": fields(mesh, &names) },
-        });
-        Self {
-            json: json!({
-                "asset": asset,
-                "scene": 0,
-                "scenes": [{ "nodes": [0] }],
-                "nodes": [node(mesh)],
-                "meshes": [{ "name": mesh.name, "primitives": [primitive] }],
-                // glTF's default material is metallic and one-sided.
-                "materials": [{
-                    "name": mesh.name,
-                    "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.8 },
-                    "doubleSided": true,
-                }],
-                "accessors": buffer.accessors,
-                "bufferViews": buffer.views,
-                "buffers": [{ "byteLength": buffer.bytes }],
-            }),
-            binary_bytes: buffer.bytes,
-        }
+/// The JSON of a file but for its buffers. Without a primitive it is a scene without nodes.
+fn document(
+    meshes: &[Mesh],
+    extras: &Value,
+    primitives: Vec<Value>,
+    nodes: Vec<Value>,
+    materials: Vec<Value>,
+) -> Value {
+    let asset = json!({
+        "version": "2.0",
+        "generator": concat!("isopeel ", env!("CARGO_PKG_VERSION")),
+        "extras": extras,
+    });
+    if primitives.is_empty() {
+        return json!({ "asset": asset, "scene": 0, "scenes": [{ "name": "empty isosurface" }] });
+    }
+    let named = |(mesh, primitive): (&Mesh, Value)| json!({ "name": mesh.name, "primitives": [primitive] });
+    json!({
+        "asset": asset,
+        "scene": 0,
+        "scenes": [{ "nodes": (0..nodes.len()).collect::<Vec<_>>() }],
+        "nodes": nodes,
+        "meshes": shown(meshes).zip(primitives).map(named).collect::<Vec<_>>(),
+        "materials": materials,
+    })
+}
+
+/// The primitive of a mesh, whose arrays come next in the buffer.
+fn primitive(mesh: &Mesh, material: usize, buffer: &mut Buffer) -> Value {
+    let vertices = mesh.positions.len();
+    let (min, max) = bounds(&mesh.positions);
+    let mut attributes = serde_json::Map::new();
+    let mut attribute = |name: &str, component: u32, shape: &str, bytes: usize, more: Value| {
+        let view = buffer.view(vertices * bytes, ARRAY_BUFFER);
+        let accessor = buffer.accessor(view, component, shape, vertices, more);
+        attributes.insert(name.to_owned(), accessor.into());
+    };
+    attribute("POSITION", FLOAT, "VEC3", 12, json!({ "min": min, "max": max }));
+    attribute("NORMAL", FLOAT, "VEC3", 12, json!({}));
+    attribute("_SMOOTHNESS", FLOAT, "SCALAR", 4, json!({}));
+    attribute("_FEATURE", FLOAT, "SCALAR", 4, json!({}));
+    let names = Attributes::of(&attribute_names(mesh, "_", &["_SMOOTHNESS", "_FEATURE"]));
+    for name in &names.0 {
+        attribute(name, FLOAT, "SCALAR", 4, json!({}));
+    }
+    if !mesh.colors.is_empty() {
+        attribute("COLOR_0", UNSIGNED_SHORT, "VEC4", 8, json!({ "normalized": true }));
+    }
+    let triangles = mesh.triangles.len();
+    let indices = buffer.view(triangles * 12, ELEMENT_ARRAY_BUFFER);
+    let indices = buffer.accessor(indices, UNSIGNED_INT, "SCALAR", triangles * 3, json!({}));
+    json!({
+        "attributes": attributes,
+        "indices": indices,
+        "material": material,
+        "mode": TRIANGLES,
+        "extras": { "levelTriangles": mesh.level_triangles, "fields": names.described(mesh) },
+    })
+}
+
+/// The material of a mesh. glTF's default is metallic and one-sided.
+fn material(mesh: &Mesh) -> Value {
+    let mut rough = json!({ "metallicFactor": 0.0, "roughnessFactor": 0.8 });
+    let Material { color, opacity } = mesh.material;
+    if color.is_some() || opacity < 1.0 {
+        let [red, green, blue] = color.unwrap_or([255; 3]).map(|byte| linear(f32::from(byte) / 255.0));
+        rough["baseColorFactor"] = json!([red, green, blue, opacity]);
+    }
+    let mut material = json!({ "name": mesh.name, "pbrMetallicRoughness": rough, "doubleSided": true });
+    if opacity < 1.0 {
+        material["alphaMode"] = "BLEND".into();
+    }
+    material
+}
+
+/// Names of the attributes of fields.
+struct Attributes(Vec<String>);
+
+impl Attributes {
+    /// In capital letters, as glTF has them.
+    fn of(names: &[String]) -> Self {
+        Self(names.iter().map(|name| name.to_ascii_uppercase()).collect())
+    }
+
+    /// What each attribute is. A value that is missing is [`MISSING`].
+    fn described(&self, mesh: &Mesh) -> Vec<Value> {
+        let field = |(field, attribute): (&FieldValues, &String)| {
+            let present = field.values.iter().filter(|value| value.is_finite());
+            let range = present.fold(None, |range: Option<[f32; 2]>, &value| {
+                let [low, high] = range.unwrap_or([value; 2]);
+                Some([low.min(value), high.max(value)])
+            });
+            json!({
+                "attribute": attribute,
+                "field": field.name,
+                "unit": field.unit,
+                "range": range,
+                "missing": MISSING,
+            })
+        };
+        mesh.fields.iter().zip(&self.0).map(field).collect()
     }
 }
 
-/// What each attribute of a field is. A value that is missing is [`MISSING`].
-fn fields(mesh: &Mesh, names: &[String]) -> Vec<Value> {
-    let field = |(field, attribute): (&FieldValues, &String)| {
-        let present = field.values.iter().filter(|value| value.is_finite());
-        let range = present.fold(None, |range: Option<[f32; 2]>, &value| {
-            let [low, high] = range.unwrap_or([value; 2]);
-            Some([low.min(value), high.max(value)])
-        });
-        json!({
-            "attribute": attribute,
-            "field": field.name,
-            "unit": field.unit,
-            "range": range,
-            "missing": MISSING,
-        })
-    };
-    mesh.fields.iter().zip(names).map(field).collect()
-}
-
 /// The node that turns positions into metres with Y up: a patient's head (LPS) is up, the face looks along +Z, as glTF has it. Without a
-/// unit one world unit is one metre. Its translation is the mesh's origin.
-fn node(mesh: &Mesh) -> Value {
+/// unit one world unit is one metre. Positions are multiples of `step` from `origin`, both in world units.
+fn node_at(mesh: &Mesh, number: usize, origin: [f64; 3], step: f64) -> Value {
     use std::f64::consts::FRAC_1_SQRT_2;
     let metres = mesh.unit.and_then(LengthUnit::metres).unwrap_or(1.0);
-    let [x, y, z] = mesh.origin.map(|component| component * metres);
+    let [x, y, z] = origin.map(|component| component * metres);
+    let scale = metres * step;
     json!({
         "name": mesh.name,
-        "mesh": 0,
+        "mesh": number,
         // A quarter turn about x: (x, y, z) becomes (x, z, −y).
         "rotation": [-FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2],
-        "scale": [metres, metres, metres],
+        "scale": [scale, scale, scale],
         "translation": [x, z, -y],
     })
 }
@@ -202,19 +251,23 @@ impl Buffer {
     }
 
     fn accessor(&mut self, view: usize, component: u32, shape: &str, count: usize, more: Value) -> usize {
-        let mut accessor = json!({
-            "bufferView": view,
-            "byteOffset": 0,
-            "componentType": component,
-            "type": shape,
-            "count": count,
-        });
-        if let (Value::Object(accessor), Value::Object(more)) = (&mut accessor, more) {
-            accessor.extend(more);
-        }
-        self.accessors.push(accessor);
+        self.accessors.push(accessor(view, component, shape, count, more));
         self.accessors.len() - 1
     }
+}
+
+fn accessor(view: usize, component: u32, shape: &str, count: usize, more: Value) -> Value {
+    let mut accessor = json!({
+        "bufferView": view,
+        "byteOffset": 0,
+        "componentType": component,
+        "type": shape,
+        "count": count,
+    });
+    if let (Value::Object(accessor), Value::Object(more)) = (&mut accessor, more) {
+        accessor.extend(more);
+    }
+    accessor
 }
 
 fn bounds(positions: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
@@ -238,7 +291,7 @@ mod tests {
     }
 
     /// JSON and binary chunk; the container's lengths are checked on the way.
-    fn parse(bytes: &[u8]) -> (Value, &[u8]) {
+    pub(super) fn parse(bytes: &[u8]) -> (Value, &[u8]) {
         assert_eq!(&bytes[..4], MAGIC);
         assert_eq!((word(bytes, 4), word(bytes, 8)), (2, bytes.len()));
         let text = word(bytes, 12);
@@ -257,7 +310,7 @@ mod tests {
     fn written(mesh: &Mesh) -> Vec<u8> {
         let mut bytes = Vec::new();
         write(
-            mesh,
+            std::slice::from_ref(mesh),
             &json!({ "statistics": { "triangles": mesh.triangles.len() } }),
             &mut bytes,
         )
@@ -341,6 +394,41 @@ mod tests {
         assert!((up - crate::math::DVec3::Y).length() < 1e-12, "{up}");
         let front = turn * crate::math::DVec3::NEG_Y;
         assert!((front - crate::math::DVec3::Z).length() < 1e-12, "{front}");
+    }
+
+    #[test]
+    fn surfaces_have_nodes_and_materials_of_their_own() {
+        let mut bone = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let mut skin = bone.clone();
+        (bone.name, skin.name) = ("bone".to_owned(), "skin".to_owned());
+        skin.material = Material {
+            color: Some([255, 188, 0]),
+            opacity: 0.25,
+        };
+        let mut bytes = Vec::new();
+        write(&[bone.clone(), Mesh::default(), skin], &json!({}), &mut bytes).unwrap();
+        let (json, binary) = parse(&bytes);
+        assert_eq!(json["scenes"][0]["nodes"], json!([0, 1]));
+        for (number, name) in ["bone", "skin"].into_iter().enumerate() {
+            assert_eq!(
+                (&json["nodes"][number]["name"], &json["nodes"][number]["mesh"]),
+                (&json!(name), &json!(number))
+            );
+            assert_eq!(json["materials"][number]["name"], name);
+            let primitive = &json["meshes"][number]["primitives"][0];
+            assert_eq!(primitive["material"], number);
+            let positions = floats(words(&json, binary, &primitive["attributes"]["POSITION"]));
+            assert_eq!(positions, bytemuck::cast_slice::<_, f32>(&bone.positions));
+            assert_eq!(words(&json, binary, &primitive["indices"])[9..], [0, 2, 3]);
+        }
+        assert!(json["materials"][0].get("alphaMode").is_none());
+        let skin = &json["materials"][1];
+        assert_eq!(
+            (&skin["alphaMode"], &skin["pbrMetallicRoughness"]["baseColorFactor"][3]),
+            (&json!("BLEND"), &json!(0.25))
+        );
+        let green = skin["pbrMetallicRoughness"]["baseColorFactor"][1].as_f64().unwrap();
+        assert!((green - 0.5029).abs() < 1e-3, "{green}");
     }
 
     #[test]

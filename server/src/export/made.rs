@@ -1,24 +1,26 @@
-//! From a surface that was extracted to the bytes of a file: the same for a request, a batch job and the command line.
+//! From surfaces that were extracted to the bytes of a file: the same for a request, a batch job and the command line.
 
+use std::collections::BTreeSet;
 use std::io::Write;
 
-use serde_json::Value;
 use tokio_util::sync::CancellationToken;
 
 use super::field_values::FieldSamples;
 use super::topology::{Topology, split_pinched, volume};
-use super::{ExportError, FileDigest, FileOptions, FileRequest, Format, Mesh, digest, extras, stl, why_empty, write};
+use super::{
+    Compress, Content, ExportError, FileDigest, FileOptions, FileRequest, FileSurface, Format, Mesh, OtherVolumes,
+    extras, glb, stl, why_empty,
+};
 use crate::extraction::{Extraction, ExtractionStatistics, Extractor, Shape, WorkError};
 use crate::pool::{self, Panicked};
+use crate::view::quality::MesherName;
 use crate::view::{EditError, Outward, View};
-use crate::volumes::{LengthUnit, ReadError, VolumeStep};
+use crate::volumes::{InputIdentity, LengthUnit, SeenFiles, VolumeStep};
 
 /// A file that is made, not written yet.
 pub struct MadeFile {
-    mesh: Mesh,
-    format: Format,
+    content: Content,
     stem: String,
-    extras: Value,
     /// Of its surface.
     pub statistics: ExtractionStatistics,
 }
@@ -39,47 +41,51 @@ pub enum MakeError {
     /// The surface has no triangles, and the request does not allow that.
     #[error("{0}")]
     Empty(String),
-    /// The samples of a field cannot be read.
-    #[error(transparent)]
-    Read(#[from] ReadError),
     /// The work panicked.
     #[error(transparent)]
     Panicked(#[from] Panicked),
 }
 
-/// Extracts a surface and makes a file of it. The work ends at its next look at the token where that is cancelled; what it does on
+/// Extracts the surfaces of a request and makes a file of them. The work ends at its next look at the token where that is cancelled; what it does on
 /// processors has threads of low priority.
 ///
 /// # Errors
 /// [`MakeError`].
 pub async fn make(
     extractor: &Extractor,
-    volume: VolumeStep,
+    volume: &VolumeStep,
+    others: &OtherVolumes,
     request: &FileRequest,
     token: &CancellationToken,
 ) -> Result<MadeFile, MakeError> {
     let device = extractor.worker().ready().await?;
-    let view = request.view(volume.dataset())?;
-    let extraction = extractor.extract(&volume, &view, token).await?;
-    if !request.options.allow_empty && extraction.surface.statistics.triangles == 0 {
-        let statistics = extraction.statistics(&volume, &device.name);
-        let why = why_empty(extractor, &volume, &extraction.view, &statistics).await?;
-        return Err(MakeError::Empty(why.unwrap_or_default()));
+    let mut made = Vec::new();
+    for surface in request.surfaces(volume, others)? {
+        let measuring = request.options.measuring();
+        let extracted = extractor.extract_measured(&surface.volume, &surface.view, measuring, token);
+        let extraction = extracted.await?;
+        if !request.options.allow_empty && extraction.surface.statistics.triangles == 0 {
+            let statistics = extraction.statistics(&surface.volume, &device.name);
+            let why = why_empty(extractor, &surface.volume, &extraction.view, &statistics).await?;
+            return Err(MakeError::Empty(why.unwrap_or_default()));
+        }
+        let fields = FieldSamples::of(extractor, &surface.volume, surface.values(), token).await?;
+        let (token, device) = (token.clone(), device.name.clone());
+        let mesh = move || MadeSurface::new(extraction, fields, &surface, &device, &|| token.is_cancelled());
+        made.push(pool::run_export(mesh).await??);
     }
-    let (token, request) = (token.clone(), request.clone());
-    let made =
-        pool::run_export(move || MadeFile::new(extraction, &volume, &request, &device.name, &|| token.is_cancelled()));
-    made.await?
+    Ok(MadeFile::new(volume, request, made))
 }
 
-/// The unit of a file's positions: millimetres in an STL, else what was asked for, else the volume's own. A volume without a unit has the one that
+/// The unit of a file's positions: the format's, else what was asked for, else the volume's own. A volume without a unit has the one that
 /// was asked for. Returns what the volume's numbers are in, and what the file's are; `None` if that is not known.
 fn unit_of_file(format: Format, own: Option<LengthUnit>, asked: Option<LengthUnit>) -> [Option<LengthUnit>; 2] {
     let from = own.filter(|unit| unit.metres().is_some()).or(asked);
-    let to = match format {
-        Format::Stl => from.map(|_| LengthUnit::Millimetre),
-        Format::Glb => from,
-        Format::Ply | Format::Vtp => asked.or(from),
+    let to = match format.unit() {
+        Some(unit) => from.map(|_| unit),
+        // Its node has metres.
+        None if format == Format::Glb => from,
+        None => asked.or(from),
     };
     [from, to]
 }
@@ -104,19 +110,30 @@ fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape 
     }
 }
 
-/// What a format does not keep of a mesh.
-fn notices(mesh: &Mesh, format: Format, options: &FileOptions) -> Vec<String> {
-    if format != Format::Stl {
-        return Vec::new();
-    }
-    let no_unit = mesh.unit.is_none().then(|| {
-        "the volume declares no unit, and programs that print take the numbers of an STL for millimetres: name its unit (--unit, unit)".to_owned()
+/// What a format does not keep of a mesh, and what was not measured in time.
+fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String> {
+    let format = options.format;
+    let title = format.title();
+    let rounding = format.rounds().then(|| stl::rounding(mesh, title)).flatten();
+    let unit = format.unit().filter(|_| mesh.unit.is_none());
+    let no_unit = unit.map(|unit| {
+        let unit = unit.symbol();
+        format!("the volume declares no unit, and programs take the numbers of a {title} for {unit}: name its unit (--unit, unit)")
     });
-    let no_values = (!options.field_values.is_empty()).then(|| "an STL holds no values of fields".to_owned());
-    stl::rounding(mesh)
+    let unmeasured = (options.measure > Some(0.0) && !is_measured).then(|| {
+        let seconds = options.measure.unwrap_or_default();
+        format!("the error was not measured: it takes longer than {seconds} s (--measure, measure)")
+    });
+    let packed = (options.compress == Compress::Meshopt && !mesh.positions.is_empty()).then(|| {
+        let (rounding, unit) = (glb::packed::rounding(mesh), mesh.unit.map_or("", LengthUnit::ascii_symbol));
+        let spacings = rounding / mesh.smallest_spacing;
+        format!("positions are rounded by up to {rounding:.1e} {unit}, {spacings:.4} of the smallest spacing (--compress meshopt)")
+    });
+    let loses_values = !options.field_values.is_empty() && !format.holds_values();
+    let no_values = loses_values.then(|| format!("a {title} holds no values of fields"));
+    [rounding, no_unit, no_values, unmeasured, packed]
         .into_iter()
-        .chain(no_unit)
-        .chain(no_values)
+        .flatten()
         .collect()
 }
 
@@ -130,122 +147,178 @@ fn name(volume: &VolumeStep, view: &View) -> String {
     format!("{}: {}{iso}{mask}", volume.dataset().id, view.field)
 }
 
-/// The name of a file without its extension: letters, digits and what else no system takes for something else.
+/// The name of a file without its extension.
 fn stem(volume: &str, request: &FileRequest, view: &View) -> String {
     let what = match (&request.options.label, view.iso) {
         (Some(labels), _) => format!("-{labels}"),
         (None, Some(iso)) => format!("-{}", iso.get()),
         (None, None) => String::new(),
     };
+    safe_name(&format!("{volume}{what}"))
+}
+
+/// A text as a part of a file's name: letters, digits and what else no system takes for something else.
+pub(crate) fn safe_name(text: &str) -> String {
     let safe = |c: char| match c {
         '.' | '-' | '+' | '_' => c,
         c if c.is_ascii_alphanumeric() => c,
         _ => '_',
     };
-    format!("{volume}{what}").chars().map(safe).collect()
+    text.chars().map(safe).collect()
 }
 
 /// Where a surface comes from.
 fn provenance(volume: &VolumeStep, view: &View) -> Vec<(&'static str, String)> {
     let dataset = volume.dataset();
     let view = serde_json::to_string(&view.to_edit()).unwrap_or_default();
-    vec![
+    let mut provenance = vec![
         ("volume", dataset.id.clone()),
         ("title", dataset.title.clone()),
         ("step", volume.step().to_string()),
         ("view", view),
         ("generator", concat!("isopeel ", env!("CARGO_PKG_VERSION")).to_owned()),
-    ]
+    ];
+    if let Some(times) = dataset.times.as_ref().filter(|_| dataset.steps > 1) {
+        provenance.push(("time", times.label(volume.step())));
+    }
+    // Of a store over a network nothing is known; what cannot be read has been found before.
+    let steps = BTreeSet::from([volume.step()]);
+    if let Ok(identity) = InputIdentity::of(dataset, &steps, &SeenFiles::default()) {
+        provenance.push(("identity", identity.content()));
+    }
+    provenance
 }
 
-impl MadeFile {
-    /// The file of a surface, made on the device of that name.
+/// A surface of a file, as a mesh.
+pub struct MadeSurface {
+    mesh: Mesh,
+    /// Of the surface.
+    pub statistics: ExtractionStatistics,
+    extras: serde_json::Value,
+    view: View,
+}
+
+impl MadeSurface {
+    /// The mesh of a surface that was made on the device of that name.
     ///
     /// # Errors
-    /// What the format cannot hold, [`ExportError::Cancelled`], and a field whose samples cannot be read.
+    /// What the format cannot hold, and [`ExportError::Cancelled`].
     pub fn new(
         extraction: Extraction,
-        volume: &VolumeStep,
-        request: &FileRequest,
+        fields: Vec<FieldSamples>,
+        asked: &FileSurface,
         device: &str,
         is_cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, MakeError> {
-        let format = request.options.format;
+        let (volume, options) = (&asked.volume, &asked.request.options);
         let mut statistics = extraction.statistics(volume, device);
         let Extraction { surface, view, .. } = extraction;
         let dataset = volume.dataset();
         let (of_view, space) = dataset.index_space(&view);
-        let placed = of_view.in_unit(unit_of_file(format, of_view.unit, request.options.length_unit()));
+        let placed = of_view.in_unit(unit_of_file(options.format, of_view.unit, options.length_unit()));
         let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
         let mut mesh = Mesh::new_unless(&surface, &placed, uneven, is_cancelled)?;
         // Before the mesh is copied to its reader: both are large.
         drop(surface);
-        for name in &request.options.field_values {
-            if let Some(field) = dataset.field(name) {
-                let samples = FieldSamples::read(volume, field)?;
-                mesh.fields
-                    .push(samples.at(&mesh.index, if view.cap { 1.0 } else { 0.0 }));
-            }
-        }
+        let padding = if view.cap { 1.0 } else { 0.0 };
+        mesh.fields = fields.iter().map(|field| field.at(&mesh.index, padding)).collect();
+        drop(fields);
         mesh.index = Vec::new();
         let topology = split_pinched(&mut mesh);
-        statistics.shape = Some(turn_outward(&mut mesh, topology, request.options.outward));
-        statistics.notices = notices(&mesh, format, &request.options);
+        mesh.is_closed = topology.is_closed;
+        statistics.shape = Some(turn_outward(&mut mesh, topology, options.outward));
+        let is_measured = statistics.error.is_some() || view.mesher != MesherName::Dual;
+        statistics.notices = notices(&mesh, options, is_measured);
         let notice = dataset.notice().unwrap_or_default();
         mesh.notices = notice.lines().map(str::to_owned).collect();
-        mesh.name = match &request.options.label {
-            Some(labels) => format!("{}: {labels}", dataset.id),
-            None => name(volume, &view),
+        mesh.name = match (&asked.name, &options.label) {
+            (Some(name), _) => name.clone(),
+            (None, Some(labels)) => format!("{}: {labels}", dataset.id),
+            (None, None) => name(volume, &view),
         };
+        mesh.material = asked.material;
         mesh.provenance = provenance(volume, &view);
-        if request.is_colored() {
+        if asked.request.is_colored() {
             mesh.colorize(&view.transfer_function, view.alpha);
         }
-        let extras = extras(volume, &view.to_edit(), &statistics);
+        let extras = extras(volume, &view.to_edit(), &mesh, &statistics);
         Ok(Self {
             mesh,
-            format,
-            stem: stem(&dataset.id, request, &view),
-            extras,
             statistics,
+            extras,
+            view,
         })
+    }
+}
+
+impl MadeFile {
+    /// The file of surfaces, of which there is at least one.
+    pub fn new(volume: &VolumeStep, request: &FileRequest, surfaces: Vec<MadeSurface>) -> Self {
+        let id = &volume.dataset().id;
+        let stem = match &surfaces[..] {
+            [one] => stem(id, request, &one.view),
+            _ => safe_name(id),
+        };
+        let (mut meshes, mut statistics, mut extras) = (Vec::new(), Vec::new(), Vec::new());
+        for surface in surfaces {
+            meshes.push(surface.mesh);
+            statistics.push(surface.statistics);
+            extras.push(surface.extras);
+        }
+        let extras = match extras.len() {
+            1 => extras.remove(0),
+            _ => serde_json::json!({ "surfaces": extras }),
+        };
+        Self {
+            content: Content {
+                meshes,
+                format: request.options.format,
+                compress: request.options.compress,
+                extras,
+            },
+            stem,
+            statistics: ExtractionStatistics::of_several(statistics),
+        }
     }
 
     /// A mesh as a file, for tests.
     #[cfg(test)]
     pub(crate) fn of_mesh(mesh: Mesh, format: Format) -> Self {
         Self {
-            mesh,
-            format,
+            content: Content {
+                meshes: vec![mesh],
+                format,
+                compress: Compress::None,
+                extras: serde_json::json!({ "a": 1 }),
+            },
             stem: "a".to_owned(),
-            extras: serde_json::json!({ "a": 1 }),
             statistics: ExtractionStatistics::default(),
         }
     }
 
     /// A name for its file: volume, and isovalue or labels.
     pub fn file_name(&self) -> String {
-        format!("{}.{}", self.stem, self.format.extension())
+        format!("{}.{}", self.stem, self.format().extension())
     }
 
     /// Its format.
     pub fn format(&self) -> Format {
-        self.format
+        self.content.format
     }
 
     /// Length and hash of what [`MadeFile::write`] writes.
     ///
     /// # Errors
-    /// As [`digest`].
+    /// As [`Content::digest`].
     pub fn digest(&self, is_cancelled: &dyn Fn() -> bool) -> Result<FileDigest, ExportError> {
-        digest(&self.mesh, self.format, &self.extras, is_cancelled)
+        self.content.digest(is_cancelled)
     }
 
     /// Writes it.
     ///
     /// # Errors
-    /// As [`write`].
+    /// As [`Content::write`].
     pub fn write(&self, out: &mut impl Write) -> Result<(), ExportError> {
-        write(&self.mesh, self.format, &self.extras, out)
+        self.content.write(out)
     }
 }

@@ -52,6 +52,28 @@ pub struct Mesh {
     pub name: String,
     /// Where the surface comes from: names and texts, for formats that hold some.
     pub provenance: Vec<(&'static str, String)>,
+    /// Whether each edge has two triangles.
+    pub is_closed: bool,
+    /// What the whole surface looks like.
+    pub material: Material,
+}
+
+/// What a surface looks like as a whole.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Colour in sRGB, if the surface has one.
+    pub color: Option<[u8; 3]>,
+    /// 1 is opaque, 0 cannot be seen.
+    pub opacity: f32,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Self {
+            color: None,
+            opacity: 1.0,
+        }
+    }
 }
 
 /// Values of a field at the vertices of a mesh.
@@ -252,11 +274,16 @@ fn check(region: &Region) -> Result<(), ExportError> {
     Ok(())
 }
 
+/// `#rrggbb` as three bytes.
+pub(super) fn rgb(color: &str) -> Option<[u8; 3]> {
+    let digits = color.strip_prefix('#').filter(|d| d.len() == 6 && d.is_ascii())?;
+    let [_, bytes @ ..] = u32::from_str_radix(digits, 16).ok()?.to_be_bytes();
+    Some(bytes)
+}
+
 /// `#rrggbb` as three numbers in 0 to 1.
 fn srgb(color: &str) -> Option<[f32; 3]> {
-    let digits = color.strip_prefix('#').filter(|d| d.len() == 6 && d.is_ascii())?;
-    let rgb = u32::from_str_radix(digits, 16).ok()?;
-    Some([16, 8, 0].map(|shift| (rgb >> shift & 0xff) as f32 / 255.0))
+    Some(rgb(color)?.map(|byte| f32::from(byte) / 255.0))
 }
 
 /// Piecewise linear between points sorted by `x`, constant beyond the ends.
@@ -288,6 +315,15 @@ pub(super) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<
     names.split_off(taken.len())
 }
 
+/// A text in a line of ASCII; what else there is in it is escaped as in Rust.
+pub(super) fn ascii(text: &str) -> String {
+    let escaped = |c: char| match c {
+        ' '..='~' => c.to_string(),
+        _ => c.escape_default().to_string(),
+    };
+    text.chars().map(escaped).collect()
+}
+
 /// A linear colour as bytes of sRGB, as PLY and VTP have colours.
 pub(super) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
     color.map(|component| {
@@ -302,7 +338,7 @@ pub(super) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
 }
 
 /// From sRGB to linear (IEC 61966-2-1), as glTF defines vertex colours.
-fn linear(srgb: f32) -> f32 {
+pub(super) fn linear(srgb: f32) -> f32 {
     if srgb <= 0.040_45 {
         srgb / 12.92
     } else {

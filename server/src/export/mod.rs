@@ -1,7 +1,8 @@
-//! Surfaces as files: GLB (glTF 2.0), PLY, STL and VTP. Each names the frame and the unit of its positions, and the volume's notices.
+//! Surfaces as files. Each names the frame and the unit of its positions, and the volume's notices.
 //!
-//! [`FileRequest`] is what is asked for, [`MadeFile`] what is made of it. [`mesh`] joins the regions of a surface into one mesh; [`glb`], [`ply`], [`stl`] and [`vtp`] stream it to a [`Write`]r. By hand: each writer is
-//! shorter than the conversion to a library's own mesh would be, and never holds the file in memory.
+//! [`FileRequest`] is what is asked for, [`MadeFile`] what is made of it, [`Content`] what it holds. [`mesh`] joins the regions of a surface into one
+//! mesh, and a module for each format writes it. By hand: each writer is shorter than the conversion to a library's own mesh would be, and does not
+//! hold the file in memory, unless it is compressed.
 
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -13,24 +14,37 @@ use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
 use crate::volumes::{LengthUnit, VolumeStep};
 
+mod decimal;
 mod empty;
 mod field_values;
-pub mod glb;
+mod gifti;
+mod glb;
 mod label;
 mod made;
 pub mod mesh;
-pub mod ply;
+mod obj;
+mod ply;
+mod precomputed;
 mod request;
-pub mod stl;
+mod schema;
+mod stl;
+mod surface_options;
+mod surfaces;
+mod three_mf;
 mod topology;
 mod transform;
-pub mod vtp;
+mod vtp;
+mod xml;
 
 pub(crate) use empty::why_empty;
-pub use made::{MadeFile, MakeError, make};
+pub use field_values::FieldSamples;
+pub(crate) use made::safe_name;
+pub use made::{MadeFile, MadeSurface, MakeError, make};
 pub use mesh::Mesh;
-pub(crate) use request::merged_schema;
 pub use request::{FileOptions, FileRequest};
+pub(crate) use schema::merged_schema;
+pub use surface_options::{SurfaceLook, SurfaceOptions};
+pub use surfaces::{FileSurface, OtherVolumes};
 
 // Arrays are written as they are in memory, and all formats are little-endian.
 const _: () = assert!(
@@ -39,7 +53,7 @@ const _: () = assert!(
 );
 
 /// File format of an exported surface.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
     /// Binary glTF 2.0, in metres and Y up, with smoothness and feature as vertex attributes.
@@ -50,21 +64,100 @@ pub enum Format {
     Stl,
     /// VTK's XML `PolyData`, with smoothness and feature a point and the level a triangle.
     Vtp,
+    /// Wavefront OBJ: text, with normals and colours; several surfaces are objects.
+    Obj,
+    /// 3MF, in millimetres, with names and colours; several surfaces are objects.
+    #[serde(rename = "3mf")]
+    #[value(name = "3mf")]
+    ThreeMf,
+    /// GIFTI, `.surf.gii`, in millimetres and the axes of NIfTI.
+    Gifti,
+    /// Neuroglancer's single-resolution meshes in a ZIP, in nanometres; several surfaces are segments.
+    Precomputed,
+}
+
+/// How a file is compressed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Compress {
+    /// As little as the format asks for.
+    #[default]
+    None,
+    /// Arrays of a VTP as blocks of zlib.
+    Zlib,
+    /// A GLB with meshoptimizer's codecs and numbers of fewer bits, for pages on the web. Blender does not read it.
+    Meshopt,
+}
+
+impl Compress {
+    /// Whether nothing was asked for.
+    pub(crate) fn is_none(&self) -> bool {
+        *self == Self::None
+    }
+
+    /// The only format that has it; `None`: all have.
+    pub const fn format(self) -> Option<Format> {
+        match self {
+            Self::None => None,
+            Self::Zlib => Some(Format::Vtp),
+            Self::Meshopt => Some(Format::Glb),
+        }
+    }
 }
 
 impl Format {
-    /// The format of a file name's extension.
+    /// The names of all, for people.
+    pub const EXPECTED: &str = "glb, ply, stl, vtp, obj, 3mf, gifti or precomputed";
+
+    /// Endings of file names.
+    const ENDINGS: [(&str, Self); 9] = [
+        (".glb", Self::Glb),
+        (".ply", Self::Ply),
+        (".stl", Self::Stl),
+        (".vtp", Self::Vtp),
+        (".obj", Self::Obj),
+        (".3mf", Self::ThreeMf),
+        (".surf.gii", Self::Gifti),
+        (".gii", Self::Gifti),
+        (".precomputed.zip", Self::Precomputed),
+    ];
+
+    /// The format that a file's name says.
     ///
     /// # Errors
     /// [`ExportError::UnknownExtension`].
     pub fn from_path(path: &Path) -> Result<Self, ExportError> {
-        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-        match extension.to_ascii_lowercase().as_str() {
-            "glb" => Ok(Self::Glb),
-            "ply" => Ok(Self::Ply),
-            "stl" => Ok(Self::Stl),
-            "vtp" => Ok(Self::Vtp),
-            _ => Err(ExportError::UnknownExtension(path.display().to_string())),
+        let name = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .to_ascii_lowercase();
+        let found = Self::ENDINGS.iter().find(|(ending, _)| name.ends_with(ending));
+        let unknown = || ExportError::UnknownExtension(path.display().to_string());
+        found.map(|&(_, format)| format).ok_or_else(unknown)
+    }
+
+    /// Its name in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ThreeMf => "3mf",
+            Self::Gifti => "gifti",
+            Self::Precomputed => "precomputed",
+            short => short.extension(),
+        }
+    }
+
+    /// Its name for people.
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Glb => "GLB",
+            Self::Ply => "PLY",
+            Self::Stl => "STL",
+            Self::Vtp => "VTP",
+            Self::Obj => "OBJ",
+            Self::ThreeMf => "3MF",
+            Self::Gifti => "GIFTI",
+            Self::Precomputed => "precomputed",
         }
     }
 
@@ -75,6 +168,10 @@ impl Format {
             Self::Ply => "ply",
             Self::Stl => "stl",
             Self::Vtp => "vtp",
+            Self::Obj => "obj",
+            Self::ThreeMf => "3mf",
+            Self::Gifti => "surf.gii",
+            Self::Precomputed => "precomputed.zip",
         }
     }
 
@@ -87,8 +184,14 @@ impl Format {
             Self::Ply => 35,
             // Normal, corners, two bytes.
             Self::Stl => 50,
-            // As PLY, with a level and four indices of 8.
-            Self::Vtp => 55,
+            // As PLY, with a level and four indices of 4.
+            Self::Vtp => 39,
+            // Lines of some 60 bytes a vertex, and of 50 a triangle.
+            Self::Obj => 80,
+            // As OBJ without normals, a third of it compressed.
+            Self::ThreeMf => 35,
+            // Vertices of 12 bytes, three indices of 4.
+            Self::Gifti | Self::Precomputed => 18,
         };
         triangles.saturating_mul(per_triangle)
     }
@@ -98,8 +201,35 @@ impl Format {
         match self {
             Self::Glb => "model/gltf-binary",
             // No media type is registered for these.
-            Self::Ply | Self::Vtp => "application/octet-stream",
+            Self::Ply | Self::Vtp | Self::Gifti => "application/octet-stream",
             Self::Stl => "model/stl",
+            Self::Obj => "model/obj",
+            Self::ThreeMf => "model/3mf",
+            Self::Precomputed => "application/zip",
+        }
+    }
+
+    /// Whether a file holds values of fields.
+    pub const fn holds_values(self) -> bool {
+        matches!(self, Self::Glb | Self::Ply | Self::Vtp)
+    }
+
+    /// Whether a file holds several surfaces.
+    pub const fn holds_several(self) -> bool {
+        matches!(self, Self::Glb | Self::Obj | Self::ThreeMf | Self::Precomputed)
+    }
+
+    /// Whether world positions are rounded to 32 bits.
+    const fn rounds(self) -> bool {
+        matches!(self, Self::Stl | Self::Gifti | Self::Precomputed)
+    }
+
+    /// The unit that positions are always in, if there is one.
+    const fn unit(self) -> Option<LengthUnit> {
+        match self {
+            Self::Stl | Self::ThreeMf | Self::Gifti => Some(LengthUnit::Millimetre),
+            Self::Precomputed => Some(LengthUnit::Nanometre),
+            Self::Glb | Self::Ply | Self::Vtp | Self::Obj => None,
         }
     }
 }
@@ -109,7 +239,9 @@ impl Format {
 #[non_exhaustive]
 pub enum ExportError {
     /// The name does not say the format.
-    #[error("{0:?} does not say the format: expected a name that ends in .glb, .ply, .stl or .vtp")]
+    #[error(
+        "{0:?} does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii or .precomputed.zip"
+    )]
     UnknownExtension(String),
     /// More than the format or its 32-bit numbers can hold.
     #[error("{what}: {found}, {format} allows {limit}")]
@@ -142,25 +274,90 @@ pub enum ExportError {
     Io(#[from] io::Error),
 }
 
-/// Writes `mesh` as `format`. `extras` goes into a GLB, under `asset.extras`; the other formats have no field for it.
-///
-/// # Errors
-/// What the format cannot hold, or the errors of `out`.
-pub fn write(mesh: &Mesh, format: Format, extras: &serde_json::Value, out: &mut impl Write) -> Result<(), ExportError> {
-    match format {
-        Format::Glb => glb::write(mesh, extras, out),
-        Format::Ply => ply::write(mesh, out),
-        Format::Stl => stl::write(mesh, out),
-        Format::Vtp => Ok(vtp::write(mesh, out)?),
+/// What a file holds, before it is bytes.
+#[derive(Clone, Debug)]
+pub struct Content {
+    /// Its surfaces; one, if the format does not hold several.
+    pub meshes: Vec<Mesh>,
+    /// Its format.
+    pub format: Format,
+    /// How it is compressed.
+    pub compress: Compress,
+    /// What a GLB says under `asset.extras`; the other formats have no field for it.
+    pub extras: serde_json::Value,
+}
+
+impl Content {
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// What the format cannot hold, or the errors of `out`.
+    pub fn write(&self, out: &mut impl Write) -> Result<(), ExportError> {
+        let meshes = &self.meshes[..];
+        match self.format {
+            Format::Glb if self.compress == Compress::Meshopt => glb::packed::write(meshes, &self.extras, out),
+            Format::Glb => glb::write(meshes, &self.extras, out),
+            Format::Ply => ply::write(self.only()?, out),
+            Format::Stl => stl::write(self.only()?, out),
+            Format::Vtp => vtp::write(self.only()?, self.compress == Compress::Zlib, out),
+            Format::Obj => obj::write(meshes, out),
+            Format::ThreeMf => three_mf::write(meshes, out),
+            Format::Gifti => gifti::write(self.only()?, out),
+            Format::Precomputed => precomputed::write(meshes, out),
+        }
+    }
+
+    fn only(&self) -> Result<&Mesh, ExportError> {
+        match &self.meshes[..] {
+            [mesh] => Ok(mesh),
+            meshes => Err(ExportError::TooLarge {
+                what: "surfaces",
+                found: meshes.len() as u64,
+                limit: 1,
+                format: self.format.title(),
+            }),
+        }
+    }
+
+    /// Returns length and hash of what [`Content::write`] writes.
+    ///
+    /// # Errors
+    /// What the format cannot hold; [`Content::write`] then fails only if `out` does. [`ExportError::Io`] if it is cancelled.
+    pub fn digest(&self, is_cancelled: &dyn Fn() -> bool) -> Result<FileDigest, ExportError> {
+        let digester = Digester {
+            bytes: 0,
+            hasher: Xxh3::new(),
+            is_cancelled,
+        };
+        let mut out = BufWriter::with_capacity(DIGEST_BUFFER_BYTES, digester);
+        self.write(&mut out)?;
+        let Digester { bytes, hasher, .. } = out.into_inner().map_err(io::IntoInnerError::into_error)?;
+        let hash = hasher.digest128();
+        Ok(FileDigest { bytes, hash })
     }
 }
 
-/// What a GLB says about itself: volume, step, every value in force, statistics, notices; frame and unit of its positions, before the
+/// Bytes of rows that are made before they are written.
+const PIECE_BYTES: usize = 1 << 16;
+
+/// Writes rows that take more bytes than this.
+fn flush(rows: &mut Vec<u8>, out: &mut impl Write, limit: usize) -> Result<(), ExportError> {
+    if rows.len() > limit {
+        out.write_all(rows)?;
+        rows.clear();
+    }
+    Ok(())
+}
+
+/// What a GLB says about itself: volume with the hash of its files, step, every value in force, statistics, notices; frame and unit of its positions, before the
 /// node turns them. Equal for equal requests: times and memory are left out.
-pub fn extras(volume: &VolumeStep, edit: &Edit, statistics: &ExtractionStatistics) -> serde_json::Value {
+fn extras(volume: &VolumeStep, edit: &Edit, mesh: &Mesh, statistics: &ExtractionStatistics) -> serde_json::Value {
     let dataset = volume.dataset();
+    let identity = mesh.provenance.iter().find(|(name, _)| *name == "identity");
     serde_json::json!({
         "volume": dataset.id,
+        "title": dataset.title,
+        "identity": identity.map(|(_, identity)| identity),
         "step": volume.step(),
         "frame": dataset.geometry.frame.name(),
         "unit": dataset.geometry.unit.map(LengthUnit::symbol),
@@ -177,28 +374,6 @@ pub struct FileDigest {
     pub bytes: u64,
     /// XXH3 of all of it.
     pub hash: u128,
-}
-
-/// Returns length and hash of what [`write`] writes.
-///
-/// # Errors
-/// What the format cannot hold; [`write`] then fails only if `out` does. [`ExportError::Io`] if it is cancelled.
-pub fn digest(
-    mesh: &Mesh,
-    format: Format,
-    extras: &serde_json::Value,
-    is_cancelled: &dyn Fn() -> bool,
-) -> Result<FileDigest, ExportError> {
-    let digester = Digester {
-        bytes: 0,
-        hasher: Xxh3::new(),
-        is_cancelled,
-    };
-    let mut out = BufWriter::with_capacity(DIGEST_BUFFER_BYTES, digester);
-    write(mesh, format, extras, &mut out)?;
-    let Digester { bytes, hasher, .. } = out.into_inner().map_err(io::IntoInnerError::into_error)?;
-    let hash = hasher.digest128();
-    Ok(FileDigest { bytes, hash })
 }
 
 /// Bytes that are hashed at once.

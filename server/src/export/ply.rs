@@ -2,8 +2,8 @@
 
 use std::io::Write;
 
-use super::mesh::{attribute_names, srgb_bytes};
-use super::{ExportError, Mesh};
+use super::mesh::{ascii, attribute_names, srgb_bytes};
+use super::{ExportError, Mesh, PIECE_BYTES, flush};
 use crate::volumes::LengthUnit;
 
 /// Writes `mesh`: a vertex has position (64 bits, so that far from the origin nothing is lost), normal, `smoothness` and `feature` (0 to 1), a face its three corners. Faces come by level,
@@ -34,22 +34,25 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
         properties(mesh),
         mesh.triangles.len(),
     )?;
+    let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
     for i in 0..mesh.positions.len() {
-        out.write_all(bytemuck::bytes_of(&mesh.world(i)))?;
-        out.write_all(bytemuck::bytes_of(&mesh.normals[i]))?;
-        out.write_all(bytemuck::bytes_of(&[mesh.smoothness[i], mesh.feature[i]]))?;
+        rows.extend_from_slice(bytemuck::bytes_of(&mesh.world(i)));
+        rows.extend_from_slice(bytemuck::bytes_of(&mesh.normals[i]));
+        rows.extend_from_slice(bytemuck::bytes_of(&[mesh.smoothness[i], mesh.feature[i]]));
         for field in &mesh.fields {
-            out.write_all(bytemuck::bytes_of(&field.values[i]))?;
+            rows.extend_from_slice(bytemuck::bytes_of(&field.values[i]));
         }
         if let Some(&color) = mesh.colors.get(i) {
-            out.write_all(&srgb_bytes(color))?;
+            rows.extend_from_slice(&srgb_bytes(color));
         }
+        flush(&mut rows, out, PIECE_BYTES)?;
     }
     for triangle in &mesh.triangles {
-        out.write_all(&[3])?;
-        out.write_all(bytemuck::bytes_of(triangle))?;
+        rows.push(3);
+        rows.extend_from_slice(bytemuck::bytes_of(triangle));
+        flush(&mut rows, out, PIECE_BYTES)?;
     }
-    Ok(())
+    flush(&mut rows, out, 0)
 }
 
 /// The patient's axes, as 3D Slicer reads them.
@@ -82,15 +85,6 @@ fn comments(mesh: &Mesh) -> String {
         .chain(fields)
         .chain(notices.map(|notice| comment("notice", notice)))
         .collect()
-}
-
-/// A text in a line of ASCII; what else there is in it is escaped as in Rust.
-fn ascii(text: &str) -> String {
-    let escaped = |c: char| match c {
-        ' '..='~' => c.to_string(),
-        _ => c.escape_default().to_string(),
-    };
-    text.chars().map(escaped).collect()
 }
 
 /// The properties of vertices behind those that all have.

@@ -1,16 +1,24 @@
 //! What is asked for of one file: step, format and options, beside any of the edit's names.
 
+use std::time::Duration;
+
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
-use utoipa::openapi::schema::{AdditionalProperties, Object, Type};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
-use super::Format;
+use super::field_values::field_of;
 use super::label::around_labels;
+use super::schema::merged_schema;
+use super::surface_options::SurfaceOptions;
+use super::{Compress, Format};
+use crate::extraction::Measuring;
 use crate::view::{Edit, EditError, Outward, View};
 use crate::volumes::{Dataset, LengthUnit};
+
+/// Longest bound on the time that measuring takes: a day.
+const MAX_SECONDS: f64 = 86_400.0;
 
 /// How a surface is written.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -24,21 +32,41 @@ pub struct FileOptions {
     /// Which side is the outside.
     #[serde(default, skip_serializing_if = "Outward::is_auto")]
     pub outward: Outward,
-    /// Unit of positions in a PLY or VTP, and what those of a volume are in that declares none: `mm`, `um`, `m` and so on. A GLB is always in
-    /// metres, an STL in millimetres.
+    /// Unit of positions in a PLY, VTP or OBJ, and what those of a volume are in that declares none: `mm`, `um`, `m` and so on. A GLB is always
+    /// in metres, STL, 3MF and GIFTI are in millimetres, precomputed meshes in nanometres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
-    /// Names of fields whose values are attributes of the vertices, in their own units. An STL holds none.
+    /// Names of fields, and expressions over fields, whose values are attributes of the vertices, in their own units; in GLB, PLY and VTP.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub field_values: Vec<String>,
     /// The surface around labels of a segmentation instead of one at an isovalue, by numbers or names: `7`, `3,Hippocampus`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<String>,
+    /// How the file is compressed: `zlib` for a VTP, `meshopt` for a GLB on a page.
+    #[serde(default, skip_serializing_if = "Compress::is_none")]
+    pub compress: Compress,
+    /// Seconds that measuring the error of a surface may take, which takes about as long as all else; 0: it is not measured. Without it there is no bound.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measure: Option<f64>,
+    /// Several surfaces in one GLB, 3MF, OBJ or precomputed, each with what differs from the request: `[{"iso":300,"color":"#d2b48c","opacity":0.4},
+    /// {"iso":900}]`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub surfaces: Vec<SurfaceOptions>,
 }
 
 impl FileOptions {
     /// The names in JSON.
-    const NAMES: [&str; 6] = ["format", "allowEmpty", "outward", "unit", "fieldValues", "label"];
+    const NAMES: [&str; 9] = [
+        "format",
+        "allowEmpty",
+        "outward",
+        "unit",
+        "fieldValues",
+        "label",
+        "compress",
+        "measure",
+        "surfaces",
+    ];
 
     /// The options of a format, all others at their defaults.
     pub const fn new(format: Format) -> Self {
@@ -49,6 +77,9 @@ impl FileOptions {
             unit: None,
             field_values: Vec::new(),
             label: None,
+            compress: Compress::None,
+            measure: None,
+            surfaces: Vec::new(),
         }
     }
 
@@ -57,11 +88,31 @@ impl FileOptions {
     /// # Errors
     /// A unit that is none of lengths, or a field that the volume does not have.
     fn check(&self, dataset: &Dataset) -> Result<(), EditError> {
-        if let Some(name) = self.field_values.iter().find(|name| dataset.field(name).is_none()) {
+        if let Some(name) = self.field_values.iter().find(|name| field_of(dataset, name).is_none()) {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
             return Err(EditError {
                 field: "fieldValues",
-                why: format!("{name:?}, expected some of {}", names.join(", ")),
+                why: format!(
+                    "{name:?}, expected some of {}, or expressions over them",
+                    names.join(", ")
+                ),
+            });
+        }
+        if let Some(format) = self.compress.format().filter(|format| *format != self.format) {
+            return Err(EditError {
+                field: "compress",
+                why: format!(
+                    "{:?} of a {}, expected a {}",
+                    self.compress,
+                    self.format.title(),
+                    format.title()
+                ),
+            });
+        }
+        if let Some(seconds) = self.measure.filter(|seconds| !(0.0..=MAX_SECONDS).contains(seconds)) {
+            return Err(EditError {
+                field: "measure",
+                why: format!("{seconds}, expected seconds, 0 to {MAX_SECONDS}"),
             });
         }
         match &self.unit {
@@ -70,6 +121,15 @@ impl FileOptions {
                 why: format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom"),
             }),
             _ => Ok(()),
+        }
+    }
+
+    /// Whether the error is measured.
+    pub fn measuring(&self) -> Measuring {
+        match self.measure {
+            None => Measuring::Always,
+            Some(seconds) if seconds > 0.0 => Measuring::Within(Duration::from_secs_f64(seconds.min(MAX_SECONDS))),
+            Some(_) => Measuring::Never,
         }
     }
 
@@ -143,21 +203,6 @@ struct StepName {
     step: Option<u32>,
 }
 
-/// The schema of an object that has the names of all these.
-pub(crate) fn merged_schema(schemas: impl IntoIterator<Item = RefOr<Schema>>, description: &str) -> RefOr<Schema> {
-    let mut merged = Object::new();
-    for schema in schemas {
-        if let RefOr::T(Schema::Object(object)) = schema {
-            merged.properties.extend(object.properties);
-            merged.required.extend(object.required);
-        }
-    }
-    merged.schema_type = Type::Object.into();
-    merged.additional_properties = Some(Box::new(AdditionalProperties::FreeForm(false)));
-    merged.description = Some(description.into());
-    RefOr::T(Schema::Object(merged))
-}
-
 impl PartialSchema for FileRequest {
     fn schema() -> RefOr<Schema> {
         merged_schema(
@@ -194,6 +239,19 @@ mod tests {
         ] {
             let error = serde_json::from_str::<FileRequest>(text).unwrap_err().to_string();
             assert!(error.contains(expected), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn names_of_formats_are_those_of_their_list() {
+        use clap::ValueEnum;
+        for format in Format::value_variants() {
+            let name = serde_json::to_value(format).unwrap();
+            assert_eq!(name, format.name());
+            assert_eq!(format.to_possible_value().unwrap().get_name(), format.name());
+            assert!(Format::EXPECTED.contains(format.name()));
+            let file = format!("a.{}", format.extension());
+            assert_eq!(Format::from_path(std::path::Path::new(&file)).unwrap(), *format);
         }
     }
 

@@ -2,15 +2,15 @@
 
 use std::io::Write;
 
-use super::{ExportError, Mesh, fits_u32};
+use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
 use crate::math::{DVec3, triangle_normal};
 use crate::volumes::LengthUnit;
 
 /// Share of the smallest spacing that rounding may take without a notice.
 const UNNOTICED: f64 = 1e-3;
 
-/// Returns how far positions are rounded, if that is more than a thousandth of the smallest spacing: an STL holds 32-bit world positions.
-pub fn rounding(mesh: &Mesh) -> Option<String> {
+/// Returns how far positions are rounded, if that is more than a thousandth of the smallest spacing, in a format that holds 32-bit world positions.
+pub fn rounding(mesh: &Mesh, format: &str) -> Option<String> {
     let of = |vertex: usize| {
         let rounded = mesh.world(vertex).map(|x| (x - f64::from(x as f32)).abs());
         rounded.into_iter().fold(0.0, f64::max)
@@ -20,8 +20,8 @@ pub fn rounding(mesh: &Mesh) -> Option<String> {
     let unit = mesh.unit.map_or("", LengthUnit::ascii_symbol);
     (spacings > UNNOTICED).then(|| {
         format!(
-            "STL holds numbers of 32 bits: so far from the origin positions are rounded by up to {largest:.1e} {unit}, {spacings:.2} of the \
-             smallest spacing; GLB, PLY and VTP keep them"
+            "{format} holds numbers of 32 bits: so far from the origin positions are rounded by up to {largest:.1e} {unit}, {spacings:.2} of the \
+             smallest spacing; GLB, PLY, VTP, OBJ and 3MF keep them"
         )
     })
 }
@@ -53,18 +53,23 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     }
     out.write_all(&header)?;
     out.write_all(&triangles.to_le_bytes())?;
+    // Once for the six triangles of a vertex.
+    let placed: Vec<[f32; 3]> = (0..mesh.positions.len())
+        .map(|i| mesh.world(i).map(|x| x as f32))
+        .collect();
+    let is_outside = |i: &usize| placed[*i].iter().any(|x| !x.is_finite());
+    if let Some(vertex) = (0..placed.len()).find(is_outside) {
+        return Err(ExportError::OutOfRange(mesh.world(vertex)));
+    }
+    let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
     for triangle in &mesh.triangles {
         let normal = plane_normal(triangle.map(|i| mesh.positions[i as usize]));
-        let world = triangle.map(|i| mesh.world(i as usize));
-        let corners = world.map(|corner| corner.map(|x| x as f32));
-        if let Some(corner) = corners.iter().position(|corner| corner.iter().any(|x| !x.is_finite())) {
-            return Err(ExportError::OutOfRange(world[corner]));
-        }
-        out.write_all(bytemuck::bytes_of(&normal))?;
-        out.write_all(bytemuck::bytes_of(&corners))?;
-        out.write_all(&[0, 0])?;
+        rows.extend_from_slice(bytemuck::bytes_of(&normal));
+        rows.extend_from_slice(bytemuck::bytes_of(&triangle.map(|i| placed[i as usize])));
+        rows.extend_from_slice(&[0, 0]);
+        flush(&mut rows, out, PIECE_BYTES)?;
     }
-    Ok(())
+    flush(&mut rows, out, 0)
 }
 
 fn plane_normal(corners: [[f32; 3]; 3]) -> [f32; 3] {
@@ -119,12 +124,12 @@ mod tests {
             unit: Some(LengthUnit::Metre),
             ..geometry()
         };
-        let far = rounding(&Mesh::new(&two_quads(), &at(500_000.0)).unwrap()).unwrap();
+        let far = rounding(&Mesh::new(&two_quads(), &at(500_000.0)).unwrap(), "STL").unwrap();
         assert!(
             far.contains("rounded by up to 1.0e-1 m, 2.00 of the smallest spacing"),
             "{far}"
         );
-        assert_eq!(rounding(&Mesh::new(&two_quads(), &geometry()).unwrap()), None);
+        assert_eq!(rounding(&Mesh::new(&two_quads(), &geometry()).unwrap(), "STL"), None);
         let beyond = Mesh::new(&two_quads(), &at(1e39)).unwrap();
         assert!(matches!(
             write(&beyond, &mut Vec::new()),

@@ -191,9 +191,9 @@ fn partners(
         return None;
     }
     let position = |vertex: u32| DVec3::from(mesh.positions[vertex as usize].map(f64::from));
-    let axis = position(to) - position(from);
+    let axis = (position(to) - position(from)).normalize_or_zero();
     let u = axis.any_orthonormal_vector();
-    let v = axis.normalize_or_zero().cross(u);
+    let v = axis.cross(u);
     let angle = |vertex: u32| {
         let arm = position(vertex) - position(from);
         arm.dot(v).atan2(arm.dot(u))
@@ -311,15 +311,21 @@ mod tests {
         positions.extend([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]);
         let mut triangles = tetrahedron([0, 1, 2, 3]).to_vec();
         triangles.extend(tetrahedron([0, 4, 5, 3]));
-        let mut both = mesh(&positions, &triangles);
-        let topology = split_pinched(&mut both);
-        assert_eq!((topology.split, topology.is_closed), (2, true));
-        let shared: Vec<u32> = (0..8)
-            .filter(|vertex| both.triangles[..4].as_flattened().contains(vertex))
-            .filter(|vertex| both.triangles[4..].as_flattened().contains(vertex))
-            .collect();
-        assert!(shared.is_empty(), "{shared:?}");
-        assert!((volume(&both) - 2.0 / 6.0).abs() < 1e-12);
+        // Whatever the unit, and wherever the edge points.
+        for [scale, shear] in [[1.0, 0.0], [1.0, 5.0], [1e-3, 0.0], [1e6, -0.7], [1e6, 40.0]] {
+            let placed = |[x, y, z]: &[f32; 3]| [scale * (x + shear * z), scale * (y - 2.0 * shear * z), scale * z];
+            let placed: Vec<[f32; 3]> = positions.iter().map(placed).collect();
+            let mut both = mesh(&placed, &triangles);
+            let topology = split_pinched(&mut both);
+            assert_eq!((topology.split, topology.is_closed), (2, true), "{scale} {shear}");
+            let shared: Vec<u32> = (0..8)
+                .filter(|vertex| both.triangles[..4].as_flattened().contains(vertex))
+                .filter(|vertex| both.triangles[4..].as_flattened().contains(vertex))
+                .collect();
+            assert!(shared.is_empty(), "{scale} {shear}: {shared:?}");
+            let share = volume(&both) / (2.0 / 6.0 * f64::from(scale).powi(3));
+            assert!((share - 1.0).abs() < 1e-5, "{scale} {shear}: {share}");
+        }
     }
 
     #[test]

@@ -1,51 +1,211 @@
 //! VTP, the `PolyData` of VTK's XML formats (<https://docs.vtk.org/en/latest/design_documents/VTKFileFormats.html>), read by ParaView
-//! and VTK. Arrays are appended as raw bytes, each behind its length.
+//! and VTK. Arrays are appended as raw bytes, each behind its length, or as blocks of zlib, each array behind the lengths of its blocks.
 
 use std::io::{self, Write};
 
-use super::Mesh;
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+use rayon::prelude::*;
+
 use super::mesh::{attribute_names, srgb_bytes};
+use super::{ExportError, Mesh, PIECE_BYTES, flush};
 use crate::volumes::LengthUnit;
 
 /// Bytes of the length before each array.
 const LENGTH_BYTES: u64 = 8;
-/// Numbers that are widened at once.
-const PIECE: usize = 1 << 12;
+/// Bytes of a block that is compressed by itself.
+const BLOCK_BYTES: usize = 1 << 20;
+/// Fast: a slower one takes three times as long for a tenth of the bytes.
+const LEVEL: Compression = Compression::fast();
 
 /// Writes `mesh`: a point has `normal`, `smoothness` and `feature` (0 to 1), a triangle the `level` of its leaf. `frame` and `unit` of the
 /// points, which have 64 bits, are strings of the data set, as are the notices of the volume; without a unit or a notice these are missing.
+/// Indices have 32 bits. `compresses`: arrays are blocks of zlib, which are all made before the first is written.
 ///
 /// # Errors
-/// Those of `out`.
-pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
-    let (points, triangles) = (mesh.positions.len() as u64, mesh.triangles.len() as u64);
-    let mut appended = Appended { next: 0 };
-    let mut array = |kind: &str, name: &str, components: u32, bytes: u64| {
-        let offset = appended.place(bytes);
-        format!(
+/// More than 32-bit indices reach, or the errors of `out`.
+pub fn write(mesh: &Mesh, compresses: bool, out: &mut impl Write) -> Result<(), ExportError> {
+    let arrays = Arrays::new(mesh)?;
+    let blocks: Vec<Option<Vec<u8>>> = match compresses {
+        true => arrays
+            .0
+            .iter()
+            .map(|array| compressed(mesh, array).map(Some))
+            .collect::<Result<_, _>>()?,
+        false => arrays.0.iter().map(|_| None).collect(),
+    };
+    let mut offset = 0;
+    let mut elements = [const { String::new() }; 4];
+    for (array, blocks) in arrays.0.iter().zip(&blocks) {
+        let (kind, name, components) = (array.kind, &array.name, array.components);
+        elements[array.section as usize] += &format!(
             "<DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\" format=\"appended\" \
              offset=\"{offset}\"/>\n"
-        )
+        );
+        offset += blocks
+            .as_ref()
+            .map_or(LENGTH_BYTES + array.bytes, |blocks| blocks.len() as u64);
+    }
+    let [point_data, cell_data, points, polygons] = elements;
+    let compressor = if compresses {
+        " compressor=\"vtkZLibDataCompressor\""
+    } else {
+        ""
     };
-    let mut point_data = [
-        array("Float32", "normal", 3, 12 * points),
-        array("Float32", "smoothness", 1, 4 * points),
-        array("Float32", "feature", 1, 4 * points),
-    ]
-    .concat();
-    for name in names(mesh) {
-        point_data += &array("Float32", &name, 1, 4 * points);
+    write!(
+        out,
+        "<?xml version=\"1.0\"?>\n\
+         <!-- isopeel {} -->\n\
+         <VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\"{compressor}>\n<PolyData>\n\
+         <FieldData>\n{}</FieldData>\n\
+         <Piece NumberOfPoints=\"{}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" NumberOfStrips=\"0\" NumberOfPolys=\"{}\">\n\
+         <PointData Normals=\"normal\">\n{point_data}</PointData>\n\
+         <CellData Scalars=\"level\">\n{cell_data}</CellData>\n\
+         <Points>\n{points}</Points>\n\
+         <Polys>\n{polygons}</Polys>\n\
+         </Piece>\n</PolyData>\n<AppendedData encoding=\"raw\">\n_",
+        env!("CARGO_PKG_VERSION"),
+        field_data(mesh),
+        mesh.positions.len(),
+        mesh.triangles.len(),
+    )?;
+    for (array, blocks) in arrays.0.iter().zip(blocks) {
+        if let Some(blocks) = blocks {
+            out.write_all(&blocks)?;
+        } else {
+            out.write_all(&array.bytes.to_le_bytes())?;
+            array.content.write(mesh, out)?;
+        }
     }
-    if !mesh.colors.is_empty() {
-        point_data += &array("UInt8", "color", 3, 3 * points);
+    out.write_all(b"\n</AppendedData>\n</VTKFile>\n")?;
+    Ok(())
+}
+
+/// The element that has an array.
+#[derive(Clone, Copy)]
+enum Section {
+    PointData,
+    CellData,
+    Points,
+    Polygons,
+}
+
+/// An array of the file.
+struct Array {
+    section: Section,
+    kind: &'static str,
+    name: String,
+    components: u32,
+    bytes: u64,
+    content: Content,
+}
+
+/// What an array holds.
+#[derive(Clone, Copy)]
+enum Content {
+    Normals,
+    Smoothness,
+    Feature,
+    /// Of the field of this number.
+    Field(usize),
+    Colors,
+    Levels,
+    Positions,
+    Corners,
+    Ends,
+}
+
+/// All arrays in their order.
+struct Arrays(Vec<Array>);
+
+impl Arrays {
+    fn new(mesh: &Mesh) -> Result<Self, ExportError> {
+        let (points, triangles) = (mesh.positions.len() as u64, mesh.triangles.len() as u64);
+        // Ends of triangles count corners, in numbers with a sign.
+        if 3 * triangles > i32::MAX as u64 {
+            return Err(ExportError::TooLarge {
+                what: "corners of triangles",
+                found: 3 * triangles,
+                limit: i32::MAX as u64,
+                format: "VTP",
+            });
+        }
+        let mut arrays = Vec::new();
+        let mut add = |section, kind, name: &str, components: u32, width: u64, content| {
+            let count = match section {
+                Section::PointData | Section::Points => points,
+                Section::CellData => triangles,
+                Section::Polygons => triangles * if matches!(content, Content::Corners) { 3 } else { 1 },
+            };
+            arrays.push(Array {
+                section,
+                kind,
+                name: name.to_owned(),
+                components,
+                bytes: count * u64::from(components) * width,
+                content,
+            });
+        };
+        add(Section::PointData, "Float32", "normal", 3, 4, Content::Normals);
+        add(Section::PointData, "Float32", "smoothness", 1, 4, Content::Smoothness);
+        add(Section::PointData, "Float32", "feature", 1, 4, Content::Feature);
+        for (number, name) in names(mesh).iter().enumerate() {
+            add(Section::PointData, "Float32", name, 1, 4, Content::Field(number));
+        }
+        if !mesh.colors.is_empty() {
+            add(Section::PointData, "UInt8", "color", 3, 1, Content::Colors);
+        }
+        add(Section::CellData, "UInt8", "level", 1, 1, Content::Levels);
+        add(Section::Points, "Float64", "Points", 3, 8, Content::Positions);
+        add(Section::Polygons, "Int32", "connectivity", 1, 4, Content::Corners);
+        add(Section::Polygons, "Int32", "offsets", 1, 4, Content::Ends);
+        Ok(Self(arrays))
     }
-    let cell_data = array("UInt8", "level", 1, triangles);
-    let positions = array("Float64", "Points", 3, 24 * points);
-    let polygons = [
-        array("Int64", "connectivity", 1, 24 * triangles),
-        array("Int64", "offsets", 1, 8 * triangles),
-    ]
-    .concat();
+}
+
+impl Content {
+    /// Writes the array.
+    fn write(self, mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
+        match self {
+            Self::Normals => out.write_all(bytemuck::cast_slice(&mesh.normals))?,
+            Self::Smoothness => out.write_all(bytemuck::cast_slice(&mesh.smoothness))?,
+            Self::Feature => out.write_all(bytemuck::cast_slice(&mesh.feature))?,
+            Self::Field(number) => out.write_all(bytemuck::cast_slice(&mesh.fields[number].values))?,
+            Self::Corners => out.write_all(bytemuck::cast_slice(&mesh.triangles))?,
+            Self::Colors => rows(out, mesh.colors.iter().map(|&color| srgb_bytes(color)))?,
+            Self::Positions => rows(out, (0..mesh.positions.len()).map(|vertex| mesh.world(vertex)))?,
+            Self::Ends => rows(out, (1..=mesh.triangles.len() as u32).map(|end| 3 * end))?,
+            Self::Levels => {
+                for (level, &count) in (0u8..).zip(&mesh.level_triangles) {
+                    io::copy(&mut io::Read::take(io::repeat(level), count), out)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// An array as blocks of zlib: number of blocks, bytes of a block, bytes of the last one, bytes of each as it is compressed, the blocks.
+fn compressed(mesh: &Mesh, array: &Array) -> Result<Vec<u8>, ExportError> {
+    let mut bytes = Vec::with_capacity(array.bytes as usize);
+    array.content.write(mesh, &mut bytes)?;
+    let deflated = bytes.par_chunks(BLOCK_BYTES).map(|block| {
+        let mut encoder = ZlibEncoder::new(Vec::new(), LEVEL);
+        encoder.write_all(block)?;
+        encoder.finish()
+    });
+    let blocks: Vec<Vec<u8>> = deflated.collect::<io::Result<_>>()?;
+    // 0: the last block is as long as the others.
+    let last = bytes.len() % BLOCK_BYTES;
+    let header = [blocks.len(), BLOCK_BYTES, last]
+        .into_iter()
+        .chain(blocks.iter().map(Vec::len));
+    let header: Vec<u8> = header.flat_map(|number| (number as u64).to_le_bytes()).collect();
+    Ok([header, blocks.concat()].concat())
+}
+
+/// Strings of the data set.
+fn field_data(mesh: &Mesh) -> String {
     let unit = mesh.unit.map(LengthUnit::symbol);
     let notice = (!mesh.notices.is_empty()).then(|| mesh.notices.join("\n"));
     let mut field_data = [
@@ -67,61 +227,12 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
     for (name, value) in &mesh.provenance {
         field_data += &text(name, value);
     }
-    write!(
-        out,
-        "<?xml version=\"1.0\"?>\n\
-         <!-- isopeel {} -->\n\
-         <VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n<PolyData>\n\
-         <FieldData>\n{field_data}</FieldData>\n\
-         <Piece NumberOfPoints=\"{points}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" NumberOfStrips=\"0\" \
-         NumberOfPolys=\"{triangles}\">\n\
-         <PointData Normals=\"normal\">\n{point_data}</PointData>\n\
-         <CellData Scalars=\"level\">\n{cell_data}</CellData>\n\
-         <Points>\n{positions}</Points>\n\
-         <Polys>\n{polygons}</Polys>\n\
-         </Piece>\n</PolyData>\n<AppendedData encoding=\"raw\">\n_",
-        env!("CARGO_PKG_VERSION"),
-    )?;
-    // In the order of the offsets above.
-    raw(out, bytemuck::cast_slice(&mesh.normals))?;
-    raw(out, bytemuck::cast_slice(&mesh.smoothness))?;
-    raw(out, bytemuck::cast_slice(&mesh.feature))?;
-    for field in &mesh.fields {
-        raw(out, bytemuck::cast_slice(&field.values))?;
-    }
-    if !mesh.colors.is_empty() {
-        out.write_all(&(3 * points).to_le_bytes())?;
-        widened(out, mesh.colors.iter().map(|&color| srgb_bytes(color)))?;
-    }
-    levels(mesh, out)?;
-    out.write_all(&(24 * points).to_le_bytes())?;
-    widened(out, (0..mesh.positions.len()).map(|vertex| mesh.world(vertex)))?;
-    out.write_all(&(24 * triangles).to_le_bytes())?;
-    widened(
-        out,
-        mesh.triangles.as_flattened().iter().map(|&corner| i64::from(corner)),
-    )?;
-    out.write_all(&(8 * triangles).to_le_bytes())?;
-    widened(out, (1..=triangles).map(|end| 3 * end as i64))?;
-    out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
+    field_data
 }
 
 /// Names of arrays of the fields.
 fn names(mesh: &Mesh) -> Vec<String> {
     attribute_names(mesh, "", &["normal", "smoothness", "feature", "color"])
-}
-
-/// Where the next array begins, in bytes behind the underscore.
-struct Appended {
-    next: u64,
-}
-
-impl Appended {
-    fn place(&mut self, bytes: u64) -> u64 {
-        let offset = self.next;
-        self.next += LENGTH_BYTES + bytes;
-        offset
-    }
 }
 
 /// A string of the data set: the numbers of its bytes, ended by a 0.
@@ -133,29 +244,14 @@ fn text(name: &str, value: &str) -> String {
     )
 }
 
-fn raw(out: &mut impl Write, bytes: &[u8]) -> io::Result<()> {
-    out.write_all(&(bytes.len() as u64).to_le_bytes())?;
-    out.write_all(bytes)
-}
-
-fn levels(mesh: &Mesh, out: &mut impl Write) -> io::Result<()> {
-    out.write_all(&(mesh.triangles.len() as u64).to_le_bytes())?;
-    for (level, &count) in (0u8..).zip(&mesh.level_triangles) {
-        io::copy(&mut io::Read::take(io::repeat(level), count), out)?;
+/// Writes rows that are made one after the other.
+fn rows<T: bytemuck::NoUninit>(out: &mut impl Write, numbers: impl Iterator<Item = T>) -> Result<(), ExportError> {
+    let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
+    for row in numbers {
+        rows.extend_from_slice(bytemuck::bytes_of(&row));
+        flush(&mut rows, out, PIECE_BYTES)?;
     }
-    Ok(())
-}
-
-fn widened<T: bytemuck::NoUninit>(out: &mut impl Write, mut numbers: impl Iterator<Item = T>) -> io::Result<()> {
-    let mut piece = Vec::with_capacity(PIECE);
-    loop {
-        piece.extend(numbers.by_ref().take(PIECE));
-        if piece.is_empty() {
-            return Ok(());
-        }
-        out.write_all(bytemuck::cast_slice(&piece))?;
-        piece.clear();
-    }
+    flush(&mut rows, out, 0)
 }
 
 #[cfg(test)]
@@ -197,7 +293,7 @@ mod tests {
         (mesh.frame, mesh.unit) = (Frame::Lps, Some(LengthUnit::Millimetre));
         mesh.notices = vec!["a".to_owned(), "b".to_owned()];
         let mut bytes = Vec::new();
-        write(&mesh, &mut bytes).unwrap();
+        write(&mesh, false, &mut bytes).unwrap();
         let (xml, array) = parse(&bytes);
         assert!(
             xml.contains("NumberOfPoints=\"6\"") && xml.contains("NumberOfPolys=\"4\""),
@@ -220,17 +316,51 @@ mod tests {
         assert_eq!(array("normal"), bytemuck::cast_slice::<_, u8>(&mesh.normals));
         assert_eq!(array("feature"), bytemuck::cast_slice::<_, u8>(&[1.0f32; 6]));
         assert_eq!(array("level"), [0, 0, 0, 2]);
-        let corners: Vec<i64> = bytemuck::pod_collect_to_vec(&array("connectivity"));
+        let corners: Vec<i32> = bytemuck::pod_collect_to_vec(&array("connectivity"));
         assert_eq!(corners, [0, 1, 2, 1, 4, 5, 1, 5, 2, 0, 2, 3]);
-        let offsets: Vec<i64> = bytemuck::pod_collect_to_vec(&array("offsets"));
+        let offsets: Vec<i32> = bytemuck::pod_collect_to_vec(&array("offsets"));
         assert_eq!(offsets, [3, 6, 9, 12]);
+    }
+
+    #[test]
+    fn compressed_arrays_are_blocks_behind_their_lengths() {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        // Two blocks of positions, of which the second is short.
+        let far = BLOCK_BYTES / 24 + 5;
+        for _ in mesh.positions.len()..far {
+            mesh.copy_vertex(3);
+        }
+        let mut bytes = Vec::new();
+        write(&mesh, true, &mut bytes).unwrap();
+        let mark = b"<AppendedData encoding=\"raw\">\n_";
+        let begin = bytes.windows(mark.len()).position(|w| w == mark).unwrap() + mark.len();
+        let xml = std::str::from_utf8(&bytes[..begin]).unwrap();
+        assert!(xml.contains("compressor=\"vtkZLibDataCompressor\""), "{xml}");
+        let (_, element) = xml.split_once("Name=\"Points\"").unwrap();
+        let offset = element.split_once("offset=\"").unwrap().1.split('"').next().unwrap();
+        let mut at = begin + offset.parse::<usize>().unwrap();
+        let mut number = || {
+            at += 8;
+            u64::from_le_bytes(bytes[at - 8..at].try_into().unwrap()) as usize
+        };
+        let [count, block, last] = [number(), number(), number()];
+        assert_eq!((count, block, last), (2, BLOCK_BYTES, 24 * far - BLOCK_BYTES));
+        let lengths = [number(), number()];
+        let mut points = Vec::new();
+        for length in lengths {
+            let mut decoder = flate2::read::ZlibDecoder::new(&bytes[at..at + length]);
+            io::Read::read_to_end(&mut decoder, &mut points).unwrap();
+            at += length;
+        }
+        let points: Vec<[f64; 3]> = bytemuck::pod_collect_to_vec(&points);
+        assert_eq!(points, (0..far).map(|vertex| mesh.world(vertex)).collect::<Vec<_>>());
     }
 
     #[test]
     fn an_empty_surface_has_empty_arrays() {
         let mesh = Mesh::new(&surface(Vec::new()), &geometry()).unwrap();
         let mut bytes = Vec::new();
-        write(&mesh, &mut bytes).unwrap();
+        write(&mesh, false, &mut bytes).unwrap();
         let (xml, array) = parse(&bytes);
         assert!(
             xml.contains("NumberOfPolys=\"0\"") && !xml.contains("Name=\"unit\"") && !xml.contains("Name=\"notice\""),

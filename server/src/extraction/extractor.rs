@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 use super::byte_search::{Trial, best, next_triangles};
 use super::host_memory::HostMemory;
 use super::turns::Caller;
-use super::{DeviceWorker, Extraction, FullCount, Measurement, Refinement, Step, WorkError};
+use super::{DeviceWorker, Extraction, FullCount, Measurement, Measuring, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
 use crate::view::View;
@@ -112,6 +112,20 @@ impl Extractor {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
+        self.extract_measured(volume, view, Measuring::Always, token).await
+    }
+
+    /// As [`Extractor::extract`], with a bound on the time that measuring the error takes.
+    ///
+    /// # Errors
+    /// As [`Extractor::refine`].
+    pub async fn extract_measured(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        measuring: Measuring,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
         let start = Instant::now();
         let fitted = self.with_fitted_bytes(Caller::Request, volume, view, token).await?;
         let planning = if fitted.fitted == view.fitted {
@@ -119,10 +133,21 @@ impl Extractor {
         } else {
             start.elapsed()
         };
+        let at_once = measuring == Measuring::Always;
         let mut extraction = self
-            .within_memory(|ceiling| self.worker.extract(volume, &fitted, ceiling, token))
+            .within_memory(|ceiling| {
+                self.worker
+                    .extract_for(Caller::Request, volume, &fitted, (ceiling, at_once), token)
+            })
             .await?;
         extraction.wall += planning;
+        if let Measuring::Within(limit) = measuring {
+            // Dropped at the limit, which cancels it.
+            let measured = tokio::time::timeout(limit, self.measure(volume, &extraction.view, token)).await;
+            if let Ok(measured) = measured {
+                extraction.measured = measured?.map(|measurement| measurement.whole);
+            }
+        }
         Ok(extraction)
     }
 
@@ -215,7 +240,7 @@ impl Extractor {
             fitted: None,
             ..view.clone()
         };
-        self.within_memory(|ceiling| self.worker.extract_for(caller, volume, &trial, ceiling, token))
+        self.within_memory(|ceiling| self.worker.extract_for(caller, volume, &trial, (ceiling, false), token))
             .await
     }
 

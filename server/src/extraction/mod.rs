@@ -42,6 +42,7 @@ mod open_steps;
 mod pins;
 mod questions;
 mod refine;
+mod release;
 mod residency;
 mod results;
 mod shares;
@@ -67,7 +68,7 @@ pub use questions::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
     Question, ShownSurface, VertexErrors,
 };
-pub use results::{CutId, Extraction, FullCount, Measurement, Refinement, Shown, Step};
+pub use results::{CutId, Extraction, FullCount, Measurement, Measuring, Refinement, Shown, Step};
 pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
 pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError, Shape};

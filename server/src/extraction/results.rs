@@ -18,14 +18,31 @@ pub struct Extraction {
     pub view: View,
     /// Time on the device's thread, without waiting and reading files.
     pub wall: Duration,
+    /// The error, if it was measured after the surface was made.
+    pub measured: Option<MeasuredError>,
 }
 
 impl Extraction {
     /// Returns the statistics of the surface, which a device of this name made of the volume.
     pub fn statistics(&self, volume: &VolumeStep, device: &str) -> ExtractionStatistics {
         let smallest = volume.dataset().smallest_length();
-        ExtractionStatistics::new(&self.surface.statistics, &self.view, smallest, self.wall, device)
+        let statistics = ExtractionStatistics::new(&self.surface.statistics, &self.view, smallest, self.wall, device);
+        ExtractionStatistics {
+            error: self.measured.or(statistics.error),
+            ..statistics
+        }
     }
+}
+
+/// Whether the error of a surface is measured, which takes about as long as all else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Measuring {
+    /// It is.
+    Always,
+    /// If it takes no longer than that.
+    Within(Duration),
+    /// It is not.
+    Never,
 }
 
 /// The last number of a cut. They are unique in the process: sessions name cuts of a device that was lost after another one has taken its place.

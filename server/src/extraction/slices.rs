@@ -1,6 +1,6 @@
-//! Planes of a field's samples, as they are on the device.
+//! Samples of a field, as they are on the device.
 
-use isopeel_kernels::SampleType;
+use isopeel_kernels::{SampleType, Samples};
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
@@ -19,7 +19,38 @@ pub struct Slice {
     pub bytes: Vec<u8>,
 }
 
+/// Samples that are copied in one job: other jobs have a turn between two.
+const COPIED_SAMPLES: u64 = 16 << 20;
+
 impl DeviceWorker {
+    /// All samples of a field or of an expression over fields, in pieces of so many planes across z, the last one perhaps of fewer. Loads or computes
+    /// what is not on the device.
+    ///
+    /// # Errors
+    /// [`WorkError`].
+    pub async fn samples(
+        &self,
+        volume: &VolumeStep,
+        field: &str,
+        token: &CancellationToken,
+    ) -> Result<(Vec<Samples>, u32), WorkError> {
+        let [width, height, depth] = volume.dataset().geometry.dims;
+        let plane = u64::from(width) * u64::from(height);
+        let planes = (COPIED_SAMPLES / plane).clamp(1, depth.into()) as u32;
+        let mut pieces = Vec::new();
+        for first in (0..depth).step_by(planes as usize) {
+            let key = VolumeKey::new(volume, field, false);
+            let job = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut Turn<'_, WorkerState>| {
+                state.use_field(volume, &key)?;
+                let resident = state.resident(&key).ok_or(WorkError::Stopped)?;
+                Ok(state.engine().download(resident, first..depth.min(first + planes))?)
+            };
+            let piece = self.with_volumes(volume, token, Caller::Request, Length::Short, job);
+            pieces.push(piece.await?);
+        }
+        Ok((pieces, planes))
+    }
+
     /// The plane of a field across an axis (0 to 2). Loads the field where it is not on the device. Dropping the future cancels it.
     ///
     /// # Errors

@@ -153,6 +153,46 @@ impl ExtractionStatistics {
         all
     }
 
+    /// Those of one surface, or of several in one file: counts, times and bytes are of all together, errors the largest, and the rest is the first
+    /// surface's.
+    pub fn of_several(all: Vec<Self>) -> Self {
+        let mut all = all.into_iter();
+        let mut sum = all.next().unwrap_or_default();
+        for next in all {
+            sum.add(next);
+        }
+        sum
+    }
+
+    fn add(&mut self, next: Self) {
+        self.error = self.error.zip(next.error).map(|(a, b)| MeasuredError {
+            rms: a.rms.max(b.rms),
+            max: a.max.max(b.max),
+        });
+        self.estimated_error = None;
+        self.full_triangles += next.full_triangles;
+        self.active_cells += next.active_cells;
+        for (sum, leaves) in self.leaves.iter_mut().zip(next.leaves) {
+            *sum += leaves;
+        }
+        self.triangles += next.triangles;
+        self.vertices += next.vertices;
+        self.lost_cubes += next.lost_cubes;
+        self.unpatched_vertices += next.unpatched_vertices;
+        for (stage, milliseconds) in next.stages_ms {
+            *self.stages_ms.entry(stage).or_default() += milliseconds;
+        }
+        self.wall_ms += next.wall_ms;
+        self.device_bytes = self.device_bytes.max(next.device_bytes);
+        self.volume_bytes = self.volume_bytes.max(next.volume_bytes);
+        self.shape = None;
+        for notice in next.notices {
+            if !self.notices.contains(&notice) {
+                self.notices.push(notice);
+            }
+        }
+    }
+
     /// The kernels' statistics with the view, the time and the device. `smallest`: the spacing that lengths in them are multiples of.
     pub fn new(
         kernels: &isopeel_kernels::SurfaceStatistics,

@@ -314,11 +314,11 @@ impl DeviceWorker {
         ceiling_triangles: u64,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
-        self.extract_for(Caller::Request, volume, view, ceiling_triangles, token)
+        self.extract_for(Caller::Request, volume, view, (ceiling_triangles, true), token)
             .await
     }
 
-    /// As [`DeviceWorker::extract`].
+    /// As [`DeviceWorker::extract`], with its measured error or without.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -327,12 +327,12 @@ impl DeviceWorker {
         caller: Caller,
         volume: &VolumeStep,
         view: &View,
-        ceiling_triangles: u64,
+        (ceiling_triangles, measures): (u64, bool),
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let view = view.clone();
         self.with_volumes(volume, token, caller, caller.long(), move |state, volume, turn| {
-            state.extract(volume, &view, ceiling_triangles, turn)
+            state.extract(volume, &view, (ceiling_triangles, measures), turn)
         })
         .await
     }

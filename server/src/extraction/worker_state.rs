@@ -110,10 +110,15 @@ impl OnDevice<'_> {
         self.aside.own_time(start)
     }
 
-    /// The final surface with its measured error.
-    fn final_surface(&self, view: &mut View, ceiling_triangles: u64, cancel: &dyn Cancel) -> Result<Surface, JobError> {
+    /// The final surface, with its measured error if it `measures`.
+    fn final_surface(
+        &self,
+        view: &mut View,
+        (ceiling_triangles, measures): (u64, bool),
+        cancel: &dyn Cancel,
+    ) -> Result<Surface, JobError> {
         let (params, cut) = if view.is_by_error() {
-            match self.decided(view, ceiling_triangles, true, true, cancel)? {
+            match self.decided(view, ceiling_triangles, true, measures, cancel)? {
                 Decided::Tree(surface) => return Ok(surface),
                 Decided::Cubes { params, cut, .. } => (params, cut),
             }
@@ -122,7 +127,7 @@ impl OnDevice<'_> {
             (params, Rc::new(cut))
         };
         let params = CutParams {
-            state_error: params.mesher == Mesher::Dual,
+            state_error: measures && params.mesher == Mesher::Dual,
             ..params
         };
         let surface = self
@@ -304,20 +309,25 @@ impl WorkerState {
         )
     }
 
-    /// Makes the final surface with its measured error, from a cached pyramid where there is one. Its stages are those of this job.
+    /// Makes the final surface, with its measured error or without, from a cached pyramid if there is one. Its stages are those of this job.
     pub(super) fn extract(
         &mut self,
         volume: &VolumeStep,
         view: &View,
-        ceiling_triangles: u64,
+        limits: (u64, bool),
         turn: &mut Turn<'_, Self>,
     ) -> Result<Extraction, JobError> {
         let (start, mut view) = (Instant::now(), view.clone());
         let (surface, wall) = self.with_pyramid(volume, &mut view, Nodes::OfTheView, turn, |on, view, cancel| {
-            let surface = on.final_surface(view, ceiling_triangles, cancel)?;
+            let surface = on.final_surface(view, limits, cancel)?;
             Ok((surface, on.own_time(start)))
         })?;
-        Ok(Extraction { surface, view, wall })
+        Ok(Extraction {
+            surface,
+            view,
+            wall,
+            measured: None,
+        })
     }
 
     /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree where that is built.

@@ -1,11 +1,10 @@
 //! Why a batch job is refused, or is not there.
 
 use super::MAX_EXTRACTIONS;
-use super::identity::IdentityError;
 use super::results::ReadResultError;
 use crate::extraction::WorkError;
 use crate::view::EditError;
-use crate::volumes::UnknownStep;
+use crate::volumes::{IdentityError, UnknownStep};
 
 /// Why a request about batch jobs has no answer. Each variant asks for another reaction of the caller.
 #[derive(Debug, thiserror::Error)]

@@ -35,8 +35,10 @@ pub(super) async fn estimate(
         let (request, view) = &extractions[sample];
         let volume = VolumeStep::new(Arc::clone(dataset), request.step)?;
         let count = extractor.count(&volume, view, token).await?;
-        triangles += within_budget(count.triangles, view) as f64;
-        seconds += count.wall.as_secs_f64() + count.triangles as f64 * SECONDS_PER_TRIANGLE;
+        // Of several surfaces the first is taken for all.
+        let surfaces = request.steps().count() as f64;
+        triangles += within_budget(count.triangles, view) as f64 * surfaces;
+        seconds += (count.wall.as_secs_f64() + count.triangles as f64 * SECONDS_PER_TRIANGLE) * surfaces;
     }
     let of_each = triangles / samples.len() as f64;
     let bytes = extractions

@@ -7,13 +7,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use async_trait::async_trait;
 use tokio_util::sync::CancellationToken;
 
-use super::identity::IdentityError;
 use super::results::ResultFile;
 use super::state::Cause;
 use super::store::work::Work;
-use crate::export::{self, ExportError, MadeFile, MakeError};
+use crate::export::{self, ExportError, MadeFile, MakeError, OtherVolumes};
 use crate::extraction::{Extractor, MeasuredError, WorkError};
-use crate::volumes::{Dataset, Reader, SharedCatalog, VolumeStep};
+use crate::volumes::{Dataset, IdentityError, Reader, SharedCatalog, VolumeStep};
 
 /// Makes files.
 #[async_trait]
@@ -113,7 +112,7 @@ impl Maker for DeviceMaker {
         };
         let volume =
             VolumeStep::new(dataset, work.request.step).map_err(|error| refused("unknown-step", error.to_string()))?;
-        let made = export::make(&self.extractor, volume, &work.request, token).await;
+        let made = export::make(&self.extractor, &volume, &OtherVolumes::new(), &work.request, token).await;
         Ok(Box::new(made.map_err(failure)?))
     }
 
@@ -122,8 +121,8 @@ impl Maker for DeviceMaker {
     }
 }
 
-/// What the runner does about an error.
-fn failure(error: MakeError) -> MakeFailure {
+/// What is done about an error.
+pub(crate) fn failure(error: MakeError) -> MakeFailure {
     let cause = |code: &str, detail: String| Cause {
         code: code.into(),
         detail,
@@ -148,7 +147,6 @@ fn failure(error: MakeError) -> MakeFailure {
         MakeError::Export(error) => MakeFailure::Retry(cause("internal", crate::error::chain(&error))),
         MakeError::Edit(error) => MakeFailure::Refused(cause("bad-edit", error.to_string())),
         MakeError::Empty(why) => MakeFailure::Empty(cause("empty-surface", why)),
-        MakeError::Read(error) => MakeFailure::Retry(cause("unreadable-volume", crate::error::chain(&error))),
         MakeError::Panicked(error) => MakeFailure::Retry(cause("internal", error.to_string())),
     }
 }

@@ -4,7 +4,6 @@
 //! - `state`: jobs as clients see them; `error`: why there is none.
 //! - `state_folder`: where they are kept, by one server at a time.
 //! - `store`: what is known of them, in SQLite. `results`: their files, in an object store.
-//! - `identity`: what of a volume's files a job has pinned.
 //! - `estimate`: what a job costs, before it is accepted.
 //! - `runner`: makes them; `maker`: on the device.
 
@@ -12,7 +11,6 @@ mod error;
 mod estimate;
 #[cfg(all(test, target_os = "linux"))]
 mod faults;
-mod identity;
 mod maker;
 mod results;
 mod runner;
@@ -33,7 +31,7 @@ use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 
 pub use error::{JobError, StoreError};
-pub use identity::IdentityError;
+pub(crate) use maker::{MakeFailure, failure};
 pub use results::{ReadResultError, ResultBytes};
 pub use state::{
     Cause, Estimate, ExtractionState, Failure, JobEvent, JobInfo, JobRequest, JobState, ManifestEntry, Progress,
@@ -44,12 +42,11 @@ pub use store::requests::ResultInfo;
 
 /// Who owns jobs that are made without a server.
 pub use crate::access::OPERATOR;
-use crate::export::FileRequest;
+use crate::export::{FileRequest, OtherVolumes};
 use crate::extraction::Extractor;
 use crate::view::View;
-use crate::volumes::{Dataset, Reader, SharedCatalog, VolumeStep};
+use crate::volumes::{Dataset, InputIdentity, Reader, SeenFiles, SharedCatalog, VolumeStep};
 use estimate::{EstimateError, estimate};
-use identity::{Identity, SeenFiles};
 use maker::DeviceMaker;
 use results::Results;
 use runner::{Backoff, Runner, Signals};
@@ -237,9 +234,9 @@ impl Jobs {
 
     /// JSON of the identity of what is read.
     async fn pin(&self, dataset: &Arc<Dataset>, extractions: &[(FileRequest, View)]) -> Result<String, JobError> {
-        let steps: BTreeSet<u32> = extractions.iter().map(|(request, _)| request.step).collect();
+        let steps: BTreeSet<u32> = extractions.iter().flat_map(|(request, _)| request.steps()).collect();
         let (jobs, dataset) = (self.clone(), Arc::clone(dataset));
-        let pinned = aside(move || Identity::of(&dataset, &steps, &jobs.0.seen));
+        let pinned = aside(move || InputIdentity::of(&dataset, &steps, &jobs.0.seen));
         json(&pinned.await??)
     }
 
@@ -390,18 +387,18 @@ fn request_key(owner: &str, key: Option<String>, request: &JobRequest) -> Result
     })
 }
 
-/// Each extraction with its view, all of them valid.
+/// Each extraction with the view of its first surface, all of them valid.
 fn views(request: JobRequest, dataset: &Arc<Dataset>) -> Result<Vec<(FileRequest, View)>, JobError> {
     let count = request.extractions.len();
     if !(1..=MAX_EXTRACTIONS).contains(&count) {
         return Err(JobError::Extractions(count));
     }
     let view = |(extraction, request): (usize, FileRequest)| {
-        VolumeStep::new(Arc::clone(dataset), request.step).map_err(|source| JobError::Step { extraction, source })?;
-        let view = request
-            .view(dataset)
-            .map_err(|source| JobError::Edit { extraction, source })?;
-        Ok((request, view))
+        let volume = VolumeStep::new(Arc::clone(dataset), request.step);
+        let volume = volume.map_err(|source| JobError::Step { extraction, source })?;
+        let surfaces = request.surfaces(&volume, &OtherVolumes::new());
+        let mut surfaces = surfaces.map_err(|source| JobError::Edit { extraction, source })?;
+        Ok((request, surfaces.remove(0).view))
     };
     request.extractions.into_iter().enumerate().map(view).collect()
 }

@@ -202,6 +202,24 @@ pub struct ManifestEntry {
     pub problem: Option<Cause>,
 }
 
+impl ManifestEntry {
+    /// An extraction that is not made yet.
+    pub const fn waiting(extraction: u32) -> Self {
+        Self {
+            extraction,
+            state: ExtractionState::Waiting,
+            file: None,
+            triangles: None,
+            error: None,
+            bytes: None,
+            sha256: None,
+            seconds: None,
+            notices: Vec::new(),
+            problem: None,
+        }
+    }
+}
+
 /// The name of the file of an extraction: sorted by name the files are in the order of their extractions.
 pub fn file_name(extraction: u32, extension: &str) -> String {
     format!("{extraction:05}.{extension}")

@@ -12,7 +12,6 @@ use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 
-use super::identity::{Identity, SeenFiles};
 use super::maker::{MakeFailure, Maker};
 use super::results::{Checksum, ResultFile, Results};
 use super::runner::{Backoff, Runner, Signals};
@@ -24,6 +23,7 @@ use super::{Limits, OPERATOR};
 use crate::export::ExportError;
 use crate::extraction::MeasuredError;
 use crate::volumes::testing::dataset;
+use crate::volumes::{InputIdentity, SeenFiles};
 
 pub(super) const LIMITS: Limits = Limits { quota_bytes: 1 << 30 };
 
@@ -44,7 +44,7 @@ pub(super) async fn open_new() -> (TempDir, Store, Results) {
 
 /// A job of so many extractions.
 pub(super) fn job(id: &str, key: Option<&str>, extractions: u32) -> NewJob {
-    let identity = Identity::of(
+    let identity = InputIdentity::of(
         &dataset("a", [2; 3], &["f"]),
         &BTreeSet::from([0]),
         &SeenFiles::default(),

@@ -7,10 +7,10 @@ use axum::http::StatusCode;
 
 use crate::export::{ExportError, MakeError};
 use crate::extraction::WorkError;
-use crate::jobs::{IdentityError, JobError};
+use crate::jobs::JobError;
 use crate::problem::ApiError;
 use crate::view::EditError;
-use crate::volumes::UnknownStep;
+use crate::volumes::{IdentityError, UnknownStep};
 
 impl From<WorkError> for ApiError {
     fn from(error: WorkError) -> Self {
@@ -70,7 +70,6 @@ impl From<MakeError> for ApiError {
             MakeError::Edit(error) => error.into(),
             MakeError::Export(error) => error.into(),
             MakeError::Empty(why) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "empty-surface", why),
-            MakeError::Read(error) => WorkError::Unreadable(error).into(),
             MakeError::Panicked(error) => Self::internal(error),
         }
     }

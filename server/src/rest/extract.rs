@@ -3,6 +3,7 @@
 pub(super) mod address;
 mod body;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
@@ -23,7 +24,7 @@ use super::content_encoding::ContentEncoding;
 use super::export_queue::ExportPermit;
 use super::ranges::content_range;
 use crate::access::Identity;
-use crate::export::{self, FileDigest, FileRequest, MadeFile, merged_schema};
+use crate::export::{self, FileDigest, FileRequest, MadeFile, OtherVolumes, merged_schema};
 use crate::extraction::Extractor;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
@@ -114,6 +115,9 @@ impl ToSchema for File {}
                 (File = "model/gltf-binary"),
                 (File = "application/octet-stream"),
                 (File = "model/stl"),
+                (File = "model/obj"),
+                (File = "model/3mf"),
+                (File = "application/zip"),
             ),
             headers(("isopeel-statistics" = String, description = "The statistics, as JSON in ASCII")),
         ),
@@ -135,10 +139,24 @@ pub async fn extract(
 ) -> Result<Response, ApiError> {
     let Json(ExtractRequest { volume, file }) = body?;
     let volume = state.volume(&who, &volume, file.step)?;
+    let others = other_volumes(&state, &who, &file)?;
     // Before it waits for anything.
-    file.view(volume.dataset())?;
+    file.surfaces(&volume, &others)?;
     let encoding = ContentEncoding::accepted(&headers);
-    Made::admitted(state, &who, volume, file).await?.whole(encoding)
+    let source = Source { volume, others };
+    Made::admitted(state, &who, source, file).await?.whole(encoding)
+}
+
+/// The volumes that a file is made of.
+struct Source {
+    volume: VolumeStep,
+    others: OtherVolumes,
+}
+
+/// The volumes that surfaces name, which the client may see.
+fn other_volumes(state: &ApiState, who: &Identity, file: &FileRequest) -> Result<OtherVolumes, ApiError> {
+    let find = |name: &str| Ok((name.to_owned(), Arc::clone(state.volume(who, name, 0)?.dataset())));
+    file.other_volumes().map(find).collect()
 }
 
 /// An export that is made, not sent yet.
@@ -150,18 +168,13 @@ struct Made {
 
 impl Made {
     /// Makes a file as soon as the queue admits it.
-    async fn admitted(
-        state: ApiState,
-        who: &Identity,
-        volume: VolumeStep,
-        request: FileRequest,
-    ) -> Result<Self, ApiError> {
+    async fn admitted(state: ApiState, who: &Identity, source: Source, request: FileRequest) -> Result<Self, ApiError> {
         let permit = state.exports.admit(who.user()).await?;
         // When the client disconnects, hyper drops this future. The work then ends at its next look at the token, and holds its permit until
         // it has.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
-        let making = tokio::spawn(Self::make(state.extractor, volume, request, token, permit));
+        let making = tokio::spawn(Self::make(state.extractor, source, request, token, permit));
         let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
             let deadline = EXPORT_DEADLINE.as_secs();
             ApiError::busy(format!(
@@ -173,12 +186,12 @@ impl Made {
 
     async fn make(
         extractor: Extractor,
-        volume: VolumeStep,
+        source: Source,
         request: FileRequest,
         token: CancellationToken,
         permit: ExportPermit,
     ) -> Result<Self, ApiError> {
-        let file = export::make(&extractor, volume, &request, &token).await?;
+        let file = export::make(&extractor, &source.volume, &source.others, &request, &token).await?;
         let digested = pool::run_export(move || {
             let digest = file.digest(&|| token.is_cancelled())?;
             Ok::<_, export::ExportError>((file, digest))
@@ -269,7 +282,7 @@ mod tests {
             ),
             (r#"{"format":"ply"}"#, "missing field `volume`"),
             (r#"{"volume":"head"}"#, "missing field `format`"),
-            (r#"{"volume":"head","format":"obj"}"#, "unknown variant `obj`"),
+            (r#"{"volume":"head","format":"xyz"}"#, "unknown variant `xyz`"),
             (
                 r#"{"volume":"head","format":"ply","step":-1}"#,
                 "invalid value: integer `-1`",

@@ -170,6 +170,30 @@ pub fn open_path(path: &Path) -> Result<Vec<Dataset>, ReadError> {
     }
 }
 
+/// The datasets of a path with their own paths: those of a folder each by itself, so that a file that cannot be read does not keep the others
+/// from being read.
+pub fn open_each(path: &Path) -> Vec<(PathBuf, Result<Dataset, ReadError>)> {
+    let named = |error| vec![(path.to_owned(), Err(error))];
+    let numbered = |n: usize| PathBuf::from(format!("{}:{n}", path.display()));
+    match open_folder_format(&FileLocation::named(path)) {
+        Some(Err(error)) => named(error),
+        Some(Ok(mut volumes)) if volumes.len() == 1 => vec![(path.to_owned(), Ok(volumes.remove(0)))],
+        Some(Ok(volumes)) => (1..).map(numbered).zip(volumes.into_iter().map(Ok)).collect(),
+        None if path.is_dir() => match list_folder(path) {
+            Err(error) => named(error),
+            Ok(files) => {
+                let open = |location: FileLocation| {
+                    let opened = read_file(&location);
+                    let opened = opened.and_then(|file| join(&location.stem(), vec![(location.clone(), file)]));
+                    (location.path().to_owned(), opened)
+                };
+                files.into_iter().map(open).collect()
+            }
+        },
+        None => vec![(path.to_owned(), open_dataset(path))],
+    }
+}
+
 fn open_folder(folder: &Path) -> Result<Vec<Dataset>, ReadError> {
     let mut files = Vec::new();
     let mut last_error = None;

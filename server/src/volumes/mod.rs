@@ -15,7 +15,7 @@
 //! - `computed`: fields that expressions give.
 //! - [`memory_dataset`]: samples that no file holds.
 //! - `turned`: samples that are stored in another order than x fastest.
-//! - [`TimeAxis`]: when the steps are.
+//! - [`TimeAxis`]: when the steps are. [`InputIdentity`]: what the files of steps are, to find changes.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
 mod beneath;
@@ -29,6 +29,7 @@ mod distances;
 mod findings;
 pub mod formats;
 mod frame;
+mod identity;
 mod labels;
 pub mod location;
 mod memory;
@@ -56,10 +57,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use beneath::follow_links;
-pub use catalog::{Catalog, SharedCatalog, Unreadable, open_path};
+pub use catalog::{Catalog, SharedCatalog, Unreadable, open_each, open_path};
 pub use demo::demo;
 pub use findings::{Findings, LabelRanks};
 pub use frame::{Frame, LengthUnit};
+pub use identity::{IdentityError, InputIdentity, SeenFiles};
 pub use isopeel_kernels::Samples;
 pub use labels::{Label, MAX_LABELS};
 pub use location::{FileLocation, FileStamp};

@@ -303,8 +303,8 @@ fn bad_arguments_and_bad_files_are_refused_by_name() {
     assert!(extract(&demo_file, "--iso 100 --max-level 9").contains("level"));
     assert!(extract(&demo_file, "--iso 100 --field nothing").contains("nothing"));
     assert!(extract(&demo_file, "--iso 100 --feature nothing").contains("nothing"));
-    let line = "extract FILE --iso 100 -o out.obj";
-    assert!(command::fail(words(line, &demo_file)).contains("out.obj"));
+    let line = "extract FILE --iso 100 -o out.xyz";
+    assert!(command::fail(words(line, &demo_file)).contains("out.xyz"));
 
     // a header that claims 64 GB of samples over 4 bytes: refused at once, nothing that large allocated
     let lying = folder.path().join("lying.nrrd");

@@ -77,7 +77,7 @@ fn the_outside_of_a_closed_surface_is_away_from_what_it_encloses() {
     write(&high, 1.0, Some("mm"));
     write(&low, -1.0, Some("mm"));
     let ball = 4.0 / 3.0 * std::f64::consts::PI * 24.2f64.powi(3);
-    for format in ["glb", "ply", "stl", "vtp"] {
+    for format in ["glb", "ply", "stl", "vtp", "obj"] {
         let in_unit = if format == "glb" { 1e-9 } else { 1.0 };
         for (volume_file, options, outward, sign) in [
             (&high, "", "low", 1.0),
@@ -190,7 +190,7 @@ fn values_of_fields_are_attributes_in_their_units() {
         let words = options.split_whitespace().map(String::from);
         let line = ["extract".to_owned(), folder.display().to_string()];
         let line = line.into_iter().chain(words.flat_map(|word| match word.as_str() {
-            "--field-values" => vec![word, "temp 1".to_owned()],
+            "--field-values" => vec![word, "temp 1, max(0*ball,7)".to_owned()],
             _ => vec![word],
         }));
         command::succeed(line.chain(["-o".to_owned(), out.display().to_string()]));
@@ -202,8 +202,10 @@ fn values_of_fields_are_attributes_in_their_units() {
             header.contains("comment field: temp_1 is temp 1, unit unknown"),
             "{header}"
         );
+        assert!(header.contains("is max(0*ball,7), unit unknown"), "{header}");
         let mesh = files::read("ply", &bytes);
-        for (row, position) in bytes[end..].chunks_exact(48).zip(&mesh.positions) {
+        for (row, position) in bytes[end..].chunks_exact(52).zip(&mesh.positions) {
+            assert_eq!(row[48..], 7f32.to_le_bytes(), "an expression's value");
             let found = f64::from(f32::from_le_bytes(row[44..48].try_into().expect("four bytes")));
             let expected = 300.0 + position[0] - 2.0 * position[1] + 0.5 * position[2];
             assert!(
@@ -331,4 +333,121 @@ fn a_vertex_is_of_one_sheet() {
             "{options}"
         );
     }
+}
+
+/// The JSON of a GLB.
+fn gltf(bytes: &[u8]) -> serde_json::Value {
+    let length = u32::from_le_bytes(bytes[12..16].try_into().expect("four bytes")) as usize;
+    serde_json::from_slice(&bytes[20..20 + length]).expect("JSON")
+}
+
+#[test]
+fn several_surfaces_are_nodes_of_one_file() {
+    if !server::has_device() {
+        return;
+    }
+    let setting = Setting::new();
+    let [high, low] = ["high.nrrd", "low.nrrd"].map(|name| setting.path(name));
+    write(&high, 1.0, Some("mm"));
+    write(&low, -1.0, Some("mm"));
+    let out = setting.path("out.glb");
+    let skin = r##"{"name":"skin","color":"#ff0000","opacity":0.5}"##.to_owned();
+    let other = serde_json::json!({"iso": -5, "volume": low});
+    let inner = r#"{"iso":5,"error":"0.5vx"}"#.to_owned();
+    let line = |out: &Path, format: &str| {
+        let mut line = vec!["extract".to_owned(), high.display().to_string()];
+        line.extend(["--iso", "0", "--error", "0.1vx", "--stats", "--format", format].map(str::to_owned));
+        for surface in [&skin, &other.to_string(), &inner] {
+            line.extend(["--surface".to_owned(), surface.clone()]);
+        }
+        line.extend(["-o".to_owned(), out.display().to_string()]);
+        line
+    };
+    let printed = command::succeed(line(&out, "glb"));
+    let statistics: serde_json::Value = serde_json::from_str(&printed).expect("one JSON object");
+    let json = gltf(&std::fs::read(&out).expect("written"));
+    let names: Vec<_> = (0..3)
+        .map(|node| json["nodes"][node]["name"].as_str().expect("a name"))
+        .collect();
+    assert_eq!(names, ["skin", "low: low = -5", "high: high = 5"]);
+    let triangles = |mesh: usize| {
+        let accessor = json["meshes"][mesh]["primitives"][0]["indices"]
+            .as_u64()
+            .expect("indices");
+        json["accessors"][accessor as usize]["count"].as_u64().expect("a count") / 3
+    };
+    let alone = setting.path("alone.glb");
+    for (mesh, volume, options) in [
+        (0, &high, "--iso 0 --error 0.1vx"),
+        (1, &low, "--iso -5 --error 0.1vx"),
+        (2, &high, "--iso 5 --error 0.5vx"),
+    ] {
+        let one = command::extract_to(volume, options, &alone);
+        assert_eq!(one["triangles"].as_u64(), Some(triangles(mesh)), "{options}");
+    }
+    assert_eq!(statistics["triangles"].as_u64(), Some((0..3).map(triangles).sum()));
+    assert_eq!(json["materials"][0]["alphaMode"], "BLEND");
+    let extras = json["asset"]["extras"]["surfaces"].as_array().expect("surfaces");
+    assert_eq!((extras.len(), &extras[1]["volume"]), (3, &"low".into()));
+    for format in ["3mf", "obj", "precomputed"] {
+        command::succeed(line(&setting.path("out.any"), format));
+    }
+    let refused = command::fail(line(&setting.path("out.ply"), "ply"));
+    assert!(
+        refused.contains("surfaces: 3 surfaces in a PLY, expected one"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_volume_comes_from_stdin_and_a_file_goes_to_stdout() {
+    if !server::has_device() {
+        return;
+    }
+    let setting = Setting::new();
+    let volume = setting.path("ball.nrrd");
+    write(&volume, 1.0, Some("mm"));
+    let run = |options: &str| {
+        std::process::Command::new(command::binary())
+            .args("extract - --iso 0 -o -".split(' ').chain(options.split_whitespace()))
+            .stdin(std::fs::File::open(&volume).expect("a file"))
+            .output()
+            .expect("the binary starts")
+    };
+    let piped = run("--format stl");
+    assert!(piped.status.success(), "{}", String::from_utf8_lossy(&piped.stderr));
+    let out = setting.path("out.stl");
+    command::extract_to(&volume, "--iso 0", &out);
+    assert!(piped.stdout == std::fs::read(&out).expect("written"));
+    for (options, expected) in [
+        ("", "-o - does not say the format"),
+        ("--format stl --stats", "both are for stdout"),
+    ] {
+        let refused = run(options);
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert!(!refused.status.success() && said.contains(expected), "{said}");
+    }
+}
+
+#[test]
+fn an_error_is_measured_unless_that_is_not_asked_for() {
+    if !server::has_device() {
+        return;
+    }
+    let setting = Setting::new();
+    let volume = setting.path("ball.nrrd");
+    write(&volume, 1.0, Some("mm"));
+    let (whole, bytes, _) = setting.extract(&volume, "--iso 0 --error 0.3vx", "ply");
+    let (bounded, of_bounded, _) = setting.extract(&volume, "--iso 0 --error 0.3vx --measure 600", "ply");
+    let (none, of_none, _) = setting.extract(&volume, "--iso 0 --error 0.3vx --no-measure", "ply");
+    assert_eq!(whole["error"], bounded["error"]);
+    assert!(
+        whole["error"]["max"].as_f64() > Some(0.0) && none["error"].is_null(),
+        "{none}"
+    );
+    assert!(bytes == of_bounded && bytes == of_none, "the surface is the same");
+    let (late, ..) = setting.extract(&volume, "--iso 0 --error 0.3vx --measure 1e-9", "ply");
+    assert!(late["error"].is_null(), "{late}");
+    let notice = late["notices"][0].as_str().expect("a notice");
+    assert!(notice.starts_with("the error was not measured"), "{notice}");
 }

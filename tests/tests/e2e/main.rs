@@ -5,6 +5,7 @@ mod support;
 
 mod abuse;
 mod audit;
+mod batch;
 mod budgets;
 mod bytes;
 mod command_line;

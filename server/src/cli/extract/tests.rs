@@ -1,12 +1,16 @@
 //! Arguments and output.
 
+use std::path::Path;
+
 use clap::Parser;
+use isopeel_kernels::MAX_LEVEL;
 
 use super::super::{Cli, Command};
 use super::*;
-use crate::extraction::Extraction;
-use crate::view::FeatureName;
-use crate::volumes::{Dataset, testing};
+use crate::view::Edit;
+use crate::view::quality::{Distance, MaxError, TopologyName};
+use crate::view::{FeatureName, View};
+use crate::volumes::testing;
 
 fn parse(line: &str) -> Result<Args, clap::Error> {
     match Cli::try_parse_from(line.split_whitespace())?.command {
@@ -18,12 +22,8 @@ fn parse(line: &str) -> Result<Args, clap::Error> {
 impl Args {
     /// The view of the arguments.
     fn view(&self, dataset: &Dataset) -> Result<View, ExtractError> {
-        Ok(self.request(Format::Stl)?.view(dataset)?)
+        Ok(self.surface.request(Format::Stl, self.step)?.view(dataset)?)
     }
-}
-
-fn request(line: &str) -> FileRequest {
-    parse(line).unwrap().request(Format::Glb).unwrap()
 }
 
 fn dataset() -> Dataset {
@@ -40,8 +40,8 @@ fn dataset() -> Dataset {
 fn negative_numbers_are_values() {
     let args =
         parse("isopeel extract a.nrrd --iso -300 --beta -1 --feature gm --feature-range -5 -2.5 --stats").unwrap();
-    assert_eq!((args.iso, args.beta), (Some(-300.0), Some(-1.0)));
-    assert_eq!(args.feature_range, Some(vec![-5.0, -2.5]));
+    assert_eq!((args.surface.iso, args.surface.beta), (Some(-300.0), Some(-1.0)));
+    assert_eq!(args.surface.feature_range, Some(vec![-5.0, -2.5]));
 }
 
 #[test]
@@ -267,89 +267,19 @@ fn what_the_dataset_has_not_is_named() {
 }
 
 #[test]
-fn a_transfer_function_is_read_or_its_file_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("t.json");
-    std::fs::write(&path, r##"{"points":[{"x":0.5,"importance":1,"color":"#ffffff"}]}"##).unwrap();
-    assert_eq!(read_transfer_function(&path).unwrap().points.len(), 1);
-    std::fs::write(&path, r#"{"points":[{"x":0.5}]}"#).unwrap();
-    let error = crate::error::chain(&read_transfer_function(&path).unwrap_err());
-    assert!(error.contains("t.json: missing field `importance`"), "{error}");
-    let error = crate::error::chain(&read_transfer_function(&folder.path().join("no.json")).unwrap_err());
-    assert!(error.contains("no.json: No such file"), "{error}");
-}
-
-#[test]
-fn an_output_that_cannot_be_written_fails_before_the_work() {
-    let folder = tempfile::tempdir().unwrap();
-    assert!(matches!(
-        Output::create(folder.path(), request("isopeel extract a.nrrd --iso 1 --stats")),
-        Err(ExtractError::Output { .. })
-    ));
-    let missing = folder.path().join("no/such/a.glb");
-    assert!(matches!(
-        Output::create(&missing, request("isopeel extract a.nrrd --iso 1 --stats")),
-        Err(ExtractError::Output { .. })
-    ));
-    let error = Format::from_path(Path::new("head.obj")).unwrap_err().to_string();
+fn the_extension_says_the_format() {
+    let error = Format::from_path(Path::new("head.xyz")).unwrap_err().to_string();
     assert_eq!(
         error,
-        "\"head.obj\" does not say the format: expected a name that ends in .glb, .ply, .stl or .vtp"
+        "\"head.xyz\" does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii or .precomputed.zip"
     );
-}
-
-fn extraction(view: View) -> Extraction {
-    Extraction {
-        surface: isopeel_kernels::Surface {
-            remade: None,
-            regions: Vec::new(),
-            prefix: isopeel_kernels::Level::FINEST,
-            statistics: isopeel_kernels::SurfaceStatistics::default(),
-        },
-        view,
-        wall: std::time::Duration::ZERO,
+    for (name, format) in [
+        ("a.PLY", Format::Ply),
+        ("a.3mf", Format::ThreeMf),
+        ("lh.white.surf.gii", Format::Gifti),
+        ("a.precomputed.zip", Format::Precomputed),
+    ] {
+        assert_eq!(Format::from_path(Path::new(name)).unwrap(), format);
     }
-}
-
-#[test]
-fn the_output_appears_whole_or_not_at_all() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.glb");
-    let view = parse("isopeel extract a.nrrd --iso 1 --stats")
-        .unwrap()
-        .view(&dataset())
-        .unwrap();
-    let volume = VolumeStep::new(Arc::new(dataset()), 0).unwrap();
-    let files = || std::fs::read_dir(folder.path()).unwrap().count();
-
-    let stopped = CancellationToken::new();
-    stopped.cancel();
-    let output = Output::create(&path, request("isopeel extract a.nrrd --iso 1 --stats")).unwrap();
-    assert!(
-        output
-            .write(extraction(view.clone()), &volume, "device", &stopped)
-            .is_err()
-    );
-    assert_eq!(files(), 0);
-
-    let output = Output::create(&path, request("isopeel extract a.nrrd --iso 1 --stats")).unwrap();
-    assert_eq!(files(), 1);
-    output
-        .write(extraction(view), &volume, "device", &CancellationToken::new())
-        .unwrap();
-    assert_eq!(files(), 1);
-    assert_eq!(&std::fs::read(&path).unwrap()[..4], b"glTF");
-}
-
-#[test]
-fn a_folder_that_is_not_there_is_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let missing = folder.path().join("meshes");
-    let Err(ExtractError::Output { source, .. }) = Output::create(
-        &missing.join("a.glb"),
-        request("isopeel extract a.nrrd --iso 1 --stats"),
-    ) else {
-        panic!("there is no folder to write to");
-    };
-    assert_eq!(source.to_string(), format!("there is no folder {}", missing.display()));
+    assert!(Format::from_path(Path::new("a.zip")).is_err());
 }

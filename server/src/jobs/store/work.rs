@@ -6,13 +6,13 @@ use rusqlite::Transaction;
 
 use super::super::MAX_ATTEMPTS;
 use super::super::error::StoreError;
-use super::super::identity::Identity;
 use super::super::results::Written;
 use super::super::state::{Cause, JobState};
 use super::requests::file_request;
 use super::{Store, add_event, now, optional};
 use crate::export::FileRequest;
 use crate::extraction::MeasuredError;
+use crate::volumes::InputIdentity;
 
 /// The extraction that is made next.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,7 +30,7 @@ pub struct Work {
     /// Id of the volume.
     pub volume: String,
     /// What the job's input was when it was submitted.
-    pub input: Identity,
+    pub input: InputIdentity,
     /// Bytes that the results of the owner take.
     pub bytes_taken: u64,
 }

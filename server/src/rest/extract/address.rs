@@ -13,18 +13,16 @@ use lru::LruCache;
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
-use super::{ApiState, ExtractRequest, File, Made};
+use super::{ApiState, ExtractRequest, File, Made, Source, other_volumes};
 use crate::access::Identity;
-use crate::export::{FileDigest, FileRequest, Format};
+use crate::export::{FileDigest, FileRequest, FileSurface, Format};
 use crate::problem::{ApiError, Problem};
 use crate::rest::content_encoding::ContentEncoding;
 use crate::rest::ranges::Asked;
-use crate::view::View;
-use crate::volumes::VolumeStep;
 
 /// Names whose values are text, also where they look like numbers.
-const TEXTS: [&str; 8] = [
-    "volume", "format", "field", "feature", "mask", "outward", "unit", "label",
+const TEXTS: [&str; 9] = [
+    "volume", "format", "field", "feature", "mask", "outward", "unit", "label", "compress",
 ];
 
 /// A cache asks again each time, whoever has asked before: what a volume is may change, and so may who sees it.
@@ -52,10 +50,13 @@ impl Default for KnownTags {
 /// What of a request decides the bytes of its file.
 type RequestKey = [u8; 32];
 
-fn request_key(volume: &VolumeStep, view: &View, file: &FileRequest) -> RequestKey {
-    let (options, colored) = (&file.options, file.is_colored());
-    let what = format!("{:?} {options:?} {colored} {view:?}", volume.key());
-    Sha256::digest(what).into()
+fn request_key(surfaces: &[FileSurface], file: &FileRequest) -> RequestKey {
+    let of_surface = |surface: &FileSurface| {
+        let (volume, view) = (surface.volume.key(), &surface.view);
+        format!("{volume:?} {} {view:?}", surface.request.is_colored())
+    };
+    let all: Vec<String> = surfaces.iter().map(of_surface).collect();
+    Sha256::digest(format!("{:?} {all:?}", file.options)).into()
 }
 
 impl KnownTags {
@@ -102,7 +103,14 @@ fn tag(digest: FileDigest, encoding: ContentEncoding) -> String {
         (
             status = 200,
             description = "The surface",
-            content((File = "model/gltf-binary"), (File = "application/octet-stream"), (File = "model/stl")),
+            content(
+                (File = "model/gltf-binary"),
+                (File = "application/octet-stream"),
+                (File = "model/stl"),
+                (File = "model/obj"),
+                (File = "model/3mf"),
+                (File = "application/zip"),
+            ),
             headers(
                 ("etag" = String, description = "Of the bytes; strong"),
                 ("isopeel-statistics" = String, description = "The statistics, as JSON in ASCII"),
@@ -131,13 +139,14 @@ pub async fn extract_by_address(
     let ExtractRequest { volume, file } = request_of(query).map_err(refused)?;
     // Whether the client may see the volume comes before what it has of it.
     let volume = state.volume(&who, &volume, file.step)?;
-    let view = file.view(volume.dataset())?;
-    let (key, known) = (request_key(&volume, &view, &file), state.known_tags.clone());
+    let others = other_volumes(&state, &who, &file)?;
+    let surfaces = file.surfaces(&volume, &others)?;
+    let (key, known) = (request_key(&surfaces, &file), state.known_tags.clone());
     let encoding = ContentEncoding::accepted(&headers);
     if let Some(digest) = known.find(&key).filter(|digest| has(&headers, *digest)) {
         return not_modified(digest, encoding);
     }
-    let made = Made::admitted(state, &who, volume, file).await?;
+    let made = Made::admitted(state, &who, Source { volume, others }, file).await?;
     let digest = made.digest;
     known.insert(key, digest);
     if has(&headers, digest) {

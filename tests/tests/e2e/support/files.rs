@@ -48,6 +48,7 @@ pub fn read(format: &str, bytes: &[u8]) -> FileMesh {
         "ply" => ply(bytes),
         "stl" => stl(bytes),
         "vtp" => vtp(bytes),
+        "obj" => obj(bytes),
         other => panic!("no reader for {other}"),
     }
     .checked()
@@ -148,7 +149,7 @@ fn placed(node: &Value, position: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| v[i] + 2.0 * outer[i] + moved[i])
 }
 
-/// VTK's XML `PolyData`: arrays appended as raw bytes behind their lengths, 64 bits each, as are positions.
+/// VTK's XML `PolyData`: arrays appended as raw bytes behind their lengths of 64 bits; positions have 64 bits, indices 32.
 fn vtp(bytes: &[u8]) -> FileMesh {
     let mark = b"<AppendedData encoding=\"raw\">\n_";
     let end = bytes
@@ -165,8 +166,8 @@ fn vtp(bytes: &[u8]) -> FileMesh {
         &bytes[at + 8..at + 8 + length]
     };
     let corner = |part: &[u8]| u32_at(part, 0);
-    let corners: Vec<u32> = array("connectivity").chunks_exact(8).map(corner).collect();
-    let ends: Vec<u32> = array("offsets").chunks_exact(8).map(corner).collect();
+    let corners: Vec<u32> = array("connectivity").chunks_exact(4).map(corner).collect();
+    let ends: Vec<u32> = array("offsets").chunks_exact(4).map(corner).collect();
     assert!(
         ends.iter().enumerate().all(|(i, &end)| end as usize == 3 * (i + 1)),
         "triangles"
@@ -177,6 +178,32 @@ fn vtp(bytes: &[u8]) -> FileMesh {
             .map(|point| [0, 8, 16].map(|part| f64_at(point, part)))
             .collect(),
         triangles: corners.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
+    }
+}
+
+/// Wavefront OBJ: vertices and triangles, whose corners are numbered from 1.
+fn obj(bytes: &[u8]) -> FileMesh {
+    let text = std::str::from_utf8(bytes).expect("text");
+    let rows = |word: &'static str| text.lines().filter_map(move |line| line.strip_prefix(word));
+    let position = |row: &str| {
+        let mut numbers = row.split_whitespace().map(|number| number.parse().expect("a number"));
+        std::array::from_fn(|_| numbers.next().expect("three numbers"))
+    };
+    let corner = |text: &str| {
+        text.split('/')
+            .next()
+            .expect("a number")
+            .parse::<u32>()
+            .expect("a number")
+            - 1
+    };
+    let triangle = |row: &str| {
+        let corners: Vec<u32> = row.split_whitespace().map(corner).collect();
+        corners.try_into().expect("three corners")
+    };
+    FileMesh {
+        positions: rows("v ").map(position).collect(),
+        triangles: rows("f ").map(triangle).collect(),
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a batch job reads: size, time of the last change and hash of each of its files. A job whose files change meanwhile would mix the
+//! The files that time steps are read from: size, time of the last change and hash of each. A batch job whose files change meanwhile would mix the
 //! surfaces of two volumes, so it ends as `input-changed`.
 //!
 //! The hash is XXH3 with 128 bits: of a whole file up to [`WHOLE_BYTES`], of a longer one of [`BLOCKS`] blocks, evenly spaced from its first
@@ -15,7 +15,7 @@ use std::time::UNIX_EPOCH;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
-use crate::volumes::{Dataset, DatasetKey};
+use super::{Dataset, DatasetKey};
 
 /// A file up to this size is hashed as a whole: that takes less than a tenth of a second.
 const WHOLE_BYTES: u64 = 64 << 20;
@@ -42,9 +42,9 @@ struct Pinned {
     hash: String,
 }
 
-/// The files of a job, and what their headers said when it was submitted.
+/// The files of time steps, and what their headers said when they were looked at.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Identity {
+pub struct InputIdentity {
     files: Vec<Pinned>,
     /// Hash of grid and fields.
     header: String,
@@ -89,7 +89,7 @@ pub struct SeenFiles(Mutex<HashMap<SeenFile, Stamp>>);
 /// A file of a dataset, as often as the files of each of its steps were rewritten.
 type SeenFile = (DatasetKey, Vec<u32>, PathBuf);
 
-const SINCE_OPENED: &str = "the server opened it, start the server again";
+const SINCE_OPENED: &str = "it was opened, start again";
 const SINCE_SUBMITTED: &str = "the job was submitted";
 
 impl SeenFiles {
@@ -115,7 +115,7 @@ impl SeenFiles {
     }
 }
 
-impl Identity {
+impl InputIdentity {
     /// That of these time steps, now. Reads the files.
     ///
     /// # Errors
@@ -136,6 +136,15 @@ impl Identity {
         })
     }
 
+    /// Hash of what was read, wherever the files are.
+    pub fn content(&self) -> String {
+        let mut hasher = Xxh3::new();
+        for hash in self.files.iter().map(|pinned| &pinned.hash).chain([&self.header]) {
+            hasher.update(hash.as_bytes());
+        }
+        hex(&hasher)
+    }
+
     /// Whether all files have the size and time that they had.
     ///
     /// # Errors
@@ -154,7 +163,7 @@ impl Identity {
         Ok(())
     }
 
-    /// As [`Identity::check_stamps`], and whether they have the content that they had.
+    /// As [`InputIdentity::check_stamps`], and whether they have the content that they had.
     ///
     /// # Errors
     /// [`IdentityError::Changed`] or [`IdentityError::Unreadable`].
@@ -324,9 +333,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (data, dataset) = volume(folder.path());
         let time = std::fs::metadata(&data).unwrap().modified().unwrap();
-        let identity = Identity::of(&dataset, &BTreeSet::from([0]), &SeenFiles::default()).unwrap();
+        let identity = InputIdentity::of(&dataset, &BTreeSet::from([0]), &SeenFiles::default()).unwrap();
         let text = serde_json::to_string(&identity).unwrap();
-        assert_eq!(serde_json::from_str::<Identity>(&text).unwrap(), identity);
+        assert_eq!(serde_json::from_str::<InputIdentity>(&text).unwrap(), identity);
         identity.check(&dataset).unwrap();
         let found = |expected: &str, stamps_alone: bool| {
             for checked in [identity.check(&dataset), identity.check_stamps(&dataset)]
@@ -354,7 +363,7 @@ mod tests {
     fn another_grid_is_another_input() {
         let folder = tempfile::tempdir().unwrap();
         let (_, mut dataset) = volume(folder.path());
-        let identity = Identity::of(&dataset, &BTreeSet::from([0]), &SeenFiles::default()).unwrap();
+        let identity = InputIdentity::of(&dataset, &BTreeSet::from([0]), &SeenFiles::default()).unwrap();
         dataset.geometry.spacing[2] = 3.0;
         let error = identity.check(&dataset).unwrap_err().to_string();
         assert_eq!(error, "a: its grid or its fields changed since the job was submitted");
@@ -366,13 +375,13 @@ mod tests {
         let (data, dataset) = volume(folder.path());
         let seen = SeenFiles::default();
         seen.note(&dataset);
-        Identity::of(&dataset, &BTreeSet::from([0]), &seen).unwrap();
+        InputIdentity::of(&dataset, &BTreeSet::from([0]), &seen).unwrap();
         std::fs::write(&data, [1; 9]).unwrap();
-        let error = Identity::of(&dataset, &BTreeSet::from([0]), &seen)
+        let error = InputIdentity::of(&dataset, &BTreeSet::from([0]), &seen)
             .unwrap_err()
             .to_string();
         assert!(
-            error.starts_with("a.raw: its size changed since the server opened it"),
+            error.starts_with("a.raw: its size changed since it was opened"),
             "{error}"
         );
     }

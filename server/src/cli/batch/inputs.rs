@@ -1,0 +1,172 @@
+//! From arguments to volumes, each with a name for its files.
+
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+
+use super::BatchError;
+use crate::export::safe_name;
+use crate::volumes::{Dataset, ReadError, open_each};
+
+/// A volume that was named.
+pub(super) struct Input {
+    /// As it was named.
+    pub path: PathBuf,
+    /// Name of its files without step and extension; no other input has it.
+    pub name: String,
+    /// Its header.
+    pub dataset: Result<Dataset, ReadError>,
+}
+
+/// Opens the volumes of all arguments in their order, each once.
+///
+/// # Errors
+/// A pattern that is none, or that no file matches.
+pub(super) fn open_all(arguments: &[PathBuf]) -> Result<Vec<Input>, BatchError> {
+    let mut seen = HashSet::new();
+    let mut opened = Vec::new();
+    for argument in arguments {
+        for path in expanded(argument)? {
+            opened.extend(
+                open_each(&path)
+                    .into_iter()
+                    .filter(|(path, _)| seen.insert(path.clone())),
+            );
+        }
+    }
+    let titled = opened.iter().map(|(path, dataset)| {
+        let title = dataset
+            .as_ref()
+            .map_or_else(|_| title_of(path), |dataset| dataset.title.clone());
+        (path.as_path(), title)
+    });
+    let names = distinct_names(&titled.collect::<Vec<_>>());
+    let inputs = opened.into_iter().zip(names);
+    Ok(inputs
+        .map(|((path, dataset), name)| Input { path, name, dataset })
+        .collect())
+}
+
+fn title_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// The files that match a pattern; an argument that is a file, a folder or an address is itself.
+fn expanded(argument: &Path) -> Result<Vec<PathBuf>, BatchError> {
+    let pattern = argument.to_string_lossy();
+    let is_pattern = !argument.exists() && !pattern.contains("://") && pattern.contains(['*', '?', '[']);
+    if !is_pattern {
+        return Ok(vec![argument.to_owned()]);
+    }
+    let found = glob::glob(&pattern).map_err(|source| BatchError::Pattern {
+        pattern: pattern.clone().into_owned(),
+        source,
+    })?;
+    // What cannot be looked at is no match.
+    let paths: Vec<PathBuf> = found.flatten().collect();
+    if paths.is_empty() {
+        return Err(BatchError::NoMatch(pattern.into_owned()));
+    }
+    Ok(paths)
+}
+
+/// Names of files: titles, with the names of as many folders before them as it takes to tell equal ones apart.
+fn distinct_names(titled: &[(&Path, String)]) -> Vec<String> {
+    let named = |(path, title): &(&Path, String), folders: usize| {
+        let parents = path.parent().into_iter().flat_map(Path::components);
+        let parents: Vec<String> = parents
+            .map(|part| part.as_os_str().to_string_lossy().into_owned())
+            .collect();
+        let before = parents[parents.len().saturating_sub(folders)..]
+            .iter()
+            .map(String::as_str);
+        let parts: Vec<String> = before.chain([title.as_str()]).map(safe_name).collect();
+        parts.join("-")
+    };
+    let deepest = titled
+        .iter()
+        .map(|(path, _)| path.components().count())
+        .max()
+        .unwrap_or(0);
+    let mut names: Vec<String> = titled.iter().map(|one| named(one, 0)).collect();
+    for folders in 1..=deepest {
+        let mut counts: HashMap<String, usize> = HashMap::new();
+        names.iter().for_each(|name| *counts.entry(key(name)).or_default() += 1);
+        if counts.values().all(|&count| count == 1) {
+            return names;
+        }
+        for (name, one) in names.iter_mut().zip(titled) {
+            if counts[&key(name)] > 1 {
+                *name = named(one, folders);
+            }
+        }
+    }
+    // Volumes of one file, and names that differ in nothing that file names keep.
+    let mut taken = HashSet::new();
+    for name in &mut names {
+        let numbered = (2..).map(|n| format!("{name}-{n}"));
+        let free = std::iter::once(name.clone())
+            .chain(numbered)
+            .find(|name| taken.insert(key(name)));
+        *name = free.unwrap_or_default();
+    }
+    names
+}
+
+/// What no two names have in common: some file systems do not tell capital letters from small ones.
+fn key(name: &str) -> String {
+    name.to_ascii_lowercase()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(paths: &[&str]) -> Vec<String> {
+        let title = |path: &str| Path::new(path).file_stem().unwrap().to_string_lossy().into_owned();
+        let titled: Vec<_> = paths.iter().map(|path| (Path::new(*path), title(path))).collect();
+        distinct_names(&titled)
+    }
+
+    #[test]
+    fn equal_names_are_told_apart_by_their_folders() {
+        assert_eq!(names(&["a/x.nrrd", "b/y.nrrd"]), ["x", "y"]);
+        assert_eq!(
+            names(&["s/01/anat.nrrd", "s/02/anat.nrrd", "s/02/t1.nrrd"]),
+            ["01-anat", "02-anat", "t1"]
+        );
+        assert_eq!(
+            names(&["p/01/t/anat.nrrd", "q/01/t/anat.nrrd"]),
+            ["p-01-t-anat", "q-01-t-anat"]
+        );
+        assert_eq!(names(&["ä.nrrd", "ö.nrrd", "_.nrrd"]), ["_", "_-2", "_-3"]);
+        assert_eq!(names(&["Head.nrrd", "head.nrrd"]), ["Head", "head-2"]);
+    }
+
+    #[test]
+    fn patterns_are_expanded_and_each_file_is_opened_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| {
+            let path = folder.path().join(name);
+            let text = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 2 2 2\nencoding: raw\n\n12345678";
+            std::fs::write(&path, text).unwrap();
+            path
+        };
+        let (a, _b) = (file("a.nrrd"), file("b.nrrd"));
+        std::fs::write(folder.path().join("c.nrrd"), "no volume").unwrap();
+        std::fs::write(folder.path().join("d.txt"), "none of the volumes").unwrap();
+        let opened = |arguments: &[PathBuf]| {
+            let inputs = open_all(arguments).unwrap();
+            let described = inputs.iter().map(|input| (input.name.clone(), input.dataset.is_ok()));
+            described.collect::<Vec<_>>()
+        };
+        let all = [("a", true), ("b", true), ("c.nrrd", false)].map(|(name, opens)| (name.to_owned(), opens));
+        assert_eq!(opened(&[folder.path().join("*.nrrd"), a]), all);
+        assert_eq!(opened(&[folder.path().to_owned()]), all);
+        let none = open_all(&[folder.path().join("*.mha")]).map(|_| ()).unwrap_err();
+        assert!(none.to_string().ends_with("*.mha\" matches no file"), "{none}");
+        assert!(matches!(
+            open_all(&[folder.path().join("**x")]),
+            Err(BatchError::Pattern { .. })
+        ));
+    }
+}

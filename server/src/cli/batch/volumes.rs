@@ -1,0 +1,376 @@
+//! The same surface of many volumes and time steps. One that cannot be made is noted, and the others go on.
+
+use std::collections::BTreeSet;
+use std::io;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use data_encoding::HEXLOWER;
+use futures_util::StreamExt;
+use indicatif::ProgressBar;
+use isopeel_kernels::SampleType;
+use sha2::{Digest, Sha256};
+use tokio_util::sync::CancellationToken;
+
+use super::inputs::{Input, open_all};
+use super::manifest::{Line, Manifest};
+use super::series::Series;
+use super::steps::Steps;
+use super::{Args, BatchError, Interrupt};
+use crate::cli::jobs::{empty_ones, progress_bar};
+use crate::cli::output::{Output, OutputError, WrittenFile};
+use crate::export::{self, FileRequest, Format, MadeFile, OtherVolumes};
+use crate::extraction::{ExtractionStatistics, Extractor};
+use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
+use crate::volumes::{IdentityError, InputIdentity, SeenFiles, VolumeStep};
+
+/// Surfaces that are worked on at a time: while one is on the device, the file of the one before is written, or the volume of the next one is
+/// read.
+const AT_ONCE: usize = 2;
+
+/// Time between attempts if the device has too much to do.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// A volume and time step.
+struct Item {
+    /// As the volume was named.
+    volume: String,
+    step: u32,
+    /// The time step with the name of its file, or why there is none.
+    opened: Result<(VolumeStep, String), Cause>,
+}
+
+/// What all items share.
+struct Batch<'a> {
+    args: &'a Args,
+    request: FileRequest,
+    extractor: Extractor,
+    seen: Arc<SeenFiles>,
+    manifest: Arc<Manifest>,
+    token: CancellationToken,
+}
+
+/// Makes the surfaces of all volumes and time steps.
+pub(super) fn run(args: &Args) -> Result<(), BatchError> {
+    let surface = args.surface.clone().unwrap_or_default();
+    let format = surface.format.ok_or(BatchError::NoFormat)?;
+    let request = surface.request(format, 0)?;
+    let inputs = open_all(&args.inputs)?;
+    args.create_folder()?;
+    let output = |source| BatchError::Output {
+        path: args.output.clone(),
+        source,
+    };
+    let manifest = Arc::new(Manifest::open(&args.output).map_err(output)?);
+    let seen = Arc::new(SeenFiles::default());
+    let Plan { items, types, series } = plan(args, inputs, format.extension(), &seen);
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let lines = runtime.block_on(async {
+        let mut interrupt = Interrupt::new()?;
+        let extractor = args.extractor(types)?;
+        let (worker, token) = (extractor.worker().clone(), CancellationToken::new());
+        let _cancel = token.clone().drop_guard();
+        let batch = Batch {
+            args,
+            request,
+            extractor,
+            seen,
+            manifest: Arc::clone(&manifest),
+            token,
+        };
+        tokio::select! {
+            lines = batch.make_all(items) => lines,
+            () = interrupt.wait() => Err(BatchError::Interrupted),
+            error = worker.unusable() => Err(error.map_or(BatchError::Interrupted, BatchError::Device)),
+        }
+    })?;
+    manifest.finish(&lines).map_err(output)?;
+    if format == Format::Vtp {
+        let made = lines.iter().filter_map(|line| line.entry.file.as_deref()).collect();
+        series
+            .iter()
+            .try_for_each(|series| series.write(&args.output, &made))
+            .map_err(output)?;
+    }
+    summary(&lines)
+}
+
+/// What is to be done.
+#[derive(Default)]
+struct Plan {
+    items: Vec<Item>,
+    /// Sample types of all fields.
+    types: Vec<SampleType>,
+    /// The volumes with several time steps.
+    series: Vec<Series>,
+}
+
+/// The items of all inputs in their order.
+fn plan(args: &Args, inputs: Vec<Input>, extension: &str, seen: &SeenFiles) -> Plan {
+    let all = Steps::All;
+    let steps = args.steps.as_ref().unwrap_or(&all);
+    let mut plan = Plan::default();
+    for (revision, Input { path, name, dataset }) in (0..).zip(inputs) {
+        let volume = path.to_string_lossy().into_owned();
+        let item = |step, opened| Item {
+            volume: volume.clone(),
+            step,
+            opened,
+        };
+        let mut dataset = match dataset {
+            Ok(dataset) => dataset,
+            Err(error) => {
+                let why = cause("unreadable-volume", crate::error::chain(&error));
+                plan.items.push(item(0, Err(why)));
+                continue;
+            }
+        };
+        dataset.set_frame(args.frame);
+        // Two volumes of one name are not one volume on the device.
+        dataset.revision = revision;
+        seen.note(&dataset);
+        for sample_type in dataset.fields.iter().map(|field| field.sample_type) {
+            if !plan.types.contains(&sample_type) {
+                plan.types.push(sample_type);
+            }
+        }
+        let chosen = steps.of(dataset.steps);
+        let dataset = Arc::new(dataset);
+        if chosen.is_empty() {
+            let why = format!("it has {} time steps, and none of them was asked for", dataset.steps);
+            plan.items.push(item(0, Err(cause("unknown-step", why))));
+        }
+        let digits = dataset.steps.saturating_sub(1).to_string().len();
+        let file_of = |step: u32| match dataset.steps {
+            1 => format!("{name}.{extension}"),
+            _ => format!("{name}-{step:0digits$}.{extension}"),
+        };
+        if chosen.len() > 1 {
+            let files = chosen.iter().map(|&step| (step, file_of(step)));
+            plan.series.push(Series::new(name.clone(), &dataset, files));
+        }
+        for step in chosen {
+            let file = file_of(step);
+            let opened = VolumeStep::new(Arc::clone(&dataset), step);
+            let opened = opened.map_err(|error| cause("unknown-step", error.to_string()));
+            plan.items.push(item(step, opened.map(|volume| (volume, file))));
+        }
+    }
+    plan
+}
+
+fn cause(code: &str, detail: String) -> Cause {
+    let code = code.into();
+    Cause { code, detail }
+}
+
+/// Says how many surfaces were not made.
+fn summary(lines: &[Line]) -> Result<(), BatchError> {
+    let entries: Vec<ManifestEntry> = lines.iter().map(|line| line.entry.clone()).collect();
+    let empty = empty_ones(&entries);
+    let mut failed = lines.iter().filter(|line| line.entry.state == ExtractionState::Failed);
+    if let Some(first) = failed.next() {
+        let why = first.entry.problem.as_ref().map_or("", |problem| &problem.detail);
+        let (count, all) = (1 + failed.count(), lines.len());
+        let failures = format!(
+            "{count} of {all} surfaces failed, the manifest says why; {}: {why}",
+            first.volume
+        );
+        return Err(BatchError::Failed([failures, empty].join("\n").trim_end().to_owned()));
+    }
+    if entries.iter().all(|entry| entry.state == ExtractionState::Empty) {
+        return Err(BatchError::Failed(empty));
+    }
+    if !empty.is_empty() {
+        eprintln!("isopeel: {empty}");
+    }
+    Ok(())
+}
+
+impl Batch<'_> {
+    /// Makes all items, and adds each to the manifest when it has ended.
+    async fn make_all(&self, items: Vec<Item>) -> Result<Vec<Line>, BatchError> {
+        self.extractor.worker().ready().await?;
+        let bar = progress_bar(items.len() as u64);
+        let (mut lines, mut failed) = (Vec::with_capacity(items.len()), 0);
+        let made = (0..).zip(items).map(|(number, item)| self.line(number, item));
+        let mut made = futures_util::stream::iter(made).buffered(AT_ONCE);
+        while let Some(made) = made.next().await {
+            let (line, is_new) = made?;
+            if is_new {
+                self.manifest.add(&line).map_err(|source| BatchError::Output {
+                    path: self.args.output.clone(),
+                    source,
+                })?;
+            }
+            failed += u64::from(line.entry.state == ExtractionState::Failed);
+            lines.push(line);
+            bar.set_position(lines.len() as u64);
+            show_failures(&bar, failed);
+        }
+        bar.finish_and_clear();
+        Ok(lines)
+    }
+
+    /// The line of an item, and whether this command has made it.
+    async fn line(&self, number: u32, item: Item) -> Result<(Line, bool), BatchError> {
+        let mut line = Line {
+            volume: item.volume,
+            step: item.step,
+            identity: None,
+            entry: ManifestEntry::waiting(number),
+        };
+        let outcome = match item.opened {
+            Err(why) => Err(Unmade::failed(why)),
+            Ok((volume, file)) => match self.input(&volume).await {
+                Err(why) => Err(Unmade::failed(why)),
+                Ok(input) => {
+                    line.identity = input.as_ref().map(|input| self.identity(input));
+                    if let Some(mut finished) = self.finished(&file, line.identity.as_deref()).await {
+                        finished.entry.extraction = number;
+                        return Ok((finished, false));
+                    }
+                    let made = self.make(&volume, &file, input).await?;
+                    if made.is_err() && self.manifest.names(&file) {
+                        // Of an earlier command: it would look like this one's.
+                        let _ = std::fs::remove_file(self.args.output.join(&file));
+                    }
+                    made
+                }
+            },
+        };
+        match outcome {
+            Ok(entry) => {
+                line.entry = ManifestEntry {
+                    extraction: number,
+                    ..entry
+                }
+            }
+            Err(Unmade { state, why }) => (line.entry.state, line.entry.problem) = (state, Some(why)),
+        }
+        Ok((line, true))
+    }
+
+    /// The files of a time step, as they are now; `None` of a store over a network.
+    async fn input(&self, volume: &VolumeStep) -> Result<Option<InputIdentity>, Cause> {
+        let (volume, seen) = (volume.clone(), Arc::clone(&self.seen));
+        let identity = move || InputIdentity::of(volume.dataset(), &BTreeSet::from([volume.step()]), &seen);
+        match tokio::task::spawn_blocking(identity).await {
+            Ok(Ok(input)) => Ok(Some(input)),
+            Ok(Err(IdentityError::Network(_))) => Ok(None),
+            Ok(Err(error)) => Err(cause("unreadable-volume", crate::error::chain(&error))),
+            Err(_) => Err(cause("internal", "its files could not be looked at".to_owned())),
+        }
+    }
+
+    /// What decides the bytes of a file.
+    fn identity(&self, input: &InputIdentity) -> String {
+        let request = serde_json::to_string(&self.request).unwrap_or_default();
+        let what = format!("{} {request} {}", env!("CARGO_PKG_VERSION"), input.content());
+        HEXLOWER.encode(&Sha256::digest(what))
+    }
+
+    async fn finished(&self, file: &str, identity: Option<&str>) -> Option<Line> {
+        let (manifest, file, identity) = (Arc::clone(&self.manifest), file.to_owned(), identity?.to_owned());
+        let looked = tokio::task::spawn_blocking(move || manifest.finished(&file, &identity));
+        looked.await.ok().flatten()
+    }
+
+    /// Makes the file of a time step.
+    ///
+    /// # Errors
+    /// What would end all other items too: the folder cannot be written.
+    async fn make(
+        &self,
+        volume: &VolumeStep,
+        file: &str,
+        input: Option<InputIdentity>,
+    ) -> Result<Result<ManifestEntry, Unmade>, BatchError> {
+        let start = Instant::now();
+        let output = Output::create(&self.args.output.join(file)).map_err(BatchError::Write)?;
+        let made = self.attempts(volume).await;
+        // What is left of it on the device is of no use to any other item.
+        self.extractor.worker().release(volume).await;
+        let made = match made {
+            Ok(made) => made,
+            Err(unmade) => return Ok(Err(unmade)),
+        };
+        let (dataset, token) = (Arc::clone(volume.dataset()), self.token.clone());
+        let write = move || {
+            if let Some(Err(error)) = input.map(|input| input.check_stamps(&dataset)) {
+                return Ok(Err(cause("input-changed", crate::error::chain(&error))));
+            }
+            let written = output.with_checksum().write(&made, &token)?;
+            Ok(Ok((written, made.statistics)))
+        };
+        let written = tokio::task::spawn_blocking(write).await.map_err(io::Error::from)?;
+        Ok(match written {
+            Ok(Ok((written, statistics))) => Ok(entry(file, &written, statistics, start)),
+            Ok(Err(why)) => Err(Unmade::failed(why)),
+            Err(OutputError::Export(error)) => Err(Unmade::failed(cause("too-large", error.to_string()))),
+            Err(error) => return Err(BatchError::Write(error)),
+        })
+    }
+
+    /// Extracts a surface and makes its file, again if another attempt may succeed.
+    async fn attempts(&self, volume: &VolumeStep) -> Result<MadeFile, Unmade> {
+        let request = FileRequest {
+            step: volume.step(),
+            ..self.request.clone()
+        };
+        let mut attempts = 1;
+        loop {
+            let error = match export::make(&self.extractor, volume, &OtherVolumes::new(), &request, &self.token).await {
+                Ok(made) => return Ok(made),
+                Err(error) => error,
+            };
+            match failure(error) {
+                MakeFailure::Later => tokio::time::sleep(PAUSE).await,
+                // Reading it again changes nothing.
+                MakeFailure::Retry(why) if attempts == MAX_ATTEMPTS || why.code == "unreadable-volume" => {
+                    return Err(Unmade::failed(why));
+                }
+                MakeFailure::Retry(_) => attempts += 1,
+                MakeFailure::Refused(why) | MakeFailure::JobFailed(why) => return Err(Unmade::failed(why)),
+                MakeFailure::Empty(why) => {
+                    let state = ExtractionState::Empty;
+                    return Err(Unmade { state, why });
+                }
+            }
+        }
+    }
+}
+
+/// An item without a file.
+struct Unmade {
+    state: ExtractionState,
+    why: Cause,
+}
+
+impl Unmade {
+    fn failed(why: Cause) -> Self {
+        let state = ExtractionState::Failed;
+        Self { state, why }
+    }
+}
+
+/// The entry of a file that was written.
+fn entry(file: &str, written: &WrittenFile, statistics: ExtractionStatistics, start: Instant) -> ManifestEntry {
+    ManifestEntry {
+        state: ExtractionState::Done,
+        file: Some(file.to_owned()),
+        triangles: Some(statistics.triangles),
+        error: statistics.error,
+        bytes: Some(written.bytes),
+        sha256: written.sha256.map(|checksum| HEXLOWER.encode(&checksum)),
+        seconds: Some(start.elapsed().as_secs_f64()),
+        notices: statistics.notices,
+        ..ManifestEntry::waiting(0)
+    }
+}
+
+fn show_failures(bar: &ProgressBar, failed: u64) {
+    if failed > 0 {
+        bar.set_message(format!("{failed} failed"));
+    }
+}

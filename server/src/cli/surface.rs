@@ -1,0 +1,294 @@
+//! Options of a surface and of its file, which all commands that make files have.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use isopeel_kernels::MAX_LEVEL;
+
+use crate::export::{Compress, FileOptions, FileRequest, Format, SurfaceOptions};
+use crate::view::quality::{Distance, MaxError, MesherName, TopologyName, TriangleBudget};
+use crate::view::{ChosenPartsJson, Edit, InterestJson, Outward, TransferFunctionJson, parse_position};
+
+/// Maximum bytes of a transfer function's file; 64 points take some 4 KiB.
+const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
+
+/// Options of a surface and of its file. What is left out has the default of all exports.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct SurfaceArgs {
+    /// Isovalue, in the field's units [default: the one that the field opens with in a viewer, which isopeel info explains]
+    #[arg(long, value_name = "V", allow_negative_numbers = true)]
+    pub(super) iso: Option<f32>,
+
+    /// Labels of a segmentation whose surface is extracted, instead of one at an isovalue: by numbers or names, `7`, `3,Hippocampus`. They are of
+    /// --field, else of the first field with names of labels
+    #[arg(long, value_name = "LABELS", conflicts_with = "iso", allow_hyphen_values = true)]
+    pub(super) label: Option<String>,
+
+    /// Field whose isosurface is extracted, or an expression over fields, as `log(rho)` [default: the main one]
+    #[arg(long, value_name = "NAME")]
+    field: Option<String>,
+
+    /// Where the surface may be: at samples where a field has certain values, `labels==3`, also with !=, <, <=, >, >=; behind == and != also
+    /// ranges and lists, `labels==1,4..7` [default: everywhere]
+    #[arg(long, value_name = "FIELD==V")]
+    mask: Option<String>,
+
+    /// Feature that matters beside smoothness: the name of a field; `gradient-magnitude`, `mean-curvature`, `gaussian-curvature` or
+    /// `local-variance` of the field that is extracted; or `vector-magnitude(X,Y,Z)`, `divergence(X,Y,Z)`, `vorticity-magnitude(X,Y,Z)`,
+    /// `q-criterion(X,Y,Z)`, `lambda2(X,Y,Z)` or `helicity(X,Y,Z)` of three fields or expressions; or an expression over fields, as
+    /// `magnitude(u,v,w)`; or `distance(CONDITION)`, how far it is to where a mask or an expression holds, as `distance(labels==3)`
+    /// [default: none]
+    #[arg(long, value_name = "NAME")]
+    feature: Option<String>,
+
+    /// Feature values that become 0 and 1, in the feature's units [default: the feature's minimum and maximum]
+    #[arg(long, num_args = 2, value_names = ["LO", "HI"], allow_negative_numbers = true, requires = "feature")]
+    pub(super) feature_range: Option<Vec<f32>>,
+
+    /// Weight of the feature against smoothness, 0 to 1 [default: 0.3 with --feature, else 0]
+    #[arg(long, value_name = "A", allow_negative_numbers = true)]
+    alpha: Option<f32>,
+
+    /// Importance up to which the surface is decimated, 0 to 1; below 0 gives the full surface. Given, it means exactly
+    /// that cut of the paper: the guards --max-error and --topology are off unless they are given too [default: 0.02,
+    /// guards on]
+    #[arg(long, value_name = "B", allow_negative_numbers = true, conflicts_with_all = ["error", "triangles", "bytes"])]
+    pub(super) beta: Option<f32>,
+
+    /// Error up to which parts are merged, instead of --beta, in world units or as multiples of the smallest spacing
+    /// (0.1vx). It counts over a weight, which is 1 where importance is 0 and falls as importance grows
+    #[arg(long, value_name = "E", allow_hyphen_values = true)]
+    error: Option<Distance>,
+
+    /// Maximum triangles, a number or a share of the full surface (25%), instead of --beta: the smallest error that keeps
+    /// it is found (`tolerance` in --stats). With --error the greater of both decides
+    #[arg(long, value_name = "N", allow_hyphen_values = true, conflicts_with = "bytes")]
+    triangles: Option<TriangleBudget>,
+
+    /// Maximum bytes that the surface may take on the wire of `isopeel serve`, as --triangles; files are larger
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    bytes: Option<u64>,
+
+    /// Parts of the surface with a smaller area, in world units, are removed first; with --error, --triangles or --bytes. Budgets
+    /// and guards then are about what is left [default: none are removed]
+    #[arg(long, value_name = "AREA", allow_negative_numbers = true)]
+    pub(super) min_part: Option<f64>,
+
+    /// Part of the surface that is removed: the one next to this position, in world coordinates. As --min-part. May be given up to
+    /// 64 times
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_position)]
+    hide_part: Vec<[f64; 3]>,
+
+    /// Part of the surface that is kept while all others are removed, as --hide-part. May be given up to 64 times
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_position, conflicts_with = "hide_part")]
+    keep_part: Vec<[f64; 3]>,
+
+    /// Guard: farthest that a decimated part may be from the surface it stands for, in world units or as multiples of the
+    /// smallest spacing (0.25vx), or `none`. `auto` is 0.25vx beside --beta's default, and gives way to an error or a
+    /// budget; a guard that is set does not [default: auto; with --beta: none]
+    #[arg(long, value_name = "E", allow_hyphen_values = true)]
+    max_error: Option<MaxError>,
+
+    /// Guard: whether decimation may change the topology [default: auto; with --beta: free]
+    #[arg(long, value_name = "TOPOLOGY")]
+    topology: Option<TopologyName>,
+
+    /// Which mesher turns the cut into triangles [default: dual]
+    #[arg(long, value_name = "MESHER")]
+    mesher: Option<MesherName>,
+
+    /// Close surfaces that leave the volume on its faces; the dual mesher alone can
+    #[arg(long)]
+    cap: bool,
+
+    /// Transfer function, JSON as `{"points":[{"x":0,"importance":0,"color":"#3465a4"}, …]}`, x and importance 0 to 1; a
+    /// GLB gets its colours [default: importance is the blended feature itself]
+    #[arg(long, value_name = "FILE.json")]
+    transfer_function: Option<PathBuf>,
+
+    /// Region of interest, in world coordinates: `sphere:X,Y,Z:R=I` (centre, radius) or `box:X,Y,Z:X,Y,Z=I` (minimum, maximum).
+    /// Inside, importance is at least I, 0 to 1. May be given up to 64 times
+    #[arg(long, value_name = "REGION=I")]
+    interest: Vec<InterestJson>,
+
+    /// Coarsest level, 0 to 5: cubes of up to 2^L cells per axis [default: 5]
+    #[arg(long, value_name = "L", value_parser = clap::value_parser!(u8).range(..=i64::from(MAX_LEVEL.get())))]
+    max_level: Option<u8>,
+
+    /// Which side of the surface is its outside: that of high values, that of low values, or of a closed surface the side away from the volume
+    /// that it encloses, else the side of low values
+    /// [default: auto]
+    #[arg(long, value_name = "SIDE")]
+    outward: Option<Outward>,
+
+    /// Unit of positions in a PLY, VTP or OBJ, and of those of a volume that declares none: m, mm, cm, um, nm, km or angstrom. A GLB is always in
+    /// metres, STL, 3MF and GIFTI are in millimetres, precomputed meshes in nanometres [default: the volume's]
+    #[arg(long, value_name = "UNIT")]
+    unit: Option<String>,
+
+    /// Fields, and expressions over fields, whose values become attributes of the vertices, in their own units:
+    /// `temperature,magnitude(u,v,w)`; in GLB, PLY and VTP
+    #[arg(long, value_name = "NAMES")]
+    field_values: Option<String>,
+
+    /// Format of the file, or of all files of a batch [default: what the file's name says]
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    pub(super) format: Option<Format>,
+
+    /// How the file is compressed: zlib for a VTP; meshopt for a GLB on a page, with positions of 16 bits, which Blender does not read
+    /// [default: none]
+    #[arg(long, value_enum, value_name = "HOW")]
+    compress: Option<Compress>,
+
+    /// Seconds that measuring the error may take, which takes about as long as all else; after them the file has none [default: no bound]
+    #[arg(long, value_name = "SECONDS")]
+    measure: Option<f64>,
+
+    /// Do not measure the error
+    #[arg(long, conflicts_with = "measure")]
+    no_measure: bool,
+
+    /// One of several surfaces of a GLB, 3MF, OBJ or precomputed file, JSON with what differs from the other options: any name of a request, beside `volume` (a
+    /// path), `step`, `label`, `name`, `color` and `opacity`, as `{"iso":300,"color":"#d2b48c","opacity":0.4}`. May be given up to 64 times
+    #[arg(long = "surface", value_name = "JSON", value_parser = parse_surface)]
+    surfaces: Vec<SurfaceOptions>,
+
+    /// Write a surface without triangles too, which otherwise is no file
+    #[arg(long, requires = "output")]
+    pub(super) allow_empty: bool,
+}
+
+/// A transfer function's file that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("transfer function {}", path.display())]
+pub struct TransferFunctionError {
+    /// The file.
+    path: PathBuf,
+    /// What is wrong with it.
+    source: io::Error,
+}
+
+impl SurfaceArgs {
+    /// Returns the request of the arguments.
+    ///
+    /// # Errors
+    /// The transfer function's file cannot be read.
+    pub(super) fn request(&self, format: Format, step: u32) -> Result<FileRequest, TransferFunctionError> {
+        let transfer_function = self.transfer_function.as_deref().map(read_transfer_function);
+        let edit = Edit {
+            iso: self.iso,
+            field: self.field.clone(),
+            mask: self.mask.clone().map(Some),
+            feature: self.feature.clone(),
+            feature_range: self.feature_range.as_deref().and_then(|range| range.try_into().ok()),
+            alpha: self.alpha,
+            beta: self.beta,
+            error: self.error,
+            triangles: self.triangles,
+            bytes: self.bytes,
+            min_part: self.min_part,
+            parts: self.parts().map(Some),
+            max_error: self.max_error,
+            topology: self.topology,
+            mesher: self.mesher,
+            cap: Some(self.cap),
+            max_level: self.max_level,
+            transfer_function: transfer_function.transpose()?,
+            interest: Some(self.interest.clone()),
+        };
+        let options = FileOptions {
+            format,
+            allow_empty: self.allow_empty,
+            outward: self.outward.unwrap_or_default(),
+            unit: self.unit.clone(),
+            field_values: self.field_values.as_deref().map(listed).unwrap_or_default(),
+            label: self.label.clone(),
+            compress: self.compress.unwrap_or_default(),
+            measure: if self.no_measure { Some(0.0) } else { self.measure },
+            surfaces: self.surfaces.clone(),
+        };
+        Ok(FileRequest { step, options, edit })
+    }
+
+    /// Paths of other volumes that surfaces are of.
+    pub(super) fn other_volumes(&self) -> impl Iterator<Item = &str> {
+        self.surfaces
+            .iter()
+            .filter_map(|surface| surface.look.volume.as_deref())
+    }
+
+    /// The parts that are hidden or kept.
+    pub(super) fn parts(&self) -> Option<ChosenPartsJson> {
+        let given = |positions: &Vec<_>| (!positions.is_empty()).then(|| positions.clone());
+        let hide = given(&self.hide_part).map(ChosenPartsJson::Hide);
+        hide.or_else(|| given(&self.keep_part).map(ChosenPartsJson::Keep))
+    }
+}
+
+/// The parts of a list: commas in brackets and quotes belong to a part.
+fn listed(text: &str) -> Vec<String> {
+    let (mut depth, mut quote, mut parts) = (0, None, vec![String::new()]);
+    for c in text.chars() {
+        match c {
+            ',' if depth == 0 && quote.is_none() => {
+                parts.push(String::new());
+                continue;
+            }
+            '(' if quote.is_none() => depth += 1,
+            ')' if quote.is_none() => depth -= 1,
+            '"' | '`' if quote.is_none() => quote = Some(c),
+            _ if quote == Some(c) => quote = None,
+            _ => {}
+        }
+        if let Some(part) = parts.last_mut() {
+            part.push(c);
+        }
+    }
+    parts.iter().map(|part| part.trim().to_owned()).collect()
+}
+
+fn parse_surface(text: &str) -> Result<SurfaceOptions, serde_json::Error> {
+    serde_json::from_str(text)
+}
+
+fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, TransferFunctionError> {
+    let read = || {
+        let mut text = String::new();
+        File::open(path)?
+            .take(MAX_TRANSFER_FUNCTION_BYTES)
+            .read_to_string(&mut text)?;
+        Ok(serde_json::from_str(&text)?)
+    };
+    read().map_err(|source| TransferFunctionError {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_parted_by_commas_outside_of_brackets() {
+        assert_eq!(listed("temperature"), ["temperature"]);
+        assert_eq!(
+            listed("a, magnitude(u,v,log(w)),`x,y`+1"),
+            ["a", "magnitude(u,v,log(w))", "`x,y`+1"]
+        );
+    }
+
+    #[test]
+    fn a_transfer_function_is_read_or_its_file_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.json");
+        std::fs::write(&path, r##"{"points":[{"x":0.5,"importance":1,"color":"#ffffff"}]}"##).unwrap();
+        assert_eq!(read_transfer_function(&path).unwrap().points.len(), 1);
+        std::fs::write(&path, r#"{"points":[{"x":0.5}]}"#).unwrap();
+        let error = crate::error::chain(&read_transfer_function(&path).unwrap_err());
+        assert!(error.contains("t.json: missing field `importance`"), "{error}");
+        let error = crate::error::chain(&read_transfer_function(&folder.path().join("no.json")).unwrap_err());
+        assert!(error.contains("no.json: No such file"), "{error}");
+    }
+}

@@ -1,0 +1,144 @@
+//! Wavefront OBJ: text, several surfaces as objects.
+
+use std::io::Write;
+
+use super::decimal::{Decimals, push_whole};
+use super::mesh::{ascii, srgb_bytes};
+use super::{ExportError, Mesh, PIECE_BYTES, flush};
+use crate::volumes::LengthUnit;
+
+/// Writes `meshes`, an object each: positions as decimal numbers that are rounded by less than a hundred-thousandth of the smallest spacing
+/// wherever they are, colours behind them as most readers take them, and normals. Comments name frame, unit, provenance and notices.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+    let mut text = format!("# isopeel {}\n", env!("CARGO_PKG_VERSION")).into_bytes();
+    // Numbers of vertices begin at 1, and go on from object to object.
+    let mut first = 1;
+    for mesh in meshes {
+        comments(mesh, &mut text);
+        text.extend(format!("o {}\n", ascii(&mesh.name)).bytes());
+        vertices(mesh, &mut text, out)?;
+        for triangle in &mesh.triangles {
+            text.push(b'f');
+            for corner in triangle {
+                let number = first + u64::from(*corner);
+                text.push(b' ');
+                push_whole(&mut text, number);
+                text.extend_from_slice(b"//");
+                push_whole(&mut text, number);
+            }
+            text.push(b'\n');
+            flush(&mut text, out, PIECE_BYTES)?;
+        }
+        first += mesh.positions.len() as u64;
+    }
+    flush(&mut text, out, 0)
+}
+
+/// Positions with their colours, then normals.
+fn vertices(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+    let (decimals, shares) = (Decimals::of_spacing(mesh.smallest_spacing), Decimals::new(4));
+    let color_of_all = mesh
+        .material
+        .color
+        .map(|color| color.map(|byte| f64::from(byte) / 255.0));
+    for vertex in 0..mesh.positions.len() {
+        text.push(b'v');
+        for component in mesh.world(vertex) {
+            text.push(b' ');
+            decimals.push(text, component);
+        }
+        let of_vertex = mesh.colors.get(vertex);
+        let color = of_vertex.map(|&color| srgb_bytes(color).map(|byte| f64::from(byte) / 255.0));
+        for component in color.or(color_of_all).into_iter().flatten() {
+            text.push(b' ');
+            shares.push(text, component);
+        }
+        text.push(b'\n');
+        flush(text, out, PIECE_BYTES)?;
+    }
+    for normal in &mesh.normals {
+        text.extend_from_slice(b"vn");
+        for &component in normal {
+            text.push(b' ');
+            shares.push(text, component.into());
+        }
+        text.push(b'\n');
+        flush(text, out, PIECE_BYTES)?;
+    }
+    Ok(())
+}
+
+fn comments(mesh: &Mesh, text: &mut Vec<u8>) {
+    let unit = mesh.unit.map_or("unknown", LengthUnit::ascii_symbol);
+    text.extend(format!("# frame {}, unit {unit}\n", mesh.frame.name()).bytes());
+    for (name, value) in &mesh.provenance {
+        text.extend(format!("# {name}: {}\n", ascii(value)).bytes());
+    }
+    for notice in mesh.notices.iter().filter(|line| !line.is_empty()) {
+        text.extend(format!("# notice: {}\n", ascii(notice)).bytes());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::mesh::tests::{geometry, two_quads};
+    use super::*;
+    use crate::volumes::Geometry;
+
+    fn written(meshes: &[Mesh]) -> String {
+        let mut bytes = Vec::new();
+        write(meshes, &mut bytes).unwrap();
+        String::from_utf8(bytes).unwrap()
+    }
+
+    /// The numbers of lines that begin with a word.
+    fn numbers(text: &str, word: &str) -> Vec<Vec<f64>> {
+        let lines = text
+            .lines()
+            .filter_map(|line| line.strip_prefix(word)?.strip_prefix(' '));
+        let parse = |number: &str| number.split("//").next().unwrap().parse().unwrap();
+        lines.map(|line| line.split(' ').map(parse).collect()).collect()
+    }
+
+    #[test]
+    fn meshes_read_back_as_objects() {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        mesh.name = "head: t1 = 1\u{b5}".to_owned();
+        mesh.material.color = Some([255, 0, 51]);
+        mesh.notices = vec!["a\nb".to_owned()];
+        let text = written(&[mesh.clone(), mesh.clone()]);
+        assert!(text.is_ascii());
+        assert_eq!(text.lines().filter(|line| *line == "o head: t1 = 1\\u{b5}").count(), 2);
+        assert!(text.contains("# notice: a\\nb\n"), "{text}");
+        let vertices = numbers(&text, "v");
+        assert_eq!(vertices.len(), 12);
+        for (number, vertex) in vertices.iter().enumerate() {
+            assert_eq!(vertex[..3], mesh.world(number % 6));
+            assert_eq!(vertex[3..], [1.0, 0.0, 0.2]);
+        }
+        assert_eq!(numbers(&text, "vn")[11], [0.0, 0.0, 1.0]);
+        let faces = numbers(&text, "f");
+        assert_eq!(
+            (&faces[3][..], &faces[4][..]),
+            (&[1.0, 3.0, 4.0][..], &[7.0, 8.0, 9.0][..])
+        );
+    }
+
+    #[test]
+    fn positions_far_from_the_origin_keep_their_digits() {
+        let far = Geometry {
+            spacing: [0.05; 3],
+            origin: [500_000.0, 4.6e6, 120.0],
+            ..geometry()
+        };
+        let mesh = Mesh::new(&two_quads(), &far).unwrap();
+        for (vertex, read) in numbers(&written(std::slice::from_ref(&mesh)), "v").iter().enumerate() {
+            for (read, expected) in read.iter().zip(mesh.world(vertex)) {
+                assert!((read - expected).abs() < 1e-6, "{read}, expected {expected}");
+            }
+        }
+    }
+}

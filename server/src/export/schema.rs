@@ -1,0 +1,19 @@
+//! Schemas of requests that are written flat.
+
+use utoipa::openapi::schema::{AdditionalProperties, Object, Type};
+use utoipa::openapi::{RefOr, Schema};
+
+/// The schema of an object that has the names of all these.
+pub(crate) fn merged_schema(schemas: impl IntoIterator<Item = RefOr<Schema>>, description: &str) -> RefOr<Schema> {
+    let mut merged = Object::new();
+    for schema in schemas {
+        if let RefOr::T(Schema::Object(object)) = schema {
+            merged.properties.extend(object.properties);
+            merged.required.extend(object.required);
+        }
+    }
+    merged.schema_type = Type::Object.into();
+    merged.additional_properties = Some(Box::new(AdditionalProperties::FreeForm(false)));
+    merged.description = Some(description.into());
+    RefOr::T(Schema::Object(merged))
+}

@@ -1,0 +1,225 @@
+//! The surfaces of a file, each complete.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use super::mesh::Material;
+use super::{FileOptions, FileRequest, SurfaceOptions};
+use crate::view::{Edit, EditError, View};
+use crate::volumes::{Dataset, VolumeStep};
+
+/// Maximum surfaces of a file: as many meshes are in memory at once.
+const MAX_SURFACES: usize = 64;
+
+/// Volumes that surfaces of a file are of beside the file's own, by the names in its request.
+pub type OtherVolumes = HashMap<String, Arc<Dataset>>;
+
+/// A surface of a file, checked and complete.
+#[derive(Clone, Debug)]
+pub struct FileSurface {
+    /// Of which volume and time step.
+    pub volume: VolumeStep,
+    /// Its view.
+    pub view: View,
+    /// As if it were alone in its file.
+    pub request: FileRequest,
+    /// Its name, if the request has one.
+    pub name: Option<String>,
+    /// What it looks like.
+    pub material: Material,
+}
+
+impl FileSurface {
+    /// Names of fields whose values its file holds.
+    pub fn values(&self) -> &[String] {
+        let options = &self.request.options;
+        if options.format.holds_values() {
+            &options.field_values
+        } else {
+            &[]
+        }
+    }
+}
+
+impl FileRequest {
+    /// Names of other volumes that surfaces are of.
+    pub fn other_volumes(&self) -> impl Iterator<Item = &str> {
+        let surfaces = self.options.surfaces.iter();
+        surfaces.filter_map(|surface| surface.look.volume.as_deref())
+    }
+
+    /// Time steps of surfaces.
+    pub fn steps(&self) -> impl Iterator<Item = u32> {
+        let surfaces = self.options.surfaces.iter();
+        let own = self.options.surfaces.is_empty().then_some(self.step);
+        surfaces
+            .map(|surface| surface.look.step.unwrap_or(self.step))
+            .chain(own)
+    }
+
+    /// The surfaces of the file, at least one, each with every value of its own.
+    ///
+    /// # Errors
+    /// A value out of its range, a volume, time step or field that does not exist, or more surfaces than the format holds.
+    pub fn surfaces(&self, volume: &VolumeStep, others: &OtherVolumes) -> Result<Vec<FileSurface>, EditError> {
+        let refuse = |why| Err(EditError { field: "surfaces", why });
+        let surfaces = &self.options.surfaces;
+        if surfaces.is_empty() {
+            return Ok(vec![FileSurface {
+                volume: volume.clone(),
+                view: self.view(volume.dataset())?,
+                request: self.clone(),
+                name: None,
+                material: Material::default(),
+            }]);
+        }
+        if surfaces.len() > MAX_SURFACES {
+            return refuse(format!("{} surfaces, expected at most {MAX_SURFACES}", surfaces.len()));
+        }
+        if surfaces.len() > 1 && !self.options.format.holds_several() {
+            let title = self.options.format.title();
+            return refuse(format!(
+                "{} surfaces in a {title}, expected one, or a GLB, 3MF, OBJ or precomputed",
+                surfaces.len()
+            ));
+        }
+        surfaces
+            .iter()
+            .map(|surface| self.surface(surface, volume, others))
+            .collect()
+    }
+
+    fn surface(
+        &self,
+        surface: &SurfaceOptions,
+        volume: &VolumeStep,
+        others: &OtherVolumes,
+    ) -> Result<FileSurface, EditError> {
+        let SurfaceOptions { look, edit } = surface;
+        let refused = |why: String| EditError { field: "surfaces", why };
+        let dataset = match &look.volume {
+            None => volume.dataset(),
+            Some(name) => others.get(name).ok_or_else(|| {
+                refused(format!(
+                    "volume {name:?}, expected surfaces of {:?} alone here",
+                    volume.dataset().id
+                ))
+            })?,
+        };
+        let step = look.step.unwrap_or(self.step);
+        let volume = VolumeStep::new(Arc::clone(dataset), step).map_err(|error| refused(error.to_string()))?;
+        // What is said of a surface's own place takes that of the file's.
+        let own = (look.label.is_some(), edit.iso.is_some());
+        let label = look
+            .label
+            .clone()
+            .or_else(|| self.options.label.clone().filter(|_| !own.1));
+        let mut whole = overlaid(&self.edit, edit);
+        if own == (true, false) {
+            whole.iso = None;
+        }
+        let request = FileRequest {
+            step,
+            options: FileOptions {
+                label,
+                surfaces: Vec::new(),
+                ..self.options.clone()
+            },
+            edit: whole,
+        };
+        Ok(FileSurface {
+            view: request.view(volume.dataset())?,
+            volume,
+            request,
+            name: look.name.clone(),
+            material: look.material()?,
+        })
+    }
+}
+
+/// An edit with the values of another one in place of its own.
+fn overlaid(edit: &Edit, over: &Edit) -> Edit {
+    let values = |edit: &Edit| serde_json::to_value(edit).unwrap_or_default();
+    let mut all = values(edit);
+    if let (Value::Object(all), Value::Object(over)) = (&mut all, values(over)) {
+        all.extend(over);
+    }
+    // Both were edits.
+    serde_json::from_value(all).unwrap_or_else(|_| over.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volumes::testing;
+
+    fn volume(id: &str) -> VolumeStep {
+        VolumeStep::new(Arc::new(testing::dataset(id, [4; 3], &["t1", "gm"])), 0).unwrap()
+    }
+
+    fn surfaces(request: &str) -> Result<Vec<FileSurface>, EditError> {
+        let request: FileRequest = serde_json::from_str(request).unwrap();
+        let others = HashMap::from([("other".to_owned(), Arc::clone(volume("other").dataset()))]);
+        request.surfaces(&volume("head"), &others)
+    }
+
+    #[test]
+    fn each_surface_has_its_own_values_over_those_of_the_file() {
+        let found = surfaces(
+            r##"{"format":"glb","iso":3,"error":"0.1vx","surfaces":[
+            {"name":"skin","color":"#ff8000","opacity":0.5},{"iso":7,"mask":"gm==2"},{"label":"5"},{"volume":"other","field":"gm"}]}"##,
+        )
+        .unwrap();
+        let isos: Vec<_> = found
+            .iter()
+            .map(|surface| surface.view.iso.map(isopeel_kernels::Isovalue::get))
+            .collect();
+        assert_eq!(isos, [Some(3.0), Some(7.0), Some(0.5), Some(3.0)]);
+        assert!(found.iter().all(|surface| surface.view.error.is_some()));
+        assert_eq!(found[0].name.as_deref(), Some("skin"));
+        let material = found[0].material;
+        assert_eq!((material.color, material.opacity), (Some([255, 128, 0]), 0.5));
+        assert!(found[1].view.mask.is_some() && found[2].view.mask.is_none());
+        assert_eq!(found[3].volume.dataset().id, "other");
+        assert_eq!(found[3].view.field, "gm");
+        assert_eq!(surfaces(r#"{"format":"ply","iso":3}"#).unwrap().len(), 1);
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_surface_is_named() {
+        for (options, expected) in [
+            (
+                r#""ply","surfaces":[{"iso":1},{"iso":2}]"#,
+                "surfaces: 2 surfaces in a PLY, expected one",
+            ),
+            (
+                r#""glb","surfaces":[{"volume":"third"}]"#,
+                "surfaces: volume \"third\", expected surfaces of \"head\" alone",
+            ),
+            (
+                r#""glb","surfaces":[{"step":3}]"#,
+                "surfaces: step 3 of volume \"head\", expected 0 to 0",
+            ),
+            (
+                r#""glb","surfaces":[{"color":"red"}]"#,
+                "surfaces: color \"red\", expected #rrggbb",
+            ),
+            (
+                r#""glb","surfaces":[{"opacity":2}]"#,
+                "surfaces: opacity 2, expected 0 to 1",
+            ),
+            (r#""glb","surfaces":[{"alpha":2}]"#, "alpha: 2, expected 0 to 1"),
+            (r#""glb","surfaces":[{"iso":1,"label":"3"}]"#, "label: \"3\" beside iso"),
+        ] {
+            let error = surfaces(&format!("{{\"format\":{options}}}")).unwrap_err().to_string();
+            assert!(error.starts_with(expected), "{options}: {error}");
+        }
+        let many = format!("{{\"format\":\"glb\",\"surfaces\":[{}{{}}]}}", "{},".repeat(64));
+        let error = surfaces(&many).unwrap_err().to_string();
+        assert_eq!(error, "surfaces: 65 surfaces, expected at most 64");
+        let unknown = serde_json::from_str::<FileRequest>(r#"{"format":"glb","surfaces":[{"isovalue":1}]}"#);
+        assert!(unknown.unwrap_err().to_string().contains("unknown field `isovalue`"));
+    }
+}

@@ -1,0 +1,324 @@
+//! 3MF (<https://3mf.io/specification>), core specification with colours of its materials extension: what programs that print read.
+
+use std::collections::HashMap;
+use std::io::{self, Write};
+
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
+
+use super::decimal::{Decimals, push_whole};
+use super::mesh::srgb_bytes;
+use super::xml::escaped;
+use super::{ExportError, Mesh, PIECE_BYTES, flush};
+
+/// Level of compression: higher ones take three times as long for a tenth of the bytes.
+const LEVEL: i64 = 1;
+/// Bytes of text of a triangle with its share of vertices, or more.
+const TRIANGLE_BYTES: u64 = 200;
+/// A ZIP needs longer headers for parts above.
+const SHORT_PART: u64 = u32::MAX as u64;
+/// Id of the materials; colours and objects follow.
+const MATERIALS: usize = 1;
+
+const CONTENT_TYPES: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
+     <Types xmlns=\"http://schemas.openxmlformats.org/package/2006/content-types\">\
+     <Default Extension=\"rels\" ContentType=\"application/vnd.openxmlformats-package.relationships+xml\"/>\
+     <Default Extension=\"model\" ContentType=\"application/vnd.ms-package.3dmanufacturing-3dmodel+xml\"/>\
+     </Types>\n";
+
+const RELATIONSHIPS: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
+     <Relationships xmlns=\"http://schemas.openxmlformats.org/package/2006/relationships\">\
+     <Relationship Target=\"/3D/3dmodel.model\" Id=\"rel0\" \
+     Type=\"http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel\"/>\
+     </Relationships>\n";
+
+/// Writes `meshes`, an object each with its name, in millimetres. A closed surface is a `model`, which encloses a solid, another one a `surface`. A
+/// mesh has the colours of its vertices, or its material's. Metadata hold the provenance, which is the first mesh's.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+    let triangles: u64 = meshes.iter().map(|mesh| mesh.triangles.len() as u64).sum();
+    let options = SimpleFileOptions::default()
+        .compression_method(CompressionMethod::Deflated)
+        .compression_level(Some(LEVEL))
+        .large_file(triangles.saturating_mul(TRIANGLE_BYTES) > SHORT_PART);
+    let mut package = ZipWriter::new_stream(out);
+    package
+        .start_file("[Content_Types].xml", options)
+        .map_err(io::Error::from)?;
+    package.write_all(CONTENT_TYPES.as_bytes())?;
+    package.start_file("_rels/.rels", options).map_err(io::Error::from)?;
+    package.write_all(RELATIONSHIPS.as_bytes())?;
+    package
+        .start_file("3D/3dmodel.model", options)
+        .map_err(io::Error::from)?;
+    model(meshes, &mut package)?;
+    package.finish().map_err(io::Error::from)?;
+    Ok(())
+}
+
+fn model(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+    let mut text = Text::new(out);
+    text.push(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
+         <model unit=\"millimeter\" xml:lang=\"en-US\" \
+         xmlns=\"http://schemas.microsoft.com/3dmanufacturing/core/2015/02\" \
+         xmlns:m=\"http://schemas.microsoft.com/3dmanufacturing/material/2015/02\" \
+         xmlns:isopeel=\"urn:isopeel:provenance\">\n",
+    );
+    text.push(&metadata(meshes));
+    text.push("<resources>\n");
+    text.push(&materials(meshes));
+    let mut next = MATERIALS + 1;
+    let mut items = String::new();
+    // An object without triangles is none.
+    for (material, mesh) in meshes.iter().enumerate().filter(|(_, mesh)| !mesh.triangles.is_empty()) {
+        let colors = (!mesh.colors.is_empty()).then(|| Colors::new(mesh, next));
+        if let Some(colors) = &colors {
+            text.push(&colors.group);
+            next += 1;
+        }
+        object(mesh, next, material, colors.as_ref(), &mut text)?;
+        let decimals = Decimals::of_spacing(mesh.smallest_spacing);
+        let mut place = Vec::new();
+        for component in mesh.origin {
+            place.push(b' ');
+            decimals.push(&mut place, component);
+        }
+        items += &format!(
+            "<item objectid=\"{next}\" transform=\"1 0 0 0 1 0 0 0 1{}\"/>\n",
+            String::from_utf8_lossy(&place)
+        );
+        next += 1;
+    }
+    text.push("</resources>\n<build>\n");
+    text.push(&items);
+    text.push("</build>\n</model>\n");
+    text.flush(0)
+}
+
+/// Where the surfaces come from: names that the specification has, and others in a namespace of their own.
+fn metadata(meshes: &[Mesh]) -> String {
+    let Some(first) = meshes.first() else {
+        return String::new();
+    };
+    let title: Vec<&str> = meshes.iter().map(|mesh| mesh.name.as_str()).collect();
+    let mut pairs = vec![
+        ("Title".to_owned(), title.join("; ")),
+        (
+            "Application".to_owned(),
+            concat!("isopeel ", env!("CARGO_PKG_VERSION")).to_owned(),
+        ),
+        ("isopeel:frame".to_owned(), first.frame.name().to_owned()),
+    ];
+    pairs.extend(
+        first
+            .provenance
+            .iter()
+            .map(|(name, text)| (format!("isopeel:{name}"), text.clone())),
+    );
+    if !first.notices.is_empty() {
+        pairs.push(("Description".to_owned(), first.notices.join("\n")));
+    }
+    let line = |(name, text): &(String, String)| format!("<metadata name=\"{name}\">{}</metadata>\n", escaped(text));
+    pairs.iter().map(line).collect()
+}
+
+/// A material for each mesh.
+fn materials(meshes: &[Mesh]) -> String {
+    let material = |mesh: &Mesh| {
+        let [red, green, blue] = mesh.material.color.unwrap_or([255; 3]);
+        let alpha = (255.0 * mesh.material.opacity).round() as u8;
+        let name = escaped(&mesh.name);
+        format!("<base name=\"{name}\" displaycolor=\"#{red:02X}{green:02X}{blue:02X}{alpha:02X}\"/>\n")
+    };
+    match meshes.is_empty() {
+        true => String::new(),
+        false => format!(
+            "<basematerials id=\"{MATERIALS}\">\n{}</basematerials>\n",
+            meshes.iter().map(material).collect::<String>()
+        ),
+    }
+}
+
+/// The different colours of a mesh's vertices.
+struct Colors {
+    id: usize,
+    /// The resource.
+    group: String,
+    /// Which of them each vertex has.
+    of_vertices: Vec<u32>,
+}
+
+impl Colors {
+    fn new(mesh: &Mesh, id: usize) -> Self {
+        let (mut numbers, mut group) = (HashMap::new(), format!("<m:colorgroup id=\"{id}\">\n"));
+        let of_vertices = mesh.colors.iter().map(|&color| {
+            let color @ [red, green, blue] = srgb_bytes(color);
+            let next = numbers.len() as u32;
+            *numbers.entry(color).or_insert_with(|| {
+                group += &format!("<m:color color=\"#{red:02X}{green:02X}{blue:02X}\"/>\n");
+                next
+            })
+        });
+        let of_vertices = of_vertices.collect();
+        group += "</m:colorgroup>\n";
+        Self { id, group, of_vertices }
+    }
+}
+
+fn object<W: Write>(
+    mesh: &Mesh,
+    id: usize,
+    material: usize,
+    colors: Option<&Colors>,
+    text: &mut Text<'_, W>,
+) -> Result<(), ExportError> {
+    let kind = if mesh.is_closed { "model" } else { "surface" };
+    text.push(&format!(
+        "<object id=\"{id}\" type=\"{kind}\" name=\"{}\" pid=\"{MATERIALS}\" pindex=\"{material}\">\n<mesh>\n<vertices>\n",
+        escaped(&mesh.name)
+    ));
+    let decimals = Decimals::of_spacing(mesh.smallest_spacing);
+    for position in &mesh.positions {
+        for (name, &component) in ["<vertex x=\"", "\" y=\"", "\" z=\""].into_iter().zip(position) {
+            text.push(name);
+            decimals.push(&mut text.text, component.into());
+        }
+        text.push("\"/>\n");
+        text.flush(PIECE_BYTES)?;
+    }
+    text.push("</vertices>\n<triangles>\n");
+    // The specification forbids triangles with two equal corners.
+    for triangle in mesh.triangles.iter().filter(|[a, b, c]| a != b && b != c && c != a) {
+        for (name, &corner) in ["<triangle v1=\"", "\" v2=\"", "\" v3=\""].into_iter().zip(triangle) {
+            text.push(name);
+            push_whole(&mut text.text, corner.into());
+        }
+        if let Some(colors) = colors {
+            text.push(&format!("\" pid=\"{}", colors.id));
+            for (name, &corner) in ["\" p1=\"", "\" p2=\"", "\" p3=\""].into_iter().zip(triangle) {
+                text.push(name);
+                push_whole(&mut text.text, colors.of_vertices[corner as usize].into());
+            }
+        }
+        text.push("\"/>\n");
+        text.flush(PIECE_BYTES)?;
+    }
+    text.push("</triangles>\n</mesh>\n</object>\n");
+    Ok(())
+}
+
+/// Text on its way to a part.
+struct Text<'a, W> {
+    text: Vec<u8>,
+    out: &'a mut W,
+}
+
+impl<'a, W: Write> Text<'a, W> {
+    fn new(out: &'a mut W) -> Self {
+        let text = Vec::with_capacity(2 * PIECE_BYTES);
+        Self { text, out }
+    }
+
+    fn push(&mut self, text: &str) {
+        self.text.extend_from_slice(text.as_bytes());
+    }
+
+    /// Writes text that has become longer than this.
+    fn flush(&mut self, limit: usize) -> Result<(), ExportError> {
+        flush(&mut self.text, self.out, limit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use quick_xml::Reader;
+    use quick_xml::events::Event;
+    use zip::ZipArchive;
+
+    use super::super::mesh::tests::{geometry, two_quads};
+    use super::*;
+
+    /// Elements of the model in their order, each with its attributes.
+    fn elements(meshes: &[Mesh]) -> Vec<(String, HashMap<String, String>)> {
+        let mut bytes = Vec::new();
+        write(meshes, &mut bytes).unwrap();
+        let mut package = ZipArchive::new(io::Cursor::new(bytes)).unwrap();
+        for name in ["[Content_Types].xml", "_rels/.rels"] {
+            assert!(package.by_name(name).is_ok(), "{name}");
+        }
+        let model = io::read_to_string(package.by_name("3D/3dmodel.model").unwrap()).unwrap();
+        let mut reader = Reader::from_str(&model);
+        let mut elements = Vec::new();
+        loop {
+            match reader.read_event().unwrap() {
+                Event::Eof => return elements,
+                Event::Start(start) | Event::Empty(start) => {
+                    let attributes = start.attributes().map(|attribute| {
+                        let attribute = attribute.unwrap();
+                        (attribute.key.as_ref().to_owned(), attribute.value.into_owned())
+                    });
+                    let attributes = attributes.collect();
+                    elements.push((start.name().as_ref().to_owned(), attributes));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    #[test]
+    fn objects_read_back_in_their_places() {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        mesh.name = "a & b".to_owned();
+        mesh.material.color = Some([1, 171, 255]);
+        mesh.material.opacity = 0.5;
+        let mut closed = mesh.clone();
+        closed.is_closed = true;
+        closed.colors = vec![[65535, 0, 0], [0; 3], [65535, 0, 0], [0; 3], [0; 3], [65535; 3]];
+        let found = elements(&[mesh.clone(), closed]);
+        let named = |name: &'static str| {
+            found
+                .iter()
+                .filter(move |(found, _)| found == name)
+                .map(|(_, attributes)| attributes)
+        };
+        assert_eq!(named("model").next().unwrap()["unit"], "millimeter");
+        assert_eq!(named("base").next().unwrap()["displaycolor"], "#01ABFF80");
+        let objects: Vec<_> = named("object")
+            .map(|object| (object["type"].as_str(), object["name"].as_str()))
+            .collect();
+        assert_eq!(objects, [("surface", "a &amp; b"), ("model", "a &amp; b")]);
+        let ids: Vec<_> = named("object").map(|object| object["id"].clone()).collect();
+        let items: Vec<_> = named("item").map(|item| item["objectid"].clone()).collect();
+        assert_eq!(items, ids);
+        assert_eq!(
+            named("item").next().unwrap()["transform"],
+            "1 0 0 0 1 0 0 0 1 48.00000 16.00000 16.00000"
+        );
+        let vertices: Vec<[f32; 3]> = named("vertex")
+            .map(|vertex| ["x", "y", "z"].map(|axis| vertex[axis].parse().unwrap()))
+            .collect();
+        assert_eq!(vertices[..6], mesh.positions);
+        let triangles: Vec<[u32; 3]> = named("triangle")
+            .map(|triangle| ["v1", "v2", "v3"].map(|corner| triangle[corner].parse().unwrap()))
+            .collect();
+        assert_eq!((triangles.len(), &triangles[..4]), (8, &mesh.triangles[..]));
+        let colors: Vec<_> = named("m:color").map(|color| color["color"].as_str()).collect();
+        assert_eq!(colors, ["#FF0000", "#000000", "#FFFFFF"]);
+        let last = named("triangle").next_back().unwrap();
+        assert_eq!(["p1", "p2", "p3"].map(|corner| last[corner].as_str()), ["0", "0", "1"]);
+        assert!(named("triangle").next().unwrap().get("p1").is_none());
+    }
+
+    #[test]
+    fn an_empty_surface_is_no_object() {
+        let found = elements(&[Mesh::default()]);
+        assert!(
+            found.iter().all(|(name, _)| name != "object" && name != "item"),
+            "{found:?}"
+        );
+        assert!(found.iter().any(|(name, _)| name == "build"));
+    }
+}

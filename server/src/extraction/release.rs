@@ -1,0 +1,30 @@
+//! Frees what is kept of a time step that nothing will use again.
+
+use tokio_util::sync::CancellationToken;
+
+use super::turns::{Caller, Length};
+use super::worker::DeviceWorker;
+use super::worker_state::WorkerState;
+use crate::volumes::{StepKey, VolumeStep};
+
+impl DeviceWorker {
+    /// Frees the samples, pyramids and vertex trees of a time step. If the device is lost, they are gone anyway.
+    pub async fn release(&self, volume: &VolumeStep) {
+        let (never, step) = (CancellationToken::new(), volume.key());
+        let freed = self.run(&never, Caller::Cache, Length::Short, move |state, _| {
+            state.release(&step);
+            Ok(())
+        });
+        let _ = freed.await;
+    }
+}
+
+impl WorkerState {
+    /// Frees what is kept of a time step but volumes that jobs wait for.
+    fn release(&mut self, step: &StepKey) {
+        let pins = &self.pins;
+        self.volumes.retain(|key| key.step != *step || pins.holds(key));
+        self.pyramids.retain(|key| key.samples().step != *step);
+        self.trees.borrow_mut().retain(|key| key.samples().step != *step);
+    }
+}
