@@ -90,6 +90,9 @@ const IDLE_SHARE: u64 = 16;
 /// Stage of a program of any text, and its name to a gate.
 const CUSTOM: &str = "custom program";
 
+/// Events that are kept until their times are asked for.
+const MAX_EVENTS: usize = 4096;
+
 /// An open device. Lives on one thread.
 pub(crate) struct Context {
     pub found: Found,
@@ -100,6 +103,8 @@ pub(crate) struct Context {
     pub programs: Programs,
     pub pool: Rc<Pool>,
     events: RefCell<Vec<(&'static str, Event)>>,
+    /// Times of events before these.
+    times: RefCell<Vec<StageTime>>,
     /// Pinned memory that meshes are read to.
     pub blocks: RefCell<Blocks>,
     /// Returns memory lent to surfaces: at most two buffers for each of them, or all blocks.
@@ -138,6 +143,7 @@ impl Context {
             programs: Programs::new(sources),
             pool: Rc::new(Pool::new(idle_limit)),
             events: RefCell::default(),
+            times: RefCell::default(),
             blocks: RefCell::default(),
             returned: channel(),
             limit_bytes,
@@ -390,13 +396,23 @@ impl Context {
     pub fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {
         let event = event.map_err(|e| allocation_error(stage, bytes, self.limit_bytes, e))?;
         self.events.borrow_mut().push((stage, event));
+        // Nobody may ask for the times of expressions and histograms.
+        if self.events.borrow().len() >= MAX_EVENTS {
+            self.sum_times()?;
+        }
         Ok(())
     }
 
     /// Device time of each stage since the last call, in order of first execution. Waits for running work.
     pub fn take_times(&self) -> Result<Vec<StageTime>> {
+        self.sum_times()?;
+        Ok(self.times.take())
+    }
+
+    /// Adds up the times of all events, and releases them. Waits for running work.
+    fn sum_times(&self) -> Result<()> {
         self.finish("timing")?;
-        let mut times: Vec<StageTime> = Vec::new();
+        let mut times = self.times.borrow_mut();
         for (stage, event) in self.events.borrow_mut().drain(..) {
             // A driver without profiling answers with an error; a time of zero would be a lie, so the stage is left out.
             let (Ok(start), Ok(end)) = (event.profiling_command_start(), event.profiling_command_end()) else {
@@ -408,6 +424,6 @@ impl Context {
                 None => times.push(StageTime { stage, milliseconds }),
             }
         }
-        Ok(times)
+        Ok(())
     }
 }
