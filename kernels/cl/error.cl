@@ -10,7 +10,7 @@
 //   error_regions     a region               one of its seeds
 //   error_spread      a region of the grid   a seed near it, from those of 27 regions at a distance, which is halved by each launch
 //   error_far         a brick                a seed for bricks without any in the 27 bricks around them
-//   error_crossings   GROUP of a task        distances of full-resolution crossings, and of vertices of merged cells, to the mesh
+//   error_crossings   GROUP of a task        distances of crossings of lines through the cells to the mesh
 //   error_samples     GROUP of a task        distances of points on triangles to the surface
 //
 // A cut of the vertex tree has vertices beside those of slots: a node's has the number of slots added to its own. `stand_ins` has the
@@ -22,6 +22,7 @@
 #include "lib/precision.h"
 #include "lib/args.h"
 #include "lib/bits.h"
+#include "lib/cell_lines.h"
 #include "lib/crossing_distance.h"
 #include "lib/cube.h"
 #include "lib/device.h"
@@ -247,6 +248,18 @@ __kernel void error_far(const ErrorSeedsArgs args, __global const uint *region_i
     far[index] = better == NONE ? seed : better;
 }
 
+// Of the sheets of a cell the slot of the one whose vertex is nearest to `p`.
+inline uint nearest_sheet(__global const Region *region, __global const Brick *brick, __global const Node *nodes, uint slot,
+                          __global const float4 *positions, float3 p) {
+    if (!meta_extras(nodes[slot].meta)) return slot;
+    uint best = slot;
+    for (uint rest = crossed_edges(meta_signs(nodes[slot].meta)); rest; rest &= rest - 1) {
+        const uint sheet = sheet_in_brick(region, brick, nodes, slot, lowest_bit(rest));
+        if (distance2_of(positions[sheet].xyz, p) < distance2_of(positions[best].xyz, p)) best = sheet;
+    }
+    return best;
+}
+
 // `out`: of each task.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *samples, __global const ErrorTask *tasks,
@@ -263,11 +276,6 @@ void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *sampl
     const ErrorTask task = tasks[number];
     __global const Region *region = regions + task.region;
     const int3 origin = convert_int3(region_origin(grid, region->region));
-    const int3 dims = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]);
-    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
-    // In a capped volume the surface is on the volume's faces where it would be in the padding.
-    const float3 begin = (float3)(args.cap ? 1.0f : 0.0f), end = convert_float3(dims) - 1.0f - begin;
-    const bool has_missing = region->missing_mask[0] | region->missing_mask[1];
     Distances sums = {0.0f, 0.0f, 0.0f};
     Crossings crossings;
     crossings.count = 0;
@@ -279,29 +287,17 @@ void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *sampl
         const int3 at = convert_int3(unmorton(cell));
         const uint brick = region->brick_base + rank64(region->brick_mask[0], region->brick_mask[1], cell >> 9);
         const uint leaf = level > 0 ? find_slot(region, bricks, level, cell) : slot;
-        for (uint rest = crossed_edges(meta_signs(meta)); rest; rest &= rest - 1) {
-            const uint edge = lowest_bit(rest), axis = edge >> 2;
-            const int3 low = origin + at + edge_offset(edge), step = axis_step(axis);
-            // Once for each crossing: by the cell that has it on an edge from its low corner, if that cell exists.
-            if ((edge & 3) && !has_missing && all(low + 1 < dims)) continue;
-            const float a = sample_at(grid, SLAB_ARGS, low), b = sample_at(grid, SLAB_ARGS, low + step);
-            const float t = (float)crossing(args.iso, a, b) / 65536.0f;
-            const float3 p = clamp(convert_float3(low) + convert_float3(step) * t, begin, end) * spacing;
-            const uint own = level > 0 ? leaf : sheet_in_brick(region, bricks + brick, nodes, slot, edge);
-            const uint vertex = level > 0 ? leaf : stand_in(stand_ins, args.has_stand_ins, own);
+        const CellOfLines lines = load_cell_of_lines(grid, SLAB_ARGS, args.iso, args.cap, origin + at);
+        for (uint line = 0; line < 3 * LINES_OF_AXIS; line++) {
+            const float4 p = cross_line(&lines, line / LINES_OF_AXIS, line % LINES_OF_AXIS);
+            if (!(p.w > 0.0f)) continue;
+            const uint vertex = level > 0 ? leaf
+                                          : stand_in(stand_ins, args.has_stand_ins,
+                                                     nearest_sheet(region, bricks + brick, nodes, slot, positions, p.xyz));
             if (vertex == NONE) continue;
-            collect_point(&crossings, p, vertex, level, vertex != own, brick);
+            collect_point(&crossings, p.xyz, p.w, vertex, level, brick);
             if (crossings.count == LANES) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
         }
-        // The vertex of the cell is a point of the surface, too; where it is a leaf, also of the mesh.
-        const uint vertex = level > 0 ? leaf : stand_in(stand_ins, args.has_stand_ins, slot);
-        if (vertex == NONE) continue;
-        if (vertex == slot) {
-            if (heads[slot] != NONE) sums.weight += 1.0f;
-            continue;
-        }
-        collect_point(&crossings, positions[slot].xyz, vertex, level, level == 0, brick);
-        if (crossings.count == LANES) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
     }
     if (crossings.count) measure_crossings(&crossings, grid, &mesh, &from, bricks, &pairs, &sums);
     write_sums(scratch, sums, out + number);

@@ -101,8 +101,9 @@ INLINED real side_distance2(Real3 along, Real3 to) {
     return dot_real3(d, d);
 }
 
-// Squared distances of the pairs: to the triangle's plane where the foot lies inside, else to its nearest side.
-INLINED void measure_pairs(const Pairs *pairs, float *distances2) {
+// Squared distances of the pairs: to the triangle's plane where the foot lies inside, else to its nearest side. `beyond`: 1 where that is the
+// side away from the fan's vertex, so that a triangle outside of the fan may be nearer.
+INLINED void measure_pairs(const Pairs *pairs, float *distances2, float *beyond) {
     const Real3 p = LOAD_REAL3(pairs->rows, LANES), a = LOAD_REAL3(pairs->rows + 3 * LANES, LANES);
     const Real3 b = LOAD_REAL3(pairs->rows + 6 * LANES, LANES), c = LOAD_REAL3(pairs->rows + 9 * LANES, LANES);
     const Real3 ab = minus_real3(b, a), bc = minus_real3(c, b), ca = minus_real3(a, c);
@@ -113,8 +114,9 @@ INLINED void measure_pairs(const Pairs *pairs, float *distances2) {
     const real left = dot_real3(cross_real3(ab, n), ap), middle = dot_real3(cross_real3(bc, n), bp);
     const real inmost = fmin(fmin(left, middle), dot_real3(cross_real3(ca, n), cp));
     const integer inside = (length2 > 0.0f) & (inmost >= 0.0f);
-    const real sides = fmin(side_distance2(ab, ap), fmin(side_distance2(bc, bp), side_distance2(ca, cp)));
-    STORE_LANES(PICK(inside, height * height / length2, sides), distances2);
+    const real beside = fmin(side_distance2(ab, ap), side_distance2(ca, cp)), away = side_distance2(bc, bp);
+    STORE_LANES(PICK(inside, height * height / length2, fmin(beside, away)), distances2);
+    STORE_LANES(PICK(inside | (beside <= away), 0.0f, 1.0f), beyond);
 }
 
 // The nearest of some triangles, by its first corner; NONE: the distance is that to a vertex, or infinite.
@@ -125,8 +127,8 @@ typedef struct {
 
 // Of equals the first in the mesh, for a chain has no certain order.
 INLINED Nearest nearest_pair(Nearest nearest, Pairs *pairs) {
-    float distances2[LANES];
-    measure_pairs(pairs, distances2);
+    float distances2[LANES], beyond[LANES];
+    measure_pairs(pairs, distances2, beyond);
     for (uint i = 0; i < pairs->count; i++) {
         const uint triangle = pairs->triangle[i];
         if (distances2[i] < nearest.distance2 || (distances2[i] == nearest.distance2 && triangle < nearest.triangle)) {

@@ -1,5 +1,6 @@
-// Distance of points to the isosurface of the volume's trilinear interpolant, LANES points at a time: Newton steps along the
-// gradient where the field is curved. What is found is the way to a point on the surface: never much less than the distance.
+// Distance of points to the isosurface of the volume's trilinear interpolant, LANES points at a time: Newton steps along the gradient, then
+// towards the foot of the perpendicular, along the surface and back to it. What is found is the way to a point on the surface: never much less
+// than the distance.
 #ifndef ISOPEEL_SURFACE_DISTANCE_H
 #define ISOPEEL_SURFACE_DISTANCE_H
 
@@ -10,9 +11,14 @@
 #include "lib/samples.h"
 #include "lib/trilinear.h"
 
-// Newton steps at most, and distances by slope, in smallest spacings: up to which the field counts as straight, and from which the
-// gradient does not lead to the surface.
+// Newton steps at most, towards the surface and after each move along it, and how many such moves.
 #define SURFACE_STEPS 6
+#define FOOT_STEPS 3
+#define SURFACE_MOVES 2
+
+// Distances by slope, in smallest spacings: at which a point is on the surface, up to which it is found, and from which the gradient does
+// not lead there. The first is also the least way along the surface.
+#define ARRIVED 0.01f
 #define STRAIGHT 0.125f
 #define ASTRAY 2.0f
 
@@ -86,41 +92,96 @@ INLINED void load_active_cells(Grid grid, SLAB, const FieldBox *box, const Surfa
     }
 }
 
+// The search for LANES points, in registers.
+typedef struct {
+    Real3 from, x;           // cells
+    real distance, residual; // of the nearest so far
+    Field field;             // at x
+} Feet;
+
+INLINED Real3 clamp_to_box(const FieldBox *box, Real3 x) {
+    const float3 low = convert_float3(box->first), high = convert_float3(box->last) + 1.0f;
+    return make_real3(clamp(x.x, (real)low.x, (real)high.x), clamp(x.y, (real)low.y, (real)high.y), clamp(x.z, (real)low.z, (real)high.z));
+}
+
+// From the points to where they have come, world units.
+INLINED Real3 way_of(const FieldBox *box, const Feet *feet) {
+    return make_real3((feet->x.x - feet->from.x) * box->spacing.x, (feet->x.y - feet->from.y) * box->spacing.y,
+                      (feet->x.z - feet->from.z) * box->spacing.z);
+}
+
+// Makes the points active that this says, and tells whether there are any.
+INLINED bool activate(SurfaceSearch *search, integer moves, uint count) {
+    STORE_LANES(PICK(moves, 1.0f, 0.0f), search->active);
+    bool any_moves = false;
+    for (uint i = 0; i < count; i++) any_moves = any_moves || search->active[i] > 0.0f;
+    return any_moves;
+}
+
+// Newton steps of the active points. `moves`: how often they were moved along the surface before.
+INLINED void step_to_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch *search, Feet *feet, float *rows, uint count, uint moves) {
+    const float3 inverse = 1.0f / box->spacing;
+    const uint steps = moves ? FOOT_STEPS : SURFACE_STEPS;
+    for (uint step = 0; step <= steps; step++) {
+        load_active_cells(grid, SLAB_ARGS, box, search, count, rows);
+        const Cells cells = LOAD_CELLS(rows, LANES);
+        feet->field = field_in_cells(&cells, LOAD_REAL3(rows + 8 * LANES, LANES), inverse);
+        const Field field = feet->field;
+        const real slope2 = dot_real3(field.gradient, field.gradient), residual = fabs(field.value) / sqrt(slope2);
+        const Real3 way = way_of(box, feet);
+        const real distance = sqrt(dot_real3(way, way)) + residual;
+        const integer better = (residual <= box->straight) & (distance < feet->distance);
+        feet->distance = moves ? PICK(better, distance, feet->distance) : distance;
+        feet->residual = moves ? PICK(better, residual, feet->residual) : residual;
+        const integer far = (residual > box->straight * (ARRIVED / STRAIGHT)) & (residual < box->straight * (ASTRAY / STRAIGHT));
+        if (!activate(search, far, count) || step == steps) break;
+        // At most one cell.
+        const real scale = -field.value / slope2;
+        const Real3 step_in_cells = make_real3(field.gradient.x * inverse.x * scale, field.gradient.y * inverse.y * scale,
+                                               field.gradient.z * inverse.z * scale);
+        const real shorter = 1.0f / fmax(largest_component(step_in_cells), (real)1.0f);
+        const Real3 to = make_real3(feet->x.x + step_in_cells.x * shorter, feet->x.y + step_in_cells.y * shorter,
+                                    feet->x.z + step_in_cells.z * shorter);
+        feet->x = pick_real3(far, clamp_to_box(box, to), feet->x);
+        STORE_REAL3(feet->x, search->at, LANES);
+    }
+}
+
+// Moves points that are on the surface along it, to the foot of the perpendicular from where they began, as if it were plane there. Those
+// that are there already stay, and are no longer active; false: all.
+INLINED bool move_along_surface(const FieldBox *box, SurfaceSearch *search, Feet *feet, uint count) {
+    const Field field = feet->field;
+    const Real3 way = way_of(box, feet);
+    const real along_normal = dot_real3(way, field.gradient) / dot_real3(field.gradient, field.gradient);
+    const Real3 aside = make_real3(way.x - along_normal * field.gradient.x, way.y - along_normal * field.gradient.y,
+                                   way.z - along_normal * field.gradient.z);
+    const real least = box->straight * (ARRIVED / STRAIGHT);
+    const integer moves = (feet->residual <= box->straight) & (dot_real3(aside, aside) > least * least);
+    const Real3 to = make_real3(feet->x.x - aside.x / box->spacing.x, feet->x.y - aside.y / box->spacing.y,
+                                feet->x.z - aside.z / box->spacing.z);
+    feet->x = pick_real3(moves, clamp_to_box(box, to), feet->x);
+    STORE_REAL3(feet->x, search->at, LANES);
+    return activate(search, moves, count);
+}
+
 // Fills in the distances of the first `count` points.
 INLINED void search_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch *search, uint count) {
     float rows[11 * LANES];
     for (uint i = 0; i < 11 * LANES; i++) rows[i] = 0.0f;
     for (uint i = 0; i < LANES; i++) search->active[i] = i < count ? 1.0f : 0.0f;
     for (uint i = 0; i < 3 * LANES; i++) search->at[i] = search->from[i];
-    const float3 inverse = 1.0f / box->spacing, low = convert_float3(box->first), high = convert_float3(box->last) + 1.0f;
-    const Real3 from = LOAD_REAL3(search->from, LANES);
-    Real3 x = from;
-    for (uint step = 0; step <= SURFACE_STEPS; step++) {
-        load_active_cells(grid, SLAB_ARGS, box, search, count, rows);
-        const Cells cells = LOAD_CELLS(rows, LANES);
-        const Field field = field_in_cells(&cells, LOAD_REAL3(rows + 8 * LANES, LANES), inverse);
-        const real slope2 = dot_real3(field.gradient, field.gradient), residual = fabs(field.value) / sqrt(slope2);
-        const Real3 way = make_real3((x.x - from.x) * box->spacing.x, (x.y - from.y) * box->spacing.y,
-                                     (x.z - from.z) * box->spacing.z);
-        STORE_LANES(sqrt(dot_real3(way, way)) + residual, search->distance);
-        STORE_LANES(residual, search->residual);
-        STORE_LANES(field.value, search->value);
-        const integer moves = (residual > box->straight) & (residual < box->straight * (ASTRAY / STRAIGHT));
-        STORE_LANES(PICK(moves, 1.0f, 0.0f), search->active);
-        bool any_moves = false;
-        for (uint i = 0; i < count; i++) any_moves = any_moves || search->active[i] > 0.0f;
-        if (!any_moves || step == SURFACE_STEPS) break;
-        // At most one cell.
-        const real scale = -field.value / slope2;
-        const Real3 far = make_real3(field.gradient.x * inverse.x * scale, field.gradient.y * inverse.y * scale,
-                                     field.gradient.z * inverse.z * scale);
-        const real shorter = 1.0f / fmax(largest_component(far), (real)1.0f);
-        const Real3 to = make_real3(clamp(x.x + far.x * shorter, (real)low.x, (real)high.x),
-                                    clamp(x.y + far.y * shorter, (real)low.y, (real)high.y),
-                                    clamp(x.z + far.z * shorter, (real)low.z, (real)high.z));
-        x = pick_real3(moves, to, x);
-        STORE_REAL3(x, search->at, LANES);
+    Feet feet;
+    feet.from = LOAD_REAL3(search->from, LANES);
+    feet.x = feet.from;
+    feet.distance = INFINITY;
+    feet.residual = INFINITY;
+    for (uint moves = 0; moves <= SURFACE_MOVES; moves++) {
+        if (moves && !move_along_surface(box, search, &feet, count)) break;
+        step_to_surface(grid, SLAB_ARGS, box, search, &feet, rows, count, moves);
     }
+    STORE_LANES(feet.distance, search->distance);
+    STORE_LANES(feet.residual, search->residual);
+    STORE_LANES(feet.field.value, search->value);
 }
 
 #endif

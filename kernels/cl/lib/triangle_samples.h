@@ -1,4 +1,6 @@
-// Points on triangles, spread evenly: a triangle is divided into n^2 equal ones, and their centroids are its samples.
+// Points on triangles: a triangle is divided into n^2 equal ones, and each has the six points of Dunavant's rule, whose weighted sums are
+// integrals of polynomials up to the fourth degree (High degree efficient symmetrical Gaussian quadrature rules, 1985). Squared distances
+// are such polynomials where the surface is a paraboloid above the triangle; centroids alone miss that meshes are furthest off at edges.
 #ifndef ISOPEEL_TRIANGLE_SAMPLES_H
 #define ISOPEEL_TRIANGLE_SAMPLES_H
 
@@ -8,9 +10,17 @@
 #include "lib/mesh_distance.h"
 #include "lib/surface_distance.h"
 
-// Samples of a square cell's area, and n at most.
-#define SAMPLES_A_CELL 1.0f
+// Area of a part of a triangle at most, in square cells, but n is bounded.
+#define PART_CELLS 12.0f
 #define DIVISIONS_MAX 16u
+
+// The rule: three points near the corners and three near the sides; each has this weight in one barycentric coordinate, and the rest in
+// equal parts in the others.
+#define RULE_POINTS 6u
+#define CORNER_COORDINATE 0.816847572980459f
+#define CORNER_WEIGHT 0.109951743655322f
+#define SIDE_COORDINATE 0.108103018168070f
+#define SIDE_WEIGHT 0.223381589678011f
 
 // The corners of a triangle, in cells.
 typedef struct {
@@ -49,12 +59,12 @@ INLINED TriangleInCells hold_triangle(TriangleSamples *batch, Grid grid, const M
     return batch->triangle;
 }
 
-// How many samples a triangle has, n^2, by its area in cells.
+// How many samples a triangle has, by its area in cells.
 INLINED uint count_samples(TriangleSamples *batch, Grid grid, const MeshFans *mesh, uint first) {
     const TriangleInCells t = hold_triangle(batch, grid, mesh, first);
     const float area = 0.5f * length(cross(t.b - t.a, t.c - t.a));
-    const uint n = clamp((uint)ceil(sqrt(SAMPLES_A_CELL * area)), 1u, DIVISIONS_MAX);
-    return n * n;
+    const uint n = clamp((uint)ceil(sqrt(area / PART_CELLS)), 1u, DIVISIONS_MAX);
+    return n * n * RULE_POINTS;
 }
 
 INLINED float3 sample_position(const TriangleSamples *batch, uint i) {
@@ -66,12 +76,15 @@ INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh,
                         uint end_layer) {
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const TriangleInCells t = hold_triangle(batch, grid, mesh, first);
-    // Row r from corner a on has 2 r + 1 triangles, by turns with a corner towards a and away from it.
-    const float n = sqrt((float)count);
-    const uint row = (uint)sqrt((float)i), column = i - row * row;
-    const bool away = column & 1;
-    const float down = ((float)row + (away ? 1.0f / 3.0f : 2.0f / 3.0f)) / n;
-    const float across = ((float)(column / 2) + (away ? 2.0f / 3.0f : 1.0f / 3.0f)) / n;
+    // Row r from corner a on has 2 r + 1 parts, by turns with a corner towards a and away from it.
+    const float n = sqrt((float)(count / RULE_POINTS));
+    const uint part = i / RULE_POINTS, point = i % RULE_POINTS;
+    const uint row = (uint)sqrt((float)part), column = part - row * row;
+    const bool away = column & 1, at_corner = point < 3;
+    const float most = at_corner ? CORNER_COORDINATE : SIDE_COORDINATE, rest = 0.5f - 0.5f * most;
+    const float second = point % 3 == 1 ? most : rest, third = point % 3 == 2 ? most : rest;
+    const float down = ((float)row + (away ? third : second + third)) / n;
+    const float across = ((float)(column / 2) + (away ? second + third : third)) / n;
     const float3 x = t.a + down * (t.b - t.a) + across * (t.c - t.b);
     const uint layer = min((uint)x.z / 32, grid.regions[2] - 1);
     if (layer < first_layer || layer >= end_layer) return false;
@@ -80,7 +93,7 @@ INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh,
     batch->search.from[LANES + at] = x.y;
     batch->search.from[2 * LANES + at] = x.z;
     batch->first[at] = first;
-    batch->weight[at] = 0.5f * length(cross((t.b - t.a) * spacing, (t.c - t.a) * spacing)) / (float)count;
+    batch->weight[at] = 0.5f * length(cross((t.b - t.a) * spacing, (t.c - t.a) * spacing)) / (n * n) * (at_corner ? CORNER_WEIGHT : SIDE_WEIGHT);
     return true;
 }
 

@@ -1,0 +1,69 @@
+// Points of the surface in a cell: where lines along the axes cross it. On a line the trilinear interpolant is linear, so they are exact. A line
+// along an axis meets a patch of the surface as often as the patch is large, seen along the axis: if each crossing counts by the part of the
+// unit normal along its line, the weights of all three axes add up to the patch's area (Cauchy and Crofton).
+#ifndef ISOPEEL_CELL_LINES_H
+#define ISOPEEL_CELL_LINES_H
+
+#include "lib/precision.h"
+#include "lib/layout.h"
+#include "lib/samples.h"
+#include "lib/trilinear.h"
+
+// Lines of a cell along each axis, at a quarter and three quarters of its sides: a rule of Gauss's kind for what is periodic in cells, as
+// the distance of a mesh is whose vertices are one a cell.
+#define LINES_OF_AXIS 2u
+
+// A cell: its low corner, the samples at its corners less the isovalue, and the axes along which it lies in the padding of a capped volume.
+typedef struct {
+    float v[8];
+    int3 low;
+    uint padded;      // a bit for each axis
+    uint padded_high; // a bit for each axis: at its far end
+    float3 spacing;
+} CellOfLines;
+
+inline float component_of(float3 v, uint axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
+
+INLINED CellOfLines load_cell_of_lines(Grid grid, SLAB, float iso, uint cap, int3 low) {
+    CellOfLines cell;
+    cell.low = low;
+    cell.spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    for (uint corner = 0; corner < 8; corner++)
+        cell.v[corner] = sample_at(grid, SLAB_ARGS, low + (int3)(corner & 1, corner >> 1 & 1, corner >> 2)) - iso;
+    const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;
+    cell.padded_high = cap ? (uint)(low.x == last.x) | (uint)(low.y == last.y) << 1 | (uint)(low.z == last.z) << 2 : 0;
+    cell.padded = cap ? cell.padded_high | (uint)(low.x == 0) | (uint)(low.y == 0) << 1 | (uint)(low.z == 0) << 2 : 0;
+    return cell;
+}
+
+// The interpolant on a face of the cell, at the far end of an axis or at its near one; `s`, `t`: along the axes that follow.
+inline float value_on_face(const float *v, uint axis, uint far, float s, float t) {
+    const uint base = far << axis, second = 1u << (axis + 1) % 3, third = 1u << (axis + 2) % 3;
+    return mix(mix(v[base], v[base + second], s), mix(v[base + third], v[base + second + third], s), t);
+}
+
+// Where a line crosses the surface: position in world units (xyz), and the area that it stands for (w); that is 0 where it does not. In the
+// padding of a capped volume the surface is on the volume's face.
+INLINED float4 cross_line(const CellOfLines *cell, uint axis, uint line) {
+    const uint second = (axis + 1) % 3, third = (axis + 2) % 3;
+    const float4 none = (float4)(0.0f);
+    if (cell->padded & (1u << second | 1u << third)) return none;
+    const bool turned = (cell->low.x + cell->low.y + cell->low.z) & 1;
+    const float s = line ? 0.75f : 0.25f, t = turned ? 1.0f - s : s;
+    const float face = component_of(cell->spacing, second) * component_of(cell->spacing, third);
+    const float from = value_on_face(cell->v, axis, 0, s, t), to = value_on_face(cell->v, axis, 1, s, t);
+    float along = from / (from - to), area = face;
+    if (cell->padded >> axis & 1u) {
+        const bool high = cell->padded_high >> axis & 1u;
+        if (!((high ? from : to) >= 0.0f)) return none;
+        along = high ? 0.0f : 1.0f;
+    } else if ((from >= 0.0f) == (to >= 0.0f)) return none;
+    const float3 at = axis == 0 ? (float3)(along, s, t) : axis == 1 ? (float3)(t, along, s) : (float3)(s, t, along);
+    if (!(cell->padded >> axis & 1u)) {
+        const float3 gradient = trilinear(cell->v, at).xyz / cell->spacing;
+        area *= fabs(component_of(gradient, axis)) / length(gradient);
+    }
+    return (float4)((convert_float3(cell->low) + at) * cell->spacing, area);
+}
+
+#endif
