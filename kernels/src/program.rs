@@ -164,11 +164,11 @@ impl Programs {
     }
 }
 
-/// What PoCL's compiler says where a signal came while it wrote: LLVM's handler of SIGHUP, SIGINT and SIGTERM removes the compiler's temporary files,
+/// In PoCL's log of a build that a signal interrupted: LLVM's handler of SIGHUP, SIGINT and SIGTERM removes the compiler's temporary files,
 /// and then calls the handler of the process, which may go on.
 const INTERRUPTED: &str = "unable to rename temporary";
 
-/// How often a build that a signal interrupted is begun again.
+/// Maximum times that an interrupted build is begun again.
 const BUILD_RETRIES: usize = 3;
 
 fn build(
