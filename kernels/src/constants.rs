@@ -80,7 +80,7 @@ constants! {
     EXPRESSION_FIELDS: u32 = 8;
     /// Maximum operations of an expression.
     EXPRESSION_OPERATIONS: u32 = 64;
-    /// Launches of `evaluate` begin at multiples of so many samples.
+    /// Launches of `evaluate` begin at multiples of this number of samples.
     EVALUATE_BLOCK: u32 = 1024;
     /// Operation of `evaluate`: a number.
     OPERATION_NUMBER: u32 = 0;
@@ -92,7 +92,7 @@ constants! {
     OPERATION_OR: u32 = 3;
     /// Operation of `evaluate`: a condition does not hold.
     OPERATION_NOT: u32 = 4;
-    /// Operation of `evaluate`: the first number where a condition holds, else the second one.
+    /// Operation of `evaluate`: the first number if a condition holds, else the second one.
     OPERATION_SELECT: u32 = 5;
     /// Operations of `evaluate` from here on are functions and comparisons, whose cases are in `cl/lib/operations.h`.
     OPERATION_FUNCTIONS: u32 = 8;

@@ -396,7 +396,7 @@ impl Context {
     pub fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {
         let event = event.map_err(|e| allocation_error(stage, bytes, self.limit_bytes, e))?;
         self.events.borrow_mut().push((stage, event));
-        // Nobody may ask for the times of expressions and histograms.
+        // Not all work asks for its times: expressions and histograms never do.
         if self.events.borrow().len() >= MAX_EVENTS {
             self.sum_times()?;
         }

@@ -5,7 +5,7 @@ use std::time::Duration;
 /// Time that a launch is sized for. Half of what others may wait, as work is not even and the processors are shared.
 const TARGET: Duration = Duration::from_millis(15);
 
-/// A launch is at most so many times as large as the one before.
+/// Maximum ratio of the size of a launch to that of the one before.
 const GROWTH: u64 = 4;
 
 /// Sizes of the launches of one piece of work, in any unit.

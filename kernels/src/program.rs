@@ -164,6 +164,13 @@ impl Programs {
     }
 }
 
+/// In PoCL's log of a build that a signal interrupted: LLVM's handler of SIGHUP, SIGINT and SIGTERM removes the compiler's temporary files,
+/// and then calls the handler of the process, which may go on.
+const INTERRUPTED: &str = "unable to rename temporary";
+
+/// Maximum times that an interrupted build is begun again.
+const BUILD_RETRIES: usize = 3;
+
 fn build(
     context: &Context,
     device: &Found,
@@ -172,18 +179,24 @@ fn build(
     stage: &'static str,
 ) -> Result<opencl3::program::Program> {
     let failed = |e| Error::Launch { stage, source: e };
-    let mut program = opencl3::program::Program::create_from_source(context, text).map_err(failed)?;
-    if program.build(&[device.handle], options).is_err() {
+    let mut retries = BUILD_RETRIES;
+    loop {
+        let mut program = opencl3::program::Program::create_from_source(context, text).map_err(failed)?;
+        if program.build(&[device.handle], options).is_ok() {
+            return Ok(program);
+        }
         let log = program
             .get_build_log(device.handle)
             .unwrap_or_else(|_| "no log".to_owned());
-        return Err(Error::Build {
-            stage,
-            options: options.to_owned(),
-            log,
-        });
+        if retries == 0 || !log.contains(INTERRUPTED) {
+            return Err(Error::Build {
+                stage,
+                options: options.to_owned(),
+                log,
+            });
+        }
+        retries -= 1;
     }
-    Ok(program)
 }
 
 /// Programs that this process has built. Tests open the device again and again, and not every driver keeps what it compiled.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// Who may use such a folder beside the server's user.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum FolderAccess {
-    /// Nobody.
+    /// No other user.
     #[default]
     User,
     /// Its group too, and it may be root's: of volumes that a container gets.
@@ -98,6 +98,15 @@ pub fn make(path: &Path) -> io::Result<()> {
     #[cfg(unix)]
     std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
     builder.recursive(true).create(path)
+}
+
+/// Bytes that are free on a folder's disk.
+///
+/// # Errors
+/// The system's.
+pub fn free_bytes(path: &Path) -> io::Result<u64> {
+    let found = rustix::fs::statvfs(path)?;
+    Ok(found.f_bavail.saturating_mul(found.f_frsize))
 }
 
 #[cfg(unix)]

@@ -42,7 +42,7 @@
 #define EXPRESSION_FIELDS 8u
 // Maximum operations of an expression.
 #define EXPRESSION_OPERATIONS 64u
-// Launches of `evaluate` begin at multiples of so many samples.
+// Launches of `evaluate` begin at multiples of this number of samples.
 #define EVALUATE_BLOCK 1024u
 // Operation of `evaluate`: a number.
 #define OPERATION_NUMBER 0u
@@ -54,7 +54,7 @@
 #define OPERATION_OR 3u
 // Operation of `evaluate`: a condition does not hold.
 #define OPERATION_NOT 4u
-// Operation of `evaluate`: the first number where a condition holds, else the second one.
+// Operation of `evaluate`: the first number if a condition holds, else the second one.
 #define OPERATION_SELECT 5u
 // Operations of `evaluate` from here on are functions and comparisons, whose cases are in `cl/lib/operations.h`.
 #define OPERATION_FUNCTIONS 8u

@@ -74,7 +74,7 @@ impl Engine {
     /// What the device says.
     pub fn refresh_table(&self, volume: &mut Volume) -> Result<Vec<StageTime>> {
         self.cx.take_times()?;
-        self.make_table(volume)?;
+        self.make_table(volume, &Never)?;
         self.cx.take_times()
     }
 

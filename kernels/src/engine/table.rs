@@ -4,7 +4,7 @@ use crate::buffer::Buffer;
 use crate::pace::Pace;
 use crate::stages::minmax;
 use crate::volume::Slab;
-use crate::{Cancel, Engine, Grid, Never, Result, SampleType, Volume, cancel};
+use crate::{Cancel, Engine, Grid, Result, SampleType, Volume, cancel};
 use std::rc::Rc;
 
 /// Samples of the first launch, and of one launch at most.
@@ -30,11 +30,7 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<Volume> {
         let mut volume = self.without_table(grid, sample_type, missing, slabs, inverse_lengths)?;
-        let mut work = self.begin_table(&volume)?;
-        while !self.continue_table_of(&volume, &mut work)? {
-            cancel::check(cancel)?;
-        }
-        self.end_table(&mut volume, work)?;
+        self.make_table(&mut volume, cancel)?;
         Ok(volume)
     }
 
@@ -60,10 +56,10 @@ impl Engine {
     }
 
     /// Fills a volume's min/max table from its samples.
-    pub(crate) fn make_table(&self, volume: &mut Volume) -> Result<()> {
+    pub(crate) fn make_table(&self, volume: &mut Volume, cancel: &dyn Cancel) -> Result<()> {
         let mut work = self.begin_table(volume)?;
         while !self.continue_table_of(volume, &mut work)? {
-            cancel::check(&Never)?;
+            cancel::check(cancel)?;
         }
         self.end_table(volume, work)
     }

@@ -162,7 +162,7 @@ impl Work<'_> {
     }
 }
 
-/// Pace of a pass whose work-groups have so many samples, in work-groups.
+/// Pace of a pass, in work-groups. `group_samples`: samples of a work-group.
 fn pace_of(group_samples: u64) -> Pace {
     let groups = |samples: u64| (samples / group_samples).max(1);
     Pace::new(groups(FIRST_SAMPLES), 1, groups(MAX_SAMPLES))

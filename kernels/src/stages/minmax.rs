@@ -23,7 +23,7 @@ kernel_args! {
     }
 }
 
-/// Runs of regions along x that a grid has in so many layers of regions.
+/// Number of runs of regions along x in `layers` layers of regions.
 pub fn runs(cx: &Context, grid: &Grid, layers: u32) -> u32 {
     grid.regions[0].div_ceil(cx.tuning.regions_in_run as u32) * grid.regions[1] * layers
 }

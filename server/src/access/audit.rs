@@ -1,8 +1,8 @@
 //! Who has done what: a line of JSON for each sign-in, stream, export, job and upload, for all that is refused, and for tokens that come and go. Lines have
 //! no secrets, and no names of volumes: these may be those of patients.
 
-use std::collections::HashMap;
-use std::collections::hash_map::Entry;
+mod refusals;
+
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::net::IpAddr;
@@ -17,6 +17,8 @@ use axum::http::{Method, StatusCode};
 use axum::response::Response;
 use serde::Serialize;
 
+use refusals::{Kind, Refusals};
+
 use super::identity::Identity;
 use super::named::NamedToken;
 use crate::problem::ProblemCode;
@@ -24,11 +26,8 @@ use crate::problem::ProblemCode;
 /// How long the refusals of a kind are counted before a line says how many there were.
 const COUNTED: Duration = Duration::from_secs(60);
 
-/// How often the counts are looked at.
+/// Interval of the check for counts that are due.
 const LOOK: Duration = Duration::from_secs(1);
-
-/// Kinds of refusals that are counted at a time; those beyond count together, without user and peer.
-const MAX_KINDS: usize = 1_024;
 
 /// Lines that wait for the disk, some 200 bytes each. Requests do not: those beyond are counted, and a line says how many there were.
 const QUEUE: usize = 4_096;
@@ -81,51 +80,6 @@ enum Outcome {
     Failed,
     /// The client left before there was an answer.
     Abandoned,
-}
-
-/// Refusals that differ in nothing that a line says but time and id.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-struct Kind {
-    event: Event,
-    status: Option<u16>,
-    code: Option<&'static str>,
-    /// User and token.
-    who: Option<(Arc<str>, Arc<str>)>,
-    peer: Option<IpAddr>,
-}
-
-/// Refusals that were counted instead of written.
-#[derive(Debug, Default)]
-struct Refusals {
-    /// Since when each kind is counted, and how many there were after the first.
-    kinds: HashMap<Kind, (Instant, u64)>,
-}
-
-impl Refusals {
-    /// Counts a refusal. True if it is the first of its kind for a while: it is to be written.
-    fn count(&mut self, mut kind: Kind, now: Instant) -> bool {
-        if self.kinds.len() >= MAX_KINDS && !self.kinds.contains_key(&kind) {
-            (kind.who, kind.peer) = (None, None);
-        }
-        match self.kinds.entry(kind) {
-            Entry::Occupied(mut found) => {
-                found.get_mut().1 += 1;
-                false
-            }
-            Entry::Vacant(space) => {
-                space.insert((now, 0));
-                true
-            }
-        }
-    }
-
-    /// Takes the counts that are to be written: of kinds that were first seen `age` ago or earlier.
-    fn take(&mut self, now: Instant, age: Duration) -> Vec<(Kind, u64)> {
-        let due = self.kinds.extract_if(|_, (since, _)| now.duration_since(*since) >= age);
-        due.map(|(kind, (_, more))| (kind, more))
-            .filter(|(_, more)| *more > 0)
-            .collect()
-    }
 }
 
 /// A line.
@@ -494,6 +448,7 @@ mod tests {
     use axum::response::IntoResponse;
     use serde_json::Value;
 
+    use super::refusals::MAX_KINDS;
     use super::*;
     use crate::problem::ApiError;
 
@@ -575,23 +530,6 @@ mod tests {
         assert!(lines.len() <= written.len() + MAX_KINDS + 2, "{} lines", lines.len());
         let counted: u64 = lines.iter().map(|line| line["count"].as_u64().unwrap_or(1)).sum();
         assert_eq!(counted, 51_003);
-    }
-
-    #[test]
-    fn counts_are_those_of_a_minute() {
-        let (mut refusals, start) = (Refusals::default(), Instant::now());
-        let kind = Kind {
-            event: Event::Request,
-            status: Some(429),
-            code: None,
-            who: None,
-            peer: None,
-        };
-        let minute = start + COUNTED;
-        assert!(refusals.count(kind.clone(), start) && !refusals.count(kind.clone(), start));
-        assert!(refusals.take(minute - LOOK, COUNTED).is_empty());
-        assert_eq!(refusals.take(minute, COUNTED), [(kind.clone(), 1)]);
-        assert!(refusals.count(kind, minute) && refusals.take(minute + COUNTED, COUNTED).is_empty());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Seats that there are only so many of: viewers, groups, streams of events. No user takes all of them, and some are left to administrators.
+//! Seats, whose number is limited: viewers, groups, streams of events. No user takes all of them, and some are left to administrators.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -24,8 +24,14 @@ pub struct Seats(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     limits: SeatLimits,
-    /// By user.
-    taken: Mutex<HashMap<Arc<str>, usize>>,
+    taken: Mutex<Taken>,
+}
+
+/// Seats that are taken.
+#[derive(Debug, Default)]
+struct Taken {
+    total: usize,
+    by_user: HashMap<Arc<str>, usize>,
 }
 
 /// A seat; dropped, it is free again.
@@ -36,7 +42,7 @@ pub struct Seat {
 }
 
 impl Seats {
-    /// So many, all of them free.
+    /// Seats within these limits, all of them free.
     pub fn new(limits: SeatLimits) -> Self {
         let taken = Mutex::default();
         Self(Arc::new(Shared { limits, taken }))
@@ -44,7 +50,7 @@ impl Seats {
 
     /// How many are taken.
     pub fn taken(&self) -> usize {
-        self.lock().values().sum()
+        self.lock().total
     }
 
     /// A seat for a user; `None` if all of them are taken, or all that this user may have.
@@ -55,17 +61,15 @@ impl Seats {
     fn take_for(&self, user: &str, is_admin: bool) -> Option<Seat> {
         let SeatLimits { all, of_user, reserve } = self.0.limits;
         let mut taken = self.lock();
-        let (total, own) = (
-            taken.values().sum::<usize>(),
-            taken.get(user).copied().unwrap_or_default(),
-        );
+        let (total, own) = (taken.total, taken.by_user.get(user).copied().unwrap_or_default());
         let fits = match is_admin {
             true => total < all,
             false => total + reserve < all && own < of_user,
         };
         fits.then(|| {
             let user = Arc::<str>::from(user);
-            *taken.entry(Arc::clone(&user)).or_default() += 1;
+            taken.total += 1;
+            *taken.by_user.entry(Arc::clone(&user)).or_default() += 1;
             drop(taken);
             Seat {
                 seats: self.clone(),
@@ -74,7 +78,7 @@ impl Seats {
         })
     }
 
-    fn lock(&self) -> MutexGuard<'_, HashMap<Arc<str>, usize>> {
+    fn lock(&self) -> MutexGuard<'_, Taken> {
         self.0.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -82,10 +86,11 @@ impl Seats {
 impl Drop for Seat {
     fn drop(&mut self) {
         let mut taken = self.seats.lock();
-        if let Some(count) = taken.get_mut(&self.user) {
+        taken.total -= 1;
+        if let Some(count) = taken.by_user.get_mut(&self.user) {
             *count -= 1;
             if *count == 0 {
-                taken.remove(&self.user);
+                taken.by_user.remove(&self.user);
             }
         }
     }

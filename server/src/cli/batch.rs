@@ -45,12 +45,12 @@ pub struct Args {
     #[command(flatten)]
     surface: Option<SurfaceArgs>,
 
-    /// Of a request: folder on a disk of this machine for what is made while the job is not done: the same command then goes on [default:
+    /// Of a request: folder on a disk of this machine for the files of an unfinished job, with which the same command goes on [default:
     /// .isopeel-batch in the output's folder]
     #[arg(long, value_name = "DIR")]
     state_folder: Option<PathBuf>,
 
-    /// Who may use that folder beside this user: nobody, or its group too
+    /// Who may use that folder: this user alone, or its group too
     #[arg(long, value_enum, default_value_t, value_name = "WHO")]
     folder_access: FolderAccess,
 
@@ -110,6 +110,9 @@ pub enum BatchError {
     /// A request's file beside what it says itself.
     #[error("a request has its own format, steps and surfaces: expected none of these options beside {}", .0.display())]
     OptionsBesideRequest(PathBuf),
+    /// The state folder of a job, where there is none.
+    #[error("--state-folder is of a request: of volumes, the manifest in the output's folder says how far they are")]
+    StateFolderBesideVolumes,
     /// No format.
     #[error("--format is missing: expected the format of the files, {}", Format::EXPECTED)]
     NoFormat,
@@ -138,6 +141,9 @@ pub enum BatchError {
 /// [`BatchError`].
 pub fn run(args: &Args) -> Result<(), BatchError> {
     let Some(file) = args.request_file() else {
+        if args.state_folder.is_some() {
+            return Err(BatchError::StateFolderBesideVolumes);
+        }
         return volumes::run(args);
     };
     if args.steps.is_some() || args.surface.is_some() {

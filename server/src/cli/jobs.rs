@@ -9,9 +9,11 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use data_encoding::HEXLOWER;
 use reqwest::{Method, StatusCode};
+use serde::Serialize;
 use sha2::{Digest, Sha256};
 use tempfile::NamedTempFile;
 
+use super::output::write_whole;
 use crate::access::{Token, TokenError};
 use crate::jobs::{Estimate, ExtractionState, JobInfo, JobState, MAX_REQUEST_BYTES, ManifestEntry};
 use client::Client;
@@ -363,15 +365,13 @@ async fn fetch(client: &Client, id: &str, folder: &Path) -> Result<(), JobsError
 pub(super) const MANIFEST_FILE: &str = "manifest.jsonl";
 
 /// Writes a manifest, a line of JSON for each extraction, in place of one that is there.
-pub(super) fn write_manifest(path: &Path, entries: &[ManifestEntry]) -> io::Result<()> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let mut file = NamedTempFile::new_in(folder)?;
+pub(super) fn write_manifest(path: &Path, entries: &[impl Serialize]) -> io::Result<()> {
+    let mut text = Vec::new();
     for entry in entries {
-        serde_json::to_writer(&mut file, entry)?;
-        file.write_all(b"\n")?;
+        serde_json::to_writer(&mut text, entry)?;
+        text.push(b'\n');
     }
-    file.persist(path)?;
-    Ok(())
+    write_whole(path, &text)
 }
 
 /// What is said of extractions whose surfaces have no triangles; empty if there are none.

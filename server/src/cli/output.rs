@@ -51,6 +51,27 @@ pub enum OutputError {
     Export(ExportError),
 }
 
+/// A temporary file in a folder, with the rights of any new file.
+fn temporary_in(folder: &Path) -> io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(TEMPORARY);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // Before the umask.
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder)
+}
+
+/// Writes a small file, whole or not at all, in place of one that is there.
+pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = temporary_in(path.parent().unwrap_or(Path::new(".")))?;
+    file.write_all(bytes)?;
+    file.persist(path)?;
+    Ok(())
+}
+
 impl Output {
     /// Creates the temporary file, so that a folder that cannot be written is found before the work.
     pub(super) fn create(path: &Path) -> Result<Self, OutputError> {
@@ -58,14 +79,6 @@ impl Output {
             return Self::stdout();
         }
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(TEMPORARY);
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            // As for any new file, before the umask.
-            builder.permissions(std::fs::Permissions::from_mode(0o666));
-        }
         let create = || {
             if path.is_dir() {
                 return Err(io::ErrorKind::IsADirectory.into());
@@ -76,7 +89,7 @@ impl Output {
                 let why = format!("there is no folder {}", folder.display());
                 return Err(io::Error::new(io::ErrorKind::NotFound, why));
             }
-            builder.tempfile_in(folder)
+            temporary_in(folder)
         };
         let file = create().map_err(|source| OutputError::File {
             path: path.to_owned(),

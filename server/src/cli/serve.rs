@@ -33,7 +33,7 @@ use uploads::UploadArgs;
 /// 80 MB on the wire, 1 GB of memory to get there: more than a browser can draw.
 const CEILING_TRIANGLES: u64 = 20_000_000;
 
-/// An expression of 64 operations over 1024³ samples takes less on two cores, but for the slowest functions.
+/// An expression of 64 operations over 1024³ samples takes less on two cores, except with the slowest functions.
 const REQUEST_SECONDS: u32 = 120;
 
 /// Some thousand surfaces of a million triangles.
@@ -137,7 +137,7 @@ pub struct Args {
     #[arg(long, value_name = "DIR", env = "ISOPEEL_STATE_FOLDER")]
     state_folder: Option<PathBuf>,
 
-    /// Who may use the folders of state and uploads beside this server's user: nobody, or their group too, as in containers whose volumes belong to a
+    /// Who may use the folders of state and uploads: this server's user alone, or their group too, as in containers whose volumes belong to a
     /// group. Others may never
     #[arg(long, value_enum, default_value_t, value_name = "WHO")]
     folder_access: FolderAccess,

@@ -8,7 +8,7 @@ use isopeel_kernels::MAX_LEVEL;
 
 use crate::export::{Compress, FileOptions, FileRequest, Format, SurfaceOptions};
 use crate::view::quality::{Distance, MaxError, MesherName, TopologyName, TriangleBudget};
-use crate::view::{ChosenPartsJson, Edit, InterestJson, Outward, TransferFunctionJson, parse_position};
+use crate::view::{ChosenPartsJson, Edit, InterestJson, Outward, TransferFunctionJson, arguments, parse_position};
 
 /// Maximum bytes of a transfer function's file; 64 points take some 4 KiB.
 const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;
@@ -202,7 +202,7 @@ impl SurfaceArgs {
             allow_empty: self.allow_empty,
             outward: self.outward.unwrap_or_default(),
             unit: self.unit.clone(),
-            field_values: self.field_values.as_deref().map(listed).unwrap_or_default(),
+            field_values: self.field_values.as_deref().map(names).unwrap_or_default(),
             label: self.label.clone(),
             compress: self.compress.unwrap_or_default(),
             measure: if self.no_measure { Some(0.0) } else { self.measure },
@@ -226,28 +226,6 @@ impl SurfaceArgs {
     }
 }
 
-/// The parts of a list: commas in brackets and quotes belong to a part.
-fn listed(text: &str) -> Vec<String> {
-    let (mut depth, mut quote, mut parts) = (0, None, vec![String::new()]);
-    for c in text.chars() {
-        match c {
-            ',' if depth == 0 && quote.is_none() => {
-                parts.push(String::new());
-                continue;
-            }
-            '(' if quote.is_none() => depth += 1,
-            ')' if quote.is_none() => depth -= 1,
-            '"' | '`' if quote.is_none() => quote = Some(c),
-            _ if quote == Some(c) => quote = None,
-            _ => {}
-        }
-        if let Some(part) = parts.last_mut() {
-            part.push(c);
-        }
-    }
-    parts.iter().map(|part| part.trim().to_owned()).collect()
-}
-
 fn parse_surface(text: &str) -> Result<SurfaceOptions, serde_json::Error> {
     serde_json::from_str(text)
 }
@@ -266,15 +244,20 @@ fn read_transfer_function(path: &Path) -> Result<TransferFunctionJson, TransferF
     })
 }
 
+/// Names of fields and expressions in a list.
+fn names(list: &str) -> Vec<String> {
+    arguments(list).into_iter().map(str::to_owned).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn names_are_parted_by_commas_outside_of_brackets() {
-        assert_eq!(listed("temperature"), ["temperature"]);
+        assert_eq!(names("temperature"), ["temperature"]);
         assert_eq!(
-            listed("a, magnitude(u,v,log(w)),`x,y`+1"),
+            names("a, magnitude(u,v,log(w)),`x,y`+1"),
             ["a", "magnitude(u,v,log(w))", "`x,y`+1"]
         );
     }

@@ -17,7 +17,7 @@ pub struct Args {
     #[arg(long, global = true, value_name = "DIR", env = "ISOPEEL_STATE_FOLDER")]
     state_folder: Option<PathBuf>,
 
-    /// Who may use the state folder beside this user: nobody, or its group too
+    /// Who may use the state folder: this user alone, or its group too
     #[arg(
         long,
         global = true,

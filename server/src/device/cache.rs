@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::private_folder::{self, free_bytes};
+
 /// What names the folder.
 pub const VARIABLE: &str = "ISOPEEL_KERNEL_CACHE";
 
@@ -12,7 +14,7 @@ const DRIVERS: [(&str, &str); 3] = [
     ("MESA_SHADER_CACHE_DIR", "mesa"),
 ];
 
-/// Of these PoCL's.
+/// The variable of PoCL.
 const POCL: &str = "POCL_CACHE_DIR";
 
 /// Free space that a folder of kernels must have at the start, more than those of a device take.
@@ -91,7 +93,7 @@ pub fn check_space() -> Result<(), String> {
     }
 }
 
-/// Variables that ours stands for.
+/// Variables of drivers that are not set and follow from [`VARIABLE`].
 fn below_ours() -> Vec<(&'static str, PathBuf)> {
     if std::env::var_os(VARIABLE).is_none() {
         return Vec::new();
@@ -121,7 +123,7 @@ fn spare_folder() -> Result<PathBuf, String> {
 fn check(folder: &Path, min_bytes: u64) -> Result<(), String> {
     use std::os::unix::fs::MetadataExt;
     let say = |error: std::io::Error| error.to_string();
-    make(folder).map_err(say)?;
+    private_folder::make(folder).map_err(say)?;
     let found = std::fs::metadata(folder).map_err(say)?;
     let user = rustix::process::geteuid().as_raw();
     if found.uid() != user {
@@ -140,17 +142,6 @@ fn check(folder: &Path, min_bytes: u64) -> Result<(), String> {
         return Err(format!("it has {free} bytes free, expected {min_bytes}"));
     }
     Ok(())
-}
-
-fn free_bytes(folder: &Path) -> std::io::Result<u64> {
-    let found = rustix::fs::statvfs(folder)?;
-    Ok(found.f_bavail.saturating_mul(found.f_frsize))
-}
-
-/// Makes a folder that only this user may read.
-pub(super) fn make(folder: &Path) -> std::io::Result<()> {
-    use std::os::unix::fs::DirBuilderExt;
-    std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)
 }
 
 #[cfg(test)]

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::cache;
 use super::setup::{DeviceId, Workaround};
+use crate::private_folder;
 
 /// A device that passed the check.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -58,7 +58,7 @@ impl Verdicts {
         let (Some(path), Some(folder)) = (self.path(device), &self.folder) else {
             return Ok(());
         };
-        cache::make(folder)?;
+        private_folder::make(folder)?;
         let verdict = Verdict {
             device: device.clone(),
             build: build(),

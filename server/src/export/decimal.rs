@@ -9,7 +9,7 @@ const MAX_DIGITS: usize = 18;
 /// Whole numbers below this are exact in 64-bit floats.
 const EXACT: f64 = 9e15;
 
-/// Writes numbers with so many digits behind the point.
+/// Writes numbers with a fixed number of digits behind the point.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Decimals {
     digits: usize,

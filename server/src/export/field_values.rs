@@ -10,7 +10,7 @@ use crate::volumes::{Dataset, Field, VolumeStep};
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {
     field: Field,
-    /// All of them in pieces of so many samples, the last one perhaps of fewer.
+    /// All of them in pieces of `piece` samples; the last one may have fewer.
     pieces: Vec<Samples>,
     piece: usize,
     dims: [u32; 3],

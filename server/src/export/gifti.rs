@@ -12,7 +12,7 @@ use super::xml::escaped;
 use super::{ExportError, Mesh};
 use crate::volumes::Frame;
 
-/// Fast: what is left for a slower one is a tenth.
+/// The fastest level: slower ones make files a tenth smaller.
 const LEVEL: Compression = Compression::fast();
 /// Numbers that are compressed at once.
 const PIECE: usize = 1 << 12;
@@ -55,17 +55,16 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     let turns = mesh.frame == Frame::Lps;
     let mut outside = None;
     let positions = (0..mesh.positions.len()).map(|vertex| {
-        let world = mesh.world(vertex);
-        let [x, y, z] = world.map(|component| component as f32);
-        if ![x, y, z].iter().all(|component| component.is_finite()) {
-            outside.get_or_insert(world);
-        }
+        let [x, y, z] = mesh.world_f32(vertex).unwrap_or_else(|error| {
+            outside.get_or_insert(error);
+            [f32::NAN; 3]
+        });
         // 0 − x: there is no −0.
         if turns { [0.0 - x, 0.0 - y, z] } else { [x, y, z] }
     });
     compressed(out, positions)?;
-    if let Some(world) = outside {
-        return Err(ExportError::OutOfRange(world));
+    if let Some(error) = outside {
+        return Err(error);
     }
     end(out)?;
     begin(out, "NIFTI_INTENT_TRIANGLE", "NIFTI_TYPE_INT32", mesh.triangles.len())?;

@@ -58,7 +58,7 @@ pub fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<()
     shown(meshes).try_for_each(|mesh| write_arrays(mesh, out))
 }
 
-/// Writes all that comes before so many bytes of the binary chunk.
+/// Writes all that comes before the `binary` bytes of the binary chunk.
 fn write_chunks(json: &Value, binary: u64, out: &mut impl Write) -> Result<(), ExportError> {
     let mut text = serde_json::to_vec(json).map_err(std::io::Error::from)?;
     text.resize(text.len().next_multiple_of(4), b' ');
@@ -109,7 +109,7 @@ fn write_arrays(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     Ok(())
 }
 
-/// The JSON of a file but for its buffers. Without a primitive it is a scene without nodes.
+/// The JSON of a file without its buffers. Without a primitive it is a scene without nodes.
 fn document(
     meshes: &[Mesh],
     extras: &Value,

@@ -1,6 +1,5 @@
 //! From surfaces that were extracted to the bytes of a file: the same for a request, a batch job and the command line.
 
-use std::collections::BTreeSet;
 use std::io::Write;
 
 use tokio_util::sync::CancellationToken;
@@ -15,7 +14,7 @@ use crate::extraction::{Extraction, ExtractionStatistics, Extractor, Shape, Work
 use crate::pool::{self, Panicked};
 use crate::view::quality::MesherName;
 use crate::view::{EditError, Outward, View};
-use crate::volumes::{InputIdentity, LengthUnit, SeenFiles, VolumeStep};
+use crate::volumes::{InputIdentity, LengthUnit, VolumeStep};
 
 /// A file that is made, not written yet.
 pub struct MadeFile {
@@ -46,7 +45,7 @@ pub enum MakeError {
     Panicked(#[from] Panicked),
 }
 
-/// Extracts the surfaces of a request and makes a file of them. The work ends at its next look at the token where that is cancelled; what it does on
+/// Extracts the surfaces of a request and makes a file of them. The work ends soon after the token is cancelled; what it does on
 /// processors has threads of low priority.
 ///
 /// # Errors
@@ -181,11 +180,7 @@ fn provenance(volume: &VolumeStep, view: &View) -> Vec<(&'static str, String)> {
     if let Some(times) = dataset.times.as_ref().filter(|_| dataset.steps > 1) {
         provenance.push(("time", times.label(volume.step())));
     }
-    // Of a store over a network nothing is known; what cannot be read has been found before.
-    let steps = BTreeSet::from([volume.step()]);
-    if let Ok(identity) = InputIdentity::of(dataset, &steps, &SeenFiles::default()) {
-        provenance.push(("identity", identity.content()));
-    }
+    provenance.extend(InputIdentity::quick_content(volume).map(|content| ("identity", content)));
     provenance
 }
 

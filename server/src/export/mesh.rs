@@ -206,6 +206,20 @@ impl Mesh {
         [0, 1, 2].map(|axis| self.origin[axis] + f64::from(position[axis]))
     }
 
+    /// World position of a vertex in 32 bits.
+    ///
+    /// # Errors
+    /// [`ExportError::OutOfRange`].
+    pub fn world_f32(&self, vertex: usize) -> Result<[f32; 3], ExportError> {
+        let world = self.world(vertex);
+        let rounded = world.map(|component| component as f32);
+        if rounded.iter().all(|component| component.is_finite()) {
+            Ok(rounded)
+        } else {
+            Err(ExportError::OutOfRange(world))
+        }
+    }
+
     /// Gives every vertex the colour that `transfer` has at its blended feature `(1 − alpha)·s + alpha·f̂`, linear
     /// in sRGB between points as in the viewer. Points whose colour is not `#rrggbb` are ignored.
     pub fn colorize(&mut self, transfer: &TransferFunctionJson, alpha: f32) {

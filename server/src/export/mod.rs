@@ -1,6 +1,6 @@
 //! Surfaces as files. Each names the frame and the unit of its positions, and the volume's notices.
 //!
-//! [`FileRequest`] is what is asked for, [`MadeFile`] what is made of it, [`Content`] what it holds. [`mesh`] joins the regions of a surface into one
+//! [`FileRequest`] is the request, [`MadeFile`] the file that answers it, [`Content`] its content. [`mesh`] joins the regions of a surface into one
 //! mesh, and a module for each format writes it. By hand: each writer is shorter than the conversion to a library's own mesh would be, and does not
 //! hold the file in memory, unless it is compressed.
 

@@ -74,12 +74,7 @@ fn fragment(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     for first in (0..mesh.positions.len()).step_by(PIECE) {
         piece.clear();
         for vertex in first..mesh.positions.len().min(first + PIECE) {
-            let world = mesh.world(vertex);
-            let position = world.map(|component| component as f32);
-            if !position.iter().all(|component| component.is_finite()) {
-                return Err(ExportError::OutOfRange(world));
-            }
-            piece.push(position);
+            piece.push(mesh.world_f32(vertex)?);
         }
         out.write_all(bytemuck::cast_slice(&piece))?;
     }

@@ -17,6 +17,9 @@ use crate::extraction::Measuring;
 use crate::view::{Edit, EditError, Outward, View};
 use crate::volumes::{Dataset, LengthUnit};
 
+/// Maximum fields whose values a file has: the samples of each are in memory while the file is made.
+const MAX_FIELD_VALUES: usize = 16;
+
 /// Longest bound on the time that measuring takes: a day.
 const MAX_SECONDS: f64 = 86_400.0;
 
@@ -36,7 +39,8 @@ pub struct FileOptions {
     /// in metres, STL, 3MF and GIFTI are in millimetres, precomputed meshes in nanometres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
-    /// Names of fields, and expressions over fields, whose values are attributes of the vertices, in their own units; in GLB, PLY and VTP.
+    /// Names of fields, and expressions over fields, whose values are attributes of the vertices, in their own units; in GLB, PLY and VTP, at most
+    /// 16.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub field_values: Vec<String>,
     /// The surface around labels of a segmentation instead of one at an isovalue, by numbers or names: `7`, `3,Hippocampus`.
@@ -86,8 +90,15 @@ impl FileOptions {
     /// Checks the options for a volume.
     ///
     /// # Errors
-    /// A unit that is none of lengths, or a field that the volume does not have.
+    /// A unit that is none of lengths, a field that the volume does not have, or too many of them.
     fn check(&self, dataset: &Dataset) -> Result<(), EditError> {
+        if self.field_values.len() > MAX_FIELD_VALUES {
+            let count = self.field_values.len();
+            return Err(EditError {
+                field: "fieldValues",
+                why: format!("{count} fields, expected at most {MAX_FIELD_VALUES}"),
+            });
+        }
         if let Some(name) = self.field_values.iter().find(|name| field_of(dataset, name).is_none()) {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
             return Err(EditError {
@@ -253,6 +264,18 @@ mod tests {
             let file = format!("a.{}", format.extension());
             assert_eq!(Format::from_path(std::path::Path::new(&file)).unwrap(), *format);
         }
+    }
+
+    #[test]
+    fn fields_at_the_vertices_are_limited() {
+        let dataset = crate::volumes::testing::dataset("head", [4; 3], &["t1"]);
+        let options = |count| FileOptions {
+            field_values: vec!["t1".to_owned(); count],
+            ..FileOptions::new(Format::Ply)
+        };
+        assert!(options(MAX_FIELD_VALUES).check(&dataset).is_ok());
+        let error = options(MAX_FIELD_VALUES + 1).check(&dataset).unwrap_err();
+        assert_eq!(error.to_string(), "fieldValues: 17 fields, expected at most 16");
     }
 
     #[test]

@@ -54,13 +54,10 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     out.write_all(&header)?;
     out.write_all(&triangles.to_le_bytes())?;
     // Once for the six triangles of a vertex.
-    let placed: Vec<[f32; 3]> = (0..mesh.positions.len())
-        .map(|i| mesh.world(i).map(|x| x as f32))
-        .collect();
-    let is_outside = |i: &usize| placed[*i].iter().any(|x| !x.is_finite());
-    if let Some(vertex) = (0..placed.len()).find(is_outside) {
-        return Err(ExportError::OutOfRange(mesh.world(vertex)));
-    }
+    let vertices = 0..mesh.positions.len();
+    let placed = vertices
+        .map(|vertex| mesh.world_f32(vertex))
+        .collect::<Result<Vec<_>, _>>()?;
     let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
     for triangle in &mesh.triangles {
         let normal = plane_normal(triangle.map(|i| mesh.positions[i as usize]));

@@ -110,7 +110,7 @@ impl FileRequest {
         };
         let step = look.step.unwrap_or(self.step);
         let volume = VolumeStep::new(Arc::clone(dataset), step).map_err(|error| refused(error.to_string()))?;
-        // What is said of a surface's own place takes that of the file's.
+        // A surface's own isovalue or label replaces the isovalue or label of the file.
         let own = (look.label.is_some(), edit.iso.is_some());
         let label = look
             .label
@@ -139,10 +139,18 @@ impl FileRequest {
     }
 }
 
-/// An edit with the values of another one in place of its own.
+/// An edit with the values of another one in place of its own. As in edits of a view, what decides the quality replaces all that did before, and
+/// another feature has a range of its own.
 fn overlaid(edit: &Edit, over: &Edit) -> Edit {
+    let mut edit = edit.clone();
+    if over.beta.is_some() || over.error.is_some() || over.triangles.is_some() || over.bytes.is_some() {
+        (edit.beta, edit.error, edit.triangles, edit.bytes) = (None, None, None, None);
+    }
+    if over.feature.is_some() {
+        edit.feature_range = None;
+    }
     let values = |edit: &Edit| serde_json::to_value(edit).unwrap_or_default();
-    let mut all = values(edit);
+    let mut all = values(&edit);
     if let (Value::Object(all), Value::Object(over)) = (&mut all, values(over)) {
         all.extend(over);
     }
@@ -185,6 +193,19 @@ mod tests {
         assert_eq!(found[3].volume.dataset().id, "other");
         assert_eq!(found[3].view.field, "gm");
         assert_eq!(surfaces(r#"{"format":"ply","iso":3}"#).unwrap().len(), 1);
+    }
+
+    #[test]
+    fn the_quality_of_a_surface_and_its_feature_replace_those_of_the_file() {
+        let found = surfaces(
+            r#"{"format":"glb","iso":3,"beta":0.1,"feature":"gm","featureRange":[0,2],"surfaces":[
+            {},{"error":"0.1vx"},{"triangles":500,"feature":"gradient-magnitude"}]}"#,
+        )
+        .unwrap();
+        let edits: Vec<_> = found.iter().map(|surface| &surface.request.edit).collect();
+        assert!(edits[0].beta.is_some() && edits[0].feature_range == Some([0.0, 2.0]));
+        assert!(edits[1].beta.is_none() && edits[1].error.is_some() && edits[1].feature_range.is_some());
+        assert!(edits[2].beta.is_none() && edits[2].triangles.is_some() && edits[2].feature_range.is_none());
     }
 
     #[test]

@@ -14,7 +14,7 @@ use crate::volumes::{ReadProgress, VolumeStep};
 
 impl WorkerState {
     /// Makes a field resident that is computed from others. Other jobs run between its launches, which are sized by their time. It ends if
-    /// `progress` is cancelled, as nobody waits for the field any more, and when it has taken as much of the device's time as a request may.
+    /// `progress` is cancelled, because no caller waits for the field any more, and when it has taken as much of the device's time as a request may.
     pub(super) fn compute(
         &mut self,
         volume: &VolumeStep,
@@ -90,7 +90,7 @@ struct Wanted<'a> {
 
 impl Cancel for Wanted<'_> {
     fn cancelled(&self) -> bool {
-        // First the others' turn.
+        // Other jobs run first.
         self.cancel.cancelled() || self.progress.is_cancelled() || (self.is_over)()
     }
 }

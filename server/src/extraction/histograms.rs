@@ -1,4 +1,4 @@
-//! Histograms, made a slice at a time between other jobs: whoever edits waits for one slice at most, some milliseconds, however large the
+//! Histograms, made a slice at a time between other jobs: an edit waits for one slice at most, some milliseconds, however large the
 //! volume is. Callers of the same histogram share the work; it pauses when all of them are gone, and the next caller goes on with it.
 
 use isopeel_kernels::{Histogram, HistogramWork};

@@ -105,7 +105,7 @@ impl HostMemory {
         }
     }
 
-    /// Bytes that have to be freed before so many may be allocated.
+    /// Bytes that have to be freed before `needed_bytes` may be allocated.
     pub(super) fn missing(self, needed_bytes: u64) -> u64 {
         needed_bytes
             .saturating_add(RESERVE_BYTES)

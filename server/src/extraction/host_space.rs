@@ -13,11 +13,11 @@ use super::worker_state::WorkerState;
 /// What fields leave to the next surfaces, as far as these may keep so much.
 const SURFACE_RESERVE_BYTES: u64 = 128 << 20;
 
-/// Bytes that are freed beyond those that are needed, and what evicts so many.
+/// Bytes to leave free beyond those that are needed, and what evicts at least a number of bytes, if it has that many.
 type Eviction = (u64, fn(&mut WorkerState, u64));
 
 impl DeviceWorker {
-    /// Makes sure that this machine has memory for so many bytes; evicts what can be made again.
+    /// Makes sure that this machine has memory for `needed_bytes`; evicts data that can be made again.
     ///
     /// # Errors
     /// As [`HostMemory::admit`].
@@ -31,13 +31,14 @@ impl DeviceWorker {
 }
 
 impl WorkerState {
-    /// Makes sure that this machine has memory for so many bytes. Evicts, until it has: freed buffers, computed fields, other fields, then what
-    /// is kept of earlier edits. Fields also leave some memory to the next surfaces, so that edits do not wait for an eviction.
+    /// Makes sure that this machine has memory for `needed_bytes`. Evicts, until it has: freed buffers, computed fields, other fields, then caches
+    /// of earlier edits. Fields also leave some memory to the next surfaces, so that edits do not wait for an eviction.
     ///
     /// # Errors
-    /// As [`HostMemory::admit`]: what is left is pinned by running jobs, or is no cache.
+    /// As [`HostMemory::admit`]: the rest is pinned by running jobs, or is no cache.
     pub(super) fn make_host_space(&mut self, needed_bytes: u64) -> Result<(), WorkError> {
-        let admitted = HostMemory::now().admit(needed_bytes);
+        let mut memory = HostMemory::now();
+        let admitted = memory.admit(needed_bytes);
         let never_fits = matches!(admitted, Err(WorkError::TooLargeForHost { .. }));
         if never_fits || self.engine().device().kind != DeviceKind::Cpu {
             return admitted;
@@ -45,34 +46,32 @@ impl WorkerState {
         let unused = self.surface_bytes.saturating_sub(self.kept_surface_bytes());
         let for_surfaces = unused.min(SURFACE_RESERVE_BYTES);
         let evictions: [Eviction; 6] = [
-            (for_surfaces, Self::evict_freed_buffers),
+            // Freed buffers: each eviction releases them.
+            (for_surfaces, |_, _| ()),
             (for_surfaces, Self::evict_computed),
             (for_surfaces, Self::evict_fields),
             (0, Self::evict_trees),
             (0, Self::evict_pyramids),
             (0, |state, _| state.cuts.borrow_mut().clear()),
         ];
-        let mut evicted = false;
+        if memory.missing(needed_bytes.saturating_add(for_surfaces)) == 0 {
+            return admitted;
+        }
         for (reserve, evict) in evictions {
-            let missing = HostMemory::now().missing(needed_bytes.saturating_add(reserve));
+            let missing = memory.missing(needed_bytes.saturating_add(reserve));
             if missing > 0 {
                 evict(self, missing);
                 // What was freed is memory of the host again once the pool has let it go.
                 self.engine().release_idle();
-                evicted = true;
+                memory = HostMemory::now();
             }
         }
-        if evicted {
-            if HostMemory::now().missing(needed_bytes) > 0 {
-                trim_heaps();
-            }
-            tracing::debug!(needed_bytes, memory = ?HostMemory::now(), "caches made space on the host");
+        if memory.missing(needed_bytes) > 0 {
+            trim_heaps();
+            memory = HostMemory::now();
         }
-        HostMemory::now().admit(needed_bytes)
-    }
-
-    fn evict_freed_buffers(&mut self, _: u64) {
-        self.engine().release_idle();
+        tracing::debug!(needed_bytes, ?memory, "caches made space on the host");
+        memory.admit(needed_bytes)
     }
 
     fn evict_computed(&mut self, bytes: u64) {

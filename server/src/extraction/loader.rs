@@ -124,7 +124,7 @@ impl DeviceWorker {
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
         match self.transfer(volume, &key, &progress, purpose).await {
-            // Another reading converts the samples in the way that this one has found to be needed.
+            // Once more: the samples need another type, or the file changed while it was read.
             Err(WorkError::Unreadable(error)) if error.again => {
                 progress.restart();
                 self.transfer(volume, &key, &progress, purpose).await
@@ -307,11 +307,15 @@ fn read(
     pieces: &mpsc::Sender<Piece>,
 ) -> Result<(), WorkError> {
     let before = stamps(volume, key);
-    read_samples(volume, key, progress, pieces)?;
+    let read = read_samples(volume, key, progress, pieces);
+    // What is half written can often not be read.
+    if !matches!(read, Ok(()) | Err(WorkError::Unreadable(_))) {
+        return read;
+    }
     match before.iter().find(|(location, stamp)| location.stamp() != *stamp) {
-        None => Ok(()),
+        None => read,
         Some((location, _)) => {
-            let why = "the file was written or replaced while it was read, expected it to rest";
+            let why = "the file was written or replaced while it was read: try again when it is complete";
             Err(WorkError::Unreadable(ReadError {
                 again: true,
                 ..ReadError::new(location.path(), "data", why)

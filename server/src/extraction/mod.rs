@@ -8,7 +8,7 @@
 //! - `memory`: what memory is used for; `shares`: how much of it is kept for the next edits; `host_memory`: whether there is enough for what is to be made; `host_space`: what is evicted where there is not.
 //! - `counting`: triangles of a full surface, before anything is made of it.
 //! - `questions`: what a viewer asks about the surface that it is shown.
-//! - `histograms`: ranges and histograms, made a slice at a time between other jobs; `unfinished` is what callers share of them.
+//! - `histograms`: ranges and histograms, made a slice at a time between other jobs; `unfinished`: partial histograms, which their callers share.
 //! - `slices`: planes of samples.
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.

@@ -1,4 +1,4 @@
-//! Frees what is kept of a time step that nothing will use again.
+//! Frees the data of a time step that nothing will use again.
 
 use tokio_util::sync::CancellationToken;
 
@@ -20,7 +20,7 @@ impl DeviceWorker {
 }
 
 impl WorkerState {
-    /// Frees what is kept of a time step but volumes that jobs wait for.
+    /// Frees the data of a time step, except volumes that jobs wait for.
     fn release(&mut self, step: &StepKey) {
         let pins = &self.pins;
         self.volumes.retain(|key| key.step != *step || pins.holds(key));

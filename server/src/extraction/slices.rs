@@ -23,8 +23,8 @@ pub struct Slice {
 const COPIED_SAMPLES: u64 = 16 << 20;
 
 impl DeviceWorker {
-    /// All samples of a field or of an expression over fields, in pieces of so many planes across z, the last one perhaps of fewer. Loads or computes
-    /// what is not on the device.
+    /// All samples of a field or of an expression over fields, in pieces of whole planes across z, and the number of planes of each; the last piece may
+    /// have fewer. Loads or computes what is not on the device.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -36,6 +36,12 @@ impl DeviceWorker {
     ) -> Result<(Vec<Samples>, u32), WorkError> {
         let [width, height, depth] = volume.dataset().geometry.dims;
         let plane = u64::from(width) * u64::from(height);
+        let sample_type = volume
+            .dataset()
+            .field(field)
+            .map_or(SampleType::F32, |field| field.sample_type);
+        self.make_host_space(plane * u64::from(depth) * sample_type.bytes() as u64)
+            .await?;
         let planes = (COPIED_SAMPLES / plane).clamp(1, depth.into()) as u32;
         let mut pieces = Vec::new();
         for first in (0..depth).step_by(planes as usize) {

@@ -8,7 +8,7 @@ use isopeel_kernels::HistogramWork;
 use super::keys::HistogramKey;
 use super::lock::lock;
 
-/// Histograms in the making that are remembered, 4 KiB each: those of viewers who left meanwhile among them.
+/// Partial histograms that are kept, 4 KiB each, those without a caller among them.
 const MAX_UNFINISHED: usize = 256;
 
 /// Histograms in the making.

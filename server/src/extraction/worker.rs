@@ -42,7 +42,7 @@ const VIEWERS_JOBS: usize = QUEUED_JOBS / 2;
 /// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
 
-/// How long an answer of the device counts.
+/// How long the result of a probe is used again.
 const ANSWER_AGE: Duration = Duration::from_secs(1);
 
 /// How often it is looked whether the thread has ended.
@@ -68,7 +68,7 @@ pub(super) struct Shared {
     pub unfinished: Unfinished,
     /// Held while a slice of work on a whole volume is queued: edits wait for one of them at most, and callers take turns.
     pub slices: Semaphore,
-    /// When the device has answered last to who asked whether it does.
+    /// Time of the last successful probe.
     last_answer: tokio::sync::Mutex<Option<Instant>>,
     pub loads: Loads,
     pub ahead: AheadState,
@@ -187,7 +187,7 @@ impl DeviceWorker {
             let asked = self.run(&never, Caller::Viewer, Length::Short, |state, _| {
                 Ok(state.engine().answers())
             });
-            // Another error than a stuck driver is the device's state.
+            // Other errors than a stuck driver show in its state, not here.
             let answers = asked.await.unwrap_or(true);
             *last = answers.then(Instant::now);
             answers

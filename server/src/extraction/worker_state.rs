@@ -286,8 +286,8 @@ impl WorkerState {
         let needs_feature = view.feature_range.is_none() && view.feature != FeatureName::None;
         let mut missing = Vec::new();
         let mut cached = |key: &HistogramKey, is_needed: bool| {
-            let found = lock(&self.histograms).get(key).cloned();
-            if found.is_none() && is_needed {
+            let found = is_needed.then(|| lock(&self.histograms).get(key).cloned())?;
+            if found.is_none() {
                 missing.push(key.clone());
             }
             found
@@ -300,9 +300,7 @@ impl WorkerState {
             .dataset()
             .field(&view.field)
             .and_then(|field| field.unit.as_deref());
-        let opening_iso = of_field
-            .filter(|_| needs_field)
-            .map(|histogram| OpeningIso::of(&histogram, unit));
+        let opening_iso = of_field.map(|histogram| OpeningIso::of(&histogram, unit));
         view.resolve(
             || opening_iso.ok_or(JobError::Failed(WorkError::Stopped)),
             || of_feature.ok_or(JobError::Failed(WorkError::Stopped)),

@@ -32,6 +32,26 @@ impl ContentEncoding {
         }
     }
 
+    /// The entity tag of a body with this hash of its content, as it is sent.
+    pub(super) fn tag(self, hash: &str) -> String {
+        match self {
+            Self::Identity => format!("\"{hash}\""),
+            _ => format!("\"{hash}-{}\"", self.name()),
+        }
+    }
+
+    /// Whether a client says that it has the body of this hash, in any encoding, or any body.
+    pub(super) fn is_known(headers: &HeaderMap, hash: &str) -> bool {
+        let known = Self::ALL.map(|encoding| encoding.tag(hash));
+        let shown = headers.get_all(header::IF_NONE_MATCH).iter();
+        let mut tags = shown
+            .filter_map(|tags| tags.to_str().ok())
+            .flat_map(|tags| tags.split(','))
+            // Compared weakly, as RFC 9110 has it.
+            .map(|shown| shown.trim().trim_start_matches("W/"));
+        tags.any(|shown| shown == "*" || known.iter().any(|tag| tag == shown))
+    }
+
     /// Returns the encoding that a client weighs highest in `Accept-Encoding`; without that header, none.
     pub(super) fn accepted(headers: &HeaderMap) -> Self {
         let lists = headers.get_all(header::ACCEPT_ENCODING).iter();

@@ -1,9 +1,12 @@
 //! What the description of the API says of every operation: how callers are known, and answers of the layers in front of the handlers.
 
+use clap::ValueEnum as _;
 use utoipa::Modify;
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response};
+
+use crate::export::Format;
 
 /// The scheme of tokens.
 const TOKEN: &str = "token";
@@ -58,7 +61,21 @@ impl Modify for Completed {
     }
 }
 
+/// What may be a GLB may be a file of any format.
+fn name_formats(operation: &mut Operation) {
+    for response in operation.responses.responses.values_mut() {
+        let RefOr::T(response) = response else { continue };
+        let Some(file) = response.content.get(Format::Glb.content_type()).cloned() else {
+            continue;
+        };
+        for format in Format::value_variants() {
+            response.content.insert(format.content_type().to_owned(), file.clone());
+        }
+    }
+}
+
 fn complete(operation: &mut Operation) {
+    name_formats(operation);
     for (status, description) in OF_GATE {
         let answers = &mut operation.responses.responses;
         answers.entry(status.to_owned()).or_insert_with(|| {

@@ -111,14 +111,8 @@ impl ToSchema for File {}
         (
             status = 200,
             description = "The surface. A GLB has the statistics and the view in `asset.extras` too.",
-            content(
-                (File = "model/gltf-binary"),
-                (File = "application/octet-stream"),
-                (File = "model/stl"),
-                (File = "model/obj"),
-                (File = "model/3mf"),
-                (File = "application/zip"),
-            ),
+            body = File,
+            content_type = "model/gltf-binary",
             headers(("isopeel-statistics" = String, description = "The statistics, as JSON in ASCII")),
         ),
         (status = 400, description = "`bad-json`: not JSON, an unknown or a missing name, a wrong type", body = Problem, content_type = "application/problem+json"),

@@ -40,11 +40,11 @@ impl Precompressed {
             true => ContentEncoding::accepted(request),
             false => ContentEncoding::Identity,
         };
-        if let Ok(value) = HeaderValue::from_str(&self.tag(encoding)) {
+        if let Ok(value) = HeaderValue::from_str(&encoding.tag(&self.hash)) {
             headers.insert(header::ETAG, value);
         }
         headers.insert(header::VARY, HeaderValue::from_static("accept-encoding"));
-        if self.is_known(request) {
+        if ContentEncoding::is_known(request, &self.hash) {
             headers.remove(header::CONTENT_TYPE);
             return (StatusCode::NOT_MODIFIED, headers).into_response();
         }
@@ -52,21 +52,6 @@ impl Precompressed {
             headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static(encoding.name()));
         }
         (headers, Body::from(self.encoded(encoding))).into_response()
-    }
-
-    fn tag(&self, encoding: ContentEncoding) -> String {
-        match encoding {
-            ContentEncoding::Identity => format!("\"{}\"", self.hash),
-            _ => format!("\"{}-{}\"", self.hash, encoding.name()),
-        }
-    }
-
-    fn is_known(&self, request: &HeaderMap) -> bool {
-        let own = ContentEncoding::ALL.map(|encoding| self.tag(encoding));
-        request.get_all(header::IF_NONE_MATCH).iter().any(|value| {
-            let mut tags = value.to_str().unwrap_or_default().split(',').map(str::trim);
-            tags.any(|tag| tag == "*" || own.iter().any(|own| tag.trim_start_matches("W/") == own))
-        })
     }
 
     fn encoded(&self, encoding: ContentEncoding) -> Bytes {

@@ -108,8 +108,7 @@ impl UploadFolder {
 
     /// Bytes that are free on its disk.
     pub(super) fn free_bytes(&self) -> io::Result<u64> {
-        let found = rustix::fs::statvfs(&self.path)?;
-        Ok(found.f_bavail.saturating_mul(found.f_frsize))
+        private_folder::free_bytes(&self.path)
     }
 
     /// Makes the folder of an upload.

@@ -66,7 +66,7 @@ impl VectorName {
 }
 
 /// What stands between the commas of a list that are in no parentheses and no quotation marks.
-fn arguments(list: &str) -> Vec<&str> {
+pub(crate) fn arguments(list: &str) -> Vec<&str> {
     let (mut depth, mut quote) = (0i32, None);
     let parts = list.split(|c: char| {
         match (quote, c) {

@@ -21,6 +21,7 @@ pub use chosen_parts::{ChosenPartsJson, parse_position};
 pub use edit::Edit;
 pub use error::EditError;
 pub use expression::FieldExpression;
+pub(crate) use feature::arguments;
 pub use feature::{FeatureName, VectorName};
 pub use interest::InterestJson;
 pub use mask::Mask;

@@ -77,7 +77,7 @@ impl Volumes {
         volumes
     }
 
-    /// A job of somebody who looks at the small volume.
+    /// A job of a viewer of the small volume.
     async fn job_of_another(&self) {
         let token = CancellationToken::new();
         let resolved = self.worker.resolve(&self.small, &self.small_view, &token).await;
@@ -140,7 +140,10 @@ async fn a_description_that_nobody_waits_for_pauses_and_goes_on_for_the_next_cal
     assert!(left.is_err(), "it took less than 20 ms");
     sleep(Duration::from_secs(2)).await;
     let (_, watch) = worker.watched(large, large_view).await.expect("a device");
-    assert!(watch.progress().total_bytes > 0, "the histogram was made for nobody");
+    assert!(
+        watch.progress().total_bytes > 0,
+        "the histogram was made without a caller"
+    );
     // Callers of the same share the work.
     let (a, b) = tokio::join!(
         worker.histogram(large, "waves", &feature),
@@ -179,10 +182,7 @@ async fn an_expression_that_nobody_waits_for_ends_and_leaves_no_memory() {
     sleep(Duration::from_secs(6)).await;
     volumes.job_of_another().await;
     let computed = (bytes().await - before) / (4 * SIDE.pow(3) as u64);
-    assert!(
-        computed <= 3,
-        "{computed} of 6 fields that nobody waited for were computed"
-    );
+    assert!(computed <= 3, "{computed} of 6 fields without a caller were computed");
 }
 
 #[tokio::test(flavor = "multi_thread")]

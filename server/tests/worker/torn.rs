@@ -11,11 +11,13 @@ use isopeel_kernels::Samples;
 
 use crate::{ALONE, SIDE, dataset, field};
 
-/// A file that another program writes during the first so many of its readings.
+/// A file that another program writes during the first `writes` of its readings.
 #[derive(Debug)]
 struct Written {
     path: PathBuf,
     writes: usize,
+    /// Such a reading fails.
+    is_cut_off: bool,
     reads: AtomicUsize,
 }
 
@@ -34,6 +36,9 @@ impl Source for Written {
             // Of the same length.
             std::fs::write(self.path.with_extension("new"), [read as u8 + 1]).expect("written");
             std::fs::rename(self.path.with_extension("new"), &self.path).expect("renamed");
+            if self.is_cut_off {
+                return Err(ReadError::new(&self.path, "data", "it ends early"));
+            }
         }
         Ok(Samples::F32((0..SIDE.pow(3)).map(|i| (i + read) as f32).collect()))
     }
@@ -44,17 +49,24 @@ async fn a_file_that_changes_while_it_is_read_is_read_again_or_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let _alone = ALONE.lock().await;
     let worker = DeviceWorker::start(None).expect("a thread");
-    for (writes, reads) in [(0, 1), (1, 2), (usize::MAX, 2)] {
+    for (writes, is_cut_off, reads) in [
+        (0, false, 1),
+        (1, false, 2),
+        (1, true, 2),
+        (usize::MAX, false, 2),
+        (usize::MAX, true, 2),
+    ] {
         let path = folder.path().join("a.raw");
         std::fs::write(&path, [0]).expect("written");
         let source = Arc::new(Written {
             path,
             writes,
+            is_cut_off,
             reads: AtomicUsize::default(),
         });
         let written = Field {
             source: source.clone(),
-            ..field(&format!("{writes}"), &Arc::default())
+            ..field(&format!("{writes}{is_cut_off}"), &Arc::default())
         };
         let name = written.name.clone();
         let step = VolumeStep::new(dataset(vec![written]), 0).expect("a step");

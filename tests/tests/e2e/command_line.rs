@@ -375,7 +375,7 @@ fn help_and_version_are_there() {
     }
 }
 
-/// PoCL cannot do without a folder of compiled kernels: where there is none of use, another one takes its place, and a warning says so.
+/// PoCL cannot do without a folder of compiled kernels: if it cannot be used, another one takes its place, and a warning says so.
 #[test]
 fn without_a_folder_for_kernels_another_one_is_used() {
     use std::os::unix::fs::PermissionsExt;

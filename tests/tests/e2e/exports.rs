@@ -47,10 +47,11 @@ struct Setting {
 }
 
 impl Setting {
-    fn new() -> Self {
-        Self {
+    /// None without a device.
+    fn new() -> Option<Self> {
+        server::has_device().then(|| Self {
             folder: tempfile::tempdir().expect("a temporary folder"),
-        }
+        })
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -69,10 +70,7 @@ impl Setting {
 
 #[test]
 fn the_outside_of_a_closed_surface_is_away_from_what_it_encloses() {
-    if !server::has_device() {
-        return;
-    }
-    let setting = Setting::new();
+    let Some(setting) = Setting::new() else { return };
     let [high, low] = ["high.nrrd", "low.nrrd"].map(|name| setting.path(name));
     write(&high, 1.0, Some("mm"));
     write(&low, -1.0, Some("mm"));
@@ -111,10 +109,7 @@ fn the_outside_of_a_closed_surface_is_away_from_what_it_encloses() {
 
 #[test]
 fn files_are_in_the_unit_that_their_readers_take_them_for() {
-    if !server::has_device() {
-        return;
-    }
-    let setting = Setting::new();
+    let Some(setting) = Setting::new() else { return };
     let [micro, none, angstrom] = ["micro.nrrd", "none.nrrd", "angstrom.nrrd"].map(|name| setting.path(name));
     write(&micro, 1.0, Some("µm"));
     write(&none, 1.0, None);
@@ -171,10 +166,7 @@ fn files_are_in_the_unit_that_their_readers_take_them_for() {
 
 #[test]
 fn values_of_fields_are_attributes_in_their_units() {
-    if !server::has_device() {
-        return;
-    }
-    let setting = Setting::new();
+    let Some(setting) = Setting::new() else { return };
     let folder = setting.path("fields");
     std::fs::create_dir(&folder).expect("a folder");
     let dims = [40, 36, 34];
@@ -224,10 +216,7 @@ fn values_of_fields_are_attributes_in_their_units() {
 
 #[test]
 fn the_surface_of_a_label_is_around_its_samples() {
-    if !server::has_device() {
-        return;
-    }
-    let setting = Setting::new();
+    let Some(setting) = Setting::new() else { return };
     let labels = setting.path("labels.npy");
     let balls = [
         (1.0, [10.0, 10.0, 10.0]),
@@ -302,10 +291,7 @@ fn pinched(mesh: &FileMesh) -> usize {
 
 #[test]
 fn a_vertex_is_of_one_sheet() {
-    if !server::has_device() {
-        return;
-    }
-    let setting = Setting::new();
+    let Some(setting) = Setting::new() else { return };
     let noise = setting.path("noise.npy");
     ball::write_field(&noise, [24, 22, 20], |at| {
         let [x, y, z] = at.map(|x| x as u32);
@@ -343,10 +329,7 @@ fn gltf(bytes: &[u8]) -> serde_json::Value {
 
 #[test]
 fn several_surfaces_are_nodes_of_one_file() {
-    if !server::has_device() {
-        return;
-    }
-    let setting = Setting::new();
+    let Some(setting) = Setting::new() else { return };
     let [high, low] = ["high.nrrd", "low.nrrd"].map(|name| setting.path(name));
     write(&high, 1.0, Some("mm"));
     write(&low, -1.0, Some("mm"));
@@ -401,10 +384,7 @@ fn several_surfaces_are_nodes_of_one_file() {
 
 #[test]
 fn a_volume_comes_from_stdin_and_a_file_goes_to_stdout() {
-    if !server::has_device() {
-        return;
-    }
-    let setting = Setting::new();
+    let Some(setting) = Setting::new() else { return };
     let volume = setting.path("ball.nrrd");
     write(&volume, 1.0, Some("mm"));
     let run = |options: &str| {
@@ -431,10 +411,7 @@ fn a_volume_comes_from_stdin_and_a_file_goes_to_stdout() {
 
 #[test]
 fn an_error_is_measured_unless_that_is_not_asked_for() {
-    if !server::has_device() {
-        return;
-    }
-    let setting = Setting::new();
+    let Some(setting) = Setting::new() else { return };
     let volume = setting.path("ball.nrrd");
     write(&volume, 1.0, Some("mm"));
     let (whole, bytes, _) = setting.extract(&volume, "--iso 0 --error 0.3vx", "ply");

@@ -6,6 +6,7 @@ mod support;
 mod abuse;
 mod audit;
 mod batch;
+mod batch_requests;
 mod budgets;
 mod bytes;
 mod command_line;

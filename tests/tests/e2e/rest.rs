@@ -180,7 +180,7 @@ fn what_cannot_be_extracted_is_a_problem_with_a_stable_code() {
     let mut codes = vec![
         with("volume", json!("nothing")).problem(404),
         with("step", json!(1)).problem(404),
-        with("format", json!("obj")).problem(400),
+        with("format", json!("fbx")).problem(400),
         with("alpha", json!(2)).problem(422),
         with("maxLevel", json!(9)).problem(422),
         with("field", json!("t2")).problem(422),

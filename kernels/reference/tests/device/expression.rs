@@ -155,8 +155,8 @@ fn what_does_not_fit_is_refused() {
     }
 }
 
-/// Expressions that differ in numbers alone, and as many shapes of others: so many of the first, a fiftieth of them of the second, unless
-/// `ISOPEEL_EXPRESSIONS` says how many, as `make fuzz` does.
+/// How many expressions that differ in numbers alone; a fiftieth of it is how many have shapes of their own. `ISOPEEL_EXPRESSIONS` sets another
+/// number, as `make fuzz` does.
 const EXPRESSIONS: u64 = 2000;
 
 /// One program serves all: the process maps no more files, and holds no more memory, however many there were.

@@ -112,8 +112,8 @@ fn distinct_names(titled: &[(&Path, String)]) -> Vec<String> {
     names
 }
 
-/// What no two names have in common: some file systems do not tell capital letters from small ones.
-fn key(name: &str) -> String {
+/// A name without the difference of capital and small letters, which some file systems ignore.
+pub(super) fn key(name: &str) -> String {
     name.to_ascii_lowercase()
 }
 

@@ -6,9 +6,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use tempfile::NamedTempFile;
 
-use crate::cli::jobs::{MANIFEST_FILE, checksum_of};
+use crate::cli::jobs::{MANIFEST_FILE, checksum_of, write_manifest};
 use crate::cli::output::TEMPORARY;
 use crate::jobs::{ExtractionState, ManifestEntry};
 
@@ -98,15 +97,7 @@ impl Manifest {
 
     /// Writes all lines in their order in place of those that were added.
     pub(super) fn finish(&self, lines: &[Line]) -> io::Result<()> {
-        let mut text = Vec::new();
-        for line in lines {
-            serde_json::to_writer(&mut text, line)?;
-            text.push(b'\n');
-        }
-        let mut file = NamedTempFile::with_prefix_in(TEMPORARY, &self.folder)?;
-        file.write_all(&text)?;
-        file.persist(self.folder.join(MANIFEST_FILE))?;
-        Ok(())
+        write_manifest(&self.folder.join(MANIFEST_FILE), lines)
     }
 }
 

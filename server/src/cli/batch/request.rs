@@ -110,7 +110,7 @@ async fn make(jobs: &Jobs, request: JobRequest, output: &Path) -> Result<(), Bat
     Err(BatchError::Failed(why + &first))
 }
 
-/// Submits a job under the name of its request, so that an interrupted one goes on. One that has ended in another way is made anew.
+/// Submits a job under the name of its request, so that an interrupted one goes on. One that has ended in another way is submitted again.
 async fn submit(jobs: &Jobs, request: JobRequest) -> Result<JobInfo, BatchError> {
     let text = serde_json::to_vec(&request).map_err(io::Error::from)?;
     let operator = Reader::new(OPERATOR, true);
@@ -123,7 +123,7 @@ async fn submit(jobs: &Jobs, request: JobRequest) -> Result<JobInfo, BatchError>
     Ok(jobs.submit(operator, Some(key), request).await?.0)
 }
 
-/// Waits until a job is finished, with a bar on stderr where that is a terminal.
+/// Waits until a job is finished, with a bar if stderr is a terminal.
 async fn wait(jobs: &Jobs, id: &str) -> Result<JobInfo, BatchError> {
     let mut changes = jobs.changes();
     let mut bar = None;
@@ -137,7 +137,7 @@ async fn wait(jobs: &Jobs, id: &str) -> Result<JobInfo, BatchError> {
             bar.finish_and_clear();
             return Ok(job);
         }
-        // Nobody sends any more where the runner has ended.
+        // The sender is gone if the runner has ended.
         changes.changed().await.map_err(io::Error::other)?;
     }
 }

@@ -1,12 +1,10 @@
 //! Collections of ParaView (`.pvd`): the files of a volume's time steps with their times.
 
 use std::collections::HashSet;
-use std::io::{self, Write};
+use std::io;
 use std::path::Path;
 
-use tempfile::NamedTempFile;
-
-use crate::cli::output::TEMPORARY;
+use crate::cli::output::write_whole;
 use crate::volumes::Dataset;
 
 /// The time steps of a volume.
@@ -45,9 +43,6 @@ impl Series {
             text += &format!("<DataSet timestep=\"{time}\" group=\"\" part=\"0\" file=\"{file}\"/>\n");
         }
         text += "</Collection>\n</VTKFile>\n";
-        let mut file = NamedTempFile::with_prefix_in(TEMPORARY, folder)?;
-        file.write_all(text.as_bytes())?;
-        file.persist(folder.join(format!("{}.pvd", self.name)))?;
-        Ok(())
+        write_whole(&folder.join(format!("{}.pvd", self.name)), text.as_bytes())
     }
 }

@@ -32,7 +32,7 @@ impl FromStr for Steps {
 }
 
 impl Steps {
-    /// Those of so many steps, in their order.
+    /// Those of `count` steps, in their order.
     pub(super) fn of(&self, count: u32) -> Vec<u32> {
         let holds = |step: &u32| match self {
             Self::All => true,

@@ -1,6 +1,6 @@
 //! The same surface of many volumes and time steps. One that cannot be made is noted, and the others go on.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::io;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use isopeel_kernels::SampleType;
 use sha2::{Digest, Sha256};
 use tokio_util::sync::CancellationToken;
 
-use super::inputs::{Input, open_all};
+use super::inputs::{Input, key, open_all};
 use super::manifest::{Line, Manifest};
 use super::series::Series;
 use super::steps::Steps;
@@ -22,7 +22,7 @@ use crate::cli::output::{Output, OutputError, WrittenFile};
 use crate::export::{self, FileRequest, Format, MadeFile, OtherVolumes};
 use crate::extraction::{ExtractionStatistics, Extractor};
 use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
-use crate::volumes::{IdentityError, InputIdentity, SeenFiles, VolumeStep};
+use crate::volumes::{Dataset, IdentityError, InputIdentity, SeenFiles, VolumeStep};
 
 /// Surfaces that are worked on at a time: while one is on the device, the file of the one before is written, or the volume of the next one is
 /// read.
@@ -63,7 +63,9 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
     };
     let manifest = Arc::new(Manifest::open(&args.output).map_err(output)?);
     let seen = Arc::new(SeenFiles::default());
-    let Plan { items, types, series } = plan(args, inputs, format.extension(), &seen);
+    let Plan {
+        items, types, series, ..
+    } = plan(args, inputs, format.extension(), &seen);
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let lines = runtime.block_on(async {
         let mut interrupt = Interrupt::new()?;
@@ -103,6 +105,33 @@ struct Plan {
     types: Vec<SampleType>,
     /// The volumes with several time steps.
     series: Vec<Series>,
+    /// Keys of the names that files have.
+    taken: HashSet<String>,
+}
+
+impl Plan {
+    /// The files of a volume's steps, which no other volume has, and the name that they begin with: a number behind it tells it from
+    /// names that end as if they had a step.
+    fn files(&mut self, name: &str, dataset: &Dataset, steps: &[u32], extension: &str) -> (String, Vec<String>) {
+        let digits = dataset.steps.saturating_sub(1).to_string().len();
+        let named = |name: String| {
+            let file_of = |&step: &u32| match dataset.steps {
+                1 => format!("{name}.{extension}"),
+                _ => format!("{name}-{step:0digits$}.{extension}"),
+            };
+            let files = steps.iter().map(file_of).collect();
+            (name, files)
+        };
+        let numbered = (2..).map(|number| format!("{name}-{number}"));
+        let mut candidates = std::iter::once(name.to_owned()).chain(numbered).map(named);
+        let is_free = |(name, files): &(String, Vec<String>)| {
+            let mut all = files.iter().chain([name]).map(|name| key(name));
+            all.all(|name| !self.taken.contains(&name))
+        };
+        let (name, files) = candidates.find(is_free).unwrap_or_default();
+        self.taken.extend(files.iter().chain([&name]).map(|name| key(name)));
+        (name, files)
+    }
 }
 
 /// The items of all inputs in their order.
@@ -140,17 +169,12 @@ fn plan(args: &Args, inputs: Vec<Input>, extension: &str, seen: &SeenFiles) -> P
             let why = format!("it has {} time steps, and none of them was asked for", dataset.steps);
             plan.items.push(item(0, Err(cause("unknown-step", why))));
         }
-        let digits = dataset.steps.saturating_sub(1).to_string().len();
-        let file_of = |step: u32| match dataset.steps {
-            1 => format!("{name}.{extension}"),
-            _ => format!("{name}-{step:0digits$}.{extension}"),
-        };
+        let (name, files) = plan.files(&name, &dataset, &chosen, extension);
         if chosen.len() > 1 {
-            let files = chosen.iter().map(|&step| (step, file_of(step)));
-            plan.series.push(Series::new(name.clone(), &dataset, files));
+            let files = chosen.iter().copied().zip(files.iter().cloned());
+            plan.series.push(Series::new(name, &dataset, files));
         }
-        for step in chosen {
-            let file = file_of(step);
+        for (step, file) in chosen.into_iter().zip(files) {
             let opened = VolumeStep::new(Arc::clone(&dataset), step);
             let opened = opened.map_err(|error| cause("unknown-step", error.to_string()));
             plan.items.push(item(step, opened.map(|volume| (volume, file))));
@@ -226,9 +250,12 @@ impl Batch<'_> {
                 Err(why) => Err(Unmade::failed(why)),
                 Ok(input) => {
                     line.identity = input.as_ref().map(|input| self.identity(input));
-                    if let Some(mut finished) = self.finished(&file, line.identity.as_deref()).await {
-                        finished.entry.extraction = number;
-                        return Ok((finished, false));
+                    if let Some(finished) = self.finished(&file, line.identity.as_deref()).await {
+                        line.entry = ManifestEntry {
+                            extraction: number,
+                            ..finished.entry
+                        };
+                        return Ok((line, false));
                     }
                     let made = self.make(&volume, &file, input).await?;
                     if made.is_err() && self.manifest.names(&file) {
@@ -372,5 +399,25 @@ fn entry(file: &str, written: &WrittenFile, statistics: ExtractionStatistics, st
 fn show_failures(bar: &ProgressBar, failed: u64) {
     if failed > 0 {
         bar.set_message(format!("{failed} failed"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volumes::testing;
+
+    #[test]
+    fn files_of_steps_and_of_volumes_are_told_apart() {
+        let mut plan = Plan::default();
+        let mut files = |name: &str, count: u32| {
+            let mut dataset = testing::dataset(name, [4; 3], &["t1"]);
+            dataset.steps = count;
+            plan.files(name, &dataset, &(0..count).collect::<Vec<_>>(), "ply").1
+        };
+        assert_eq!(files("x", 3), ["x-0.ply", "x-1.ply", "x-2.ply"]);
+        assert_eq!(files("X-1", 1), ["X-1-2.ply"]);
+        assert_eq!(files("y-0", 1), ["y-0.ply"]);
+        assert_eq!(files("y", 2), ["y-2-0.ply", "y-2-1.ply"]);
     }
 }

@@ -23,7 +23,7 @@ const VERTEX_VERSION: i32 = 0;
 /// The strongest search of the vertex codec.
 const VERTEX_LEVEL: i32 = 2;
 
-/// Writes `meshes` as [`super::write`] does, but for rounding: positions are whole numbers of 16 bits along the longest side, normals have 8 bits,
+/// Writes `meshes` as [`super::write`] does, but rounded: positions are whole numbers of 16 bits along the longest side, normals have 8 bits,
 /// smoothness and feature 16. Values of fields are exact.
 ///
 /// # Errors
@@ -209,7 +209,7 @@ impl PackedBuffer {
     }
 }
 
-/// The codec has refused a mesh, which it does of none with indices below the number of vertices.
+/// The codec has refused a mesh: it does so only if an index is not below the number of vertices.
 fn failed(error: meshopt::Error) -> ExportError {
     ExportError::Io(std::io::Error::other(error.to_string()))
 }

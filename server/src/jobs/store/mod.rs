@@ -38,7 +38,7 @@ pub struct Store {
     reserve: Arc<Path>,
 }
 
-/// Bytes of a file that gives its space to what frees more: that jobs end and go is written even if the disk is full.
+/// Bytes of a file that is removed if the disk is full, so that the end or the removal of a job can still be written.
 const RESERVE_BYTES: usize = 1 << 20;
 
 impl Store {

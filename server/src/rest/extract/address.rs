@@ -73,13 +73,19 @@ impl KnownTags {
     }
 }
 
+/// What the tag of a file's bytes is made of.
+fn hash(digest: FileDigest) -> String {
+    HEXLOWER.encode(&digest.hash.to_be_bytes())
+}
+
 /// The strong tag of a file's bytes, as they are sent.
 fn tag(digest: FileDigest, encoding: ContentEncoding) -> String {
-    let hash = HEXLOWER.encode(&digest.hash.to_be_bytes());
-    match encoding {
-        ContentEncoding::Identity => format!("\"{hash}\""),
-        _ => format!("\"{hash}-{}\"", encoding.name()),
-    }
+    encoding.tag(&hash(digest))
+}
+
+/// Whether a client says that it has the file of this digest.
+fn has(headers: &HeaderMap, digest: FileDigest) -> bool {
+    ContentEncoding::is_known(headers, &hash(digest))
 }
 
 /// Extracts a surface and answers it as a file, as `POST` does. The query has the same names: numbers, and objects and lists as JSON. `ETag` is that of the
@@ -103,14 +109,8 @@ fn tag(digest: FileDigest, encoding: ContentEncoding) -> String {
         (
             status = 200,
             description = "The surface",
-            content(
-                (File = "model/gltf-binary"),
-                (File = "application/octet-stream"),
-                (File = "model/stl"),
-                (File = "model/obj"),
-                (File = "model/3mf"),
-                (File = "application/zip"),
-            ),
+            body = File,
+            content_type = "model/gltf-binary",
             headers(
                 ("etag" = String, description = "Of the bytes; strong"),
                 ("isopeel-statistics" = String, description = "The statistics, as JSON in ASCII"),
@@ -175,19 +175,6 @@ fn tagged(mut response: Response, tag: &str) -> Result<Response, ApiError> {
         headers.insert(name, value);
     }
     Ok(response)
-}
-
-/// Whether a client says that it has the file of this digest, in any encoding, or any file.
-fn has(headers: &HeaderMap, digest: FileDigest) -> bool {
-    let known =
-        [ContentEncoding::Identity, ContentEncoding::Zstd, ContentEncoding::Gzip].map(|as_sent| tag(digest, as_sent));
-    let shown = headers.get_all(header::IF_NONE_MATCH).iter();
-    let mut tags = shown
-        .filter_map(|tags| tags.to_str().ok())
-        .flat_map(|tags| tags.split(','))
-        // Compared weakly, as RFC 9110 has it.
-        .map(|shown| shown.trim().trim_start_matches("W/"));
-    tags.any(|shown| shown == "*" || known.iter().any(|tag| tag == shown))
 }
 
 /// What a query asks for, or what is wrong with it.

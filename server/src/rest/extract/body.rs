@@ -144,7 +144,7 @@ impl ChunkWriter {
         }
     }
 
-    /// As [`ChunkWriter::send`], for a client that has no other chance.
+    /// As [`ChunkWriter::send`], and fails if the client does not read in time.
     fn send_or_fail(&mut self, chunk: Bytes) -> io::Result<()> {
         match self.send(chunk, self.deadline)? {
             true => Ok(()),
@@ -186,7 +186,7 @@ impl Write for ChunkWriter {
                 self.patience = self.patience.saturating_sub(start.elapsed());
                 return Ok(part.len());
             }
-            // It was waited for as long as any client is.
+            // The whole deadline has passed.
             if self.patience >= self.deadline {
                 return Err(self.fail(io::ErrorKind::TimedOut));
             }

@@ -35,14 +35,8 @@ pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
         (
             status = 200,
             description = "The file",
-            content(
-                (File = "model/gltf-binary"),
-                (File = "application/octet-stream"),
-                (File = "model/stl"),
-                (File = "model/obj"),
-                (File = "model/3mf"),
-                (File = "application/zip"),
-            ),
+            body = File,
+            content_type = "model/gltf-binary",
             headers(
                 ("repr-digest" = String, description = "`sha-256=:BASE64:` of the whole file"),
                 ("etag" = String, description = "The same in hexadecimal"),
