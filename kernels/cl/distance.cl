@@ -79,6 +79,7 @@ __kernel void distance_points(const DistanceArgs args, __global const SAMPLE *sa
         numbers[count++] = i;
     }
     if (count == 0) return;
+    begin_search(&search, count);
     search_surface(grid, samples, z0, &box, &search, count);
     for (uint i = 0; i < count; i++) {
         // As measure_samples in lib/sample_distance.h: the way to the surface is taken where the steps have come there.

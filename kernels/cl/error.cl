@@ -290,7 +290,7 @@ void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *sampl
         const CellOfLines lines = load_cell_of_lines(grid, SLAB_ARGS, args.iso, args.cap, origin + at);
         for (uint line = 0; line < 3 * LINES_OF_AXIS; line++) {
             const float4 p = cross_line(&lines, line / LINES_OF_AXIS, line % LINES_OF_AXIS);
-            if (!(p.w > 0.0f)) continue;
+            if (!(p.w >= 0.0f)) continue;
             const uint vertex = level > 0 ? leaf
                                           : stand_in(stand_ins, args.has_stand_ins,
                                                      nearest_sheet(region, bricks + brick, nodes, slot, positions, p.xyz));

@@ -9,9 +9,12 @@
 #include "lib/samples.h"
 #include "lib/trilinear.h"
 
-// Lines of a cell along each axis, at a quarter and three quarters of its sides: a rule of Gauss's kind for what is periodic in cells, as
-// the distance of a mesh is whose vertices are one a cell.
-#define LINES_OF_AXIS 2u
+// Lines of a cell along each axis. The first are at a quarter and three quarters of its sides: a rule of Gauss's kind for what is periodic in
+// cells, as the distance of a mesh is whose vertices are one a cell. The others are its edges: there the interpolant has its kinks and the mesh
+// is furthest off. They count for the maximum alone, each by the cell that has it at its low corner, or by the volume's last one.
+#define LINES_OF_AXIS 6u
+#define INNER_LINES 2u
+#define INSET 0.0625f
 
 // A cell: its low corner, the samples at its corners less the isovalue, and the axes along which it lies in the padding of a capped volume.
 typedef struct {
@@ -19,6 +22,7 @@ typedef struct {
     int3 low;
     uint padded;      // a bit for each axis
     uint padded_high; // a bit for each axis: at its far end
+    uint last;        // a bit for each axis along which it is the last cell without padding
     float3 spacing;
 } CellOfLines;
 
@@ -32,6 +36,8 @@ INLINED CellOfLines load_cell_of_lines(Grid grid, SLAB, float iso, uint cap, int
         cell.v[corner] = sample_at(grid, SLAB_ARGS, low + (int3)(corner & 1, corner >> 1 & 1, corner >> 2)) - iso;
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;
     cell.padded_high = cap ? (uint)(low.x == last.x) | (uint)(low.y == last.y) << 1 | (uint)(low.z == last.z) << 2 : 0;
+    const int3 end = last - (int)cap;
+    cell.last = (uint)(low.x == end.x) | (uint)(low.y == end.y) << 1 | (uint)(low.z == end.z) << 2;
     cell.padded = cap ? cell.padded_high | (uint)(low.x == 0) | (uint)(low.y == 0) << 1 | (uint)(low.z == 0) << 2 : 0;
     return cell;
 }
@@ -42,15 +48,18 @@ inline float value_on_face(const float *v, uint axis, uint far, float s, float t
     return mix(mix(v[base], v[base + second], s), mix(v[base + third], v[base + second + third], s), t);
 }
 
-// Where a line crosses the surface: position in world units (xyz), and the area that it stands for (w); that is 0 where it does not. In the
-// padding of a capped volume the surface is on the volume's face.
+// Where a line crosses the surface: position in world units (xyz), and the area that it stands for (w); that is negative where it does not. In
+// the padding of a capped volume the surface is on the volume's face.
 INLINED float4 cross_line(const CellOfLines *cell, uint axis, uint line) {
     const uint second = (axis + 1) % 3, third = (axis + 2) % 3;
-    const float4 none = (float4)(0.0f);
+    const float4 none = (float4)(-1.0f);
     if (cell->padded & (1u << second | 1u << third)) return none;
-    const bool turned = (cell->low.x + cell->low.y + cell->low.z) & 1;
-    const float s = line ? 0.75f : 0.25f, t = turned ? 1.0f - s : s;
-    const float face = component_of(cell->spacing, second) * component_of(cell->spacing, third);
+    const bool inner = line < INNER_LINES, turned = (cell->low.x + cell->low.y + cell->low.z) & 1;
+    const uint far = (line & 1u) << second | (line >> 1 & 1u) << third;
+    if (!inner && (far & ~cell->last)) return none;
+    const float s = inner ? (line ? 0.75f : 0.25f) : (far >> second & 1u) ? 1.0f - INSET : INSET;
+    const float t = inner ? (turned ? 1.0f - s : s) : (far >> third & 1u) ? 1.0f - INSET : INSET;
+    const float face = inner ? component_of(cell->spacing, second) * component_of(cell->spacing, third) : 0.0f;
     const float from = value_on_face(cell->v, axis, 0, s, t), to = value_on_face(cell->v, axis, 1, s, t);
     float along = from / (from - to), area = face;
     if (cell->padded >> axis & 1u) {
@@ -59,7 +68,7 @@ INLINED float4 cross_line(const CellOfLines *cell, uint axis, uint line) {
         along = high ? 0.0f : 1.0f;
     } else if ((from >= 0.0f) == (to >= 0.0f)) return none;
     const float3 at = axis == 0 ? (float3)(along, s, t) : axis == 1 ? (float3)(t, along, s) : (float3)(s, t, along);
-    if (!(cell->padded >> axis & 1u)) {
+    if (inner && !(cell->padded >> axis & 1u)) {
         const float3 gradient = trilinear(cell->v, at).xyz / cell->spacing;
         area *= fabs(component_of(gradient, axis)) / length(gradient);
     }

@@ -87,9 +87,10 @@ INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *
         const float3 p = crossings->point[i];
         const float near = unit * (float)(1u + (1u << crossings->level[i]));
         float distance2 = crossings->nearest2[i];
-        if (crossings->beyond[i]) {
-            const uint other = nearest_other_corner(grid, mesh, p, crossings->triangle[i], crossings->vertex[i]);
-            distance2 = fmin(distance2, walk_to_mesh(grid, mesh, pairs, p, other));
+        if (crossings->triangle[i] != NONE) {
+            const uint vertex = crossings->vertex[i], other = nearest_other_corner(grid, mesh, p, crossings->triangle[i], vertex);
+            if (crossings->beyond[i] || distance2_of(p, mesh->positions[other].xyz) < distance2_of(p, mesh->positions[vertex].xyz))
+                distance2 = fmin(distance2, walk_to_mesh(grid, mesh, pairs, p, other));
         }
         if (distance2 > near * near || (large >> i & 1u)) {
             __global const Brick *brick = bricks + crossings->brick[i];

@@ -18,7 +18,7 @@
 
 // A distance to the fan of its own leaf, from which a crossing looks for nearer triangles: in smallest spacings, plus this for each
 // cell along the leaf.
-#define SEARCH_FROM 0.25f
+#define SEARCH_FROM 0.125f
 
 // Fans that are tried on the way to the nearest triangle.
 #define WALK_STEPS 16
@@ -173,15 +173,17 @@ INLINED uint nearest_other_corner(Grid grid, const MeshFans *mesh, float3 p, uin
     return other;
 }
 
-// Squared distance of `p` to the mesh near the vertex of a slot: from fan to fan as long as triangles come nearer.
+// Squared distance of `p` to the mesh near the vertex of a slot: from fan to fan as long as triangles or vertices come nearer.
 INLINED float walk_to_mesh(Grid grid, const MeshFans *mesh, Pairs *pairs, float3 p, uint slot) {
     float nearest2 = INFINITY;
     for (uint step = 0; step < WALK_STEPS; step++) {
         const Nearest found = nearest_in_fan(grid, mesh, pairs, p, slot);
-        if (!(found.distance2 < nearest2)) break;
-        nearest2 = found.distance2;
+        const bool nearer = found.distance2 < nearest2;
+        nearest2 = fmin(nearest2, found.distance2);
         if (found.triangle == NONE) break;
-        slot = nearest_other_corner(grid, mesh, p, found.triangle, slot);
+        const uint next = nearest_other_corner(grid, mesh, p, found.triangle, slot);
+        if (!nearer && !(distance2_of(p, mesh->positions[next].xyz) < distance2_of(p, mesh->positions[slot].xyz))) break;
+        slot = next;
     }
     return nearest2;
 }

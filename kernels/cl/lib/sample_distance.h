@@ -5,6 +5,7 @@
 
 #include "lib/precision.h"
 #include "lib/bits.h"
+#include "lib/cell_lines.h"
 #include "lib/device.h"
 #include "lib/distances.h"
 #include "lib/grid.h"
@@ -56,42 +57,46 @@ INLINED uint brick_at(const SampledField *field, __global const Region *regions,
     return test_bit64(low, high, brick) ? regions[index].brick_base + rank64(low, high, brick) : NONE;
 }
 
-// Slot of the first active cell of a level-2 cube of a brick, and how many it has.
-INLINED uint first_cell_of_cube(__global const Region *regions, __global const Brick *brick, uint cube, uint *count) {
-    *count = popcount(brick->cells[2 * cube]) + popcount(brick->cells[2 * cube + 1]);
-    return regions[brick->region].slot_base + brick->level_base[0] + brick->cells_before[2 * cube];
+// The nearest to `p` of the vertices of active cells of a brick, if it is nearer than `nearest` (w: squared distance). `low`: the brick's low
+// corner, world units.
+INLINED float4 nearest_cell_vertex(const SampledField *field, const MeshFans *mesh, float3 p, uint index, float3 low, float4 nearest) {
+    __global const Brick *brick = field->bricks + index;
+    const uint first_slot = mesh->regions[brick->region].slot_base + brick->level_base[0];
+    const float3 cube_size = 4.0f * field->box.spacing;
+    for (uint cube = 0; cube < 8; cube++) {
+        const uint count = popcount(brick->cells[2 * cube]) + popcount(brick->cells[2 * cube + 1]);
+        const float3 begin = low + (float3)((float)(cube & 1), (float)(cube >> 1 & 1), (float)(cube >> 2)) * cube_size;
+        if (!count || distance2_of(p, clamp(p, begin, begin + cube_size)) >= nearest.w) continue;
+        const uint first = first_slot + brick->cells_before[2 * cube];
+        for (uint slot = first; slot < first + count; slot++) {
+            const float3 vertex = mesh->positions[slot].xyz;
+            const float distance2 = distance2_of(p, vertex);
+            if (distance2 < nearest.w) nearest = (float4)(vertex, distance2);
+        }
+    }
+    return nearest;
 }
 
-// Distance to the surface by the vertices of active cells, which lie on it, in the 27 bricks around the sample or a corner of its
-// triangle: of the level-2 cube whose first cell is nearest. Infinite where no brick is active there. World units.
-INLINED float distance_to_cells(const SampledField *field, const MeshFans *mesh, float3 x, uint first) {
+// The vertex of an active cell, which lies on the surface, that is nearest to `x` in the 27 bricks around it or around a corner of its
+// triangle; w: squared distance, infinite where no brick is active there. World units.
+INLINED float4 nearest_of_cells(const SampledField *field, const MeshFans *mesh, float3 x, uint first) {
     const float3 spacing = field->box.spacing, p = x * spacing;
+    float4 nearest = (float4)(0.0f, 0.0f, 0.0f, INFINITY);
     uint brick = brick_at(field, mesh->regions, x);
     for (uint i = 0; i < 3 && brick == NONE; i++)
         brick = brick_at(field, mesh->regions, mesh->positions[mesh->corner_slots[first + i] & ~ON_BORDER].xyz / spacing);
-    if (brick == NONE) return INFINITY;
+    if (brick == NONE) return nearest;
     __global const Brick *centre = field->bricks + brick;
     const float3 low = convert_float3(region_origin(field->grid, mesh->regions[centre->region].region)
                                       + unmorton(centre->morton << 9));
-    uint nearest = 0, nearest_count = 0, count;
-    float nearest2 = INFINITY;
     for (uint i = 0; i < 27; i++) {
         const uint k = (i + 13) % 27, index = field->near[27 * brick + k];
         if (index == NONE) continue;
         const float3 begin = (low + 8.0f * ((float3)((float)(k % 3), (float)(k / 3 % 3), (float)(k / 9)) - 1.0f)) * spacing;
-        if (distance2_of(p, clamp(p, begin, begin + 8.0f * spacing)) >= nearest2) continue;
-        for (uint cube = 0; cube < 8; cube++) {
-            const uint slot = first_cell_of_cube(mesh->regions, field->bricks + index, cube, &count);
-            if (!count) continue;
-            const float distance2 = distance2_of(p, mesh->positions[slot].xyz);
-            if (distance2 >= nearest2) continue;
-            nearest2 = distance2;
-            nearest = slot;
-            nearest_count = count;
-        }
+        if (distance2_of(p, clamp(p, begin, begin + 8.0f * spacing)) < nearest.w)
+            nearest = nearest_cell_vertex(field, mesh, p, index, begin, nearest);
     }
-    for (uint i = 1; i < nearest_count; i++) nearest2 = fmin(nearest2, distance2_of(p, mesh->positions[nearest + i].xyz));
-    return sqrt(nearest2);
+    return nearest;
 }
 
 // In a capped volume the parts of its faces that lie inside are surface. Distance of a point to those next to it, at most `nearest`.
@@ -112,19 +117,70 @@ INLINED float distance_to_cap(const SampledField *field, float3 x, float nearest
     return nearest;
 }
 
+// Distance of `p` to where lines cross the surface in the 27 cells around `x`, at most `nearest`.
+INLINED float distance_to_lines(const SampledField *field, float3 p, float3 x, float nearest) {
+    for (int k = 0; k < 27; k++) {
+        const int3 low = convert_int3(x) + (int3)(k % 3, k / 3 % 3, k / 9) - 1;
+        if (any(low < field->box.first) || any(low > field->box.last)) continue;
+        const CellOfLines lines = load_cell_of_lines(field->grid, field->samples, field->z0, field->box.iso, field->cap, low);
+        for (uint line = 0; line < 3 * LINES_OF_AXIS; line++) {
+            const float4 at = cross_line(&lines, line / LINES_OF_AXIS, line % LINES_OF_AXIS);
+            if (at.w >= 0.0f) nearest = fmin(nearest, sqrt(distance2_of(p, at.xyz)));
+        }
+    }
+    return nearest;
+}
+
+// Whether a search arrived at the surface.
+INLINED bool arrived(const SampledField *field, const SurfaceSearch *search, uint i) {
+    return search->residual[i] <= fmax(field->box.straight, 0.125f * search->distance[i]);
+}
+
+// Searches that did not arrive, or only after half a cell, begin once more where a cell's vertex is nearest. Fills in the distances.
+INLINED void search_again(const SampledField *field, const MeshFans *mesh, TriangleSamples *batch, float *distances) {
+    SurfaceSearch *search = &batch->search;
+    const float half_cell = 0.5f * field->box.straight / STRAIGHT;
+    bool any_again = false;
+    for (uint i = 0; i < batch->count; i++) {
+        distances[i] = arrived(field, search, i) ? search->distance[i] : INFINITY;
+        search->active[i] = 0.0f;
+        if (distances[i] <= half_cell) continue;
+        const float4 vertex = nearest_of_cells(field, mesh, sample_position(batch, i), batch->first[i]);
+        if (vertex.w == INFINITY) continue;
+        const float3 x = vertex.xyz / field->box.spacing;
+        distances[i] = fmin(distances[i], sqrt(vertex.w));
+        if (!is_in_box(&field->box, x)) continue;
+        search->at[i] = x.x;
+        search->at[LANES + i] = x.y;
+        search->at[2 * LANES + i] = x.z;
+        search->active[i] = 1.0f;
+        any_again = true;
+    }
+    if (!any_again) return;
+    float again[LANES];
+    for (uint i = 0; i < LANES; i++) again[i] = search->active[i];
+    search_surface(field->grid, field->samples, field->z0, &field->box, search, batch->count);
+    for (uint i = 0; i < batch->count; i++) {
+        if (!(again[i] > 0.0f)) continue;
+        const float3 x = (float3)(search->at[i], search->at[LANES + i], search->at[2 * LANES + i]);
+        if (arrived(field, search, i)) distances[i] = fmin(distances[i], search->distance[i]);
+        else distances[i] = distance_to_lines(field, sample_position(batch, i) * field->box.spacing, x, distances[i]);
+    }
+}
+
 // Adds the distances of the samples that were collected.
 INLINED void measure_samples(const SampledField *field, const MeshFans *mesh, TriangleSamples *batch, Distances *sums) {
-    search_surface(field->grid, field->samples, field->z0, &field->box, &batch->search, batch->count);
+    SurfaceSearch *search = &batch->search;
+    begin_search(search, batch->count);
+    search_surface(field->grid, field->samples, field->z0, &field->box, search, batch->count);
+    float distances[LANES];
+    search_again(field, mesh, batch, distances);
     const float cell = field->box.straight / STRAIGHT;
     for (uint i = 0; i < batch->count; i++) {
-        float d = batch->search.distance[i];
-        const bool found = batch->search.residual[i] <= fmax(field->box.straight, 0.125f * d);
-        if (!found || d > cell) {
-            const float3 x = sample_position(batch, i);
-            const float by_cells = distance_to_cells(field, mesh, x, batch->first[i]), bound = found ? fmin(d, by_cells) : by_cells;
-            d = bound_by_corners(field, mesh, x * field->box.spacing, batch->first[i], bound);
-        }
-        if (field->cap && d > field->box.straight) d = distance_to_cap(field, sample_position(batch, i), d);
+        const float3 x = sample_position(batch, i);
+        float d = distances[i];
+        if (d > cell) d = bound_by_corners(field, mesh, x * field->box.spacing, batch->first[i], d);
+        if (field->cap && d > field->box.straight) d = distance_to_cap(field, x, d);
         add_distance(sums, d, batch->weight[i]);
     }
     batch->count = 0;

@@ -164,15 +164,19 @@ INLINED bool move_along_surface(const FieldBox *box, SurfaceSearch *search, Feet
     return activate(search, moves, count);
 }
 
-// Fills in the distances of the first `count` points.
+// A search for `count` points from where they are.
+INLINED void begin_search(SurfaceSearch *search, uint count) {
+    for (uint i = 0; i < LANES; i++) search->active[i] = i < count ? 1.0f : 0.0f;
+    for (uint i = 0; i < 3 * LANES; i++) search->at[i] = search->from[i];
+}
+
+// Fills in the distances of those of the first `count` points that are active. The search begins where `at` says.
 INLINED void search_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch *search, uint count) {
     float rows[11 * LANES];
     for (uint i = 0; i < 11 * LANES; i++) rows[i] = 0.0f;
-    for (uint i = 0; i < LANES; i++) search->active[i] = i < count ? 1.0f : 0.0f;
-    for (uint i = 0; i < 3 * LANES; i++) search->at[i] = search->from[i];
     Feet feet;
     feet.from = LOAD_REAL3(search->from, LANES);
-    feet.x = feet.from;
+    feet.x = LOAD_REAL3(search->at, LANES);
     feet.distance = INFINITY;
     feet.residual = INFINITY;
     for (uint moves = 0; moves <= SURFACE_MOVES; moves++) {

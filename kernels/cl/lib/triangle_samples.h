@@ -10,17 +10,16 @@
 #include "lib/mesh_distance.h"
 #include "lib/surface_distance.h"
 
+// Six more points of each count for the maximum alone: near its corners and the middles of its sides.
+
 // Area of a part of a triangle at most, in square cells, but n is bounded.
 #define PART_CELLS 12.0f
 #define DIVISIONS_MAX 16u
 
-// The rule: three points near the corners and three near the sides; each has this weight in one barycentric coordinate, and the rest in
-// equal parts in the others.
-#define RULE_POINTS 6u
-#define CORNER_COORDINATE 0.816847572980459f
-#define CORNER_WEIGHT 0.109951743655322f
-#define SIDE_COORDINATE 0.108103018168070f
-#define SIDE_WEIGHT 0.223381589678011f
+// Kinds of points, three of each: this is one barycentric coordinate, and the others have equal parts of the rest.
+#define PART_POINTS 12u
+__constant float COORDINATES[4] = {0.816847572980459f, 0.108103018168070f, 0.96f, 0.04f};
+__constant float WEIGHTS[4] = {0.109951743655322f, 0.223381589678011f, 0.0f, 0.0f};
 
 // The corners of a triangle, in cells.
 typedef struct {
@@ -64,7 +63,7 @@ INLINED uint count_samples(TriangleSamples *batch, Grid grid, const MeshFans *me
     const TriangleInCells t = hold_triangle(batch, grid, mesh, first);
     const float area = 0.5f * length(cross(t.b - t.a, t.c - t.a));
     const uint n = clamp((uint)ceil(sqrt(area / PART_CELLS)), 1u, DIVISIONS_MAX);
-    return n * n * RULE_POINTS;
+    return n * n * PART_POINTS;
 }
 
 INLINED float3 sample_position(const TriangleSamples *batch, uint i) {
@@ -77,11 +76,11 @@ INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh,
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const TriangleInCells t = hold_triangle(batch, grid, mesh, first);
     // Row r from corner a on has 2 r + 1 parts, by turns with a corner towards a and away from it.
-    const float n = sqrt((float)(count / RULE_POINTS));
-    const uint part = i / RULE_POINTS, point = i % RULE_POINTS;
+    const float n = sqrt((float)(count / PART_POINTS));
+    const uint part = i / PART_POINTS, point = i % PART_POINTS;
     const uint row = (uint)sqrt((float)part), column = part - row * row;
-    const bool away = column & 1, at_corner = point < 3;
-    const float most = at_corner ? CORNER_COORDINATE : SIDE_COORDINATE, rest = 0.5f - 0.5f * most;
+    const bool away = column & 1;
+    const float most = COORDINATES[point / 3], rest = 0.5f - 0.5f * most;
     const float second = point % 3 == 1 ? most : rest, third = point % 3 == 2 ? most : rest;
     const float down = ((float)row + (away ? third : second + third)) / n;
     const float across = ((float)(column / 2) + (away ? second + third : third)) / n;
@@ -93,7 +92,7 @@ INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh,
     batch->search.from[LANES + at] = x.y;
     batch->search.from[2 * LANES + at] = x.z;
     batch->first[at] = first;
-    batch->weight[at] = 0.5f * length(cross((t.b - t.a) * spacing, (t.c - t.a) * spacing)) / (n * n) * (at_corner ? CORNER_WEIGHT : SIDE_WEIGHT);
+    batch->weight[at] = 0.5f * length(cross((t.b - t.a) * spacing, (t.c - t.a) * spacing)) / (n * n) * WEIGHTS[point / 3];
     return true;
 }
 

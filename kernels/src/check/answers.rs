@@ -46,10 +46,10 @@ pub(super) const TREE: Known = Known {
 pub(super) const MARCHED: [u64; 2] = [276, 165];
 pub(super) const LEAVES: [u64; 2] = [3134, 3097];
 pub(super) const CURVE_END: u64 = 16;
-pub(super) const ERROR: [f32; 2] = [0.155656, 1.09297];
-pub(super) const TREE_ERROR: f32 = 0.0384198;
+pub(super) const ERROR: [f32; 2] = [0.1404585, 0.52628386];
+pub(super) const TREE_ERROR: f32 = 0.0277844;
 pub(super) const PROBED: [f32; 2] = [0.486036, 2085.75];
-pub(super) const VERTEX_DISTANCE: f32 = 0.483869;
+pub(super) const VERTEX_DISTANCE: f32 = 0.3824996;
 pub(super) const CORNER_DISTANCE: f32 = 29.4788;
 /// Lower and upper end, and mean number of a bin.
 pub(super) const GRADIENT: [f32; 3] = [0.0, 13.4257, 122.821];
