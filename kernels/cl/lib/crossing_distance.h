@@ -87,6 +87,8 @@ INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *
         const float3 p = crossings->point[i];
         const float near = unit * (float)(1u + (1u << crossings->level[i]));
         float distance2 = crossings->nearest2[i];
+        // What counts for the maximum alone, and is none already.
+        if (crossings->weight[i] == 0.0f && distance2 <= sums->maximum * sums->maximum) continue;
         if (crossings->triangle[i] != NONE) {
             const uint vertex = crossings->vertex[i], other = nearest_other_corner(grid, mesh, p, crossings->triangle[i], vertex);
             if (crossings->beyond[i] || distance2_of(p, mesh->positions[other].xyz) < distance2_of(p, mesh->positions[vertex].xyz))

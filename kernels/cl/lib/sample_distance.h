@@ -136,15 +136,16 @@ INLINED bool arrived(const SampledField *field, const SurfaceSearch *search, uin
     return search->residual[i] <= fmax(field->box.straight, 0.125f * search->distance[i]);
 }
 
-// Searches that did not arrive, or only after half a cell, begin once more where a cell's vertex is nearest. Fills in the distances.
-INLINED void search_again(const SampledField *field, const MeshFans *mesh, TriangleSamples *batch, float *distances) {
+// Searches that did not arrive, or only after half a cell, begin once more where a cell's vertex is nearest; not of samples that count for
+// the maximum alone, and are none already. Fills in the distances.
+INLINED void search_again(const SampledField *field, const MeshFans *mesh, TriangleSamples *batch, float maximum, float *distances) {
     SurfaceSearch *search = &batch->search;
     const float half_cell = 0.5f * field->box.straight / STRAIGHT;
     bool any_again = false;
     for (uint i = 0; i < batch->count; i++) {
         distances[i] = arrived(field, search, i) ? search->distance[i] : INFINITY;
         search->active[i] = 0.0f;
-        if (distances[i] <= half_cell) continue;
+        if (distances[i] <= half_cell || (batch->weight[i] == 0.0f && distances[i] <= maximum)) continue;
         const float4 vertex = nearest_of_cells(field, mesh, sample_position(batch, i), batch->first[i]);
         if (vertex.w == INFINITY) continue;
         const float3 x = vertex.xyz / field->box.spacing;
@@ -174,7 +175,7 @@ INLINED void measure_samples(const SampledField *field, const MeshFans *mesh, Tr
     begin_search(search, batch->count);
     search_surface(field->grid, field->samples, field->z0, &field->box, search, batch->count);
     float distances[LANES];
-    search_again(field, mesh, batch, distances);
+    search_again(field, mesh, batch, sums->maximum, distances);
     const float cell = field->box.straight / STRAIGHT;
     for (uint i = 0; i < batch->count; i++) {
         const float3 x = sample_position(batch, i);

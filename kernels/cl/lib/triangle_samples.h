@@ -16,10 +16,14 @@
 #define PART_CELLS 12.0f
 #define DIVISIONS_MAX 16u
 
+// Of a triangle of at most this area in square cells one point of each kind is measured, by turns: there are many.
+#define SMALL_CELLS 3.0f
+
 // Kinds of points, three of each: this is one barycentric coordinate, and the others have equal parts of the rest.
-#define PART_POINTS 12u
-__constant float COORDINATES[4] = {0.816847572980459f, 0.108103018168070f, 0.96f, 0.04f};
-__constant float WEIGHTS[4] = {0.109951743655322f, 0.223381589678011f, 0.0f, 0.0f};
+#define KINDS 4u
+#define PART_POINTS (3 * KINDS)
+__constant float COORDINATES[KINDS] = {0.816847572980459f, 0.108103018168070f, 0.96f, 0.04f};
+__constant float WEIGHTS[KINDS] = {0.109951743655322f, 0.223381589678011f, 0.0f, 0.0f};
 
 // The corners of a triangle, in cells.
 typedef struct {
@@ -62,9 +66,13 @@ INLINED TriangleInCells hold_triangle(TriangleSamples *batch, Grid grid, const M
 INLINED uint count_samples(TriangleSamples *batch, Grid grid, const MeshFans *mesh, uint first) {
     const TriangleInCells t = hold_triangle(batch, grid, mesh, first);
     const float area = 0.5f * length(cross(t.b - t.a, t.c - t.a));
+    if (area <= SMALL_CELLS) return KINDS;
     const uint n = clamp((uint)ceil(sqrt(area / PART_CELLS)), 1u, DIVISIONS_MAX);
     return n * n * PART_POINTS;
 }
+
+// Whose turn it is among the three points of a kind: the high bits of a product, for neighbours have numbers that follow each other.
+INLINED uint turn_of(uint first) { return mul_hi(first * 2654435761u, 3u); }
 
 INLINED float3 sample_position(const TriangleSamples *batch, uint i) {
     return (float3)(batch->search.from[i], batch->search.from[LANES + i], batch->search.from[2 * LANES + i]);
@@ -75,9 +83,10 @@ INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh,
                         uint end_layer) {
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
     const TriangleInCells t = hold_triangle(batch, grid, mesh, first);
+    const bool is_small = count == KINDS;
     // Row r from corner a on has 2 r + 1 parts, by turns with a corner towards a and away from it.
-    const float n = sqrt((float)(count / PART_POINTS));
-    const uint part = i / PART_POINTS, point = i % PART_POINTS;
+    const float n = is_small ? 1.0f : sqrt((float)(count / PART_POINTS));
+    const uint part = is_small ? 0 : i / PART_POINTS, point = is_small ? 3 * i + turn_of(first) : i % PART_POINTS;
     const uint row = (uint)sqrt((float)part), column = part - row * row;
     const bool away = column & 1;
     const float most = COORDINATES[point / 3], rest = 0.5f - 0.5f * most;
@@ -92,7 +101,7 @@ INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh,
     batch->search.from[LANES + at] = x.y;
     batch->search.from[2 * LANES + at] = x.z;
     batch->first[at] = first;
-    batch->weight[at] = 0.5f * length(cross((t.b - t.a) * spacing, (t.c - t.a) * spacing)) / (n * n) * WEIGHTS[point / 3];
+    batch->weight[at] = 0.5f * length(cross((t.b - t.a) * spacing, (t.c - t.a) * spacing)) / (n * n) * WEIGHTS[point / 3] * (is_small ? 3.0f : 1.0f);
     return true;
 }
 
