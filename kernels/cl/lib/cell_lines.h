@@ -10,8 +10,8 @@
 #include "lib/trilinear.h"
 
 // Lines of a cell along each axis. The first are at a quarter and three quarters of its sides: a rule of Gauss's kind for what is periodic in
-// cells, as the distance of a mesh is whose vertices are one a cell. The others are its edges: there the interpolant has its kinks and the mesh
-// is furthest off. They count for the maximum alone, each by the cell that has it at its low corner, or by the volume's last one.
+// cells, as the distance of a mesh is whose vertices are one a cell. The others are beside its edges, where the
+// interpolant has its kinks and thin spikes of the surface are. They count for the maximum alone.
 #define LINES_OF_AXIS 6u
 #define INNER_LINES 2u
 #define INSET 0.0625f

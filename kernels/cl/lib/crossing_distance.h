@@ -97,8 +97,7 @@ INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *
         if (distance2 > near * near || (large >> i & 1u)) {
             __global const Brick *brick = bricks + crossings->brick[i];
             const uint3 low = brick_origin(grid, mesh->regions[brick->region].region, brick->morton);
-            const uint seed = nearest_seed(from, mesh->positions, p, crossings->brick[i], convert_float3(low), spacing);
-            if (seed != NONE) distance2 = fmin(distance2, walk_to_mesh(grid, mesh, pairs, p, seed));
+            distance2 = walk_from_seeds(grid, mesh, from, pairs, p, crossings->brick[i], convert_float3(low), distance2);
         }
         add_distance(sums, sqrt(distance2), crossings->weight[i]);
     }

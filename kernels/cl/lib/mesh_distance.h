@@ -195,26 +195,40 @@ typedef struct {
     __global const uint *far;   // of each brick a slot for where there is no seed in the bricks around
 } MeshSeeds;
 
-// The slot of a seed near `p`, or NONE where the mesh has none. `low`: of the brick, in cells.
-INLINED uint nearest_seed(const MeshSeeds *from, __global const float4 *positions, float3 p, uint brick, float3 low, float3 spacing) {
+// The seed of a brick that is nearest to `p`, or NONE where it has none.
+INLINED uint nearest_seed(const MeshSeeds *from, __global const float4 *positions, float3 p, uint brick) {
     uint nearest = NONE;
     float nearest2 = INFINITY;
+    for (uint octant = 0; octant < 8; octant++) {
+        const uint slot = from->seeds[8 * brick + octant];
+        if (slot == NONE) continue;
+        const float distance2 = distance2_of(p, positions[slot].xyz);
+        if (distance2 < nearest2) {
+            nearest2 = distance2;
+            nearest = slot;
+        }
+    }
+    return nearest;
+}
+
+// Squared distance of `p` to the mesh by walks from seeds, at most `nearest2`: of each of the 27 bricks around that reaches so near, or of one
+// further away where these have none. `low`: of the brick, in cells.
+INLINED float walk_from_seeds(Grid grid, const MeshFans *mesh, const MeshSeeds *from, Pairs *pairs, float3 p, uint brick, float3 low,
+                              float nearest2) {
+    const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    bool has_seeds = false;
     for (uint i = 0; i < 27; i++) {
         const uint k = (i + 13) % 27, index = from->near[27 * brick + k];
         if (index == NONE) continue;
         const float3 begin = (low + 8.0f * ((float3)((float)(k % 3), (float)(k / 3 % 3), (float)(k / 9)) - 1.0f)) * spacing;
         if (distance2_of(p, clamp(p, begin, begin + 8.0f * spacing)) >= nearest2) continue;
-        for (uint octant = 0; octant < 8; octant++) {
-            const uint slot = from->seeds[8 * index + octant];
-            if (slot == NONE) continue;
-            const float distance2 = distance2_of(p, positions[slot].xyz);
-            if (distance2 < nearest2) {
-                nearest2 = distance2;
-                nearest = slot;
-            }
-        }
+        const uint seed = nearest_seed(from, mesh->positions, p, index);
+        if (seed == NONE) continue;
+        has_seeds = true;
+        nearest2 = fmin(nearest2, walk_to_mesh(grid, mesh, pairs, p, seed));
     }
-    return nearest == NONE ? from->far[brick] : nearest;
+    const uint far = from->far[brick];
+    return has_seeds || far == NONE ? nearest2 : fmin(nearest2, walk_to_mesh(grid, mesh, pairs, p, far));
 }
 
 #endif

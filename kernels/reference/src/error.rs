@@ -1,27 +1,45 @@
 //! How far a dual mesh is from the surface it stands for (docs/algorithm.md#67-measured-error), in f64 and by brute force: every
-//! crossing against every triangle, every sample of a triangle against points all over the surface. What a device states, which
-//! searches, must not be less.
+//! crossing of a line against every triangle, every sample of a triangle against points all over the surface. A device, which searches,
+//! must state no less, and no more than a search may miss.
 
 use std::collections::BTreeMap;
 
 use crate::quadric::{Vector, dot};
-use crate::trilinear::{crossing, interpolate};
-use crate::{Cut, Field, boxes, offset};
+use crate::trilinear::{field_at, interpolate};
+use crate::{Cut, Field, boxes};
 use isopeel_kernels::SurfaceError;
-use isopeel_kernels::tables::cube;
 
 /// A triangle of the mesh.
 #[derive(Clone, Copy, Debug)]
 pub struct Triangle {
     /// Region whose mesh has it.
     pub region: [u32; 3],
+    /// Its number among the triangles of all regions.
+    pub number: u32,
     /// Its corners, world units.
     pub corners: [Vector; 3],
 }
 
-/// Samples of a square cell's area, and the divisions of a triangle's sides at most.
-const SAMPLES_A_CELL: f64 = 1.0;
+/// Lines of a cell along each axis that measure area: where they go through it, along the next axis.
+const INNER_LINES: [f64; 2] = [0.25, 0.75];
+
+/// How far from edges lines lie that count for the maximum alone.
+const INSET: f64 = 0.0625;
+
+/// Points of a part of a triangle, three of each kind: one barycentric coordinate, the others have equal parts of the rest; and the weight.
+const KINDS: [(f64, f64); 4] = [
+    (0.816_847_572_980_459, 0.109_951_743_655_322),
+    (0.108_103_018_168_070, 0.223_381_589_678_011),
+    (0.96, 0.0),
+    (0.04, 0.0),
+];
+
+/// Area of a part of a triangle at most, in square cells, and the divisions of a triangle's sides at most.
+const PART_CELLS: f64 = 12.0;
 const DIVISIONS_MAX: f64 = 16.0;
+
+/// Area of a triangle up to which one point of each kind is measured.
+const SMALL_CELLS: f64 = 3.0;
 
 /// Points of the surface on a lattice of half a cell are no further from any of its points than this part of a cell's diagonal.
 pub(crate) const BETWEEN_POINTS: f64 = 0.25;
@@ -57,13 +75,11 @@ impl Distances {
     }
 }
 
-/// Distances of crossings to the mesh, and of samples of triangles to the surface.
-type Both = [Distances; 2];
-
-fn stated(both: &Both) -> SurfaceError {
+/// Distances of crossings to the mesh and of samples of triangles to the surface as one figure.
+fn stated(to_mesh: &Distances, to_surface: &Distances) -> SurfaceError {
     SurfaceError {
-        rms: ((both[0].mean2() + both[1].mean2()) / 2.0).sqrt() as f32,
-        max: both[0].max.max(both[1].max) as f32,
+        rms: ((to_mesh.mean2() + to_surface.mean2()) / 2.0).sqrt() as f32,
+        max: to_mesh.max.max(to_surface.max) as f32,
     }
 }
 
@@ -142,65 +158,130 @@ pub(crate) fn surface_points(field: &Field, iso: f32, cap: bool) -> Vec<Vector> 
     points
 }
 
-/// Whether samples are missing in a region or on its border.
-fn has_gaps(field: &Field, region: [u32; 3]) -> bool {
-    let low = region.map(|r| 32 * r);
-    let high = std::array::from_fn(|i| (low[i] + 33).min(field.grid.dims[i]));
-    boxes(low, high).any(|p| field.at(p).is_nan())
-}
-
-/// Full-resolution crossings with their regions, world units.
-fn crossings(field: &Field, iso: f32, cap: bool, cut: &Cut) -> Vec<([u32; 3], Vector)> {
+/// Ways from `p` to points of the surface near `start`, world units: to the surface along its gradient, then along the surface towards the foot
+/// of the perpendicular, by turns. Infinite where that does not arrive.
+fn way_to_foot(field: &Field, iso: f32, cap: bool, p: Vector, start: Vector) -> f64 {
     let spacing = field.grid.spacing.map(f64::from);
     let [first, last] = without_padding(field, cap);
-    let mut gaps: BTreeMap<[u32; 3], bool> = BTreeMap::new();
+    let inside = |x: Vector| -> Vector {
+        std::array::from_fn(|i| x[i].clamp(f64::from(first[i]) * spacing[i], f64::from(last[i]) * spacing[i]))
+    };
+    let at = |x: Vector| {
+        let (slope, value) = field_at(field, std::array::from_fn(|i| x[i] / spacing[i]));
+        let gradient: Vector = std::array::from_fn(|i| slope[i] / spacing[i]);
+        (gradient, value - f64::from(iso))
+    };
+    let smallest = spacing.into_iter().fold(f64::INFINITY, f64::min);
+    let (mut x, mut least) = (start, f64::INFINITY);
+    for _ in 0..8 {
+        for _ in 0..8 {
+            let (gradient, value) = at(x);
+            let step = value / dot(gradient, gradient).max(f64::MIN_POSITIVE);
+            x = inside(std::array::from_fn(|i| {
+                x[i] - (step * gradient[i]).clamp(-smallest, smallest)
+            }));
+        }
+        let (gradient, value) = at(x);
+        let residual = value.abs() / length(gradient);
+        if residual < 1e-3 * smallest {
+            least = least.min(length(minus(x, p)) + residual);
+        }
+        let way = minus(x, p);
+        let along = dot(way, gradient) / dot(gradient, gradient).max(f64::MIN_POSITIVE);
+        x = inside(std::array::from_fn(|i| x[i] - way[i] + along * gradient[i]));
+    }
+    least
+}
+
+/// A point that is measured, and the area that it stands for, world units.
+type Weighted = (Vector, f64);
+
+/// Where lines through a cell cross the surface; in the padding of a capped volume that is on its faces.
+fn crossings(field: &Field, iso: f32, cap: bool, cell: [u32; 3]) -> Vec<Weighted> {
+    let spacing = field.grid.spacing.map(f64::from);
+    let [first, last] = without_padding(field, cap);
+    let v = field.cell_corners(cell).map(|v| f64::from(v) - f64::from(iso));
+    let padded: [bool; 3] = std::array::from_fn(|i| cell[i] < first[i] || cell[i] >= last[i]);
+    let turned = cell.iter().sum::<u32>() % 2 == 1;
     let mut found = Vec::new();
-    for &cell in cut.leaf_of.keys() {
-        let region = cell.map(|c| c / 32);
-        let gaps = *gaps.entry(region).or_insert_with(|| has_gaps(field, region));
-        let v = field.cell_corners(cell).map(f64::from);
-        for edge in 0..12 {
-            let [start, end] = cube::edge_corners(edge);
-            if (v[start] >= f64::from(iso)) == (v[end] >= f64::from(iso)) {
-                continue;
-            }
-            // Each crossing once: by the cell at whose low corner it is, or where that may be missing by all cells around it.
-            let low = offset(cell, cube::corner_offset(start).map(|c| c as u32));
-            if edge % 4 != 0 && !gaps && (0..3).all(|i| low[i] + 1 < field.grid.dims[i]) {
-                continue;
-            }
-            let at = crossing(v, iso, edge);
-            let p = std::array::from_fn(|i| {
-                (f64::from(cell[i]) + at[i]).clamp(f64::from(first[i]), f64::from(last[i])) * spacing[i]
-            });
-            found.push((region, p));
+    for axis in 0..3 {
+        let across = [(axis + 1) % 3, (axis + 2) % 3];
+        if across.iter().any(|&i| padded[i]) {
+            continue;
+        }
+        let inner = INNER_LINES.map(|s| ([s, if turned { 1.0 - s } else { s }], true));
+        let edges = [[false, false], [true, false], [false, true], [true, true]]
+            .into_iter()
+            .filter(|far| (0..2).all(|i| !far[i] || cell[across[i]] + 1 == last[across[i]]))
+            .map(|far| (far.map(|far| if far { 1.0 - INSET } else { INSET }), false));
+        for (place, measures_area) in inner.into_iter().chain(edges) {
+            let at = |along: f64| -> Vector {
+                let mut x = [0.0; 3];
+                x[axis] = along;
+                (0..2).for_each(|i| x[across[i]] = place[i]);
+                x
+            };
+            let ends = [0.0, 1.0].map(|along| interpolate(v, at(along)).1);
+            let near = cell[axis] < first[axis];
+            let (along, part) = if padded[axis] {
+                let inside = ends[usize::from(near)] >= 0.0;
+                (inside.then_some(f64::from(u8::from(near))), 1.0)
+            } else if (ends[0] >= 0.0) == (ends[1] >= 0.0) {
+                (None, 0.0)
+            } else {
+                let along = ends[0] / (ends[0] - ends[1]);
+                let slope = interpolate(v, at(along)).0;
+                let gradient: Vector = std::array::from_fn(|i| slope[i] / spacing[i]);
+                (Some(along), gradient[axis].abs() / length(gradient))
+            };
+            let Some(along) = along else { continue };
+            let (x, face) = (at(along), spacing[across[0]] * spacing[across[1]]);
+            let p = std::array::from_fn(|i| (f64::from(cell[i]) + x[i]) * spacing[i]);
+            found.push((p, if measures_area { part * face } else { 0.0 }));
         }
     }
     found
 }
 
-/// Samples of a triangle, world units: the centroids of n² equal triangles into which it is divided.
-fn samples(spacing: Vector, [a, b, c]: [Vector; 3]) -> Vec<Vector> {
+/// Samples of a triangle.
+fn samples(spacing: Vector, triangle: &Triangle) -> Vec<Weighted> {
+    let [a, b, c] = triangle.corners;
     let cells = |v: Vector| -> Vector { std::array::from_fn(|i| v[i] / spacing[i]) };
-    let n = (SAMPLES_A_CELL * area(cells(minus(b, a)), cells(minus(c, a))))
-        .sqrt()
-        .ceil();
-    let n = n.clamp(1.0, DIVISIONS_MAX) as u32;
-    let at = |i: u32, j: u32| -> Vector {
-        let (s, t) = (f64::from(i) / f64::from(n), f64::from(j) / f64::from(n));
-        std::array::from_fn(|k| a[k] + s * (b[k] - a[k]) + t * (c[k] - a[k]))
+    let in_cells = area(cells(minus(b, a)), cells(minus(c, a)));
+    let whole = area(minus(b, a), minus(c, a));
+    let at = |weights: Vector, [a, b, c]: [Vector; 3]| -> Vector {
+        std::array::from_fn(|i| weights[0] * a[i] + weights[1] * b[i] + weights[2] * c[i])
     };
-    let centroid = |corners: [Vector; 3]| std::array::from_fn(|k| corners.iter().map(|p| p[k]).sum::<f64>() / 3.0);
-    let mut samples = Vec::new();
+    let point = |kind: usize, which: usize| -> Vector {
+        let most = KINDS[kind].0;
+        std::array::from_fn(|i| if i == which { most } else { (1.0 - most) / 2.0 })
+    };
+    if in_cells <= SMALL_CELLS {
+        let turn = ((u64::from((3 * triangle.number).wrapping_mul(2_654_435_761)) * 3) >> 32) as usize;
+        return (0..KINDS.len())
+            .map(|kind| (at(point(kind, turn), triangle.corners), 3.0 * KINDS[kind].1 * whole))
+            .collect();
+    }
+    let n = (in_cells / PART_CELLS).sqrt().ceil().clamp(1.0, DIVISIONS_MAX) as u32;
+    let corner = |i: u32, j: u32| -> Vector {
+        let (s, t) = (f64::from(i) / f64::from(n), f64::from(j) / f64::from(n));
+        at([1.0 - s - t, s, t], triangle.corners)
+    };
+    let mut found = Vec::new();
+    let mut add = |part: [Vector; 3]| {
+        for (kind, &(_, weight)) in KINDS.iter().enumerate() {
+            (0..3).for_each(|which| found.push((at(point(kind, which), part), weight * whole / f64::from(n * n))));
+        }
+    };
     for i in 0..n {
         for j in 0..n - i {
-            samples.push(centroid([at(i, j), at(i + 1, j), at(i, j + 1)]));
+            add([corner(i, j), corner(i + 1, j), corner(i, j + 1)]);
             if i + j + 1 < n {
-                samples.push(centroid([at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]));
+                add([corner(i + 1, j + 1), corner(i, j + 1), corner(i + 1, j)]);
             }
         }
     }
-    samples
+    found
 }
 
 fn area(u: Vector, v: Vector) -> f64 {
@@ -212,53 +293,68 @@ fn area(u: Vector, v: Vector) -> f64 {
     0.5 * length(n)
 }
 
-/// The minimum error that may be stated for every region that has crossings or triangles, and for the whole surface.
-/// `cell_vertices`: of each active cell, world units. Those of cells that are leaves lie on mesh and surface: they all count, with no
-/// distance.
-pub fn minimum_errors(
+/// What may be stated of a surface: no less than the first, and no more than the second but for what a search misses.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    /// The surface may be nearer than any of its points that are tried.
+    pub low: SurfaceError,
+    /// It is no further.
+    pub high: SurfaceError,
+}
+
+/// Distances of crossings to the mesh, and the least and most that those of samples to the surface may be.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    to_mesh: Distances,
+    to_surface: [Distances; 2],
+}
+
+impl Sums {
+    fn join(&mut self, more: &Self) {
+        self.to_mesh.join(&more.to_mesh);
+        (0..2).for_each(|i| self.to_surface[i].join(&more.to_surface[i]));
+    }
+
+    fn bounds(&self) -> Bounds {
+        let [low, high] = self.to_surface.map(|to_surface| stated(&self.to_mesh, &to_surface));
+        Bounds { low, high }
+    }
+}
+
+/// What may be stated for every region that has active cells or triangles, and for the whole surface.
+pub fn bounds(
     field: &Field,
     iso: f32,
     cap: bool,
     cut: &Cut,
-    cell_vertices: &BTreeMap<[u32; 3], Vector>,
     triangles: &[Triangle],
-) -> (BTreeMap<[u32; 3], SurfaceError>, SurfaceError) {
+) -> (BTreeMap<[u32; 3], Bounds>, Bounds) {
     let spacing = field.grid.spacing.map(f64::from);
-    let mut regions: BTreeMap<[u32; 3], Both> = BTreeMap::new();
-    let to_mesh = |p: Vector| {
-        let distances = triangles.iter().map(|t| triangle_distance(p, t.corners));
-        distances.fold(f64::INFINITY, f64::min)
-    };
-    for (region, p) in crossings(field, iso, cap, cut) {
-        regions.entry(region).or_default()[0].add(to_mesh(p), 1.0);
-    }
-    for (cell, leaf) in &cut.leaf_of {
-        let distance = if leaf.level == 0 {
-            0.0
-        } else {
-            to_mesh(cell_vertices[cell])
-        };
-        regions.entry(cell.map(|c| c / 32)).or_default()[0].add(distance, 1.0);
+    let mut regions: BTreeMap<[u32; 3], Sums> = BTreeMap::new();
+    for cell in cut.leaf_of.keys() {
+        let sums = &mut regions.entry(cell.map(|c| c / 32)).or_default().to_mesh;
+        for (p, weight) in crossings(field, iso, cap, *cell) {
+            let distances = triangles.iter().map(|t| triangle_distance(p, t.corners));
+            sums.add(distances.fold(f64::INFINITY, f64::min), weight);
+        }
     }
     let points = surface_points(field, iso, cap);
     let between = BETWEEN_POINTS * length(spacing);
     for triangle in triangles {
-        let [a, b, c] = triangle.corners;
-        let samples = samples(spacing, triangle.corners);
-        let weight = area(minus(b, a), minus(c, a)) / samples.len() as f64;
-        for p in samples {
-            let nearest2 = points
+        let sums = &mut regions.entry(triangle.region).or_default().to_surface;
+        for (p, weight) in samples(spacing, triangle) {
+            let nearest = points
                 .iter()
-                .map(|&q| dot(minus(p, q), minus(p, q)))
-                .fold(f64::INFINITY, f64::min);
-            let sums = &mut regions.entry(triangle.region).or_default()[1];
-            sums.add((nearest2.sqrt() - between).max(0.0), weight);
+                .min_by(|a, b| length(minus(p, **a)).total_cmp(&length(minus(p, **b))));
+            let (distance, foot) = nearest.map_or((f64::INFINITY, f64::INFINITY), |&q| {
+                (length(minus(p, q)), way_to_foot(field, iso, cap, p, q))
+            });
+            sums[0].add((distance - between).max(0.0).min(foot), weight);
+            sums[1].add(distance.min(foot), weight);
         }
     }
-    let mut whole = Both::default();
-    for both in regions.values() {
-        (0..2).for_each(|i| whole[i].join(&both[i]));
-    }
-    let by_region = regions.iter().map(|(at, both)| (*at, stated(both))).collect();
-    (by_region, stated(&whole))
+    let mut whole = Sums::default();
+    regions.values().for_each(|sums| whole.join(sums));
+    let by_region = regions.iter().map(|(at, sums)| (*at, sums.bounds())).collect();
+    (by_region, whole.bounds())
 }
