@@ -39,7 +39,7 @@ run: prerequisites-run release ## install what is missing, build, serve the demo
 build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
 
 # What can be built is built first, so that the runners' summaries stand together at the end.
-test: prerequisites-test lint build-tests test-web test-rust test-oclgrind test-pocl-6 test-browser test-glb test-clients ## all tests, linters and formatters; what CI runs
+test: prerequisites-test lint build-and-test-web test-rust test-oclgrind test-pocl-6 test-browser test-glb test-clients ## all tests, linters and formatters; what CI runs
 
 prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
 	@tests/scripts/prerequisites.sh $*
@@ -70,7 +70,7 @@ release: web-client
 
 ## Tests
 
-# Finds dependencies that nothing uses. Built without optimisation, which takes half as long; it runs for a tenth of a second.
+# Finds dependencies that nothing uses.
 MACHETE_VERSION := 0.9.2
 target/tools/cargo-machete-$(MACHETE_VERSION):
 	cargo install --locked --quiet --debug --root target/tools cargo-machete --version $(MACHETE_VERSION)
@@ -82,17 +82,19 @@ target/tools/cargo-deny-$(DENY_VERSION):
 	cargo install --locked --quiet --debug --no-default-features --root target/tools cargo-deny --version $(DENY_VERSION)
 	@touch $@
 
-# What cargo-deny has passed. Lint compares it, for it takes a minute to build cargo-deny, and dependencies seldom change.
+# What the two have passed. Lint compares it, for it takes a minute and a half to build them, and dependencies seldom change.
 CHECKED_DEPENDENCIES := tests/lint/dependencies.sha256
-dependencies: target/tools/cargo-deny-$(DENY_VERSION) ## licences, sources and bans of dependencies, after each change of Cargo.lock or deny.toml
+dependencies: target/tools/cargo-deny-$(DENY_VERSION) target/tools/cargo-machete-$(MACHETE_VERSION) ## licences, sources, bans and use of dependencies, after each change of Cargo.lock, a Cargo.toml or deny.toml
 	target/tools/bin/cargo-deny --locked --log-level error check licenses bans sources
-	sha256sum Cargo.lock deny.toml >$(CHECKED_DEPENDENCIES)
+	target/tools/bin/cargo-machete
+	git ls-files Cargo.lock deny.toml '*Cargo.toml' | xargs sha256sum >$(CHECKED_DEPENDENCIES)
 
-lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) ## linters and formatters
+# The web client's linters run on one core beside the compiler, which often uses one alone.
+lint: web-client ## linters and formatters
 	# All files: cargo fmt sees none that a macro declares.
 	git ls-files '*.rs' | xargs rustfmt --edition 2024 --check
-	cargo clippy --locked --workspace --all-targets --quiet -- -D warnings
-	target/tools/bin/cargo-machete
+	(cd web && npm run --silent typecheck && npm run --silent lint) & web=$$!; \
+		cargo clippy --locked --workspace --all-targets --quiet -- -D warnings; wait $$web
 	sha256sum --check --quiet $(CHECKED_DEPENDENCIES) || { echo "dependencies have changed: type 'make dependencies', and commit $(CHECKED_DEPENDENCIES)" >&2; exit 1; }
 	$(CHECK_GENERATED)
 	docs/drawings.py --check
@@ -100,8 +102,6 @@ lint: web-client target/tools/cargo-machete-$(MACHETE_VERSION) ## linters and fo
 	tests/lint/citations.py
 	tests/lint/unused.py
 	tests/lint/kernels.sh
-	cd web && npm run --silent typecheck
-	cd web && npm run --silent lint
 	tests/lint/retired_words.py
 
 .PHONY: build-tests
@@ -109,6 +109,12 @@ build-tests: web-client
 	cargo test --locked --workspace --tests --no-run
 	# Once, before tests start many servers at the same time.
 	$(TESTED_BINARY) devices --check
+
+# Beside each other, as linters are.
+.PHONY: build-and-test-web
+build-and-test-web: web-client
+	(cd web && npm test --silent) >target/test-web.log 2>&1 & web=$$!; \
+		$(MAKE) --no-print-directory build-tests; wait $$web || failed=1; cat target/test-web.log; test -z "$${failed:-}"
 
 test-web: web-client ## the web client's unit tests
 	cd web && npm test --silent
