@@ -163,8 +163,8 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let (mut made, mut counted) = (Vec::new(), Vec::new());
     for surface in surfaces {
-        let measuring = request.options.measuring();
-        let extracted = extractor.extract_measured(&surface.volume, &surface.view, measuring, &token);
+        let work = request.options.work();
+        let extracted = extractor.extract_with(&surface.volume, &surface.view, work, &token);
         let extraction = extracted.await?;
         let statistics = extraction.statistics(&surface.volume, &device.name);
         if let (None, None, Some(iso)) = (

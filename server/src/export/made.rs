@@ -2,15 +2,17 @@
 
 use std::io::Write;
 
+use isopeel_kernels::RefinementCost;
 use tokio_util::sync::CancellationToken;
 
+use super::clean;
 use super::field_values::FieldSamples;
 use super::topology::{Topology, split_pinched, volume};
 use super::{
     Compress, Content, ExportError, FileDigest, FileOptions, FileRequest, FileSurface, Format, Mesh, OtherVolumes,
     extras, glb, stl, why_empty,
 };
-use crate::extraction::{Extraction, ExtractionStatistics, Extractor, Shape, WorkError};
+use crate::extraction::{Cleaned, Extraction, ExtractionStatistics, Extractor, Measuring, Shape, WorkError};
 use crate::pool::{self, Panicked};
 use crate::view::quality::MesherName;
 use crate::view::{EditError, Outward, View};
@@ -37,6 +39,18 @@ pub enum MakeError {
     /// The surface does not fit its format.
     #[error(transparent)]
     Export(#[from] ExportError),
+    /// Triangles intersect, and the request does not allow that.
+    #[error(
+        "{} of triangles still {} after vertices around were moved in {moves} rounds, and clean (--clean) allows none: ask for more triangles or a smaller error",
+        if *pairs == 1 { "1 pair".to_owned() } else { format!("{pairs} pairs") },
+        if *pairs == 1 { "intersects" } else { "intersect" }
+    )]
+    NotClean {
+        /// Pairs of triangles that intersect.
+        pairs: u64,
+        /// How often all of them were worked on.
+        moves: usize,
+    },
     /// The surface has no triangles, and the request does not allow that.
     #[error("{0}")]
     Empty(String),
@@ -60,8 +74,8 @@ pub async fn make(
     let device = extractor.worker().ready().await?;
     let mut made = Vec::new();
     for surface in request.surfaces(volume, others)? {
-        let measuring = request.options.measuring();
-        let extracted = extractor.extract_measured(&surface.volume, &surface.view, measuring, token);
+        let work = request.options.work();
+        let extracted = extractor.extract_with(&surface.volume, &surface.view, work, token);
         let extraction = extracted.await?;
         if !request.options.allow_empty && extraction.surface.statistics.triangles == 0 {
             let statistics = extraction.statistics(&surface.volume, &device.name);
@@ -106,6 +120,8 @@ fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape 
         split_vertices: split,
         is_closed,
         volume: volume.map(f64::abs),
+        self_intersections: None,
+        cleaned: None,
     }
 }
 
@@ -134,6 +150,32 @@ fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String>
         .into_iter()
         .flatten()
         .collect()
+}
+
+/// That vertices were moved after the error was measured.
+fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
+    let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
+    (count > 0).then(|| {
+        let length = cleaned.largest_move;
+        format!("{count} vertices were moved by up to {length:.3e} {unit} so that no triangles intersect, after the error was measured (--clean, clean)")
+    })
+}
+
+/// Makes a mesh one without intersections, and says what that has cost, with what the cut has.
+fn cleaned(
+    mesh: &mut Mesh,
+    format: Format,
+    refined: Option<RefinementCost>,
+    is_cancelled: &(dyn Fn() -> bool + Sync),
+) -> Result<Cleaned, MakeError> {
+    let repaired = clean::repair(mesh, format, is_cancelled)?;
+    let triangles = mesh.triangles.len() as u64;
+    Ok(Cleaned {
+        triangles_before: refined.map_or(triangles, |refined| refined.triangles),
+        triangles_after: triangles,
+        rounds: refined.map_or(0, |refined| refined.rounds),
+        ..repaired
+    })
 }
 
 /// What a surface is, for people.
@@ -203,11 +245,13 @@ impl MadeSurface {
         fields: Vec<FieldSamples>,
         asked: &FileSurface,
         device: &str,
-        is_cancelled: &dyn Fn() -> bool,
+        is_cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Result<Self, MakeError> {
         let (volume, options) = (&asked.volume, &asked.request.options);
         let mut statistics = extraction.statistics(volume, device);
-        let Extraction { surface, view, .. } = extraction;
+        let Extraction {
+            surface, view, refined, ..
+        } = extraction;
         let dataset = volume.dataset();
         let (of_view, space) = dataset.index_space(&view);
         let placed = of_view.in_unit(unit_of_file(options.format, of_view.unit, options.length_unit()));
@@ -221,9 +265,26 @@ impl MadeSurface {
         mesh.index = Vec::new();
         let topology = split_pinched(&mut mesh);
         mesh.is_closed = topology.is_closed;
-        statistics.shape = Some(turn_outward(&mut mesh, topology, options.outward));
+        let cleaned = match options.clean {
+            true => Some(cleaned(&mut mesh, options.format, refined, is_cancelled)?),
+            false => None,
+        };
+        let self_intersections = match (cleaned, options.work().measuring) {
+            (Some(_), _) => Some(0),
+            (None, Measuring::Never) => None,
+            (None, Measuring::Always) => clean::count(&mesh, options.format, None, is_cancelled),
+            (None, Measuring::Within(limit)) => clean::count(&mesh, options.format, Some(limit), is_cancelled),
+        };
+        statistics.shape = Some(Shape {
+            self_intersections,
+            cleaned,
+            ..turn_outward(&mut mesh, topology, options.outward)
+        });
         let is_measured = statistics.error.is_some() || view.mesher != MesherName::Dual;
         statistics.notices = notices(&mesh, options, is_measured);
+        statistics
+            .notices
+            .extend(cleaned.and_then(|cleaned| moves(&mesh, &cleaned)));
         let notice = dataset.notice().unwrap_or_default();
         mesh.notices = notice.lines().map(str::to_owned).collect();
         mesh.name = match (&asked.name, &options.label) {

@@ -14,6 +14,7 @@ use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
 use crate::volumes::{LengthUnit, VolumeStep};
 
+mod clean;
 mod decimal;
 mod empty;
 mod field_values;

@@ -13,7 +13,7 @@ use super::label::around_labels;
 use super::schema::merged_schema;
 use super::surface_options::SurfaceOptions;
 use super::{Compress, Format};
-use crate::extraction::Measuring;
+use crate::extraction::{ExportWork, Measuring};
 use crate::view::{Edit, EditError, Outward, View};
 use crate::volumes::{Dataset, LengthUnit};
 
@@ -52,6 +52,10 @@ pub struct FileOptions {
     /// Seconds that measuring the error of a surface may take, which takes about as long as all else; 0: it is not measured. Without it there is no bound.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measure: Option<f64>,
+    /// Whether no triangles of the file intersect: a cut of the vertex tree is refined where they do, and vertices are moved where that does not
+    /// suffice. A budget holds. `shape.cleaned` says what it cost.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub clean: bool,
     /// Several surfaces in one GLB, 3MF, OBJ or precomputed, each with what differs from the request: `[{"iso":300,"color":"#d2b48c","opacity":0.4},
     /// {"iso":900}]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -60,7 +64,7 @@ pub struct FileOptions {
 
 impl FileOptions {
     /// The names in JSON.
-    const NAMES: [&str; 9] = [
+    const NAMES: [&str; 10] = [
         "format",
         "allowEmpty",
         "outward",
@@ -69,6 +73,7 @@ impl FileOptions {
         "label",
         "compress",
         "measure",
+        "clean",
         "surfaces",
     ];
 
@@ -83,6 +88,7 @@ impl FileOptions {
             label: None,
             compress: Compress::None,
             measure: None,
+            clean: false,
             surfaces: Vec::new(),
         }
     }
@@ -126,6 +132,7 @@ impl FileOptions {
                 why: format!("{seconds}, expected seconds, 0 to {MAX_SECONDS}"),
             });
         }
+        self.check_clean()?;
         match &self.unit {
             Some(text) if self.length_unit().is_none() => Err(EditError {
                 field: "unit",
@@ -135,12 +142,31 @@ impl FileOptions {
         }
     }
 
-    /// Whether the error is measured.
-    pub fn measuring(&self) -> Measuring {
-        match self.measure {
+    fn check_clean(&self) -> Result<(), EditError> {
+        let refuse = |field, why| Err(EditError { field, why });
+        if self.clean && self.compress == Compress::Meshopt {
+            return refuse(
+                "clean",
+                "beside compress meshopt, which rounds positions: expected one of them".into(),
+            );
+        }
+        if self.clean && self.measure.is_some_and(|seconds| seconds > 0.0) {
+            let why = "a bound beside clean, whose cut is measured while it is there: expected none, or 0".into();
+            return refuse("measure", why);
+        }
+        Ok(())
+    }
+
+    /// Whether the error is measured and the surface refined.
+    pub fn work(&self) -> ExportWork {
+        let measuring = match self.measure {
             None => Measuring::Always,
             Some(seconds) if seconds > 0.0 => Measuring::Within(Duration::from_secs_f64(seconds.min(MAX_SECONDS))),
             Some(_) => Measuring::Never,
+        };
+        ExportWork {
+            measuring,
+            refines: self.clean,
         }
     }
 
@@ -171,6 +197,10 @@ impl FileRequest {
     /// A value out of its range, or a field that the volume does not have.
     pub fn view(&self, dataset: &Dataset) -> Result<View, EditError> {
         self.options.check(dataset)?;
+        if self.options.clean && self.edit.bytes.is_some() {
+            let why = "beside bytes, which are those of a surface that is not refined: expected triangles".into();
+            return Err(EditError { field: "clean", why });
+        }
         let fields = dataset.field_names();
         match &self.options.label {
             Some(labels) => View::requested(&around_labels(dataset, labels, &self.edit)?, &fields),

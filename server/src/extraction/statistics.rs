@@ -69,6 +69,29 @@ pub struct Shape {
     pub is_closed: bool,
     /// The volume that a closed surface encloses, in cubes of the file's unit.
     pub volume: Option<f64>,
+    /// Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured.
+    pub self_intersections: Option<u64>,
+    /// What it cost that there are none. Null: that was not asked for.
+    pub cleaned: Option<Cleaned>,
+}
+
+/// What `clean` has changed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct Cleaned {
+    /// Pairs of triangles that intersected in the file's numbers, after the cut was refined.
+    pub intersections: u64,
+    /// Triangles before the cut was refined where triangles intersect. The budget holds before and after.
+    pub triangles_before: u64,
+    /// Triangles after that.
+    pub triangles_after: u64,
+    /// Cuts that were made after the first one; 0 also of a surface that is no cut of the vertex tree.
+    pub rounds: u32,
+    /// Vertices that were moved, because their triangles still intersected.
+    pub moved_vertices: u64,
+    /// Farthest that one was moved, in the file's unit.
+    pub largest_move: f64,
 }
 
 /// Counts, times and bytes of one surface.
