@@ -13,9 +13,7 @@ use crate::cli::device::DeviceArgs;
 use crate::cli::output::{Output, OutputError, STDOUT};
 use crate::cli::stdin::InputPath;
 use crate::cli::surface::{SurfaceArgs, TransferFunctionError};
-use crate::export::{
-    FieldSamples, FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty,
-};
+use crate::export::{FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::GuardName;
 use crate::view::{ChosenPartsJson, EditError};
@@ -188,12 +186,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
             eprintln!("isopeel: {why}");
         }
         if output.is_some() {
-            // This thread waits for Ctrl-C.
-            let fields = FieldSamples::of(&extractor, &surface.volume, surface.values(), &token).await?;
-            let (device, stopped) = (device.name.clone(), token.clone());
-            let mesh = move || MadeSurface::new(extraction, fields, &surface, &device, &|| stopped.is_cancelled());
-            let mesh = tokio::task::spawn_blocking(mesh).await.map_err(io::Error::from)??;
-            made.push(mesh);
+            made.push(MadeSurface::of(&extractor, extraction, surface, &device.name, &token).await?);
         } else {
             counted.push(statistics);
         }

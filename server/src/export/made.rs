@@ -82,10 +82,7 @@ pub async fn make(
             let why = why_empty(extractor, &surface.volume, &extraction.view, &statistics).await?;
             return Err(MakeError::Empty(why.unwrap_or_default()));
         }
-        let fields = FieldSamples::of(extractor, &surface.volume, surface.values(), token).await?;
-        let (token, device) = (token.clone(), device.name.clone());
-        let mesh = move || MadeSurface::new(extraction, fields, &surface, &device, &|| token.is_cancelled());
-        made.push(pool::run_export(mesh).await??);
+        made.push(MadeSurface::of(extractor, extraction, surface, &device.name, token).await?);
     }
     Ok(MadeFile::new(volume, request, made))
 }
@@ -152,6 +149,26 @@ fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String>
         .collect()
 }
 
+/// What a format does not keep of what a surface was to look like.
+fn lost_looks(surface: &FileSurface) -> Vec<String> {
+    let (format, material) = (surface.request.options.format, surface.material);
+    let title = format.title();
+    let lost = [
+        (surface.name.is_some() && !format.holds_names(), "name of its surface"),
+        (
+            material.color.is_some() && !format.holds_color(),
+            "colour of its surface",
+        ),
+        (material.opacity < 1.0 && !format.holds_opacity(), "opacity"),
+        (
+            surface.request.is_colored() && !format.holds_colors(),
+            "colours of a transfer function",
+        ),
+    ];
+    let lost = lost.into_iter().filter(|(is_lost, _)| *is_lost);
+    lost.map(|(_, what)| format!("a {title} holds no {what}")).collect()
+}
+
 /// That vertices were moved after the error was measured.
 fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
     let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
@@ -188,9 +205,10 @@ fn name(volume: &VolumeStep, view: &View) -> String {
     format!("{}: {}{iso}{mask}", volume.dataset().id, view.field)
 }
 
-/// The name of a file without its extension.
-fn stem(volume: &str, request: &FileRequest, view: &View) -> String {
-    let what = match (&request.options.label, view.iso) {
+/// The name of a file of one surface without its extension.
+fn stem(surface: &FileSurface, view: &View) -> String {
+    let volume = &surface.volume.dataset().id;
+    let what = match (&surface.request.options.label, view.iso) {
         (Some(labels), _) => format!("-{labels}"),
         (None, Some(iso)) => format!("-{}", iso.get()),
         (None, None) => String::new(),
@@ -232,15 +250,33 @@ pub struct MadeSurface {
     /// Of the surface.
     pub statistics: ExtractionStatistics,
     extras: serde_json::Value,
-    view: View,
+    /// Name of a file of this surface alone, without its extension.
+    stem: String,
 }
 
 impl MadeSurface {
+    /// As [`MadeSurface::new`], with values of fields from the device, on the pool of exports.
+    ///
+    /// # Errors
+    /// As [`MadeSurface::new`], and the device's.
+    pub async fn of(
+        extractor: &Extractor,
+        extraction: Extraction,
+        asked: FileSurface,
+        device: &str,
+        token: &CancellationToken,
+    ) -> Result<Self, MakeError> {
+        let fields = FieldSamples::of(extractor, &asked.volume, asked.values(), token).await?;
+        let (token, device) = (token.clone(), device.to_owned());
+        let mesh = move || Self::new(extraction, fields, &asked, &device, &|| token.is_cancelled());
+        pool::run_export(mesh).await?
+    }
+
     /// The mesh of a surface that was made on the device of that name.
     ///
     /// # Errors
     /// What the format cannot hold, and [`ExportError::Cancelled`].
-    pub fn new(
+    fn new(
         extraction: Extraction,
         fields: Vec<FieldSamples>,
         asked: &FileSurface,
@@ -282,6 +318,7 @@ impl MadeSurface {
         });
         let is_measured = statistics.error.is_some() || view.mesher != MesherName::Dual;
         statistics.notices = notices(&mesh, options, is_measured);
+        statistics.notices.extend(lost_looks(asked));
         statistics
             .notices
             .extend(cleaned.and_then(|cleaned| moves(&mesh, &cleaned)));
@@ -302,7 +339,7 @@ impl MadeSurface {
             mesh,
             statistics,
             extras,
-            view,
+            stem: stem(asked, &view),
         })
     }
 }
@@ -312,7 +349,7 @@ impl MadeFile {
     pub fn new(volume: &VolumeStep, request: &FileRequest, surfaces: Vec<MadeSurface>) -> Self {
         let id = &volume.dataset().id;
         let stem = match &surfaces[..] {
-            [one] => stem(id, request, &one.view),
+            [one] => one.stem.clone(),
             _ => safe_name(id),
         };
         let (mut meshes, mut statistics, mut extras) = (Vec::new(), Vec::new(), Vec::new());

@@ -96,15 +96,9 @@ impl FileOptions {
     /// Checks the options for a volume.
     ///
     /// # Errors
-    /// A unit that is none of lengths, a field that the volume does not have, or too many of them.
+    /// Those of [`FileOptions::check_alone`], and a field that the volume does not have.
     fn check(&self, dataset: &Dataset) -> Result<(), EditError> {
-        if self.field_values.len() > MAX_FIELD_VALUES {
-            let count = self.field_values.len();
-            return Err(EditError {
-                field: "fieldValues",
-                why: format!("{count} fields, expected at most {MAX_FIELD_VALUES}"),
-            });
-        }
+        self.check_alone()?;
         if let Some(name) = self.field_values.iter().find(|name| field_of(dataset, name).is_none()) {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
             return Err(EditError {
@@ -115,31 +109,34 @@ impl FileOptions {
                 ),
             });
         }
+        Ok(())
+    }
+
+    /// Checks what does not depend on the volume.
+    ///
+    /// # Errors
+    /// A unit that is none of lengths, too many fields, or options that exclude each other.
+    fn check_alone(&self) -> Result<(), EditError> {
+        let refuse = |field, why| Err(EditError { field, why });
+        if self.field_values.len() > MAX_FIELD_VALUES {
+            let count = self.field_values.len();
+            return refuse(
+                "fieldValues",
+                format!("{count} fields, expected at most {MAX_FIELD_VALUES}"),
+            );
+        }
         if let Some(format) = self.compress.format().filter(|format| *format != self.format) {
-            return Err(EditError {
-                field: "compress",
-                why: format!(
-                    "{:?} of a {}, expected a {}",
-                    self.compress,
-                    self.format.title(),
-                    format.title()
-                ),
-            });
+            let (name, title, expected) = (self.compress.name(), self.format.title(), format.title());
+            return refuse("compress", format!("{name} of a {title}, expected a {expected}"));
         }
         if let Some(seconds) = self.measure.filter(|seconds| !(0.0..=MAX_SECONDS).contains(seconds)) {
-            return Err(EditError {
-                field: "measure",
-                why: format!("{seconds}, expected seconds, 0 to {MAX_SECONDS}"),
-            });
+            return refuse("measure", format!("{seconds}, expected seconds, 0 to {MAX_SECONDS}"));
         }
-        self.check_clean()?;
-        match &self.unit {
-            Some(text) if self.length_unit().is_none() => Err(EditError {
-                field: "unit",
-                why: format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom"),
-            }),
-            _ => Ok(()),
+        if let Some(text) = self.unit.as_ref().filter(|_| self.length_unit().is_none()) {
+            let why = format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom");
+            return refuse("unit", why);
         }
+        self.check_clean()
     }
 
     fn check_clean(&self) -> Result<(), EditError> {
@@ -197,15 +194,39 @@ impl FileRequest {
     /// A value out of its range, or a field that the volume does not have.
     pub fn view(&self, dataset: &Dataset) -> Result<View, EditError> {
         self.options.check(dataset)?;
-        if self.options.clean && self.edit.bytes.is_some() {
-            let why = "beside bytes, which are those of a surface that is not refined: expected triangles".into();
-            return Err(EditError { field: "clean", why });
-        }
+        self.check_bytes()?;
         let fields = dataset.field_names();
         match &self.options.label {
             Some(labels) => View::requested(&around_labels(dataset, labels, &self.edit)?, &fields),
             None => View::requested(&self.edit, &fields),
         }
+    }
+
+    fn check_bytes(&self) -> Result<(), EditError> {
+        if self.options.clean && self.edit.bytes.is_some() {
+            let why = "beside bytes, which are those of a surface that is not refined: expected triangles".into();
+            return Err(EditError { field: "clean", why });
+        }
+        Ok(())
+    }
+
+    /// Checks what does not depend on a volume, its fields and its labels.
+    ///
+    /// # Errors
+    /// The first value that is wrong for any volume.
+    pub fn check_alone(&self) -> Result<(), EditError> {
+        self.options.check_alone()?;
+        self.check_surfaces()?;
+        self.check_bytes()?;
+        // Names of fields are those of each volume.
+        let edit = Edit {
+            field: None,
+            mask: None,
+            feature: None,
+            feature_range: None,
+            ..self.edit.clone()
+        };
+        View::requested(&edit, &["field"]).map(|_| ())
     }
 
     /// Whether its file has the colours of a transfer function: only of one that it names.

@@ -176,8 +176,8 @@ impl ExtractionStatistics {
         all
     }
 
-    /// Those of one surface, or of several in one file: counts, times and bytes are of all together, errors the largest, and the rest is the first
-    /// surface's.
+    /// Those of one surface, or of several in one file: counts and times are of all together, guards that gave way those of any, errors, tolerance and
+    /// bytes the largest, and the rest is the first surface's.
     pub fn of_several(all: Vec<Self>) -> Self {
         let mut all = all.into_iter();
         let mut sum = all.next().unwrap_or_default();
@@ -188,6 +188,17 @@ impl ExtractionStatistics {
     }
 
     fn add(&mut self, next: Self) {
+        let sum = |a: Option<u64>, b: Option<u64>| a.into_iter().chain(b).reduce(|a, b| a + b);
+        self.removed_parts = sum(self.removed_parts, next.removed_parts);
+        self.removed_triangles = sum(self.removed_triangles, next.removed_triangles);
+        self.unmatched_positions = sum(self.unmatched_positions, next.unmatched_positions);
+        for guard in next.gave_way {
+            if !self.gave_way.contains(&guard) {
+                self.gave_way.push(guard);
+            }
+        }
+        self.is_tree_cut &= next.is_tree_cut;
+        self.tolerance = self.tolerance.zip(next.tolerance).map(|(a, b)| a.max(b));
         self.error = self.error.zip(next.error).map(|(a, b)| MeasuredError {
             rms: a.rms.max(b.rms),
             max: a.max.max(b.max),
