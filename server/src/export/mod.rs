@@ -15,6 +15,7 @@ use crate::view::Edit;
 use crate::volumes::{LengthUnit, VolumeStep};
 
 mod clean;
+mod contours;
 mod decimal;
 mod empty;
 mod field_values;
@@ -28,6 +29,7 @@ mod ply;
 mod precomputed;
 mod request;
 mod schema;
+pub mod slice;
 mod stl;
 mod surface_options;
 mod surfaces;
