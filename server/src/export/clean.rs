@@ -6,7 +6,7 @@ use rustc_hash::FxHashMap;
 
 use super::decimal::Decimals;
 use super::topology::Around;
-use super::{ExportError, Format, MakeError, Mesh};
+use super::{Format, Mesh};
 use crate::extraction::Cleaned;
 use crate::math::DVec3;
 use crate::math::intersections::{Bounds, Corners, TriangleSoup, TriangleTree, has_area, intersect};
@@ -29,6 +29,28 @@ const MIDDLE_SHARES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
 /// Of so many moves that change nothing one is made, to leave a dead end.
 const SIDEWAYS: u64 = 4;
 
+/// Triangles of a file still intersect.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{pairs} {} after {MAX_ROUNDS} rounds of moving vertices there, and clean (--clean) allows none: ask for more triangles or a smaller error",
+    if *pairs == 1 { "pair of triangles still intersects" } else { "pairs of triangles still intersect" }
+)]
+pub struct NotClean {
+    /// Pairs of triangles that intersect.
+    pairs: u64,
+}
+
+/// Why a mesh is not repaired.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum RepairError {
+    /// Nobody waits for it any more.
+    #[error("cancelled")]
+    Cancelled,
+    /// Triangles still intersect.
+    #[error(transparent)]
+    NotClean(#[from] NotClean),
+}
+
 /// Counts the pairs of triangles that intersect in a file of the format; `None` if that is cancelled, or takes longer than the limit.
 pub(super) fn count(
     mesh: &Mesh,
@@ -50,12 +72,12 @@ pub(super) fn count(
 /// Moves are tried in a fixed order, so that equal meshes are repaired equally.
 ///
 /// # Errors
-/// [`MakeError::NotClean`] if some still intersect after [`MAX_ROUNDS`].
+/// [`RepairError::NotClean`] if some still intersect after [`MAX_ROUNDS`].
 pub(super) fn repair(
     mesh: &mut Mesh,
     format: Format,
     is_cancelled: &(dyn Fn() -> bool + Sync),
-) -> Result<Cleaned, MakeError> {
+) -> Result<Cleaned, RepairError> {
     let mut cleaned = Cleaned::default();
     let around = Around::new(mesh);
     let numbers = Numbers::new(mesh, format);
@@ -74,7 +96,7 @@ pub(super) fn repair(
         };
         let tree = TriangleTree::new(&soup);
         let pairs = tree.intersections(&soup, is_cancelled);
-        let pairs = pairs.ok_or(MakeError::Export(ExportError::Cancelled))?;
+        let pairs = pairs.ok_or(RepairError::Cancelled)?;
         if round == 0 {
             cleaned.intersections = pairs.len() as u64;
         }
@@ -83,14 +105,12 @@ pub(super) fn repair(
             return Ok(cleaned);
         }
         if round == MAX_ROUNDS {
-            return Err(MakeError::NotClean {
-                pairs: pairs.len() as u64,
-                moves: MAX_ROUNDS,
-            });
+            let pairs = pairs.len() as u64;
+            return Err(RepairError::NotClean(NotClean { pairs }));
         }
         for group in groups(&repair.mesh.triangles, &pairs) {
             if is_cancelled() {
-                return Err(MakeError::Export(ExportError::Cancelled));
+                return Err(RepairError::Cancelled);
             }
             repair.work_on(group, round / ROUNDS_BEFORE_GROWTH, &tree);
         }
@@ -221,7 +241,7 @@ impl Repair<'_> {
         }
     }
 
-    /// Moves a vertex to where its triangles intersect fewest of those near it; of several such places to the nearest. True if they intersect none as
+    /// Moves a vertex to where its triangles intersect fewest of those near it; of several such positions to the nearest. True if they intersect none as
     /// it is.
     fn improve(&mut self, vertex: u32, near: &[u32]) -> bool {
         let current = self.mesh.positions[vertex as usize];
@@ -234,7 +254,7 @@ impl Repair<'_> {
         for candidate in self.candidates(vertex, at) {
             let candidate = candidate.to_array().map(|component| component as f32);
             let faults = self.faults(vertex, candidate, near, fewest + 1);
-            let is_sideways = faults == before && fewest == before && self.random.next() % SIDEWAYS == 0;
+            let is_sideways = faults == before && fewest == before && self.random.next().is_multiple_of(SIDEWAYS);
             if faults < fewest || is_sideways {
                 (best, fewest) = (candidate, faults);
             }
@@ -264,15 +284,15 @@ impl Repair<'_> {
             .originals
             .get(&vertex)
             .map(|original| DVec3::from(original.map(f64::from)));
-        let mut places: Vec<DVec3> = MIDDLE_SHARES.iter().map(|&share| at.lerp(middle, share)).collect();
-        places.extend(
+        let mut tried: Vec<DVec3> = MIDDLE_SHARES.iter().map(|&share| at.lerp(middle, share)).collect();
+        tried.extend(
             RANDOM_RADII
                 .iter()
                 .map(|&radius| at + radius * length * self.random.vector()),
         );
-        places.extend(original);
-        places.sort_by(|a, b| a.distance(at).total_cmp(&b.distance(at)));
-        places
+        tried.extend(original);
+        tried.sort_by(|a, b| a.distance(at).total_cmp(&b.distance(at)));
+        tried
     }
 
     /// How many pairs of triangles intersect, with one that has a vertex if that is at a position, and one of those near it. Counts no farther than
@@ -352,8 +372,8 @@ mod tests {
     /// A closed surface of 2·n² triangles over a square, one side of which is pushed through the other by so much.
     fn pillow(n: usize, push: f32) -> Mesh {
         let at = |i: usize, j: usize, top: bool| {
-            let is_rim = i == 0 || j == 0 || i == n || j == n;
-            let side = match (is_rim, top) {
+            let is_boundary = i == 0 || j == 0 || i == n || j == n;
+            let side = match (is_boundary, top) {
                 (true, _) => 0.0,
                 (false, true) => 1.0,
                 (false, false) => -1.0,
@@ -366,21 +386,22 @@ mod tests {
             [i as f32, j as f32, z]
         };
         let mut mesh = Mesh::default();
-        let mut rim = std::collections::HashMap::new();
+        let mut boundary = std::collections::HashMap::new();
         for (top, i, j) in [true, false]
             .into_iter()
             .flat_map(|top| (0..n).flat_map(move |i| (0..n).map(move |j| (top, i, j))))
         {
             let mut vertex = |i: usize, j: usize| {
                 let position = at(i, j, top);
-                *rim.entry((i, j, position[2] != 0.0, top && position[2] != 0.0))
+                *boundary
+                    .entry((i, j, position[2] != 0.0, top && position[2] != 0.0))
                     .or_insert_with(|| {
                         mesh.positions.push(position);
                         mesh.positions.len() as u32 - 1
                     })
             };
             let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
-            // No triangle has all corners on the rim, which both sides share.
+            // No triangle has all corners on the boundary, which both sides share.
             let pair = match (i == n - 1 && j == 0) || (i == 0 && j == n - 1) {
                 true => [[a, b, d], [b, c, d]],
                 false => [[a, b, c], [a, c, d]],

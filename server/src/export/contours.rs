@@ -137,7 +137,7 @@ mod tests {
 
     #[test]
     fn opposite_inside_corners_are_separated() {
-        let saddle = |x: u32, y: u32| Some(if (x + y) % 2 == 0 { 1.0 } else { 0.0 });
+        let saddle = |x: u32, y: u32| Some(if (x + y).is_multiple_of(2) { 1.0 } else { 0.0 });
         let found = contours([2, 2], saddle, 0.5);
         assert_eq!(found.len(), 2);
         for contour in &found {

@@ -5,7 +5,7 @@ use std::io::Write;
 use isopeel_kernels::RefinementCost;
 use tokio_util::sync::CancellationToken;
 
-use super::clean;
+use super::clean::{self, NotClean, RepairError};
 use super::field_values::FieldSamples;
 use super::topology::{Topology, split_pinched, volume};
 use super::{
@@ -40,23 +40,23 @@ pub enum MakeError {
     #[error(transparent)]
     Export(#[from] ExportError),
     /// Triangles intersect, and the request does not allow that.
-    #[error(
-        "{} of triangles still {} after vertices around were moved in {moves} rounds, and clean (--clean) allows none: ask for more triangles or a smaller error",
-        if *pairs == 1 { "1 pair".to_owned() } else { format!("{pairs} pairs") },
-        if *pairs == 1 { "intersects" } else { "intersect" }
-    )]
-    NotClean {
-        /// Pairs of triangles that intersect.
-        pairs: u64,
-        /// How often all of them were worked on.
-        moves: usize,
-    },
+    #[error(transparent)]
+    NotClean(#[from] NotClean),
     /// The surface has no triangles, and the request does not allow that.
     #[error("{0}")]
     Empty(String),
     /// The work panicked.
     #[error(transparent)]
     Panicked(#[from] Panicked),
+}
+
+impl From<RepairError> for MakeError {
+    fn from(error: RepairError) -> Self {
+        match error {
+            RepairError::Cancelled => Self::Export(ExportError::Cancelled),
+            RepairError::NotClean(error) => Self::NotClean(error),
+        }
+    }
 }
 
 /// Extracts the surfaces of a request and makes a file of them. The work ends soon after the token is cancelled; what it does on

@@ -173,7 +173,7 @@ impl Plane {
         if *format != SliceFormat::Png && (window.is_some() || level.is_some()) {
             return refuse("window and level are of pictures, expected format=png beside them".into());
         }
-        if format.has_contours() != !isovalues.is_empty() {
+        if format.has_contours() == isovalues.is_empty() {
             return refuse(
                 "iso: isovalues are of contours, expected some with format svg or geojson, and none with others".into(),
             );

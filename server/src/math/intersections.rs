@@ -347,11 +347,15 @@ fn crosses_in_plane([from, to]: [&[f64; 3]; 2], triangle: &Corners) -> bool {
         let turns = [[a, b], [b, c], [c, a]].map(|[p, q]| orient2d(p, q, point));
         turns.iter().all(|turn| *turn >= 0.0) || turns.iter().all(|turn| *turn <= 0.0)
     };
-    is_inside(from) || is_inside(to) || [[a, b], [b, c], [c, a]].into_iter().any(|edge| meet([from, to], edge))
+    is_inside(from)
+        || is_inside(to)
+        || [[a, b], [b, c], [c, a]]
+            .into_iter()
+            .any(|edge| have_common_point([from, to], edge))
 }
 
 /// Whether two segments of a plane have a point in common.
-fn meet([a, b]: [Coord<f64>; 2], [c, d]: [Coord<f64>; 2]) -> bool {
+fn have_common_point([a, b]: [Coord<f64>; 2], [c, d]: [Coord<f64>; 2]) -> bool {
     let differ = |p: f64, q: f64| (p >= 0.0 && q <= 0.0) || (p <= 0.0 && q >= 0.0);
     let overlap = |p: f64, q: f64, r: f64, s: f64| p.min(q) <= r.max(s) && r.min(s) <= p.max(q);
     differ(orient2d(a, b, c), orient2d(a, b, d))

@@ -378,8 +378,8 @@ fn piercing(mesh: &FileMesh) -> usize {
             let [low, high] = [f64::min, f64::max].map(|of| corners.iter().map(|x| x[i]).reduce(of).expect("corners"));
             from[i].min(to[i]) <= high && from[i].max(to[i]) >= low
         };
-        let places = [p, q].map(at);
-        if !(0..3).all(is_near) || corners.iter().any(|corner| places.contains(corner)) {
+        let ends = [p, q].map(at);
+        if !(0..3).all(is_near) || corners.iter().any(|corner| ends.contains(corner)) {
             return false;
         }
         let [a, b, c] = corners;
