@@ -170,6 +170,7 @@ test-formats: build-tests ## readers and exports beside independent programs, fr
 	FIXTURES="$(CURDIR)/target/fixtures" EVERY_SAMPLE=1 tests/scripts/fixtures.py
 	FIXTURES="$(CURDIR)/target/fixtures" cargo test --locked --package isopeel --test volumes fixtures
 	tests/scripts/exports.py "$(TESTED_BINARY)"
+	tests/scripts/export_table.py "$(TESTED_BINARY)"
 
 test-oclgrind: ## the kernels under oclgrind: out-of-bounds accesses and races
 	tests/scripts/oclgrind.sh

@@ -20,6 +20,7 @@ mod table;
 mod tree;
 mod tree_cut;
 mod tree_part;
+pub(crate) mod tree_refine;
 pub(crate) mod upload;
 
 /// A device, its queue and its programs. Lives on one thread.

@@ -64,6 +64,7 @@ pub use engine::{
     cut::{Differences, Kept},
     fit::BUDGET_FIT,
     query::{CURVE_POINTS, CurvePoint, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ProbedPart, ShownCut},
+    tree_refine::{RefinementCost, RegionVertex},
     upload::Upload,
 };
 pub use error::{Error, Result};

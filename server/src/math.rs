@@ -1,5 +1,6 @@
-//! Vectors and affine maps in double precision, by glam; axes with uneven positions.
+//! Vectors and affine maps in double precision, by glam; axes with uneven positions; triangles that intersect.
 
+pub mod intersections;
 mod uneven;
 
 pub use glam::{DAffine3, DVec3};

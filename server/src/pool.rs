@@ -72,6 +72,14 @@ pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'st
     }
 }
 
+/// Runs `work` on the pool of exports and waits for it, on a thread of no pool.
+pub fn install_export<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    match EXPORTS.get() {
+        Some(pool) => pool.install(work),
+        None => work(),
+    }
+}
+
 /// Runs `work` on rayon's pool. It runs to its end even if the future is dropped, so it must be short.
 pub async fn run<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
     spawn(rayon::spawn, work).await

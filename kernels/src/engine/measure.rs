@@ -57,7 +57,7 @@ impl Engine {
         let cutter = self.cutter_without_parts(volume, pyramid, tree, &params, &goal.without, cancel)?;
         let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
         let mut meshes = cutter.meshes(&work)?;
-        let mesh = self.mesh_tree_cut(&cutter, &params, &work, &mut meshes, cancel)?;
+        let (mesh, _) = self.mesh_tree_cut(&cutter, &params, &work, &mut meshes, cancel)?;
         self.measured(pyramid, mesh)
     }
 

@@ -38,18 +38,37 @@ impl Engine {
         goal: &TreeGoal,
         cancel: &dyn Cancel,
     ) -> Result<(Surface, f32)> {
-        let cx = &self.cx;
-        let before = cx.pool.restart();
+        let before = self.cx.pool.restart();
         let cutter = self.cutter_without_parts(volume, pyramid, tree, params, &goal.without, cancel)?;
         let (work, tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
-        let (mut meshes, statistics) = self.count_tree_cut(&cutter, &work)?;
-        check(cancel)?;
-        let mesh = self.mesh_tree_cut(&cutter, params, &work, &mut meshes, cancel)?;
+        let surface = self.surface_of_tree_cut(&cutter, params, &work, before, cancel)?;
         keep(&cutter, params, goal, work);
+        Ok((surface, tolerance))
+    }
+
+    /// The mesh of a cut on the host. `before`: bytes of the pool when the work began.
+    pub(super) fn surface_of_tree_cut(
+        &self,
+        cutter: &Cutter<'_>,
+        params: &CutParams,
+        work: &CutWork,
+        before: u64,
+        cancel: &dyn Cancel,
+    ) -> Result<Surface> {
+        let Cutter {
+            cx,
+            volume,
+            pyramid,
+            tree,
+            ..
+        } = *cutter;
+        let (mut meshes, statistics) = self.count_tree_cut(cutter, work)?;
+        check(cancel)?;
+        let (mesh, _) = self.mesh_tree_cut(cutter, params, work, &mut meshes, cancel)?;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
         let regions = self.read_back(pyramid, mesh)?;
         let device_bytes = pyramid.device_bytes() + tree.device_bytes() + cx.pool.peak().saturating_sub(before);
-        let surface = Surface {
+        Ok(Surface {
             regions,
             remade: None,
             prefix: Level::FINEST,
@@ -60,8 +79,7 @@ impl Engine {
                 volume_bytes: volume.sample_bytes() + pyramid.feature_bytes,
                 ..statistics
             },
-        };
-        Ok((surface, tolerance))
+        })
     }
 
     /// What cuts a tree; it must be one of this pyramid.
@@ -135,33 +153,47 @@ impl Engine {
         limit: f32,
         cancel: &dyn Cancel,
     ) -> Result<(CutWork, f32, f32)> {
+        let mut work = cutter.begin()?;
+        let (tolerance, first) = self.repair_cut(cutter, importances, goal, limit, &mut work, cancel)?;
+        Ok((work, tolerance, first))
+    }
+
+    /// Makes a cut, whose marks are kept, until its topology is that of the surface.
+    pub(super) fn repair_cut(
+        &self,
+        cutter: &Cutter<'_>,
+        importances: Option<&Buffer<u32>>,
+        goal: &TreeGoal,
+        limit: f32,
+        work: &mut CutWork,
+        cancel: &dyn Cancel,
+    ) -> Result<(f32, f32)> {
         let fit = |work: &CutWork| -> Result<f32> {
             let fitted = self.fit_tree(cutter, work, goal.max_triangles)?;
             Ok(goal.tolerance.max(fitted).min(limit))
         };
         let has_budget = cutter.full_triangles() > goal.max_triangles;
-        let mut work = cutter.begin()?;
-        cutter.keys(importances, &work)?;
+        cutter.keys(importances, work)?;
         self.cx.pause(tree_cut::STAGE, cancel)?;
-        let first = fit(&work)?;
+        let first = fit(work)?;
         let mut tolerance = first;
-        cutter.leaves(&mut work, tolerance)?;
+        cutter.leaves(work, tolerance)?;
         for _ in 0..MAX_REPAIRS {
             check(cancel)?;
-            if !cutter.test(&work)? {
+            if !cutter.test(work)? {
                 if !work.is_first {
-                    cutter.list(&work)?;
+                    cutter.list(work)?;
                 }
-                return Ok((work, tolerance, first));
+                return Ok((tolerance, first));
             }
-            cutter.keys(importances, &work)?;
-            cutter.leaves(&mut work, tolerance)?;
+            cutter.keys(importances, work)?;
+            cutter.leaves(work, tolerance)?;
             // Repairs may break the budget.
-            if has_budget && tolerance < limit && cutter.triangles(&work)? > goal.max_triangles {
-                let fitted = fit(&work)?;
+            if has_budget && tolerance < limit && cutter.triangles(work)? > goal.max_triangles {
+                let fitted = fit(work)?;
                 if fitted > tolerance {
                     tolerance = fitted;
-                    cutter.leaves(&mut work, tolerance)?;
+                    cutter.leaves(work, tolerance)?;
                 }
             }
         }
@@ -172,7 +204,11 @@ impl Engine {
     }
 
     /// Triangles of each region, and what is known of a cut before it is meshed.
-    fn count_tree_cut(&self, cutter: &Cutter<'_>, work: &CutWork) -> Result<(Vec<RegionMesh>, SurfaceStatistics)> {
+    pub(super) fn count_tree_cut(
+        &self,
+        cutter: &Cutter<'_>,
+        work: &CutWork,
+    ) -> Result<(Vec<RegionMesh>, SurfaceStatistics)> {
         let (sums, meshes) = (cutter.sums(work)?, cutter.meshes(work)?);
         let leaves = sum_levels(sums.iter().map(|region| &region.leaves));
         let removed = cutter.left_out.as_ref().map(|left_out| left_out.removed);
@@ -194,7 +230,7 @@ impl Engine {
         Ok((meshes, statistics))
     }
 
-    /// The mesh of a cut, with its error where `params` ask for it.
+    /// The mesh of a cut, with its error where `params` ask for it, and the leaf of each vertex: from a region's first corner on.
     pub(super) fn mesh_tree_cut(
         &self,
         cutter: &Cutter<'_>,
@@ -202,7 +238,7 @@ impl Engine {
         work: &CutWork,
         meshes: &mut [RegionMesh],
         cancel: &dyn Cancel,
-    ) -> Result<Mesh> {
+    ) -> Result<(Mesh, Buffer<u32>)> {
         let Cutter {
             cx,
             volume,
@@ -246,12 +282,13 @@ impl Engine {
             }
             None => None,
         };
-        Ok(Mesh {
+        let mesh = Mesh {
             regions,
             vertices,
             indices,
             errors,
-        })
+        };
+        Ok((mesh, vertex_leaves))
     }
 
     /// The cut that [`Engine::tree_surface`] makes the surface of: the one that was made last, or else made anew.

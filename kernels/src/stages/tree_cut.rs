@@ -3,7 +3,7 @@
 use super::args::kernel_args;
 use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
-use crate::layout::{CutParams, RegionMesh, TreeCutRegion};
+use crate::layout::{CutParams, NONE, RegionMesh, TreeCutRegion};
 use crate::stages::cut::Criterion;
 use crate::stages::fit::Keys;
 use crate::tree::{Importances, LeftOut, VertexTree};
@@ -298,6 +298,24 @@ impl Cutter<'_> {
                 &work.merged,
             ],
         )
+    }
+
+    /// Marks nodes and all above them, so that no tolerance merges them. The next cut is made as a whole.
+    pub fn forbid(&self, work: &mut CutWork, nodes: &[u32]) -> Result<()> {
+        let count = self.tree.built.nodes.len();
+        let parents = self.cx.read(STAGE, &self.tree.built.node_parents, count)?;
+        let mut marks = self.cx.read(STAGE, &work.marks, count)?;
+        for &node in nodes {
+            let mut at = node;
+            while at != NONE {
+                marks[at as usize] = 1;
+                at = parents[at as usize];
+            }
+        }
+        work.marks = self.cx.upload(STAGE, &marks)?;
+        work.marked = self.cx.filled(STAGE, self.regions(), 1)?;
+        work.tolerance = f32::NAN;
+        Ok(())
     }
 
     /// Triangles of a cut, by what its merged nodes take away.

@@ -20,6 +20,7 @@ use crate::export::Format;
 use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::jobs::{JobError, OpenError, StateFolderError};
 use crate::private_folder::FolderAccess;
+use crate::view::EditError;
 use crate::volumes::{Frame, ReadError};
 use crate::wire::encode::encoded_bytes;
 use steps::Steps;
@@ -104,6 +105,9 @@ pub enum BatchError {
     /// The transfer function's file cannot be read.
     #[error(transparent)]
     TransferFunction(#[from] TransferFunctionError),
+    /// A value out of its range, for any volume.
+    #[error(transparent)]
+    Edit(#[from] EditError),
     /// A file of a surface cannot be written.
     #[error("{0}; what was made is in the manifest, and the same command goes on")]
     Write(#[source] OutputError),

@@ -13,9 +13,7 @@ use crate::cli::device::DeviceArgs;
 use crate::cli::output::{Output, OutputError, STDOUT};
 use crate::cli::stdin::InputPath;
 use crate::cli::surface::{SurfaceArgs, TransferFunctionError};
-use crate::export::{
-    FieldSamples, FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty,
-};
+use crate::export::{FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
 use crate::view::quality::GuardName;
 use crate::view::{ChosenPartsJson, EditError};
@@ -163,8 +161,8 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let (mut made, mut counted) = (Vec::new(), Vec::new());
     for surface in surfaces {
-        let measuring = request.options.measuring();
-        let extracted = extractor.extract_measured(&surface.volume, &surface.view, measuring, &token);
+        let work = request.options.work();
+        let extracted = extractor.extract_with(&surface.volume, &surface.view, work, &token);
         let extraction = extracted.await?;
         let statistics = extraction.statistics(&surface.volume, &device.name);
         if let (None, None, Some(iso)) = (
@@ -188,12 +186,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
             eprintln!("isopeel: {why}");
         }
         if output.is_some() {
-            // This thread waits for Ctrl-C.
-            let fields = FieldSamples::of(&extractor, &surface.volume, surface.values(), &token).await?;
-            let (device, stopped) = (device.name.clone(), token.clone());
-            let mesh = move || MadeSurface::new(extraction, fields, &surface, &device, &|| stopped.is_cancelled());
-            let mesh = tokio::task::spawn_blocking(mesh).await.map_err(io::Error::from)??;
-            made.push(mesh);
+            made.push(MadeSurface::of(&extractor, extraction, surface, &device.name, &token).await?);
         } else {
             counted.push(statistics);
         }

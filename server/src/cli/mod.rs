@@ -11,6 +11,7 @@ pub mod log;
 mod output;
 pub mod serve;
 pub mod settings;
+mod slice;
 mod stdin;
 mod surface;
 pub mod token;
@@ -59,6 +60,8 @@ pub enum Command {
     Token(token::Args),
     /// Extract isosurfaces of many volumes and time steps to files, without a server; interrupted, the same command goes on
     Batch(Box<batch::Args>),
+    /// Write a plane of a volume as a picture or NRRD, or contours on it as SVG or GeoJSON
+    Slice(slice::Args),
     /// Say what a volume is: dimensions, type, spacing, range and histogram of every field
     Info(InfoArgs),
     /// List the OpenCL devices, the preferred one first; with --check, say which of them compute rightly
@@ -115,7 +118,9 @@ impl Command {
     /// Whether it loads the drivers of devices.
     pub fn uses_device(&self) -> bool {
         match self {
-            Self::Serve(_) | Self::Extract(_) | Self::Batch(_) | Self::Devices(_) | Self::Bench(_) => true,
+            Self::Serve(_) | Self::Extract(_) | Self::Batch(_) | Self::Slice(_) | Self::Devices(_) | Self::Bench(_) => {
+                true
+            }
             Self::Jobs(_) | Self::Token(_) | Self::Info(_) | Self::Completions(_) | Self::Manual(_) => false,
         }
     }
@@ -125,6 +130,7 @@ impl Command {
         match self {
             Self::Serve(_) => "info",
             Self::Extract(_)
+            | Self::Slice(_)
             | Self::Jobs(_)
             | Self::Token(_)
             | Self::Batch(_)
@@ -146,6 +152,7 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
     match cli.command {
         Command::Serve(args) => Ok(serve::run(&args)?),
         Command::Extract(args) => Ok(extract::run(&args)?),
+        Command::Slice(args) => Ok(slice::run(&args)?),
         Command::Jobs(args) => Ok(jobs::run(&args)?),
         Command::Token(args) => Ok(token::run(&args)?),
         Command::Batch(args) => Ok(batch::run(&args)?),

@@ -13,7 +13,10 @@ use crate::export::{ExportError, MadeFile};
 const BUFFER_BYTES: usize = 1 << 20;
 
 /// Prefix of names of files that are not complete.
-pub(super) const TEMPORARY: &str = ".isopeel-";
+const TEMPORARY: &str = ".isopeel-";
+
+/// The same, of files that a batch writes to its folder.
+pub(super) const BATCH_TEMPORARY: &str = ".isopeel-batch-";
 
 /// The path that stands for stdout.
 pub(super) const STDOUT: &str = "-";
@@ -52,9 +55,9 @@ pub enum OutputError {
 }
 
 /// A temporary file in a folder, with the rights of any new file.
-fn temporary_in(folder: &Path) -> io::Result<NamedTempFile> {
+fn temporary_in(folder: &Path, prefix: &str) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
-    builder.prefix(TEMPORARY);
+    builder.prefix(prefix);
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
@@ -64,9 +67,9 @@ fn temporary_in(folder: &Path) -> io::Result<NamedTempFile> {
     builder.tempfile_in(folder)
 }
 
-/// Writes a small file, whole or not at all, in place of one that is there.
+/// Writes a small file of a batch, whole or not at all, in place of one that is there.
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = temporary_in(path.parent().unwrap_or(Path::new(".")))?;
+    let mut file = temporary_in(path.parent().unwrap_or(Path::new(".")), BATCH_TEMPORARY)?;
     file.write_all(bytes)?;
     file.persist(path)?;
     Ok(())
@@ -78,6 +81,15 @@ impl Output {
         if path == Path::new(STDOUT) {
             return Self::stdout();
         }
+        Self::create_named(path, TEMPORARY)
+    }
+
+    /// As [`Output::create`], of a file in the folder of a batch.
+    pub(super) fn create_of_batch(path: &Path) -> Result<Self, OutputError> {
+        Self::create_named(path, BATCH_TEMPORARY)
+    }
+
+    fn create_named(path: &Path, prefix: &str) -> Result<Self, OutputError> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
         let create = || {
             if path.is_dir() {
@@ -89,7 +101,7 @@ impl Output {
                 let why = format!("there is no folder {}", folder.display());
                 return Err(io::Error::new(io::ErrorKind::NotFound, why));
             }
-            temporary_in(folder)
+            temporary_in(folder, prefix)
         };
         let file = create().map_err(|source| OutputError::File {
             path: path.to_owned(),
@@ -121,6 +133,20 @@ impl Output {
             hasher: Some(Sha256::new()),
             ..self
         }
+    }
+
+    /// Writes bytes and gives the file its name.
+    pub(super) fn write_bytes(self, bytes: &[u8]) -> Result<(), OutputError> {
+        let write = || match self.file {
+            Some(mut file) => {
+                file.write_all(bytes)?;
+                file.persist(&self.path)?;
+                Ok(())
+            }
+            None => io::stdout().write_all(bytes),
+        };
+        let path = self.path.clone();
+        write().map_err(|source| OutputError::File { path, source })
     }
 
     /// Writes the file of a surface and gives it its name.

@@ -1,9 +1,11 @@
 //! A volume from stdin.
 
+use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
+use tokio::signal::unix::{SignalKind, signal};
 
 use crate::volumes::ReadError;
 
@@ -28,16 +30,31 @@ impl InputPath {
                 _folder: None,
             });
         }
-        let spool = || {
-            let folder = tempfile::tempdir()?;
-            let path = folder.path().join("stdin");
-            io::copy(&mut io::stdin().lock(), &mut std::fs::File::create(&path)?)?;
-            Ok(Self {
-                path,
-                _folder: Some(folder),
-            })
-        };
-        spool().map_err(|error| ReadError::io(path, "stdin", "cannot be read", error))
+        Self::spool().map_err(|error| ReadError::io(path, "stdin", "cannot be read", error))
+    }
+
+    /// Copies stdin to a file, which goes with its folder at Ctrl-C too.
+    fn spool() -> io::Result<Self> {
+        let folder = tempfile::tempdir()?;
+        let path = folder.path().join("stdin");
+        let mut file = File::create(&path)?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let copied = runtime.block_on(async {
+            let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+            let copy = tokio::task::spawn_blocking(move || io::copy(&mut io::stdin().lock(), &mut file));
+            tokio::select! {
+                copied = copy => copied?,
+                _ = interrupt.recv() => Err(io::Error::other("interrupted")),
+                _ = terminate.recv() => Err(io::Error::other("interrupted")),
+            }
+        });
+        // Its thread may wait for stdin for ever.
+        runtime.shutdown_background();
+        copied?;
+        Ok(Self {
+            path,
+            _folder: Some(folder),
+        })
     }
 
     pub(super) fn path(&self) -> &Path {

@@ -149,6 +149,11 @@ pub struct SurfaceArgs {
     #[arg(long, conflicts_with = "measure")]
     no_measure: bool,
 
+    /// No triangles of the file intersect, for meshers and printers: the surface is refined where they do, within the budget, and vertices are moved
+    /// where that does not suffice. --stats says what it cost
+    #[arg(long)]
+    clean: bool,
+
     /// One of several surfaces of a GLB, 3MF, OBJ or precomputed file, JSON with what differs from the other options: any name of a request, beside `volume` (a
     /// path), `step`, `label`, `name`, `color` and `opacity`, as `{"iso":300,"color":"#d2b48c","opacity":0.4}`. May be given up to 64 times
     #[arg(long = "surface", value_name = "JSON", value_parser = parse_surface)]
@@ -205,6 +210,7 @@ impl SurfaceArgs {
             field_values: self.field_values.as_deref().map(names).unwrap_or_default(),
             label: self.label.clone(),
             compress: self.compress.unwrap_or_default(),
+            clean: self.clean,
             measure: if self.no_measure { Some(0.0) } else { self.measure },
             surfaces: self.surfaces.clone(),
         };

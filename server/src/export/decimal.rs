@@ -40,6 +40,15 @@ impl Decimals {
         })
     }
 
+    /// A number as it is read from its text.
+    pub(super) fn rounded(self, number: f64) -> f64 {
+        let scaled = (number * self.scale).round();
+        if scaled.abs() >= EXACT || self.is_exponential {
+            return number;
+        }
+        scaled / self.scale
+    }
+
     /// Appends a number. One that has more digits than 64 bits hold is written in full, with an exponent.
     pub(super) fn push(self, text: &mut Vec<u8>, number: f64) {
         let scaled = (number * self.scale).round();

@@ -2,15 +2,17 @@
 
 use std::io::Write;
 
+use isopeel_kernels::RefinementCost;
 use tokio_util::sync::CancellationToken;
 
+use super::clean::{self, NotClean, RepairError};
 use super::field_values::FieldSamples;
 use super::topology::{Topology, split_pinched, volume};
 use super::{
     Compress, Content, ExportError, FileDigest, FileOptions, FileRequest, FileSurface, Format, Mesh, OtherVolumes,
     extras, glb, stl, why_empty,
 };
-use crate::extraction::{Extraction, ExtractionStatistics, Extractor, Shape, WorkError};
+use crate::extraction::{Cleaned, Extraction, ExtractionStatistics, Extractor, Measuring, Shape, WorkError};
 use crate::pool::{self, Panicked};
 use crate::view::quality::MesherName;
 use crate::view::{EditError, Outward, View};
@@ -37,12 +39,24 @@ pub enum MakeError {
     /// The surface does not fit its format.
     #[error(transparent)]
     Export(#[from] ExportError),
+    /// Triangles intersect, and the request does not allow that.
+    #[error(transparent)]
+    NotClean(#[from] NotClean),
     /// The surface has no triangles, and the request does not allow that.
     #[error("{0}")]
     Empty(String),
     /// The work panicked.
     #[error(transparent)]
     Panicked(#[from] Panicked),
+}
+
+impl From<RepairError> for MakeError {
+    fn from(error: RepairError) -> Self {
+        match error {
+            RepairError::Cancelled => Self::Export(ExportError::Cancelled),
+            RepairError::NotClean(error) => Self::NotClean(error),
+        }
+    }
 }
 
 /// Extracts the surfaces of a request and makes a file of them. The work ends soon after the token is cancelled; what it does on
@@ -60,18 +74,15 @@ pub async fn make(
     let device = extractor.worker().ready().await?;
     let mut made = Vec::new();
     for surface in request.surfaces(volume, others)? {
-        let measuring = request.options.measuring();
-        let extracted = extractor.extract_measured(&surface.volume, &surface.view, measuring, token);
+        let work = request.options.work();
+        let extracted = extractor.extract_with(&surface.volume, &surface.view, work, token);
         let extraction = extracted.await?;
         if !request.options.allow_empty && extraction.surface.statistics.triangles == 0 {
             let statistics = extraction.statistics(&surface.volume, &device.name);
             let why = why_empty(extractor, &surface.volume, &extraction.view, &statistics).await?;
             return Err(MakeError::Empty(why.unwrap_or_default()));
         }
-        let fields = FieldSamples::of(extractor, &surface.volume, surface.values(), token).await?;
-        let (token, device) = (token.clone(), device.name.clone());
-        let mesh = move || MadeSurface::new(extraction, fields, &surface, &device, &|| token.is_cancelled());
-        made.push(pool::run_export(mesh).await??);
+        made.push(MadeSurface::of(extractor, extraction, surface, &device.name, token).await?);
     }
     Ok(MadeFile::new(volume, request, made))
 }
@@ -106,6 +117,8 @@ fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape 
         split_vertices: split,
         is_closed,
         volume: volume.map(f64::abs),
+        self_intersections: None,
+        cleaned: None,
     }
 }
 
@@ -136,6 +149,52 @@ fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String>
         .collect()
 }
 
+/// What a format does not keep of what a surface was to look like.
+fn lost_looks(surface: &FileSurface) -> Vec<String> {
+    let (format, material) = (surface.request.options.format, surface.material);
+    let title = format.title();
+    let lost = [
+        (surface.name.is_some() && !format.holds_names(), "name of its surface"),
+        (
+            material.color.is_some() && !format.holds_color(),
+            "colour of its surface",
+        ),
+        (material.opacity < 1.0 && !format.holds_opacity(), "opacity"),
+        (
+            surface.request.is_colored() && !format.holds_colors(),
+            "colours of a transfer function",
+        ),
+    ];
+    let lost = lost.into_iter().filter(|(is_lost, _)| *is_lost);
+    lost.map(|(_, what)| format!("a {title} holds no {what}")).collect()
+}
+
+/// That vertices were moved after the error was measured.
+fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
+    let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
+    (count > 0).then(|| {
+        let length = cleaned.largest_move;
+        format!("{count} vertices were moved by up to {length:.3e} {unit} so that no triangles intersect, after the error was measured (--clean, clean)")
+    })
+}
+
+/// Makes a mesh one without intersections, and says what that has cost, with what the cut has.
+fn cleaned(
+    mesh: &mut Mesh,
+    format: Format,
+    refined: Option<RefinementCost>,
+    is_cancelled: &(dyn Fn() -> bool + Sync),
+) -> Result<Cleaned, MakeError> {
+    let repaired = clean::repair(mesh, format, is_cancelled)?;
+    let triangles = mesh.triangles.len() as u64;
+    Ok(Cleaned {
+        triangles_before: refined.map_or(triangles, |refined| refined.triangles),
+        triangles_after: triangles,
+        rounds: refined.map_or(0, |refined| refined.rounds),
+        ..repaired
+    })
+}
+
 /// What a surface is, for people.
 fn name(volume: &VolumeStep, view: &View) -> String {
     let iso = view.iso.map_or(String::new(), |iso| format!(" = {}", iso.get()));
@@ -146,9 +205,10 @@ fn name(volume: &VolumeStep, view: &View) -> String {
     format!("{}: {}{iso}{mask}", volume.dataset().id, view.field)
 }
 
-/// The name of a file without its extension.
-fn stem(volume: &str, request: &FileRequest, view: &View) -> String {
-    let what = match (&request.options.label, view.iso) {
+/// The name of a file of one surface without its extension.
+fn stem(surface: &FileSurface, view: &View) -> String {
+    let volume = &surface.volume.dataset().id;
+    let what = match (&surface.request.options.label, view.iso) {
         (Some(labels), _) => format!("-{labels}"),
         (None, Some(iso)) => format!("-{}", iso.get()),
         (None, None) => String::new(),
@@ -190,24 +250,44 @@ pub struct MadeSurface {
     /// Of the surface.
     pub statistics: ExtractionStatistics,
     extras: serde_json::Value,
-    view: View,
+    /// Name of a file of this surface alone, without its extension.
+    stem: String,
 }
 
 impl MadeSurface {
+    /// As [`MadeSurface::new`], with values of fields from the device, on the pool of exports.
+    ///
+    /// # Errors
+    /// As [`MadeSurface::new`], and the device's.
+    pub async fn of(
+        extractor: &Extractor,
+        extraction: Extraction,
+        asked: FileSurface,
+        device: &str,
+        token: &CancellationToken,
+    ) -> Result<Self, MakeError> {
+        let fields = FieldSamples::of(extractor, &asked.volume, asked.values(), token).await?;
+        let (token, device) = (token.clone(), device.to_owned());
+        let mesh = move || Self::new(extraction, fields, &asked, &device, &|| token.is_cancelled());
+        pool::run_export(mesh).await?
+    }
+
     /// The mesh of a surface that was made on the device of that name.
     ///
     /// # Errors
     /// What the format cannot hold, and [`ExportError::Cancelled`].
-    pub fn new(
+    fn new(
         extraction: Extraction,
         fields: Vec<FieldSamples>,
         asked: &FileSurface,
         device: &str,
-        is_cancelled: &dyn Fn() -> bool,
+        is_cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Result<Self, MakeError> {
         let (volume, options) = (&asked.volume, &asked.request.options);
         let mut statistics = extraction.statistics(volume, device);
-        let Extraction { surface, view, .. } = extraction;
+        let Extraction {
+            surface, view, refined, ..
+        } = extraction;
         let dataset = volume.dataset();
         let (of_view, space) = dataset.index_space(&view);
         let placed = of_view.in_unit(unit_of_file(options.format, of_view.unit, options.length_unit()));
@@ -221,9 +301,27 @@ impl MadeSurface {
         mesh.index = Vec::new();
         let topology = split_pinched(&mut mesh);
         mesh.is_closed = topology.is_closed;
-        statistics.shape = Some(turn_outward(&mut mesh, topology, options.outward));
+        let cleaned = match options.clean {
+            true => Some(cleaned(&mut mesh, options.format, refined, is_cancelled)?),
+            false => None,
+        };
+        let self_intersections = match (cleaned, options.work().measuring) {
+            (Some(_), _) => Some(0),
+            (None, Measuring::Never) => None,
+            (None, Measuring::Always) => clean::count(&mesh, options.format, None, is_cancelled),
+            (None, Measuring::Within(limit)) => clean::count(&mesh, options.format, Some(limit), is_cancelled),
+        };
+        statistics.shape = Some(Shape {
+            self_intersections,
+            cleaned,
+            ..turn_outward(&mut mesh, topology, options.outward)
+        });
         let is_measured = statistics.error.is_some() || view.mesher != MesherName::Dual;
         statistics.notices = notices(&mesh, options, is_measured);
+        statistics.notices.extend(lost_looks(asked));
+        statistics
+            .notices
+            .extend(cleaned.and_then(|cleaned| moves(&mesh, &cleaned)));
         let notice = dataset.notice().unwrap_or_default();
         mesh.notices = notice.lines().map(str::to_owned).collect();
         mesh.name = match (&asked.name, &options.label) {
@@ -241,7 +339,7 @@ impl MadeSurface {
             mesh,
             statistics,
             extras,
-            view,
+            stem: stem(asked, &view),
         })
     }
 }
@@ -251,7 +349,7 @@ impl MadeFile {
     pub fn new(volume: &VolumeStep, request: &FileRequest, surfaces: Vec<MadeSurface>) -> Self {
         let id = &volume.dataset().id;
         let stem = match &surfaces[..] {
-            [one] => stem(id, request, &one.view),
+            [one] => one.stem.clone(),
             _ => safe_name(id),
         };
         let (mut meshes, mut statistics, mut extras) = (Vec::new(), Vec::new(), Vec::new());

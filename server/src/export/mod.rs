@@ -14,6 +14,8 @@ use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
 use crate::volumes::{LengthUnit, VolumeStep};
 
+mod clean;
+mod contours;
 mod decimal;
 mod empty;
 mod field_values;
@@ -27,6 +29,7 @@ mod ply;
 mod precomputed;
 mod request;
 mod schema;
+pub mod slice;
 mod stl;
 mod surface_options;
 mod surfaces;
@@ -37,7 +40,6 @@ mod vtp;
 mod xml;
 
 pub(crate) use empty::why_empty;
-pub use field_values::FieldSamples;
 pub(crate) use made::safe_name;
 pub use made::{MadeFile, MadeSurface, MakeError, make};
 pub use mesh::Mesh;
@@ -93,6 +95,15 @@ impl Compress {
     /// Whether nothing was asked for.
     pub(crate) fn is_none(&self) -> bool {
         *self == Self::None
+    }
+
+    /// Its name in JSON and on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Zlib => "zlib",
+            Self::Meshopt => "meshopt",
+        }
     }
 
     /// The only format that has it; `None`: all have.
@@ -212,6 +223,26 @@ impl Format {
     /// Whether a file holds values of fields.
     pub const fn holds_values(self) -> bool {
         matches!(self, Self::Glb | Self::Ply | Self::Vtp)
+    }
+
+    /// Whether a file holds the name of its surface.
+    const fn holds_names(self) -> bool {
+        matches!(self, Self::Glb | Self::Obj | Self::ThreeMf | Self::Precomputed)
+    }
+
+    /// Whether a file holds the colour of its surface.
+    const fn holds_color(self) -> bool {
+        matches!(self, Self::Glb | Self::Obj | Self::ThreeMf)
+    }
+
+    /// Whether a file holds the colours of a transfer function.
+    const fn holds_colors(self) -> bool {
+        matches!(self, Self::Glb | Self::Ply | Self::Vtp | Self::Obj | Self::ThreeMf)
+    }
+
+    /// Whether a file holds the opacity of its surface.
+    const fn holds_opacity(self) -> bool {
+        matches!(self, Self::Glb | Self::ThreeMf)
     }
 
     /// Whether a file holds several surfaces.

@@ -51,7 +51,8 @@ fn properties(meshes: &[Mesh]) -> serde_json::Value {
     let describe = |mesh: &Mesh| {
         let provenance = mesh.provenance.iter().map(|(name, text)| format!("{name}: {text}"));
         let notices = mesh.notices.iter().map(|notice| format!("notice: {notice}"));
-        provenance.chain(notices).collect::<Vec<_>>().join("\n")
+        let frame = format!("frame: {}", mesh.frame.name());
+        provenance.chain([frame]).chain(notices).collect::<Vec<_>>().join("\n")
     };
     let descriptions: Vec<String> = meshes.iter().map(describe).collect();
     json!({

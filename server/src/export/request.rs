@@ -13,7 +13,7 @@ use super::label::around_labels;
 use super::schema::merged_schema;
 use super::surface_options::SurfaceOptions;
 use super::{Compress, Format};
-use crate::extraction::Measuring;
+use crate::extraction::{ExportWork, Measuring};
 use crate::view::{Edit, EditError, Outward, View};
 use crate::volumes::{Dataset, LengthUnit};
 
@@ -52,6 +52,10 @@ pub struct FileOptions {
     /// Seconds that measuring the error of a surface may take, which takes about as long as all else; 0: it is not measured. Without it there is no bound.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measure: Option<f64>,
+    /// Whether no triangles of the file intersect: a cut of the vertex tree is refined where they do, and vertices are moved where that does not
+    /// suffice. A budget holds. `shape.cleaned` says what it cost.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub clean: bool,
     /// Several surfaces in one GLB, 3MF, OBJ or precomputed, each with what differs from the request: `[{"iso":300,"color":"#d2b48c","opacity":0.4},
     /// {"iso":900}]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -60,7 +64,7 @@ pub struct FileOptions {
 
 impl FileOptions {
     /// The names in JSON.
-    const NAMES: [&str; 9] = [
+    const NAMES: [&str; 10] = [
         "format",
         "allowEmpty",
         "outward",
@@ -69,6 +73,7 @@ impl FileOptions {
         "label",
         "compress",
         "measure",
+        "clean",
         "surfaces",
     ];
 
@@ -83,6 +88,7 @@ impl FileOptions {
             label: None,
             compress: Compress::None,
             measure: None,
+            clean: false,
             surfaces: Vec::new(),
         }
     }
@@ -90,15 +96,9 @@ impl FileOptions {
     /// Checks the options for a volume.
     ///
     /// # Errors
-    /// A unit that is none of lengths, a field that the volume does not have, or too many of them.
+    /// Those of [`FileOptions::check_alone`], and a field that the volume does not have.
     fn check(&self, dataset: &Dataset) -> Result<(), EditError> {
-        if self.field_values.len() > MAX_FIELD_VALUES {
-            let count = self.field_values.len();
-            return Err(EditError {
-                field: "fieldValues",
-                why: format!("{count} fields, expected at most {MAX_FIELD_VALUES}"),
-            });
-        }
+        self.check_alone()?;
         if let Some(name) = self.field_values.iter().find(|name| field_of(dataset, name).is_none()) {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
             return Err(EditError {
@@ -109,38 +109,61 @@ impl FileOptions {
                 ),
             });
         }
-        if let Some(format) = self.compress.format().filter(|format| *format != self.format) {
-            return Err(EditError {
-                field: "compress",
-                why: format!(
-                    "{:?} of a {}, expected a {}",
-                    self.compress,
-                    self.format.title(),
-                    format.title()
-                ),
-            });
-        }
-        if let Some(seconds) = self.measure.filter(|seconds| !(0.0..=MAX_SECONDS).contains(seconds)) {
-            return Err(EditError {
-                field: "measure",
-                why: format!("{seconds}, expected seconds, 0 to {MAX_SECONDS}"),
-            });
-        }
-        match &self.unit {
-            Some(text) if self.length_unit().is_none() => Err(EditError {
-                field: "unit",
-                why: format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom"),
-            }),
-            _ => Ok(()),
-        }
+        Ok(())
     }
 
-    /// Whether the error is measured.
-    pub fn measuring(&self) -> Measuring {
-        match self.measure {
+    /// Checks what does not depend on the volume.
+    ///
+    /// # Errors
+    /// A unit that is none of lengths, too many fields, or options that exclude each other.
+    fn check_alone(&self) -> Result<(), EditError> {
+        let refuse = |field, why| Err(EditError { field, why });
+        if self.field_values.len() > MAX_FIELD_VALUES {
+            let count = self.field_values.len();
+            return refuse(
+                "fieldValues",
+                format!("{count} fields, expected at most {MAX_FIELD_VALUES}"),
+            );
+        }
+        if let Some(format) = self.compress.format().filter(|format| *format != self.format) {
+            let (name, title, expected) = (self.compress.name(), self.format.title(), format.title());
+            return refuse("compress", format!("{name} of a {title}, expected a {expected}"));
+        }
+        if let Some(seconds) = self.measure.filter(|seconds| !(0.0..=MAX_SECONDS).contains(seconds)) {
+            return refuse("measure", format!("{seconds}, expected seconds, 0 to {MAX_SECONDS}"));
+        }
+        if let Some(text) = self.unit.as_ref().filter(|_| self.length_unit().is_none()) {
+            let why = format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom");
+            return refuse("unit", why);
+        }
+        self.check_clean()
+    }
+
+    fn check_clean(&self) -> Result<(), EditError> {
+        let refuse = |field, why| Err(EditError { field, why });
+        if self.clean && self.compress == Compress::Meshopt {
+            return refuse(
+                "clean",
+                "beside compress meshopt, which rounds positions: expected one of them".into(),
+            );
+        }
+        if self.clean && self.measure.is_some_and(|seconds| seconds > 0.0) {
+            let why = "a bound beside clean, whose cut is measured while it is there: expected none, or 0".into();
+            return refuse("measure", why);
+        }
+        Ok(())
+    }
+
+    /// Whether the error is measured and the surface refined.
+    pub fn work(&self) -> ExportWork {
+        let measuring = match self.measure {
             None => Measuring::Always,
             Some(seconds) if seconds > 0.0 => Measuring::Within(Duration::from_secs_f64(seconds.min(MAX_SECONDS))),
             Some(_) => Measuring::Never,
+        };
+        ExportWork {
+            measuring,
+            refines: self.clean,
         }
     }
 
@@ -171,11 +194,39 @@ impl FileRequest {
     /// A value out of its range, or a field that the volume does not have.
     pub fn view(&self, dataset: &Dataset) -> Result<View, EditError> {
         self.options.check(dataset)?;
+        self.check_bytes()?;
         let fields = dataset.field_names();
         match &self.options.label {
             Some(labels) => View::requested(&around_labels(dataset, labels, &self.edit)?, &fields),
             None => View::requested(&self.edit, &fields),
         }
+    }
+
+    fn check_bytes(&self) -> Result<(), EditError> {
+        if self.options.clean && self.edit.bytes.is_some() {
+            let why = "beside bytes, which are those of a surface that is not refined: expected triangles".into();
+            return Err(EditError { field: "clean", why });
+        }
+        Ok(())
+    }
+
+    /// Checks what does not depend on a volume, its fields and its labels.
+    ///
+    /// # Errors
+    /// The first value that is wrong for any volume.
+    pub fn check_alone(&self) -> Result<(), EditError> {
+        self.options.check_alone()?;
+        self.check_surfaces()?;
+        self.check_bytes()?;
+        // Names of fields are those of each volume.
+        let edit = Edit {
+            field: None,
+            mask: None,
+            feature: None,
+            feature_range: None,
+            ..self.edit.clone()
+        };
+        View::requested(&edit, &["field"]).map(|_| ())
     }
 
     /// Whether its file has the colours of a transfer function: only of one that it names.

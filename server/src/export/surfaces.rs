@@ -10,7 +10,7 @@ use super::{FileOptions, FileRequest, SurfaceOptions};
 use crate::view::{Edit, EditError, View};
 use crate::volumes::{Dataset, VolumeStep};
 
-/// Maximum surfaces of a file: as many meshes are in memory at once.
+/// Maximum surfaces of a file: as many meshes are in memory at once. Each surface is admitted by the memory that those before it leave.
 const MAX_SURFACES: usize = 64;
 
 /// Volumes that surfaces of a file are of beside the file's own, by the names in its request.
@@ -64,7 +64,6 @@ impl FileRequest {
     /// # Errors
     /// A value out of its range, a volume, time step or field that does not exist, or more surfaces than the format holds.
     pub fn surfaces(&self, volume: &VolumeStep, others: &OtherVolumes) -> Result<Vec<FileSurface>, EditError> {
-        let refuse = |why| Err(EditError { field: "surfaces", why });
         let surfaces = &self.options.surfaces;
         if surfaces.is_empty() {
             return Ok(vec![FileSurface {
@@ -75,6 +74,17 @@ impl FileRequest {
                 material: Material::default(),
             }]);
         }
+        self.check_surfaces()?;
+        surfaces
+            .iter()
+            .map(|surface| self.surface(surface, volume, others))
+            .collect()
+    }
+
+    /// Checks what does not depend on volumes: how many surfaces there are, and what they look like.
+    pub(super) fn check_surfaces(&self) -> Result<(), EditError> {
+        let refuse = |why| Err(EditError { field: "surfaces", why });
+        let surfaces = &self.options.surfaces;
         if surfaces.len() > MAX_SURFACES {
             return refuse(format!("{} surfaces, expected at most {MAX_SURFACES}", surfaces.len()));
         }
@@ -87,8 +97,7 @@ impl FileRequest {
         }
         surfaces
             .iter()
-            .map(|surface| self.surface(surface, volume, others))
-            .collect()
+            .try_for_each(|surface| surface.look.material().map(|_| ()))
     }
 
     fn surface(
@@ -193,6 +202,42 @@ mod tests {
         assert_eq!(found[3].volume.dataset().id, "other");
         assert_eq!(found[3].view.field, "gm");
         assert_eq!(surfaces(r#"{"format":"ply","iso":3}"#).unwrap().len(), 1);
+    }
+
+    #[test]
+    fn what_is_wrong_for_any_volume_is_found_without_one() {
+        let checked = |request: &str| {
+            let request: FileRequest = serde_json::from_str(request).unwrap();
+            request.check_alone().map_err(|error| error.to_string())
+        };
+        assert_eq!(
+            checked(r#"{"format":"glb","field":"gm","feature":"t1","mask":"labels==3"}"#),
+            Ok(())
+        );
+        for (request, expected) in [
+            (r#"{"format":"glb","alpha":2}"#, "alpha: 2, expected 0 to 1"),
+            (r#"{"format":"glb","unit":"stone"}"#, "unit: \"stone\""),
+            (
+                r#"{"format":"ply","compress":"zlib"}"#,
+                "compress: zlib of a PLY, expected a VTP",
+            ),
+            (
+                r#"{"format":"ply","surfaces":[{},{}]}"#,
+                "surfaces: 2 surfaces in a PLY",
+            ),
+            (
+                r#"{"format":"glb","clean":true,"compress":"meshopt"}"#,
+                "clean: beside compress meshopt",
+            ),
+            (r#"{"format":"glb","clean":true,"bytes":9}"#, "clean: beside bytes"),
+            (
+                r#"{"format":"glb","clean":true,"measure":9}"#,
+                "measure: a bound beside clean",
+            ),
+        ] {
+            let error = checked(request).unwrap_err();
+            assert!(error.starts_with(expected), "{request}: {error}");
+        }
     }
 
     #[test]

@@ -4,14 +4,14 @@ use super::Mesh;
 use crate::math::DVec3;
 
 /// Triangles around each vertex.
-struct Around {
+pub(super) struct Around {
     /// Where the triangles of each vertex begin, and behind the last one.
     first: Vec<u32>,
     triangles: Vec<u32>,
 }
 
 impl Around {
-    fn new(mesh: &Mesh) -> Self {
+    pub(super) fn new(mesh: &Mesh) -> Self {
         let mut first = vec![0u32; mesh.positions.len() + 1];
         for &corner in mesh.triangles.as_flattened() {
             first[corner as usize + 1] += 1;
@@ -30,7 +30,7 @@ impl Around {
         Self { first, triangles }
     }
 
-    fn of(&self, vertex: u32) -> &[u32] {
+    pub(super) fn of(&self, vertex: u32) -> &[u32] {
         let [from, to] = [0, 1].map(|i| self.first[vertex as usize + i] as usize);
         &self.triangles[from..to]
     }

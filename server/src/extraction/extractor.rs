@@ -7,8 +7,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::byte_search::{Trial, best, next_triangles};
 use super::host_memory::HostMemory;
+use super::results::Making;
 use super::turns::Caller;
-use super::{DeviceWorker, Extraction, FullCount, Measurement, Measuring, Refinement, Step, WorkError};
+use super::{DeviceWorker, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
 use crate::view::View;
@@ -112,18 +113,22 @@ impl Extractor {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
-        self.extract_measured(volume, view, Measuring::Always, token).await
+        let work = ExportWork {
+            measuring: Measuring::Always,
+            refines: false,
+        };
+        self.extract_with(volume, view, work, token).await
     }
 
-    /// As [`Extractor::extract`], with a bound on the time that measuring the error takes.
+    /// As [`Extractor::extract`], measured and refined as it is said.
     ///
     /// # Errors
     /// As [`Extractor::refine`].
-    pub async fn extract_measured(
+    pub async fn extract_with(
         &self,
         volume: &VolumeStep,
         view: &View,
-        measuring: Measuring,
+        work: ExportWork,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let start = Instant::now();
@@ -133,15 +138,18 @@ impl Extractor {
         } else {
             start.elapsed()
         };
-        let at_once = measuring == Measuring::Always;
         let mut extraction = self
             .within_memory(|ceiling| {
-                self.worker
-                    .extract_for(Caller::Request, volume, &fitted, (ceiling, at_once), token)
+                let making = Making {
+                    ceiling,
+                    measures: work.measuring == Measuring::Always,
+                    refines: work.refines,
+                };
+                self.worker.extract_for(Caller::Request, volume, &fitted, making, token)
             })
             .await?;
         extraction.wall += planning;
-        if let Measuring::Within(limit) = measuring {
+        if let Measuring::Within(limit) = work.measuring {
             // Dropped at the limit, which cancels it.
             let measured = tokio::time::timeout(limit, self.measure(volume, &extraction.view, token)).await;
             if let Ok(measured) = measured {
@@ -240,8 +248,15 @@ impl Extractor {
             fitted: None,
             ..view.clone()
         };
-        self.within_memory(|ceiling| self.worker.extract_for(caller, volume, &trial, (ceiling, false), token))
-            .await
+        self.within_memory(|ceiling| {
+            let making = Making {
+                ceiling,
+                measures: false,
+                refines: false,
+            };
+            self.worker.extract_for(caller, volume, &trial, making, token)
+        })
+        .await
     }
 
     /// Makes a surface that the host has memory for, of no more triangles than the server's limit.

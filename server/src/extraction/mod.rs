@@ -13,6 +13,7 @@
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view; `decisions`: which of them it gets.
+//! - `intersections`: where triangles of a surface intersect, so that it is refined there.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
 mod ahead;
@@ -32,6 +33,7 @@ mod histograms;
 mod host_memory;
 mod host_space;
 mod identity;
+mod intersections;
 mod keys;
 mod loader;
 mod loading;
@@ -68,10 +70,10 @@ pub use questions::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
     Question, ShownSurface, VertexErrors,
 };
-pub use results::{CutId, Extraction, FullCount, Measurement, Measuring, Refinement, Shown, Step};
+pub use results::{CutId, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Shown, Step};
 pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
-pub use statistics::{EstimatedError, ExtractionStatistics, MeasuredError, Shape};
+pub use statistics::{Cleaned, EstimatedError, ExtractionStatistics, MeasuredError, Shape};
 pub use volume_info::{
     DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo, describe,
     describe_expression,

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use isopeel_kernels::{Level, StageTime, Surface, SurfaceStatistics};
+use isopeel_kernels::{Level, RefinementCost, StageTime, Surface, SurfaceStatistics};
 
 use super::{ExtractionStatistics, MeasuredError};
 use crate::view::View;
@@ -20,6 +20,8 @@ pub struct Extraction {
     pub wall: Duration,
     /// The error, if it was measured after the surface was made.
     pub measured: Option<MeasuredError>,
+    /// What it cost to refine the surface where its triangles intersected, if that was asked for and the surface is a cut of the vertex tree.
+    pub refined: Option<RefinementCost>,
 }
 
 impl Extraction {
@@ -32,6 +34,26 @@ impl Extraction {
             ..statistics
         }
     }
+}
+
+/// What an export asks for beside its view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ExportWork {
+    /// Whether the error is measured.
+    pub measuring: Measuring,
+    /// Whether the surface is refined where its triangles intersect.
+    pub refines: bool,
+}
+
+/// How a final surface is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Making {
+    /// Maximum triangles.
+    pub ceiling: u64,
+    /// Whether its error is measured.
+    pub measures: bool,
+    /// As [`ExportWork::refines`].
+    pub refines: bool,
 }
 
 /// Whether the error of a surface is measured, which takes about as long as all else.

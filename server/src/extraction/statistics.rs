@@ -69,6 +69,29 @@ pub struct Shape {
     pub is_closed: bool,
     /// The volume that a closed surface encloses, in cubes of the file's unit.
     pub volume: Option<f64>,
+    /// Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured.
+    pub self_intersections: Option<u64>,
+    /// What it cost that there are none. Null: that was not asked for.
+    pub cleaned: Option<Cleaned>,
+}
+
+/// What `clean` has changed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct Cleaned {
+    /// Pairs of triangles that intersected in the file's numbers, after the cut was refined.
+    pub intersections: u64,
+    /// Triangles before the cut was refined where triangles intersect. The budget holds before and after.
+    pub triangles_before: u64,
+    /// Triangles after that.
+    pub triangles_after: u64,
+    /// Cuts that were made after the first one; 0 also of a surface that is no cut of the vertex tree.
+    pub rounds: u32,
+    /// Vertices that were moved, because their triangles still intersected.
+    pub moved_vertices: u64,
+    /// Farthest that one was moved, in the file's unit.
+    pub largest_move: f64,
 }
 
 /// Counts, times and bytes of one surface.
@@ -153,8 +176,8 @@ impl ExtractionStatistics {
         all
     }
 
-    /// Those of one surface, or of several in one file: counts, times and bytes are of all together, errors the largest, and the rest is the first
-    /// surface's.
+    /// Those of one surface, or of several in one file: counts and times are of all together, guards that gave way those of any, errors, tolerance and
+    /// bytes the largest, and the rest is the first surface's.
     pub fn of_several(all: Vec<Self>) -> Self {
         let mut all = all.into_iter();
         let mut sum = all.next().unwrap_or_default();
@@ -165,6 +188,17 @@ impl ExtractionStatistics {
     }
 
     fn add(&mut self, next: Self) {
+        let sum = |a: Option<u64>, b: Option<u64>| a.into_iter().chain(b).reduce(|a, b| a + b);
+        self.removed_parts = sum(self.removed_parts, next.removed_parts);
+        self.removed_triangles = sum(self.removed_triangles, next.removed_triangles);
+        self.unmatched_positions = sum(self.unmatched_positions, next.unmatched_positions);
+        for guard in next.gave_way {
+            if !self.gave_way.contains(&guard) {
+                self.gave_way.push(guard);
+            }
+        }
+        self.is_tree_cut &= next.is_tree_cut;
+        self.tolerance = self.tolerance.zip(next.tolerance).map(|(a, b)| a.max(b));
         self.error = self.error.zip(next.error).map(|(a, b)| MeasuredError {
             rms: a.rms.max(b.rms),
             max: a.max.max(b.max),

@@ -4,11 +4,14 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, Surface, Topology, TreeGoal, VertexTree,
+    Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, RefinementCost, Surface, Topology, TreeGoal,
+    VertexTree,
 };
 
 use super::decisions::{Decided, TreeCut, lesser};
+use super::intersections::intersecting_vertices;
 use super::questions::index_inside;
+use super::results::Making;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, WorkError};
@@ -195,6 +198,49 @@ impl OnDevice<'_> {
             is_tree_cut: true,
         });
         Ok(TreeCut::Made(self.with_all_stages(surface)))
+    }
+
+    /// The surface that [`OnDevice::tree_surface`] made of a view, refined where its triangles intersect.
+    ///
+    /// # Errors
+    /// [`WorkError::OverBudget`] if the budget allows no such surface, and the device's errors.
+    pub(super) fn refined_tree_surface(
+        &self,
+        view: &mut View,
+        making: Making,
+        cancel: &dyn Cancel,
+    ) -> Result<(Surface, RefinementCost), JobError> {
+        let params = CutParams {
+            state_error: making.measures,
+            ..self.params_of(view)
+        };
+        let no_tree = WorkError::Stopped;
+        let tree = self.tree(view, &params, cancel)?.ok_or(no_tree)?;
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
+        let (surface, tolerance, cost) = self.engine.refined_tree_surface(
+            self.volume,
+            self.pyramid,
+            &tree,
+            &params,
+            &goal,
+            &intersecting_vertices,
+            cancel,
+        )?;
+        let triangles = surface.statistics.triangles;
+        if triangles > goal.max_triangles {
+            return Err(JobError::Failed(WorkError::OverBudget {
+                minimum: triangles,
+                budget: goal.max_triangles,
+            }));
+        }
+        if triangles > making.ceiling {
+            let ceiling = making.ceiling;
+            return Err(JobError::Failed(WorkError::TooManyTriangles { triangles, ceiling }));
+        }
+        if let Some(fitted) = &mut view.fitted {
+            fitted.threshold = tolerance;
+        }
+        Ok((self.with_all_stages(surface), cost))
     }
 
     /// The surface of a view that an error or a budget decides, as a function of the view alone: a cut of the tree, or, where that is

@@ -25,6 +25,7 @@ use super::memory::ThreadMemory;
 use super::open_steps::AheadState;
 use super::pins::Pins;
 use super::residency::Lru;
+use super::results::Making;
 use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
 use super::unfinished::Unfinished;
 use super::worker_state::{Histograms, JobError, WorkerState, no_finite_sample};
@@ -314,11 +315,15 @@ impl DeviceWorker {
         ceiling_triangles: u64,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
-        self.extract_for(Caller::Request, volume, view, (ceiling_triangles, true), token)
-            .await
+        let making = Making {
+            ceiling: ceiling_triangles,
+            measures: true,
+            refines: false,
+        };
+        self.extract_for(Caller::Request, volume, view, making, token).await
     }
 
-    /// As [`DeviceWorker::extract`], with its measured error or without.
+    /// As [`DeviceWorker::extract`], made as it is said.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -327,12 +332,12 @@ impl DeviceWorker {
         caller: Caller,
         volume: &VolumeStep,
         view: &View,
-        (ceiling_triangles, measures): (u64, bool),
+        making: Making,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let view = view.clone();
         self.with_volumes(volume, token, caller, caller.long(), move |state, volume, turn| {
-            state.extract(volume, &view, (ceiling_triangles, measures), turn)
+            state.extract(volume, &view, making, turn)
         })
         .await
     }

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{
-    Cancel, CutParams, Engine, Error, Histogram, Isovalue, Level, Mesher, Pyramid, StageTime, Surface, Upload,
-    VertexTree, Volume,
+    Cancel, CutParams, Engine, Error, Histogram, Isovalue, Level, Mesher, Pyramid, RefinementCost, StageTime, Surface,
+    Upload, VertexTree, Volume,
 };
 
 use super::cuts::Cuts;
@@ -22,6 +22,7 @@ use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
+use super::results::Making;
 use super::shares::Shares;
 use super::turns::{Aside, Turn};
 use super::{Extraction, Measurement, WorkError};
@@ -110,20 +111,26 @@ impl OnDevice<'_> {
         self.aside.own_time(start)
     }
 
-    /// The final surface, with its measured error if it `measures`.
+    /// The final surface, and what it cost to refine it.
     fn final_surface(
         &self,
         view: &mut View,
-        (ceiling_triangles, measures): (u64, bool),
+        making: Making,
         cancel: &dyn Cancel,
-    ) -> Result<Surface, JobError> {
+    ) -> Result<(Surface, Option<RefinementCost>), JobError> {
+        let Making { ceiling, measures, .. } = making;
         let (params, cut) = if view.is_by_error() {
-            match self.decided(view, ceiling_triangles, true, measures, cancel)? {
-                Decided::Tree(surface) => return Ok(surface),
+            // What is refined is measured afterwards.
+            match self.decided(view, ceiling, true, measures && !making.refines, cancel)? {
+                Decided::Tree(_) if making.refines => {
+                    let (surface, cost) = self.refined_tree_surface(view, making, cancel)?;
+                    return Ok((surface, Some(cost)));
+                }
+                Decided::Tree(surface) => return Ok((surface, None)),
                 Decided::Cubes { params, cut, .. } => (params, cut),
             }
         } else {
-            let (params, cut) = self.target_within(view, ceiling_triangles, cancel)?;
+            let (params, cut) = self.target_within(view, ceiling, cancel)?;
             (params, Rc::new(cut))
         };
         let params = CutParams {
@@ -133,7 +140,7 @@ impl OnDevice<'_> {
         let surface = self
             .engine
             .surface(self.volume, self.pyramid, &params, &cut, None, cancel)?;
-        Ok(self.with_all_stages(surface))
+        Ok((self.with_all_stages(surface), None))
     }
 
     /// With all stages of this job: those before its last pause, and first those of the pyramid, where it has built that.
@@ -312,19 +319,21 @@ impl WorkerState {
         &mut self,
         volume: &VolumeStep,
         view: &View,
-        limits: (u64, bool),
+        making: Making,
         turn: &mut Turn<'_, Self>,
     ) -> Result<Extraction, JobError> {
         let (start, mut view) = (Instant::now(), view.clone());
-        let (surface, wall) = self.with_pyramid(volume, &mut view, Nodes::OfTheView, turn, |on, view, cancel| {
-            let surface = on.final_surface(view, limits, cancel)?;
-            Ok((surface, on.own_time(start)))
-        })?;
+        let (surface, refined, wall) =
+            self.with_pyramid(volume, &mut view, Nodes::OfTheView, turn, |on, view, cancel| {
+                let (surface, refined) = on.final_surface(view, making, cancel)?;
+                Ok((surface, refined, on.own_time(start)))
+            })?;
         Ok(Extraction {
             surface,
             view,
             wall,
             measured: None,
+            refined,
         })
     }
 

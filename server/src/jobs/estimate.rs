@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 
 use super::state::Estimate;
-use crate::export::FileRequest;
+use crate::export::{FileRequest, OtherVolumes};
 use crate::extraction::{Extractor, WorkError};
 use crate::view::View;
 use crate::view::quality::Budget;
@@ -32,13 +32,14 @@ pub(super) async fn estimate(
     let (mut triangles, mut seconds) = (0.0, 0.0);
     let samples = samples(extractions.len());
     for &sample in &samples {
-        let (request, view) = &extractions[sample];
+        let (request, _) = &extractions[sample];
         let volume = VolumeStep::new(Arc::clone(dataset), request.step)?;
-        let count = extractor.count(&volume, view, token).await?;
-        // Of several surfaces the first is taken for all.
-        let surfaces = request.steps().count() as f64;
-        triangles += within_budget(count.triangles, view) as f64 * surfaces;
-        seconds += (count.wall.as_secs_f64() + count.triangles as f64 * SECONDS_PER_TRIANGLE) * surfaces;
+        let surfaces = request.surfaces(&volume, &OtherVolumes::new());
+        for surface in surfaces.map_err(WorkError::Edit)? {
+            let count = extractor.count(&surface.volume, &surface.view, token).await?;
+            triangles += within_budget(count.triangles, &surface.view) as f64;
+            seconds += count.wall.as_secs_f64() + count.triangles as f64 * SECONDS_PER_TRIANGLE;
+        }
     }
     let of_each = triangles / samples.len() as f64;
     let bytes = extractions

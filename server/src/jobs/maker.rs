@@ -146,6 +146,7 @@ pub(crate) fn failure(error: MakeError) -> MakeFailure {
         }
         MakeError::Export(error) => MakeFailure::Retry(cause("internal", crate::error::chain(&error))),
         MakeError::Edit(error) => MakeFailure::Refused(cause("bad-edit", error.to_string())),
+        MakeError::NotClean(error) => MakeFailure::Refused(cause("not-clean", error.to_string())),
         MakeError::Empty(why) => MakeFailure::Empty(cause("empty-surface", why)),
         MakeError::Panicked(error) => MakeFailure::Retry(cause("internal", error.to_string())),
     }

@@ -69,6 +69,7 @@ impl From<MakeError> for ApiError {
             MakeError::Work(error) => error.into(),
             MakeError::Edit(error) => error.into(),
             MakeError::Export(error) => error.into(),
+            MakeError::NotClean(error) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "not-clean", error.to_string()),
             MakeError::Empty(why) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "empty-surface", why),
             MakeError::Panicked(error) => Self::internal(error),
         }

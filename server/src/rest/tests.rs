@@ -463,6 +463,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "beta",
         "bytes",
         "cap",
+        "clean",
         "compress",
         "error",
         "feature",

@@ -228,3 +228,27 @@ fn metaimage_rows_of_the_matrix_are_axes() {
         [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     );
 }
+
+#[test]
+fn axes_without_a_unit_have_that_of_the_others() {
+    let opened = |units: &str| {
+        let header = format!(
+            "NRRD0005\ntype: uint8\ndimension: 3\nsizes: 2 2 2\nspacings: 1 1 2\nunits: {units}\nencoding: raw\n\n"
+        );
+        let location = memory(vec![("a.nrrd", [header.as_bytes(), b"12345678"].concat())]);
+        let dataset = read_file(&location).unwrap();
+        let unit = dataset.geometry.unit.map(|unit| unit.symbol().to_owned());
+        (unit, dataset.notices.text().unwrap_or_default())
+    };
+    for units in [r#""um" "um" """#, r#""um" "???" "um""#] {
+        let (unit, notice) = opened(units);
+        assert_eq!(unit.as_deref(), Some("µm"), "{units}");
+        assert!(notice.contains("1 of 3 axes have no unit"), "{notice}");
+    }
+    let (unit, notice) = opened(r#""um" "mm" """#);
+    assert!(
+        unit.is_none() && notice.contains("the units of the axes differ"),
+        "{notice}"
+    );
+    assert_eq!(opened(r#""" "" """#).0, None);
+}

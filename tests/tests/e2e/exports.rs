@@ -42,6 +42,14 @@ fn volume(mesh: &FileMesh) -> f64 {
     mesh.triangles.iter().map(of).sum()
 }
 
+/// A number in −0.5 to 0.5 of a sample's place.
+fn random(at: [f32; 3]) -> f32 {
+    let [x, y, z] = at.map(|x| x as u32);
+    let hash = (x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663) ^ z.wrapping_mul(83_492_791))
+        .wrapping_mul(2_654_435_761);
+    (hash >> 8) as f32 / (1 << 24) as f32 - 0.5
+}
+
 struct Setting {
     folder: tempfile::TempDir,
 }
@@ -103,7 +111,7 @@ fn the_outside_of_a_closed_surface_is_away_from_what_it_encloses() {
     let (open, ..) = setting.extract(&low, "--iso 5", "stl");
     assert_eq!(
         open["shape"],
-        serde_json::json!({"outward": "low", "splitVertices": 0, "isClosed": false, "volume": null})
+        serde_json::json!({"outward": "low", "splitVertices": 0, "isClosed": false, "volume": null, "selfIntersections": 0, "cleaned": null})
     );
 }
 
@@ -294,14 +302,13 @@ fn a_vertex_is_of_one_sheet() {
     let Some(setting) = Setting::new() else { return };
     let noise = setting.path("noise.npy");
     ball::write_field(&noise, [24, 22, 20], |at| {
-        let [x, y, z] = at.map(|x| x as u32);
-        if x.min(y).min(z) == 0 || x == 23 || y == 21 || z == 19 {
+        let [x, y, z] = at;
+        if x.min(y).min(z) == 0.0 || x == 23.0 || y == 21.0 || z == 19.0 {
             return -1.0;
         }
-        let hash = (x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663) ^ z.wrapping_mul(83_492_791))
-            .wrapping_mul(2_654_435_761);
-        (hash >> 8) as f32 / (1 << 24) as f32 - 0.5
+        random(at)
     });
+
     for options in [
         "--beta -1",
         "--beta 0.1",
@@ -319,6 +326,82 @@ fn a_vertex_is_of_one_sheet() {
             "{options}"
         );
     }
+}
+
+#[test]
+fn clean_files_have_no_triangles_that_intersect() {
+    let Some(setting) = Setting::new() else { return };
+    // A ball whose surface is rough, which the faces of the volume cut.
+    let noise = setting.path("rough.npy");
+    ball::write_field(&noise, [24, 22, 20], |at| {
+        let [x, y, z] = at;
+        let radius = ((x - 11.0).powi(2) + (y - 10.0).powi(2) + (z - 9.0).powi(2)).sqrt();
+        9.6 - radius + 1.6 * random(at)
+    });
+    let number = |statistics: &serde_json::Value, name: &str| statistics.pointer(name).and_then(|n| n.as_u64());
+    let (plain, ..) = setting.extract(&noise, "--iso 0.013 --cap --triangles 60%", "ply");
+    let found = number(&plain, "/shape/selfIntersections").expect("counted");
+    assert!(found > 0, "nothing to do");
+    for format in ["ply", "stl", "obj"] {
+        let (clean, _, mesh) = setting.extract(&noise, "--iso 0.013 --cap --triangles 60% --clean", format);
+        assert_eq!(number(&clean, "/shape/selfIntersections"), Some(0), "{format}");
+        let [before, after, rounds] = ["trianglesBefore", "trianglesAfter", "rounds"]
+            .map(|name| number(&clean, &format!("/shape/cleaned/{name}")));
+        assert_eq!(before, number(&plain, "/triangles"));
+        assert_eq!(after, Some(mesh.triangles.len() as u64));
+        assert!(
+            after <= before.map(|before| before + before / 50) && rounds > Some(0),
+            "{format}: {clean}"
+        );
+        assert_eq!(piercing(&mesh), 0, "{format}");
+    }
+    let (unmeasured, ..) = setting.extract(&noise, "--iso 0.013 --cap --triangles 60% --no-measure", "ply");
+    assert_eq!(
+        unmeasured.pointer("/shape/selfIntersections"),
+        Some(&serde_json::Value::Null)
+    );
+}
+
+/// Edges that pierce a triangle without a corner in common, of all pairs. Not exact: edges and triangles that hardly meet are left out.
+fn piercing(mesh: &FileMesh) -> usize {
+    let at = |corner: u32| mesh.positions[corner as usize];
+    let minus = |a: [f64; 3], b: [f64; 3]| [0, 1, 2].map(|i| a[i] - b[i]);
+    let volume = |a: [f64; 3], b: [f64; 3], c: [f64; 3], d: [f64; 3]| {
+        let [u, v, w] = [minus(b, a), minus(c, a), minus(d, a)];
+        let cross = [0, 1, 2].map(|i| u[(i + 1) % 3] * v[(i + 2) % 3] - u[(i + 2) % 3] * v[(i + 1) % 3]);
+        cross[0] * w[0] + cross[1] * w[1] + cross[2] * w[2]
+    };
+    let pierces = |[p, q]: [u32; 2], [a, b, c]: [u32; 3]| {
+        let corners = [a, b, c].map(at);
+        let [from, to] = [p, q].map(at);
+        let is_near = |i: usize| {
+            let [low, high] = [f64::min, f64::max].map(|of| corners.iter().map(|x| x[i]).reduce(of).expect("corners"));
+            from[i].min(to[i]) <= high && from[i].max(to[i]) >= low
+        };
+        let ends = [p, q].map(at);
+        if !(0..3).all(is_near) || corners.iter().any(|corner| ends.contains(corner)) {
+            return false;
+        }
+        let [a, b, c] = corners;
+        let sides = [volume(a, b, c, from), volume(a, b, c, to)];
+        let turns = [volume(from, to, a, b), volume(from, to, b, c), volume(from, to, c, a)];
+        let clear = 1e-9;
+        sides[0] * sides[1] < -clear
+            && (turns.iter().all(|turn| *turn > clear) || turns.iter().all(|turn| *turn < -clear))
+    };
+    let edges = mesh
+        .triangles
+        .iter()
+        .flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]);
+    let edges = edges.filter(|[a, b]| a < b);
+    edges
+        .map(|edge| {
+            mesh.triangles
+                .iter()
+                .filter(|triangle| pierces(edge, **triangle))
+                .count()
+        })
+        .sum()
 }
 
 /// The JSON of a GLB.

@@ -1,8 +1,8 @@
-//! Planes of samples over REST: raw samples with their place in the world, and pictures.
+//! Planes of samples: raw samples with their place in the world, pictures, and contours.
 
 use serde_json::json;
 
-use crate::support::{ball, demo, http, server};
+use crate::support::{ball, command, demo, http, server};
 
 fn value([x, y, z]: [f32; 3]) -> f32 {
     if x == 3.0 && y == 4.0 {
@@ -143,4 +143,65 @@ fn slices_that_are_not_there_are_problems() {
     assert_eq!(problem("axis=z&index=0&field=t9", 404), "unknown-field");
     assert_eq!(problem("axis=z&index=0&step=1", 404), "unknown-step");
     assert_eq!(problem("axis=z&index=0&format=png&window=-3", 422), "bad-slice");
+}
+
+#[test]
+fn contours_are_where_the_surface_crosses_the_plane() {
+    if !server::has_device() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let volume = folder.path().join("disc.npy");
+    ball::write_field(&volume, [32, 30, 6], |[x, y, z]| {
+        10.0 - ((x - 15.2).powi(2) + (y - 14.7).powi(2) + (z - 2.5).powi(2)).sqrt()
+    });
+    let Some(server) = server::start_with_volumes(std::slice::from_ref(&volume)) else {
+        return;
+    };
+    for format in ["svg", "geojson", "nrrd", "png"] {
+        let out = folder.path().join(format!("slice.{format}"));
+        let iso = if matches!(format, "svg" | "geojson") {
+            "1.5,4"
+        } else {
+            ""
+        };
+        let [volume, out_path] = [&volume, &out].map(|path| path.to_str().expect("UTF-8"));
+        let mut arguments = vec!["slice", volume, "--axis", "z", "--index", "2", "-o", out_path];
+        if !iso.is_empty() {
+            arguments.extend(["--iso", iso]);
+        }
+        command::succeed(arguments);
+        let path = format!("/api/v1/volumes/disc/slices?axis=z&index=2&format={format}&iso={iso}");
+        let answer = http::get(server.address, &path);
+        let file = std::fs::read(&out).expect("written");
+        assert!(
+            answer.status == 200 && answer.body == file,
+            "{format}: not what the command line writes"
+        );
+        if format != "geojson" {
+            continue;
+        }
+        let json: serde_json::Value = serde_json::from_slice(&file).expect("JSON");
+        for (feature, iso) in json["features"].as_array().expect("features").iter().zip([1.5f64, 4.0]) {
+            assert_eq!(feature["properties"]["isovalue"], iso);
+            let lines = feature["geometry"]["coordinates"].as_array().expect("lines");
+            assert_eq!(lines.len(), 1);
+            let radius = ((10.0 - iso).powi(2) - 0.25).sqrt();
+            for point in lines[0].as_array().expect("points") {
+                let at = |i: usize| point[i].as_f64().expect("a number");
+                assert!(
+                    ((at(0) - 15.2).hypot(at(1) - 14.7) - radius).abs() < 0.03 && at(2) == 2.0,
+                    "{point}"
+                );
+            }
+        }
+    }
+    let path = "/api/v1/volumes/disc/slices?axis=z&index=2";
+    for query in ["format=svg", "format=svg&iso=much", "format=png&iso=1"] {
+        assert_eq!(
+            http::get(server.address, &format!("{path}&{query}")).problem(422),
+            "bad-slice",
+            "{query}"
+        );
+    }
 }

@@ -71,6 +71,22 @@ export type ChosenParts = { "hide": Array<[number, number, number]> } | { "keep"
 /** What a chunk's triangles are; the wire has it as a number in chunks and as text in messages. */
 export type ChunkKind = "cut" | "error";
 
+/** What `clean` has changed. */
+export type Cleaned = {
+  /** Pairs of triangles that intersected in the file's numbers, after the cut was refined. */
+  intersections: number,
+  /** Triangles before the cut was refined where triangles intersect. The budget holds before and after. */
+  trianglesBefore: number,
+  /** Triangles after that. */
+  trianglesAfter: number,
+  /** Cuts that were made after the first one; 0 also of a surface that is no cut of the vertex tree. */
+  rounds: number,
+  /** Vertices that were moved, because their triangles still intersected. */
+  movedVertices: number,
+  /** Farthest that one was moved, in the file's unit. */
+  largestMove: number,
+};
+
 /** A text frame from a client. */
 export type ClientMessage = { "type": "open",
   /** Its id. */
@@ -750,6 +766,10 @@ export type Shape = {
   isClosed: boolean,
   /** The volume that a closed surface encloses, in cubes of the file's unit. */
   volume: number | null,
+  /** Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured. */
+  selfIntersections: number | null,
+  /** What it cost that there are none. Null: that was not asked for. */
+  cleaned: Cleaned | null,
 };
 
 /** A share of the full surface's triangles. */

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::cli::jobs::{MANIFEST_FILE, checksum_of, write_manifest};
-use crate::cli::output::TEMPORARY;
+use crate::cli::output::BATCH_TEMPORARY;
 use crate::jobs::{ExtractionState, ManifestEntry};
 
 /// A line of the manifest.
@@ -52,7 +52,7 @@ impl Manifest {
             Err(TryLockError::Error(error)) => tracing::warn!(%error, "the manifest cannot be locked"),
         }
         for entry in std::fs::read_dir(folder)?.flatten() {
-            if entry.file_name().to_string_lossy().starts_with(TEMPORARY) && entry.path().is_file() {
+            if entry.file_name().to_string_lossy().starts_with(BATCH_TEMPORARY) && entry.path().is_file() {
                 std::fs::remove_file(entry.path())?;
             }
         }
@@ -123,7 +123,9 @@ mod tests {
     fn what_is_finished_is_known_from_lines_that_are_whole() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("a.stl"), "abc").unwrap();
-        std::fs::write(folder.path().join(format!("{TEMPORARY}x")), "cut off").unwrap();
+        std::fs::write(folder.path().join(format!("{BATCH_TEMPORARY}x")), "cut off").unwrap();
+        // Of an isopeel extract that runs.
+        std::fs::write(folder.path().join(".isopeel-x"), "not complete").unwrap();
         let sha256 = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         let manifest = Manifest::open(folder.path()).unwrap();
         assert!(Manifest::open(folder.path()).is_err(), "it is locked");
@@ -132,7 +134,8 @@ mod tests {
         (&manifest.file).write_all(br#"{"volume":"c.nrrd","st"#).unwrap();
         drop(manifest);
         let manifest = Manifest::open(folder.path()).unwrap();
-        assert!(!folder.path().join(format!("{TEMPORARY}x")).exists());
+        assert!(!folder.path().join(format!("{BATCH_TEMPORARY}x")).exists());
+        assert!(folder.path().join(".isopeel-x").exists());
         assert_eq!(
             manifest.finished("a.stl", "one"),
             Some(line("a.stl", ExtractionState::Done, sha256))

@@ -55,6 +55,8 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
     let surface = args.surface.clone().unwrap_or_default();
     let format = surface.format.ok_or(BatchError::NoFormat)?;
     let request = surface.request(format, 0)?;
+    // What is wrong with all volumes ends the command before any is read.
+    request.check_alone()?;
     let inputs = open_all(&args.inputs)?;
     args.create_folder()?;
     let output = |source| BatchError::Output {
@@ -247,7 +249,10 @@ impl Batch<'_> {
         let outcome = match item.opened {
             Err(why) => Err(Unmade::failed(why)),
             Ok((volume, file)) => match self.input(&volume).await {
-                Err(why) => Err(Unmade::failed(why)),
+                Err(why) => {
+                    self.remove_earlier(&file);
+                    Err(Unmade::failed(why))
+                }
                 Ok(input) => {
                     line.identity = input.as_ref().map(|input| self.identity(input));
                     if let Some(finished) = self.finished(&file, line.identity.as_deref()).await {
@@ -258,9 +263,8 @@ impl Batch<'_> {
                         return Ok((line, false));
                     }
                     let made = self.make(&volume, &file, input).await?;
-                    if made.is_err() && self.manifest.names(&file) {
-                        // Of an earlier command: it would look like this one's.
-                        let _ = std::fs::remove_file(self.args.output.join(&file));
+                    if made.is_err() {
+                        self.remove_earlier(&file);
                     }
                     made
                 }
@@ -276,6 +280,13 @@ impl Batch<'_> {
             Err(Unmade { state, why }) => (line.entry.state, line.entry.problem) = (state, Some(why)),
         }
         Ok((line, true))
+    }
+
+    /// Removes a file that an earlier command has made: it would look like this one's.
+    fn remove_earlier(&self, file: &str) {
+        if self.manifest.names(file) {
+            let _ = std::fs::remove_file(self.args.output.join(file));
+        }
     }
 
     /// The files of a time step, as they are now; `None` of a store over a network.
@@ -314,7 +325,7 @@ impl Batch<'_> {
         input: Option<InputIdentity>,
     ) -> Result<Result<ManifestEntry, Unmade>, BatchError> {
         let start = Instant::now();
-        let output = Output::create(&self.args.output.join(file)).map_err(BatchError::Write)?;
+        let output = Output::create_of_batch(&self.args.output.join(file)).map_err(BatchError::Write)?;
         let made = self.attempts(volume).await;
         // What is left of it on the device is of no use to any other item.
         self.extractor.worker().release(volume).await;

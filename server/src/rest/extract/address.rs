@@ -122,7 +122,7 @@ fn has(headers: &HeaderMap, digest: FileDigest) -> bool {
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "`bad-range`: beyond the end of the file", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-edit`, `empty-surface` or `too-large`, as of `POST`", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`, `empty-surface`, `not-clean` or `too-large`, as of `POST`", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),

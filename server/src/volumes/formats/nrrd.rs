@@ -405,6 +405,7 @@ impl<'a> Header<'a> {
                 .map(|text| axes.space.iter().filter_map(|&a| quoted(text).nth(a)).collect())
         };
         let named: Option<Vec<&str>> = of_space.or_else(of_axes);
+        let named = named.map(|units| named_units(units, notices));
         geometry.unit = match named.as_deref() {
             Some([first, rest @ ..]) if rest.iter().all(|unit| unit == first) => LengthUnit::parse(first),
             Some(units) if units.len() > 1 && frame == Frame::World => {
@@ -418,6 +419,23 @@ impl<'a> Header<'a> {
         }
         .or(frame.is_anatomical().then_some(LengthUnit::Millimetre));
         geometry
+    }
+}
+
+/// The units of axes. Those of axes without one, beside others that agree, are taken to be theirs.
+fn named_units<'a>(units: Vec<&'a str>, notices: &mut Notices) -> Vec<&'a str> {
+    let is_named = |unit: &&str| !matches!(unit.trim(), "" | "???");
+    let named: Vec<&str> = units.iter().copied().filter(is_named).collect();
+    match named[..] {
+        [first, ..] if named.len() < units.len() && named.iter().all(|unit| *unit == first) => {
+            let without = units.len() - named.len();
+            notices.add(format!(
+                "{without} of {} axes have no unit: {first:?} was taken for all, as the others have it",
+                units.len()
+            ));
+            named
+        }
+        _ => units,
     }
 }
 

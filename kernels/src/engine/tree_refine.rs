@@ -1,0 +1,103 @@
+//! Cuts of the vertex tree that are refined where their triangles intersect.
+
+use super::peel::triangles;
+use crate::cancel::check;
+use crate::stages::tree_cut::{CutWork, Cutter, LEAF_NUMBER, STAGE};
+use crate::tree::TreeGoal;
+use crate::{Cancel, CutParams, Engine, Pyramid, Region, Result, Surface, VertexTree, Volume};
+
+/// Cuts that are tried. Each one merges less where triangles of the one before intersect, so a fault that the full surface does not have goes
+/// within the height of the tree.
+const MAX_ROUNDS: usize = 24;
+
+/// A vertex of a surface: the place of its region in the list, and its number there.
+pub type RegionVertex = [u32; 2];
+
+/// Finds vertices at which a surface is to be refined; none when it is good. May ask whether it is cancelled.
+pub type FindFaults<'a> = &'a dyn Fn(&[Region], &dyn Cancel) -> Result<Vec<RegionVertex>>;
+
+/// What a refinement has cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RefinementCost {
+    /// Triangles of the cut before.
+    pub triangles: u64,
+    /// Cuts that were made after the first one.
+    pub rounds: u32,
+}
+
+impl Engine {
+    /// As [`Engine::tree_surface`], refined until `find_faults` finds nothing, or nothing that could be refined: at those vertices, and above them
+    /// in the tree, nothing is merged. If there is a budget, more is merged elsewhere. The cut is not kept for questions.
+    ///
+    /// # Errors
+    /// As [`Engine::tree_surface`], and what `find_faults` returns.
+    #[expect(clippy::too_many_arguments, reason = "as `tree_surface`, and the test")]
+    pub fn refined_tree_surface(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        tree: &VertexTree,
+        params: &CutParams,
+        goal: &TreeGoal,
+        find_faults: FindFaults<'_>,
+        cancel: &dyn Cancel,
+    ) -> Result<(Surface, f32, RefinementCost)> {
+        let before = self.cx.pool.restart();
+        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, &goal.without, cancel)?;
+        let (mut work, mut tolerance) = self.cut_tree(&cutter, params, goal, cancel)?;
+        let importances = cutter.importances(params)?;
+        let limit = goal.max_tolerance.min(f32::MAX);
+        let mut cost = RefinementCost {
+            triangles: cutter.triangles(&work)?,
+            rounds: 0,
+        };
+        for _ in 0..MAX_ROUNDS {
+            let faulty = self.faulty_nodes(&cutter, params, &work, find_faults, cancel)?;
+            if faulty.is_empty() {
+                break;
+            }
+            cutter.forbid(&mut work, &faulty)?;
+            (tolerance, _) = self.repair_cut(&cutter, importances.as_deref(), goal, limit, &mut work, cancel)?;
+            cost.rounds += 1;
+        }
+        let surface = self.surface_of_tree_cut(&cutter, params, &work, before, cancel)?;
+        Ok((surface, tolerance, cost))
+    }
+
+    /// Merged nodes that are vertices at which a cut is to be refined.
+    fn faulty_nodes(
+        &self,
+        cutter: &Cutter<'_>,
+        params: &CutParams,
+        work: &CutWork,
+        find_faults: FindFaults<'_>,
+        cancel: &dyn Cancel,
+    ) -> Result<Vec<u32>> {
+        let params = CutParams {
+            state_error: false,
+            ..params.clone()
+        };
+        let (mut meshes, _) = self.count_tree_cut(cutter, work)?;
+        check(cancel)?;
+        let (mesh, vertex_leaves) = self.mesh_tree_cut(cutter, &params, work, &mut meshes, cancel)?;
+        let filled = mesh.regions.iter().filter(|mesh| triangles(mesh) > 0);
+        let bases: Vec<usize> = filled.map(|mesh| 3 * mesh.triangle_base as usize).collect();
+        let regions = self.read_back(cutter.pyramid, mesh)?;
+        let faults = find_faults(&regions, cancel)?;
+        if faults.is_empty() {
+            return Ok(Vec::new());
+        }
+        let leaves = self.cx.read(STAGE, &vertex_leaves, vertex_leaves.len())?;
+        let points = cutter.tree.point_count();
+        let leaf = |[region, vertex]: &RegionVertex| leaves[bases[*region as usize] + *vertex as usize] & LEAF_NUMBER;
+        // A point is finest already.
+        let mut nodes: Vec<u32> = faults
+            .iter()
+            .map(leaf)
+            .filter_map(|leaf| leaf.checked_sub(points))
+            .collect();
+        nodes.sort_unstable();
+        nodes.dedup();
+        Ok(nodes)
+    }
+}

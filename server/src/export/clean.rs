@@ -1,0 +1,455 @@
+//! Triangles of a file that intersect: how many, and how vertices are moved until there are none.
+
+use std::time::{Duration, Instant};
+
+use rustc_hash::FxHashMap;
+
+use super::decimal::Decimals;
+use super::topology::Around;
+use super::{Format, Mesh};
+use crate::extraction::Cleaned;
+use crate::math::DVec3;
+use crate::math::intersections::{Bounds, Corners, TriangleSoup, TriangleTree, has_area, intersect};
+
+/// Times that the groups of intersecting triangles are worked on before the repair is given up.
+const MAX_ROUNDS: usize = 16;
+
+/// Rounds after which the vertices around a group take part as well, and again after as many.
+const ROUNDS_BEFORE_GROWTH: usize = 3;
+
+/// Times that each vertex of a group may be moved in a round.
+const SWEEPS: usize = 24;
+
+/// Positions that are tried of a vertex that is moved at random, each within a radius of a share of its edges.
+const RANDOM_RADII: [f64; 6] = [0.03, 0.1, 0.2, 0.3, 0.5, 0.8];
+
+/// Shares of the way to the middle of its neighbours that are tried.
+const MIDDLE_SHARES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
+
+/// Of so many moves that change nothing one is made, to leave a dead end.
+const SIDEWAYS: u64 = 4;
+
+/// Triangles of a file still intersect.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{pairs} {} after {MAX_ROUNDS} rounds of moving vertices there, and clean (--clean) allows none: ask for more triangles or a smaller error",
+    if *pairs == 1 { "pair of triangles still intersects" } else { "pairs of triangles still intersect" }
+)]
+pub struct NotClean {
+    /// Pairs of triangles that intersect.
+    pairs: u64,
+}
+
+/// Why a mesh is not repaired.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum RepairError {
+    /// Nobody waits for it any more.
+    #[error("cancelled")]
+    Cancelled,
+    /// Triangles still intersect.
+    #[error(transparent)]
+    NotClean(#[from] NotClean),
+}
+
+/// Counts the pairs of triangles that intersect in a file of the format; `None` if that is cancelled, or takes longer than the limit.
+pub(super) fn count(
+    mesh: &Mesh,
+    format: Format,
+    limit: Option<Duration>,
+    is_cancelled: &(dyn Fn() -> bool + Sync),
+) -> Option<u64> {
+    let start = Instant::now();
+    let is_late = || limit.is_some_and(|limit| start.elapsed() > limit);
+    let soup = TriangleSoup {
+        positions: &Numbers::new(mesh, format).all(mesh),
+        triangles: &mesh.triangles,
+    };
+    let pairs = soup.intersections(&|| is_cancelled() || is_late())?;
+    (!is_late()).then_some(pairs.len() as u64)
+}
+
+/// Moves vertices of triangles that intersect, and if that does not suffice those around, until no triangles of a file of the format intersect.
+/// Moves are tried in a fixed order, so that equal meshes are repaired equally.
+///
+/// # Errors
+/// [`RepairError::NotClean`] if some still intersect after [`MAX_ROUNDS`].
+pub(super) fn repair(
+    mesh: &mut Mesh,
+    format: Format,
+    is_cancelled: &(dyn Fn() -> bool + Sync),
+) -> Result<Cleaned, RepairError> {
+    let mut cleaned = Cleaned::default();
+    let around = Around::new(mesh);
+    let numbers = Numbers::new(mesh, format);
+    let mut repair = Repair {
+        positions: numbers.all(mesh),
+        numbers,
+        mesh,
+        around: &around,
+        originals: FxHashMap::default(),
+        random: Random(1),
+    };
+    for round in 0..=MAX_ROUNDS {
+        let soup = TriangleSoup {
+            positions: &repair.positions,
+            triangles: &repair.mesh.triangles,
+        };
+        let tree = TriangleTree::new(&soup);
+        let pairs = tree.intersections(&soup, is_cancelled);
+        let pairs = pairs.ok_or(RepairError::Cancelled)?;
+        if round == 0 {
+            cleaned.intersections = pairs.len() as u64;
+        }
+        if pairs.is_empty() {
+            repair.state_moves(&mut cleaned);
+            return Ok(cleaned);
+        }
+        if round == MAX_ROUNDS {
+            let pairs = pairs.len() as u64;
+            return Err(RepairError::NotClean(NotClean { pairs }));
+        }
+        for group in groups(&repair.mesh.triangles, &pairs) {
+            if is_cancelled() {
+                return Err(RepairError::Cancelled);
+            }
+            repair.work_on(group, round / ROUNDS_BEFORE_GROWTH, &tree);
+        }
+    }
+    unreachable!("the last round returns")
+}
+
+/// How a file of a format has positions.
+#[derive(Clone, Copy)]
+enum Numbers {
+    /// As the mesh has them, or with 64 bits in the world.
+    Exact,
+    /// In the world, with 32 bits.
+    Rounded,
+    /// As decimals, in the world.
+    WorldDecimals(Decimals),
+    /// As decimals, from the mesh's origin.
+    Decimals(Decimals),
+}
+
+impl Numbers {
+    fn new(mesh: &Mesh, format: Format) -> Self {
+        match format {
+            Format::Obj => Self::WorldDecimals(Decimals::of_spacing(mesh.smallest_spacing)),
+            Format::ThreeMf => Self::Decimals(Decimals::of_spacing(mesh.smallest_spacing)),
+            _ if format.rounds() => Self::Rounded,
+            _ => Self::Exact,
+        }
+    }
+
+    /// A position of a mesh as its file has it.
+    fn position(self, mesh: &Mesh, position: [f32; 3]) -> [f64; 3] {
+        let position = position.map(f64::from);
+        let world = [0, 1, 2].map(|axis| mesh.origin[axis] + position[axis]);
+        match self {
+            Self::Exact => position,
+            // One that is beyond 32 bits is refused when it is written.
+            Self::Rounded => world.map(|component| f64::from(component as f32)),
+            Self::WorldDecimals(decimals) => world.map(|component| decimals.rounded(component)),
+            Self::Decimals(decimals) => position.map(|component| decimals.rounded(component)),
+        }
+    }
+
+    fn all(self, mesh: &Mesh) -> Vec<[f64; 3]> {
+        let positions = mesh.positions.iter();
+        positions.map(|&position| self.position(mesh, position)).collect()
+    }
+}
+
+/// Vertices of triangles that intersect, those of one place together.
+fn groups(triangles: &[[u32; 3]], pairs: &[[u32; 2]]) -> Vec<Vec<u32>> {
+    let mut group_of: FxHashMap<u32, usize> = FxHashMap::default();
+    let mut groups: Vec<Vec<u32>> = Vec::new();
+    for pair in pairs {
+        let vertices = pair.map(|triangle| triangles[triangle as usize]);
+        let mut joined = vertices.as_flattened().to_vec();
+        for vertex in vertices.as_flattened() {
+            if let Some(&group) = group_of.get(vertex) {
+                joined.append(&mut groups[group]);
+            }
+        }
+        joined.sort_unstable();
+        joined.dedup();
+        joined.iter().for_each(|&vertex| {
+            group_of.insert(vertex, groups.len());
+        });
+        groups.push(joined);
+    }
+    groups.retain(|group| !group.is_empty());
+    groups
+}
+
+/// A sequence of numbers that look random.
+struct Random(u64);
+
+impl Random {
+    /// The next number.
+    fn next(&mut self) -> u64 {
+        // Knuth's MMIX.
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        self.0 >> 33
+    }
+
+    /// A vector whose components are in −1 to 1.
+    fn vector(&mut self) -> DVec3 {
+        let mut component = || self.next() as f64 / f64::from(1u32 << 30) - 1.0;
+        DVec3::new(component(), component(), component())
+    }
+}
+
+/// A mesh while its vertices are moved.
+struct Repair<'a> {
+    mesh: &'a mut Mesh,
+    /// As the file has them.
+    positions: Vec<[f64; 3]>,
+    numbers: Numbers,
+    around: &'a Around,
+    /// Where vertices were that have been moved.
+    originals: FxHashMap<u32, [f32; 3]>,
+    random: Random,
+}
+
+impl Repair<'_> {
+    /// Moves vertices of a group, and those within so many edges, until no triangles intersect there.
+    fn work_on(&mut self, mut vertices: Vec<u32>, edges: usize, tree: &TriangleTree) {
+        for _ in 0..edges {
+            let next: Vec<u32> = vertices.iter().flat_map(|&vertex| self.next_to(vertex)).collect();
+            vertices.extend(next);
+            vertices.sort_unstable();
+            vertices.dedup();
+        }
+        vertices.retain(|&vertex| !self.is_on_border(vertex));
+        let triangles = vertices.iter().flat_map(|&vertex| self.around.of(vertex));
+        let corners = triangles.flat_map(|&triangle| self.mesh.triangles[triangle as usize]);
+        let points: Vec<[f64; 3]> = corners.map(|corner| self.positions[corner as usize]).collect();
+        let near = tree.near(&Bounds::around(&points));
+        for _ in 0..SWEEPS {
+            let mut is_done = true;
+            for &vertex in &vertices {
+                is_done &= self.improve(vertex, &near);
+            }
+            if is_done {
+                return;
+            }
+        }
+    }
+
+    /// Moves a vertex to where its triangles intersect fewest of those near it; of several such positions to the nearest. True if they intersect none as
+    /// it is.
+    fn improve(&mut self, vertex: u32, near: &[u32]) -> bool {
+        let current = self.mesh.positions[vertex as usize];
+        let before = self.faults(vertex, current, near, usize::MAX);
+        if before == 0 {
+            return true;
+        }
+        let at = DVec3::from(current.map(f64::from));
+        let (mut best, mut fewest) = (current, before);
+        for candidate in self.candidates(vertex, at) {
+            let candidate = candidate.to_array().map(|component| component as f32);
+            let faults = self.faults(vertex, candidate, near, fewest + 1);
+            let is_sideways = faults == before && fewest == before && self.random.next().is_multiple_of(SIDEWAYS);
+            if faults < fewest || is_sideways {
+                (best, fewest) = (candidate, faults);
+            }
+            if fewest == 0 {
+                break;
+            }
+        }
+        if best != current {
+            self.originals.entry(vertex).or_insert(current);
+            self.place(vertex, best);
+        }
+        false
+    }
+
+    fn place(&mut self, vertex: u32, position: [f32; 3]) {
+        self.mesh.positions[vertex as usize] = position;
+        self.positions[vertex as usize] = self.numbers.position(self.mesh, position);
+    }
+
+    /// Places that are tried, near ones first.
+    fn candidates(&mut self, vertex: u32, at: DVec3) -> Vec<DVec3> {
+        let position = |vertex: u32| DVec3::from(self.mesh.positions[vertex as usize].map(f64::from));
+        let next = self.next_to(vertex);
+        let middle = next.iter().map(|&next| position(next)).sum::<DVec3>() / next.len().max(1) as f64;
+        let length = next.iter().map(|&next| position(next).distance(at)).sum::<f64>() / next.len().max(1) as f64;
+        let original = self
+            .originals
+            .get(&vertex)
+            .map(|original| DVec3::from(original.map(f64::from)));
+        let mut tried: Vec<DVec3> = MIDDLE_SHARES.iter().map(|&share| at.lerp(middle, share)).collect();
+        tried.extend(
+            RANDOM_RADII
+                .iter()
+                .map(|&radius| at + radius * length * self.random.vector()),
+        );
+        tried.extend(original);
+        tried.sort_by(|a, b| a.distance(at).total_cmp(&b.distance(at)));
+        tried
+    }
+
+    /// How many pairs of triangles intersect, with one that has a vertex if that is at a position, and one of those near it. Counts no farther than
+    /// a limit.
+    fn faults(&self, vertex: u32, position: [f32; 3], near: &[u32], limit: usize) -> usize {
+        let position = self.numbers.position(self.mesh, position);
+        let corners = |triangle: u32| -> Corners {
+            self.mesh.triangles[triangle as usize].map(|corner| match corner == vertex {
+                true => position,
+                false => self.positions[corner as usize],
+            })
+        };
+        let own: Vec<(u32, Corners, Bounds)> = (self.around.of(vertex).iter())
+            .map(|&triangle| (triangle, corners(triangle)))
+            .map(|(triangle, corners)| (triangle, corners, Bounds::around(&corners)))
+            .collect();
+        let all = own.iter().fold(Bounds::EMPTY, |all, (.., bounds)| all.joined(bounds));
+        let mut faults = own.iter().filter(|(_, corners, _)| !has_area(corners)).count();
+        for (i, (_, a, of_a)) in own.iter().enumerate() {
+            let others = own[i + 1..].iter();
+            faults += others
+                .filter(|(_, b, of_b)| of_a.meets(of_b) && intersect(a, b))
+                .count();
+        }
+        for &triangle in near {
+            if faults >= limit {
+                break;
+            }
+            let other = self.mesh.triangles[triangle as usize];
+            if other.contains(&vertex) {
+                continue;
+            }
+            let other = other.map(|corner| self.positions[corner as usize]);
+            let bounds = Bounds::around(&other);
+            if all.meets(&bounds) {
+                let met = own
+                    .iter()
+                    .filter(|(_, own, of_own)| of_own.meets(&bounds) && intersect(own, &other));
+                faults += met.count();
+            }
+        }
+        faults
+    }
+
+    /// The other corners of the triangles around a vertex, each once.
+    fn next_to(&self, vertex: u32) -> Vec<u32> {
+        let triangles = self.around.of(vertex).iter();
+        let mut corners: Vec<u32> = triangles
+            .flat_map(|&triangle| self.mesh.triangles[triangle as usize])
+            .collect();
+        corners.retain(|&corner| corner != vertex);
+        corners.sort_unstable();
+        corners.dedup();
+        corners
+    }
+
+    /// Whether an edge at a vertex has one triangle: around others there are as many corners as triangles.
+    fn is_on_border(&self, vertex: u32) -> bool {
+        self.next_to(vertex).len() != self.around.of(vertex).len()
+    }
+
+    fn state_moves(&self, cleaned: &mut Cleaned) {
+        for (&vertex, original) in &self.originals {
+            let [new, old] = [&self.mesh.positions[vertex as usize], original].map(|at| DVec3::from(at.map(f64::from)));
+            if new != old {
+                cleaned.moved_vertices += 1;
+                cleaned.largest_move = cleaned.largest_move.max(new.distance(old));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A closed surface of 2·n² triangles over a square, one side of which is pushed through the other by so much.
+    fn pillow(n: usize, push: f32) -> Mesh {
+        let at = |i: usize, j: usize, top: bool| {
+            let is_boundary = i == 0 || j == 0 || i == n || j == n;
+            let side = match (is_boundary, top) {
+                (true, _) => 0.0,
+                (false, true) => 1.0,
+                (false, false) => -1.0,
+            };
+            let z = if i == n / 2 && j == n / 2 && top {
+                side - push
+            } else {
+                side
+            };
+            [i as f32, j as f32, z]
+        };
+        let mut mesh = Mesh::default();
+        let mut boundary = std::collections::HashMap::new();
+        for (top, i, j) in [true, false]
+            .into_iter()
+            .flat_map(|top| (0..n).flat_map(move |i| (0..n).map(move |j| (top, i, j))))
+        {
+            let mut vertex = |i: usize, j: usize| {
+                let position = at(i, j, top);
+                *boundary
+                    .entry((i, j, position[2] != 0.0, top && position[2] != 0.0))
+                    .or_insert_with(|| {
+                        mesh.positions.push(position);
+                        mesh.positions.len() as u32 - 1
+                    })
+            };
+            let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
+            // No triangle has all corners on the boundary, which both sides share.
+            let pair = match (i == n - 1 && j == 0) || (i == 0 && j == n - 1) {
+                true => [[a, b, d], [b, c, d]],
+                false => [[a, b, c], [a, c, d]],
+            };
+            let pair = pair.map(|[a, b, c]| if top { [a, b, c] } else { [a, c, b] });
+            mesh.triangles.extend(pair);
+        }
+        mesh
+    }
+
+    #[test]
+    fn sheets_that_cross_are_pulled_apart() {
+        let mut mesh = pillow(9, 2.5);
+        let before = count(&mesh, Format::Ply, None, &|| false).unwrap();
+        assert!(before > 0);
+        let triangles = mesh.triangles.clone();
+        let cleaned = repair(&mut mesh, Format::Ply, &|| false).unwrap();
+        assert_eq!(cleaned.intersections, before);
+        assert!(cleaned.moved_vertices > 0 && cleaned.largest_move > 0.0 && cleaned.largest_move < 4.0);
+        assert_eq!(count(&mesh, Format::Ply, None, &|| false), Some(0));
+        assert_eq!(mesh.triangles, triangles);
+    }
+
+    #[test]
+    fn a_clean_mesh_stays_as_it_is() {
+        let mut mesh = pillow(9, 0.5);
+        let before = mesh.clone();
+        assert_eq!(repair(&mut mesh, Format::Stl, &|| false).unwrap(), Cleaned::default());
+        assert_eq!(mesh, before);
+    }
+
+    #[test]
+    fn what_cannot_be_repaired_is_an_error() {
+        // One triangle through another: all vertices are on borders.
+        let mut mesh = Mesh {
+            positions: vec![
+                [0.0; 3],
+                [4.0, 0.0, 0.0],
+                [0.0, 4.0, 0.0],
+                [1.0, 1.0, -1.0],
+                [1.0, 1.0, 1.0],
+                [9.0, 9.0, 1.0],
+            ],
+            triangles: vec![[0, 1, 2], [3, 4, 5]],
+            ..Mesh::default()
+        };
+        let error = repair(&mut mesh, Format::Ply, &|| false).unwrap_err().to_string();
+        assert!(error.starts_with("1 pair of triangles still intersects"), "{error}");
+        assert_eq!(count(&mesh, Format::Ply, Some(Duration::ZERO), &|| false), None);
+    }
+}

@@ -1,0 +1,159 @@
+//! Contours of a plane of samples: where the surface of an isovalue crosses it.
+//!
+//! A face of a cell is crossed as the meshers cross it: inside means `value >= iso`, edges are crossed at the linear interpolant, and where two opposite corners
+//! of a face are inside, these are separated. A face that touches a missing sample has no contour.
+
+use rustc_hash::FxHashMap;
+
+/// A contour, in samples from the plane's first one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Contour {
+    /// Its points. The last one of a closed contour is its first one again.
+    pub points: Vec<[f64; 2]>,
+    /// Whether it is closed, or ends at a border of the plane or at missing samples.
+    pub is_closed: bool,
+}
+
+/// An edge between two samples: the lower one, and the axis along which the other one is.
+type Edge = (u32, u32, u8);
+
+/// Corners of a face, around it.
+const CORNERS: [[u32; 2]; 4] = [[0, 0], [1, 0], [1, 1], [0, 1]];
+
+/// Returns the contours of an isovalue, with high values on the left if the second axis points up. `value`: of the sample at a place; `None` if it is
+/// missing.
+pub fn contours([width, height]: [u32; 2], value: impl Fn(u32, u32) -> Option<f32>, iso: f32) -> Vec<Contour> {
+    let mut next: FxHashMap<Edge, Edge> = FxHashMap::default();
+    let mut has_previous: FxHashMap<Edge, ()> = FxHashMap::default();
+    let mut starts = Vec::new();
+    for (x, y) in (0..height.saturating_sub(1)).flat_map(|y| (0..width.saturating_sub(1)).map(move |x| (x, y))) {
+        let values = CORNERS.map(|[dx, dy]| value(x + dx, y + dy));
+        let [Some(a), Some(b), Some(c), Some(d)] = values else {
+            continue;
+        };
+        let inside = [a, b, c, d].map(|value| value >= iso);
+        for (from, to) in segments(inside) {
+            let [from, to] = [from, to].map(|side| edge(x, y, side));
+            next.insert(from, to);
+            has_previous.insert(to, ());
+            starts.push(from);
+        }
+    }
+    let place = |edge: &Edge| crossing(*edge, &value, iso);
+    // Those that have ends come first, from their beginnings.
+    let (open, closed): (Vec<Edge>, Vec<Edge>) = starts.into_iter().partition(|edge| !has_previous.contains_key(edge));
+    let mut found = Vec::new();
+    for start in open.into_iter().chain(closed) {
+        let mut edges = vec![start];
+        while let Some(to) = next.remove(edges.last().unwrap_or(&start)) {
+            edges.push(to);
+        }
+        if edges.len() > 1 {
+            found.push(Contour {
+                points: edges.iter().map(place).collect(),
+                is_closed: edges.first() == edges.last(),
+            });
+        }
+    }
+    found
+}
+
+/// The sides of a face that segments of a contour lead from and to. Side `i` is between the corners `i` and `i + 1`. Walking around the face, a segment
+/// leaves at a side where the walk enters the inside and comes from the side where it left it: inside corners are separated.
+fn segments(inside: [bool; 4]) -> Vec<(usize, usize)> {
+    let mut found = Vec::new();
+    for entered in (0..4).filter(|&side| !inside[side] && inside[(side + 1) % 4]) {
+        let left = (1..4).map(|n| (entered + n) % 4).find(|&side| !inside[(side + 1) % 4]);
+        if let Some(left) = left {
+            // The inside is on the left of a segment from where it is left to where it is entered.
+            found.push((left, entered));
+        }
+    }
+    found
+}
+
+fn edge(x: u32, y: u32, side: usize) -> Edge {
+    match side {
+        0 => (x, y, 0),
+        1 => (x + 1, y, 1),
+        2 => (x, y + 1, 0),
+        _ => (x, y, 1),
+    }
+}
+
+/// Where an edge is crossed.
+fn crossing((x, y, axis): Edge, value: &impl Fn(u32, u32) -> Option<f32>, iso: f32) -> [f64; 2] {
+    let [dx, dy] = if axis == 0 { [1, 0] } else { [0, 1] };
+    let [from, to] = [value(x, y), value(x + dx, y + dy)].map(|value| f64::from(value.unwrap_or(iso)));
+    let share = if from == to {
+        0.5
+    } else {
+        ((f64::from(iso) - from) / (to - from)).clamp(0.0, 1.0)
+    };
+    [
+        f64::from(x) + share * f64::from(dx),
+        f64::from(y) + share * f64::from(dy),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn area(points: &[[f64; 2]]) -> f64 {
+        points
+            .windows(2)
+            .map(|pair| (pair[0][0] * pair[1][1] - pair[1][0] * pair[0][1]) / 2.0)
+            .sum()
+    }
+
+    #[test]
+    fn a_circle_is_one_closed_contour_around_high_values() {
+        let value = |x: u32, y: u32| {
+            let [x, y] = [f64::from(x) - 15.3, f64::from(y) - 14.8];
+            Some((10.0 - x.hypot(y)) as f32)
+        };
+        let found = contours([32, 30], value, 0.0);
+        let [circle] = &found[..] else { panic!("{found:?}") };
+        assert!(circle.is_closed && circle.points.first() == circle.points.last());
+        assert!((area(&circle.points) / (std::f64::consts::PI * 100.0) - 1.0).abs() < 0.01);
+        for [x, y] in &circle.points {
+            assert!(((x - 15.3).hypot(y - 14.8) - 10.0).abs() < 0.02);
+        }
+    }
+
+    #[test]
+    fn contours_end_at_borders_and_missing_samples() {
+        let plane = |x: u32, _: u32| Some(x as f32);
+        let found = contours([4, 5], plane, 1.5);
+        let [line] = &found[..] else { panic!("{found:?}") };
+        assert!(!line.is_closed);
+        assert_eq!(line.points.len(), 5);
+        assert!(line.points.iter().all(|point| point[0] == 1.5));
+        let with_hole = |x: u32, y: u32| (y != 2).then_some(x as f32);
+        assert_eq!(contours([4, 5], with_hole, 1.5).len(), 2);
+        assert_eq!(contours([4, 5], |_, _| Some(1.0), 1.5), []);
+    }
+
+    #[test]
+    fn opposite_inside_corners_are_separated() {
+        let saddle = |x: u32, y: u32| Some(if (x + y).is_multiple_of(2) { 1.0 } else { 0.0 });
+        let found = contours([2, 2], saddle, 0.5);
+        assert_eq!(found.len(), 2);
+        for contour in &found {
+            let [[ax, ay], [bx, by]] = contour.points[..] else {
+                panic!("{contour:?}")
+            };
+            let near_corner = |x: f64, y: f64| (x - 0.5).abs() == 0.5 && (y - 0.5).abs() == 0.5;
+            assert!(
+                near_corner(ax + bx - 0.5, ay + by - 0.5),
+                "{contour:?} cuts a corner off"
+            );
+            // It is around the corner at 0, 0 or that at 1, 1, which are inside.
+            assert!(ax + bx + ay + by == 1.0 || ax + bx + ay + by == 3.0);
+        }
+        // A checkerboard: no contour passes between two samples that are inside, and each point is of one.
+        let board = contours([6, 6], saddle, 0.5);
+        assert_eq!(board.iter().filter(|contour| contour.is_closed).count(), 8);
+    }
+}

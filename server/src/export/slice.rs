@@ -1,0 +1,586 @@
+//! Planes of samples and their contours as files: raw samples, pictures, NRRD, SVG and GeoJSON.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use isopeel_kernels::{SampleType, Samples};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use utoipa::ToSchema;
+
+use super::contours::{Contour, contours};
+use super::xml::escaped;
+use crate::extraction::{DeviceWorker, Slice, WorkError};
+use crate::math::{DVec3, IndexSpace};
+use crate::view::FeatureName;
+use crate::volumes::{Field, Frame, LengthUnit, VolumeStep};
+
+/// Maximum isovalues of one file.
+pub const MAX_ISOVALUES: usize = 64;
+
+/// Colours of contours, in the order of isovalues: those of Tango, dark.
+const COLORS: [&str; 6] = ["#a40000", "#204a87", "#4e9a06", "#ce5c00", "#5c3566", "#8f5902"];
+
+/// The axis across a plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, ToSchema, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Axis {
+    /// First.
+    X,
+    /// Second.
+    Y,
+    /// Third.
+    Z,
+}
+
+impl Axis {
+    /// The plane's own axes: along its rows, and across them.
+    pub const fn others(self) -> [Self; 2] {
+        match self {
+            Self::X => [Self::Y, Self::Z],
+            Self::Y => [Self::X, Self::Z],
+            Self::Z => [Self::X, Self::Y],
+        }
+    }
+
+    /// Its name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::X => "x",
+            Self::Y => "y",
+            Self::Z => "z",
+        }
+    }
+}
+
+/// What a slice comes as.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum SliceFormat {
+    /// The samples, little-endian.
+    #[default]
+    Raw,
+    /// A grey picture.
+    Png,
+    /// The samples with their place in the world: NRRD, two axes in three dimensions.
+    Nrrd,
+    /// Contours at isovalues, in the plane's own coordinates.
+    Svg,
+    /// Contours at isovalues, in the world's coordinates.
+    Geojson,
+}
+
+impl SliceFormat {
+    /// The format that a file's name says.
+    pub fn from_path(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+            "raw" => Some(Self::Raw),
+            "png" => Some(Self::Png),
+            "nrrd" => Some(Self::Nrrd),
+            "svg" => Some(Self::Svg),
+            "geojson" => Some(Self::Geojson),
+            _ => None,
+        }
+    }
+
+    /// Media type for HTTP.
+    pub const fn content_type(self) -> &'static str {
+        match self {
+            Self::Raw | Self::Nrrd => "application/octet-stream",
+            Self::Png => "image/png",
+            Self::Svg => "image/svg+xml",
+            Self::Geojson => "application/geo+json",
+        }
+    }
+
+    /// Whether it has contours, and no samples.
+    pub const fn has_contours(self) -> bool {
+        matches!(self, Self::Svg | Self::Geojson)
+    }
+}
+
+/// How a slice is shown.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SliceOptions {
+    /// What it comes as.
+    pub format: SliceFormat,
+    /// Isovalues of contours.
+    pub isovalues: Vec<f32>,
+    /// Of a picture: how many of the field's units there are between black and white; `None`: the field's range.
+    pub window: Option<f32>,
+    /// Of a picture: the value in the middle; `None`: the middle of the field's range.
+    pub level: Option<f32>,
+}
+
+/// Why there is no such slice, for people.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct BadSlice(String);
+
+/// Where a plane is.
+#[derive(Clone, Debug)]
+pub struct Plane {
+    /// The field that is shown.
+    pub field: Field,
+    /// Across the plane.
+    pub axis: Axis,
+    /// Which plane along it.
+    pub index: u32,
+    /// Samples along the plane's axes.
+    pub dims: [u32; 2],
+    volume: String,
+    space: IndexSpace,
+    frame: Frame,
+    unit: Option<LengthUnit>,
+}
+
+impl Plane {
+    /// A plane of a field across an axis.
+    ///
+    /// # Errors
+    /// The volume has no such plane.
+    pub fn new(volume: &VolumeStep, field: Field, axis: Axis, index: u32) -> Result<Self, BadSlice> {
+        let dataset = volume.dataset();
+        let dims = dataset.geometry.dims;
+        let planes = dims[axis as usize];
+        if index >= planes {
+            return Err(BadSlice(format!("index: {index}, expected 0 to {}", planes - 1)));
+        }
+        Ok(Self {
+            field,
+            axis,
+            index,
+            dims: axis.others().map(|axis| dims[axis as usize]),
+            volume: dataset.id.clone(),
+            space: dataset.sample_space(),
+            frame: dataset.geometry.frame,
+            unit: dataset.geometry.unit,
+        })
+    }
+
+    /// Checks how it is to be shown.
+    ///
+    /// # Errors
+    /// A window that shows nothing, isovalues that are missing or of no use, or a plane that the format cannot hold.
+    pub fn check(&self, options: &SliceOptions) -> Result<(), BadSlice> {
+        let refuse = |message: String| Err(BadSlice(message));
+        let SliceOptions {
+            format,
+            isovalues,
+            window,
+            level,
+        } = options;
+        if *format != SliceFormat::Png && (window.is_some() || level.is_some()) {
+            return refuse("window and level are of pictures, expected format=png beside them".into());
+        }
+        if format.has_contours() == isovalues.is_empty() {
+            return refuse(
+                "iso: isovalues are of contours, expected some with format svg or geojson, and none with others".into(),
+            );
+        }
+        if isovalues.len() > MAX_ISOVALUES {
+            return refuse(format!(
+                "iso: {} isovalues, expected at most {MAX_ISOVALUES}",
+                isovalues.len()
+            ));
+        }
+        if let Some(iso) = isovalues.iter().find(|iso| !iso.is_finite()) {
+            return refuse(format!("iso: {iso}, expected a finite number"));
+        }
+        if *format == SliceFormat::Nrrd && self.space.uneven.is_some() {
+            return refuse("format: NRRD holds samples at even distances, and the volume's axes are uneven: expected another format".into());
+        }
+        match (window, level) {
+            (Some(window), _) if !(window.is_finite() && *window > 0.0) => {
+                refuse(format!("window: {window}, expected a finite number above 0"))
+            }
+            (_, Some(level)) if !level.is_finite() => refuse(format!("level: {level}, expected a finite number")),
+            _ => Ok(()),
+        }
+    }
+
+    /// World position of a place on the plane, in samples.
+    pub fn world(&self, [x, y]: [f64; 2]) -> DVec3 {
+        let mut index = DVec3::ZERO;
+        let [first, second] = self.axis.others().map(|axis| axis as usize);
+        index[first] = x;
+        index[second] = y;
+        index[self.axis as usize] = f64::from(self.index);
+        self.space.world(index)
+    }
+
+    /// From a sample to the next along each of the plane's axes, in the world.
+    pub fn steps(&self) -> [[f64; 3]; 2] {
+        let world = self.space.world_from_even;
+        self.axis
+            .others()
+            .map(|axis| world.matrix3.col(axis as usize).to_array())
+    }
+
+    /// The file of the plane, whose samples these are. `range`: of the field's values.
+    ///
+    /// # Errors
+    /// A picture cannot be written.
+    pub fn file(&self, slice: Slice, options: &SliceOptions, range: [f32; 2]) -> Result<Vec<u8>, png::EncodingError> {
+        match options.format {
+            SliceFormat::Raw => Ok(slice.bytes),
+            SliceFormat::Png => self.picture(options, range).png(&slice),
+            SliceFormat::Nrrd => Ok(self.nrrd(&slice)),
+            SliceFormat::Svg => Ok(self.svg(&self.contours(&slice, &options.isovalues)).into_bytes()),
+            SliceFormat::Geojson => Ok(self.geojson(&self.contours(&slice, &options.isovalues)).into_bytes()),
+        }
+    }
+
+    fn picture(&self, options: &SliceOptions, range: [f32; 2]) -> Picture {
+        Picture {
+            dims: self.dims,
+            missing: self.field.missing,
+            window: options.window.unwrap_or(range[1] - range[0]),
+            level: options.level.unwrap_or(0.5 * range[0] + 0.5 * range[1]),
+        }
+    }
+
+    /// The contours of each isovalue.
+    fn contours(&self, slice: &Slice, isovalues: &[f32]) -> Vec<(f32, Vec<Contour>)> {
+        let samples = samples_of(slice);
+        let width = self.dims[0] as usize;
+        let value = |x: u32, y: u32| {
+            let value = samples.get(y as usize * width + x as usize);
+            (!value.is_nan() && Some(value) != self.field.missing).then_some(value)
+        };
+        let of = |&iso: &f32| (iso, contours(self.dims, value, iso));
+        isovalues.iter().map(of).collect()
+    }
+
+    fn nrrd(&self, slice: &Slice) -> Vec<u8> {
+        let vector = |[x, y, z]: [f64; 3]| format!("({x},{y},{z})");
+        let space = match self.frame {
+            Frame::Lps => "space: left-posterior-superior",
+            Frame::Ras => "space: right-anterior-superior",
+            Frame::World | Frame::Index => "space dimension: 3",
+        };
+        let kind = match slice.sample_type {
+            SampleType::U8 => "uint8",
+            SampleType::I8 => "int8",
+            SampleType::U16 => "uint16",
+            SampleType::I16 => "int16",
+            SampleType::F32 => "float",
+        };
+        let [along, across] = self.steps().map(vector);
+        let unit = self.unit.map_or(String::new(), |unit| {
+            let unit = unit.ascii_symbol();
+            format!("space units: \"{unit}\" \"{unit}\" \"{unit}\"\n")
+        });
+        let mut file = format!(
+            "NRRD0005\n# {}\ntype: {kind}\ndimension: 2\n{space}\nsizes: {} {}\nspace directions: {along} {across}\n\
+             space origin: {}\n{unit}endian: little\nencoding: raw\n\n",
+            super::mesh::ascii(&self.title()),
+            self.dims[0],
+            self.dims[1],
+            vector(self.world([0.0; 2]).to_array()),
+        )
+        .into_bytes();
+        file.extend_from_slice(&slice.bytes);
+        file
+    }
+
+    /// What it shows, for people.
+    fn title(&self) -> String {
+        format!(
+            "{}: {}, {} = {}",
+            self.volume,
+            self.field.name,
+            self.axis.name(),
+            self.index
+        )
+    }
+
+    /// Where a place is in the plane's own coordinates: world units along its axes from the first sample.
+    fn in_plane(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let first = self.world([0.0; 2]);
+        [
+            self.world([x, 0.0]).distance(first),
+            self.world([0.0, y]).distance(first),
+        ]
+    }
+
+    fn svg(&self, contours: &[(f32, Vec<Contour>)]) -> String {
+        let [width, height] = self.in_plane(self.dims.map(|n| f64::from(n.saturating_sub(1))));
+        // A pixel's width, whatever the unit.
+        let size = match self.unit.and_then(LengthUnit::metres) {
+            Some(metres) => format!(
+                "width=\"{}mm\" height=\"{}mm\"",
+                width * metres * 1e3,
+                height * metres * 1e3
+            ),
+            None => format!("width=\"{}\" height=\"{}\"", self.dims[0], self.dims[1]),
+        };
+        let mut text = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" {size} viewBox=\"0 0 {width} {height}\">\n<title>{}</title>\n",
+            escaped(&self.title())
+        );
+        for ((iso, lines), color) in contours.iter().zip(COLORS.iter().cycle()) {
+            let _ = writeln!(
+                text,
+                "<g id=\"iso-{iso}\" data-isovalue=\"{iso}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"1\">"
+            );
+            for line in lines {
+                let count = line.points.len() - usize::from(line.is_closed);
+                text.push_str("<path vector-effect=\"non-scaling-stroke\" d=\"");
+                for (i, point) in line.points[..count].iter().enumerate() {
+                    let [x, y] = self.in_plane(*point);
+                    let _ = write!(text, "{}{x} {y}", if i == 0 { 'M' } else { 'L' });
+                }
+                text.push_str(if line.is_closed { "Z\"/>\n" } else { "\"/>\n" });
+            }
+            text.push_str("</g>\n");
+        }
+        text.push_str("</svg>\n");
+        text
+    }
+
+    fn geojson(&self, contours: &[(f32, Vec<Contour>)]) -> String {
+        let line = |contour: &Contour| -> Vec<[f64; 3]> {
+            let points = contour.points.iter();
+            points.map(|point| self.world(*point).to_array()).collect()
+        };
+        let feature = |(iso, lines): &(f32, Vec<Contour>)| {
+            json!({
+                "type": "Feature",
+                "geometry": { "type": "MultiLineString", "coordinates": lines.iter().map(line).collect::<Vec<_>>() },
+                "properties": {
+                    "volume": self.volume,
+                    "field": self.field.name,
+                    "isovalue": iso,
+                    "valueUnit": self.field.unit,
+                    "axis": self.axis.name(),
+                    "index": self.index,
+                    "frame": self.frame.name(),
+                    "unit": self.unit.map(LengthUnit::symbol),
+                },
+            })
+        };
+        let features: Vec<_> = contours.iter().map(feature).collect();
+        json!({ "type": "FeatureCollection", "features": features }).to_string()
+    }
+}
+
+/// The isovalues of a list with commas between them.
+///
+/// # Errors
+/// What is no number.
+pub fn isovalues(list: &str) -> Result<Vec<f32>, BadSlice> {
+    let each = list.split(',').map(str::trim).filter(|text| !text.is_empty());
+    each.map(|text| {
+        let refuse = |_| BadSlice(format!("iso: {text:?}, expected a number"));
+        text.parse().map_err(refuse)
+    })
+    .collect()
+}
+
+/// The samples of a plane, and the range of the field's values if a picture of it needs that.
+///
+/// # Errors
+/// Those of the device, and a volume that cannot be read.
+pub async fn shown_slice(
+    worker: &DeviceWorker,
+    volume: &VolumeStep,
+    plane: &Plane,
+    options: &SliceOptions,
+) -> Result<(Slice, [f32; 2]), WorkError> {
+    let field = &plane.field.name;
+    let slice = worker.slice(volume, field, plane.axis as usize, plane.index).await?;
+    let needs_range = options.format == SliceFormat::Png && (options.window.is_none() || options.level.is_none());
+    let range = match needs_range {
+        true => worker.histogram(volume, field, &FeatureName::None).await?.range,
+        false => [0.0; 2],
+    };
+    Ok((slice, range))
+}
+
+/// How a slice is drawn.
+struct Picture {
+    dims: [u32; 2],
+    missing: Option<f32>,
+    window: f32,
+    level: f32,
+}
+
+impl Picture {
+    /// Grey and whether the sample is there, a byte each.
+    fn pixel(&self, value: f32) -> [u8; 2] {
+        if value.is_nan() || Some(value) == self.missing {
+            return [0, 0];
+        }
+        // Of a field of one value the window is empty.
+        let share = if self.window > 0.0 {
+            (f64::from(value) - f64::from(self.level)) / f64::from(self.window) + 0.5
+        } else {
+            0.5
+        };
+        [(share.clamp(0.0, 1.0) * 255.0).round() as u8, 255]
+    }
+
+    fn png(&self, slice: &Slice) -> Result<Vec<u8>, png::EncodingError> {
+        let samples = samples_of(slice);
+        let pixels: Vec<u8> = (0..samples.len()).flat_map(|i| self.pixel(samples.get(i))).collect();
+        let mut file = Vec::new();
+        let mut encoder = png::Encoder::new(&mut file, self.dims[0], self.dims[1]);
+        encoder.set_color(png::ColorType::GrayscaleAlpha);
+        encoder.set_depth(png::BitDepth::Eight);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&pixels)?;
+        writer.finish()?;
+        Ok(file)
+    }
+}
+
+fn samples_of(slice: &Slice) -> Samples {
+    let bytes = &slice.bytes;
+    match slice.sample_type {
+        SampleType::U8 => Samples::U8(bytes.clone()),
+        SampleType::I8 => Samples::I8(bytes.iter().map(|byte| byte.cast_signed()).collect()),
+        SampleType::U16 => Samples::U16(bytemuck::pod_collect_to_vec(bytes)),
+        SampleType::I16 => Samples::I16(bytemuck::pod_collect_to_vec(bytes)),
+        SampleType::F32 => Samples::F32(bytemuck::pod_collect_to_vec(bytes)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::volumes::testing;
+
+    fn picture(window: f32, level: f32) -> Picture {
+        Picture {
+            dims: [3, 2],
+            missing: Some(-1.0),
+            window,
+            level,
+        }
+    }
+
+    #[test]
+    fn window_and_level_say_what_is_black_and_white() {
+        let drawn = picture(100.0, 50.0);
+        for (value, grey) in [
+            (0.0, 0),
+            (-40.0, 0),
+            (50.0, 128),
+            (100.0, 255),
+            (1e30, 255),
+            (f32::INFINITY, 255),
+        ] {
+            assert_eq!(drawn.pixel(value), [grey, 255], "{value}");
+        }
+        assert_eq!(drawn.pixel(-1.0), [0, 0], "missing");
+        assert_eq!(drawn.pixel(f32::NAN), [0, 0]);
+        assert_eq!(picture(0.0, 7.0).pixel(7.0), [128, 255], "a field of one value");
+        assert_eq!(picture(f32::MAX, 0.0).pixel(f32::MAX), [255, 255]);
+    }
+
+    #[test]
+    fn pictures_can_be_read_again() {
+        let slice = Slice {
+            sample_type: SampleType::I16,
+            bytes: [0i16, 50, 100, -1, 25, 75]
+                .into_iter()
+                .flat_map(i16::to_le_bytes)
+                .collect(),
+        };
+        assert_eq!(samples_of(&slice).get(3), -1.0);
+        let file = picture(100.0, 50.0).png(&slice).expect("a picture");
+        let mut reader = png::Decoder::new(std::io::Cursor::new(file))
+            .read_info()
+            .expect("a PNG file");
+        let mut pixels = vec![0; reader.output_buffer_size().expect("a size")];
+        let frame = reader.next_frame(&mut pixels).expect("a frame");
+        assert_eq!(
+            (frame.width, frame.height, frame.color_type),
+            (3, 2, png::ColorType::GrayscaleAlpha)
+        );
+        assert_eq!(pixels, [0, 255, 128, 255, 255, 255, 0, 0, 64, 255, 191, 255]);
+    }
+
+    fn plane(frame: Frame) -> Plane {
+        let mut dataset = testing::dataset("head", [5, 4, 3], &["t1"]);
+        dataset.geometry.spacing = [0.5, 2.0, 3.0];
+        dataset.geometry.origin = [10.0, 20.0, 30.0];
+        dataset.geometry.unit = Some(LengthUnit::Millimetre);
+        dataset.geometry.frame = frame;
+        let field = dataset.fields[0].clone();
+        Plane::new(&VolumeStep::new(Arc::new(dataset), 0).unwrap(), field, Axis::Y, 1).unwrap()
+    }
+
+    fn options(format: SliceFormat, isovalues: &[f32]) -> SliceOptions {
+        SliceOptions {
+            format,
+            isovalues: isovalues.to_vec(),
+            window: None,
+            level: None,
+        }
+    }
+
+    /// The sample's place along rows, in a plane of five by three.
+    fn ramp() -> Slice {
+        Slice {
+            sample_type: SampleType::U8,
+            bytes: (0..15).map(|i| i % 5).collect(),
+        }
+    }
+
+    #[test]
+    fn files_say_where_samples_and_contours_are() {
+        let text =
+            |plane: &Plane, options| String::from_utf8(plane.file(ramp(), &options, [0.0, 4.0]).unwrap()).unwrap();
+        let lps = plane(Frame::Lps);
+        let nrrd = text(&lps, options(SliceFormat::Nrrd, &[]));
+        for line in [
+            "type: uint8\n",
+            "dimension: 2\n",
+            "space: left-posterior-superior\n",
+            "sizes: 5 3\n",
+            "space directions: (0.5,0,0) (0,0,3)\n",
+            "space origin: (10,22,30)\n",
+        ] {
+            assert!(nrrd.contains(line), "{line:?} in {nrrd}");
+        }
+        assert!(nrrd.as_bytes().ends_with(&ramp().bytes));
+        let svg = text(&lps, options(SliceFormat::Svg, &[1.5, 9.0]));
+        assert!(
+            svg.contains("width=\"2mm\" height=\"6mm\" viewBox=\"0 0 2 6\""),
+            "{svg}"
+        );
+        assert!(
+            svg.contains("data-isovalue=\"1.5\"") && svg.contains("data-isovalue=\"9\""),
+            "{svg}"
+        );
+        assert_eq!(svg.matches("<path").count(), 1, "{svg}");
+        let geojson: serde_json::Value =
+            serde_json::from_str(&text(&plane(Frame::World), options(SliceFormat::Geojson, &[1.5]))).unwrap();
+        let feature = &geojson["features"][0];
+        assert_eq!(feature["properties"]["isovalue"], 1.5);
+        let line = feature["geometry"]["coordinates"][0].as_array().unwrap();
+        assert_eq!(line.len(), 3);
+        for point in line {
+            assert_eq!((&point[0], &point[1]), (&10.75.into(), &22.0.into()));
+        }
+    }
+
+    #[test]
+    fn what_a_slice_cannot_be_is_named() {
+        let plane = plane(Frame::World);
+        for (options, expected) in [
+            (options(SliceFormat::Svg, &[]), "iso: isovalues are of contours"),
+            (options(SliceFormat::Png, &[1.0]), "iso: isovalues are of contours"),
+            (options(SliceFormat::Geojson, &[f32::NAN]), "iso: NaN"),
+            (options(SliceFormat::Geojson, &[1.0; 65]), "iso: 65 isovalues"),
+        ] {
+            let error = plane.check(&options).unwrap_err().to_string();
+            assert!(error.starts_with(expected), "{error}");
+        }
+        assert!(plane.check(&options(SliceFormat::Svg, &[1.0])).is_ok());
+    }
+}
