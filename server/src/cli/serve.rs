@@ -277,7 +277,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let tokens = tokens.map(TokenWatch::open).transpose()?;
     let tokens = tokens.map(|tokens| tokens.with_audit(audit.clone()));
     let jobs = folder.map(|folder| (folder, args.job_limits()));
-    pool::start_exports()?;
+    pool::start_background()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let next = NextEnvironment::default();
     let (served, worker, address) = runtime.block_on(async {
@@ -503,7 +503,7 @@ async fn watch(mut watcher: Watcher) {
     loop {
         tokio::time::sleep(INTERVAL).await;
         let look = move || {
-            watcher.look();
+            pool::run_read(|| watcher.look());
             watcher
         };
         watcher = match tokio::task::spawn_blocking(look).await {
