@@ -42,7 +42,7 @@ pub async fn admit(State(access): State<Access>, mut request: Request, next: Nex
     let response = match admitted {
         Ok(who) => {
             if let Some(who) = who {
-                request.extensions_mut().insert(who);
+                request.extensions_mut().insert(who.at(peer));
             }
             next.run(request).await
         }

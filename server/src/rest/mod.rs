@@ -34,7 +34,6 @@ use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use tokio::sync::Semaphore;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
 use utoipa::{Modify, OpenApi};
@@ -74,13 +73,21 @@ const EXPORTS: QueueLimits = QueueLimits {
     wait: Duration::from_secs(60),
 };
 
-/// Maximum planes of samples that are made at a time: some megabytes each.
-const CONCURRENT_SLICES: usize = 8;
+/// Planes of samples that are made at a time: some megabytes each. A viewer drags up to three at once.
+const SLICES: SeatLimits = SeatLimits {
+    what: "slices that are being made",
+    all: 8,
+    of_user: 6,
+    of_address: 7,
+    reserve: 1,
+};
 
 /// Streams of jobs' events: each holds a connection.
 const EVENT_STREAMS: SeatLimits = SeatLimits {
+    what: "streams of events",
     all: 64,
     of_user: 32,
+    of_address: 48,
     reserve: 4,
 };
 
@@ -91,7 +98,7 @@ pub struct ApiState {
     extractor: Extractor,
     exports: ExportQueue,
     known_tags: KnownTags,
-    slices: Arc<Semaphore>,
+    slices: Seats,
     events: Seats,
     access: Access,
     /// `None`: the server keeps none.
@@ -108,7 +115,7 @@ impl ApiState {
             extractor,
             exports: ExportQueue::new(EXPORTS),
             known_tags: KnownTags::default(),
-            slices: Arc::new(Semaphore::new(CONCURRENT_SLICES)),
+            slices: Seats::new(SLICES),
             events: Seats::new(EVENT_STREAMS),
             access,
             jobs: None,

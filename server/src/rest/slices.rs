@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::ApiState;
-use crate::access::Identity;
+use crate::access::{Identity, Occupant};
 use crate::extraction::Slice;
 use crate::math::DVec3;
 use crate::pool;
@@ -135,11 +135,8 @@ pub async fn slice(
     let volume = state.volume(&who, &id, query.step)?;
     let field = field_of(&volume, query.field.as_deref())?;
     check(&volume, &query)?;
-    let Ok(_permit) = state.slices.try_acquire() else {
-        return Err(ApiError::busy(
-            "the server makes as many slices as it may, try again in a few seconds",
-        ));
-    };
+    let seat = state.slices.take(Occupant::from(&who));
+    let _seat = seat.map_err(|none| ApiError::busy(none.to_string()))?;
     let worker = state.extractor.worker();
     let slice = worker
         .slice(&volume, &field.name, query.axis as usize, query.index)
