@@ -21,7 +21,8 @@ use crate::access::{
 use crate::extraction::{DeviceOptions, DeviceWorker};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
-use crate::private_folder::FolderAccess;
+use crate::private_folder::{self, FolderAccess, FolderAccessError};
+use crate::rest::SpoolFolder;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
 use crate::stream::LiveOptions;
 use crate::uploads::FolderError;
@@ -142,6 +143,11 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t, value_name = "WHO")]
     folder_access: FolderAccess,
 
+    /// Folder on a disk of this machine in which exports wait that clients read slowly, up to 8 GiB; else it is `spool` in the state folder, or
+    /// the folder of temporary files
+    #[arg(long, value_name = "DIR")]
+    spool: Option<PathBuf>,
+
     /// Disk space for the results of batch jobs, in MiB: a job that may take more than is left is refused
     #[arg(long, value_name = "MIB", default_value_t = JOB_QUOTA_MIB, requires = "state_folder")]
     job_quota: u64,
@@ -210,6 +216,9 @@ pub enum Error {
     /// Batch jobs cannot be kept there.
     #[error(transparent)]
     StateFolder(#[from] StateFolderError),
+    /// Exports cannot wait there.
+    #[error("spool")]
+    Spool(#[from] FolderAccessError),
     /// Uploads cannot be kept there.
     #[error(transparent)]
     Uploads(#[from] FolderError),
@@ -276,6 +285,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let tokens = folder.as_ref().map(|folder| TokenFile::in_folder(folder.path()));
     let tokens = tokens.map(TokenWatch::open).transpose()?;
     let tokens = tokens.map(|tokens| tokens.with_audit(audit.clone()));
+    let spool = args.spool(folder.as_ref())?;
     let jobs = folder.map(|folder| (folder, args.job_limits()));
     pool::start_background()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
@@ -304,6 +314,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
             metrics,
             uploads,
             jobs,
+            spool,
             ..Config::new(catalog, worker.clone(), access)
         };
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
@@ -489,6 +500,14 @@ impl Args {
             shared_bytes: self.memory.shared_bytes(),
             watches: self.watch,
         }
+    }
+
+    /// Where exports wait that clients read slowly.
+    fn spool(&self, state: Option<&StateFolder>) -> Result<Option<SpoolFolder>, FolderAccessError> {
+        let own = state.map(|folder| folder.path().join("spool"));
+        let folder = self.spool.clone().or(own);
+        let opened = folder.map(|folder| private_folder::open(&folder, self.folder_access));
+        Ok(opened.transpose()?.map(SpoolFolder::new))
     }
 
     fn job_limits(&self) -> Limits {

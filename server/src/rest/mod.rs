@@ -41,7 +41,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub use embed::EmbedInfo;
-pub use extract::{ExtractRequest, STATISTICS_HEADER};
+pub use extract::{ExtractRequest, STATISTICS_HEADER, SpoolFolder};
 pub use jobs::{DIGEST_HEADER, KEY_HEADER, LAST_EVENT_ID};
 pub use session::SessionInfo;
 pub use slices::SLICE_HEADER;
@@ -100,6 +100,7 @@ pub struct ApiState {
     known_tags: KnownTags,
     slices: Seats,
     events: Seats,
+    spool: SpoolFolder,
     access: Access,
     /// `None`: the server keeps none.
     jobs: Option<Jobs>,
@@ -117,6 +118,7 @@ impl ApiState {
             known_tags: KnownTags::default(),
             slices: Seats::new(SLICES),
             events: Seats::new(EVENT_STREAMS),
+            spool: SpoolFolder::default(),
             access,
             jobs: None,
             uploads: None,
@@ -127,6 +129,15 @@ impl ApiState {
     #[must_use]
     pub fn with_jobs(self, jobs: Option<Jobs>) -> Self {
         Self { jobs, ..self }
+    }
+
+    /// Exports that clients read slowly wait in this folder, not in that of temporary files.
+    #[must_use]
+    pub fn with_spool(self, folder: Option<SpoolFolder>) -> Self {
+        Self {
+            spool: folder.unwrap_or_default(),
+            ..self
+        }
     }
 
     /// With these uploads.
