@@ -228,6 +228,9 @@ pub enum Error {
     /// The server ended.
     #[error(transparent)]
     Serve(#[from] ServeError),
+    /// Nobody would learn its address.
+    #[error("standard output cannot be written, to which the server's address goes")]
+    Output(#[source] std::io::Error),
     /// No thread or signal handler could be had.
     #[error("the process could not go on")]
     System(#[from] std::io::Error),
@@ -302,7 +305,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let address = listener.address()?;
         warn_of_network(args, &address);
         if before.is_none() {
-            super::print(addresses(args, &address, token.as_ref()).as_bytes())?;
+            super::print(addresses(args, &address, token.as_ref()).as_bytes()).map_err(Error::Output)?;
         }
         let access = access(args, &address, token.as_ref(), tokens.as_ref());
         let access = access.with_oidc(oidc).with_audit(audit.clone());

@@ -89,12 +89,12 @@ impl Spool {
     }
 
     /// The next bytes from the beginning, at most so many; `None` at the end. Nothing is appended any more.
-    pub fn next_chunk(&mut self, most: usize) -> io::Result<Option<Bytes>> {
+    pub fn next_chunk(&mut self, limit: usize) -> io::Result<Option<Bytes>> {
         if self.read == 0 {
             self.file.rewind()?;
         }
-        let left = usize::try_from(self.written - self.read).unwrap_or(most);
-        let mut chunk = vec![0; left.min(most)];
+        let left = usize::try_from(self.written - self.read).unwrap_or(limit);
+        let mut chunk = vec![0; left.min(limit)];
         self.file.read_exact(&mut chunk)?;
         self.read += chunk.len() as u64;
         Ok((!chunk.is_empty()).then(|| chunk.into()))
