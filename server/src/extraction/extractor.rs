@@ -8,6 +8,7 @@ use tokio_util::sync::CancellationToken;
 use super::byte_search::{Trial, best, next_triangles};
 use super::host_memory::HostMemory;
 use super::turns::{Caller, Length};
+use super::worker_state::SurfaceLimits;
 use super::{DeviceWorker, Extraction, FullCount, Measurement, Measuring, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
@@ -144,11 +145,13 @@ impl Extractor {
         } else {
             start.elapsed()
         };
-        let at_once = measuring == Measuring::Always;
         let mut extraction = self
-            .within_memory(|ceiling| {
-                self.worker
-                    .extract_for(Caller::Request, volume, &fitted, (ceiling, at_once), token)
+            .within_memory(|ceiling_triangles| {
+                let limits = SurfaceLimits {
+                    ceiling_triangles,
+                    is_measured: measuring == Measuring::Always,
+                };
+                self.worker.extract_for(Caller::Request, volume, &fitted, limits, token)
             })
             .await?;
         extraction.wall += planning;
@@ -252,8 +255,14 @@ impl Extractor {
             fitted: None,
             ..view.clone()
         };
-        self.within_memory(|ceiling| self.worker.extract_for(caller, volume, &trial, (ceiling, false), token))
-            .await
+        self.within_memory(|ceiling_triangles| {
+            let limits = SurfaceLimits {
+                ceiling_triangles,
+                is_measured: false,
+            };
+            self.worker.extract_for(caller, volume, &trial, limits, token)
+        })
+        .await
     }
 
     /// Makes a surface that the host has memory for, of no more triangles than the server's limit.

@@ -27,7 +27,7 @@ use super::pins::Pins;
 use super::residency::Lru;
 use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
 use super::unfinished::Unfinished;
-use super::worker_state::{Histograms, JobError, WorkerState, no_finite_sample};
+use super::worker_state::{Histograms, JobError, SurfaceLimits, WorkerState, no_finite_sample};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::metrics;
 use crate::view::View;
@@ -314,8 +314,11 @@ impl DeviceWorker {
         ceiling_triangles: u64,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
-        self.extract_for(Caller::Request, volume, view, (ceiling_triangles, true), token)
-            .await
+        let limits = SurfaceLimits {
+            ceiling_triangles,
+            is_measured: true,
+        };
+        self.extract_for(Caller::Request, volume, view, limits, token).await
     }
 
     /// As [`DeviceWorker::extract`], with its measured error or without.
@@ -327,12 +330,12 @@ impl DeviceWorker {
         caller: Caller,
         volume: &VolumeStep,
         view: &View,
-        (ceiling_triangles, measures): (u64, bool),
+        limits: SurfaceLimits,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let view = view.clone();
         self.with_volumes(volume, token, caller, caller.long(), move |state, volume, turn| {
-            state.extract(volume, &view, (ceiling_triangles, measures), turn)
+            state.extract(volume, &view, limits, turn)
         })
         .await
     }

@@ -110,15 +110,14 @@ impl OnDevice<'_> {
         self.aside.own_time(start)
     }
 
-    /// The final surface, with its measured error if it `measures`.
-    fn final_surface(
-        &self,
-        view: &mut View,
-        (ceiling_triangles, measures): (u64, bool),
-        cancel: &dyn Cancel,
-    ) -> Result<Surface, JobError> {
+    /// The final surface within its limits.
+    fn final_surface(&self, view: &mut View, limits: SurfaceLimits, cancel: &dyn Cancel) -> Result<Surface, JobError> {
+        let SurfaceLimits {
+            ceiling_triangles,
+            is_measured,
+        } = limits;
         let (params, cut) = if view.is_by_error() {
-            match self.decided(view, ceiling_triangles, true, measures, cancel)? {
+            match self.decided(view, ceiling_triangles, true, is_measured, cancel)? {
                 Decided::Tree(surface) => return Ok(surface),
                 Decided::Cubes { params, cut, .. } => (params, cut),
             }
@@ -127,7 +126,7 @@ impl OnDevice<'_> {
             (params, Rc::new(cut))
         };
         let params = CutParams {
-            state_error: measures && params.mesher == Mesher::Dual,
+            state_error: is_measured && params.mesher == Mesher::Dual,
             ..params
         };
         let surface = self
@@ -167,6 +166,15 @@ pub(super) type Trees = Lru<PyramidKey, Rc<VertexTree>>;
 
 /// Histograms, shared between the thread and the handles.
 pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
+
+/// What a final surface may have, and what comes with it.
+#[derive(Clone, Copy)]
+pub(super) struct SurfaceLimits {
+    /// One of more triangles is refused.
+    pub ceiling_triangles: u64,
+    /// Whether its error is measured.
+    pub is_measured: bool,
+}
 
 /// The thread's state. What a job uses that pauses is shared with it, and stays until it ends, even where another one evicts it.
 pub(super) struct WorkerState {
@@ -312,7 +320,7 @@ impl WorkerState {
         &mut self,
         volume: &VolumeStep,
         view: &View,
-        limits: (u64, bool),
+        limits: SurfaceLimits,
         turn: &mut Turn<'_, Self>,
     ) -> Result<Extraction, JobError> {
         let (start, mut view) = (Instant::now(), view.clone());
