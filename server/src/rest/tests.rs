@@ -225,7 +225,15 @@ async fn more_slices_than_the_server_makes_are_told_to_come_back() {
 
 #[tokio::test]
 async fn paths_and_methods_that_are_not_there_are_problems() {
-    for path in ["/api/v1/nothing", "/api/v2/volumes", "/api", "/nothing.txt"] {
+    for path in [
+        "/api/v1/nothing",
+        "/api/v2/volumes",
+        "/api",
+        "/nothing.txt",
+        "/metrics/",
+        "/healthz/",
+        "/readyz/now",
+    ] {
         let detail = problem(get(path).await, StatusCode::NOT_FOUND, "not-found").await;
         assert!(detail.contains(path), "{detail}");
     }
