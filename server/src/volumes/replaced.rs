@@ -139,7 +139,13 @@ impl CheckedSource {
         if self.lock().stamp == stamp {
             return Ok(self.last());
         }
-        let opened = (self.open)(&self.location)?;
+        let opened = (self.open)(&self.location).map_err(|error| ReadError {
+            why: format!(
+                "{}; the file was replaced or cut off since its header was read",
+                error.why
+            ),
+            ..error
+        })?;
         if let Some((what, found, expected)) = Header::of(&opened).difference(&self.expected) {
             return Err(replaced(self.location.path(), what, &found, &expected));
         }
