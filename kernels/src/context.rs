@@ -338,6 +338,7 @@ impl Context {
         let failed = |source| Error::Launch { stage, source };
         let expected = kernel.num_args().map_err(failed)? as usize;
         assert_eq!(args.len(), expected, "arguments of a kernel of stage {stage}");
+        self.programs.pass_launch(kernel, groups * local, local)?;
         for (index, arg) in args.iter().enumerate() {
             arg.set(kernel, index as u32).map_err(failed)?;
         }

@@ -4,7 +4,7 @@
 use crate::check::{self, Check};
 use crate::context::read_back::Blocks;
 use crate::testing::device;
-use crate::{Engine, Grid, SampleType, Samples, Tuning, layout, stages};
+use crate::{Engine, Error, Grid, SampleType, Samples, Tuning, layout, stages};
 
 #[test]
 fn device_and_host_lay_structs_out_alike() {
@@ -294,4 +294,26 @@ fn a_gpu_that_is_lost_is_noticed() {
         Ok(again) => check_all(&again, SampleType::F32),
         Err(error) => assert!(error.needs_new_process(), "{error:?}"),
     }
+}
+
+#[test]
+fn a_variant_of_a_kernel_is_compiled_only_if_the_compiler_may_run() {
+    let Some(engine) = device() else { return };
+    let source = "__kernel void count(__global uint *out) { out[0] = get_local_size(0); }";
+    let program = engine.cx.build(source, "-cl-std=CL1.2").expect("it builds");
+    let out = engine.cx.buffer::<u32>("test", 1).expect("a buffer");
+    let launch = |groups, local| engine.cx.launch("test", program.get("count"), groups, local, &[&out]);
+    launch(1, 1).expect("a launch");
+    engine.check_compiler(Box::new(|| Err("the disk is full".to_owned())));
+    launch(2, 1).expect("a variant that is there");
+    for (groups, local) in [(1, 2), (1 << 17, 1)] {
+        let refused = launch(groups, local).expect_err("a new variant");
+        assert!(
+            matches!(&refused, Error::Refused(why) if why == "the disk is full"),
+            "{refused}"
+        );
+    }
+    assert!(engine.cx.build(source, "-cl-std=CL1.2").is_err());
+    engine.check_compiler(Box::new(|| Ok(())));
+    launch(1, 2).expect("there is space again");
 }

@@ -2,7 +2,7 @@
 
 use crate::buffer::{Buffer, DeviceMemory};
 use crate::context::Context;
-use crate::program::Gate;
+use crate::program::{CompilerCheck, Gate};
 use crate::stages;
 use crate::stages::histogram::{self, HistogramWork};
 use crate::{DeviceInfo, Error, Feature, Grid, Histogram, Result, SampleType, StageTime, Tuning, Volume, tables};
@@ -72,6 +72,12 @@ impl Engine {
     /// [`Error::Refused`].
     pub fn wait_for(&self, gate: Gate) {
         self.cx.programs.wait_for(gate);
+    }
+
+    /// Asks `check` before the driver's compiler runs. If it returns an error, so does all that needs what is not compiled yet, with
+    /// [`Error::Refused`].
+    pub fn check_compiler(&self, check: CompilerCheck) {
+        self.cx.programs.check_compiler(check);
     }
 
     /// Whether the device still does what it is asked for: it gives back a byte that it holds.

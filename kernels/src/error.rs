@@ -22,7 +22,7 @@ pub enum Error {
     )]
     NoDriver,
     /// Drivers, but none of them offers a device that fits.
-    #[error("no OpenCL device{}: found {found:?}", match wanted { Some(w) => format!(" matches {w:?}"), None => String::new() })]
+    #[error("{}", no_device(wanted.as_deref(), found))]
     NoDevice {
         /// The selector that was given, if any.
         wanted: Option<String>,
@@ -81,5 +81,15 @@ impl Error {
     pub fn needs_new_process(&self) -> bool {
         matches!(self, Self::Launch { stage: OPEN, source }
             if ![CL_DEVICE_NOT_FOUND, CL_DEVICE_NOT_AVAILABLE].contains(&source.0))
+    }
+}
+
+fn no_device(wanted: Option<&str>, found: &[String]) -> String {
+    match wanted {
+        _ if found.is_empty() => "the OpenCL drivers offer no device: PoCL needs a folder that it can write (POCL_CACHE_DIR, else below HOME), a GPU \
+             access to its device files in /dev"
+            .to_owned(),
+        Some(wanted) => format!("no OpenCL device matches {wanted:?}: found {found:?}"),
+        None => format!("no OpenCL device: found {found:?}"),
     }
 }

@@ -72,7 +72,7 @@ pub use expression::Expression;
 pub use feature::{DerivedFeature, Feature, Histogram, VectorFeature};
 pub use interest::{Interest, InterestShape};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
-pub use program::Gate;
+pub use program::{CompilerCheck, Gate};
 pub use pyramid::Pyramid;
 pub use rectilinear::RectilinearGrid;
 pub use shared_slice::SharedSlice;

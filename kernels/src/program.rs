@@ -7,7 +7,7 @@ use crate::{Error, Result, SampleType};
 use opencl3::context::Context;
 use opencl3::kernel::Kernel;
 use std::cell::RefCell;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 
 /// A built program and its kernels.
@@ -97,10 +97,20 @@ pub(crate) struct Programs {
     built: RefCell<HashMap<(&'static str, Variant), Rc<Program>>>,
     /// What a program that is not built yet waits for.
     gate: RefCell<Option<Gate>>,
+    /// Whether anything more may be compiled.
+    check: RefCell<Option<CompilerCheck>>,
+    /// Variants of kernels that were launched: kernel, work-items of a group, and whether there are few work-items.
+    launched: RefCell<HashSet<(usize, usize, bool)>>,
 }
+
+/// PoCL compiles a variant of its own for at most so many work-items.
+const FEW_WORK_ITEMS: usize = u16::MAX as usize;
 
 /// Waits until the program of that name may be built ([`crate::Engine::programs`]), or says why it may not.
 pub type Gate = Box<dyn Fn(&str) -> std::result::Result<(), String>>;
+
+/// Says why the driver's compiler is not to run, before it does.
+pub type CompilerCheck = Box<dyn Fn() -> std::result::Result<(), String>>;
 
 impl Programs {
     pub fn new(sources: &'static [Source]) -> Self {
@@ -109,6 +119,8 @@ impl Programs {
             source_of: sources.iter().flat_map(names).collect(),
             built: RefCell::default(),
             gate: RefCell::default(),
+            check: RefCell::default(),
+            launched: RefCell::default(),
         }
     }
 
@@ -117,15 +129,42 @@ impl Programs {
         self.gate.replace(Some(gate));
     }
 
+    /// Nothing more is compiled if `check` says why.
+    pub fn check_compiler(&self, check: CompilerCheck) {
+        self.check.replace(Some(check));
+    }
+
+    fn may_compile(&self) -> Result<()> {
+        match &*self.check.borrow() {
+            Some(check) => check().map_err(Error::Refused),
+            None => Ok(()),
+        }
+    }
+
     /// Waits until the program of that name may be built.
     ///
     /// # Errors
-    /// [`Error::Refused`]: what the gate says.
+    /// [`Error::Refused`]: what the gate or the check of the compiler says.
     pub fn pass(&self, name: &str) -> Result<()> {
-        match &*self.gate.borrow() {
-            Some(gate) => gate(name).map_err(Error::Refused),
-            None => Ok(()),
+        if let Some(gate) = &*self.gate.borrow() {
+            gate(name).map_err(Error::Refused)?;
         }
+        self.may_compile()
+    }
+
+    /// Checks before the first launch of a variant of a kernel, which PoCL compiles only then: one for each size of work-groups, for few
+    /// work-items and for many.
+    ///
+    /// # Errors
+    /// [`Error::Refused`]: what the check of the compiler says.
+    pub fn pass_launch(&self, kernel: &Kernel, global: usize, local: usize) -> Result<()> {
+        let variant = (kernel.get() as usize, local, global <= FEW_WORK_ITEMS);
+        if self.launched.borrow().contains(&variant) {
+            return Ok(());
+        }
+        self.may_compile()?;
+        self.launched.borrow_mut().insert(variant);
+        Ok(())
     }
 
     /// Names of the programs that are built, in no order.

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::process::ExitCode;
 
-use isopeel::cli::{self, log};
+use isopeel::cli::{self, limits, log};
 use isopeel::device::cache::{DriverFolders, driver_folders};
 
 fn main() -> ExitCode {
@@ -11,9 +11,15 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return failed(&error),
     };
+    // Before anything is written.
+    if cli.command.uses_device()
+        && let Err(error) = limits::check()
+    {
+        return failed(&error);
+    }
     let folders = cli.command.uses_device().then(driver_folders);
     for (name, folder) in folders.iter().flat_map(|folders| &folders.variables) {
-        // SAFETY: this is the only thread so far.
+        // SAFETY: this is the only thread: those that the limits were checked with have ended.
         unsafe { std::env::set_var(name, folder) };
     }
     log::start(cli.log_format, cli.command.default_log());

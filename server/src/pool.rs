@@ -1,4 +1,4 @@
-//! Work on the CPU as a future: on rayon's pool what viewers wait for, on a small one of low priority what exports do.
+//! Work on the CPU: on rayon's pool what viewers wait for at each edit, on others of low priority what exports do and what reads files.
 
 use std::num::NonZero;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -31,34 +31,44 @@ pub fn start() -> Result<(), rayon::ThreadPoolBuildError> {
 /// Of so many processors, one is for exports at a time.
 const PROCESSORS_PER_EXPORT_THREAD: usize = 4;
 
-/// Priority of exports, as `nice` counts: where processors are short, they get a tenth of what others get.
+/// Priority of exports and readers, as `nice` counts: where processors are short, they get a tenth of what others get.
 #[cfg(target_os = "linux")]
-const EXPORT_NICENESS: libc::c_int = 10;
+const NICENESS: libc::c_int = 10;
 
 /// The pool of exports, of a server.
 static EXPORTS: OnceLock<rayon::ThreadPool> = OnceLock::new();
 
-/// Starts the pool of exports, where viewers need the other one meanwhile. Without it exports use that.
+/// Threads of a pool that reads files, of a server.
+static READ_THREADS: OnceLock<usize> = OnceLock::new();
+
+/// Starts the pool of exports, and lets files be read on pools of their own, where viewers need rayon's meanwhile. Without this both use that.
 ///
 /// # Errors
-/// Its threads could not be started.
-pub fn start_exports() -> Result<(), rayon::ThreadPoolBuildError> {
+/// Threads could not be started.
+pub fn start_background() -> Result<(), rayon::ThreadPoolBuildError> {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(processors.div_ceil(PROCESSORS_PER_EXPORT_THREAD))
-        .thread_name(|i| format!("isopeel-export-{i}"))
-        .start_handler(|_| lower_priority())
-        .build()?;
-    // Another one that runs does as well.
-    let _ = EXPORTS.set(pool);
+    // Others that run do as well.
+    let _ = EXPORTS.set(background(
+        "isopeel-export",
+        processors.div_ceil(PROCESSORS_PER_EXPORT_THREAD),
+    )?);
+    let _ = READ_THREADS.set(processors);
     Ok(())
+}
+
+fn background(name: &'static str, threads: usize) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildError> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .thread_name(move |i| format!("{name}-{i}"))
+        .start_handler(|_| lower_priority())
+        .build()
 }
 
 /// Of this thread alone.
 #[cfg(target_os = "linux")]
 fn lower_priority() {
     // SAFETY: a system call without pointers; 0 is the calling thread. Where it fails the thread keeps its priority.
-    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, EXPORT_NICENESS) };
+    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
 }
 
 #[cfg(not(target_os = "linux"))]
@@ -75,6 +85,19 @@ pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'st
 /// Runs `work` on the pool of exports and waits for it, on a thread of no pool.
 pub fn install_export<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match EXPORTS.get() {
+        Some(pool) => pool.install(work),
+        None => work(),
+    }
+}
+
+/// Runs `work`, which reads files, and waits for it: for threads that may block. What it does with rayon stays on threads of low priority, so
+/// that no viewer's surface waits for a block of a file that takes long to decode. They are a pool of this work alone: on a shared one a
+/// thread that holds a lock of one file could take up the reading of another, which needs it too.
+pub fn run_read<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    let pool = READ_THREADS
+        .get()
+        .and_then(|&threads| background("isopeel-read", threads).ok());
+    match pool {
         Some(pool) => pool.install(work),
         None => work(),
     }
@@ -104,17 +127,20 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn exports_have_threads_of_low_priority_and_all_they_do_stays_there() {
+    async fn exports_and_readers_have_threads_of_low_priority_and_all_they_do_stays_there() {
         let niceness = || {
             rayon::join(|| (), || ());
             let name = std::thread::current().name().unwrap_or_default().to_owned();
             // SAFETY: a system call without pointers; 0 is the calling thread.
             (unsafe { libc::getpriority(libc::PRIO_PROCESS, 0) }, name)
         };
-        start_exports().unwrap();
+        start_background().unwrap();
         let (of_export, name) = run_export(niceness).await.unwrap();
-        assert!(of_export >= EXPORT_NICENESS, "{of_export}");
+        assert!(of_export >= NICENESS, "{of_export}");
         assert!(name.starts_with("isopeel-export-"), "{name}");
-        assert!(run(niceness).await.unwrap().0 < of_export);
+        let (of_read, name) = run_read(niceness);
+        assert!(of_read >= NICENESS, "{of_read}");
+        assert!(name.starts_with("isopeel-read-"), "{name}");
+        assert!(run(niceness).await.unwrap().0 < of_export.min(of_read));
     }
 }

@@ -28,7 +28,7 @@ use crate::access::{Access, AllowedOrigin, content_security_policy};
 use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::jobs::{Jobs, Limits, OpenError, StateFolder};
 use crate::metrics;
-use crate::rest::{self, ApiState};
+use crate::rest::{self, ApiState, SpoolFolder};
 use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
 use crate::uploads::Uploads;
 use crate::volumes::SharedCatalog;
@@ -65,6 +65,8 @@ pub struct Config {
     pub uploads: Option<Uploads>,
     /// Where batch jobs are kept, and how many; `None`: there are none.
     pub jobs: Option<(StateFolder, Limits)>,
+    /// Where exports wait that clients read slowly; `None`: among temporary files.
+    pub spool: Option<SpoolFolder>,
 }
 
 impl Config {
@@ -82,6 +84,7 @@ impl Config {
             metrics: None,
             uploads: None,
             jobs: None,
+            spool: None,
         }
     }
 }
@@ -130,6 +133,7 @@ pub async fn run(
         metrics: metrics_listener,
         jobs,
         uploads,
+        spool,
     } = config;
     metrics::start()?;
     let stop = CancellationToken::new();
@@ -145,7 +149,7 @@ pub async fn run(
         None => None,
     };
     let api = ApiState::new(catalog, extractor, access.clone()).with_jobs(jobs.clone());
-    let api = api.with_uploads(uploads.clone());
+    let api = api.with_uploads(uploads.clone()).with_spool(spool);
     let proxies = Arc::clone(access.proxies());
     let _metrics = serve_metrics(metrics_listener, api.clone(), limits, stop.clone());
     let app = app(api, viewers.clone(), access);

@@ -1,26 +1,30 @@
 //! Who has done what: a line of JSON for each sign-in, stream, export, job and upload, for all that is refused, and for tokens that come and go. Lines have
 //! no secrets, and no names of volumes: these may be those of patients.
 
+mod event;
 mod refusals;
+mod writer;
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, Write};
+use std::io;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender, TrySendError};
+use std::sync::mpsc::{self, SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
-use axum::http::header::{HeaderMap, LOCATION};
 use axum::http::{Method, StatusCode};
 use axum::response::Response;
 use serde::Serialize;
 
+pub(super) use event::Event;
+use event::{event_of, made};
 use refusals::{Kind, Refusals};
+use writer::{Command, Writer};
 
 use super::identity::Identity;
 use super::named::NamedToken;
+use super::peer::counted_as;
 use crate::problem::ProblemCode;
 
 /// How long the refusals of a kind are counted before a line says how many there were.
@@ -31,44 +35,6 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// Lines that wait for the disk, some 200 bytes each. Requests do not: those beyond are counted, and a line says how many there were.
 const QUEUE: usize = 4_096;
-
-/// What happened.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub(super) enum Event {
-    /// A token was shown for a cookie, or an issuer has sent somebody back.
-    SignIn,
-    /// The cookie was given back.
-    SignOut,
-    /// A stream was opened.
-    Stream,
-    /// A ticket was asked for.
-    Ticket,
-    /// A token for a frame was asked for.
-    EmbedToken,
-    /// A surface was asked for as a file.
-    Export,
-    /// A batch job was submitted.
-    JobSubmit,
-    /// It was cancelled.
-    JobCancel,
-    /// It was deleted.
-    JobDelete,
-    /// A result of it was read.
-    JobResult,
-    /// Files of an upload were declared.
-    UploadCreate,
-    /// They were read as a volume.
-    UploadFinish,
-    /// They were deleted.
-    UploadDelete,
-    /// Another request, which was refused.
-    Request,
-    /// A token appeared in the state folder.
-    TokenCreated,
-    /// It was gone.
-    TokenRevoked,
-}
 
 /// What became of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -110,14 +76,6 @@ struct Line<'a> {
     count: Option<u64>,
 }
 
-enum Command {
-    Write(Vec<u8>),
-    /// The file was moved away: open it anew.
-    Reopen,
-    /// Answer when all before is written.
-    Flush(SyncSender<()>),
-}
-
 /// Where lines go. Clones write to the same file.
 #[derive(Clone, Debug)]
 pub struct Audit(Arc<Shared>);
@@ -137,13 +95,6 @@ pub struct AuditError {
     source: io::Error,
 }
 
-fn open(path: &Path) -> io::Result<File> {
-    let mut options = OpenOptions::new();
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    options.create(true).append(true).open(path)
-}
-
 impl Audit {
     /// Writes at the end of a file, which is made for its user alone where there is none.
     ///
@@ -154,16 +105,9 @@ impl Audit {
             path: path.to_owned(),
             source,
         };
-        let file = open(path).map_err(fail)?;
         let (commands, received) = mpsc::sync_channel(QUEUE);
         let (lost, refusals) = (Arc::new(AtomicU64::new(0)), Arc::default());
-        let writer = Writer {
-            path: path.to_owned(),
-            file,
-            lost: Arc::clone(&lost),
-            refusals: Arc::clone(&refusals),
-            complained: false,
-        };
+        let writer = Writer::open(path, &lost, &refusals).map_err(fail)?;
         let thread = std::thread::Builder::new().name("audit".into());
         thread.spawn(move || writer.run(&received)).map_err(fail)?;
         Ok(Self(Arc::new(Shared {
@@ -205,7 +149,7 @@ impl Audit {
                 .user
                 .zip(line.token)
                 .map(|(user, token)| (user.into(), token.into())),
-            peer: line.peer,
+            peer: line.peer.map(counted_as),
         };
         let is_first = lock(&self.0.refusals).count(kind, Instant::now());
         if is_first {
@@ -255,30 +199,6 @@ impl Line<'_> {
 
 fn lock(refusals: &Mutex<Refusals>) -> MutexGuard<'_, Refusals> {
     refusals.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// What a request of a path is, and the job or upload it is about.
-fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
-    let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
-    let (event, id) = match (parts.as_slice(), method) {
-        (["session"], &Method::POST) | (["oidc", "callback"], _) => (Event::SignIn, None),
-        (["session"], &Method::DELETE) => (Event::SignOut, None),
-        (["tickets"], &Method::POST) => (Event::Ticket, None),
-        (["embed-tokens"], &Method::POST) => (Event::EmbedToken, None),
-        (["stream"], _) => (Event::Stream, None),
-        (["extract"], &Method::GET | &Method::POST) => (Event::Export, None),
-        (["jobs"], &Method::POST) => (Event::JobSubmit, None),
-        (["jobs", id, "cancel"], &Method::POST) => (Event::JobCancel, Some(*id)),
-        (["jobs", id], &Method::DELETE) => (Event::JobDelete, Some(*id)),
-        (["jobs", id, "results", _], &Method::GET) => (Event::JobResult, Some(*id)),
-        (["uploads"], &Method::POST) => (Event::UploadCreate, None),
-        (["uploads", id, "finish"], &Method::POST) => (Event::UploadFinish, Some(*id)),
-        (["uploads", id], &Method::DELETE) => (Event::UploadDelete, Some(*id)),
-        _ => (Event::Request, None),
-    };
-    // What is no id is the client's own text.
-    let is_id = |id: &str| id.len() <= 64 && id.bytes().all(|byte| byte.is_ascii_alphanumeric());
-    (event, id.filter(|id| is_id(id)).map(str::to_owned))
 }
 
 /// A request that is not answered yet. Dropped before it is, the client has left.
@@ -354,97 +274,13 @@ impl Drop for Pending {
     }
 }
 
-/// The id of what was made.
-fn made(headers: &HeaderMap) -> Option<String> {
-    let location = headers.get(LOCATION)?.to_str().ok()?;
-    let path = location.strip_prefix("/api/v1/")?;
-    Some(path.strip_prefix("jobs/").or(path.strip_prefix("uploads/"))?.to_owned())
-}
-
 fn now() -> String {
     humantime::format_rfc3339_millis(SystemTime::now()).to_string()
 }
 
-struct Writer {
-    path: PathBuf,
-    file: File,
-    lost: Arc<AtomicU64>,
-    refusals: Arc<Mutex<Refusals>>,
-    /// An error was logged, and none that followed it.
-    complained: bool,
-}
-
-impl Writer {
-    fn run(mut self, commands: &Receiver<Command>) {
-        let mut looked = Instant::now();
-        loop {
-            let command = match commands.recv_timeout(LOOK) {
-                Ok(command) => Some(command),
-                Err(RecvTimeoutError::Timeout) => None,
-                Err(RecvTimeoutError::Disconnected) => return self.write_counts(Duration::ZERO),
-            };
-            if looked.elapsed() >= LOOK {
-                self.write_counts(COUNTED);
-                looked = Instant::now();
-            }
-            let Some(command) = command else { continue };
-            match command {
-                Command::Write(line) => {
-                    let lost = self.lost.swap(0, Ordering::Relaxed);
-                    if lost > 0 {
-                        let line = serde_json::json!({"time": now(), "event": "lost", "count": lost});
-                        self.write(format!("{line}\n").as_bytes());
-                    }
-                    self.write(&line);
-                }
-                Command::Reopen => match open(&self.path) {
-                    Ok(file) => self.file = file,
-                    Err(error) => tracing::error!(%error, "the audit log is not opened anew, the old file goes on"),
-                },
-                Command::Flush(done) => {
-                    self.write_counts(Duration::ZERO);
-                    let _ = done.send(());
-                }
-            }
-        }
-    }
-
-    /// Writes how many refusals there were of the kinds that were first seen so long ago.
-    fn write_counts(&mut self, age: Duration) {
-        let counts = lock(&self.refusals).take(Instant::now(), age);
-        for (kind, count) in counts {
-            let who = kind.who.as_ref();
-            let line = Line {
-                time: now(),
-                event: kind.event,
-                result: Outcome::Refused,
-                status: kind.status,
-                code: kind.code,
-                user: who.map(|(user, _)| &**user),
-                token: who.map(|(_, token)| &**token),
-                peer: kind.peer,
-                job: None,
-                upload: None,
-                count: Some(count),
-            };
-            self.write(&line.text());
-        }
-    }
-
-    fn write(&mut self, line: &[u8]) {
-        match self.file.write_all(line) {
-            Ok(()) => self.complained = false,
-            Err(error) if !self.complained => {
-                tracing::error!(%error, "the audit log cannot be written");
-                self.complained = true;
-            }
-            Err(_) => {}
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use axum::http::header::LOCATION;
     use axum::response::IntoResponse;
     use serde_json::Value;
 
@@ -523,13 +359,25 @@ mod tests {
         let mut counts: Vec<_> = written.iter().map(|line| line["count"].as_u64()).collect();
         counts.sort_unstable();
         assert_eq!(counts, [None, None, Some(2), Some(999)], "{written:?}");
+        // A stranger has all addresses of a network.
+        for host in 0..3 {
+            let refused = ApiError::new(StatusCode::UNAUTHORIZED, "unauthorized", "no").into_response();
+            let peer = std::net::Ipv6Addr::from_bits((0x2001_0db8 << 96) + host);
+            let request = audit.begin(&Method::GET, "/api/v1/volumes", Some(peer.into()));
+            request.answered(&refused);
+        }
+        audit.flush(Duration::from_secs(5));
+        let written = lines(&path);
+        let of_network: Vec<_> = written.iter().filter(|line| line["peer"] == "2001:db8::").collect();
+        assert_eq!(of_network.len(), 2, "{of_network:?}");
+        assert_eq!(of_network[1]["count"], 2);
         // However many addresses there are.
         (0..50_000).for_each(|peer| refuse(0x0a00_0000 + peer));
         audit.flush(Duration::from_secs(5));
         let lines = lines(&path);
         assert!(lines.len() <= written.len() + MAX_KINDS + 2, "{} lines", lines.len());
         let counted: u64 = lines.iter().map(|line| line["count"].as_u64().unwrap_or(1)).sum();
-        assert_eq!(counted, 51_003);
+        assert_eq!(counted, 51_006);
     }
 
     #[test]
@@ -575,13 +423,7 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("audit");
-        let writer = Writer {
-            path: path.clone(),
-            file: open(&path).unwrap(),
-            lost,
-            refusals: Arc::default(),
-            complained: false,
-        };
+        let writer = Writer::open(&path, &lost, &Arc::default()).unwrap();
         drop(audit);
         writer.run(&received);
         let lines = lines(&path);

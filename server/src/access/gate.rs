@@ -39,10 +39,10 @@ pub async fn admit(State(access): State<Access>, mut request: Request, next: Nex
         access.authorize(who.as_ref(), method, path)?;
         Ok(who)
     });
-    let response = match admitted {
+    let mut response = match admitted {
         Ok(who) => {
             if let Some(who) = who {
-                request.extensions_mut().insert(who);
+                request.extensions_mut().insert(who.at(peer));
             }
             next.run(request).await
         }
@@ -50,8 +50,9 @@ pub async fn admit(State(access): State<Access>, mut request: Request, next: Nex
     };
     if response.status() == StatusCode::UNAUTHORIZED
         && let (Some(rates), Some(peer)) = (&access.rates, peer)
+        && let Err(wait) = rates.take_of_stranger(peer)
     {
-        rates.refused(peer);
+        response = too_many(wait, "no or a wrong token at your address").into_response();
     }
     if let Some(pending) = pending {
         pending.answered(&response);

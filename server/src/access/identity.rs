@@ -1,5 +1,6 @@
 //! Who asks.
 
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -8,6 +9,7 @@ use axum::http::request::Parts;
 use tokio::sync::watch;
 
 use super::named::{NamedToken, NamedTokens, now};
+use super::peer::counted_as;
 use super::role::{Role, Roles};
 use super::signed_in::SignedIn;
 use crate::problem::ApiError;
@@ -26,6 +28,7 @@ pub struct Identity {
     token: Arc<str>,
     roles: Roles,
     holds: Holds,
+    address: Option<IpAddr>,
 }
 
 /// How long somebody is who they are.
@@ -65,6 +68,7 @@ impl Identity {
             token: token.into(),
             roles: Roles::ALL,
             holds: Holds::Always,
+            address: None,
         }
     }
 
@@ -79,6 +83,7 @@ impl Identity {
             token: token.id.as_str().into(),
             roles: token.roles,
             holds: Holds::Named(token, tokens),
+            address: None,
         }
     }
 
@@ -89,6 +94,7 @@ impl Identity {
             token: Arc::clone(&session.name),
             roles: session.roles,
             holds: Holds::SignedIn(session),
+            address: None,
         }
     }
 
@@ -99,6 +105,7 @@ impl Identity {
             token: Arc::clone(&lent.id),
             roles: lent.roles,
             holds: Holds::Lent(lent),
+            address: None,
         }
     }
 
@@ -115,6 +122,18 @@ impl Identity {
     /// Whether the token is one of the state folder.
     pub(super) fn is_named(&self) -> bool {
         matches!(self.holds, Holds::Named(..))
+    }
+
+    /// The same, with where a request comes from.
+    #[must_use]
+    pub(super) fn at(self, peer: Option<IpAddr>) -> Self {
+        let address = peer.map(counted_as);
+        Self { address, ..self }
+    }
+
+    /// Where a request comes from, where that is known; of IPv6 the network.
+    pub fn address(&self) -> Option<IpAddr> {
+        self.address
     }
 
     /// Whether the token was lent.

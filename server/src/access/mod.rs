@@ -37,7 +37,7 @@ pub use peer::{PeerAddress, TrustedProxy, counted_as, is_trusted};
 pub use policy::content_security_policy;
 pub use rate::Rates;
 pub use role::{Role, Roles};
-pub use seats::{Seat, SeatLimits, Seats};
+pub use seats::{NoSeat, Occupant, Seat, SeatLimits, Seats, Share};
 pub use ticket::LIFETIME as TICKET_LIFETIME;
 pub use token::{Token, TokenError};
 pub use watched::TokenWatch;

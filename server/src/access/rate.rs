@@ -1,11 +1,10 @@
 //! How often somebody may ask: of each peer, and of each token, requests that cost much more rarely than others.
 
-use std::collections::HashMap;
 use std::net::IpAddr;
 use std::num::NonZeroU32;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use axum::http::Method;
 use governor::clock::{Clock, DefaultClock};
@@ -110,10 +109,8 @@ impl<K: Clone + std::hash::Hash + Eq> Limit<K> {
 pub(super) struct RateLimits {
     peers: Limit<IpAddr>,
     tokens: Limit<Box<str>>,
-    /// Peers that have shown wrong tokens and had less left than these cost, until when they wait.
-    waiting: Arc<Mutex<HashMap<IpAddr, Instant>>>,
-    /// How long: until as much as a wrong token costs has come anew.
-    wait: Duration,
+    /// Of peers, what shows no token or a wrong one.
+    strangers: Limit<IpAddr>,
 }
 
 impl RateLimits {
@@ -121,37 +118,19 @@ impl RateLimits {
         Self {
             peers: Limit::new(rates.peer),
             tokens: Limit::new(rates.token),
-            waiting: Arc::default(),
-            wait: Duration::from_secs_f64(f64::from(REFUSED_COST) / f64::from(rates.peer.max(1))),
+            strangers: Limit::new(rates.peer),
         }
     }
 
     /// Takes what a request of a peer costs; `Err`: after how long to ask again.
     pub(super) fn take_of_peer(&self, peer: IpAddr, cost: u32) -> Result<(), Duration> {
-        let peer = counted_as(peer);
-        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(until) = waiting.get(&peer) {
-            let wait = until.saturating_duration_since(Instant::now());
-            if !wait.is_zero() {
-                return Err(wait);
-            }
-            waiting.remove(&peer);
-        }
-        drop(waiting);
-        self.peers.take(&peer, cost)
+        self.peers.take(&counted_as(peer), cost)
     }
 
-    /// Takes what it costs a peer to be refused. Where it has not as much left, it waits, whatever it asks for next.
-    pub(super) fn refused(&self, peer: IpAddr) {
-        let peer = counted_as(peer);
-        if self.peers.take(&peer, REFUSED_COST).is_err() {
-            let now = Instant::now();
-            let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-            if waiting.len() >= MANY_KEYS {
-                waiting.retain(|_, until| *until > now);
-            }
-            waiting.insert(peer, now + self.wait);
-        }
+    /// Takes what a wrong token of a peer costs, apart from its other requests: who shows right ones at the same address goes on. `Err`: after
+    /// how long to try another one.
+    pub(super) fn take_of_stranger(&self, peer: IpAddr) -> Result<(), Duration> {
+        self.strangers.take(&counted_as(peer), REFUSED_COST)
     }
 
     /// The same of a token.
@@ -189,15 +168,15 @@ mod tests {
     #[test]
     fn who_shows_wrong_tokens_waits_for_what_they_cost() {
         let limits = RateLimits::new(Rates { peer: 50, token: 0 });
-        let tries = (0..20).take_while(|_| {
-            let taken = limits.take_of_peer(ip(1), 1);
-            limits.refused(ip(1));
-            taken.is_ok()
-        });
-        assert_eq!(tries.count(), 5, "500 units, 101 each, of which the last is owed");
-        let wait = limits.take_of_peer(ip(1), 1).expect_err("it owes some");
+        let tries = (0..20).take_while(|_| limits.take_of_stranger(ip(1)).is_ok());
+        assert_eq!(tries.count(), 5, "500 units, 100 each");
+        let wait = limits.take_of_stranger(ip(1)).expect_err("nothing is left");
         assert!((1.0..=2.0).contains(&wait.as_secs_f64()), "{wait:?}");
-        assert!(limits.take_of_peer(ip(2), 1).is_ok());
+        assert!(limits.take_of_stranger(ip(2)).is_ok());
+        assert!(
+            (0..500).all(|_| limits.take_of_peer(ip(1), 1).is_ok()),
+            "others at the address go on"
+        );
     }
 
     #[test]

@@ -1,6 +1,9 @@
-//! Seats, whose number is limited: viewers, groups, streams of events. No user takes all of them, and some are left to administrators.
+//! Seats, whose number is limited: viewers, groups, streams of events. Neither a user nor an address takes all of them, and some are left to
+//! administrators.
 
 use std::collections::HashMap;
+use std::hash::Hash;
+use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::Identity;
@@ -9,12 +12,62 @@ use super::role::Role;
 /// How many there are.
 #[derive(Clone, Copy, Debug)]
 pub struct SeatLimits {
+    /// What they are, in the plural.
+    pub what: &'static str,
     /// All of them.
     pub all: usize,
     /// Those that one user may have at a time, administrators excepted.
     pub of_user: usize,
+    /// Those that all users of one address may have at a time, administrators excepted.
+    pub of_address: usize,
     /// Those that are left to administrators.
     pub reserve: usize,
+}
+
+/// Whom a seat is for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Occupant {
+    /// The user.
+    pub user: Arc<str>,
+    /// Where the user's requests come from, where that is known; of IPv6 the network.
+    pub address: Option<IpAddr>,
+    /// Whether the limits of users and addresses do not hold.
+    pub is_admin: bool,
+}
+
+impl From<&Identity> for Occupant {
+    fn from(who: &Identity) -> Self {
+        Self {
+            user: who.user().into(),
+            address: who.address(),
+            is_admin: who.may(Role::Admin),
+        }
+    }
+}
+
+/// Whose seats are all taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Share {
+    /// The user's.
+    User,
+    /// The address's.
+    Address,
+    /// All that are not left to administrators, or of an administrator all.
+    All,
+}
+
+/// Why there is no seat.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{taken} {what} {}, expected fewer than {limit}: end one of them, or try again later",
+    match share { Share::User => "of this user", Share::Address => "of this address", Share::All => "of all users" }
+)]
+pub struct NoSeat {
+    what: &'static str,
+    taken: usize,
+    limit: usize,
+    /// Whose seats are all taken.
+    pub share: Share,
 }
 
 /// Seats. Clones are of the same.
@@ -32,13 +85,14 @@ struct Shared {
 struct Taken {
     total: usize,
     by_user: HashMap<Arc<str>, usize>,
+    by_address: HashMap<IpAddr, usize>,
 }
 
 /// A seat; dropped, it is free again.
 #[derive(Debug)]
 pub struct Seat {
     seats: Seats,
-    user: Arc<str>,
+    occupant: Occupant,
 }
 
 impl Seats {
@@ -53,29 +107,21 @@ impl Seats {
         self.lock().total
     }
 
-    /// A seat for a user; `None` if all of them are taken, or all that this user may have.
-    pub fn take(&self, who: &Identity) -> Option<Seat> {
-        self.take_for(who.user(), who.may(Role::Admin))
-    }
-
-    fn take_for(&self, user: &str, is_admin: bool) -> Option<Seat> {
-        let SeatLimits { all, of_user, reserve } = self.0.limits;
+    /// Takes a seat.
+    ///
+    /// # Errors
+    /// All seats are taken, or all that this user or this address may have.
+    pub fn take(&self, occupant: Occupant) -> Result<Seat, NoSeat> {
         let mut taken = self.lock();
-        let (total, own) = (taken.total, taken.by_user.get(user).copied().unwrap_or_default());
-        let fits = match is_admin {
-            true => total < all,
-            false => total + reserve < all && own < of_user,
-        };
-        fits.then(|| {
-            let user = Arc::<str>::from(user);
-            taken.total += 1;
-            *taken.by_user.entry(Arc::clone(&user)).or_default() += 1;
-            drop(taken);
-            Seat {
-                seats: self.clone(),
-                user,
-            }
-        })
+        taken.admit(&self.0.limits, &occupant)?;
+        taken.total += 1;
+        *taken.by_user.entry(Arc::clone(&occupant.user)).or_default() += 1;
+        if let Some(address) = occupant.address {
+            *taken.by_address.entry(address).or_default() += 1;
+        }
+        drop(taken);
+        let seats = self.clone();
+        Ok(Seat { seats, occupant })
     }
 
     fn lock(&self) -> MutexGuard<'_, Taken> {
@@ -83,15 +129,50 @@ impl Seats {
     }
 }
 
+impl Taken {
+    fn admit(&self, limits: &SeatLimits, occupant: &Occupant) -> Result<(), NoSeat> {
+        let all = (Share::All, self.total, limits.all);
+        let of_user = self.by_user.get(&occupant.user).copied().unwrap_or_default();
+        let of_address = occupant.address.and_then(|address| self.by_address.get(&address));
+        let of_others = [
+            (Share::User, of_user, limits.of_user),
+            (
+                Share::Address,
+                of_address.copied().unwrap_or_default(),
+                limits.of_address,
+            ),
+            (Share::All, self.total, limits.all - limits.reserve),
+        ];
+        let checked = if occupant.is_admin { &[all][..] } else { &of_others };
+        match checked.iter().find(|(_, taken, limit)| taken >= limit) {
+            None => Ok(()),
+            Some(&(share, taken, limit)) => Err(NoSeat {
+                what: limits.what,
+                taken,
+                limit,
+                share,
+            }),
+        }
+    }
+}
+
+/// One fewer of a key, which goes with its last one.
+fn release<K: Hash + Eq>(counts: &mut HashMap<K, usize>, key: &K) {
+    if let Some(count) = counts.get_mut(key) {
+        *count -= 1;
+        if *count == 0 {
+            counts.remove(key);
+        }
+    }
+}
+
 impl Drop for Seat {
     fn drop(&mut self) {
         let mut taken = self.seats.lock();
         taken.total -= 1;
-        if let Some(count) = taken.by_user.get_mut(&self.user) {
-            *count -= 1;
-            if *count == 0 {
-                taken.by_user.remove(&self.user);
-            }
+        release(&mut taken.by_user, &self.occupant.user);
+        if let Some(address) = &self.occupant.address {
+            release(&mut taken.by_address, address);
         }
     }
 }
@@ -100,28 +181,58 @@ impl Drop for Seat {
 mod tests {
     use super::*;
 
+    const LIMITS: SeatLimits = SeatLimits {
+        what: "seats",
+        all: 8,
+        of_user: 3,
+        of_address: 5,
+        reserve: 2,
+    };
+
+    fn take_all(seats: &Seats, user: &str, address: u8, is_admin: bool) -> Vec<Seat> {
+        let occupant = Occupant {
+            user: user.into(),
+            address: Some([192, 0, 2, address].into()),
+            is_admin,
+        };
+        std::iter::from_fn(|| seats.take(occupant.clone()).ok()).collect()
+    }
+
+    fn refused(seats: &Seats, user: &str, address: u8) -> String {
+        let occupant = Occupant {
+            user: user.into(),
+            address: Some([192, 0, 2, address].into()),
+            is_admin: false,
+        };
+        seats.take(occupant).expect_err("no seat").to_string()
+    }
+
     #[test]
     fn no_user_takes_all_places_and_administrators_find_one() {
-        let seats = Seats::new(SeatLimits {
-            all: 8,
-            of_user: 4,
-            reserve: 2,
-        });
-        let take_all =
-            |user: &str, is_admin| -> Vec<Seat> { std::iter::from_fn(|| seats.take_for(user, is_admin)).collect() };
-        let ann = take_all("ann", false);
-        let bob = take_all("bob", false);
-        assert_eq!((ann.len(), bob.len()), (4, 2));
-        assert!(seats.take_for("eve", false).is_none());
-        let root = take_all("root", true);
+        let seats = Seats::new(LIMITS);
+        let (ann, bob) = (take_all(&seats, "ann", 1, false), take_all(&seats, "bob", 2, false));
+        assert_eq!((ann.len(), bob.len()), (3, 3));
+        assert!(refused(&seats, "ann", 3).starts_with("3 seats of this user, expected fewer than 3"));
+        assert!(refused(&seats, "eve", 3).starts_with("6 seats of all users, expected fewer than 6"));
+        let root = take_all(&seats, "root", 1, true);
         assert_eq!((root.len(), seats.taken()), (2, 8));
         drop(ann);
-        assert_eq!(
-            take_all("eve", false).len(),
-            2,
-            "six are taken then, and two are left to administrators"
-        );
-        drop((bob, root));
+        let eve = take_all(&seats, "eve", 3, false);
+        assert_eq!(eve.len(), 1, "two are left to administrators, as many as root has");
+        drop((bob, root, eve));
         assert_eq!(seats.taken(), 0);
+        let taken = seats.lock();
+        assert!(taken.by_user.is_empty() && taken.by_address.is_empty());
+    }
+
+    #[test]
+    fn users_of_one_address_leave_places_to_others() {
+        let seats = Seats::new(LIMITS);
+        let (ann, bob) = (take_all(&seats, "ann", 1, false), take_all(&seats, "bob", 1, false));
+        assert_eq!((ann.len(), bob.len()), (3, 2));
+        assert!(refused(&seats, "eve", 1).starts_with("5 seats of this address, expected fewer than 5"));
+        assert_eq!(take_all(&seats, "eve", 2, false).len(), 1);
+        drop(ann);
+        assert_eq!(take_all(&seats, "joe", 1, false).len(), 3);
     }
 }

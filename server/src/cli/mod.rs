@@ -7,6 +7,7 @@ pub mod devices;
 pub mod extract;
 pub mod info;
 pub mod jobs;
+pub mod limits;
 pub mod log;
 mod output;
 pub mod serve;

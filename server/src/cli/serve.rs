@@ -21,7 +21,8 @@ use crate::access::{
 use crate::extraction::{DeviceOptions, DeviceWorker};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool;
-use crate::private_folder::FolderAccess;
+use crate::private_folder::{self, FolderAccess, FolderAccessError};
+use crate::rest::SpoolFolder;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
 use crate::stream::LiveOptions;
 use crate::uploads::FolderError;
@@ -142,6 +143,11 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t, value_name = "WHO")]
     folder_access: FolderAccess,
 
+    /// Folder on a disk of this machine in which exports wait that clients read slowly, up to 8 GiB; else it is `spool` in the state folder, or
+    /// the folder of temporary files
+    #[arg(long, value_name = "DIR")]
+    spool: Option<PathBuf>,
+
     /// Disk space for the results of batch jobs, in MiB: a job that may take more than is left is refused
     #[arg(long, value_name = "MIB", default_value_t = JOB_QUOTA_MIB, requires = "state_folder")]
     job_quota: u64,
@@ -210,6 +216,9 @@ pub enum Error {
     /// Batch jobs cannot be kept there.
     #[error(transparent)]
     StateFolder(#[from] StateFolderError),
+    /// Exports cannot wait there.
+    #[error("spool")]
+    Spool(#[from] FolderAccessError),
     /// Uploads cannot be kept there.
     #[error(transparent)]
     Uploads(#[from] FolderError),
@@ -219,6 +228,9 @@ pub enum Error {
     /// The server ended.
     #[error(transparent)]
     Serve(#[from] ServeError),
+    /// Nobody would learn its address.
+    #[error("standard output cannot be written, to which the server's address goes")]
+    Output(#[source] std::io::Error),
     /// No thread or signal handler could be had.
     #[error("the process could not go on")]
     System(#[from] std::io::Error),
@@ -276,8 +288,9 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let tokens = folder.as_ref().map(|folder| TokenFile::in_folder(folder.path()));
     let tokens = tokens.map(TokenWatch::open).transpose()?;
     let tokens = tokens.map(|tokens| tokens.with_audit(audit.clone()));
+    let spool = args.spool(folder.as_ref())?;
     let jobs = folder.map(|folder| (folder, args.job_limits()));
-    pool::start_exports()?;
+    pool::start_background()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let next = NextEnvironment::default();
     let (served, worker, address) = runtime.block_on(async {
@@ -292,7 +305,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         let address = listener.address()?;
         warn_of_network(args, &address);
         if before.is_none() {
-            super::print(addresses(args, &address, token.as_ref()).as_bytes())?;
+            super::print(addresses(args, &address, token.as_ref()).as_bytes()).map_err(Error::Output)?;
         }
         let access = access(args, &address, token.as_ref(), tokens.as_ref());
         let access = access.with_oidc(oidc).with_audit(audit.clone());
@@ -304,6 +317,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
             metrics,
             uploads,
             jobs,
+            spool,
             ..Config::new(catalog, worker.clone(), access)
         };
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
@@ -491,6 +505,14 @@ impl Args {
         }
     }
 
+    /// Where exports wait that clients read slowly.
+    fn spool(&self, state: Option<&StateFolder>) -> Result<Option<SpoolFolder>, FolderAccessError> {
+        let own = state.map(|folder| folder.path().join("spool"));
+        let folder = self.spool.clone().or(own);
+        let opened = folder.map(|folder| private_folder::open(&folder, self.folder_access));
+        Ok(opened.transpose()?.map(SpoolFolder::new))
+    }
+
     fn job_limits(&self) -> Limits {
         Limits {
             quota_bytes: self.job_quota.saturating_mul(1 << 20),
@@ -503,7 +525,7 @@ async fn watch(mut watcher: Watcher) {
     loop {
         tokio::time::sleep(INTERVAL).await;
         let look = move || {
-            watcher.look();
+            pool::run_read(|| watcher.look());
             watcher
         };
         watcher = match tokio::task::spawn_blocking(look).await {

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use rustix::fs::StatVfsMountFlags;
+
 use crate::private_folder::{self, free_bytes};
 
 /// What names the folder.
@@ -65,7 +67,10 @@ pub fn driver_folders() -> DriverFolders {
     let warning = warning.map(|why| {
         let (spare, how) = match spare_folder() {
             Ok(folder) => (Some(folder), "this one is used instead"),
-            Err(_) => (None, "there is no other one"),
+            Err(_) => (
+                None,
+                "there is no other one, as the folder of temporary files (TMPDIR) is of no use either",
+            ),
         };
         variables.retain(|(name, _)| *name != POCL || spare.is_none());
         let place = spare
@@ -116,7 +121,22 @@ fn pocl_folder() -> Option<PathBuf> {
 fn spare_folder() -> Result<PathBuf, String> {
     let user = rustix::process::geteuid().as_raw();
     let folder = std::env::temp_dir().join(format!("isopeel-kernels-{user}"));
-    check(&folder, START_BYTES).map(|()| folder)
+    check_spare(&folder).map(|()| folder)
+}
+
+/// As [`check`], of a folder whose name others know, among files of all users: it may be no link that another user has made, and nobody else may
+/// even read it.
+fn check_spare(folder: &Path) -> Result<(), String> {
+    use std::os::unix::fs::MetadataExt;
+    check(folder, START_BYTES)?;
+    let found = std::fs::symlink_metadata(folder).map_err(|error| error.to_string())?;
+    if !found.is_dir() || found.mode() & 0o077 != 0 {
+        let mode = found.mode() & 0o7777;
+        return Err(format!(
+            "expected a folder with mode 0700 and no link, found mode {mode:04o}"
+        ));
+    }
+    Ok(())
 }
 
 /// Whether kernels can be kept in a folder, which is made if there is none. What others can write there would be run.
@@ -135,6 +155,8 @@ fn check(folder: &Path, min_bytes: u64) -> Result<(), String> {
             "others may write there (mode {mode:04o}), and what is there is run: chmod go-w"
         ));
     }
+    let disk = rustix::fs::statvfs(folder).map_err(|error| say(error.into()))?;
+    check_disk(disk.f_flag)?;
     let mut file = tempfile::tempfile_in(folder).map_err(say)?;
     std::io::Write::write_all(&mut file, &[0; 4096]).map_err(say)?;
     let free = free_bytes(folder).map_err(say)?;
@@ -142,6 +164,13 @@ fn check(folder: &Path, min_bytes: u64) -> Result<(), String> {
         return Err(format!("it has {free} bytes free, expected {min_bytes}"));
     }
     Ok(())
+}
+
+fn check_disk(flags: StatVfsMountFlags) -> Result<(), String> {
+    match flags.contains(StatVfsMountFlags::NOEXEC) {
+        true => Err("its disk is mounted with noexec, and kernels are loaded as libraries".to_owned()),
+        false => Ok(()),
+    }
 }
 
 #[cfg(test)]
@@ -161,6 +190,14 @@ mod tests {
         std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o777)).unwrap();
         let open = check(&folder, 1).unwrap_err();
         assert!(open.contains("others may write there (mode 0777)"), "{open}");
+        let link = parent.path().join("link");
+        std::os::unix::fs::symlink(&folder, &link).unwrap();
+        std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o700)).unwrap();
+        check(&link, 1).unwrap();
+        assert!(check_spare(&link).unwrap_err().contains("no link"));
+        std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o750)).unwrap();
+        assert!(check_spare(&folder).unwrap_err().contains("found mode 0750"));
+        assert!(check_disk(StatVfsMountFlags::NOEXEC).unwrap_err().contains("noexec"));
         let file = parent.path().join("file");
         std::fs::write(&file, "").unwrap();
         assert!(check(&file.join("below"), 1).is_err());

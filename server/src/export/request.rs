@@ -167,6 +167,11 @@ impl FileOptions {
         }
     }
 
+    /// Whether the same request has the same bytes: not if the time that measuring takes decides what they say.
+    pub fn is_reproducible(&self) -> bool {
+        !matches!(self.work().measuring, Measuring::Within(_))
+    }
+
     /// The unit of lengths that `unit` names, if it names one.
     pub(super) fn length_unit(&self) -> Option<LengthUnit> {
         let unit = LengthUnit::parse(self.unit.as_deref()?)?;

@@ -211,14 +211,13 @@ impl DeviceThread {
                 check.run(step)?;
             }
         }
-        let (gate, is_pocl) = (choice.gate.clone(), engine.device().pocl_version().is_some());
-        engine.wait_for(Box::new(move |program| {
-            if let Some(gate) = &gate {
-                gate(program)?;
-            }
-            // It ends the process if it cannot write what it has compiled.
-            if is_pocl { cache::check_space() } else { Ok(()) }
-        }));
+        if let Some(gate) = choice.gate.clone() {
+            engine.wait_for(Box::new(move |program| gate(program)));
+        }
+        // PoCL ends the process if it cannot write what it has compiled.
+        if engine.device().pocl_version().is_some() {
+            engine.check_compiler(Box::new(cache::check_space));
+        }
         Ok(engine)
     }
 

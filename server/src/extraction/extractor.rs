@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 use super::byte_search::{Trial, best, next_triangles};
 use super::host_memory::HostMemory;
 use super::results::Making;
-use super::turns::Caller;
+use super::turns::{Caller, Length};
 use super::{DeviceWorker, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Step, WorkError};
 use crate::error::BoxError;
 use crate::pool;
@@ -97,10 +97,21 @@ impl Extractor {
         view: &View,
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
+        self.measure_for((Caller::Viewer, Length::Rest), volume, view, token)
+            .await
+    }
+
+    async fn measure_for(
+        &self,
+        caller: (Caller, Length),
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Option<Measurement>, WorkError> {
         if view.mesher != MesherName::Dual {
             return Ok(None);
         }
-        Ok(Some(self.worker.measure(volume, view, token).await?))
+        Ok(Some(self.worker.measure_for(caller, volume, view, token).await?))
     }
 
     /// The final surface of a view for an export.
@@ -150,9 +161,10 @@ impl Extractor {
             .await?;
         extraction.wall += planning;
         if let Measuring::Within(limit) = work.measuring {
+            let caller = (Caller::Request, Caller::Request.long());
+            let measured = self.measure_for(caller, volume, &extraction.view, token);
             // Dropped at the limit, which cancels it.
-            let measured = tokio::time::timeout(limit, self.measure(volume, &extraction.view, token)).await;
-            if let Ok(measured) = measured {
+            if let Ok(measured) = tokio::time::timeout(limit, measured).await {
                 extraction.measured = measured?.map(|measurement| measurement.whole);
             }
         }

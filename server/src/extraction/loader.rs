@@ -2,7 +2,6 @@
 
 use std::pin::Pin;
 use std::sync::Arc;
-use std::thread;
 
 use isopeel_kernels::{DeviceKind, RectilinearGrid, Samples};
 use tokio::sync::mpsc;
@@ -16,6 +15,7 @@ use super::keys::VolumeKey;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
+use crate::pool;
 use crate::view::Mask;
 use crate::volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
@@ -146,7 +146,8 @@ impl DeviceWorker {
         self.admit(volume, &key, purpose).await?;
         let (sender, pieces) = mpsc::channel(1);
         let (of_read, volume_read) = (key.clone(), volume.clone());
-        let reading = tokio::task::spawn_blocking(move || read(&volume_read, &of_read, &progress, &sender));
+        let read = move || read(&volume_read, &of_read, &progress, &sender);
+        let reading = tokio::task::spawn_blocking(|| pool::run_read(read));
         let uploaded = self.upload_pieces(&key, grid, pieces, purpose).await;
         let read = reading.await.unwrap_or(Err(WorkError::Stopped));
         // Where the device failed, or had no space, reading was cancelled.
@@ -349,14 +350,10 @@ fn read_samples(
             .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send)?);
     }
     // Both files at once.
-    let (samples, inside) = thread::scope(|scope| {
-        let inside = mask.map(|(mask, labels)| scope.spawn(move || samples_inside(&mask, &labels, volume.step())));
-        let samples = field.source.read(volume.step(), progress);
-        (
-            samples,
-            inside.map(|inside| inside.join().unwrap_or(Err(WorkError::Stopped))),
-        )
-    });
+    let (samples, inside) = rayon::join(
+        || field.source.read(volume.step(), progress),
+        || mask.map(|(mask, labels)| samples_inside(&mask, &labels, volume.step())),
+    );
     let samples = samples?;
     let found = volume.dataset().expression(&key.field);
     // Every sample has a distance, or none has.

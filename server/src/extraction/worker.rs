@@ -342,25 +342,22 @@ impl DeviceWorker {
         .await
     }
 
-    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one. `token` as in
-    /// [`DeviceWorker::extract`].
+    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one; for whom that is, and how it shares the device.
+    /// `token` as in [`DeviceWorker::extract`].
     ///
     /// # Errors
     /// [`WorkError`].
-    pub async fn measure(
+    pub(super) async fn measure_for(
         &self,
+        (caller, length): (Caller, Length),
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
     ) -> Result<Measurement, WorkError> {
         let view = view.clone();
-        self.with_volumes(
-            volume,
-            token,
-            Caller::Viewer,
-            Length::Rest,
-            move |state, volume, turn| state.measure(volume, &mut view.clone(), turn),
-        )
+        self.with_volumes(volume, token, caller, length, move |state, volume, turn| {
+            state.measure(volume, &mut view.clone(), turn)
+        })
         .await
     }
 

@@ -2,6 +2,7 @@
 
 pub(super) mod address;
 mod body;
+mod spool;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -29,6 +30,7 @@ use crate::extraction::Extractor;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
 use crate::volumes::VolumeStep;
+pub use spool::SpoolFolder;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
 pub const STATISTICS_HEADER: HeaderName = HeaderName::from_static("isopeel-statistics");
@@ -158,6 +160,7 @@ struct Made {
     file: MadeFile,
     digest: FileDigest,
     permit: ExportPermit,
+    spool: SpoolFolder,
 }
 
 impl Made {
@@ -168,14 +171,21 @@ impl Made {
         // it has.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
-        let making = tokio::spawn(Self::make(state.extractor, source, request, token, permit));
+        let making = Self::make(state.extractor, source, request, token, permit);
+        let (making, spool) = (tokio::spawn(making), state.spool);
         let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
             let deadline = EXPORT_DEADLINE.as_secs();
             ApiError::busy(format!(
                 "the export was not made within {deadline} s, the server has too much to do"
             ))
         })?;
-        made.map_err(ApiError::internal)?
+        let (file, digest, permit) = made.map_err(ApiError::internal)??;
+        Ok(Self {
+            file,
+            digest,
+            permit,
+            spool,
+        })
     }
 
     async fn make(
@@ -184,14 +194,14 @@ impl Made {
         request: FileRequest,
         token: CancellationToken,
         permit: ExportPermit,
-    ) -> Result<Self, ApiError> {
+    ) -> Result<(MadeFile, FileDigest, ExportPermit), ApiError> {
         let file = export::make(&extractor, &source.volume, &source.others, &request, &token).await?;
         let digested = pool::run_export(move || {
             let digest = file.digest(&|| token.is_cancelled())?;
             Ok::<_, export::ExportError>((file, digest))
         });
         let (file, digest) = digested.await.map_err(ApiError::internal)??;
-        Ok(Self { file, digest, permit })
+        Ok((file, digest, permit))
     }
 
     /// Answers all of it.
@@ -201,7 +211,7 @@ impl Made {
             ContentEncoding::Identity => answer.header(header::CONTENT_LENGTH, self.digest.bytes),
             _ => answer.header(header::CONTENT_ENCODING, encoding.name()),
         };
-        let body = body::send(self.file, body::Part::Whole(encoding), self.permit);
+        let body = body::send(self.file, body::Part::Whole(encoding), self.permit, self.spool);
         answer.body(body).map_err(ApiError::internal)
     }
 
@@ -212,7 +222,7 @@ impl Made {
         let answer = answer
             .header(header::CONTENT_LENGTH, to - from)
             .header(header::CONTENT_RANGE, range);
-        let body = body::send(self.file, body::Part::Range([from, to]), self.permit);
+        let body = body::send(self.file, body::Part::Range([from, to]), self.permit, self.spool);
         answer.body(body).map_err(ApiError::internal)
     }
 

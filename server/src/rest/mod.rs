@@ -34,7 +34,6 @@ use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use tokio::sync::Semaphore;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
 use utoipa::{Modify, OpenApi};
@@ -42,7 +41,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub use embed::EmbedInfo;
-pub use extract::{ExtractRequest, STATISTICS_HEADER};
+pub use extract::{ExtractRequest, STATISTICS_HEADER, SpoolFolder};
 pub use jobs::{DIGEST_HEADER, KEY_HEADER, LAST_EVENT_ID};
 pub use session::SessionInfo;
 pub use slices::SLICE_HEADER;
@@ -74,13 +73,21 @@ const EXPORTS: QueueLimits = QueueLimits {
     wait: Duration::from_secs(60),
 };
 
-/// Maximum planes of samples that are made at a time: some megabytes each.
-const CONCURRENT_SLICES: usize = 8;
+/// Planes of samples that are made at a time: some megabytes each. A viewer drags up to three at once.
+const SLICES: SeatLimits = SeatLimits {
+    what: "slices that are being made",
+    all: 8,
+    of_user: 6,
+    of_address: 7,
+    reserve: 1,
+};
 
 /// Streams of jobs' events: each holds a connection.
 const EVENT_STREAMS: SeatLimits = SeatLimits {
+    what: "streams of events",
     all: 64,
     of_user: 32,
+    of_address: 48,
     reserve: 4,
 };
 
@@ -91,8 +98,9 @@ pub struct ApiState {
     extractor: Extractor,
     exports: ExportQueue,
     known_tags: KnownTags,
-    slices: Arc<Semaphore>,
+    slices: Seats,
     events: Seats,
+    spool: SpoolFolder,
     access: Access,
     /// `None`: the server keeps none.
     jobs: Option<Jobs>,
@@ -108,8 +116,9 @@ impl ApiState {
             extractor,
             exports: ExportQueue::new(EXPORTS),
             known_tags: KnownTags::default(),
-            slices: Arc::new(Semaphore::new(CONCURRENT_SLICES)),
+            slices: Seats::new(SLICES),
             events: Seats::new(EVENT_STREAMS),
+            spool: SpoolFolder::default(),
             access,
             jobs: None,
             uploads: None,
@@ -120,6 +129,15 @@ impl ApiState {
     #[must_use]
     pub fn with_jobs(self, jobs: Option<Jobs>) -> Self {
         Self { jobs, ..self }
+    }
+
+    /// Exports that clients read slowly wait in this folder, not in that of temporary files.
+    #[must_use]
+    pub fn with_spool(self, folder: Option<SpoolFolder>) -> Self {
+        Self {
+            spool: folder.unwrap_or_default(),
+            ..self
+        }
     }
 
     /// With these uploads.

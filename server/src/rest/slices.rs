@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::ApiState;
-use crate::access::Identity;
+use crate::access::{Identity, Occupant};
 use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, isovalues, shown_slice};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
@@ -104,11 +104,8 @@ pub async fn slice(
     let plane = Plane::new(&volume, field, query.axis, query.index).map_err(refused)?;
     let options = query.options()?;
     plane.check(&options).map_err(refused)?;
-    let Ok(_permit) = state.slices.try_acquire() else {
-        return Err(ApiError::busy(
-            "the server makes as many slices as it may, try again in a few seconds",
-        ));
-    };
+    let seat = state.slices.take(Occupant::from(&who));
+    let _seat = seat.map_err(|none| ApiError::busy(none.to_string()))?;
     let worker = state.extractor.worker();
     let (slice, range) = shown_slice(worker, &volume, &plane, &options).await?;
     let info = header_of(&info(&plane, slice.sample_type))?;

@@ -36,7 +36,9 @@ const MAX_BODIES: usize = 1_024;
 /// addresses of the client; a problem 404 otherwise and below `/api/`.
 pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let path = uri.path().trim_start_matches('/');
-    if path == "api" || path.starts_with("api/") {
+    let first = path.split('/').next().unwrap_or_default();
+    // What is below routes of other kinds, or has one more slash, is no address of the client.
+    if ["api", "metrics", "healthz", "readyz"].contains(&first) {
         return ApiError::not_found(uri.path()).into_response();
     }
     if method != Method::GET && method != Method::HEAD {

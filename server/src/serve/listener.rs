@@ -110,6 +110,9 @@ impl Listener {
     }
 }
 
+/// Bytes of a socket's path at most: with the zero behind it `sun_path` has 108, on other systems than Linux 104.
+const MAX_SOCKET_PATH: usize = if cfg!(target_os = "linux") { 107 } else { 103 };
+
 /// The file of a Unix socket. Dropping it removes it, if it is there still.
 #[derive(Debug)]
 pub struct SocketFile {
@@ -121,6 +124,7 @@ impl SocketFile {
     /// The socket is made in a folder that nobody else may enter, and moved to its path when it is closed to others: there is no moment at
     /// which somebody else could connect.
     fn bind(path: &Path) -> io::Result<(UnixListener, Self)> {
+        check_length(path)?;
         make_way(path)?;
         let parent = path.parent().filter(|parent| *parent != Path::new(""));
         let parent = parent.unwrap_or(Path::new("."));
@@ -133,6 +137,16 @@ impl SocketFile {
         let path = path.to_owned();
         Ok((listener, Self { path, inode }))
     }
+}
+
+/// Checks that clients can name a socket: the system takes no longer paths.
+fn check_length(path: &Path) -> io::Result<()> {
+    let length = path.as_os_str().len();
+    if length <= MAX_SOCKET_PATH {
+        return Ok(());
+    }
+    let why = format!("the path of the socket has {length} bytes, expected {MAX_SOCKET_PATH} or fewer");
+    Err(io::Error::new(io::ErrorKind::InvalidInput, why))
 }
 
 /// Checks that a path is free, or has the socket of a server that has ended, which is replaced.
@@ -256,6 +270,9 @@ mod tests {
             1,
             "nothing beside it"
         );
+        let long = ListenAddress::Unix(folder.path().join("s".repeat(120)));
+        let long = Listener::bind(&long).await.unwrap_err().to_string();
+        assert!(long.contains("bytes, expected 10"), "{long}");
         let second = Listener::bind(&address).await.unwrap_err();
         assert_eq!(second.kind(), io::ErrorKind::AddrInUse);
         let (accepted, connected) = tokio::join!(listener.accept(), UnixStream::connect(&path));

@@ -22,6 +22,7 @@ pub(super) use first_steps::LONGEST_WAIT;
 pub(super) use leader::Leader;
 use leader::PAUSE;
 
+use crate::access::{NoSeat, Seat, SeatLimits, Seats};
 use crate::metrics;
 use crate::view::View;
 use crate::volumes::VolumeStep;
@@ -30,10 +31,15 @@ use crate::wire::messages::ServerMessage;
 
 /// Maximum groups: one for every 16 viewers there may be.
 pub(super) const MAX_GROUPS: usize = 64;
-/// Those that one user may lead at a time, administrators excepted.
+/// Those that one user may lead at a time.
 pub(super) const MAX_GROUPS_OF_USER: usize = MAX_GROUPS / 4;
-/// Those that are left to administrators.
-const RESERVED_GROUPS: usize = MAX_GROUPS / 16;
+const SEATS: SeatLimits = SeatLimits {
+    what: "groups",
+    all: MAX_GROUPS,
+    of_user: MAX_GROUPS_OF_USER,
+    of_address: MAX_GROUPS / 2,
+    reserve: MAX_GROUPS / 16,
+};
 /// Maximum followers of a group: a lecture, and some viewers beside it.
 pub(super) const MAX_FOLLOWERS: usize = 1000;
 /// A group that was forgotten ends after so long.
@@ -55,7 +61,8 @@ const LEADER: u32 = 0;
 /// All groups, by their ids. Clones are of the same.
 #[derive(Clone)]
 pub(super) struct Groups {
-    all: Arc<Mutex<HashMap<String, Weak<Group>>>>,
+    all: Arc<Mutex<HashMap<String, Seated>>>,
+    seats: Seats,
     /// How long a group waits for its leader.
     leader_pause: Duration,
 }
@@ -64,6 +71,12 @@ impl Default for Groups {
     fn default() -> Self {
         Self::with_pause(PAUSE)
     }
+}
+
+/// A group with its seat, which is free when the group is in the list no more.
+struct Seated {
+    group: Weak<Group>,
+    _seat: Seat,
 }
 
 struct Group {
@@ -108,10 +121,8 @@ struct Followed {
 /// Why a viewer is in no group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum GroupError {
-    #[error(
-        "there are as many groups as may be, {MAX_GROUPS} in all and {MAX_GROUPS_OF_USER} of a user: try again later"
-    )]
-    TooMany,
+    #[error("{0}")]
+    TooMany(NoSeat),
     #[error("there is no such group, or it has ended: ask for a new link")]
     Unknown,
     #[error("the group has {MAX_FOLLOWERS} followers")]
@@ -127,7 +138,7 @@ pub(super) enum GroupError {
 impl GroupError {
     pub(super) fn code(self) -> &'static str {
         match self {
-            Self::TooMany => "busy",
+            Self::TooMany(_) => "busy",
             Self::Unknown => "unknown-group",
             Self::Full => "group-full",
             Self::NotYours | Self::NotInControl => "not-in-control",
@@ -162,36 +173,24 @@ pub(super) struct Member {
     members_due: Instant,
 }
 
-/// Whether a leader may have one more group.
-fn has_place(all: &HashMap<String, Weak<Group>>, leader: &Leader) -> bool {
-    let groups = all.values().filter_map(Weak::upgrade);
-    let own = groups.filter(|group| group.leader.user == leader.user).count();
-    match leader.is_admin {
-        true => all.len() < MAX_GROUPS,
-        false => all.len() < MAX_GROUPS - RESERVED_GROUPS && own < MAX_GROUPS_OF_USER,
-    }
-}
-
 impl Groups {
     pub(super) fn with_pause(leader_pause: Duration) -> Self {
         Self {
             all: Arc::default(),
+            seats: Seats::new(SEATS),
             leader_pause,
         }
     }
 
     /// A poisoned one too: a panic leaves nothing half updated.
-    fn all(&self) -> MutexGuard<'_, HashMap<String, Weak<Group>>> {
+    fn all(&self) -> MutexGuard<'_, HashMap<String, Seated>> {
         self.all.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Starts a group. `id` is random, and all that who joins has to know.
     pub(super) fn lead(&self, id: String, leader: Leader) -> Result<Member, GroupError> {
-        self.make_space(&leader);
+        let seat = self.seat_for(&leader)?;
         let mut all = self.all();
-        if !has_place(&all, &leader) {
-            return Err(GroupError::TooMany);
-        }
         let connection = CancellationToken::new();
         let group = Arc::new(Group {
             id: id.clone(),
@@ -204,7 +203,11 @@ impl Groups {
             expires: Instant::now() + MAX_AGE,
             ended: CancellationToken::new(),
         });
-        all.insert(id, Arc::downgrade(&group));
+        let seated = Seated {
+            group: Arc::downgrade(&group),
+            _seat: seat,
+        };
+        all.insert(id, seated);
         metrics::groups(all.len());
         drop(all);
         Ok(Member::new(group, self.clone(), LEADER, connection))
@@ -218,9 +221,13 @@ impl Groups {
         metrics::groups(all.len());
     }
 
+    fn group(&self, id: &str) -> Option<Arc<Group>> {
+        self.all().get(id)?.group.upgrade()
+    }
+
     /// Joins a group as a follower.
     pub(super) fn join(&self, id: &str, name: Option<String>, may_edit: bool) -> Result<Member, GroupError> {
-        let group = self.all().get(id).and_then(Weak::upgrade);
+        let group = self.group(id);
         let group = group
             .filter(|group| !group.ended.is_cancelled())
             .ok_or(GroupError::Unknown)?;

@@ -140,11 +140,12 @@ async fn upgrade<B: Backend>(
                     ..
                 } = state;
                 match common.viewers.enter(&who) {
-                    Some(_entered) => {
+                    Ok(_entered) => {
                         let _connected = ConnectedViewer::enter();
                         socket::serve(socket, backend, common, who, deadlines, shutdown).await;
                     }
-                    None => {
+                    Err(none) => {
+                        tracing::debug!("a viewer is refused: {none}");
                         ConnectedViewer::refused();
                         socket::refuse(socket, CloseCode::TooManyViewers, deadlines).await;
                     }

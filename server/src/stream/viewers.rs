@@ -1,9 +1,10 @@
 //! The viewers that are connected, and what each may hold because of the others.
 
-use crate::access::{Identity, Seat, SeatLimits, Seats};
+use crate::access::{Identity, NoSeat, Seat, SeatLimits, Seats};
 
-/// Maximum viewers, of which one user has half and administrators have the last ones; a further one is closed with 4002. What most of them do is to look: of those that edit, as many have a job in the
-/// device's queue as it has space for, and the others wait in order.
+/// Maximum viewers, of which one user has half, one address three quarters, and administrators have the last ones; a further one is closed with
+/// 4002. What most of them do is to look: of those that edit, as many have a job in the device's queue as it has space for, and the others
+/// wait in order.
 pub const MAX_VIEWERS: usize = 1024;
 
 /// Bytes of surfaces that are encoded ahead for all viewers together.
@@ -20,17 +21,22 @@ pub(super) struct Viewers(Seats);
 impl Default for Viewers {
     fn default() -> Self {
         Self(Seats::new(SeatLimits {
+            what: "viewers",
             all: MAX_VIEWERS,
             of_user: MAX_VIEWERS / 2,
+            of_address: MAX_VIEWERS / 4 * 3,
             reserve: MAX_VIEWERS / 64,
         }))
     }
 }
 
 impl Viewers {
-    /// One more, who leaves when this is dropped; `None` if there is no seat for this user.
-    pub fn enter(&self, who: &Identity) -> Option<Seat> {
-        self.0.take(who)
+    /// One more, who leaves when this is dropped.
+    ///
+    /// # Errors
+    /// There is no seat for this user.
+    pub fn enter(&self, who: &Identity) -> Result<Seat, NoSeat> {
+        self.0.take(who.into())
     }
 
     /// Bytes of a surface in a viewer's outbox below which its next batch is encoded: less where there are many, for all of them may
@@ -48,12 +54,12 @@ mod tests {
     fn the_more_viewers_the_less_is_encoded_ahead_for_each() {
         let (viewers, operator) = (Viewers::default(), Identity::without_token());
         assert_eq!(viewers.ahead_bytes(), MAX_AHEAD_BYTES);
-        let entered: Vec<_> = (0..MAX_VIEWERS).map_while(|_| viewers.enter(&operator)).collect();
+        let entered: Vec<_> = (0..MAX_VIEWERS).map_while(|_| viewers.enter(&operator).ok()).collect();
         assert_eq!(entered.len(), MAX_VIEWERS);
-        assert!(viewers.enter(&operator).is_none());
+        assert!(viewers.enter(&operator).is_err());
         assert_eq!(viewers.ahead_bytes() * MAX_VIEWERS, AHEAD_BYTES);
         drop(entered);
-        assert!(viewers.enter(&operator).is_some());
+        assert!(viewers.enter(&operator).is_ok());
         assert_eq!(viewers.ahead_bytes(), MAX_AHEAD_BYTES);
     }
 }

@@ -41,6 +41,7 @@ pub mod private;
 mod progress;
 mod rectilinear;
 mod remote;
+mod replaced;
 mod scalar;
 pub mod statistics;
 mod step;

@@ -10,13 +10,18 @@ use std::path::{Path, PathBuf};
 use super::beneath::is_link_out;
 use super::formats::vtk::{collection, pieces};
 use super::formats::{EXPECTED, FOLDERS, FolderFormat, FolderVolume, Format, format_of, label_table};
-use super::{Dataset, Field, FileLocation, Frame, LengthUnit, Notices, OpenedFile, ReadError, numbered};
+use super::{Dataset, Field, FileLocation, Frame, LengthUnit, Notices, OpenedFile, ReadError, numbered, replaced};
 
 /// Reads the header of one file, in the format that its first bytes and its name say. Positions of patients are in [`Frame::Lps`].
 ///
 /// # Errors
 /// An unknown format, or what its reader found wrong.
 pub fn read_file(location: &FileLocation) -> Result<OpenedFile, ReadError> {
+    let stamp = location.stamp();
+    Ok(replaced::checked(location, stamp, read_header(location)?, read_header))
+}
+
+fn read_header(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let (format, location) = format_of(location)?;
     let mut file = match location.part() {
         Some(part) if !format.has_parts => {

@@ -29,6 +29,7 @@ mod questions;
 mod rest;
 mod shared;
 mod slices;
+mod startup;
 mod states;
 mod strangers;
 mod stream;

@@ -1,15 +1,16 @@
 //! The body of an export: written on a blocking thread, as fast as the client reads. What a slow client has not read yet goes to a temporary file,
-//! so that the mesh and the permit are free for others.
+//! so that mesh, permit and thread are free for others.
 
-use std::fs::File;
-use std::io::{self, Read, Seek, Write};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use axum::body::{Body, Bytes};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 
+use super::spool::{Spool, SpoolFolder};
 use crate::export::{ExportError, MadeFile};
 use crate::rest::content_encoding::ContentEncoding;
 
@@ -22,11 +23,6 @@ const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
 
 /// Time that a client may let the writer wait altogether before the rest is spooled.
 const SPOOL_AFTER: Duration = Duration::from_secs(2);
-/// Bytes of all temporary files together. A client that finds no space there is waited for, as long as it reads.
-const SPOOL_BYTES: u64 = 8 << 30;
-
-/// Bytes that are spooled.
-static SPOOLED: AtomicU64 = AtomicU64::new(0);
 
 /// What of a file is sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,42 +34,100 @@ pub(super) enum Part {
 }
 
 /// Sends a part of a file. The permit is held until the mesh is released: when all is sent, or spooled.
-pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static) -> Body {
-    send_within(file, part, permit, CHUNK_DEADLINE, SPOOL_AFTER)
+pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static, spool: SpoolFolder) -> Body {
+    let patience = Patience {
+        deadline: CHUNK_DEADLINE,
+        spool_after: SPOOL_AFTER,
+    };
+    send_with(file, part, permit, spool, patience)
 }
 
-fn send_within(
+/// How long clients are waited for.
+#[derive(Clone, Copy)]
+struct Patience {
+    /// For one chunk.
+    deadline: Duration,
+    /// Altogether, before the rest is spooled.
+    spool_after: Duration,
+}
+
+fn send_with(
     file: MadeFile,
     part: Part,
     permit: impl Send + 'static,
-    deadline: Duration,
-    patience: Duration,
+    spool_folder: SpoolFolder,
+    patience: Patience,
 ) -> Body {
     let (chunks, mut queue) = mpsc::channel(QUEUED_CHUNKS);
-    let runtime = Handle::current();
-    tokio::task::spawn_blocking(move || {
-        let mut chunks = ChunkWriter {
-            chunks,
-            runtime,
-            deadline,
-            patience,
-            spool: None,
-            failed: None,
-        };
-        let written = write(&file, part, io::BufWriter::with_capacity(CHUNK_BYTES, &mut chunks));
-        drop((file, permit));
-        let sent = written.and_then(|()| Ok(chunks.send_spooled()?));
-        if let Err(error) = sent {
-            tracing::debug!(
+    let writer = ChunkWriter {
+        chunks: chunks.clone(),
+        runtime: Handle::current(),
+        deadline: patience.deadline,
+        patience: patience.spool_after,
+        spool_folder,
+        spool: None,
+        failed: None,
+    };
+    let is_whole = Arc::new(AtomicBool::new(false));
+    let all_sent = Arc::clone(&is_whole);
+    tokio::spawn(async move {
+        // The last sender goes after it is known whether all was sent.
+        match write_and_send((file, permit), part, writer, &chunks).await {
+            Ok(()) => all_sent.store(true, Ordering::Release),
+            Err(error) => tracing::debug!(
                 cause = crate::error::chain(&error),
                 "an export was not taken to its end"
-            );
+            ),
         }
     });
+    let mut has_ended = false;
     let chunks = futures_util::stream::poll_fn(move |context| {
-        queue.poll_recv(context).map(|chunk| chunk.map(Ok::<_, io::Error>))
+        queue.poll_recv(context).map(|chunk| {
+            let is_cut_off = chunk.is_none() && !has_ended && !is_whole.load(Ordering::Acquire);
+            has_ended = chunk.is_none();
+            // Or what is compressed would seem to be whole.
+            let cut_off = is_cut_off.then(|| Err(io::Error::from(io::ErrorKind::BrokenPipe)));
+            chunk.map(Ok).or(cut_off)
+        })
     });
     Body::from_stream(chunks)
+}
+
+/// Writes a part of a file, on a blocking thread, and then sends what of it was spooled.
+async fn write_and_send(
+    (file, permit): (MadeFile, impl Send + 'static),
+    part: Part,
+    mut writer: ChunkWriter,
+    chunks: &mpsc::Sender<Bytes>,
+) -> Result<(), ExportError> {
+    let deadline = writer.deadline;
+    let writing = tokio::task::spawn_blocking(move || {
+        let written = write(&file, part, io::BufWriter::with_capacity(CHUNK_BYTES, &mut writer));
+        drop((file, permit));
+        written.map(|()| writer.spool)
+    });
+    match writing.await.map_err(io::Error::from)?? {
+        Some(spool) => Ok(send_spooled(spool, chunks, deadline).await?),
+        None => Ok(()),
+    }
+}
+
+/// Sends what was spooled as the client reads it, without a thread of its own.
+async fn send_spooled(mut spool: Spool, chunks: &mpsc::Sender<Bytes>, deadline: Duration) -> io::Result<()> {
+    loop {
+        let reading = tokio::task::spawn_blocking(move || {
+            let chunk = spool.next_chunk(CHUNK_BYTES);
+            (spool, chunk)
+        });
+        let (read, chunk) = reading.await?;
+        let Some(chunk) = chunk? else { return Ok(()) };
+        spool = read;
+        let sent = chunks.send_timeout(chunk, deadline).await;
+        sent.map_err(|error| match error {
+            mpsc::error::SendTimeoutError::Timeout(_) => io::ErrorKind::TimedOut,
+            mpsc::error::SendTimeoutError::Closed(_) => io::ErrorKind::BrokenPipe,
+        })?;
+    }
 }
 
 fn write(file: &MadeFile, part: Part, out: impl Write) -> Result<(), ExportError> {
@@ -129,6 +183,7 @@ struct ChunkWriter {
     deadline: Duration,
     /// Time that it still waits before it spools.
     patience: Duration,
+    spool_folder: SpoolFolder,
     spool: Option<Spool>,
     /// Why a write failed. Then all fail at once: an encoder or a buffer that is dropped writes what it has, and would wait once more.
     failed: Option<io::ErrorKind>,
@@ -144,33 +199,27 @@ impl ChunkWriter {
         }
     }
 
-    /// As [`ChunkWriter::send`], and fails if the client does not read in time.
-    fn send_or_fail(&mut self, chunk: Bytes) -> io::Result<()> {
-        match self.send(chunk, self.deadline)? {
-            true => Ok(()),
-            false => Err(self.fail(io::ErrorKind::TimedOut)),
-        }
-    }
-
     fn fail(&mut self, kind: io::ErrorKind) -> io::Error {
         self.failed = Some(kind);
         kind.into()
     }
 
-    /// Sends what was spooled, as the client reads it.
-    fn send_spooled(&mut self) -> io::Result<()> {
-        let Some(mut spool) = self.spool.take() else {
-            return Ok(());
+    /// Appends a part to what is spooled. Without space for it the export ends.
+    fn spool(&mut self, part: &[u8]) -> io::Result<()> {
+        let spooled = match &mut self.spool {
+            Some(spool) => spool.append(part),
+            None => self.spool_folder.begin().and_then(|mut spool| {
+                spool.append(part)?;
+                self.spool = Some(spool);
+                Ok(())
+            }),
         };
-        spool.file.rewind()?;
-        let mut left = spool.written;
-        while left > 0 {
-            let mut chunk = vec![0; CHUNK_BYTES.min(usize::try_from(left).unwrap_or(CHUNK_BYTES))];
-            spool.file.read_exact(&mut chunk)?;
-            left -= chunk.len() as u64;
-            self.send_or_fail(chunk.into())?;
-        }
-        Ok(())
+        spooled.map_err(|error| {
+            tracing::warn!(
+                "an export ends early, as its client reads it slowly and the rest cannot be spooled: {error}"
+            );
+            self.fail(error.kind())
+        })
     }
 }
 
@@ -190,14 +239,8 @@ impl Write for ChunkWriter {
             if self.patience >= self.deadline {
                 return Err(self.fail(io::ErrorKind::TimedOut));
             }
-            self.spool = Spool::begin();
         }
-        if !self.spool.as_mut().is_some_and(|spool| spool.take(part)) {
-            // Without space the client is waited for, from here on.
-            self.send_spooled()?;
-            self.send_or_fail(Bytes::copy_from_slice(part))?;
-            self.patience = Duration::MAX;
-        }
+        self.spool(part)?;
         Ok(part.len())
     }
 
@@ -206,45 +249,8 @@ impl Write for ChunkWriter {
     }
 }
 
-/// A temporary file without a name, whose bytes are counted.
-struct Spool {
-    file: File,
-    written: u64,
-    counted: u64,
-}
-
-impl Spool {
-    /// `None`: no file can be made.
-    fn begin() -> Option<Self> {
-        let file = tempfile::tempfile().ok()?;
-        Some(Self {
-            file,
-            written: 0,
-            counted: 0,
-        })
-    }
-
-    /// Appends bytes; false if there is no space for them.
-    fn take(&mut self, bytes: &[u8]) -> bool {
-        let length = bytes.len() as u64;
-        self.counted += length;
-        let has_space = SPOOLED.fetch_add(length, Ordering::Relaxed) + length <= SPOOL_BYTES;
-        let is_taken = has_space && self.file.write_all(bytes).is_ok();
-        self.written += if is_taken { length } else { 0 };
-        is_taken
-    }
-}
-
-impl Drop for Spool {
-    fn drop(&mut self) {
-        SPOOLED.fetch_sub(self.counted, Ordering::Relaxed);
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use futures_util::StreamExt;
     use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
@@ -292,7 +298,7 @@ mod tests {
                 write(&made, Part::Range([from, to]), &mut part).unwrap();
                 assert!(part == file[from as usize..to as usize], "{format:?}: {from} to {to}");
             }
-            let body = send(made, WHOLE, permit_of(&semaphore).await);
+            let body = send(made, WHOLE, permit_of(&semaphore).await, SpoolFolder::default());
             let bytes = axum::body::to_bytes(body, usize::MAX).await.unwrap();
             assert!(bytes == file, "{format:?}");
         }
@@ -301,7 +307,8 @@ mod tests {
     #[tokio::test]
     async fn a_client_that_leaves_frees_the_mesh_and_its_permit() {
         let semaphore = Arc::new(Semaphore::new(1));
-        let body = send(large_file(Format::Stl), WHOLE, permit_of(&semaphore).await);
+        let permit = permit_of(&semaphore).await;
+        let body = send(large_file(Format::Stl), WHOLE, permit, SpoolFolder::default());
         let mut stream = body.into_data_stream();
         assert!(stream.next().await.unwrap().is_ok());
         drop(stream);
@@ -312,18 +319,51 @@ mod tests {
     #[tokio::test]
     async fn a_client_that_does_not_read_is_given_up() {
         let semaphore = Arc::new(Semaphore::new(1));
-        let deadline = Duration::from_millis(20);
+        let patience = Patience {
+            deadline: Duration::from_millis(20),
+            spool_after: Duration::MAX,
+        };
         for encoding in [ContentEncoding::Identity, ContentEncoding::Gzip, ContentEncoding::Zstd] {
             let (file, permit) = (large_file(Format::Stl), permit_of(&semaphore).await);
-            let body = send_within(file, Part::Whole(encoding), permit, deadline, Duration::MAX);
+            let body = send_with(file, Part::Whole(encoding), permit, SpoolFolder::default(), patience);
             drop(permit_of(&semaphore).await);
-            let mut stream = body.into_data_stream();
-            let mut chunks = 0;
-            while stream.next().await.is_some() {
-                chunks += 1;
-            }
-            assert!(chunks <= QUEUED_CHUNKS, "{encoding:?}: {chunks}");
+            let chunks: Vec<_> = body.into_data_stream().collect().await;
+            let read = chunks.iter().filter(|chunk| chunk.is_ok()).count();
+            assert!(read <= QUEUED_CHUNKS, "{encoding:?}: {read}");
+            // Compressed, this file may fit into the queue.
+            let is_cut_off = read == QUEUED_CHUNKS;
+            assert!(is_cut_off || encoding != ContentEncoding::Identity);
+            assert_eq!(chunks.last().unwrap().is_err(), is_cut_off, "{encoding:?}");
         }
+    }
+
+    const SLOW: Patience = Patience {
+        deadline: CHUNK_DEADLINE,
+        spool_after: Duration::from_millis(20),
+    };
+
+    #[tokio::test]
+    async fn without_space_for_a_slow_client_its_export_ends_with_an_error() {
+        let (semaphore, folder) = (Arc::new(Semaphore::new(1)), std::env::temp_dir());
+        let space = SpoolFolder::limited(folder.clone(), 1 << 20);
+        let (file, permit) = (large_file(Format::Stl), permit_of(&semaphore).await);
+        let body = send_with(file, WHOLE, permit, space.clone(), SLOW);
+        drop(permit_of(&semaphore).await);
+        assert!(axum::body::to_bytes(body, usize::MAX).await.is_err());
+        let all = vec![0; 1 << 20];
+        assert!(
+            space.begin().unwrap().append(&all).is_ok(),
+            "what it took is free again"
+        );
+        let mut spool = space.begin().unwrap();
+        spool.append(&all).unwrap();
+        let error = spool.append(&[0]).unwrap_err().to_string();
+        assert!(error.contains("take 1048576 of 1048576 bytes"), "{error}");
+        let gone = SpoolFolder::new(folder.join("none-of-this-name"));
+        let (file, permit) = (large_file(Format::Stl), permit_of(&semaphore).await);
+        let body = send_with(file, WHOLE, permit, gone, SLOW);
+        drop(permit_of(&semaphore).await);
+        assert!(axum::body::to_bytes(body, usize::MAX).await.is_err());
     }
 
     #[tokio::test]
@@ -332,7 +372,7 @@ mod tests {
         let (file, mut expected) = (large_file(Format::Stl), Vec::new());
         file.write(&mut expected).unwrap();
         let permit = permit_of(&semaphore).await;
-        let body = send_within(file, WHOLE, permit, CHUNK_DEADLINE, Duration::from_millis(20));
+        let body = send_with(file, WHOLE, permit, SpoolFolder::default(), SLOW);
         // It has read nothing yet.
         drop(permit_of(&semaphore).await);
         let bytes = axum::body::to_bytes(body, usize::MAX).await.unwrap();

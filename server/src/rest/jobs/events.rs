@@ -10,10 +10,10 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use tokio::sync::watch;
 
-use crate::access::{Identity, Seat};
+use crate::access::{Identity, Occupant, Seat};
 use crate::jobs::{JobEvent, Jobs};
 use crate::problem::{ApiError, Problem};
-use crate::rest::{ApiState, EVENT_STREAMS};
+use crate::rest::ApiState;
 
 /// The last event that a client has seen, which browsers send when they connect again.
 pub const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
@@ -49,14 +49,8 @@ pub(super) async fn events(
     let jobs = state.jobs()?.clone();
     let Path(id) = id?;
     let after = last_event_id(&headers)?;
-    let seat = state.events.take(&who).ok_or_else(|| {
-        ApiError::busy(format!(
-            "{} streams of events are open, expected fewer than {} of a user and {} in all",
-            state.events.taken(),
-            EVENT_STREAMS.of_user,
-            EVENT_STREAMS.all - EVENT_STREAMS.reserve
-        ))
-    })?;
+    let seat = state.events.take(Occupant::from(&who));
+    let seat = seat.map_err(|none| ApiError::busy(none.to_string()))?;
     let changes = jobs.changes();
     let (first, is_finished) = jobs.events(who.user(), &id, after).await?;
     if first.is_empty() && is_finished {

@@ -76,6 +76,7 @@ mod tests {
 
     use super::super::{Groups, Leader};
     use super::LONGEST_WAIT;
+    use crate::access::Occupant;
 
     /// Polls a few times.
     async fn is_ready(waiting: &mut (impl Future<Output = ()> + Unpin)) -> bool {
@@ -92,8 +93,11 @@ mod tests {
     async fn further_steps_come_after_all_first_ones_but_wait_no_longer_than_they_may() {
         let groups = Groups::default();
         let who = Leader {
-            user: "ann".into(),
-            is_admin: false,
+            who: Occupant {
+                user: "ann".into(),
+                address: None,
+                is_admin: false,
+            },
             key: "1".into(),
         };
         let leader = groups.lead("1".into(), who).expect("a group");

@@ -1,13 +1,14 @@
 //! The leader of a group, whose connection may be lost: the group waits for it, and knows it by a key.
 
-use std::sync::{Arc, Weak};
+use std::sync::Arc;
 use std::time::Duration;
 
 use subtle::ConstantTimeEq;
 use tokio::time::{Instant, sleep};
 use tokio_util::sync::CancellationToken;
 
-use super::{Group, GroupError, Groups, LEADER, MAX_GROUPS_OF_USER, Member, has_place};
+use super::{Group, GroupError, Groups, LEADER, Member};
+use crate::access::{Occupant, Seat, Share};
 
 /// How long a group waits for a leader whose connection was lost: a page tries again every eight seconds or sooner.
 pub(super) const PAUSE: Duration = Duration::from_secs(30);
@@ -15,40 +16,44 @@ pub(super) const PAUSE: Duration = Duration::from_secs(30);
 /// Who leads a group, on whatever connection.
 #[derive(Clone, Debug)]
 pub(in crate::stream) struct Leader {
-    pub user: String,
-    pub is_admin: bool,
+    pub who: Occupant,
     /// Random, for the leader alone: who has it and is this user may come back.
     pub key: String,
 }
 
 impl Groups {
-    /// If there is no place for a group of this leader, the one ends whose leader has been away longest: of this user's, if there are too many of
-    /// those.
-    pub(super) fn make_space(&self, leader: &Leader) {
-        let all: Vec<Arc<Group>> = {
-            let all = self.all();
-            if has_place(&all, leader) {
-                return;
-            }
-            all.values().filter_map(Weak::upgrade).collect()
+    /// A seat for a group of this leader. If there is none, the group ends whose leader has been away longest of those that share the seats.
+    pub(super) fn seat_for(&self, leader: &Leader) -> Result<Seat, GroupError> {
+        let none = match self.seats.take(leader.who.clone()) {
+            Ok(seat) => return Ok(seat),
+            Err(none) => none,
         };
-        let own = || all.iter().filter(|group| group.leader.user == leader.user);
-        let of_user = !leader.is_admin && own().count() >= MAX_GROUPS_OF_USER;
+        let all: Vec<Arc<Group>> = self
+            .all()
+            .values()
+            .filter_map(|seated| seated.group.upgrade())
+            .collect();
+        let shares = |other: &Occupant| match none.share {
+            Share::User => other.user == leader.who.user,
+            Share::Address => other.address == leader.who.address,
+            Share::All => true,
+        };
         let away = all
             .iter()
-            .filter(|group| !of_user || group.leader.user == leader.user)
+            .filter(|group| shares(&group.leader.who))
             .filter_map(|group| Some((group.members.borrow().away?, group)));
         if let Some((_, group)) = away.min_by_key(|(since, _)| *since) {
             self.end(group);
         }
+        self.seats.take(leader.who.clone()).map_err(GroupError::TooMany)
     }
 
     /// Leads a group again, on another connection than before.
     pub(in crate::stream) fn resume(&self, id: &str, leader: &Leader) -> Result<Member, GroupError> {
-        let group = self.all().get(id).and_then(Weak::upgrade);
+        let group = self.group(id);
         let is_leader = |group: &Arc<Group>| {
             let is_key: bool = group.leader.key.as_bytes().ct_eq(leader.key.as_bytes()).into();
-            is_key && group.leader.user == leader.user && !group.ended.is_cancelled()
+            is_key && group.leader.who.user == leader.who.user && !group.ended.is_cancelled()
         };
         let group = group.filter(is_leader).ok_or(GroupError::Unknown)?;
         let connection = CancellationToken::new();

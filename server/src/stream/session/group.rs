@@ -8,7 +8,7 @@ use super::Session;
 use super::open_volume::OpeningPhase;
 use super::outbox::Newest;
 use super::pending::PendingStep;
-use crate::access::Role;
+use crate::access::{Occupant, Role};
 use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};
 
@@ -83,8 +83,7 @@ impl<B: Backend> Session<B> {
 
     fn leader(&self, key: String) -> Leader {
         Leader {
-            user: self.who.user().to_owned(),
-            is_admin: self.who.may(Role::Admin),
+            who: Occupant::from(&self.who),
             key,
         }
     }

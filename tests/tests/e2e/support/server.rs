@@ -105,6 +105,7 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
                     connections: ConnectionLimits::default(),
                     jobs: None,
                     uploads: None,
+                    spool: None,
                 },
                 shutdown,
             )

@@ -9,7 +9,7 @@ use super::super::Common;
 use super::faults::holder;
 use super::scripted::{Answer, shapes};
 use super::viewer::Viewer;
-use crate::access::{Identity, Role};
+use crate::access::{Identity, Occupant, Role};
 use crate::stream::groups::{Groups, LONGEST_WAIT, Leader, MAX_FOLLOWERS, MAX_GROUPS, MAX_GROUPS_OF_USER};
 
 /// Messages about the group, in between others.
@@ -230,8 +230,11 @@ async fn control_is_given_to_who_asks_and_comes_back() {
 /// Somebody who leads.
 fn key_of(user: &str) -> Leader {
     Leader {
-        user: user.into(),
-        is_admin: user == "root",
+        who: Occupant {
+            user: user.into(),
+            address: None,
+            is_admin: user == "root",
+        },
         key: "k".repeat(32),
     }
 }

@@ -33,10 +33,13 @@ impl Layout {
     /// The axes in their roles.
     pub fn new(sizes: Vec<u64>, roles: &AxisRoles) -> Result<Self, String> {
         let size = |axis: usize| {
-            u32::try_from(sizes[axis])
+            // Attributes may name more axes than the variable has.
+            let samples = sizes.get(axis).copied();
+            let samples = samples.ok_or_else(|| format!("{} axes, expected {} or more", sizes.len(), axis + 1))?;
+            u32::try_from(samples)
                 .ok()
                 .filter(|&n| n > 0)
-                .ok_or_else(|| format!("{} samples along an axis, expected 1 to {}", sizes[axis], u32::MAX))
+                .ok_or_else(|| format!("{samples} samples along an axis, expected 1 to {}", u32::MAX))
         };
         let [x, y, z] = roles.space;
         let channels = roles.channel.map_or(Ok(1), size)?;
@@ -467,6 +470,23 @@ mod tests {
 
     fn placed(axes: [Option<Result<Scale, String>>; 3]) -> Result<Geometry, String> {
         place(Geometry::of_index([2; 3]), &axes)
+    }
+
+    #[test]
+    fn roles_of_axes_that_a_variable_has_not_are_refused() {
+        let roles = AxisRoles {
+            space: [2, 1, 0],
+            time: None,
+            channel: None,
+            has_time_in_space: false,
+            notices: Vec::new(),
+        };
+        assert!(Layout::new(vec![2, 3, 4], &roles).is_ok());
+        for sizes in [vec![], vec![2, 3]] {
+            let axes = sizes.len();
+            let error = Layout::new(sizes, &roles).unwrap_err();
+            assert_eq!(error, format!("{axes} axes, expected 3 or more"));
+        }
     }
 
     #[test]

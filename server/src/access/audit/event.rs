@@ -1,0 +1,74 @@
+//! What a request is to the audit log.
+
+use axum::http::Method;
+use axum::http::header::{HeaderMap, LOCATION};
+use serde::Serialize;
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(in crate::access) enum Event {
+    /// A token was shown for a cookie, or an issuer has sent somebody back.
+    SignIn,
+    /// The cookie was given back.
+    SignOut,
+    /// A stream was opened.
+    Stream,
+    /// A ticket was asked for.
+    Ticket,
+    /// A token for a frame was asked for.
+    EmbedToken,
+    /// A surface was asked for as a file.
+    Export,
+    /// A batch job was submitted.
+    JobSubmit,
+    /// It was cancelled.
+    JobCancel,
+    /// It was deleted.
+    JobDelete,
+    /// A result of it was read.
+    JobResult,
+    /// Files of an upload were declared.
+    UploadCreate,
+    /// They were read as a volume.
+    UploadFinish,
+    /// They were deleted.
+    UploadDelete,
+    /// Another request, which was refused.
+    Request,
+    /// A token appeared in the state folder.
+    TokenCreated,
+    /// It was gone.
+    TokenRevoked,
+}
+
+/// What a request of a path is, and the job or upload it is about.
+pub(super) fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
+    let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
+    let (event, id) = match (parts.as_slice(), method) {
+        (["session"], &Method::POST) | (["oidc", "callback"], _) => (Event::SignIn, None),
+        (["session"], &Method::DELETE) => (Event::SignOut, None),
+        (["tickets"], &Method::POST) => (Event::Ticket, None),
+        (["embed-tokens"], &Method::POST) => (Event::EmbedToken, None),
+        (["stream"], _) => (Event::Stream, None),
+        (["extract"], &Method::GET | &Method::POST) => (Event::Export, None),
+        (["jobs"], &Method::POST) => (Event::JobSubmit, None),
+        (["jobs", id, "cancel"], &Method::POST) => (Event::JobCancel, Some(*id)),
+        (["jobs", id], &Method::DELETE) => (Event::JobDelete, Some(*id)),
+        (["jobs", id, "results", _], &Method::GET) => (Event::JobResult, Some(*id)),
+        (["uploads"], &Method::POST) => (Event::UploadCreate, None),
+        (["uploads", id, "finish"], &Method::POST) => (Event::UploadFinish, Some(*id)),
+        (["uploads", id], &Method::DELETE) => (Event::UploadDelete, Some(*id)),
+        _ => (Event::Request, None),
+    };
+    // What is no id is the client's own text.
+    let is_id = |id: &str| id.len() <= 64 && id.bytes().all(|byte| byte.is_ascii_alphanumeric());
+    (event, id.filter(|id| is_id(id)).map(str::to_owned))
+}
+
+/// The id of what was made.
+pub(super) fn made(headers: &HeaderMap) -> Option<String> {
+    let location = headers.get(LOCATION)?.to_str().ok()?;
+    let path = location.strip_prefix("/api/v1/")?;
+    Some(path.strip_prefix("jobs/").or(path.strip_prefix("uploads/"))?.to_owned())
+}

@@ -1,0 +1,118 @@
+//! The thread that writes the audit log, so that no request waits for a disk.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use super::refusals::Refusals;
+use super::{COUNTED, LOOK, Line, Outcome, lock, now};
+
+/// What it does.
+pub(super) enum Command {
+    Write(Vec<u8>),
+    /// The file was moved away: open it anew.
+    Reopen,
+    /// Answer when all before is written.
+    Flush(SyncSender<()>),
+}
+
+fn open(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    options.create(true).append(true).open(path)
+}
+
+/// The thread that writes.
+pub(super) struct Writer {
+    path: PathBuf,
+    file: File,
+    lost: Arc<AtomicU64>,
+    refusals: Arc<Mutex<Refusals>>,
+    /// An error was logged, and none that followed it.
+    complained: bool,
+}
+
+impl Writer {
+    /// Writes at the end of a file, lines that were `lost` and counts of `refusals` among them.
+    pub(super) fn open(path: &Path, lost: &Arc<AtomicU64>, refusals: &Arc<Mutex<Refusals>>) -> io::Result<Self> {
+        Ok(Self {
+            path: path.to_owned(),
+            file: open(path)?,
+            lost: Arc::clone(lost),
+            refusals: Arc::clone(refusals),
+            complained: false,
+        })
+    }
+
+    pub(super) fn run(mut self, commands: &Receiver<Command>) {
+        let mut looked = Instant::now();
+        loop {
+            let command = match commands.recv_timeout(LOOK) {
+                Ok(command) => Some(command),
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => return self.write_counts(Duration::ZERO),
+            };
+            if looked.elapsed() >= LOOK {
+                self.write_counts(COUNTED);
+                looked = Instant::now();
+            }
+            let Some(command) = command else { continue };
+            match command {
+                Command::Write(line) => {
+                    let lost = self.lost.swap(0, Ordering::Relaxed);
+                    if lost > 0 {
+                        let line = serde_json::json!({"time": now(), "event": "lost", "count": lost});
+                        self.write(format!("{line}\n").as_bytes());
+                    }
+                    self.write(&line);
+                }
+                Command::Reopen => match open(&self.path) {
+                    Ok(file) => self.file = file,
+                    Err(error) => tracing::error!(%error, "the audit log is not opened anew, the old file goes on"),
+                },
+                Command::Flush(done) => {
+                    self.write_counts(Duration::ZERO);
+                    let _ = done.send(());
+                }
+            }
+        }
+    }
+
+    /// Writes how many refusals there were of the kinds that were first seen so long ago.
+    fn write_counts(&mut self, age: Duration) {
+        let counts = lock(&self.refusals).take(Instant::now(), age);
+        for (kind, count) in counts {
+            let who = kind.who.as_ref();
+            let line = Line {
+                time: now(),
+                event: kind.event,
+                result: Outcome::Refused,
+                status: kind.status,
+                code: kind.code,
+                user: who.map(|(user, _)| &**user),
+                token: who.map(|(_, token)| &**token),
+                peer: kind.peer,
+                job: None,
+                upload: None,
+                count: Some(count),
+            };
+            self.write(&line.text());
+        }
+    }
+
+    fn write(&mut self, line: &[u8]) {
+        match self.file.write_all(line) {
+            Ok(()) => self.complained = false,
+            Err(error) if !self.complained => {
+                tracing::error!(%error, "the audit log cannot be written");
+                self.complained = true;
+            }
+            Err(_) => {}
+        }
+    }
+}
