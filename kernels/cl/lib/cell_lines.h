@@ -54,11 +54,11 @@ INLINED float4 cross_line(const CellOfLines *cell, uint axis, uint line) {
     const uint second = (axis + 1) % 3, third = (axis + 2) % 3;
     const float4 none = (float4)(-1.0f);
     if (cell->padded & (1u << second | 1u << third)) return none;
-    const bool inner = line < INNER_LINES, turned = (cell->low.x + cell->low.y + cell->low.z) & 1;
+    const bool inner = line < INNER_LINES, other_diagonal = (cell->low.x + cell->low.y + cell->low.z) & 1;
     const uint far = (line & 1u) << second | (line >> 1 & 1u) << third;
     if (!inner && (far & ~cell->last)) return none;
     const float s = inner ? (line ? 0.75f : 0.25f) : (far >> second & 1u) ? 1.0f - INSET : INSET;
-    const float t = inner ? (turned ? 1.0f - s : s) : (far >> third & 1u) ? 1.0f - INSET : INSET;
+    const float t = inner ? (other_diagonal ? 1.0f - s : s) : (far >> third & 1u) ? 1.0f - INSET : INSET;
     const float face = inner ? component_of(cell->spacing, second) * component_of(cell->spacing, third) : 0.0f;
     const float from = value_on_face(cell->v, axis, 0, s, t), to = value_on_face(cell->v, axis, 1, s, t);
     float along = from / (from - to), area = face;

@@ -17,7 +17,7 @@
 #define SURFACE_MOVES 2
 
 // Distances by slope, in smallest spacings: at which a point is on the surface, up to which it is found, and from which the gradient does
-// not lead there. The first is also the least way along the surface.
+// not lead there. The first is also the shortest way along the surface.
 #define ARRIVED 0.01f
 #define STRAIGHT 0.125f
 #define ASTRAY 2.0f
@@ -155,8 +155,8 @@ INLINED bool move_along_surface(const FieldBox *box, SurfaceSearch *search, Feet
     const real along_normal = dot_real3(way, field.gradient) / dot_real3(field.gradient, field.gradient);
     const Real3 aside = make_real3(way.x - along_normal * field.gradient.x, way.y - along_normal * field.gradient.y,
                                    way.z - along_normal * field.gradient.z);
-    const real least = box->straight * (ARRIVED / STRAIGHT);
-    const integer moves = (feet->residual <= box->straight) & (dot_real3(aside, aside) > least * least);
+    const real shortest = box->straight * (ARRIVED / STRAIGHT);
+    const integer moves = (feet->residual <= box->straight) & (dot_real3(aside, aside) > shortest * shortest);
     const Real3 to = make_real3(feet->x.x - aside.x / box->spacing.x, feet->x.y - aside.y / box->spacing.y,
                                 feet->x.z - aside.z / box->spacing.z);
     feet->x = pick_real3(moves, clamp_to_box(box, to), feet->x);

@@ -89,8 +89,8 @@ INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh,
     const uint part = is_small ? 0 : i / PART_POINTS, point = is_small ? 3 * i + turn_of(first) : i % PART_POINTS;
     const uint row = (uint)sqrt((float)part), column = part - row * row;
     const bool away = column & 1;
-    const float most = COORDINATES[point / 3], rest = 0.5f - 0.5f * most;
-    const float second = point % 3 == 1 ? most : rest, third = point % 3 == 2 ? most : rest;
+    const float coordinate = COORDINATES[point / 3], rest = 0.5f - 0.5f * coordinate;
+    const float second = point % 3 == 1 ? coordinate : rest, third = point % 3 == 2 ? coordinate : rest;
     const float down = ((float)row + (away ? third : second + third)) / n;
     const float across = ((float)(column / 2) + (away ? second + third : third)) / n;
     const float3 x = t.a + down * (t.b - t.a) + across * (t.c - t.b);

@@ -172,7 +172,7 @@ fn way_to_foot(field: &Field, iso: f32, cap: bool, p: Vector, start: Vector) -> 
         (gradient, value - f64::from(iso))
     };
     let smallest = spacing.into_iter().fold(f64::INFINITY, f64::min);
-    let (mut x, mut least) = (start, f64::INFINITY);
+    let (mut x, mut shortest) = (start, f64::INFINITY);
     for _ in 0..8 {
         for _ in 0..8 {
             let (gradient, value) = at(x);
@@ -184,13 +184,13 @@ fn way_to_foot(field: &Field, iso: f32, cap: bool, p: Vector, start: Vector) -> 
         let (gradient, value) = at(x);
         let residual = value.abs() / length(gradient);
         if residual < 1e-3 * smallest {
-            least = least.min(length(minus(x, p)) + residual);
+            shortest = shortest.min(length(minus(x, p)) + residual);
         }
         let way = minus(x, p);
         let along = dot(way, gradient) / dot(gradient, gradient).max(f64::MIN_POSITIVE);
         x = inside(std::array::from_fn(|i| x[i] - way[i] + along * gradient[i]));
     }
-    least
+    shortest
 }
 
 /// A point that is measured, and the area that it stands for, world units.
@@ -202,14 +202,14 @@ fn crossings(field: &Field, iso: f32, cap: bool, cell: [u32; 3]) -> Vec<Weighted
     let [first, last] = without_padding(field, cap);
     let v = field.cell_corners(cell).map(|v| f64::from(v) - f64::from(iso));
     let padded: [bool; 3] = std::array::from_fn(|i| cell[i] < first[i] || cell[i] >= last[i]);
-    let turned = cell.iter().sum::<u32>() % 2 == 1;
+    let other_diagonal = cell.iter().sum::<u32>() % 2 == 1;
     let mut found = Vec::new();
     for axis in 0..3 {
         let across = [(axis + 1) % 3, (axis + 2) % 3];
         if across.iter().any(|&i| padded[i]) {
             continue;
         }
-        let inner = INNER_LINES.map(|s| ([s, if turned { 1.0 - s } else { s }], true));
+        let inner = INNER_LINES.map(|s| ([s, if other_diagonal { 1.0 - s } else { s }], true));
         let edges = [[false, false], [true, false], [false, true], [true, true]]
             .into_iter()
             .filter(|far| (0..2).all(|i| !far[i] || cell[across[i]] + 1 == last[across[i]]))
@@ -253,8 +253,14 @@ fn samples(spacing: Vector, triangle: &Triangle) -> Vec<Weighted> {
         std::array::from_fn(|i| weights[0] * a[i] + weights[1] * b[i] + weights[2] * c[i])
     };
     let point = |kind: usize, which: usize| -> Vector {
-        let most = KINDS[kind].0;
-        std::array::from_fn(|i| if i == which { most } else { (1.0 - most) / 2.0 })
+        let coordinate = KINDS[kind].0;
+        std::array::from_fn(|i| {
+            if i == which {
+                coordinate
+            } else {
+                (1.0 - coordinate) / 2.0
+            }
+        })
     };
     if in_cells <= SMALL_CELLS {
         let turn = ((u64::from((3 * triangle.number).wrapping_mul(2_654_435_761)) * 3) >> 32) as usize;
@@ -302,7 +308,7 @@ pub struct Bounds {
     pub high: SurfaceError,
 }
 
-/// Distances of crossings to the mesh, and the least and most that those of samples to the surface may be.
+/// Distances of crossings to the mesh, and the minimum and maximum that those of samples to the surface may be.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     to_mesh: Distances,
