@@ -77,7 +77,7 @@ fn a_volume_of_many_launches_has_the_twins_histogram() {
             .expect("a part");
         parts += 1;
     }
-    assert!(parts > 3, "{parts} parts");
+    assert!(parts > 1, "{parts} part");
     for gradient in [false, true] {
         check(&engine, &loaded, gradient).expect("the same histogram");
     }
