@@ -1,6 +1,5 @@
-//! Vectors and affine maps in double precision, by glam; axes with uneven positions; triangles that intersect.
+//! Vectors and affine maps in double precision, by glam; axes with uneven positions.
 
-pub mod intersections;
 mod uneven;
 
 pub use glam::{DAffine3, DVec3};

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use isopeel_geometry::{Bounds, Corners, TriangleSoup, TriangleTree, has_area, intersect};
 use rustc_hash::FxHashMap;
 
 use super::decimal::Decimals;
@@ -9,7 +10,6 @@ use super::topology::Around;
 use super::{Format, Mesh};
 use crate::extraction::Cleaned;
 use crate::math::DVec3;
-use crate::math::intersections::{Bounds, Corners, TriangleSoup, TriangleTree, has_area, intersect};
 
 /// Times that the groups of intersecting triangles are worked on before the repair is given up.
 const MAX_ROUNDS: usize = 16;

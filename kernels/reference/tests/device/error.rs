@@ -78,7 +78,7 @@ fn check(engine: &Engine, loaded: &Loaded, seed: u64, topology: Topology, cap: b
 #[test]
 fn any_cut_states_what_brute_force_finds() {
     let Some(engine) = device() else { return };
-    proptest!(config(16), |(recipe in small_recipes(), seed in any::<u64>(), preserve in any::<bool>())| {
+    proptest!(config(8), |(recipe in small_recipes(), seed in any::<u64>(), preserve in any::<bool>())| {
         let topology = if preserve { Topology::Preserve } else { Topology::Free };
         check(&engine, &load(&engine, &recipe), seed, topology, false)?;
     });
@@ -144,7 +144,7 @@ fn padded(field: &Field) -> Vec<f32> {
 #[test]
 fn capped_volumes_end_on_their_faces() {
     let Some(engine) = device() else { return };
-    proptest!(config(8), |(dims in proptest::sample::select(DIMS.to_vec()), seed in any::<u64>(), pattern in surfaces())| {
+    proptest!(config(4), |(dims in proptest::sample::select(DIMS.to_vec()), seed in any::<u64>(), pattern in surfaces())| {
         let inner = load(&engine, &Recipe::plain(dims, pattern, seed));
         let grid = Grid::new(dims.map(|n| n + 2), [1.0; 3]).expect("a grid");
         let samples = isopeel_kernels::Samples::F32(padded(&inner.field));
