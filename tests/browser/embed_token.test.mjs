@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { createServer } from "node:http";
-import { makeVolume, openPage, saveScreenshot, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
+import { makeVolume, MORE, openPage, saveScreenshot, startBrowser, startServer, TIMEOUT_MS } from "./harness.mjs";
 
 /** Hands over what `/token` answers, which is what its server has got, and keeps what comes from the frame. */
 const host = (server, query, more) => `<!doctype html><title>host</title><iframe id="viewer" width="700" height="500"></iframe>${more}
@@ -96,7 +96,7 @@ async function open(url) {
   return { context, page, faults, addresses, counted, frame: page.frameLocator("#viewer") };
 }
 
-test("a page hands a token to the frame, which asks for the next one before it ends", { timeout: 4 * TIMEOUT_MS }, async () => {
+test("a page hands a token to the frame, which asks for the next one before it ends", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
   // The first one is asked for anew after ten seconds.
   at.lifetimes.push(20);
   const { context, page, faults, addresses, frame, counted } = await open(`${at.lab.origin}/`);

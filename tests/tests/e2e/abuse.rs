@@ -213,7 +213,7 @@ async fn a_binary_frame_closes_with_1003_and_a_message_too_long_with_1009() {
 }
 
 /// So long that all buffers between a server and a client that does not read are full: the server sends little ahead of pongs.
-const ASKING: Duration = Duration::from_secs(60);
+const ASKING: Duration = Duration::from_secs(32);
 
 /// Opens the demo and asks for surface after surface, reading nothing: a client whose tab sleeps. Its receive buffer is
 /// small, so that the network takes little on its own.
