@@ -72,12 +72,12 @@ impl Bounds {
     }
 
     /// Twice its centre along an axis.
-    fn middle(&self, axis: usize) -> f64 {
+    fn doubled_centre(&self, axis: usize) -> f64 {
         self.low[axis] + self.high[axis]
     }
 }
 
-/// Nodes of a tree over so many triangles, which each node halves.
+/// Number of nodes of a tree over `triangles` triangles, by counting them: not for searches.
 fn node_count(triangles: usize) -> usize {
     if triangles <= LEAF_TRIANGLES {
         return 1;
@@ -86,14 +86,21 @@ fn node_count(triangles: usize) -> usize {
     1 + node_count(half) + node_count(triangles - half)
 }
 
-/// Boxes around halves of halves of the triangles of a mesh, as it was when the tree was built. A node is followed by its first half, then by its
-/// second one.
+/// A bounding volume hierarchy of the triangles of a mesh, as it was when the tree was built, with median splits. A node is followed by its first
+/// half, then by its second one.
 pub struct TriangleTree {
     /// Triangles in the order of the leaves.
     order: Vec<u32>,
     /// Boxes of the triangles in that order.
     boxes: Vec<Bounds>,
-    nodes: Vec<Bounds>,
+    nodes: Vec<Node>,
+}
+
+#[derive(Clone, Copy)]
+struct Node {
+    bounds: Bounds,
+    /// From this node to its second half, in nodes; 0 of a leaf.
+    to_second: usize,
 }
 
 impl TriangleTree {
@@ -103,7 +110,11 @@ impl TriangleTree {
         let mut boxed: Vec<(u32, Bounds)> = (0..soup.triangles.len() as u32)
             .map(|triangle| (triangle, of(triangle)))
             .collect();
-        let mut nodes = vec![Bounds::EMPTY; node_count(boxed.len())];
+        let empty = Node {
+            bounds: Bounds::EMPTY,
+            to_second: 0,
+        };
+        let mut nodes = vec![empty; node_count(boxed.len())];
         build(&mut boxed, &mut nodes);
         let (order, boxes) = boxed.into_iter().unzip();
         Self { order, boxes, nodes }
@@ -130,33 +141,46 @@ impl TriangleTree {
         let mut found = Vec::new();
         let mut nodes = vec![(0, [0, self.order.len()])];
         while let Some((node, range)) = nodes.pop() {
-            if !self.nodes[node].meets(bounds) {
+            if !self.nodes[node].bounds.meets(bounds) {
                 continue;
             }
             if is_leaf(range) {
                 let met = (range[0]..range[1]).filter(|&i| self.boxes[i].meets(bounds));
                 found.extend(met.map(|i| self.order[i]));
             } else {
-                nodes.extend(halves(node, range));
+                nodes.extend(self.halves(node, range));
             }
         }
         found
     }
+
+    /// The halves of a node.
+    fn halves(&self, node: usize, [from, to]: Range) -> [(usize, Range); 2] {
+        let half = (to - from) / 2;
+        [
+            (node + 1, [from, from + half]),
+            (node + self.nodes[node].to_second, [from + half, to]),
+        ]
+    }
 }
 
-fn build(boxed: &mut [(u32, Bounds)], nodes: &mut [Bounds]) {
+fn build(boxed: &mut [(u32, Bounds)], nodes: &mut [Node]) {
     let all = boxed.iter().fold(Bounds::EMPTY, |all, (_, own)| all.joined(own));
-    nodes[0] = all;
+    nodes[0].bounds = all;
     if boxed.len() <= LEAF_TRIANGLES {
         return;
     }
     let length = |axis: &usize| all.high[*axis] - all.low[*axis];
     let axis = (0..3).max_by(|a, b| length(a).total_cmp(&length(b))).unwrap_or(0);
     let half = boxed.len() / 2;
-    boxed.select_nth_unstable_by(half, |a, b| a.1.middle(axis).total_cmp(&b.1.middle(axis)));
+    boxed.select_nth_unstable_by(half, |a, b| {
+        a.1.doubled_centre(axis).total_cmp(&b.1.doubled_centre(axis))
+    });
     let is_large = boxed.len() > PARALLEL_TRIANGLES;
     let (first, second) = boxed.split_at_mut(half);
-    let (first_nodes, second_nodes) = nodes[1..].split_at_mut(node_count(half));
+    let count = node_count(half);
+    nodes[0].to_second = 1 + count;
+    let (first_nodes, second_nodes) = nodes[1..].split_at_mut(count);
     if is_large {
         rayon::join(|| build(first, first_nodes), || build(second, second_nodes));
     } else {
@@ -174,15 +198,6 @@ struct Search<'a> {
 
 type Range = [usize; 2];
 
-/// The halves of a node.
-fn halves(node: usize, [from, to]: Range) -> [(usize, Range); 2] {
-    let half = (to - from) / 2;
-    [
-        (node + 1, [from, from + half]),
-        (node + 1 + node_count(half), [from + half, to]),
-    ]
-}
-
 fn is_leaf([from, to]: Range) -> bool {
     to - from <= LEAF_TRIANGLES
 }
@@ -198,7 +213,7 @@ impl Search<'_> {
         if (self.is_cancelled)() {
             return None;
         }
-        let [first, second] = halves(node, range);
+        let [first, second] = self.tree.halves(node, range);
         let ((of_first, of_second), ()) = rayon::join(
             || rayon::join(|| self.inside(first.0, first.1), || self.inside(second.0, second.1)),
             || self.across(first, second, &mut pairs),
@@ -215,7 +230,7 @@ impl Search<'_> {
             }
             return;
         }
-        let [first, second] = halves(node, range);
+        let [first, second] = self.tree.halves(node, range);
         self.inside_small(first.0, first.1, pairs);
         self.inside_small(second.0, second.1, pairs);
         self.across(first, second, pairs);
@@ -223,7 +238,7 @@ impl Search<'_> {
 
     /// Pairs of two nodes.
     fn across(&self, a: (usize, Range), b: (usize, Range), pairs: &mut Vec<[u32; 2]>) {
-        if !self.tree.nodes[a.0].meets(&self.tree.nodes[b.0]) {
+        if !self.tree.nodes[a.0].bounds.meets(&self.tree.nodes[b.0].bounds) {
             return;
         }
         match (is_leaf(a.1), is_leaf(b.1)) {
@@ -232,10 +247,14 @@ impl Search<'_> {
                     (b.1[0]..b.1[1]).for_each(|j| self.test(i, j, pairs));
                 }
             }
-            (true, false) => halves(b.0, b.1)
+            (true, false) => self
+                .tree
+                .halves(b.0, b.1)
                 .into_iter()
                 .for_each(|half| self.across(a, half, pairs)),
-            (false, _) => halves(a.0, a.1)
+            (false, _) => self
+                .tree
+                .halves(a.0, a.1)
                 .into_iter()
                 .for_each(|half| self.across(half, b, pairs)),
         }
@@ -263,7 +282,7 @@ fn side_of_plane([a, b, c]: &Corners, point: &[f64; 3]) -> f64 {
     orient3d(of(*a), of(*b), of(*c), of(*point))
 }
 
-/// A point without the axis that a plane is seen along.
+/// A point, projected onto the plane of two axes.
 fn flat(point: &[f64; 3], [u, v]: [usize; 2]) -> Coord<f64> {
     Coord {
         x: point[u],
@@ -285,22 +304,39 @@ pub fn has_area(corners: &Corners) -> bool {
 
 /// Whether two triangles have more in common than the corners and the edge that they share. Those without area are left to [`has_area`].
 pub fn intersect(a: &Corners, b: &Corners) -> bool {
-    let shared: Vec<[usize; 2]> = (0..9).map(|i| [i / 3, i % 3]).filter(|[i, j]| a[*i] == b[*j]).collect();
-    match shared[..] {
+    let (mut shared, mut count) = ([[0; 2]; 9], 0);
+    for [i, j] in (0..9).map(|i| [i / 3, i % 3]) {
+        if a[i] == b[j] {
+            shared[count] = [i, j];
+            count += 1;
+        }
+    }
+    match shared[..count] {
         [] => !is_apart(a, b) && (edges(a).any(|edge| crosses(&edge, b)) || edges(b).any(|edge| crosses(&edge, a))),
         // Whatever else they share reaches the edge that is opposite to the corner, of one of them.
-        [[i, j]] => crosses(&opposite(a, i), b) || crosses(&opposite(b, j), a),
+        [[i, j]] => {
+            let (of_a, of_b) = (opposite(a, i), opposite(b, j));
+            !is_beside(b, &of_a) && !is_beside(a, &of_b) && (crosses(&of_a, b) || crosses(&of_b, a))
+        }
         [[i, j], [k, l]] if i != k && j != l => folds(a, 3 - i - k, b, 3 - j - l),
         // All corners, or a triangle without area.
-        _ => shared.len() == 3,
+        _ => count == 3,
     }
 }
 
 /// Whether all corners of one are on one side of the plane of the other.
 fn is_apart(a: &Corners, b: &Corners) -> bool {
-    let sides = |a: &Corners, b: &Corners| b.map(|corner| side_of_plane(a, &corner));
-    let is_beside = |sides: [f64; 3]| sides.iter().all(|side| *side > 0.0) || sides.iter().all(|side| *side < 0.0);
-    is_beside(sides(a, b)) || is_beside(sides(b, a))
+    is_beside(a, b) || is_beside(b, a)
+}
+
+/// Whether all points are on one side of the plane of a triangle, and none in it.
+fn is_beside(triangle: &Corners, points: &[[f64; 3]]) -> bool {
+    let mut sides = points.iter().map(|point| side_of_plane(triangle, point));
+    match sides.next() {
+        Some(first) if first > 0.0 => sides.all(|side| side > 0.0),
+        Some(first) if first < 0.0 => sides.all(|side| side < 0.0),
+        _ => false,
+    }
 }
 
 fn edges(corners: &Corners) -> impl Iterator<Item = [[f64; 3]; 2]> {
