@@ -90,16 +90,24 @@ pub fn install_export<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     }
 }
 
-/// Runs `work`, which reads files, and waits for it: for threads that may block. What it does with rayon stays on threads of low priority, so
-/// that no viewer's surface waits for a block of a file that takes long to decode. They are a pool of this work alone: on a shared one a
-/// thread that holds a lock of one file could take up the reading of another, which needs it too.
-pub fn run_read<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    let pool = READ_THREADS
-        .get()
-        .and_then(|&threads| background("isopeel-read", threads).ok());
-    match pool {
-        Some(pool) => pool.install(work),
-        None => work(),
+/// A pool for the reading of files, of threads with low priority: no viewer's surface waits for a block of a file that takes long to decode.
+/// Readers that run at the same time have a pool each: on a shared one a thread that holds a lock of one file could take up the reading of
+/// another, which needs that lock too.
+pub struct ReadPool(Option<rayon::ThreadPool>);
+
+impl ReadPool {
+    /// Starts the threads; without [`start_background`], or if the system has none, reading uses rayon's pool.
+    pub fn start() -> Self {
+        let threads = READ_THREADS.get();
+        Self(threads.and_then(|&threads| background("isopeel-read", threads).ok()))
+    }
+
+    /// Runs `work`, which reads files, and waits for it: for threads that may block. What it does with rayon stays on this pool.
+    pub fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        match &self.0 {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
     }
 }
 
@@ -138,7 +146,7 @@ mod tests {
         let (of_export, name) = run_export(niceness).await.unwrap();
         assert!(of_export >= NICENESS, "{of_export}");
         assert!(name.starts_with("isopeel-export-"), "{name}");
-        let (of_read, name) = run_read(niceness);
+        let (of_read, name) = ReadPool::start().run(niceness);
         assert!(of_read >= NICENESS, "{of_read}");
         assert!(name.starts_with("isopeel-read-"), "{name}");
         assert!(run(niceness).await.unwrap().0 < of_export.min(of_read));

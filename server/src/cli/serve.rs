@@ -20,7 +20,7 @@ use crate::access::{
 };
 use crate::extraction::{DeviceOptions, DeviceWorker};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
-use crate::pool;
+use crate::pool::{self, ReadPool};
 use crate::private_folder::{self, FolderAccess, FolderAccessError};
 use crate::rest::SpoolFolder;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
@@ -522,14 +522,15 @@ impl Args {
 
 /// Looks at the paths for ever.
 async fn watch(mut watcher: Watcher) {
+    let mut readers = ReadPool::start();
     loop {
         tokio::time::sleep(INTERVAL).await;
         let look = move || {
-            pool::run_read(|| watcher.look());
-            watcher
+            readers.run(|| watcher.look());
+            (watcher, readers)
         };
-        watcher = match tokio::task::spawn_blocking(look).await {
-            Ok(watcher) => watcher,
+        (watcher, readers) = match tokio::task::spawn_blocking(look).await {
+            Ok(next) => next,
             Err(error) => return tracing::error!(%error, "paths are not watched any more"),
         };
     }

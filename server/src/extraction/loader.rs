@@ -15,7 +15,7 @@ use super::keys::VolumeKey;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
-use crate::pool;
+use crate::pool::ReadPool;
 use crate::view::Mask;
 use crate::volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
@@ -147,7 +147,7 @@ impl DeviceWorker {
         let (sender, pieces) = mpsc::channel(1);
         let (of_read, volume_read) = (key.clone(), volume.clone());
         let read = move || read(&volume_read, &of_read, &progress, &sender);
-        let reading = tokio::task::spawn_blocking(|| pool::run_read(read));
+        let reading = tokio::task::spawn_blocking(|| ReadPool::start().run(read));
         let uploaded = self.upload_pieces(&key, grid, pieces, purpose).await;
         let read = reading.await.unwrap_or(Err(WorkError::Stopped));
         // Where the device failed, or had no space, reading was cancelled.

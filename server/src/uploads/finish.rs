@@ -10,7 +10,7 @@ use super::names::common_folder;
 use super::state::{UploadInfo, UploadState};
 use super::upload::Upload;
 use super::{Reader, Uploads};
-use crate::pool;
+use crate::pool::ReadPool;
 use crate::volumes::location::stem;
 use crate::volumes::{Dataset, Frame, open_path};
 
@@ -41,7 +41,7 @@ impl Uploads {
         let (uploads, read) = (self.clone(), Arc::clone(&upload));
         let reading = move || {
             let _writer = writer;
-            pool::run_read(|| uploads.read(&read))
+            ReadPool::start().run(|| uploads.read(&read))
         };
         let outcome = tokio::task::spawn_blocking(reading).await?;
         upload.status().error = outcome.as_ref().err().map(ToString::to_string);
