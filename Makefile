@@ -113,7 +113,7 @@ build-tests: web-client
 # Beside each other, as linters are.
 .PHONY: build-and-test-web
 build-and-test-web: web-client
-	(cd web && npm test --silent) >target/test-web.log 2>&1 & web=$$!; \
+	$(MAKE) --no-print-directory test-web >target/test-web.log 2>&1 & web=$$!; \
 		$(MAKE) --no-print-directory build-tests; wait $$web || failed=1; cat target/test-web.log; test -z "$${failed:-}"
 
 test-web: web-client ## the web client's unit tests

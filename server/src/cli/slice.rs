@@ -144,7 +144,7 @@ impl Args {
     fn field_of(&self, dataset: &Dataset) -> Result<Field, SliceError> {
         let found = match &self.field {
             None => dataset.fields.first().cloned(),
-            Some(name) => dataset.field(name).cloned().or_else(|| dataset.computed_field(name)),
+            Some(name) => dataset.field_or_computed(name),
         };
         found.ok_or_else(|| {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();

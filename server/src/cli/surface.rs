@@ -149,8 +149,8 @@ pub struct SurfaceArgs {
     #[arg(long, conflicts_with = "measure")]
     no_measure: bool,
 
-    /// No triangles of the file intersect, for meshers and printers: the surface is refined where they do, within the budget, and vertices are moved
-    /// where that does not suffice. --stats says what it cost
+    /// Write no triangles that intersect, for meshers and printers: the surface is refined at those that do, within the budget, and then vertices
+    /// of the rest are moved. --stats says what it cost
     #[arg(long)]
     clean: bool,
 

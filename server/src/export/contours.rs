@@ -3,7 +3,7 @@
 //! A face of a cell is crossed as the meshers cross it: inside means `value >= iso`, edges are crossed at the linear interpolant, and where two opposite corners
 //! of a face are inside, these are separated. A face that touches a missing sample has no contour.
 
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 /// A contour, in samples from the plane's first one.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,7 +24,7 @@ const CORNERS: [[u32; 2]; 4] = [[0, 0], [1, 0], [1, 1], [0, 1]];
 /// missing.
 pub fn contours([width, height]: [u32; 2], value: impl Fn(u32, u32) -> Option<f32>, iso: f32) -> Vec<Contour> {
     let mut next: FxHashMap<Edge, Edge> = FxHashMap::default();
-    let mut has_previous: FxHashMap<Edge, ()> = FxHashMap::default();
+    let mut has_previous: FxHashSet<Edge> = FxHashSet::default();
     let mut starts = Vec::new();
     for (x, y) in (0..height.saturating_sub(1)).flat_map(|y| (0..width.saturating_sub(1)).map(move |x| (x, y))) {
         let values = CORNERS.map(|[dx, dy]| value(x + dx, y + dy));
@@ -35,13 +35,13 @@ pub fn contours([width, height]: [u32; 2], value: impl Fn(u32, u32) -> Option<f3
         for (from, to) in segments(inside) {
             let [from, to] = [from, to].map(|side| edge(x, y, side));
             next.insert(from, to);
-            has_previous.insert(to, ());
+            has_previous.insert(to);
             starts.push(from);
         }
     }
     let place = |edge: &Edge| crossing(*edge, &value, iso);
     // Those that have ends come first, from their beginnings.
-    let (open, closed): (Vec<Edge>, Vec<Edge>) = starts.into_iter().partition(|edge| !has_previous.contains_key(edge));
+    let (open, closed): (Vec<Edge>, Vec<Edge>) = starts.into_iter().partition(|edge| !has_previous.contains(edge));
     let mut found = Vec::new();
     for start in open.into_iter().chain(closed) {
         let mut edges = vec![start];
@@ -59,14 +59,14 @@ pub fn contours([width, height]: [u32; 2], value: impl Fn(u32, u32) -> Option<f3
 }
 
 /// The sides of a face that segments of a contour lead from and to. Side `i` is between the corners `i` and `i + 1`. Walking around the face, a segment
-/// leaves at a side where the walk enters the inside and comes from the side where it left it: inside corners are separated.
+/// runs from the side where the walk leaves the inside to the side where it entered it: inside corners are separated.
 fn segments(inside: [bool; 4]) -> Vec<(usize, usize)> {
     let mut found = Vec::new();
     for entered in (0..4).filter(|&side| !inside[side] && inside[(side + 1) % 4]) {
-        let left = (1..4).map(|n| (entered + n) % 4).find(|&side| !inside[(side + 1) % 4]);
-        if let Some(left) = left {
-            // The inside is on the left of a segment from where it is left to where it is entered.
-            found.push((left, entered));
+        let exited = (1..4).map(|n| (entered + n) % 4).find(|&side| !inside[(side + 1) % 4]);
+        if let Some(exited) = exited {
+            // Then the inside is on the left-hand side of the segment.
+            found.push((exited, entered));
         }
     }
     found

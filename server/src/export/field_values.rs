@@ -5,7 +5,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::mesh::FieldValues;
 use crate::extraction::{Extractor, WorkError};
-use crate::volumes::{Dataset, Field, VolumeStep};
+use crate::volumes::{Field, VolumeStep};
 
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {
@@ -14,11 +14,6 @@ pub struct FieldSamples {
     pieces: Vec<Samples>,
     piece: usize,
     dims: [u32; 3],
-}
-
-/// The field of that name, or the one that an expression gives.
-pub(super) fn field_of(dataset: &Dataset, name: &str) -> Option<Field> {
-    dataset.field(name).cloned().or_else(|| dataset.computed_field(name))
 }
 
 impl FieldSamples {
@@ -34,7 +29,7 @@ impl FieldSamples {
     ) -> Result<Vec<Self>, WorkError> {
         let mut found = Vec::new();
         for name in names {
-            let Some(field) = field_of(volume.dataset(), name) else {
+            let Some(field) = volume.dataset().field_or_computed(name) else {
                 continue;
             };
             let (pieces, planes) = extractor.worker().samples(volume, name, token).await?;

@@ -8,7 +8,6 @@ use serde_json::{Map, Value};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
-use super::field_values::field_of;
 use super::label::around_labels;
 use super::schema::merged_schema;
 use super::surface_options::SurfaceOptions;
@@ -52,8 +51,8 @@ pub struct FileOptions {
     /// Seconds that measuring the error of a surface may take, which takes about as long as all else; 0: it is not measured. Without it there is no bound.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measure: Option<f64>,
-    /// Whether no triangles of the file intersect: a cut of the vertex tree is refined where they do, and vertices are moved where that does not
-    /// suffice. A budget holds. `shape.cleaned` says what it cost.
+    /// Whether the file has no triangles that intersect: a cut of the vertex tree is refined at those that do, and then vertices of the rest
+    /// are moved. A budget holds. `shape.cleaned` says what it cost.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub clean: bool,
     /// Several surfaces in one GLB, 3MF, OBJ or precomputed, each with what differs from the request: `[{"iso":300,"color":"#d2b48c","opacity":0.4},
@@ -99,7 +98,11 @@ impl FileOptions {
     /// Those of [`FileOptions::check_alone`], and a field that the volume does not have.
     fn check(&self, dataset: &Dataset) -> Result<(), EditError> {
         self.check_alone()?;
-        if let Some(name) = self.field_values.iter().find(|name| field_of(dataset, name).is_none()) {
+        if let Some(name) = self
+            .field_values
+            .iter()
+            .find(|name| dataset.field_or_computed(name).is_none())
+        {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
             return Err(EditError {
                 field: "fieldValues",

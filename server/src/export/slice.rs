@@ -73,14 +73,7 @@ pub enum SliceFormat {
 impl SliceFormat {
     /// The format that a file's name says.
     pub fn from_path(path: &Path) -> Option<Self> {
-        match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-            "raw" => Some(Self::Raw),
-            "png" => Some(Self::Png),
-            "nrrd" => Some(Self::Nrrd),
-            "svg" => Some(Self::Svg),
-            "geojson" => Some(Self::Geojson),
-            _ => None,
-        }
+        clap::ValueEnum::from_str(path.extension()?.to_str()?, true).ok()
     }
 
     /// Media type for HTTP.
@@ -209,7 +202,7 @@ impl Plane {
         self.space.world(index)
     }
 
-    /// From a sample to the next along each of the plane's axes, in the world.
+    /// One step of the even grid along each of the plane's axes, in the world.
     pub fn steps(&self) -> [[f64; 3]; 2] {
         let world = self.space.world_from_even;
         self.axis
@@ -306,7 +299,7 @@ impl Plane {
 
     fn svg(&self, contours: &[(f32, Vec<Contour>)]) -> String {
         let [width, height] = self.in_plane(self.dims.map(|n| f64::from(n.saturating_sub(1))));
-        // A pixel's width, whatever the unit.
+        // As large as in the world, if the unit is known.
         let size = match self.unit.and_then(LengthUnit::metres) {
             Some(metres) => format!(
                 "width=\"{}mm\" height=\"{}mm\"",
@@ -320,6 +313,7 @@ impl Plane {
             escaped(&self.title())
         );
         for ((iso, lines), color) in contours.iter().zip(COLORS.iter().cycle()) {
+            // With strokes that do not scale: a pixel wide.
             let _ = writeln!(
                 text,
                 "<g id=\"iso-{iso}\" data-isovalue=\"{iso}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"1\">"
@@ -407,7 +401,7 @@ struct Picture {
 }
 
 impl Picture {
-    /// Grey and whether the sample is there, a byte each.
+    /// Grey and alpha, a byte each; both 0 if the sample is missing.
     fn pixel(&self, value: f32) -> [u8; 2] {
         if value.is_nan() || Some(value) == self.missing {
             return [0, 0];

@@ -3,10 +3,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use isopeel_geometry::TriangleSoup;
 use isopeel_kernels::{Cancel, Error, REGION_CELLS, Region, RegionVertex, Vertex};
 
 use crate::pool;
-use isopeel_geometry::TriangleSoup;
 
 /// How often the device's thread lets others run while it waits.
 const YIELD_INTERVAL: Duration = Duration::from_millis(1);

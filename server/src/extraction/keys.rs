@@ -56,8 +56,7 @@ impl VolumeKey {
     /// The field's description, also of one that an expression gives.
     pub(super) fn field_of(&self, volume: &VolumeStep) -> Result<Field, WorkError> {
         let dataset = volume.dataset();
-        let found = dataset.field(&self.field).cloned();
-        found.or_else(|| dataset.computed_field(&self.field)).ok_or_else(|| {
+        dataset.field_or_computed(&self.field).ok_or_else(|| {
             WorkError::Edit(EditError {
                 field: "field",
                 why: format!("volume {:?} has no field {:?}", self.step.dataset.id, self.field),

@@ -135,7 +135,7 @@ fn field_of(volume: &VolumeStep, name: Option<&str>) -> Result<Field, ApiError> 
     let dataset = volume.dataset();
     let found = match name {
         None => dataset.fields.first().cloned(),
-        Some(name) => dataset.field(name).cloned().or_else(|| dataset.computed_field(name)),
+        Some(name) => dataset.field_or_computed(name),
     };
     found.ok_or_else(|| {
         let (name, names) = (name.unwrap_or_default(), dataset.field_names());

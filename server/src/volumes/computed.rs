@@ -33,6 +33,11 @@ impl Dataset {
         if self.field(text).is_some() { None } else { parse() }
     }
 
+    /// The field of this name, or the one that an expression over this dataset's fields gives.
+    pub fn field_or_computed(&self, name: &str) -> Option<Field> {
+        self.field(name).cloned().or_else(|| self.computed_field(name))
+    }
+
     /// The field that an expression over this dataset's fields gives; `None` where it is none, or the name of one.
     pub fn computed_field(&self, text: &str) -> Option<Field> {
         let found = self.expression(text)?;
