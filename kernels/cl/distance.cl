@@ -82,11 +82,10 @@ __kernel void distance_points(const DistanceArgs args, __global const SAMPLE *sa
     begin_search(&search, count);
     search_surface(grid, samples, z0, &box, &search, count);
     for (uint i = 0; i < count; i++) {
-        // As measure_samples in lib/sample_distance.h: the way to the surface is taken where the steps have come there.
         float d = search.distance[i];
         const float residual = search.residual[i];
         const float3 at = (float3)(search.at[i], search.at[LANES + i], search.at[2 * LANES + i]);
-        const bool found = residual <= fmax(box.straight, 0.125f * d)
+        const bool found = arrived(&box, &search, i)
                            && (residual <= box.straight / STRAIGHT * ON_SURFACE
                                || crosses_surface(grid, samples, z0, &box, at));
         if (!found || d > box.straight / STRAIGHT) {

@@ -265,9 +265,10 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *samples, __global const ErrorTask *tasks,
                      __global const Region *regions, __global const Brick *bricks, __global const Node *nodes,
                      __global const uchar *state, __global const uint *stand_ins, __global const uint *near,
-                     __global const uint *seeds, __global const uint *far, __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
-                     __global const uint *indices, __global const Vertex *vertices, __global const uint *heads,
-                     __global const uint *next, __global ErrorSum *out) {
+                     __global const uint *seeds, __global const uint *far, __global const uint *corner_slots,
+                     __global const float4 *positions, __global const RegionMesh *meshes, __global const uint *indices,
+                     __global const Vertex *vertices, __global const uint *heads, __global const uint *next,
+                     __global ErrorSum *out) {
     const Grid grid = args.grid;
     const uint z0 = args.z0, number = args.first_task + (uint)get_group_id(0);
     __local float scratch[3 * GROUP];

@@ -74,7 +74,7 @@ impl Engine {
         self.cx.programs.wait_for(gate);
     }
 
-    /// Asks `check` before the driver's compiler runs. If it returns an error, so does all that needs what is not compiled yet, with
+    /// Asks `check` before the driver's compiler runs. If it returns an error, so does every call that needs a kernel that is not compiled yet, with
     /// [`Error::Refused`].
     pub fn check_compiler(&self, check: CompilerCheck) {
         self.cx.programs.check_compiler(check);

@@ -103,7 +103,7 @@ pub(crate) struct Programs {
     launched: RefCell<HashSet<(usize, usize, bool)>>,
 }
 
-/// PoCL compiles a variant of its own for at most so many work-items.
+/// PoCL compiles one variant of a kernel for launches of at most this many work-items, and another one for more.
 const FEW_WORK_ITEMS: usize = u16::MAX as usize;
 
 /// Waits until the program of that name may be built ([`crate::Engine::programs`]), or says why it may not.

@@ -9,9 +9,10 @@
 #include "lib/samples.h"
 #include "lib/trilinear.h"
 
-// Lines of a cell along each axis. The first are at a quarter and three quarters of its sides: a rule of Gauss's kind for what is periodic in
-// cells, as the distance of a mesh is whose vertices are one a cell. The others are beside its edges, where the
-// interpolant has its kinks and thin spikes of the surface are. They count for the maximum alone.
+// Lines of a cell along each axis. The first two measure area: they go through the face at (1/4, 1/4) and (3/4, 3/4) or at (1/4, 3/4) and
+// (3/4, 1/4), alternating like a checkerboard. The distance of a mesh with one vertex a cell is nearly periodic in cells, so that two suffice.
+// The others have no area and count for the maximum alone: beside the edge at the cell's low corner, in the volume's last cells beside all
+// four, where the interpolant has its kinks and thin spikes of the surface are.
 #define LINES_OF_AXIS 6u
 #define INNER_LINES 2u
 #define INSET 0.0625f

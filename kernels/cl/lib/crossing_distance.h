@@ -33,7 +33,8 @@ INLINED void collect_point(Crossings *crossings, float3 point, float weight, uin
     crossings->brick[at] = brick;
 }
 
-// The distances of a batch of pairs go to their points. Of equals the first in the mesh, for a chain has no certain order.
+// Updates the nearest triangle of each point by a batch of pairs. Ties go to the triangle with the lowest index, because the order of a chain is
+// not deterministic.
 INLINED void measure_batch(Crossings *crossings, Pairs *pairs) {
     float distances2[LANES], beyond[LANES];
     measure_pairs(pairs, distances2, beyond);
@@ -48,7 +49,7 @@ INLINED void measure_batch(Crossings *crossings, Pairs *pairs) {
     pairs->count = 0;
 }
 
-// The vertex of the leaf alone, from which a search has to begin elsewhere.
+// Begins a point with the distance to the vertex of its leaf; infinite if the fan is empty.
 INLINED void measure_vertex(Crossings *crossings, const MeshFans *mesh, uint i) {
     const uint vertex = crossings->vertex[i];
     crossings->nearest2[i] = mesh->heads[vertex] == NONE ? INFINITY : distance2_of(crossings->point[i], mesh->positions[vertex].xyz);
@@ -56,7 +57,7 @@ INLINED void measure_vertex(Crossings *crossings, const MeshFans *mesh, uint i) 
     crossings->beyond[i] = false;
 }
 
-// Finds the nearest triangle in the fan of each point's leaf; of a large one the vertex. Returns a bit for each of those.
+// Finds the nearest triangle in the fan of each point's leaf; of a large fan the vertex. Returns a mask of the points with large fans.
 INLINED uint measure_fans(Crossings *crossings, Grid grid, const MeshFans *mesh, Pairs *pairs) {
     uint large = 0;
     for (uint i = 0; i < crossings->count; i++) {
@@ -76,18 +77,18 @@ INLINED uint measure_fans(Crossings *crossings, Grid grid, const MeshFans *mesh,
     return large;
 }
 
-// Adds the distances of the points that were collected: by the fan of the leaf's vertex and those beyond it; where that is far, for the
-// size of the leaf, or has no triangles, also by the fans from a seed on.
+// Adds the distances of the points that were collected: to the fan of the leaf's vertex and to fans next to it. If the distance is large for the
+// size of the leaf, or the fan is empty or large, walks from seeds follow.
 INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *mesh, const MeshSeeds *from,
                                __global const Brick *bricks, Pairs *pairs, Distances *sums) {
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
-    const float unit = SEARCH_FROM * fmin(fmin(spacing.x, spacing.y), spacing.z);
+    const float unit = SEED_DISTANCE * fmin(fmin(spacing.x, spacing.y), spacing.z);
     const uint large = measure_fans(crossings, grid, mesh, pairs);
     for (uint i = 0; i < crossings->count; i++) {
         const float3 p = crossings->point[i];
         const float near = unit * (float)(1u + (1u << crossings->level[i]));
         float distance2 = crossings->nearest2[i];
-        // What counts for the maximum alone, and is none already.
+        // A point that counts for the maximum alone cannot change it.
         if (crossings->weight[i] == 0.0f && distance2 <= sums->maximum * sums->maximum) continue;
         if (crossings->triangle[i] != NONE) {
             const uint vertex = crossings->vertex[i], other = nearest_other_corner(grid, mesh, p, crossings->triangle[i], vertex);

@@ -12,13 +12,12 @@
 #include "lib/layout.h"
 #include "lib/polygon.h"
 
-// The most triangles of a fan that are tried. A cell has at most 24; a larger fan is that of a coarse leaf beside fine ones, and
-// its triangles are in the fans of those, too. So no crossing costs more than this, whatever the cut.
+// Fans of more triangles are not searched. That of a cell has at most 24; a larger one is that of a coarse leaf beside fine ones, and its
+// triangles are in the fans of those, too. So the cost of a crossing is bounded, whatever the cut.
 #define FAN_CAPACITY 64
 
-// A distance to the fan of its own leaf, from which a crossing looks for nearer triangles: in smallest spacings, plus this for each
-// cell along the leaf.
-#define SEARCH_FROM 0.125f
+// If a crossing is further than SEED_DISTANCE (1 + edge of its leaf in cells) smallest spacings, seeds are tried.
+#define SEED_DISTANCE 0.125f
 
 // Fans that are tried on the way to the nearest triangle.
 #define WALK_STEPS 16
@@ -55,6 +54,14 @@ INLINED float3 corner_position(Grid grid, const MeshFans *mesh, uint corner) {
 inline float distance2_of(float3 a, float3 b) {
     const float3 d = a - b;
     return dot(d, d);
+}
+
+// Squared distance of `p` to a box from its low corner on.
+inline float distance2_to_box(float3 p, float3 low, float3 size) { return distance2_of(p, clamp(p, low, low + size)); }
+
+// Low corner of the k-th of the 27 bricks around a brick, world units. `low`: of the brick, in cells.
+inline float3 near_brick_origin(float3 low, uint k, float3 spacing) {
+    return (low + 8.0f * ((float3)((float)(k % 3), (float)(k / 3 % 3), (float)(k / 9)) - 1.0f)) * spacing;
 }
 
 // Triangles, each with a point whose distance to it is wanted: rows of coordinates of the point and of the three corners.
@@ -94,15 +101,15 @@ INLINED void add_pair(Pairs *pairs, Grid grid, const MeshFans *mesh, float3 p, f
     pairs->triangle[column] = triangle;
 }
 
-// Squared distance to a side `along` from the corner from which `to` leads to the point.
+// Squared distance from a point to an edge. `along`: the edge; `to`: from its start to the point.
 INLINED real side_distance2(Real3 along, Real3 to) {
     const real t = clamp(dot_real3(to, along) / fmax(dot_real3(along, along), (real)FLT_MIN), (real)0.0f, (real)1.0f);
     const Real3 d = make_real3(to.x - t * along.x, to.y - t * along.y, to.z - t * along.z);
     return dot_real3(d, d);
 }
 
-// Squared distances of the pairs: to the triangle's plane where the foot lies inside, else to its nearest side. `beyond`: 1 where that is the
-// side away from the fan's vertex, so that a triangle outside of the fan may be nearer.
+// Squared distances of the pairs: to the triangle's plane if the foot of the perpendicular lies inside, else to its nearest side. `beyond`: 1 if
+// that side is the one opposite to the fan's vertex: then a triangle outside of the fan may be nearer.
 INLINED void measure_pairs(const Pairs *pairs, float *distances2, float *beyond) {
     const Real3 p = LOAD_REAL3(pairs->rows, LANES), a = LOAD_REAL3(pairs->rows + 3 * LANES, LANES);
     const Real3 b = LOAD_REAL3(pairs->rows + 6 * LANES, LANES), c = LOAD_REAL3(pairs->rows + 9 * LANES, LANES);
@@ -125,7 +132,7 @@ typedef struct {
     uint triangle;
 } Nearest;
 
-// Of equals the first in the mesh, for a chain has no certain order.
+// Ties go to the triangle with the lowest index, because the order of a chain is not deterministic.
 INLINED Nearest nearest_pair(Nearest nearest, Pairs *pairs) {
     float distances2[LANES], beyond[LANES];
     measure_pairs(pairs, distances2, beyond);
@@ -157,7 +164,7 @@ INLINED Nearest nearest_in_fan(Grid grid, const MeshFans *mesh, Pairs *pairs, fl
     return pairs->count ? nearest_pair(nearest, pairs) : nearest;
 }
 
-// Of a triangle's corners that are not the vertex of `slot` the one nearest to `p`: a slot.
+// Returns the slot of a triangle's corner that is nearest to `p`, other than `slot`.
 INLINED uint nearest_other_corner(Grid grid, const MeshFans *mesh, float3 p, uint triangle, uint slot) {
     uint other = slot;
     float nearest2 = INFINITY;
@@ -211,8 +218,8 @@ INLINED uint nearest_seed(const MeshSeeds *from, __global const float4 *position
     return nearest;
 }
 
-// Squared distance of `p` to the mesh by walks from seeds, at most `nearest2`: of each of the 27 bricks around that reaches so near, or of one
-// further away where these have none. `low`: of the brick, in cells.
+// Squared distance of `p` to the mesh by walks from seeds, at most `nearest2`: from the nearest seed of each of the 27 bricks around that is closer
+// than the result so far; if none of them has a seed, from `far`. `low`: of the brick, in cells.
 INLINED float walk_from_seeds(Grid grid, const MeshFans *mesh, const MeshSeeds *from, Pairs *pairs, float3 p, uint brick, float3 low,
                               float nearest2) {
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
@@ -220,8 +227,7 @@ INLINED float walk_from_seeds(Grid grid, const MeshFans *mesh, const MeshSeeds *
     for (uint i = 0; i < 27; i++) {
         const uint k = (i + 13) % 27, index = from->near[27 * brick + k];
         if (index == NONE) continue;
-        const float3 begin = (low + 8.0f * ((float3)((float)(k % 3), (float)(k / 3 % 3), (float)(k / 9)) - 1.0f)) * spacing;
-        if (distance2_of(p, clamp(p, begin, begin + 8.0f * spacing)) >= nearest2) continue;
+        if (distance2_to_box(p, near_brick_origin(low, k, spacing), 8.0f * spacing) >= nearest2) continue;
         const uint seed = nearest_seed(from, mesh->positions, p, index);
         if (seed == NONE) continue;
         has_seeds = true;

@@ -29,8 +29,8 @@ typedef struct {
     FieldBox box;
 } SampledField;
 
-// Bound of the distance of a point on a triangle to the surface, at most `bound`: it is no further than a corner and that corner's
-// own distance, of a border vertex that of the vertex it was moved from. World units.
+// Upper estimate of the distance of a point on a triangle to the surface, at most `bound`: the minimum over the corners of the distance to the
+// corner and the corner's own residual; a border vertex counts as the vertex that it was moved from. World units.
 INLINED float bound_by_corners(const SampledField *field, const MeshFans *mesh, float3 p, uint first, float bound) {
     for (uint i = 0; i < 3; i++) {
         const float4 corner = mesh->positions[mesh->corner_slots[first + i] & ~ON_BORDER];
@@ -66,7 +66,7 @@ INLINED float4 nearest_cell_vertex(const SampledField *field, const MeshFans *me
     for (uint cube = 0; cube < 8; cube++) {
         const uint count = popcount(brick->cells[2 * cube]) + popcount(brick->cells[2 * cube + 1]);
         const float3 begin = low + (float3)((float)(cube & 1), (float)(cube >> 1 & 1), (float)(cube >> 2)) * cube_size;
-        if (!count || distance2_of(p, clamp(p, begin, begin + cube_size)) >= nearest.w) continue;
+        if (!count || distance2_to_box(p, begin, cube_size) >= nearest.w) continue;
         const uint first = first_slot + brick->cells_before[2 * cube];
         for (uint slot = first; slot < first + count; slot++) {
             const float3 vertex = mesh->positions[slot].xyz;
@@ -92,8 +92,8 @@ INLINED float4 nearest_of_cells(const SampledField *field, const MeshFans *mesh,
     for (uint i = 0; i < 27; i++) {
         const uint k = (i + 13) % 27, index = field->near[27 * brick + k];
         if (index == NONE) continue;
-        const float3 begin = (low + 8.0f * ((float3)((float)(k % 3), (float)(k / 3 % 3), (float)(k / 9)) - 1.0f)) * spacing;
-        if (distance2_of(p, clamp(p, begin, begin + 8.0f * spacing)) < nearest.w)
+        const float3 begin = near_brick_origin(low, k, spacing);
+        if (distance2_to_box(p, begin, 8.0f * spacing) < nearest.w)
             nearest = nearest_cell_vertex(field, mesh, p, index, begin, nearest);
     }
     return nearest;
@@ -131,19 +131,14 @@ INLINED float distance_to_lines(const SampledField *field, float3 p, float3 x, f
     return nearest;
 }
 
-// Whether a search arrived at the surface.
-INLINED bool arrived(const SampledField *field, const SurfaceSearch *search, uint i) {
-    return search->residual[i] <= fmax(field->box.straight, 0.125f * search->distance[i]);
-}
-
-// Searches that did not arrive, or only after half a cell, begin once more where a cell's vertex is nearest; not of samples that count for
-// the maximum alone, and are none already. Fills in the distances.
+// Searches that did not arrive, or only after half a cell, begin once more at the nearest vertex of a cell, except for samples that
+// count for the maximum alone and cannot change it. Fills in the distances.
 INLINED void search_again(const SampledField *field, const MeshFans *mesh, TriangleSamples *batch, float maximum, float *distances) {
     SurfaceSearch *search = &batch->search;
     const float half_cell = 0.5f * field->box.straight / STRAIGHT;
     bool any_again = false;
     for (uint i = 0; i < batch->count; i++) {
-        distances[i] = arrived(field, search, i) ? search->distance[i] : INFINITY;
+        distances[i] = arrived(&field->box, search, i) ? search->distance[i] : INFINITY;
         search->active[i] = 0.0f;
         if (distances[i] <= half_cell || (batch->weight[i] == 0.0f && distances[i] <= maximum)) continue;
         const float4 vertex = nearest_of_cells(field, mesh, sample_position(batch, i), batch->first[i]);
@@ -164,7 +159,7 @@ INLINED void search_again(const SampledField *field, const MeshFans *mesh, Trian
     for (uint i = 0; i < batch->count; i++) {
         if (!(again[i] > 0.0f)) continue;
         const float3 x = (float3)(search->at[i], search->at[LANES + i], search->at[2 * LANES + i]);
-        if (arrived(field, search, i)) distances[i] = fmin(distances[i], search->distance[i]);
+        if (arrived(&field->box, search, i)) distances[i] = fmin(distances[i], search->distance[i]);
         else distances[i] = distance_to_lines(field, sample_position(batch, i) * field->box.spacing, x, distances[i]);
     }
 }

@@ -1,6 +1,6 @@
 // Distance of points to the isosurface of the volume's trilinear interpolant, LANES points at a time: Newton steps along the gradient, then
-// towards the foot of the perpendicular, along the surface and back to it. What is found is the way to a point on the surface: never much less
-// than the distance.
+// towards the foot of the perpendicular, along the surface and back to it. The result is the distance to a point near the surface: never much
+// less than the distance to the surface. Points `x` are in cells, `p` in world units.
 #ifndef ISOPEEL_SURFACE_DISTANCE_H
 #define ISOPEEL_SURFACE_DISTANCE_H
 
@@ -16,8 +16,8 @@
 #define FOOT_STEPS 3
 #define SURFACE_MOVES 2
 
-// Distances by slope, in smallest spacings: at which a point is on the surface, up to which it is found, and from which the gradient does
-// not lead there. The first is also the shortest way along the surface.
+// Thresholds of the residual |V - iso| / |gradient|, in smallest spacings: converged; accepted; diverged, no more steps. ARRIVED is also the
+// minimum of a move along the surface.
 #define ARRIVED 0.01f
 #define STRAIGHT 0.125f
 #define ASTRAY 2.0f
@@ -64,7 +64,6 @@ typedef struct {
     float at[3 * LANES];       // where the steps have come, cells
     float distance[LANES];     // world units, or NaN
     float residual[LANES];     // the part of it that is by slope, from the last step on
-    float value[LANES];        // less the isovalue, where the steps have come
     float active[LANES];       // 1: more steps are wanted
 } SurfaceSearch;
 
@@ -110,15 +109,15 @@ INLINED Real3 way_of(const FieldBox *box, const Feet *feet) {
                       (feet->x.z - feet->from.z) * box->spacing.z);
 }
 
-// Makes the points active that this says, and tells whether there are any.
-INLINED bool activate(SurfaceSearch *search, integer moves, uint count) {
-    STORE_LANES(PICK(moves, 1.0f, 0.0f), search->active);
-    bool any_moves = false;
-    for (uint i = 0; i < count; i++) any_moves = any_moves || search->active[i] > 0.0f;
-    return any_moves;
+// Makes the points of a mask active, and no others. Returns whether there are any.
+INLINED bool activate(SurfaceSearch *search, integer mask, uint count) {
+    STORE_LANES(PICK(mask, 1.0f, 0.0f), search->active);
+    bool any_active = false;
+    for (uint i = 0; i < count; i++) any_active = any_active || search->active[i] > 0.0f;
+    return any_active;
 }
 
-// Newton steps of the active points. `moves`: how often they were moved along the surface before.
+// Newton steps: first of the active points, then of all that have not converged. `moves`: number of moves along the surface before.
 INLINED void step_to_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch *search, Feet *feet, float *rows, uint count, uint moves) {
     const float3 inverse = 1.0f / box->spacing;
     const uint steps = moves ? FOOT_STEPS : SURFACE_STEPS;
@@ -133,8 +132,8 @@ INLINED void step_to_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch
         const integer better = (residual <= box->straight) & (distance < feet->distance);
         feet->distance = moves ? PICK(better, distance, feet->distance) : distance;
         feet->residual = moves ? PICK(better, residual, feet->residual) : residual;
-        const integer far = (residual > box->straight * (ARRIVED / STRAIGHT)) & (residual < box->straight * (ASTRAY / STRAIGHT));
-        if (!activate(search, far, count) || step == steps) break;
+        const integer unconverged = (residual > box->straight * (ARRIVED / STRAIGHT)) & (residual < box->straight * (ASTRAY / STRAIGHT));
+        if (!activate(search, unconverged, count) || step == steps) break;
         // At most one cell.
         const real scale = -field.value / slope2;
         const Real3 step_in_cells = make_real3(field.gradient.x * inverse.x * scale, field.gradient.y * inverse.y * scale,
@@ -142,13 +141,13 @@ INLINED void step_to_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch
         const real shorter = 1.0f / fmax(largest_component(step_in_cells), (real)1.0f);
         const Real3 to = make_real3(feet->x.x + step_in_cells.x * shorter, feet->x.y + step_in_cells.y * shorter,
                                     feet->x.z + step_in_cells.z * shorter);
-        feet->x = pick_real3(far, clamp_to_box(box, to), feet->x);
+        feet->x = pick_real3(unconverged, clamp_to_box(box, to), feet->x);
         STORE_REAL3(feet->x, search->at, LANES);
     }
 }
 
-// Moves points that are on the surface along it, to the foot of the perpendicular from where they began, as if it were plane there. Those
-// that are there already stay, and are no longer active; false: all.
+// Moves points that are on the surface along it, to the foot of the perpendicular from where they began, as if the surface were a plane. Those
+// make the active points, without those that are at the foot already. Returns false if no point moves.
 INLINED bool move_along_surface(const FieldBox *box, SurfaceSearch *search, Feet *feet, uint count) {
     const Field field = feet->field;
     const Real3 way = way_of(box, feet);
@@ -164,13 +163,18 @@ INLINED bool move_along_surface(const FieldBox *box, SurfaceSearch *search, Feet
     return activate(search, moves, count);
 }
 
+// Whether the search for a point arrived at the surface.
+INLINED bool arrived(const FieldBox *box, const SurfaceSearch *search, uint i) {
+    return search->residual[i] <= fmax(box->straight, 0.125f * search->distance[i]);
+}
+
 // A search for `count` points from where they are.
 INLINED void begin_search(SurfaceSearch *search, uint count) {
     for (uint i = 0; i < LANES; i++) search->active[i] = i < count ? 1.0f : 0.0f;
     for (uint i = 0; i < 3 * LANES; i++) search->at[i] = search->from[i];
 }
 
-// Fills in the distances of those of the first `count` points that are active. The search begins where `at` says.
+// Searches from `at` for the first `count` points. Fills in `distance` and `residual` of those that are active; the others are undefined.
 INLINED void search_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch *search, uint count) {
     float rows[11 * LANES];
     for (uint i = 0; i < 11 * LANES; i++) rows[i] = 0.0f;
@@ -185,7 +189,6 @@ INLINED void search_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch 
     }
     STORE_LANES(feet.distance, search->distance);
     STORE_LANES(feet.residual, search->residual);
-    STORE_LANES(feet.field.value, search->value);
 }
 
 #endif

@@ -10,16 +10,15 @@
 #include "lib/mesh_distance.h"
 #include "lib/surface_distance.h"
 
-// Six more points of each count for the maximum alone: near its corners and the middles of its sides.
-
 // Area of a part of a triangle at most, in square cells, but n is bounded.
 #define PART_CELLS 12.0f
 #define DIVISIONS_MAX 16u
 
-// Of a triangle of at most this area in square cells one point of each kind is measured, by turns: there are many.
+// Of a triangle of at most this area in square cells, one point of each kind is measured, which a hash chooses: there are many.
 #define SMALL_CELLS 3.0f
 
-// Kinds of points, three of each: this is one barycentric coordinate, and the others have equal parts of the rest.
+// Kinds of points, three of each: COORDINATES is the barycentric coordinate of one corner, and those of the other two are equal. The first two
+// kinds are the rule. The others, near the corners and the middles of the sides, have no weight: they affect the maximum alone.
 #define KINDS 4u
 #define PART_POINTS (3 * KINDS)
 __constant float COORDINATES[KINDS] = {0.816847572980459f, 0.108103018168070f, 0.96f, 0.04f};
@@ -71,8 +70,8 @@ INLINED uint count_samples(TriangleSamples *batch, Grid grid, const MeshFans *me
     return n * n * PART_POINTS;
 }
 
-// Whose turn it is among the three points of a kind: the high bits of a product, for neighbours have numbers that follow each other.
-INLINED uint turn_of(uint first) { return mul_hi(first * 2654435761u, 3u); }
+// Which of the three points of a kind is measured: a hash of the index, because neighbours have indices that follow each other.
+INLINED uint sampled_point(uint first) { return mul_hi(first * 2654435761u, 3u); }
 
 INLINED float3 sample_position(const TriangleSamples *batch, uint i) {
     return (float3)(batch->search.from[i], batch->search.from[LANES + i], batch->search.from[2 * LANES + i]);
@@ -86,7 +85,7 @@ INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh,
     const bool is_small = count == KINDS;
     // Row r from corner a on has 2 r + 1 parts, by turns with a corner towards a and away from it.
     const float n = is_small ? 1.0f : sqrt((float)(count / PART_POINTS));
-    const uint part = is_small ? 0 : i / PART_POINTS, point = is_small ? 3 * i + turn_of(first) : i % PART_POINTS;
+    const uint part = is_small ? 0 : i / PART_POINTS, point = is_small ? 3 * i + sampled_point(first) : i % PART_POINTS;
     const uint row = (uint)sqrt((float)part), column = part - row * row;
     const bool away = column & 1;
     const float coordinate = COORDINATES[point / 3], rest = 0.5f - 0.5f * coordinate;

@@ -1,6 +1,6 @@
 //! How far a dual mesh is from the surface it stands for (docs/algorithm.md#67-measured-error), in f64 and by brute force: every
-//! crossing of a line against every triangle, every sample of a triangle against points all over the surface. A device, which searches,
-//! must state no less, and no more than a search may miss.
+//! crossing of a line against every triangle, every sample of a triangle against points all over the surface. A device's
+//! result is at least `low`, and more than `high` only by what its search misses.
 
 use std::collections::BTreeMap;
 
@@ -159,7 +159,7 @@ pub(crate) fn surface_points(field: &Field, iso: f32, cap: bool) -> Vec<Vector> 
 }
 
 /// Ways from `p` to points of the surface near `start`, world units: to the surface along its gradient, then along the surface towards the foot
-/// of the perpendicular, by turns. Infinite where that does not arrive.
+/// of the perpendicular, by turns. Infinite if no such point is found.
 fn way_to_foot(field: &Field, iso: f32, cap: bool, p: Vector, start: Vector) -> f64 {
     let spacing = field.grid.spacing.map(f64::from);
     let [first, last] = without_padding(field, cap);
@@ -299,12 +299,12 @@ fn area(u: Vector, v: Vector) -> f64 {
     0.5 * length(n)
 }
 
-/// What may be stated of a surface: no less than the first, and no more than the second but for what a search misses.
+/// Bounds of the error of a surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// The surface may be nearer than any of its points that are tried.
+    /// By distances to points of the surface, less the gap between these.
     pub low: SurfaceError,
-    /// It is no further.
+    /// By distances to points of the surface.
     pub high: SurfaceError,
 }
 

@@ -6,8 +6,8 @@ use crate::stages::tree_cut::{CutWork, Cutter, LEAF_NUMBER, STAGE};
 use crate::tree::TreeGoal;
 use crate::{Cancel, CutParams, Engine, Pyramid, Region, Result, Surface, VertexTree, Volume};
 
-/// Cuts that are tried. Each one merges less where triangles of the one before intersect, so a fault that the full surface does not have goes
-/// within the height of the tree.
+/// Cuts that are tried. Each round forbids merges one level further down, so a fault that the full surface does not have disappears after at most
+/// as many rounds as the tree is high.
 const MAX_ROUNDS: usize = 24;
 
 /// A vertex of a surface: the place of its region in the list, and its number there.
@@ -19,14 +19,14 @@ pub type FindFaults<'a> = &'a dyn Fn(&[Region], &dyn Cancel) -> Result<Vec<Regio
 /// What a refinement has cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RefinementCost {
-    /// Triangles of the cut before.
+    /// Triangles of the first cut.
     pub triangles: u64,
     /// Cuts that were made after the first one.
     pub rounds: u32,
 }
 
 impl Engine {
-    /// As [`Engine::tree_surface`], refined until `find_faults` finds nothing, or nothing that could be refined: at those vertices, and above them
+    /// As [`Engine::tree_surface`], refined until `find_faults` finds nothing, or nothing that could be refined, or 24 cuts were tried: at those vertices, and above them
     /// in the tree, nothing is merged. If there is a budget, more is merged elsewhere. The cut is not kept for questions.
     ///
     /// # Errors
@@ -90,7 +90,7 @@ impl Engine {
         let leaves = self.cx.read(STAGE, &vertex_leaves, vertex_leaves.len())?;
         let points = cutter.tree.point_count();
         let leaf = |[region, vertex]: &RegionVertex| leaves[bases[*region as usize] + *vertex as usize] & LEAF_NUMBER;
-        // A point is finest already.
+        // Points are the finest level and cannot be refined.
         let mut nodes: Vec<u32> = faults
             .iter()
             .map(leaf)

@@ -141,11 +141,7 @@ fn volumes(engine: &Engine) -> [Planted; 2] {
     };
     let grid = Grid::new(dims, [0.5, 0.5, 0.9]).expect("a grid");
     let samples = Samples::F32((0..dims.iter().product()).map(value).collect());
-    let head = Loaded {
-        volume: engine.upload(grid, &samples, None).expect("upload"),
-        field: Field::from_samples(grid, &samples, None),
-        iso: 300.0,
-    };
+    let head = load_samples(engine, grid, &samples, None, 300.0);
     let gradient = Feature::Derived(DerivedFeature::GradientMagnitude);
     [waves, plant_in(engine, head, gradient, dual_params())]
 }

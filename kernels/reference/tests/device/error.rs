@@ -14,7 +14,7 @@ fn small_recipes() -> impl Strategy<Value = Recipe> {
     recipes_of(proptest::sample::select(DIMS.to_vec()), spacing, surfaces())
 }
 
-/// Within what brute force finds, but for rounding. In noise a search may end at a triangle that is not the nearest.
+/// Within the bounds by brute force, with a tolerance for rounding. In noise a search may end at a triangle that is not the nearest.
 fn is_honest(got: SurfaceError, bounds: Bounds, spacing: [f32; 3]) -> bool {
     let diagonal = spacing.iter().map(|s| s * s).sum::<f32>().sqrt();
     let honest =
@@ -39,19 +39,24 @@ fn world_triangles(field: &Field, regions: &[Region]) -> Vec<Triangle> {
     regions.iter().flat_map(of_region).enumerate().map(triangle).collect()
 }
 
-/// Meshes a random cut and compares; `cap`: the volume counts as padded.
-fn check(engine: &Engine, loaded: &Loaded, seed: u64, topology: Topology, cap: bool) -> Result<(), TestCaseError> {
-    let pyramid = build(engine, loaded, Feature::None);
-    let host = HostPyramid::read(engine, &pyramid);
-    let state = host.random_state(seed, topology);
+/// Meshes a cut, with its error; `cap`: the volume counts as padded.
+fn measured(engine: &Engine, loaded: &Loaded, pyramid: &Pyramid, state: &[u8], cap: bool) -> Surface {
     let params = CutParams {
         state_error: true,
         cap,
         ..dual_params()
     };
+    mesh(engine, loaded, pyramid, &params, state)
+}
+
+/// Meshes a random cut and compares; `cap`: the volume counts as padded.
+fn check(engine: &Engine, loaded: &Loaded, seed: u64, topology: Topology, cap: bool) -> Result<(), TestCaseError> {
+    let pyramid = build(engine, loaded, Feature::None);
+    let host = HostPyramid::read(engine, &pyramid);
+    let state = host.random_state(seed, topology);
     let Surface {
         regions, statistics, ..
-    } = mesh(engine, loaded, &pyramid, &params, &state);
+    } = measured(engine, loaded, &pyramid, &state, cap);
     let (field, iso) = (&loaded.field, loaded.iso);
     let triangles = world_triangles(field, &regions);
     let twin = construct::construct(field, TwinFeature::None, iso);
@@ -96,26 +101,16 @@ fn smooth_surfaces_are_measured_within_a_twentieth() {
     let points = (0..30).flat_map(|z| (0..30).flat_map(move |y| (0..30).map(move |x| [x, y, z])));
     let samples = points.map(|p| 11.2 - radius(p)).collect();
     let samples = isopeel_kernels::Samples::F32(samples);
-    let volume = engine.upload(grid, &samples, None).expect("upload");
-    let field = Field::from_samples(grid, &samples, None);
-    let loaded = Loaded {
-        volume,
-        field,
-        iso: 0.0,
-    };
+    let loaded = load_samples(&engine, grid, &samples, None, 0.0);
     let pyramid = build(&engine, &loaded, Feature::None);
     let host = HostPyramid::read(&engine, &pyramid);
     let twin = construct::construct(&loaded.field, TwinFeature::None, loaded.iso);
     for level in [0u8, 1, 2] {
         let merged = |leaf: &Leaf| if leaf.level <= level { level } else { 255 };
         let state: Vec<u8> = host.leaves.iter().map(merged).collect();
-        let params = CutParams {
-            state_error: true,
-            ..dual_params()
-        };
         let Surface {
             regions, statistics, ..
-        } = mesh(&engine, &loaded, &pyramid, &params, &state);
+        } = measured(&engine, &loaded, &pyramid, &state, false);
         let triangles = world_triangles(&loaded.field, &regions);
         let (_, Bounds { high, .. }) = bounds(&loaded.field, 0.0, false, &host.cut(&twin, &state), &triangles);
         let got = statistics.error.expect("asked for");
@@ -148,8 +143,7 @@ fn capped_volumes_end_on_their_faces() {
         let inner = load(&engine, &Recipe::plain(dims, pattern, seed));
         let grid = Grid::new(dims.map(|n| n + 2), [1.0; 3]).expect("a grid");
         let samples = isopeel_kernels::Samples::F32(padded(&inner.field));
-        let volume = engine.upload(grid, &samples, None).expect("upload");
-        let loaded = Loaded { volume, field: Field::from_samples(grid, &samples, None), iso: inner.iso };
+        let loaded = load_samples(&engine, grid, &samples, None, inner.iso);
         check(&engine, &loaded, seed, Topology::Free, true)?;
     });
 }
@@ -174,12 +168,7 @@ fn parts_that_vanish_count_with_their_distance_to_what_is_left() {
     }
     let grid = Grid::new(dims, [1.0; 3]).expect("a grid");
     let samples = isopeel_kernels::Samples::F32(samples);
-    let volume = engine.upload(grid, &samples, None).expect("upload");
-    let loaded = Loaded {
-        volume,
-        field: Field::from_samples(grid, &samples, None),
-        iso: 0.0,
-    };
+    let loaded = load_samples(&engine, grid, &samples, None, 0.0);
     let pyramid = build(&engine, &loaded, Feature::None);
     let host = HostPyramid::read(&engine, &pyramid);
     // All cells of the ball, and cubes of level 2 about the speck.
@@ -193,13 +182,9 @@ fn parts_that_vanish_count_with_their_distance_to_what_is_left() {
             _ => 255,
         })
         .collect();
-    let params = CutParams {
-        state_error: true,
-        ..dual_params()
-    };
     let Surface {
         regions, statistics, ..
-    } = mesh(&engine, &loaded, &pyramid, &params, &state);
+    } = measured(&engine, &loaded, &pyramid, &state, false);
     assert!(regions.iter().all(|r| r.coords[0] < 2), "the speck has no triangles");
     let (twin, triangles) = (
         construct::construct(&loaded.field, TwinFeature::None, loaded.iso),

@@ -63,9 +63,19 @@ struct Loaded {
 
 fn load(engine: &Engine, recipe: &Recipe) -> Loaded {
     let (grid, samples, missing, iso) = recipe.make();
+    load_samples(engine, grid, &samples, missing, iso)
+}
+
+fn load_samples(
+    engine: &Engine,
+    grid: Grid,
+    samples: &isopeel_kernels::Samples,
+    missing: Option<f32>,
+    iso: f32,
+) -> Loaded {
     Loaded {
-        volume: engine.upload(grid, &samples, missing).expect("upload"),
-        field: Field::from_samples(grid, &samples, missing),
+        volume: engine.upload(grid, samples, missing).expect("upload"),
+        field: Field::from_samples(grid, samples, missing),
         iso,
     }
 }

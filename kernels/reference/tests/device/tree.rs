@@ -24,11 +24,7 @@ pub fn plant(engine: &Engine, recipe: &Recipe, cap: bool) -> Planted {
     } else {
         (grid, samples)
     };
-    let loaded = Loaded {
-        volume: engine.upload(grid, &samples, missing).expect("upload"),
-        field: Field::from_samples(grid, &samples, missing),
-        iso,
-    };
+    let loaded = load_samples(engine, grid, &samples, missing, iso);
     let feature = Feature::Derived(DerivedFeature::GradientMagnitude);
     plant_in(engine, loaded, feature, CutParams { cap, ..dual_params() })
 }

@@ -188,11 +188,7 @@ fn ball_and_speck(engine: &Engine) -> Planted {
         Grid::new(dims, [1.0; 3]).expect("a grid"),
         Samples::F32((0..dims.iter().product()).map(value).collect()),
     );
-    let loaded = Loaded {
-        volume: engine.upload(grid, &samples, None).expect("upload"),
-        field: Field::from_samples(grid, &samples, None),
-        iso: 0.0,
-    };
+    let loaded = load_samples(engine, grid, &samples, None, 0.0);
     plant_in(engine, loaded, Feature::None, dual_params())
 }
 
