@@ -124,14 +124,14 @@ impl Identity {
         matches!(self.holds, Holds::Named(..))
     }
 
-    /// The same, with where a request comes from.
+    /// The same, with the address that a request comes from.
     #[must_use]
     pub(super) fn at(self, peer: Option<IpAddr>) -> Self {
         let address = peer.map(counted_as);
         Self { address, ..self }
     }
 
-    /// Where a request comes from, where that is known; of IPv6 the network.
+    /// The address that a request comes from, if it is known; of IPv6 the network.
     pub fn address(&self) -> Option<IpAddr> {
         self.address
     }

@@ -29,7 +29,7 @@ pub struct SeatLimits {
 pub struct Occupant {
     /// The user.
     pub user: Arc<str>,
-    /// Where the user's requests come from, where that is known; of IPv6 the network.
+    /// The address that the user's requests come from, if it is known; of IPv6 the network.
     pub address: Option<IpAddr>,
     /// Whether the limits of users and addresses do not hold.
     pub is_admin: bool,

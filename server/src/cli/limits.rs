@@ -60,7 +60,7 @@ fn check_sizes(address_space: Option<u64>, file: Option<u64>) -> Result<(), Limi
     }
 }
 
-/// Starts so many threads at the same time, and waits for their end.
+/// Starts `count` threads at the same time, and waits for their end.
 fn start_threads(count: usize, stack_bytes: Option<usize>) -> io::Result<()> {
     // Each waits until all were started.
     let gate = RwLock::new(());

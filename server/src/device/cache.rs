@@ -124,8 +124,8 @@ fn spare_folder() -> Result<PathBuf, String> {
     check_spare(&folder).map(|()| folder)
 }
 
-/// As [`check`], of a folder whose name others know, among files of all users: it may be no link that another user has made, and nobody else may
-/// even read it.
+/// As [`check`], of a folder whose name others know, among files of all users: it may be no link that another user has made, and no other user
+/// may even read it.
 fn check_spare(folder: &Path) -> Result<(), String> {
     use std::os::unix::fs::MetadataExt;
     check(folder, START_BYTES)?;

@@ -14,19 +14,19 @@ use crate::math::DVec3;
 /// Times that the groups of intersecting triangles are worked on before the repair is given up.
 const MAX_ROUNDS: usize = 16;
 
-/// Rounds after which the vertices around a group take part as well, and again after as many.
+/// Each time after this many rounds, a group grows by the vertices around it.
 const ROUNDS_BEFORE_GROWTH: usize = 3;
 
 /// Times that each vertex of a group may be moved in a round.
 const SWEEPS: usize = 24;
 
-/// Positions that are tried of a vertex that is moved at random, each within a radius of a share of its edges.
+/// Half sides of the cubes from which random positions of a vertex are tried, in mean lengths of its edges.
 const RANDOM_RADII: [f64; 6] = [0.03, 0.1, 0.2, 0.3, 0.5, 0.8];
 
 /// Shares of the way to the middle of its neighbours that are tried.
 const MIDDLE_SHARES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
 
-/// Of so many moves that change nothing one is made, to leave a dead end.
+/// One of this many moves that change nothing is made, to leave a dead end.
 const SIDEWAYS: u64 = 4;
 
 /// Triangles of a file still intersect.
@@ -43,7 +43,7 @@ pub struct NotClean {
 /// Why a mesh is not repaired.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum RepairError {
-    /// Nobody waits for it any more.
+    /// The caller has cancelled.
     #[error("cancelled")]
     Cancelled,
     /// Triangles still intersect.
@@ -112,7 +112,7 @@ pub(super) fn repair(
             if is_cancelled() {
                 return Err(RepairError::Cancelled);
             }
-            repair.work_on(group, round / ROUNDS_BEFORE_GROWTH, &tree);
+            repair.repair_group(group, round / ROUNDS_BEFORE_GROWTH, &tree);
         }
     }
     unreachable!("the last round returns")
@@ -189,7 +189,7 @@ struct Random(u64);
 impl Random {
     /// The next number.
     fn next(&mut self) -> u64 {
-        // Knuth's MMIX.
+        // The linear congruential generator of Knuth's MMIX.
         self.0 = self
             .0
             .wrapping_mul(6_364_136_223_846_793_005)
@@ -217,8 +217,9 @@ struct Repair<'a> {
 }
 
 impl Repair<'_> {
-    /// Moves vertices of a group, and those within so many edges, until no triangles intersect there.
-    fn work_on(&mut self, mut vertices: Vec<u32>, edges: usize, tree: &TriangleTree) {
+    /// Moves vertices of a group, and those within `edges` edges of them, until no triangles intersect there or [`SWEEPS`] are done. Vertices on
+    /// borders stay.
+    fn repair_group(&mut self, mut vertices: Vec<u32>, edges: usize, tree: &TriangleTree) {
         for _ in 0..edges {
             let next: Vec<u32> = vertices.iter().flat_map(|&vertex| self.next_to(vertex)).collect();
             vertices.extend(next);
@@ -241,8 +242,8 @@ impl Repair<'_> {
         }
     }
 
-    /// Moves a vertex to where its triangles intersect fewest of those near it; of several such positions to the nearest. True if they intersect none as
-    /// it is.
+    /// Moves a vertex to the tried position at which its triangles intersect fewest others, or sometimes to one that is as good as its own. True if they
+    /// intersected none before.
     fn improve(&mut self, vertex: u32, near: &[u32]) -> bool {
         let current = self.mesh.positions[vertex as usize];
         let before = self.faults(vertex, current, near, usize::MAX);
@@ -295,8 +296,8 @@ impl Repair<'_> {
         tried
     }
 
-    /// How many pairs of triangles intersect, with one that has a vertex if that is at a position, and one of those near it. Counts no farther than
-    /// a limit.
+    /// Faults with a vertex at a position: triangles around it without area, pairs of these that intersect, and pairs of one of these and one of
+    /// `near`. May stop at `limit`.
     fn faults(&self, vertex: u32, position: [f32; 3], near: &[u32], limit: usize) -> usize {
         let position = self.numbers.position(self.mesh, position);
         let corners = |triangle: u32| -> Corners {
@@ -349,7 +350,7 @@ impl Repair<'_> {
         corners
     }
 
-    /// Whether an edge at a vertex has one triangle: around others there are as many corners as triangles.
+    /// Whether a vertex is on a border, or at an edge of more than two triangles: around others there are as many corners as triangles.
     fn is_on_border(&self, vertex: u32) -> bool {
         self.next_to(vertex).len() != self.around.of(vertex).len()
     }

@@ -6,7 +6,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use isopeel_kernels::{SampleType, Samples};
 
 use super::{
-    FileLocation, FileStamp, Geometry, LabelRanks, Notices, OpenedFile, ReadError, ReadProgress, Sink, Source,
+    FileLocation, FileStamp, Geometry, LabelRanks, LengthUnit, Notices, OpenedFile, ReadError, ReadProgress, Sink,
+    Source,
 };
 use crate::math::UnevenAxes;
 
@@ -69,7 +70,12 @@ impl Header {
     fn difference(&self, expected: &Self) -> Option<(&'static str, String, String)> {
         let names = |header: &Self| {
             let fields = header.fields.iter();
-            let named = fields.map(|field| format!("{} ({})", field.name, field.stored_type));
+            let named = fields.map(|field| {
+                let missing = field
+                    .missing
+                    .map_or(String::new(), |bits| format!(", missing {}", f32::from_bits(bits)));
+                format!("{} ({}{missing})", field.name, field.stored_type)
+            });
             named.collect::<Vec<_>>().join(", ")
         };
         let (a, b) = (self, expected);
@@ -80,8 +86,12 @@ impl Header {
             let show = |header: &Self| {
                 let geometry = &header.geometry;
                 format!(
-                    "spacing {:?}, origin {:?}, axes {:?}",
-                    geometry.spacing, geometry.origin, geometry.direction
+                    "spacing {:?}, origin {:?}, axes {:?}, frame {}, unit {}",
+                    geometry.spacing,
+                    geometry.origin,
+                    geometry.direction,
+                    geometry.frame.name(),
+                    geometry.unit.map_or("none", LengthUnit::symbol)
                 )
             };
             Some(("geometry", show(a), show(b)))
@@ -98,7 +108,7 @@ impl Header {
     }
 }
 
-/// The same file, with fields that look for its replacement each time before they are read. `stamp`: from before the header was read; `open`
+/// The same file, with fields that check before each read whether it was replaced. `stamp`: from before the header was read; `open`
 /// reads it.
 pub(super) fn checked(
     location: &FileLocation,
@@ -132,7 +142,7 @@ impl CheckedSource {
 
     /// What reads the file that is there now.
     fn now(&self) -> Result<Arc<dyn Source>, ReadError> {
-        // Of one that is gone the reader says so.
+        // If the file is gone, the reader says so.
         let Some(stamp) = self.location.stamp() else {
             return Ok(self.last());
         };

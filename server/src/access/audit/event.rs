@@ -8,7 +8,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(in crate::access) enum Event {
-    /// A token was shown for a cookie, or an issuer has sent somebody back.
+    /// A token was shown for a cookie, or an issuer has sent a user back.
     SignIn,
     /// The cookie was given back.
     SignOut,

@@ -14,7 +14,7 @@ use super::{COUNTED, LOOK, Line, Outcome, lock, now};
 /// What it does.
 pub(super) enum Command {
     Write(Vec<u8>),
-    /// The file was moved away: open it anew.
+    /// The file was moved away: open it again.
     Reopen,
     /// Answer when all before is written.
     Flush(SyncSender<()>),
@@ -73,7 +73,7 @@ impl Writer {
                 }
                 Command::Reopen => match open(&self.path) {
                     Ok(file) => self.file = file,
-                    Err(error) => tracing::error!(%error, "the audit log is not opened anew, the old file goes on"),
+                    Err(error) => tracing::error!(%error, "the audit log cannot be opened again, the old file goes on"),
                 },
                 Command::Flush(done) => {
                     self.write_counts(Duration::ZERO);
@@ -83,7 +83,7 @@ impl Writer {
         }
     }
 
-    /// Writes how many refusals there were of the kinds that were first seen so long ago.
+    /// Writes how many refusals there were of the kinds that were first seen at least `age` ago.
     fn write_counts(&mut self, age: Duration) {
         let counts = lock(&self.refusals).take(Instant::now(), age);
         for (kind, count) in counts {

@@ -18,7 +18,7 @@ use crate::rest::content_encoding::ContentEncoding;
 const CHUNK_BYTES: usize = 256 * 1024;
 /// Chunks between writer and socket, 1 MiB: on a fast line neither waits for the other.
 const QUEUED_CHUNKS: usize = 4;
-/// Time after which a client that reads no chunk is disconnected, as on the WebSocket: its mesh takes memory.
+/// Time after which a client that reads no chunk is disconnected, as on the WebSocket: its spooled file takes space.
 const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
 
 /// Time that a client may let the writer wait altogether before the rest is spooled.
@@ -29,7 +29,7 @@ const SPOOL_AFTER: Duration = Duration::from_secs(2);
 pub(super) enum Part {
     /// All of it, in an encoding.
     Whole(ContentEncoding),
-    /// From the first of these bytes to the one before the last.
+    /// Bytes from the first position up to but not including the second.
     Range([u64; 2]),
 }
 
@@ -85,7 +85,7 @@ fn send_with(
         queue.poll_recv(context).map(|chunk| {
             let is_cut_off = chunk.is_none() && !has_ended && !is_whole.load(Ordering::Acquire);
             has_ended = chunk.is_none();
-            // Or what is compressed would seem to be whole.
+            // An error, or a compressed body that is cut off would look complete.
             let cut_off = is_cut_off.then(|| Err(io::Error::from(io::ErrorKind::BrokenPipe)));
             chunk.map(Ok).or(cut_off)
         })

@@ -55,7 +55,7 @@ impl SpoolFolder {
         })
     }
 
-    /// Counts so many bytes more, if there is space for them.
+    /// Counts `bytes` more, if there is space for them.
     fn reserve(&self, bytes: u64) -> io::Result<()> {
         let Shared { path, limit, used } = &*self.0;
         let before = used.fetch_add(bytes, Ordering::Relaxed);
@@ -88,7 +88,7 @@ impl Spool {
         self.file.write_all(bytes)
     }
 
-    /// The next bytes from the beginning, at most so many; `None` at the end. Nothing is appended any more.
+    /// The next bytes from the beginning, at most `limit`; `None` at the end. To be called after all is appended.
     pub fn next_chunk(&mut self, limit: usize) -> io::Result<Option<Bytes>> {
         if self.read == 0 {
             self.file.rewind()?;
