@@ -25,6 +25,7 @@ mod label;
 mod made;
 pub mod mesh;
 mod obj;
+mod picture;
 mod ply;
 mod precomputed;
 mod request;
