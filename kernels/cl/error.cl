@@ -11,7 +11,7 @@
 //   error_spread      a region of the grid   a seed near it, from those of 27 regions at a distance, which is halved by each launch
 //   error_far         a brick                a seed for bricks without any in the 27 bricks around them
 //   error_crossings   GROUP of a task        distances of crossings of lines through the cells to the mesh
-//   error_samples     GROUP of a task        distances of points on triangles to the surface
+//   error_samples     GROUP of a task        distances of vertices and of points on triangles to the surface
 //
 // A cut of the vertex tree has vertices beside those of slots: a node's has the number of slots added to its own. `stand_ins` has the
 // vertex that stands for that of each slot, NONE where its part was removed: then its crossings are not measured.
@@ -304,6 +304,14 @@ void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *sampl
     write_sums(scratch, sums, out + number);
 }
 
+// The vertices of a region that a task measures, as large a part as its triangles are: the first and the one after the last.
+inline uint2 share_of_vertices(__global const RegionMesh *mesh, ErrorTask task) {
+    uint triangles = 0;
+    for (uint i = 0; i < 6; i++) triangles += mesh->triangles[i];
+    const ulong vertices = mesh->vertices;
+    return (uint2)((uint)(task.first * vertices / triangles), (uint)((task.first + task.count) * vertices / triangles));
+}
+
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_samples(const ErrorSamplesArgs args, __global const SAMPLE *samples, __global const ErrorTask *tasks,
                    __global const uint *region_index, __global const Region *regions, __global const Brick *bricks,
@@ -344,6 +352,12 @@ void error_samples(const ErrorSamplesArgs args, __global const SAMPLE *samples, 
             if (batch.count == LANES) measure_samples(&field, &mesh, &batch, &sums);
         }
         barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    const uint2 share = share_of_vertices(meshes + task.region, task);
+    for (uint vertex = share.x + lid; vertex < share.y; vertex += GROUP) {
+        const float3 x = vertex_in_cells(field.grid, &mesh, task.region, vertex);
+        if (!add_point(&batch, field.grid, x, NONE, 0.0f, args.first_layer, args.end_layer)) continue;
+        if (batch.count == LANES) measure_samples(&field, &mesh, &batch, &sums);
     }
     if (batch.count) measure_samples(&field, &mesh, &batch, &sums);
     write_sums(scratch, sums, out + number);

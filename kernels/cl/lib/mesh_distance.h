@@ -35,6 +35,13 @@ typedef struct {
     __global const uint *next;
 } MeshFans;
 
+// Position of a vertex of a region's mesh, in cells.
+inline float3 vertex_in_cells(Grid grid, const MeshFans *mesh, uint region, uint vertex) {
+    const Vertex v = mesh->vertices[mesh->meshes[region].vertex_base + vertex];
+    const float3 cells = (float3)((float)v.position[0], (float)v.position[1], (float)v.position[2]) / 65536.0f;
+    return cells + convert_float3(region_origin(grid, mesh->regions[region].region));
+}
+
 INLINED float3 corner_position(Grid grid, const MeshFans *mesh, uint corner) {
     const uint slot = mesh->corner_slots[corner];
     if (!(slot & ON_BORDER)) return mesh->positions[slot].xyz;
@@ -45,10 +52,7 @@ INLINED float3 corner_position(Grid grid, const MeshFans *mesh, uint corner) {
         if (mesh->meshes[middle].triangle_base <= corner / 3) region = middle;
         else end = middle;
     }
-    const Vertex vertex = mesh->vertices[mesh->meshes[region].vertex_base + mesh->indices[corner]];
-    const float3 cells = (float3)((float)vertex.position[0], (float)vertex.position[1], (float)vertex.position[2]) / 65536.0f;
-    return (cells + convert_float3(region_origin(grid, mesh->regions[region].region)))
-        * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
+    return vertex_in_cells(grid, mesh, region, mesh->indices[corner]) * (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
 }
 
 inline float distance2_of(float3 a, float3 b) {

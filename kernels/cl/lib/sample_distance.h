@@ -83,7 +83,7 @@ INLINED float4 nearest_of_cells(const SampledField *field, const MeshFans *mesh,
     const float3 spacing = field->box.spacing, p = x * spacing;
     float4 nearest = (float4)(0.0f, 0.0f, 0.0f, INFINITY);
     uint brick = brick_at(field, mesh->regions, x);
-    for (uint i = 0; i < 3 && brick == NONE; i++)
+    for (uint i = 0; first != NONE && i < 3 && brick == NONE; i++)
         brick = brick_at(field, mesh->regions, mesh->positions[mesh->corner_slots[first + i] & ~ON_BORDER].xyz / spacing);
     if (brick == NONE) return nearest;
     __global const Brick *centre = field->bricks + brick;
@@ -171,13 +171,13 @@ INLINED void measure_samples(const SampledField *field, const MeshFans *mesh, Tr
     search_surface(field->grid, field->samples, field->z0, &field->box, search, batch->count);
     float distances[LANES];
     search_again(field, mesh, batch, sums->maximum, distances);
-    const float cell = field->box.straight / STRAIGHT;
     for (uint i = 0; i < batch->count; i++) {
         const float3 x = sample_position(batch, i);
         float d = distances[i];
-        if (d > cell) d = bound_by_corners(field, mesh, x * field->box.spacing, batch->first[i], d);
+        if (d == INFINITY && batch->first[i] != NONE) d = bound_by_corners(field, mesh, x * field->box.spacing, batch->first[i], d);
         if (field->cap && d > field->box.straight) d = distance_to_cap(field, x, d);
-        add_distance(sums, d, batch->weight[i]);
+        // A vertex so far away is a corner of triangles that are measured.
+        if (d < INFINITY) add_distance(sums, d, batch->weight[i]);
     }
     batch->count = 0;
 }

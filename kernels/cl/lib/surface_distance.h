@@ -117,10 +117,11 @@ INLINED bool activate(SurfaceSearch *search, integer mask, uint count) {
     return any_active;
 }
 
-// Newton steps: first of the active points, then of all that have not converged. `moves`: number of moves along the surface before.
+// Newton steps of the active points, until they have converged. `moves`: number of moves along the surface before.
 INLINED void step_to_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch *search, Feet *feet, float *rows, uint count, uint moves) {
     const float3 inverse = 1.0f / box->spacing;
     const uint steps = moves ? FOOT_STEPS : SURFACE_STEPS;
+    const integer searching = LOAD_LANES(search->active) > 0.0f;
     for (uint step = 0; step <= steps; step++) {
         load_active_cells(grid, SLAB_ARGS, box, search, count, rows);
         const Cells cells = LOAD_CELLS(rows, LANES);
@@ -132,7 +133,8 @@ INLINED void step_to_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch
         const integer better = (residual <= box->straight) & (distance < feet->distance);
         feet->distance = moves ? PICK(better, distance, feet->distance) : distance;
         feet->residual = moves ? PICK(better, residual, feet->residual) : residual;
-        const integer unconverged = (residual > box->straight * (ARRIVED / STRAIGHT)) & (residual < box->straight * (ASTRAY / STRAIGHT));
+        const integer unconverged = searching & (residual > box->straight * (ARRIVED / STRAIGHT))
+            & (residual < box->straight * (ASTRAY / STRAIGHT));
         if (!activate(search, unconverged, count) || step == steps) break;
         // At most one cell.
         const real scale = -field.value / slope2;

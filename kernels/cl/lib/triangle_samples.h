@@ -1,6 +1,7 @@
-// Points on triangles: a triangle is divided into n^2 equal ones, and each has the six points of Dunavant's rule, whose weighted sums are
+// Points of a mesh whose distances to the surface are measured: its vertices, and points on its triangles. A triangle is divided into n^2 equal ones, and each has the six points of Dunavant's rule, whose weighted sums are
 // integrals of polynomials up to the fourth degree (High degree efficient symmetrical Gaussian quadrature rules, 1985). Squared distances
-// are such polynomials where the surface is a paraboloid above the triangle; centroids alone miss that meshes are furthest off at edges.
+// are such polynomials where the surface is a paraboloid above the triangle; centroids alone miss that meshes are furthest off at edges. Vertices
+// have no weight: they count for the maximum alone.
 #ifndef ISOPEEL_TRIANGLE_SAMPLES_H
 #define ISOPEEL_TRIANGLE_SAMPLES_H
 
@@ -18,11 +19,11 @@
 #define SMALL_CELLS 3.0f
 
 // Kinds of points, three of each: COORDINATES is the barycentric coordinate of one corner, and those of the other two are equal. The first two
-// kinds are the rule. The others, near the corners and the middles of the sides, have no weight: they affect the maximum alone.
-#define KINDS 4u
+// kinds are the rule. The last, near the middles of the sides, has no weight.
+#define KINDS 3u
 #define PART_POINTS (3 * KINDS)
-__constant float COORDINATES[KINDS] = {0.816847572980459f, 0.108103018168070f, 0.96f, 0.04f};
-__constant float WEIGHTS[KINDS] = {0.109951743655322f, 0.223381589678011f, 0.0f, 0.0f};
+__constant float COORDINATES[KINDS] = {0.816847572980459f, 0.108103018168070f, 0.04f};
+__constant float WEIGHTS[KINDS] = {0.109951743655322f, 0.223381589678011f, 0.0f};
 
 // The corners of a triangle, in cells.
 typedef struct {
@@ -43,7 +44,7 @@ typedef struct {
     TriangleInCells triangle; // the one at hand
     uint loaded;              // its first corner
     SurfaceSearch search;
-    uint first[LANES];   // first corner of the triangle
+    uint first[LANES];   // first corner of the triangle; NONE: the point is a vertex
     float weight[LANES]; // the sample's part of the triangle's area, world units
     uint count;
 } TriangleSamples;
@@ -77,7 +78,20 @@ INLINED float3 sample_position(const TriangleSamples *batch, uint i) {
     return (float3)(batch->search.from[i], batch->search.from[LANES + i], batch->search.from[2 * LANES + i]);
 }
 
-// Adds sample `i` of `count` of a triangle, if it is in these layers of regions: the slab that holds a sample counts it.
+// Adds a point, in cells, if it is in these layers of regions: the slab that holds a point counts it.
+INLINED bool add_point(TriangleSamples *batch, Grid grid, float3 x, uint first, float weight, uint first_layer, uint end_layer) {
+    const uint layer = min((uint)x.z / 32, grid.regions[2] - 1);
+    if (layer < first_layer || layer >= end_layer) return false;
+    const uint at = batch->count++;
+    batch->search.from[at] = x.x;
+    batch->search.from[LANES + at] = x.y;
+    batch->search.from[2 * LANES + at] = x.z;
+    batch->first[at] = first;
+    batch->weight[at] = weight;
+    return true;
+}
+
+// Adds sample `i` of `count` of a triangle.
 INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh, uint first, uint i, uint count, uint first_layer,
                         uint end_layer) {
     const float3 spacing = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]);
@@ -93,15 +107,8 @@ INLINED bool add_sample(TriangleSamples *batch, Grid grid, const MeshFans *mesh,
     const float down = ((float)row + (away ? third : second + third)) / n;
     const float across = ((float)(column / 2) + (away ? second + third : third)) / n;
     const float3 x = t.a + down * (t.b - t.a) + across * (t.c - t.b);
-    const uint layer = min((uint)x.z / 32, grid.regions[2] - 1);
-    if (layer < first_layer || layer >= end_layer) return false;
-    const uint at = batch->count++;
-    batch->search.from[at] = x.x;
-    batch->search.from[LANES + at] = x.y;
-    batch->search.from[2 * LANES + at] = x.z;
-    batch->first[at] = first;
-    batch->weight[at] = 0.5f * length(cross((t.b - t.a) * spacing, (t.c - t.a) * spacing)) / (n * n) * WEIGHTS[point / 3] * (is_small ? 3.0f : 1.0f);
-    return true;
+    const float area = 0.5f * length(cross((t.b - t.a) * spacing, (t.c - t.a) * spacing)) / (n * n);
+    return add_point(batch, grid, x, first, area * WEIGHTS[point / 3] * (is_small ? 3.0f : 1.0f), first_layer, end_layer);
 }
 
 // Index of the first of GROUP ends that is above `i`.

@@ -2,7 +2,7 @@
 //! crossing of a line against every triangle, every sample of a triangle against points all over the surface. A device's
 //! result is at least `low`, and more than `high` only by what its search misses.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 
 use crate::quadric::{Vector, dot};
 use crate::trilinear::{field_at, interpolate};
@@ -27,10 +27,9 @@ const INNER_LINES: [f64; 2] = [0.25, 0.75];
 const INSET: f64 = 0.0625;
 
 /// Points of a part of a triangle, three of each kind: one barycentric coordinate, the others have equal parts of the rest; and the weight.
-const KINDS: [(f64, f64); 4] = [
+const KINDS: [(f64, f64); 3] = [
     (0.816_847_572_980_459, 0.109_951_743_655_322),
     (0.108_103_018_168_070, 0.223_381_589_678_011),
-    (0.96, 0.0),
     (0.04, 0.0),
 ];
 
@@ -87,8 +86,12 @@ fn minus(a: Vector, b: Vector) -> Vector {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
+fn length2(a: Vector) -> f64 {
+    dot(a, a)
+}
+
 fn length(a: Vector) -> f64 {
-    dot(a, a).sqrt()
+    length2(a).sqrt()
 }
 
 /// Distance of a point to a triangle: the nearest of its points by its weights at the corners, where all are positive, or
@@ -243,7 +246,7 @@ fn crossings(field: &Field, iso: f32, cap: bool, cell: [u32; 3]) -> Vec<Weighted
     found
 }
 
-/// Samples of a triangle.
+/// Samples of a triangle, without its corners.
 fn samples(spacing: Vector, triangle: &Triangle) -> Vec<Weighted> {
     let [a, b, c] = triangle.corners;
     let cells = |v: Vector| -> Vector { std::array::from_fn(|i| v[i] / spacing[i]) };
@@ -346,14 +349,21 @@ pub fn bounds(
     }
     let points = surface_points(field, iso, cap);
     let between = BETWEEN_POINTS * length(spacing);
+    let mut seen = HashSet::new();
     for triangle in triangles {
         let sums = &mut regions.entry(triangle.region).or_default().to_surface;
-        for (p, weight) in samples(spacing, triangle) {
+        let corners = triangle
+            .corners
+            .iter()
+            .filter(|p| seen.insert((triangle.region, p.map(f64::to_bits))));
+        let corners = corners.map(|&p| (p, 0.0));
+        for (p, weight) in samples(spacing, triangle).into_iter().chain(corners) {
             let nearest = points
                 .iter()
-                .min_by(|a, b| length(minus(p, **a)).total_cmp(&length(minus(p, **b))));
-            let (distance, foot) = nearest.map_or((f64::INFINITY, f64::INFINITY), |&q| {
-                (length(minus(p, q)), way_to_foot(field, iso, cap, p, q))
+                .map(|q| (length2(minus(p, *q)), q))
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            let (distance, foot) = nearest.map_or((f64::INFINITY, f64::INFINITY), |(distance2, &q)| {
+                (distance2.sqrt(), way_to_foot(field, iso, cap, p, q))
             });
             sums[0].add((distance - between).max(0.0).min(foot), weight);
             sums[1].add(distance.min(foot), weight);
