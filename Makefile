@@ -38,8 +38,11 @@ run: prerequisites-run release ## install what is missing, build, serve the demo
 
 build: prerequisites-build release ## everything built, the web client inside target/release/isopeel
 
+# Clippy is the compiler here: dependencies are compiled once, for lints and tests alike.
+test: export RUSTC_WORKSPACE_WRAPPER := clippy-driver
+test: export CLIPPY_ARGS := -Dwarnings__CLIPPY_HACKERY__
 # What can be built is built first, so that the runners' summaries stand together at the end.
-test: prerequisites-test lint build-and-test-web test-rust test-oclgrind test-pocl-6 test-browser test-glb test-clients ## all tests, linters and formatters; what CI runs
+test: prerequisites-test lint-text build-and-test-web lint-generated test-rust test-oclgrind test-pocl-6 test-browser test-glb test-clients ## all tests, linters and formatters; what CI runs
 
 prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
 	@tests/scripts/prerequisites.sh $*
@@ -89,31 +92,40 @@ dependencies: target/tools/cargo-deny-$(DENY_VERSION) target/tools/cargo-machete
 	target/tools/bin/cargo-machete
 	git ls-files Cargo.lock deny.toml '*Cargo.toml' | xargs sha256sum >$(CHECKED_DEPENDENCIES)
 
-# The web client's linters run on one core beside the compiler, which often uses one alone.
-lint: web-client ## linters and formatters
+# For those who change a file and lint it. `make test` lints Rust with the compiler of its tests instead of lint-rust.
+lint: lint-text lint-rust lint-web lint-generated ## linters and formatters
+
+.PHONY: lint-text lint-rust lint-web lint-generated
+lint-text:
 	# All files: cargo fmt sees none that a macro declares.
 	git ls-files '*.rs' | xargs rustfmt --edition 2024 --check
-	(cd web && npm run --silent typecheck && npm run --silent lint) & web=$$!; \
-		cargo clippy --locked --workspace --all-targets --quiet -- -D warnings; wait $$web
 	sha256sum --check --quiet $(CHECKED_DEPENDENCIES) || { echo "dependencies have changed: type 'make dependencies', and commit $(CHECKED_DEPENDENCIES)" >&2; exit 1; }
-	$(CHECK_GENERATED)
 	docs/drawings.py --check
 	tests/lint/layers.py
 	tests/lint/citations.py
 	tests/lint/unused.py
-	tests/lint/kernels.sh
 	tests/lint/retired_words.py
+
+lint-rust: web-client
+	cargo clippy --locked --workspace --all-targets --quiet -- -D warnings
+
+lint-web: web-client
+	cd web && npm run --silent typecheck && npm run --silent lint
+
+lint-generated: web-client
+	$(CHECK_GENERATED)
+	tests/lint/kernels.sh
 
 .PHONY: build-tests
 build-tests: web-client
-	cargo test --locked --workspace --tests --no-run
+	cargo test --locked --workspace --all-targets --no-run
 	# Once, before tests start many servers at the same time.
 	$(TESTED_BINARY) devices --check
 
-# Beside each other, as linters are.
+# The web client is checked on one core beside the compiler, which often uses one alone.
 .PHONY: build-and-test-web
 build-and-test-web: web-client
-	$(MAKE) --no-print-directory test-web >target/test-web.log 2>&1 & web=$$!; \
+	$(MAKE) --no-print-directory lint-web test-web >target/test-web.log 2>&1 & web=$$!; \
 		$(MAKE) --no-print-directory build-tests; wait $$web || failed=1; cat target/test-web.log; test -z "$${failed:-}"
 
 test-web: web-client ## the web client's unit tests
