@@ -82,7 +82,7 @@ fn sheet_tables() -> String {
             .map(|line| line.iter().map(|n| format!("{n:#x}u")).collect::<Vec<_>>().join(", "));
         format!("{{\n    {}\n}}", lines.collect::<Vec<_>>().join(",\n    "))
     };
-    let (mut rows, mut flipped) = (Vec::new(), Vec::new());
+    let (mut rows, mut flipped, mut still_joined) = (Vec::new(), Vec::new(), Vec::new());
     for (signs, sheets) in cases.iter().enumerate() {
         let faces = sheets.joined_faces();
         rows.push(flipped.len() as u32);
@@ -94,19 +94,26 @@ fn sheet_tables() -> String {
                 .filter(move |(i, _)| set >> i & 1 == 1)
         };
         let sets = 0..1u32 << faces.count_ones();
-        let of_set = |set| Sheets::flipped(signs as u8, chosen(set).fold(0, |bits, (_, f)| bits | 1 << f)).packed();
-        flipped.extend(sets.map(of_set));
+        for set in sets {
+            let flips = chosen(set).fold(0, |bits, (_, f)| bits | 1 << f);
+            let sheets = Sheets::trace(signs as u8, flips);
+            flipped.push(sheets.packed());
+            still_joined.push(sheets.joined_faces().into());
+        }
     }
     let joined = cases.iter().map(|s| s.joined_faces().into()).collect();
     format!(
         "__constant uint SHEETS[256] = {};\n\
          __constant uchar JOINED[256] = {};\n\
          __constant uint FLIPPED_ROW[256] = {};\n\
-         __constant uint FLIPPED[{}] = {};\n",
+         __constant uint FLIPPED[{}] = {};\n\
+         __constant uchar STILL_JOINED[{}] = {};\n",
         list(cases.iter().map(Sheets::packed).collect()),
         list(joined),
         list(rows),
         flipped.len(),
         list(flipped),
+        still_joined.len(),
+        list(still_joined),
     )
 }

@@ -11,6 +11,9 @@ use std::ops::{Deref, DerefMut};
 use std::rc::Rc;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+/// Planes of a slab that serves one layer of regions inside the volume.
+pub const LAYER_PLANES: u32 = crate::volume::LAYER_PLANES;
+
 /// Stage that errors and times of this module name.
 const STAGE: &str = "test";
 

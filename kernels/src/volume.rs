@@ -319,14 +319,18 @@ impl Volume {
     }
 }
 
-/// Planes along z that serve `layers` region layers: corners reach one plane further, gradients one on either side.
+/// Planes of a slab that serves one layer of regions inside the volume.
+pub(crate) const LAYER_PLANES: u32 = REGION_CELLS + 5;
+
+/// Planes along z that serve `layers` region layers: corners reach one plane further, and sheets of a cell depend on two planes more on either
+/// side.
 pub(crate) fn slab_planes(grid: &Grid, layers: &Range<u32>) -> Range<u32> {
-    let first = (layers.start * REGION_CELLS).saturating_sub(1);
+    let first = (layers.start * REGION_CELLS).saturating_sub(2);
     first
         ..layers
             .end
             .saturating_mul(REGION_CELLS)
-            .saturating_add(2)
+            .saturating_add(3)
             .min(grid.dims[2])
 }
 
@@ -335,7 +339,7 @@ pub(crate) fn slab_planes(grid: &Grid, layers: &Range<u32>) -> Range<u32> {
 pub(crate) fn slab_layers(grid: &Grid, limit_bytes: u64) -> Result<Vec<Range<u32>>> {
     let plane_bytes = u64::from(grid.dims[0]) * u64::from(grid.dims[1]) * size_of::<f32>() as u64;
     let layers = grid.regions()[2];
-    let one = plane_bytes * u64::from(slab_planes(grid, &(0..1)).end.max((REGION_CELLS + 3).min(grid.dims[2])));
+    let one = plane_bytes * u64::from(slab_planes(grid, &(0..1)).end.max(LAYER_PLANES.min(grid.dims[2])));
     if one > limit_bytes {
         return Err(Error::OutOfDeviceMemory {
             stage: "upload",
@@ -347,7 +351,7 @@ pub(crate) fn slab_layers(grid: &Grid, limit_bytes: u64) -> Result<Vec<Range<u32
     let step = if planes >= u64::from(grid.dims[2]) {
         layers
     } else {
-        ((planes - 3) / u64::from(REGION_CELLS)) as u32
+        ((planes - u64::from(LAYER_PLANES - REGION_CELLS)) / u64::from(REGION_CELLS)) as u32
     };
     Ok((0..layers)
         .step_by(step.max(1) as usize)
@@ -453,8 +457,8 @@ mod tests {
         assert_eq!(grid.regions(), [64; 3]);
         let plane = 2048 * 2048 * 4u64;
         for limit_bytes in [
-            35 * plane,
-            36 * plane,
+            37 * plane,
+            38 * plane,
             1 << 30,
             4 << 30,
             34_359_738_367,
@@ -467,15 +471,15 @@ mod tests {
             for (i, layers) in slabs.iter().enumerate() {
                 assert!(i == 0 || slabs[i - 1].end == layers.start, "layers follow each other");
                 let planes = slab_planes(&grid, layers);
-                // A cell's corners, and the neighbours of these for gradients.
-                assert!(planes.start <= (layers.start * 32).saturating_sub(1));
-                assert!(planes.end >= (layers.end * 32 + 2).min(2048));
+                // A cell's corners, and two more beyond for its sheets.
+                assert!(planes.start <= (layers.start * 32).saturating_sub(2));
+                assert!(planes.end >= (layers.end * 32 + 3).min(2048));
                 assert!(u64::from(planes.end - planes.start) * plane <= limit_bytes);
             }
         }
         assert_eq!(slab_layers(&grid, u64::MAX).expect("one slab").len(), 1);
-        let e = slab_layers(&grid, 35 * plane - 1).expect_err("one layer is too large");
-        assert!(matches!(e, Error::OutOfDeviceMemory { needed_bytes, .. } if needed_bytes == 35 * plane));
+        let e = slab_layers(&grid, 37 * plane - 1).expect_err("one layer is too large");
+        assert!(matches!(e, Error::OutOfDeviceMemory { needed_bytes, .. } if needed_bytes == 37 * plane));
         // Taller than 32-bit planes could count once doubled.
         let tall = Grid::new([2, 2, u32::MAX], [1.0; 3]).expect("a grid");
         let layers = slab_layers(&tall, 1 << 30).expect("slabs");

@@ -1,11 +1,12 @@
 // Which surface sheet of a cell each of its crossed edges belongs to. The tables are made by the host from the contours of the
 // cube's faces, where inside corners are separated on ambiguous faces: SHEETS; JOINED, the faces whose two segments lie in
-// one sheet; FLIPPED, sheets with some of the joined faces paired the other way, and where each case's begin.
+// one sheet. With each set of the joined faces paired the other way, from FLIPPED_ROW of the case on: FLIPPED, the sheets; STILL_JOINED, the
+// faces that are joined then.
 //
 // Two cells that share an ambiguous face and both join its two segments in one sheet would make an edge of four triangles
-// (R. Wenger, "Isosurfaces", 2013). Then one of them pairs the face's crossings the other way, which splits its sheet: the
-// cell whose coordinates sum to an even number, so that of two neighbours only one ever departs from the table. On the
-// volume's faces the surface goes on as if mirrored, so that every cell there meets its like.
+// (R. Wenger, "Isosurfaces", 2013). Then the face's crossings are paired the other way, in both cells: the one whose coordinates sum to an even
+// number decides, so that its sheet is split, and of two neighbours only one ever does. On the volume's faces the surface goes on as if
+// mirrored, so that every cell there meets its like.
 #ifndef ISOPEEL_SHEETS_H
 #define ISOPEEL_SHEETS_H
 
@@ -48,41 +49,88 @@ inline uint edges_of_sheet(uint sheets, uint sheet) {
 }
 inline uint sheet_count(uint sheets) { return sheets >> 24; }
 
-// Sheets of an active cell, with faces flipped where that keeps the surface a manifold.
-inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
-    const uint plain = SHEETS[signs];
-    uint candidates = JOINED[signs];
-    if (!candidates) return plain;
-    for (uint face = 0; face < 6; face++) {
-        if (!(candidates >> face & 1u)) continue;
-        const uint axis = face >> 1, side = face & 1;
-        const int3 other = cell + axis_step(axis) * (side ? 1 : -1);
-        if (any(other < 0) || any(other + 1 >= (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]))) continue;
-        if (cell.x + cell.y + cell.z & 1) {
-            candidates &= ~(1u << face);
-            continue;
-        }
-        // The corners of the face are known; those beyond are read together.
-        float beyond[4];
-        for (uint i = 0; i < 4; i++)
-            beyond[i] = sample_at(grid, SLAB_ARGS, cell + edge_offset(4 * axis + i) + axis_step(axis) * (side ? 2 : -1));
-        uint there = 0;
-        bool known = true;
-        for (uint i = 0; i < 4; i++) {
-            const uint corner = (i & 1) << (axis + 1) % 3 | (i >> 1) << (axis + 2) % 3;
-            there |= (signs >> (corner | side << axis) & 1u) << (corner | (1 - side) << axis);
-            there |= (uint)(beyond[i] >= iso) << (corner | side << axis);
-            known = known && !isnan(beyond[i]);
-        }
-        if (!known || !(JOINED[there] >> (face ^ 1) & 1u)) candidates &= ~(1u << face);
-    }
-    // The set of faces that are flipped, among the joined ones.
+// The entry of a case's tables for a set of its joined faces: their bits pushed together.
+inline uint flips_entry(uint signs, uint faces) {
     uint set = 0, bit = 0;
     for (uint face = 0; face < 6; face++) {
         if (!(JOINED[signs] >> face & 1u)) continue;
-        set |= (candidates >> face & 1u) << bit++;
+        set |= (faces >> face & 1u) << bit++;
     }
-    return FLIPPED[FLIPPED_ROW[signs] + set];
+    return FLIPPED_ROW[signs] + set;
+}
+
+// Which of the faces `candidates` a cell flips beside those of `forced`: of all ways that which leaves the fewest of them joined, of equals the
+// one with the largest bits; none where that gains nothing.
+inline uint choose_flips(uint signs, uint forced, uint candidates) {
+    uint best = 0, fewest = popcount(candidates & STILL_JOINED[flips_entry(signs, forced)]);
+    for (uint flips = candidates; flips; flips = (flips - 1) & candidates) {
+        const uint left = popcount(candidates & STILL_JOINED[flips_entry(signs, forced | flips)]);
+        if (left >= fewest) continue;
+        fewest = left;
+        best = flips;
+    }
+    return best;
+}
+
+inline int3 cell_beyond(int3 cell, uint face) { return cell + axis_step(face >> 1) * (face & 1 ? 1 : -1); }
+
+// Whether a cell is one of the volume's.
+inline bool is_cell(Grid grid, int3 cell) {
+    return all(cell >= 0) && all(cell + 1 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
+}
+
+// Signs of the cell beyond a face, NONE where it has a missing sample. The corners of the face are known; the others are read together.
+inline uint signs_beyond(Grid grid, SLAB, float iso, int3 cell, uint signs, uint face) {
+    const uint axis = face >> 1, side = face & 1;
+    float beyond[4];
+    for (uint i = 0; i < 4; i++)
+        beyond[i] = sample_at(grid, SLAB_ARGS, cell + edge_offset(4 * axis + i) + axis_step(axis) * (side ? 2 : -1));
+    uint there = 0;
+    bool known = true;
+    for (uint i = 0; i < 4; i++) {
+        const uint corner = (i & 1) << (axis + 1) % 3 | (i >> 1) << (axis + 2) % 3;
+        there |= (signs >> (corner | side << axis) & 1u) << (corner | (1 - side) << axis);
+        there |= (uint)(beyond[i] >= iso) << (corner | side << axis);
+        known = known && !isnan(beyond[i]);
+    }
+    return known ? there : NONE;
+}
+
+// Faces of a cell that cells on both sides join: x those of neighbours, y those of the volume, which meet their mirror image.
+inline uint2 joined_on_both_sides(Grid grid, SLAB, float iso, int3 cell, uint signs) {
+    uint inner = 0, outer = 0;
+    for (uint face = 0; face < 6; face++) {
+        if (!(JOINED[signs] >> face & 1u)) continue;
+        if (!is_cell(grid, cell_beyond(cell, face))) {
+            outer |= 1u << face;
+            continue;
+        }
+        const uint there = signs_beyond(grid, SLAB_ARGS, iso, cell, signs, face);
+        if (there != NONE && JOINED[there] >> (face ^ 1) & 1u) inner |= 1u << face;
+    }
+    return (uint2)(inner, outer);
+}
+
+// Of the faces `shared` of a cell whose coordinates sum to an odd number those that its neighbours flip.
+inline uint flips_of_neighbours(Grid grid, SLAB, float iso, int3 cell, uint signs, uint shared) {
+    uint flips = 0;
+    for (uint face = 0; face < 6; face++) {
+        if (!(shared >> face & 1u)) continue;
+        const uint there = signs_beyond(grid, SLAB_ARGS, iso, cell, signs, face);
+        const uint2 candidates = joined_on_both_sides(grid, SLAB_ARGS, iso, cell_beyond(cell, face), there);
+        flips |= (choose_flips(there, 0, candidates.x | candidates.y) >> (face ^ 1) & 1u) << face;
+    }
+    return flips;
+}
+
+// Sheets of an active cell, with faces flipped where that keeps the surface a manifold. Reads samples up to two beyond the cell's.
+inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
+    if (!JOINED[signs]) return SHEETS[signs];
+    const uint2 candidates = joined_on_both_sides(grid, SLAB_ARGS, iso, cell, signs);
+    const bool is_odd = cell.x + cell.y + cell.z & 1;
+    const uint forced = is_odd ? flips_of_neighbours(grid, SLAB_ARGS, iso, cell, signs, candidates.x) : 0;
+    const uint flips = choose_flips(signs, forced, is_odd ? candidates.y : candidates.x | candidates.y);
+    return FLIPPED[flips_entry(signs, forced | flips)];
 }
 
 // Where the extra sheets of a cell of several begin; `brick`: the cell's.

@@ -57,14 +57,13 @@ impl Sheets {
         sheets
     }
 
-    /// Of all ways to flip some of the faces `candidates` the one that leaves the fewest of them joined, of equals the one
-    /// with the largest bits; none where that gains nothing.
-    pub fn flipped(signs: u8, candidates: u8) -> Self {
-        let plain = Self::trace(signs, 0);
-        let left = |s: &Self| (s.joined_faces() & candidates).count_ones();
-        let flips = (0..=candidates).rev().filter(|f| f & !candidates == 0);
-        let best = flips.map(|f| Self::trace(signs, f)).min_by_key(left);
-        best.filter(|best| left(best) < left(&plain)).unwrap_or(plain)
+    /// Of all ways to flip some of the faces `candidates` beside those of `forced` the one that leaves the fewest of them joined, of equals the
+    /// one with the largest bits; none where that gains nothing.
+    pub fn choose_flips(signs: u8, forced: u8, candidates: u8) -> u8 {
+        let left = |flips: u8| (Self::trace(signs, forced | flips).joined_faces() & candidates).count_ones();
+        let ways = (0..=candidates).rev().filter(|flips| flips & !candidates == 0);
+        let best = ways.min_by_key(|&flips| left(flips)).unwrap_or(0);
+        if left(best) < left(0) { best } else { 0 }
     }
 
     /// Two bits an edge, its sheet; from bit 24 how many there are.
@@ -248,19 +247,32 @@ mod tests {
                     "case {signs}, face {face}"
                 );
             }
-            for candidates in (0..64u8).filter(|c| c & !joined == 0) {
-                let chosen = Sheets::flipped(signs, candidates);
-                let left = |s: &Sheets| (s.joined_faces() & candidates).count_ones();
-                let minimum = (0..64u8)
-                    .filter(|f| f & !candidates == 0)
-                    .map(|f| left(&Sheets::trace(signs, f)))
-                    .min();
-                assert_eq!(
-                    Some(left(&chosen)),
-                    minimum,
-                    "case {signs}, candidates {candidates:06b}"
-                );
-                assert!(left(&chosen) < left(&plain) || chosen == plain);
+            let subsets = |of: u8| (0..64u8).filter(move |set| set & !of == 0);
+            for forced in subsets(joined) {
+                for candidates in subsets(joined & !forced) {
+                    let left =
+                        |flips: u8| (Sheets::trace(signs, forced | flips).joined_faces() & candidates).count_ones();
+                    let chosen = Sheets::choose_flips(signs, forced, candidates);
+                    let at = format!("case {signs}, forced {forced:06b}, candidates {candidates:06b}");
+                    assert_eq!(chosen & !candidates, 0, "{at}");
+                    assert_eq!(Some(left(chosen)), subsets(candidates).map(left).min(), "{at}");
+                    assert!(chosen == 0 || left(chosen) < left(0), "{at}");
+                }
+            }
+        }
+    }
+
+    /// Faces that are flipped join no sheets, and no face's segments that were not joined before.
+    #[test]
+    fn flipping_divides_sheets() {
+        for signs in 0..=255u8 {
+            let plain = Sheets::trace(signs, 0);
+            for flips in (0..64u8).filter(|set| set & !plain.joined_faces() == 0) {
+                let sheets = Sheets::trace(signs, flips);
+                for [a, b] in pairs(&sheets) {
+                    assert_eq!(plain.of_edge[a], plain.of_edge[b], "case {signs}, flips {flips:06b}");
+                }
+                assert_eq!(sheets.joined_faces() & !plain.joined_faces(), 0, "case {signs}");
             }
         }
     }

@@ -84,7 +84,7 @@ async fn a_storm_of_edits_ends_at_the_last_and_starves_nobody() {
 
 /// A noisy volume of two steps, below every isovalue on its border, so that all surfaces are closed.
 fn closed_volume(path: &std::path::Path) {
-    const DIMS: [usize; 3] = [75, 66, 70];
+    const DIMS: [usize; 3] = [67, 40, 36];
     let [nx, ny, nz] = DIMS;
     let header = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': (2, {nz}, {ny}, {nx}), }}");
     let length = (header.len() + 11).next_multiple_of(64) - 10;

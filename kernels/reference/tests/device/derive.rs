@@ -3,8 +3,8 @@
 use super::recipes::{DIMS, Pattern, any_recipe};
 use super::*;
 use isopeel_kernels::expression::{Expression, Op};
-use isopeel_kernels::testing::{limit_allocations, slab_count};
-use isopeel_kernels::{Histogram, REGION_CELLS, RectilinearGrid, SampleType, Samples, Tuning, VectorFeature};
+use isopeel_kernels::testing::{LAYER_PLANES, limit_allocations, slab_count};
+use isopeel_kernels::{Histogram, RectilinearGrid, SampleType, Samples, Tuning, VectorFeature};
 use isopeel_reference::{Feature as TwinFeature, construct, derive, histogram};
 
 /// Features of a neighbourhood.
@@ -218,7 +218,7 @@ fn uneven_axes_have_the_same_features_in_slabs() {
     let lengths = lengths_of(&recipe);
     let whole = load_uneven(&engine, &recipe, &lengths);
     let [x, y, _] = recipe.dims.map(u64::from);
-    let before = limit_allocations(&mut engine, x * y * 4 * (u64::from(REGION_CELLS) + 3));
+    let before = limit_allocations(&mut engine, x * y * 4 * u64::from(LAYER_PLANES));
     let in_slabs = load_uneven(&engine, &recipe, &lengths);
     limit_allocations(&mut engine, before);
     assert_eq!([&whole, &in_slabs].map(|of| slab_count(&of.volume) > 1), [false, true]);

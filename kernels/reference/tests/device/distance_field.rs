@@ -4,8 +4,8 @@ use super::recipes::{DIMS, Random};
 use super::tree::Others;
 use super::*;
 use isopeel_kernels::expression::{Comparison, Expression, Op};
-use isopeel_kernels::testing::{limit_allocations, slab_count};
-use isopeel_kernels::{Error, REGION_CELLS, RectilinearGrid, Samples, Tuning};
+use isopeel_kernels::testing::{LAYER_PLANES, limit_allocations, slab_count};
+use isopeel_kernels::{Error, RectilinearGrid, Samples, Tuning};
 use isopeel_reference::distance_field::squares;
 use std::cell::Cell;
 
@@ -186,7 +186,7 @@ fn distances_go_through_slabs() {
     let Some(mut engine) = device() else { return };
     for (seed, is_uneven, rarity) in [(1, false, 30_000), (2, true, 30_000), (3, false, 40), (4, true, 3)] {
         let labels = Labels::random([40, 35, 131], [1.0, 0.5, 0.25], is_uneven, rarity, seed);
-        let before = limit_allocations(&mut engine, 40 * 35 * 4 * (u64::from(REGION_CELLS) + 3));
+        let before = limit_allocations(&mut engine, 40 * 35 * 4 * u64::from(LAYER_PLANES));
         let volume = labels.load(&engine);
         assert!(slab_count(&volume) > 3);
         labels.check(&volume, &engine).expect("the twin's distances");

@@ -3,15 +3,15 @@
 use super::recipes::{Pattern, recipes, surfaces};
 use super::*;
 use isopeel_kernels::expression::{Binary, Expression, Op};
-use isopeel_kernels::testing::{Device, limit_allocations, slab_count};
-use isopeel_kernels::{Mesher, REGION_CELLS, SampleType, Surface};
+use isopeel_kernels::testing::{Device, LAYER_PLANES, limit_allocations, slab_count};
+use isopeel_kernels::{Mesher, SampleType, Surface};
 use isopeel_reference::construct;
 
 /// Loads in one slab, or with a limit that one layer of regions and the planes around it just keep. Only the load is
 /// limited: a pyramid of noise is larger than its volume.
 fn load_in(engine: &mut Device, recipe: &Recipe, several: bool) -> Loaded {
     let [x, y, _] = recipe.dims.map(u64::from);
-    let before = several.then(|| limit_allocations(engine, x * y * 4 * (u64::from(REGION_CELLS) + 3)));
+    let before = several.then(|| limit_allocations(engine, x * y * 4 * u64::from(LAYER_PLANES)));
     let loaded = load(engine, recipe);
     if let Some(before) = before {
         limit_allocations(engine, before);

@@ -39,7 +39,28 @@ fn may_end(field: &Field, leaves: [Leaf; 2]) -> bool {
     around(low[2], 2).any(|z| around(low[1], 1).any(|y| around(low[0], 0).any(|x| field.at([x, y, z]).is_nan())))
 }
 
-/// Checks the promises; `manifold`: that no edge is used by more than two triangles.
+/// Vertices inside the surface around which triangles make more than one fan: parts meet there in a point alone.
+fn pinched(triangles: &[[[i64; 3]; 3]]) -> Vec<[i64; 3]> {
+    // From one end of each opposite edge to the other: around a vertex they make loops.
+    let mut next: HashMap<[i64; 3], HashMap<[i64; 3], [i64; 3]>> = HashMap::new();
+    for t in triangles {
+        for i in 0..3 {
+            next.entry(t[i]).or_default().insert(t[(i + 1) % 3], t[(i + 2) % 3]);
+        }
+    }
+    let is_pinched = |around: &HashMap<[i64; 3], [i64; 3]>| {
+        let first = around.keys().next().expect("a triangle");
+        let loop_of_first = std::iter::successors(around.get(first), |at| around.get(*at).filter(|_| *at != first));
+        let is_inside = around.values().all(|end| around.contains_key(end));
+        is_inside && loop_of_first.count() != around.len()
+    };
+    next.iter()
+        .filter(|(_, around)| is_pinched(around))
+        .map(|(at, _)| *at)
+        .collect()
+}
+
+/// Checks the promises; `manifold`: that no edge is used by more than two triangles, and no vertex by more than one fan.
 fn check(
     field: &Field,
     host: &HostPyramid,
@@ -79,6 +100,8 @@ fn check(
             "{uses} triangles at the edge {ends:?} between {leaves:?}, expected at most 2"
         );
     }
+    let pinched = if manifold { pinched(triangles) } else { Vec::new() };
+    prop_assert!(pinched.is_empty(), "several fans at {pinched:?}");
     Ok(())
 }
 
