@@ -33,8 +33,8 @@ INLINED void collect_point(Crossings *crossings, float3 point, float weight, uin
     crossings->brick[at] = brick;
 }
 
-// Updates the nearest triangle of each point by a batch of pairs. Ties go to the triangle with the lowest index, because the order of a chain is
-// not deterministic.
+// Updates the nearest triangle of each point by a batch of pairs. The order of a chain is not deterministic, so ties go to the triangle with the
+// lowest index. One with a border vertex is in the fan twice: with the vertex, and with the one it was moved from.
 INLINED void measure_batch(Crossings *crossings, Pairs *pairs) {
     float distances2[LANES], beyond[LANES];
     measure_pairs(pairs, distances2, beyond);
@@ -42,9 +42,10 @@ INLINED void measure_batch(Crossings *crossings, Pairs *pairs) {
         const uint owner = pairs->owner[i], triangle = pairs->triangle[i];
         const float nearest2 = crossings->nearest2[owner];
         if (distances2[i] > nearest2 || (distances2[i] == nearest2 && triangle > crossings->triangle[owner])) continue;
+        const bool again = distances2[i] == nearest2 && triangle == crossings->triangle[owner];
         crossings->nearest2[owner] = distances2[i];
         crossings->triangle[owner] = triangle;
-        crossings->beyond[owner] = beyond[i] > 0.0f;
+        crossings->beyond[owner] = beyond[i] > 0.0f || (again && crossings->beyond[owner]);
     }
     pairs->count = 0;
 }
