@@ -184,19 +184,39 @@ INLINED uint nearest_other_corner(Grid grid, const MeshFans *mesh, float3 p, uin
     return other;
 }
 
-// Squared distance of `p` to the mesh near the vertex of a slot: from fan to fan as long as triangles or vertices come nearer.
-INLINED float walk_to_mesh(Grid grid, const MeshFans *mesh, Pairs *pairs, float3 p, uint slot) {
+// The corner of a triangle that is nearest to `p` and whose bit is not in `tried`; sets its bit. NONE: all are.
+INLINED uint untried_corner(Grid grid, const MeshFans *mesh, float3 p, uint triangle, uint *tried) {
+    uint nearest = NONE;
     float nearest2 = INFINITY;
-    for (uint step = 0; step < WALK_STEPS; step++) {
-        const Nearest found = nearest_in_fan(grid, mesh, pairs, p, slot);
-        const bool nearer = found.distance2 < nearest2;
-        nearest2 = fmin(nearest2, found.distance2);
-        if (found.triangle == NONE) break;
-        const uint next = nearest_other_corner(grid, mesh, p, found.triangle, slot);
-        if (!nearer && !(distance2_of(p, mesh->positions[next].xyz) < distance2_of(p, mesh->positions[slot].xyz))) break;
-        slot = next;
+    for (uint i = 0; i < 3; i++) {
+        if (*tried >> i & 1u) continue;
+        const float distance2 = distance2_of(p, corner_position(grid, mesh, triangle + i));
+        if (distance2 < nearest2) {
+            nearest2 = distance2;
+            nearest = i;
+        }
     }
-    return nearest2;
+    if (nearest == NONE) return NONE;
+    *tried |= 1u << nearest;
+    return mesh->corner_slots[triangle + nearest] & ~ON_BORDER;
+}
+
+// Squared distance of `p` to the mesh near the vertex of a slot: from fan to fan, those of the corners of the nearest triangle so far.
+INLINED float walk_to_mesh(Grid grid, const MeshFans *mesh, Pairs *pairs, float3 p, uint slot) {
+    Nearest nearest = {INFINITY, NONE};
+    uint tried = 0;
+    for (uint step = 0; step < WALK_STEPS && slot != NONE; step++) {
+        const Nearest found = nearest_in_fan(grid, mesh, pairs, p, slot);
+        if (found.distance2 < nearest.distance2) {
+            nearest = found;
+            tried = 0;
+            for (uint i = 0; i < 3 && found.triangle != NONE; i++)
+                tried |= (uint)((mesh->corner_slots[found.triangle + i] & ~ON_BORDER) == slot) << i;
+        }
+        if (nearest.triangle == NONE) break;
+        slot = untried_corner(grid, mesh, p, nearest.triangle, &tried);
+    }
+    return nearest.distance2;
 }
 
 // Where a search begins. Every brick has a seed for each of its level-2 cubes: the slot of a vertex that has triangles, or NONE.

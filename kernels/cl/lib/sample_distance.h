@@ -17,12 +17,14 @@
 #include "lib/surface_distance.h"
 #include "lib/triangle_samples.h"
 
+// How many bricks away from a sample the surface is looked for: as many as a region has.
+#define BRICKS_AROUND 4
+
 // What error_samples reads beside the mesh.
 typedef struct {
     Grid grid;
     __global const uint *region_index;
     __global const Brick *bricks;
-    __global const uint *near;
     __global const SAMPLE *samples;
     uint z0;
     uint cap;
@@ -47,13 +49,14 @@ INLINED float bound_by_corners(const SampledField *field, const MeshFans *mesh, 
     return bound;
 }
 
-// The active brick at `x`, in cells, or NONE.
-INLINED uint brick_at(const SampledField *field, __global const Region *regions, float3 x) {
-    const Grid grid = field->grid;
-    const uint3 last = (uint3)(grid.dims[0], grid.dims[1], grid.dims[2]) - 2, cell = min(convert_uint3(x), last);
-    const uint index = field->region_index[((cell.z >> 5) * grid.regions[1] + (cell.y >> 5)) * grid.regions[0] + (cell.x >> 5)];
+// The active brick at a place, in bricks of the volume, or NONE.
+INLINED uint active_brick(const SampledField *field, __global const Region *regions, int3 at) {
+    const uint3 count = (uint3)(field->grid.regions[0], field->grid.regions[1], field->grid.regions[2]);
+    if (any(at < 0) || any(at >= convert_int3(4u * count))) return NONE;
+    const int3 region = at >> 2;
+    const uint index = field->region_index[((uint)region.z * count.y + (uint)region.y) * count.x + (uint)region.x];
     if (index == NONE) return NONE;
-    const uint brick = morton(cell & 31u) >> 9, low = regions[index].brick_mask[0], high = regions[index].brick_mask[1];
+    const uint brick = morton(convert_uint3(at & 3)), low = regions[index].brick_mask[0], high = regions[index].brick_mask[1];
     return test_bit64(low, high, brick) ? regions[index].brick_base + rank64(low, high, brick) : NONE;
 }
 
@@ -77,24 +80,25 @@ INLINED float4 nearest_cell_vertex(const SampledField *field, const MeshFans *me
     return nearest;
 }
 
-// The vertex of an active cell, which lies on the surface, that is nearest to `x` in the 27 bricks around it or around a corner of its
-// triangle; w: squared distance, infinite where no brick is active there. World units.
-INLINED float4 nearest_of_cells(const SampledField *field, const MeshFans *mesh, float3 x, uint first) {
+// The vertex of an active cell, which lies on the surface, that is nearest to `x`; w: squared distance, infinite where no brick is active within
+// BRICKS_AROUND. Bricks are tried from the middle outwards, as long as one of the next may have a nearer one. World units.
+INLINED float4 nearest_of_cells(const SampledField *field, const MeshFans *mesh, float3 x) {
     const float3 spacing = field->box.spacing, p = x * spacing;
+    const float brick_size = 8.0f * field->box.straight / STRAIGHT;
+    const int3 centre = convert_int3(x) >> 3;
     float4 nearest = (float4)(0.0f, 0.0f, 0.0f, INFINITY);
-    uint brick = brick_at(field, mesh->regions, x);
-    for (uint i = 0; first != NONE && i < 3 && brick == NONE; i++)
-        brick = brick_at(field, mesh->regions, mesh->positions[mesh->corner_slots[first + i] & ~ON_BORDER].xyz / spacing);
-    if (brick == NONE) return nearest;
-    __global const Brick *centre = field->bricks + brick;
-    const float3 low = convert_float3(region_origin(field->grid, mesh->regions[centre->region].region)
-                                      + unmorton(centre->morton << 9));
-    for (uint i = 0; i < 27; i++) {
-        const uint k = (i + 13) % 27, index = field->near[27 * brick + k];
-        if (index == NONE) continue;
-        const float3 begin = near_brick_origin(low, k, spacing);
-        if (distance2_to_box(p, begin, 8.0f * spacing) < nearest.w)
-            nearest = nearest_cell_vertex(field, mesh, p, index, begin, nearest);
+    for (int radius = 0; radius <= BRICKS_AROUND; radius++) {
+        const float before = brick_size * (float)(radius - 1);
+        if (radius > 1 && nearest.w <= before * before) break;
+        const int side = 2 * radius + 1;
+        for (int k = 0; k < side * side * side; k++) {
+            const int3 to = (int3)(k % side, k / side % side, k / (side * side)) - radius;
+            if (max(max(abs(to.x), abs(to.y)), abs(to.z)) != (uint)radius) continue;
+            const float3 begin = convert_float3((centre + to) << 3) * spacing;
+            if (distance2_to_box(p, begin, 8.0f * spacing) >= nearest.w) continue;
+            const uint brick = active_brick(field, mesh->regions, centre + to);
+            if (brick != NONE) nearest = nearest_cell_vertex(field, mesh, p, brick, begin, nearest);
+        }
     }
     return nearest;
 }
@@ -141,7 +145,7 @@ INLINED void search_again(const SampledField *field, const MeshFans *mesh, Trian
         distances[i] = arrived(&field->box, search, i) ? search->distance[i] : INFINITY;
         search->active[i] = 0.0f;
         if (distances[i] <= half_cell || (batch->weight[i] == 0.0f && distances[i] <= maximum)) continue;
-        const float4 vertex = nearest_of_cells(field, mesh, sample_position(batch, i), batch->first[i]);
+        const float4 vertex = nearest_of_cells(field, mesh, sample_position(batch, i));
         if (vertex.w == INFINITY) continue;
         const float3 x = vertex.xyz / field->box.spacing;
         distances[i] = fmin(distances[i], sqrt(vertex.w));

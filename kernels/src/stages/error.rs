@@ -475,7 +475,6 @@ impl Measurement<'_> {
                         &pyramid.region_index,
                         &pyramid.regions,
                         &pyramid.bricks,
-                        &pyramid.near,
                         input.corner_slots,
                         &fans.positions,
                         input.meshes,

@@ -148,6 +148,40 @@ fn capped_volumes_end_on_their_faces() {
     });
 }
 
+/// A solid with a round hole in one of its faces, over which a coarse cut has triangles: no point of these is further from the surface than the
+/// hole is deep, though the cells around it and around their corners have none.
+#[test]
+fn triangles_over_a_hole_are_as_far_as_it_is_deep() {
+    let Some(engine) = device() else { return };
+    const RADIUS: f32 = 22.0;
+    let middle = [30.3, 31.2, 0.0];
+    let dims = [64u32, 64, 40];
+    let grid = Grid::new(dims.map(|n| n + 2), [1.0; 3]).expect("a grid");
+    let mut samples = Vec::new();
+    for z in 0..dims[2] + 2 {
+        for y in 0..dims[1] + 2 {
+            for x in 0..dims[0] + 2 {
+                let p = [x, y, z];
+                let inside = (0..3).all(|axis| (1..=dims[axis]).contains(&p[axis]));
+                let to: [f32; 3] = std::array::from_fn(|axis| p[axis] as f32 - 1.0 - middle[axis]);
+                let distance = to.iter().map(|d| d * d).sum::<f32>().sqrt();
+                samples.push(if inside { distance - RADIUS } else { -1e4 });
+            }
+        }
+    }
+    let loaded = load_samples(&engine, grid, &isopeel_kernels::Samples::F32(samples), None, 0.0);
+    let pyramid = build(&engine, &loaded, Feature::None);
+    let host = HostPyramid::read(&engine, &pyramid);
+    let state: Vec<u8> = host
+        .leaves
+        .iter()
+        .map(|leaf| if leaf.level <= 5 { 5 } else { 255 })
+        .collect();
+    let Surface { statistics, .. } = measured(&engine, &loaded, &pyramid, &state, true);
+    let got = statistics.error.expect("asked for");
+    assert!((0.5 * RADIUS..=RADIUS).contains(&got.max), "{got:?}");
+}
+
 /// A ball, and far from it specks that a coarse cut loses.
 #[test]
 fn parts_that_vanish_count_with_their_distance_to_what_is_left() {
