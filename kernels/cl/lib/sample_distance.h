@@ -179,7 +179,7 @@ INLINED void measure_samples(const SampledField *field, const MeshFans *mesh, Tr
         const float3 x = sample_position(batch, i);
         float d = distances[i];
         if (d == INFINITY && batch->first[i] != NONE) d = bound_by_corners(field, mesh, x * field->box.spacing, batch->first[i], d);
-        if (field->cap && d > field->box.straight) d = distance_to_cap(field, x, d);
+        if (field->cap) d = distance_to_cap(field, x, d);
         // A vertex so far away is a corner of triangles that are measured.
         if (d < INFINITY) add_distance(sums, d, batch->weight[i]);
     }
