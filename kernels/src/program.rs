@@ -104,7 +104,7 @@ pub(crate) struct Programs {
 }
 
 /// PoCL compiles one variant of a kernel for launches of at most this many work-items, and another one for more.
-const FEW_WORK_ITEMS: usize = u16::MAX as usize;
+pub(crate) const FEW_WORK_ITEMS: usize = u16::MAX as usize;
 
 /// Whether the program of that name may be built ([`crate::Engine::programs`]) already, or why it never may.
 pub type Gate = Box<dyn Fn(&str) -> std::result::Result<bool, String>>;
