@@ -72,11 +72,11 @@ const MAX_BLOCKS: u64 = 1 << 15;
 /// the device's check has launched: it takes longer to compile than others may wait.
 pub fn pace(cx: &Context) -> Pace {
     let few_blocks = (FEW_WORK_ITEMS / BRICK_GROUP * BRICK_GROUP * cx.tuning.lanes) as u64 / BLOCK;
-    let most = match cx.found.info.kind {
+    let max_blocks = match cx.found.info.kind {
         DeviceKind::Cpu => MAX_BLOCKS.min(few_blocks),
         _ => MAX_BLOCKS,
     };
-    Pace::new(FIRST_BLOCKS.min(most), 1, most)
+    Pace::new(FIRST_BLOCKS.min(max_blocks), 1, max_blocks)
 }
 
 /// A field of an expression.

@@ -77,7 +77,7 @@ impl Access {
     fn identify(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
         let path = uri.path();
         let need = need(method, path);
-        // Probes ask for an address or a name that only their cluster knows, and are told no more than a word.
+        // Probes ask for an address or a name that only their cluster knows, and get no more than a word.
         let is_probe = PROBES.contains(&path) && matches!(*method, Method::GET | Method::HEAD);
         if !is_probe {
             self.hosts.check(uri, headers)?;
