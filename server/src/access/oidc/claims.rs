@@ -1,7 +1,7 @@
 //! What an issuer says of somebody: an ID token (OpenID Connect Core 1.0, section 2), and whether it is to be believed (3.1.3.7).
 
 use jsonwebtoken::jwk::{Jwk, JwkSet, PublicKeyUse};
-use jsonwebtoken::{DecodingKey, Validation, decode, decode_header};
+use jsonwebtoken::{DecodingKey, Validation, decode, decode_header, get_current_timestamp};
 use serde::Deserialize;
 use serde_json::Value;
 use subtle::ConstantTimeEq;
@@ -10,6 +10,9 @@ use super::signature::{self, ALGORITHMS};
 
 /// Seconds that clocks may differ by.
 const LEEWAY: u64 = 30;
+
+/// Maximum length of `sub`.
+const MAX_SUB_BYTES: usize = 255;
 
 /// Why an ID token is not believed.
 #[derive(Debug, thiserror::Error)]
@@ -30,6 +33,8 @@ pub(super) struct Claims {
     aud: Audience,
     azp: Option<String>,
     nonce: Option<String>,
+    /// When it was issued, seconds since 1970.
+    iat: Option<f64>,
     #[serde(flatten)]
     others: serde_json::Map<String, Value>,
 }
@@ -80,6 +85,7 @@ impl Claims {
         validation.set_audience(&[expected.client_id]);
         let claims = decode::<Self>(token, &DecodingKey::from_jwk(key)?, &validation)?.claims;
         claims.check_party(expected)?;
+        claims.check_person()?;
         Ok(claims)
     }
 
@@ -99,6 +105,22 @@ impl Claims {
         let nonce = self.nonce.as_deref().unwrap_or("");
         if !bool::from(nonce.as_bytes().ct_eq(expected.nonce.as_bytes())) {
             return Err(ClaimsError::Other("nonce is another one"));
+        }
+        Ok(())
+    }
+
+    /// The length of `sub` is that of OpenID Connect Core 1.0, section 2.
+    fn check_person(&self) -> Result<(), ClaimsError> {
+        if self.sub.is_empty() || self.sub.len() > MAX_SUB_BYTES || !self.sub.is_ascii() {
+            return Err(ClaimsError::Other(
+                "sub is empty, not ASCII or longer than 255 characters",
+            ));
+        }
+        if self
+            .iat
+            .is_some_and(|iat| iat > (get_current_timestamp() + LEEWAY) as f64)
+        {
+            return Err(ClaimsError::Other("time of issue is in the future"));
         }
         Ok(())
     }
