@@ -1,12 +1,13 @@
 //! What an issuer says of somebody: an ID token (OpenID Connect Core 1.0, section 2), and whether it is to be believed (3.1.3.7).
 
 use jsonwebtoken::jwk::{Jwk, JwkSet, PublicKeyUse};
-use jsonwebtoken::{DecodingKey, Validation, decode, decode_header, get_current_timestamp};
+use jsonwebtoken::{DecodingKey, Validation, decode, decode_header};
 use serde::Deserialize;
 use serde_json::Value;
 use subtle::ConstantTimeEq;
 
 use super::signature::{self, ALGORITHMS};
+use crate::access::named::now;
 
 /// Seconds that clocks may differ by.
 const LEEWAY: u64 = 30;
@@ -116,10 +117,7 @@ impl Claims {
                 "sub is empty, not ASCII or longer than 255 characters",
             ));
         }
-        if self
-            .iat
-            .is_some_and(|iat| iat > (get_current_timestamp() + LEEWAY) as f64)
-        {
+        if self.iat.is_some_and(|iat| iat > (now() + LEEWAY) as f64) {
             return Err(ClaimsError::Other("time of issue is in the future"));
         }
         Ok(())
