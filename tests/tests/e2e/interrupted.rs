@@ -306,7 +306,7 @@ fn a_server_that_drains_breaks_no_request_and_ends_in_time() {
     let folder = tempfile::tempdir().expect("a folder");
     let volume = folder.path().join("ball.npy");
     crate::support::ball::write(&volume);
-    let Some(process) = process::start(&[volume], &["--drain", "6", "--demo"]) else {
+    let Some(process) = process::start(&[volume], &["--drain", "10", "--demo"]) else {
         return;
     };
     let address = process.address;
@@ -318,7 +318,7 @@ fn a_server_that_drains_breaks_no_request_and_ends_in_time() {
     process.signal("TERM");
     std::thread::sleep(Duration::from_millis(100));
     let mut answered = 0;
-    while start.elapsed() < Duration::from_millis(2700) {
+    while start.elapsed() < Duration::from_millis(3500) {
         let code = http::get(address, "/readyz").problem(503);
         assert_eq!(code, "busy");
         assert_eq!(http::get(address, "/healthz").status, 200);
@@ -326,7 +326,8 @@ fn a_server_that_drains_breaks_no_request_and_ends_in_time() {
         answered += 1;
     }
     assert!(answered > 3, "{answered} requests");
-    // These run when the listener closes.
+    // On a quick machine these still run when the listener closes, after five seconds; on a busy one they begin before it does.
+    std::thread::sleep(Duration::from_millis(4300).saturating_sub(start.elapsed()));
     let running: Vec<_> = (0..3)
         .map(|n| {
             std::thread::spawn(move || http::post_json(address, "/api/v1/extract", &large(80.0 + f64::from(n))).status)
@@ -336,5 +337,5 @@ fn a_server_that_drains_breaks_no_request_and_ends_in_time() {
         assert_eq!(request.join().expect("an answer"), 200);
     }
     assert!(process.ended_within(Duration::from_secs(10)).success());
-    assert!(start.elapsed() < Duration::from_secs(10), "{:?}", start.elapsed());
+    assert!(start.elapsed() < Duration::from_secs(12), "{:?}", start.elapsed());
 }
