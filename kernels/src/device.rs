@@ -10,7 +10,7 @@ use std::sync::{Mutex, PoisonError};
 const LIBRARY_NOT_LOADED: i32 = -2000;
 
 /// Platform of PoCL.
-pub(crate) const POCL: &str = "Portable Computing Language";
+pub const POCL: &str = "Portable Computing Language";
 
 /// What kind of processor a device is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

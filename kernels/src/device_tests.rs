@@ -3,8 +3,9 @@
 
 use crate::check::{self, Check};
 use crate::context::read_back::Blocks;
+use crate::expression::{Binary, Op};
 use crate::testing::device;
-use crate::{Engine, Error, Grid, SampleType, Samples, Tuning, layout, stages};
+use crate::{DeviceKind, Engine, Error, Expression, Grid, Never, SampleType, Samples, Tuning, layout, stages};
 
 #[test]
 fn device_and_host_lay_structs_out_alike() {
@@ -294,6 +295,26 @@ fn a_gpu_that_is_lost_is_noticed() {
         Ok(again) => check_all(&again, SampleType::F32),
         Err(error) => assert!(error.needs_new_process(), "{error:?}"),
     }
+}
+
+/// Compiling the interpreter of expressions takes seconds on PoCL, which others would wait for.
+#[test]
+fn a_large_field_of_an_expression_takes_the_variant_that_a_small_one_has() {
+    let Some(engine) = device() else { return };
+    if engine.device().kind != DeviceKind::Cpu {
+        return;
+    }
+    let expression = Expression::new(vec![Op::Field(0), Op::Binary(Binary::Add, 0, 0)]).expect("an expression");
+    let evaluate = |dims: [u32; 3]| {
+        let grid = Grid::new(dims, [1.0; 3]).expect("a grid");
+        let samples = Samples::U8(vec![7; grid.sample_count() as usize]);
+        let volume = engine.upload(grid, &samples, None).expect("a volume");
+        engine.evaluate(&expression, &[&volume], &Never)
+    };
+    evaluate([16, 16, 16]).expect("a small field");
+    engine.check_compiler(Box::new(|| Err("a variant is compiled".to_owned())));
+    // More work-items than PoCL counts as few, if the launch is not bounded.
+    evaluate([256, 256, 64]).expect("a large field");
 }
 
 #[test]

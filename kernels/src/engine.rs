@@ -68,10 +68,10 @@ impl Engine {
         self.cx.programs.names()
     }
 
-    /// Programs that are not built yet wait for `gate`. If it returns an error, so does all that needs such a program, with
-    /// [`Error::Refused`].
-    pub fn wait_for(&self, gate: Gate) {
-        self.cx.programs.wait_for(gate);
+    /// Asks `gate` before a program is built. What needs one that it does not let pass ends with [`Error::NotYet`], or with [`Error::Refused`] if the
+    /// gate returns an error.
+    pub fn set_gate(&self, gate: Gate) {
+        self.cx.programs.set_gate(gate);
     }
 
     /// Asks `check` before the driver's compiler runs. If it returns an error, so does every call that needs a kernel that is not compiled yet, with

@@ -69,6 +69,9 @@ pub enum Error {
     /// No further program of the device is built; the text says why.
     #[error("the device is not used any more: {0}")]
     Refused(String),
+    /// The gate does not let this program be built yet.
+    #[error("the program {0} is still being checked on this device")]
+    NotYet(String),
     /// The caller's [`crate::Cancel`] said stop, between two stages.
     #[error("cancelled")]
     Cancelled,

@@ -95,7 +95,7 @@ pub(crate) struct Programs {
     /// The source of each kernel.
     source_of: HashMap<&'static str, &'static Source>,
     built: RefCell<HashMap<(&'static str, Variant), Rc<Program>>>,
-    /// What a program that is not built yet waits for.
+    /// What lets a program be built.
     gate: RefCell<Option<Gate>>,
     /// Whether anything more may be compiled.
     check: RefCell<Option<CompilerCheck>>,
@@ -104,10 +104,10 @@ pub(crate) struct Programs {
 }
 
 /// PoCL compiles one variant of a kernel for launches of at most this many work-items, and another one for more.
-const FEW_WORK_ITEMS: usize = u16::MAX as usize;
+pub(crate) const FEW_WORK_ITEMS: usize = u16::MAX as usize;
 
-/// Waits until the program of that name may be built ([`crate::Engine::programs`]), or says why it may not.
-pub type Gate = Box<dyn Fn(&str) -> std::result::Result<(), String>>;
+/// Whether the program of that name may be built ([`crate::Engine::programs`]) already, or why it never may.
+pub type Gate = Box<dyn Fn(&str) -> std::result::Result<bool, String>>;
 
 /// Says why the driver's compiler is not to run, before it does.
 pub type CompilerCheck = Box<dyn Fn() -> std::result::Result<(), String>>;
@@ -125,7 +125,7 @@ impl Programs {
     }
 
     /// No further program is built before `gate` lets it.
-    pub fn wait_for(&self, gate: Gate) {
+    pub fn set_gate(&self, gate: Gate) {
         self.gate.replace(Some(gate));
     }
 
@@ -141,13 +141,15 @@ impl Programs {
         }
     }
 
-    /// Waits until the program of that name may be built.
+    /// Checks that the program of that name may be built.
     ///
     /// # Errors
-    /// [`Error::Refused`]: what the gate or the check of the compiler says.
+    /// [`Error::NotYet`]; [`Error::Refused`]: what the gate or the check of the compiler says.
     pub fn pass(&self, name: &str) -> Result<()> {
-        if let Some(gate) = &*self.gate.borrow() {
-            gate(name).map_err(Error::Refused)?;
+        if let Some(gate) = &*self.gate.borrow()
+            && !gate(name).map_err(Error::Refused)?
+        {
+            return Err(Error::NotYet(name.to_owned()));
         }
         self.may_compile()
     }

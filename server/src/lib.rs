@@ -2,7 +2,7 @@
 //!
 //! In layers from the bottom up; each uses only those above it in this list:
 //!
-//! - [`error`], `math`, `pool`, [`private_folder`], [`problem`]: error chains, vectors, the CPU pool, folders of one user, HTTP errors.
+//! - `clock`, [`error`], `math`, `pool`, [`private_folder`], [`problem`]: times of day, error chains, vectors, the CPU pool, folders of one user, HTTP errors.
 //! - [`view`]: what a user asks for, as JSON.
 //! - [`volumes`]: file formats, datasets and the catalog.
 //! - [`device`]: which device is used, and whether it is to be believed.
@@ -19,6 +19,7 @@
 
 pub mod access;
 pub mod cli;
+mod clock;
 pub mod device;
 pub mod error;
 pub mod export;

@@ -31,9 +31,9 @@ pub fn start() -> Result<(), rayon::ThreadPoolBuildError> {
 /// Of so many processors, one is for exports at a time.
 const PROCESSORS_PER_EXPORT_THREAD: usize = 4;
 
-/// Priority of exports and readers, as `nice` counts: where processors are short, they get a tenth of what others get.
+/// Priority of exports, readers and compilers that run beside viewers, as `nice` counts: where processors are short, they get a tenth of what others get.
 #[cfg(target_os = "linux")]
-const NICENESS: libc::c_int = 10;
+pub const NICENESS: libc::c_int = 10;
 
 /// The pool of exports, of a server.
 static EXPORTS: OnceLock<rayon::ThreadPool> = OnceLock::new();

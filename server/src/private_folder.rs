@@ -25,6 +25,16 @@ pub enum FolderAccessError {
         /// Why not.
         source: io::Error,
     },
+    /// The system does not let the server's user make or enter it.
+    #[error(
+        "folder {} cannot be made or entered by user {user}, the server's: expected one above it that this user or group 0 may write, such as a volume of its own", path.display()
+    )]
+    Denied {
+        /// The folder.
+        path: PathBuf,
+        /// The server's user.
+        user: u32,
+    },
     /// It is another user's.
     #[error(
         "folder {} belongs to user {owner}, expected {user}, the server's: sudo chown -R {user} '{}'", path.display(), path.display()
@@ -80,9 +90,15 @@ impl FolderAccess {
 /// # Errors
 /// [`FolderAccessError`].
 pub fn open(path: &Path, access: FolderAccess) -> Result<PathBuf, FolderAccessError> {
-    let fail = |source| FolderAccessError::Io {
-        path: path.to_owned(),
-        source,
+    let fail = |source: io::Error| {
+        let path = path.to_owned();
+        match source.kind() {
+            io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
+                let user = rustix::process::geteuid().as_raw();
+                FolderAccessError::Denied { path, user }
+            }
+            _ => FolderAccessError::Io { path, source },
+        }
     };
     make(path).map_err(fail)?;
     let path = path.canonicalize().map_err(fail)?;
@@ -164,6 +180,15 @@ mod tests {
                 && error.ends_with(&format!("chmod go-rwx '{}'", made.display())),
             "{error}"
         );
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_folder_that_the_system_does_not_allow_is_named_with_what_helps() {
+        // Nobody makes folders there, whoever runs the test.
+        let error = open(Path::new("/sys/isopeel"), FolderAccess::Group).unwrap_err();
+        assert!(matches!(&error, FolderAccessError::Denied { .. }), "{error:?}");
+        assert!(error.to_string().contains("group 0 may write"), "{error}");
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod read_pace;
 mod tls;
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use axum::Router;
@@ -37,9 +38,8 @@ pub use connections::ConnectionLimits;
 pub use listener::{ListenAddress, Listener, SocketFile};
 pub use tls::{Tls, TlsError};
 
-/// Maximum time that a shutdown waits for running requests and for viewers' close handshakes. What still runs is then cancelled, so that
-/// the process has ended 2 s after the signal.
-const SHUTDOWN_GRACE: Duration = Duration::from_secs(1);
+/// Grace of a server that does not drain: the process has ended 2 s after the signal.
+pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(1);
 
 /// Configuration of a server.
 pub struct Config {
@@ -67,6 +67,10 @@ pub struct Config {
     pub jobs: Option<(StateFolder, Limits)>,
     /// Where exports wait that clients read slowly; `None`: among temporary files.
     pub spool: Option<SpoolFolder>,
+    /// Whether the server is about to end: it goes on, and `/readyz` says that others are to be asked.
+    pub is_draining: Arc<AtomicBool>,
+    /// Maximum time that a shutdown waits for running requests and for viewers' close handshakes. What still runs is then cancelled.
+    pub grace: Duration,
 }
 
 impl Config {
@@ -85,6 +89,8 @@ impl Config {
             uploads: None,
             jobs: None,
             spool: None,
+            is_draining: Arc::default(),
+            grace: SHUTDOWN_GRACE,
         }
     }
 }
@@ -134,6 +140,8 @@ pub async fn run(
         jobs,
         uploads,
         spool,
+        is_draining,
+        grace,
     } = config;
     metrics::start()?;
     let stop = CancellationToken::new();
@@ -149,7 +157,7 @@ pub async fn run(
         None => None,
     };
     let api = ApiState::new(catalog, extractor, access.clone()).with_jobs(jobs.clone());
-    let api = api.with_uploads(uploads.clone()).with_spool(spool);
+    let api = (api.with_uploads(uploads.clone()).with_spool(spool)).with_draining(is_draining);
     let proxies = Arc::clone(access.proxies());
     let _metrics = serve_metrics(metrics_listener, api.clone(), limits, stop.clone());
     let app = app(api, viewers.clone(), access);
@@ -174,16 +182,13 @@ pub async fn run(
         ended = &mut server => return Ok(ended.map_err(std::io::Error::other)?),
     };
     stop.cancel();
-    let ended = tokio::time::timeout(SHUTDOWN_GRACE, async {
+    let ended = tokio::time::timeout(grace, async {
         viewers.closed().await;
         let _ = (&mut server).await;
         let _ = (&mut runner).await;
     });
     if ended.await.is_err() {
-        tracing::warn!(
-            "connections still open after {} ms are dropped",
-            SHUTDOWN_GRACE.as_millis()
-        );
+        tracing::warn!("connections still open after {} ms are dropped", grace.as_millis());
         server.abort();
         runner.abort();
     }

@@ -385,7 +385,7 @@ async fn who_does_not_read_is_closed_too_when_the_token_ends() {
     };
     let (token, made) = file.create(new).expect("a token");
     let watch = TokenWatch::open(file.clone()).expect("tokens");
-    let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[])
+    let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[])
         .with_token(&Token::random().expect("random"))
         .with_named(&watch);
     tokio::spawn(watch.run());

@@ -26,7 +26,7 @@ LAYERS = {
         testing
     """,
     "server/src": """
-        error math metrics pool private_folder
+        clock error math metrics pool private_folder
         device view problem
         volumes
         extraction

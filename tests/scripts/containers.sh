@@ -81,8 +81,8 @@ build cpu isopeel:cpu
 build gpu isopeel
 
 say "the CPU image, read-only, not root, without capabilities"
-# Takes the place of the binary: the tests' volumes are in /tmp or the fixtures. Its home is the only place that it writes to: PoCL keeps compiled
-# kernels there, and loads them as libraries. Limits of its own, as podman's may be above this machine's.
+# Takes the place of the binary: the tests' volumes are in /tmp or the fixtures. Its folder is the only place that it writes to: PoCL keeps compiled
+# kernels there, and loads them as libraries. State and uploads are where the tests say. Limits of its own, as podman's may be above this machine's.
 mkdir -m 0777 "$work/home"
 chmod a+x "$work"
 export ISOPEEL_HOME=$work/home FIXTURES=$PWD/tests/fixtures
@@ -103,7 +103,8 @@ done
 name=isopeel-$$
 (while kill -0 $$; do sleep 0.1; done; podman kill "$name") >/dev/null 2>&1 &
 exec podman run --rm --interactive --name "$name" --runtime runc --network host --ulimit nofile=4096:4096 --ulimit nproc=4096:4096 --read-only \
-    --read-only-tmpfs=false --cap-drop all --security-opt no-new-privileges --volume "$ISOPEEL_HOME:/home/isopeel" --volume /tmp:/tmp \
+    --read-only-tmpfs=false --cap-drop all --security-opt no-new-privileges --volume "$ISOPEEL_HOME:/var/lib/isopeel" --volume /tmp:/tmp \
+    --unsetenv ISOPEEL_STATE_FOLDER --unsetenv ISOPEEL_UPLOADS --unsetenv ISOPEEL_FOLDER_ACCESS \
     --volume "$FIXTURES:$FIXTURES:ro" \
     localhost/isopeel:cpu "$@"
 SCRIPT

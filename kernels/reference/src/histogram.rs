@@ -5,6 +5,23 @@ use isopeel_kernels::Histogram;
 /// Bins of a histogram.
 pub const BINS: usize = 256;
 
+/// Numbers of the planes that a histogram counts of a volume of `dims` samples, if it has more than `samples`: one block of `depth` planes of each so
+/// many blocks (docs/algorithm.md, 2.3).
+pub fn counted_planes(dims: [u32; 3], depth: u32, samples: u64) -> Vec<u32> {
+    let all = dims.iter().map(|&n| u64::from(n)).product::<u64>();
+    let planes: Vec<u32> = (0..dims[2]).collect();
+    if all <= samples {
+        return planes;
+    }
+    let blocks: Vec<_> = planes.chunks(depth as usize).collect();
+    let groups = blocks.chunks(all.div_ceil(samples) as usize);
+    let chosen = groups.zip(0u32..).map(|(group, number)| {
+        let hash = number.wrapping_mul(0x9e37_79b9) / 65536;
+        group[hash as usize % group.len()]
+    });
+    chosen.flatten().copied().collect()
+}
+
 /// Range over the finite values, and how many fall into each of 256 equal bins of it; all in the first when the range
 /// is a single value.
 pub fn histogram(values: &[f32]) -> Histogram {

@@ -40,7 +40,7 @@ impl Engine {
                 grid.dims, other.grid.dims
             ));
         }
-        let (encoded, mut pace) = (expression.encoded(), evaluate::pace());
+        let (encoded, mut pace) = (expression.encoded(), evaluate::pace(&self.cx));
         let plane = grid.dims[0] as usize * grid.dims[1] as usize;
         let mut slabs = Vec::new();
         // Fields of one grid have the same slabs.

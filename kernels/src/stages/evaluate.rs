@@ -7,7 +7,8 @@ use crate::buffer::Buffer;
 use crate::context::{Arg, Context};
 use crate::expression::Encoded;
 use crate::pace::Pace;
-use crate::{Cancel, Result, SampleType, constants};
+use crate::program::FEW_WORK_ITEMS;
+use crate::{Cancel, DeviceKind, Result, SampleType, constants};
 
 /// Name of the stage.
 pub const STAGE: &str = "evaluate";
@@ -67,9 +68,15 @@ const FIRST_BLOCKS: u64 = 64;
 /// Blocks of one launch at most.
 const MAX_BLOCKS: u64 = 1 << 15;
 
-/// Pace of an expression's launches, in blocks.
-pub fn pace() -> Pace {
-    Pace::new(FIRST_BLOCKS, 1, MAX_BLOCKS)
+/// Pace of an expression's launches, in blocks. On a CPU they stay few enough work-items that PoCL compiles one variant of the kernel, the one that
+/// the device's check has launched: it takes longer to compile than others may wait.
+pub fn pace(cx: &Context) -> Pace {
+    let few_blocks = (FEW_WORK_ITEMS / BRICK_GROUP * BRICK_GROUP * cx.tuning.lanes) as u64 / BLOCK;
+    let max_blocks = match cx.found.info.kind {
+        DeviceKind::Cpu => MAX_BLOCKS.min(few_blocks),
+        _ => MAX_BLOCKS,
+    };
+    Pace::new(FIRST_BLOCKS.min(max_blocks), 1, max_blocks)
 }
 
 /// A field of an expression.

@@ -62,6 +62,12 @@ const LAUNCH_SAMPLES: [u64; 2] = [1 << 20, 1 << 31];
 /// The same where `derive` computes the values of a launch before: 64 MiB of them at most.
 const DERIVED_SAMPLES: [u64; 2] = [1 << 18, 1 << 24];
 
+/// Samples of a volume of which all are counted. Of larger ones a share is, so that opening them takes seconds.
+const COUNTED_SAMPLES: u64 = 1 << 27;
+
+/// Planes of a block of `derive`.
+const DERIVED_PLANES: u32 = 8;
+
 /// Extents of bricks that are read back at once.
 const TABLE_EXTENTS: usize = 1 << 20;
 
@@ -72,6 +78,7 @@ pub struct HistogramWork {
     range: [f32; 2],
     bins: Vec<u64>,
     pace: Pace,
+    counted_samples: u64,
 }
 
 /// What the next launch does.
@@ -81,9 +88,9 @@ enum Pass {
     First,
     /// Widens the range by extents of bricks, from this one on.
     Table { next: usize },
-    /// Widens the range by the rows from this one on, counted through all planes.
+    /// Widens the range by the rows from this one on, in the order of [`Share`].
     Range { next: u64 },
-    /// Counts the values of the rows from this one on.
+    /// Counts the values of the rows from this one on, in the same order.
     Bins { next: u64 },
     /// Nothing is left.
     Done,
@@ -96,11 +103,21 @@ impl Default for HistogramWork {
             range: [f32::INFINITY, f32::NEG_INFINITY],
             bins: vec![0; 256],
             pace: Pace::new(1, 1, 1),
+            counted_samples: COUNTED_SAMPLES,
         }
     }
 }
 
 impl HistogramWork {
+    /// As the default, with another number of samples from which on a share is counted: small volumes are counted as large ones.
+    #[cfg(feature = "testing")]
+    pub fn of_share(counted_samples: u64) -> Self {
+        Self {
+            counted_samples,
+            ..Self::default()
+        }
+    }
+
     /// The histogram, once it is complete.
     pub fn complete(&self) -> Option<Histogram> {
         let [lo, hi] = self.range;
@@ -147,6 +164,69 @@ impl Launch<'_> {
         (self.count as usize)
             .div_ceil(BRICK_GROUP * ITEM_SAMPLES)
             .min(MAX_GROUPS)
+    }
+}
+
+/// The planes of a volume that are counted: all in one block, or one block of each `stride` blocks, which a hash chooses, so that no period of the
+/// data hides values. It depends on the volume's size alone, as the opening isovalue does then.
+struct Share {
+    /// Rows of a plane.
+    ny: u32,
+    /// Planes of the volume.
+    nz: u32,
+    /// Planes of a block.
+    depth: u32,
+    stride: u32,
+}
+
+/// Rows that follow each other.
+struct Run {
+    plane: u32,
+    /// First row, in that plane.
+    row: u32,
+    /// The first plane after the block.
+    end: u32,
+}
+
+impl Share {
+    fn new([nx, ny, nz]: [u32; 3], depth: u32, counted_samples: u64) -> Self {
+        let samples = u64::from(nx) * u64::from(ny) * u64::from(nz);
+        let stride = samples.div_ceil(counted_samples) as u32;
+        Self {
+            ny,
+            nz,
+            depth: if stride > 1 { depth } else { nz },
+            stride,
+        }
+    }
+
+    fn block_rows(&self) -> u64 {
+        u64::from(self.depth) * u64::from(self.ny)
+    }
+
+    /// The rows from the `next` one of those that are counted to the end of their block.
+    fn run(&self, next: u64) -> Run {
+        let (group, in_block) = ((next / self.block_rows()) as u32, next % self.block_rows());
+        let first = group * self.stride;
+        let blocks = self.stride.min(self.nz.div_ceil(self.depth) - first);
+        let chosen = first + (group.wrapping_mul(0x9e37_79b9) >> 16) % blocks;
+        Run {
+            plane: chosen * self.depth + (in_block / u64::from(self.ny)) as u32,
+            row: (in_block % u64::from(self.ny)) as u32,
+            end: ((chosen + 1) * self.depth).min(self.nz),
+        }
+    }
+
+    /// The row after `rows` of a run, if there is one.
+    fn after(&self, next: u64, rows: u64, is_end: bool) -> Option<u64> {
+        let group = next / self.block_rows();
+        let after = if is_end {
+            (group + 1) * self.block_rows()
+        } else {
+            next + rows
+        };
+        let groups = self.nz.div_ceil(self.depth).div_ceil(self.stride);
+        (after < u64::from(groups) * self.block_rows()).then_some(after)
     }
 }
 
@@ -220,7 +300,7 @@ pub fn step(cx: &Context, volume: &Volume, feature: Feature<'_>, work: &mut Hist
 }
 
 impl Maker<'_> {
-    /// Does one launch from a row on, counted through all planes; returns the row after it, if there is one.
+    /// Does one launch from a row on, in the order of [`Share`]; returns the row after it, if there is one.
     fn launch(
         &self,
         next: u64,
@@ -228,16 +308,18 @@ impl Maker<'_> {
         run: impl FnOnce(&Self, &Launch<'_>, &mut HistogramWork) -> Result<()>,
     ) -> Result<Option<u64>> {
         let start = Instant::now();
-        let [nx, ny, nz] = self.volume.grid.dims;
-        let (plane, in_plane) = ((next / u64::from(ny)) as u32, (next % u64::from(ny)) as u32);
-        let (slab, end) = self.slab_of(plane);
-        let left = u64::from(end - plane) * u64::from(ny) - u64::from(in_plane);
+        let [nx, ny, _] = self.volume.grid.dims;
+        let depth = if self.source.is_some() { DERIVED_PLANES } else { 1 };
+        let share = Share::new(self.volume.grid.dims, depth, work.counted_samples);
+        let Run { plane, row, end } = share.run(next);
+        let (slab, slab_end) = self.slab_of(plane);
+        let rows_to = |end: u32| u64::from(end - plane) * u64::from(ny) - u64::from(row);
+        let block_rows = u64::from(DERIVED_PLANES * ny);
         let rows = match &self.source {
-            // Blocks of eight planes.
-            Some(_) => (work.pace.units() / u64::from(8 * ny)).max(1) * u64::from(8 * ny),
+            Some(_) => (work.pace.units() / block_rows).max(1) * block_rows,
             None => work.pace.units(),
         };
-        let rows = rows.min(left);
+        let rows = rows.min(rows_to(slab_end.min(end)));
         let values = match &self.source {
             Some(source) => {
                 let planes = (rows / u64::from(ny)) as u32;
@@ -249,15 +331,14 @@ impl Maker<'_> {
             kind: self.feature.kind_after_derive(self.volume),
             slab,
             first_plane: plane,
-            first_row: in_plane,
+            first_row: row,
             count: rows as u32 * nx,
             values,
         };
         // What is read back ends the launch.
         run(self, &launch, work)?;
         work.pace.took(rows, start.elapsed());
-        let after = next + rows;
-        Ok((after < u64::from(nz) * u64::from(ny)).then_some(after))
+        Ok(share.after(next, rows, rows == rows_to(end)))
     }
 
     /// The slab that has a plane, and the first plane after those that it has alone.

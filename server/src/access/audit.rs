@@ -25,6 +25,7 @@ use writer::{Command, Writer};
 use super::identity::Identity;
 use super::named::NamedToken;
 use super::peer::counted_as;
+use crate::clock;
 use crate::problem::ProblemCode;
 
 /// How long the refusals of a kind are counted before a line says how many there were.
@@ -275,7 +276,7 @@ impl Drop for Pending {
 }
 
 fn now() -> String {
-    humantime::format_rfc3339_millis(SystemTime::now()).to_string()
+    clock::rfc3339_millis(SystemTime::now())
 }
 
 #[cfg(test)]

@@ -20,6 +20,9 @@ use crate::problem::ApiError;
 
 const STREAM_PATH: &str = "/api/v1/stream";
 
+/// Whether the server lives, and whether it can work.
+const PROBES: [&str; 2] = ["/healthz", "/readyz"];
+
 /// What browsers say of the page that a request comes from.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
@@ -72,9 +75,13 @@ impl Access {
 
     /// Who sends a request; `None` where nobody has to say.
     fn identify(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
-        self.hosts.check(uri, headers)?;
         let path = uri.path();
         let need = need(method, path);
+        // Probes ask for an address or a name that only their cluster knows, and get no more than a word.
+        let is_probe = PROBES.contains(&path) && matches!(*method, Method::GET | Method::HEAD);
+        if !is_probe {
+            self.hosts.check(uri, headers)?;
+        }
         // What the page is made of is no secret, nor is whether the server lives.
         if !path.starts_with("/api/") && need == Need::Nothing {
             return Ok(None);
@@ -207,7 +214,7 @@ mod tests {
     fn case() -> Case {
         let token = Token::random().expect("random");
         let friend = "https://viewer.example".parse().expect("an origin");
-        let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[friend]).with_token(&token);
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[friend]).with_token(&token);
         let cookie = access
             .exchange(token.text())
             .expect("the right token")
@@ -285,8 +292,34 @@ mod tests {
     }
 
     #[test]
+    fn probes_may_ask_for_any_host_and_nothing_else_may() {
+        let Case { access, token, .. } = case();
+        let foreign: HeaderMap = [
+            (axum::http::header::HOST, "10.1.2.3.nip.example:8417"),
+            (axum::http::header::AUTHORIZATION, &token),
+        ]
+        .into_iter()
+        .map(|(name, value)| (name, value.parse().expect("a header")))
+        .collect();
+        for (method, path, expected) in [
+            (Method::GET, "/healthz", 200),
+            (Method::HEAD, "/readyz", 200),
+            (Method::POST, "/healthz", 421),
+            (Method::GET, "/healthz/", 421),
+            (Method::GET, "/metrics", 421),
+            (Method::GET, "/", 421),
+            (Method::GET, "/api/v1/volumes", 421),
+        ] {
+            let uri: Uri = path.parse().expect("a path");
+            let found = access.identify(&method, &uri, &foreign);
+            let status = found.map_or_else(|error| error.status().as_u16(), |_| 200);
+            assert_eq!(status, expected, "{method} {path}");
+        }
+    }
+
+    #[test]
     fn without_a_token_foreign_pages_still_start_no_work() {
-        let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[]);
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]);
         let (get, post) = (Method::GET, Method::POST);
         for (method, path, headers, expected) in [
             (&get, "/api/v1/volumes/head/slices", &[][..], 200),

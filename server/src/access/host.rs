@@ -64,14 +64,14 @@ impl std::fmt::Display for PublicUrl {
 #[derive(Clone, Debug)]
 pub(super) struct AllowedHosts {
     listen: IpAddr,
-    public: Option<String>,
+    public: Vec<String>,
 }
 
 impl AllowedHosts {
-    pub(super) fn new(listen: SocketAddr, public: Option<&PublicUrl>) -> Self {
+    pub(super) fn new(listen: SocketAddr, public: &[PublicUrl]) -> Self {
         Self {
             listen: listen.ip().to_canonical(),
-            public: public.map(|url| url.host.clone()),
+            public: public.iter().map(|url| url.host.clone()).collect(),
         }
     }
 
@@ -88,7 +88,7 @@ impl AllowedHosts {
             Ok(address) => address.is_loopback() || address == self.listen || self.listen.is_unspecified(),
             // Browsers resolve `localhost` and what is below it to this machine themselves.
             Err(_) if host == "localhost" || host.ends_with(".localhost") => true,
-            Err(_) => self.public.as_ref() == Some(&host),
+            Err(_) => self.public.contains(&host),
         }
     }
 
@@ -114,7 +114,7 @@ impl AllowedHosts {
 
 fn misdirected(host: &str) -> ApiError {
     let message = format!(
-        "this server does not answer to {host}: expected localhost, the address it listens on, or the host of --public-url"
+        "this server does not answer to {host}: expected localhost, the address it listens on, or a host of --public-url"
     );
     ApiError::new(StatusCode::MISDIRECTED_REQUEST, "foreign-host", message)
 }
@@ -131,17 +131,20 @@ fn host_of(authority: &Authority) -> String {
 mod tests {
     use super::*;
 
-    fn hosts(listen: &str, public: Option<&str>) -> AllowedHosts {
-        let public = public.map(|url| url.parse().expect("a URL"));
-        AllowedHosts::new(listen.parse().expect("an address"), public.as_ref())
+    fn hosts(listen: &str, public: &[&str]) -> AllowedHosts {
+        let public: Vec<_> = public.iter().map(|url| url.parse().expect("a URL")).collect();
+        AllowedHosts::new(listen.parse().expect("an address"), &public)
     }
 
     #[test]
     fn names_that_can_be_rebound_are_refused() {
-        let loopback = hosts("127.0.0.1:8417", None);
-        let public = hosts("127.0.0.1:8417", Some("https://Volumes.example:8443/isopeel/"));
-        let open = hosts("0.0.0.0:8417", None);
-        let one = hosts("192.0.2.7:80", None);
+        let loopback = hosts("127.0.0.1:8417", &[]);
+        let public = hosts(
+            "127.0.0.1:8417",
+            &["https://Volumes.example:8443/isopeel/", "http://isopeel.lab.svc:8417"],
+        );
+        let open = hosts("0.0.0.0:8417", &[]);
+        let one = hosts("192.0.2.7:80", &[]);
         for (hosts, host, allowed) in [
             (&loopback, "localhost:8417", true),
             (&loopback, "LOCALHOST.:9000", true),
@@ -158,6 +161,7 @@ mod tests {
             (&loopback, "", false),
             (&public, "volumes.example", true),
             (&public, "volumes.example:8443", true),
+            (&public, "isopeel.lab.svc:8417", true),
             (&public, "localhost", true),
             (&public, "other.volumes.example", false),
             (&open, "192.0.2.7:8417", true),
@@ -172,7 +176,7 @@ mod tests {
 
     #[test]
     fn a_request_has_one_host_and_its_target_no_other() {
-        let hosts = hosts("127.0.0.1:8417", None);
+        let hosts = hosts("127.0.0.1:8417", &[]);
         let check = |target: &str, named: &[&str]| {
             let mut headers = HeaderMap::new();
             for host in named {

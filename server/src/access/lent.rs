@@ -136,7 +136,7 @@ mod tests {
 
     fn access() -> (Access, Identity) {
         let token = Token::random().expect("random");
-        let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[]).with_token(&token);
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]).with_token(&token);
         let operator = access.who(token.text()).expect("the operator");
         (access, operator)
     }
@@ -172,7 +172,7 @@ mod tests {
         let token = lend(&operator, &[Role::Edit], 60).expect("a token");
         let who = access.who(token.text()).expect("somebody");
         assert!(matches!(lend(&who, &[Role::View], 60), Err(LendError::Lent)));
-        let open = Access::new(([127, 0, 0, 1], 8417).into(), None, &[]);
+        let open = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]);
         let nobody = Identity::without_token();
         assert!(matches!(
             open.lend(&nobody, vec![Role::View], 60),

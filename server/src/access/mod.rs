@@ -56,7 +56,7 @@ pub struct Access {
     /// Origins whose pages may have the viewer in a frame, beside these.
     frames: Arc<[AllowedOrigin]>,
     /// That of `--public-url`.
-    public_origin: Option<AllowedOrigin>,
+    public_origins: Arc<[AllowedOrigin]>,
     cookie: CookieName,
     /// `None`: everybody may.
     proofs: Option<Proofs>,
@@ -70,14 +70,15 @@ pub struct Access {
 }
 
 impl Access {
-    /// For a server that listens there, is offered at `public` by a proxy, and lets pages of `origins` use it. Everybody may.
-    pub fn new(listen: SocketAddr, public: Option<&PublicUrl>, origins: &[AllowedOrigin]) -> Self {
+    /// For a server that listens there, is offered at `public` by proxies, the first of them for people, and lets pages of `origins` use it. Everybody
+    /// may.
+    pub fn new(listen: SocketAddr, public: &[PublicUrl], origins: &[AllowedOrigin]) -> Self {
         Self {
             hosts: AllowedHosts::new(listen, public),
             origins: origins.into(),
             frames: Arc::default(),
-            public_origin: public.map(|url| url.origin().clone()),
-            cookie: CookieName::new(listen.port(), public.is_some_and(PublicUrl::is_https)),
+            public_origins: public.iter().map(|url| url.origin().clone()).collect(),
+            cookie: CookieName::new(listen.port(), public.first().is_some_and(PublicUrl::is_https)),
             proofs: None,
             tickets: Tickets::default(),
             rates: None,

@@ -62,14 +62,11 @@ pub(super) fn check(headers: &HeaderMap, access: &Access) -> Result<(), String> 
     Err(String::from_utf8_lossy(origin.as_bytes()).into_owned())
 }
 
-/// Whether an origin is that of the server's own page: the host that the request is for, or that of `--public-url`.
+/// Whether an origin is that of the server's own page: the host that the request is for, or one of `--public-url`.
 fn is_own(origin: &HeaderValue, headers: &HeaderMap, access: &Access) -> bool {
     let of_host = || Some(authority(origin.to_str().ok()?)? == headers.get(HOST)?.to_str().ok()?.to_ascii_lowercase());
-    access
-        .public_origin
-        .as_ref()
-        .is_some_and(|AllowedOrigin(public)| public == origin)
-        || of_host() == Some(true)
+    let mut public = access.public_origins.iter();
+    public.any(|AllowedOrigin(public)| public == origin) || of_host() == Some(true)
 }
 
 /// Host and port of an origin, in the form of `Host`. The scheme is ignored: a proxy may add TLS.
@@ -95,7 +92,7 @@ mod tests {
     fn own_pages_allowed_ones_and_programs_pass_and_no_others() {
         let allowed = ["https://Viewer.example".parse().expect("an origin")];
         let public = "https://volumes.example/isopeel".parse().expect("a URL");
-        let access = Access::new(([127, 0, 0, 1], 8417).into(), Some(&public), &allowed);
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), &[public], &allowed);
         for (origin, host, passes) in [
             (None, "localhost:8417", true),
             (Some("http://localhost:8417"), "localhost:8417", true),

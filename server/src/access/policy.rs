@@ -28,14 +28,14 @@ mod tests {
     #[test]
     fn only_allowed_origins_may_frame_the_page() {
         let policy = |origins: &[AllowedOrigin]| {
-            let access = Access::new(([127, 0, 0, 1], 8417).into(), None, origins);
+            let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], origins);
             content_security_policy(&access).to_str().expect("ASCII").to_owned()
         };
         assert!(policy(&[]).ends_with("frame-ancestors 'self'"));
         let lab = "https://lab.example".parse().expect("an origin");
         assert!(policy(&[lab]).ends_with("frame-ancestors 'self' https://lab.example"));
         let frames = ["https://blog.example".parse().expect("an origin")];
-        let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[]).with_frames(&frames);
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]).with_frames(&frames);
         let policy = content_security_policy(&access);
         assert!(
             policy

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use isopeel_kernels::{Engine, SampleType};
 
 use crate::device::{DeviceFailure, Prepared, Proven, Rest, Unprepared, Wanted, cache, prepare};
-use crate::extraction::{Choice, DeviceOptions, NoChoice, Report, SharedGate};
+use crate::extraction::{Choice, DeviceOptions, NoChoice, Report};
 
 /// Arguments of commands that use a device.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -76,9 +76,9 @@ impl DeviceArgs {
         let choose = move |report: &Report| match prepare(&wanted, &|done, of| report.progress(done, of)) {
             Ok(mut prepared) => {
                 let rest = prepared.rest.take();
-                let gate = rest.map(|rest| checked_meanwhile(rest, report.clone(), next));
+                let proven = rest.map(|rest| checked_meanwhile(rest, report.clone(), next));
                 Ok(Choice {
-                    gate,
+                    proven,
                     ..choice(&prepared)
                 })
             }
@@ -108,9 +108,9 @@ impl DeviceArgs {
     }
 }
 
-/// Goes on with a check. Programs wait at the gate until they have passed it. If the device fails, the server ends, or another process
+/// Goes on with a check, whose proven programs are returned. If the device fails, the server ends, or another process
 /// with the `next` environment takes its place.
-fn checked_meanwhile(rest: Rest, report: Report, next: NextEnvironment) -> SharedGate {
+fn checked_meanwhile(rest: Rest, report: Report, next: NextEnvironment) -> Arc<Proven> {
     let proven = Arc::new(Proven::default());
     let found = Arc::clone(&proven);
     // Children end with the thread that started them: the caller's, which is the device's.
@@ -130,14 +130,14 @@ fn checked_meanwhile(rest: Rest, report: Report, next: NextEnvironment) -> Share
         };
         found.end(ended);
     });
-    Arc::new(move |program| proven.wait_for(program))
+    proven
 }
 
 fn choice(prepared: &Prepared) -> Choice {
     Choice {
         selector: prepared.selector.clone(),
         tuning: prepared.tuning,
-        gate: None,
+        proven: None,
     }
 }
 

@@ -37,6 +37,9 @@ const CEILING_TRIANGLES: u64 = 20_000_000;
 /// An expression of 64 operations over 1024³ samples takes less on two cores, except with the slowest functions.
 const REQUEST_SECONDS: u32 = 120;
 
+/// An export may take as long.
+const MAX_DRAIN_SECONDS: i64 = 1200;
+
 /// Some thousand surfaces of a million triangles.
 const JOB_QUOTA_MIB: u64 = 64 * 1024;
 
@@ -84,9 +87,15 @@ pub struct Args {
     #[arg(long)]
     follow_links: bool,
 
-    /// Address at which a proxy offers this server, such as https://volumes.example: its host is answered, and its pages are the server's own
+    /// Address at which a proxy offers this server, such as https://volumes.example: its host is answered, and its pages are the server's own; may be
+    /// given again, that of people first
     #[arg(long, value_name = "URL")]
-    public_url: Option<PublicUrl>,
+    public_url: Vec<PublicUrl>,
+
+    /// After SIGTERM, answer new requests for half of these seconds, with 503 at /readyz, and give those that run the other half to end; viewers are
+    /// closed between both. 0: end within two seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=MAX_DRAIN_SECONDS))]
+    drain: u32,
 
     /// Let pages of another origin show the viewer in a frame, such as https://blog.example; may be given again. Those of --allow-origin may too
     #[arg(long, value_name = "ORIGIN")]
@@ -261,7 +270,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         _ => token(args)?,
     };
     let tls = tls(args)?;
-    let oidc = args.oidc.open(args.public_url.as_ref(), token.is_none())?;
+    let oidc = args.oidc.open(args.public_url.first(), token.is_none())?;
     let audit = args.audit_log.as_deref().map(Audit::open).transpose()?;
     args.memory.limit_process();
     if args.follow_links {
@@ -293,13 +302,18 @@ pub fn run(args: &Args) -> Result<(), Error> {
     pool::start_background()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let next = NextEnvironment::default();
+    let (half, is_draining) = (Duration::from_secs(args.drain.into()) / 2, Arc::default());
+    let drain = signals::Drain {
+        time: half,
+        has_begun: Arc::clone(&is_draining),
+    };
     let (served, worker, address) = runtime.block_on(async {
         let listener = listen(before.as_ref().map_or(&args.listen, |before| &before.listen)).await?;
         let metrics = match &args.metrics_listen {
             Some(address) => Some(listen(address).await?),
             None => None,
         };
-        let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()))?;
+        let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()), drain)?;
         // After the listener: an address in use is found before a device is opened.
         let worker = start_worker(args, &catalog, before.is_some(), Arc::clone(&next))?;
         let address = listener.address()?;
@@ -318,6 +332,8 @@ pub fn run(args: &Args) -> Result<(), Error> {
             uploads,
             jobs,
             spool,
+            is_draining,
+            grace: half.max(serve::SHUTDOWN_GRACE),
             ..Config::new(catalog, worker.clone(), access)
         };
         let watching = watcher.map(|watcher| tokio::spawn(watch(watcher)));
@@ -407,10 +423,8 @@ fn addresses(args: &Args, listen: &ListenAddress, token: Option<&Token>) -> Stri
         ListenAddress::Unix(_) => format!("{listen}\n"),
         ListenAddress::Tcp(listen) => format!("{scheme}://{}{secret}\n", reachable(*listen)),
     };
-    match &args.public_url {
-        Some(url) => format!("{local}{url}{secret}\n"),
-        None => local,
-    }
+    let public = args.public_url.iter().map(|url| format!("{url}{secret}\n"));
+    std::iter::once(local).chain(public).collect()
 }
 
 /// An address that a browser of this machine reaches.
@@ -425,7 +439,7 @@ fn reachable(listen: SocketAddr) -> SocketAddr {
 /// Says who may use the server that should perhaps not, and what others on the network can read.
 fn warn_of_network(args: &Args, address: &ListenAddress) {
     let ListenAddress::Tcp(address) = address else {
-        if args.token_file.is_none() && args.public_url.is_some() {
+        if args.token_file.is_none() && !args.public_url.is_empty() {
             tracing::warn!(
                 "no token is asked for at {address}: whoever reaches the proxy of --public-url may use all volumes, unless it asks itself"
             );
@@ -435,7 +449,7 @@ fn warn_of_network(args: &Args, address: &ListenAddress) {
     if args.no_auth {
         tracing::warn!("--no-auth: every user of this machine may use all volumes at {address}");
     }
-    let is_encrypted = args.tls_cert.is_some() || args.public_url.as_ref().is_some_and(PublicUrl::is_https);
+    let is_encrypted = args.tls_cert.is_some() || args.public_url.iter().any(PublicUrl::is_https);
     if !address.ip().is_loopback() && !is_encrypted {
         tracing::warn!(
             "{address} is open to the network and not encrypted: --tls-cert and --tls-key encrypt it, or put a proxy with TLS in front, and name it with --public-url https://…"
@@ -469,7 +483,7 @@ fn access(args: &Args, address: &ListenAddress, token: Option<&Token>, tokens: O
         ListenAddress::Unix(_) => (Ipv4Addr::LOCALHOST, 0).into(),
     };
     let (peer, token_rate) = (args.rate_peer, args.rate_token);
-    let access = Access::new(address, args.public_url.as_ref(), &args.allow_origin)
+    let access = Access::new(address, &args.public_url, &args.allow_origin)
         .with_frames(&args.embed_origin)
         .with_proxies(&args.trusted_proxy)
         .with_rates(Rates {

@@ -109,7 +109,7 @@ fn below_ours() -> Vec<(&'static str, PathBuf)> {
 }
 
 /// Where PoCL keeps its kernels, if the variables of this process's environment say so.
-fn pocl_folder() -> Option<PathBuf> {
+pub(super) fn pocl_folder() -> Option<PathBuf> {
     let ours = below_ours().into_iter().find(|(name, _)| *name == POCL);
     path(POCL)
         .or(ours.map(|(_, folder)| folder))

@@ -371,7 +371,7 @@ fn pair(variable: Option<(&str, &str)>) -> Option<(String, String)> {
 struct Building {
     check: Running,
     /// Dropped with it, which ends them.
-    _builders: Vec<Running>,
+    builders: Vec<Running>,
 }
 
 impl Building {
@@ -405,15 +405,19 @@ impl Building {
         });
         Ok(Self {
             check,
-            _builders: started.collect::<Result<_, _>>()?,
+            builders: started.collect::<Result<_, _>>()?,
         })
     }
 
-    /// Hears the messages of the check until its end, or if `early` until a first surface can be made.
+    /// Hears the messages of the check until its end, or if `early` until a first surface can be made. What follows that has low priority.
     fn follow(&mut self, early: bool, hear: &dyn Fn(Message)) -> Result<(), Ended> {
         while let Some(message) = self.check.next()? {
             match message {
-                Message::FirstSurface if early => return Ok(()),
+                Message::FirstSurface if early => {
+                    let children = self.builders.iter().chain([&self.check]);
+                    children.for_each(Running::lower_priority);
+                    return Ok(());
+                }
                 message => hear(message),
             }
         }

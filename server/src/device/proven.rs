@@ -1,14 +1,12 @@
 //! Programs that a check which still runs has proven.
 
 use std::collections::HashSet;
-use std::sync::{Condvar, Mutex, PoisonError};
+
+use tokio::sync::watch;
 
 /// Programs that have passed.
 #[derive(Default)]
-pub struct Proven {
-    state: Mutex<State>,
-    changed: Condvar,
-}
+pub struct Proven(watch::Sender<State>);
 
 #[derive(Default)]
 struct State {
@@ -17,57 +15,68 @@ struct State {
     ended: Option<Result<(), String>>,
 }
 
+impl State {
+    fn has_passed(&self, program: &str) -> Result<bool, String> {
+        match &self.ended {
+            Some(ended) => ended.clone().map(|()| true),
+            None => Ok(self.programs.contains(program)),
+        }
+    }
+}
+
 impl Proven {
     /// These have passed.
     pub fn add(&self, programs: Vec<String>) {
-        self.change(|state| state.programs.extend(programs));
+        self.0.send_modify(|state| state.programs.extend(programs));
     }
 
     /// The check has ended, with what was found wrong if anything was.
     pub fn end(&self, ended: Result<(), String>) {
-        self.change(|state| state.ended = Some(ended));
+        self.0.send_modify(|state| state.ended = Some(ended));
     }
 
-    /// Waits until a program has passed, or all have.
+    /// Whether a program has passed, or all have.
     ///
     /// # Errors
     /// What was found wrong, of this program or of others.
-    pub fn wait_for(&self, program: &str) -> Result<(), String> {
-        let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_open = |state: &mut State| state.ended.is_none() && !state.programs.contains(program);
-        let state = self
-            .changed
-            .wait_while(state, is_open)
-            .unwrap_or_else(PoisonError::into_inner);
-        state.ended.clone().unwrap_or(Ok(()))
+    pub fn has_passed(&self, program: &str) -> Result<bool, String> {
+        self.0.borrow().has_passed(program)
     }
 
-    fn change(&self, change: impl FnOnce(&mut State)) {
-        change(&mut self.state.lock().unwrap_or_else(PoisonError::into_inner));
-        self.changed.notify_all();
+    /// Waits until the check has come to a program: it has passed, or the check has failed.
+    pub async fn settled(&self, program: &str) {
+        let mut states = self.0.subscribe();
+        // The sender lives as long as this.
+        let _ = states.wait_for(|state| state.has_passed(program) != Ok(false)).await;
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+    use std::time::Duration;
+
     use super::*;
 
-    #[test]
-    fn a_program_waits_until_it_or_all_have_passed() {
-        let proven = Proven::default();
+    #[tokio::test]
+    async fn a_program_waits_until_it_or_all_have_passed() {
+        let proven = Arc::new(Proven::default());
         proven.add(vec!["dual.cl".to_owned()]);
-        assert_eq!(proven.wait_for("dual.cl"), Ok(()));
-        std::thread::scope(|scope| {
-            let waiting = scope.spawn(|| proven.wait_for("tree.cl"));
-            proven.add(vec!["fit.cl".to_owned()]);
-            std::thread::sleep(std::time::Duration::from_millis(20));
-            assert!(!waiting.is_finished());
-            proven.add(vec!["tree.cl".to_owned()]);
-            assert_eq!(waiting.join().expect("no panic"), Ok(()));
-        });
+        proven.settled("dual.cl").await;
+        assert_eq!(proven.has_passed("dual.cl"), Ok(true));
+        assert_eq!(proven.has_passed("tree.cl"), Ok(false));
+        let waits = Arc::clone(&proven);
+        let waiting = tokio::spawn(async move { waits.settled("tree.cl").await });
+        proven.add(vec!["fit.cl".to_owned()]);
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        assert!(!waiting.is_finished());
+        proven.add(vec!["tree.cl".to_owned()]);
+        waiting.await.expect("no panic");
+        assert_eq!(proven.has_passed("tree.cl"), Ok(true));
         proven.end(Err("stage curve is wrong".to_owned()));
         for program in ["dual.cl", "curve.cl"] {
-            assert_eq!(proven.wait_for(program), Err("stage curve is wrong".to_owned()));
+            proven.settled(program).await;
+            assert_eq!(proven.has_passed(program), Err("stage curve is wrong".to_owned()));
         }
     }
 }

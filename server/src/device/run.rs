@@ -111,6 +111,21 @@ impl Running {
         }
     }
 
+    /// Lowers the priority of a child, all threads of it: it does not hold up what is done beside it.
+    #[cfg(target_os = "linux")]
+    pub fn lower_priority(&self) {
+        use rustix::process::{Pid, setpriority_process};
+        let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id()));
+        let names = threads.into_iter().flatten().flatten().map(|thread| thread.file_name());
+        let ids = names.filter_map(|name| Pid::from_raw(name.to_str()?.parse().ok()?));
+        // A thread that has ended meanwhile has none.
+        ids.for_each(|id| _ = setpriority_process(Some(id), crate::pool::NICENESS));
+    }
+
+    /// Other systems do not tell its threads.
+    #[cfg(not(target_os = "linux"))]
+    pub fn lower_priority(&self) {}
+
     fn crashed(&mut self) -> Ended {
         let how = match self.child.wait() {
             Ok(status) => describe(status),

@@ -44,7 +44,7 @@ impl DeviceWorker {
         let mut losses = 0;
         for _ in 0..attempts {
             let (job, step) = (job.clone(), volume.clone());
-            let outcome = self.run(token, caller, length, move |state, turn| job(state, &step, turn));
+            let outcome = self.run_when_proven(token, caller, length, move |state, turn| job(state, &step, turn));
             let failed = match outcome.await {
                 Ok(value) => return Ok(value),
                 Err(JobError::Failed(error)) => error,
@@ -67,6 +67,7 @@ impl DeviceWorker {
                         Err(error) => error,
                     }
                 }
+                Err(halt @ JobError::Unproven { .. }) => halt.into(),
                 Err(JobError::TakesLong) => {
                     length = caller.long();
                     continue;

@@ -20,7 +20,7 @@ use super::pins::Pins;
 use super::turns::{Job, Queue};
 use super::worker_state::{Histograms, JobError, WorkerState};
 use super::{OpenError, WorkError};
-use crate::device::cache;
+use crate::device::{Proven, cache};
 use crate::metrics;
 
 /// From one attempt to open a lost device to the next. Meanwhile jobs fail at once.
@@ -54,9 +54,6 @@ pub struct Preparation {
     pub of: usize,
 }
 
-/// As [`isopeel_kernels::Gate`], for each time that the device is opened.
-pub type SharedGate = Arc<dyn Fn(&str) -> Result<(), String> + Send + Sync>;
-
 /// A device that was chosen.
 #[derive(Default)]
 pub struct Choice {
@@ -64,8 +61,8 @@ pub struct Choice {
     pub selector: Option<String>,
     /// How its kernels are built and launched, if not by default.
     pub tuning: Option<Tuning>,
-    /// What its programs wait for, those of a first surface excepted.
-    pub gate: Option<SharedGate>,
+    /// Programs that a check which still runs has proven; no others are run, but for those of a first surface.
+    pub proven: Option<Arc<Proven>>,
 }
 
 /// Why there is none.
@@ -190,7 +187,7 @@ impl DeviceThread {
             }
         };
         let device = engine.device().clone();
-        let mut worker_state = self.state_on(engine);
+        let mut worker_state = self.state_on(engine, &choice);
         state_memory(&worker_state);
         self.ready(device);
         Queue::new(waiting, state_memory).run(&mut worker_state, |state, queue| {
@@ -211,8 +208,8 @@ impl DeviceThread {
                 check.run(step)?;
             }
         }
-        if let Some(gate) = choice.gate.clone() {
-            engine.wait_for(Box::new(move |program| gate(program)));
+        if let Some(proven) = choice.proven.clone() {
+            engine.set_gate(Box::new(move |program| proven.has_passed(program)));
         }
         // PoCL ends the process if it cannot write what it has compiled.
         if engine.device().pocl_version().is_some() {
@@ -241,15 +238,16 @@ impl DeviceThread {
         self.state.send_replace(DeviceState::Lost);
     }
 
-    fn state_on(&self, engine: Engine) -> WorkerState {
+    fn state_on(&self, engine: Engine, choice: &Choice) -> WorkerState {
         let histograms = Arc::clone(&self.histograms);
-        let state = WorkerState::new(
+        let mut state = WorkerState::new(
             engine,
             histograms,
             self.pins.clone(),
             self.surface_bytes,
             self.request_time,
         );
+        state.proven.clone_from(&choice.proven);
         self.engine.store(state.id.number(), Ordering::Relaxed);
         state
     }
@@ -266,7 +264,7 @@ impl DeviceThread {
             match self.open(choice) {
                 Ok(engine) => {
                     let device = engine.device().clone();
-                    let old = std::mem::replace(lost, self.state_on(engine));
+                    let old = std::mem::replace(lost, self.state_on(engine, choice));
                     discard(|| drop(old));
                     self.ready(device);
                     return;
@@ -296,6 +294,20 @@ fn discard(work: impl FnOnce()) {
 }
 
 impl WorkerState {
+    /// A job's failure: if a program that it needs is still being checked, it can be queued again once that has passed.
+    pub(super) fn look_for_unproven(&self, error: JobError) -> JobError {
+        let JobError::Failed(WorkError::Device(Error::NotYet(program))) = &error else {
+            return error;
+        };
+        match &self.proven {
+            Some(proven) => JobError::Unproven {
+                program: program.clone(),
+                proven: Arc::clone(proven),
+            },
+            None => error,
+        }
+    }
+
     /// A job's failure: that of a device that no longer answers is its loss, whatever the driver called it.
     pub(super) fn look_for_loss(&mut self, error: JobError) -> JobError {
         let JobError::Failed(WorkError::Device(cause) | WorkError::NoTree(cause)) = &error else {

@@ -89,9 +89,8 @@ impl DeviceWorker {
         key: &HistogramKey,
         work: &HistogramWork,
     ) -> Result<(HistogramWork, Option<Histogram>), JobError> {
-        let _turn = self.shared.slices.acquire().await;
-        let (never, volume, key, mut work) = (CancellationToken::new(), volume.clone(), key.clone(), work.clone());
-        self.run(&never, Caller::Viewer, Length::Short, move |state, _| {
+        let (volume, key, mut work) = (volume.clone(), key.clone(), work.clone());
+        self.run_slice(Caller::Viewer, move |state| {
             let histogram = state.continue_histogram(&volume, &key, &mut work)?;
             Ok((work, histogram))
         })

@@ -179,9 +179,9 @@ impl DeviceWorker {
     /// Makes the min/max table of an uploaded field, a slice at a time between other jobs.
     async fn make_table(&self, key: &VolumeKey) -> Result<(), WorkError> {
         loop {
-            let _turn = self.shared.slices.acquire().await;
             let key = key.clone();
-            if self.on_device(move |state| state.continue_table(&key)).await? {
+            let slice = self.run_slice(Caller::Cache, move |state| state.continue_table(&key));
+            if slice.await? {
                 return Ok(());
             }
         }

@@ -58,7 +58,7 @@ mod volume_info;
 mod worker;
 mod worker_state;
 
-pub use device_thread::{Choice, Choose, DeviceOptions, DeviceState, NoChoice, Preparation, Report, SharedGate};
+pub use device_thread::{Choice, Choose, DeviceOptions, DeviceState, NoChoice, Preparation, Report};
 pub use error::{OpenError, WorkError};
 pub use extractor::{EncodedBytes, Extractor};
 pub use host_memory::{limit_host_memory, return_freed_memory};

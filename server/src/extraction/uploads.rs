@@ -39,9 +39,9 @@ impl WorkerState {
         let Some((bytes, mut upload)) = self.uploads.remove(key) else {
             return Ok(true);
         };
-        let is_complete = self.or_without_caches(|state| state.engine().continue_table(&mut upload))?;
+        let is_complete = self.or_without_caches(|state| state.engine().continue_table(&mut upload));
         self.uploads.insert(key.clone(), (bytes, upload));
-        Ok(is_complete)
+        is_complete
     }
 
     /// Makes a field resident of which all samples are on the device. `ahead`: nobody asked for it yet.

@@ -193,7 +193,7 @@ pub struct HistogramInfo {
     pub min: f32,
     /// Where the last bin ends.
     pub max: f32,
-    /// Samples in each of the 256 bins.
+    /// Samples in each of the 256 bins; of a volume of more than 2^27 samples those of a share of its planes.
     pub counts: Vec<u64>,
 }
 

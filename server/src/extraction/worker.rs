@@ -441,7 +441,10 @@ impl DeviceWorker {
             } else {
                 let (token, others) = (asked, (length != Length::Short).then_some(queue));
                 let outcome = job(state, &mut Turn { token, length, others });
-                outcome.map_err(|error| state.look_for_loss(error))
+                outcome.map_err(|error| {
+                    let error = state.look_for_loss(error);
+                    state.look_for_unproven(error)
+                })
             };
             metrics::job_ended(labels, begun.elapsed());
             // Fails where the caller is gone, which is no error.
@@ -460,6 +463,52 @@ impl DeviceWorker {
         tokio::select! {
             outcome = answer => outcome.unwrap_or_else(|_| Err(self.why_stopped().into())),
             () = ended.cancelled(), if length == Length::Rest => Err(WorkError::Cancelled.into()),
+        }
+    }
+
+    /// As [`DeviceWorker::run`], once more for each program of the job that was still being checked: others have the device until it has passed.
+    pub(super) async fn run_when_proven<T, F>(
+        &self,
+        token: &CancellationToken,
+        caller: Caller,
+        length: Length,
+        job: F,
+    ) -> Result<T, JobError>
+    where
+        T: Send + 'static,
+        F: FnOnce(&mut WorkerState, &mut Turn<'_, WorkerState>) -> Result<T, JobError> + Clone + Send + 'static,
+    {
+        loop {
+            let (program, proven) = match self.run(token, caller, length, job.clone()).await {
+                Err(JobError::Unproven { program, proven }) => (program, proven),
+                outcome => return outcome,
+            };
+            tracing::debug!(program, "a job waits for the check of a program");
+            tokio::select! {
+                () = proven.settled(&program) => (),
+                () = token.cancelled() => return Err(WorkError::Cancelled.into()),
+            }
+        }
+    }
+
+    /// Runs a slice of work on a whole volume, one of all callers at a time; others have their turns while it waits for the check of a program.
+    pub(super) async fn run_slice<T, F>(&self, caller: Caller, job: F) -> Result<T, JobError>
+    where
+        T: Send + 'static,
+        F: FnOnce(&mut WorkerState) -> Result<T, JobError> + Clone + Send + 'static,
+    {
+        let never = CancellationToken::new();
+        loop {
+            let turn = self.shared.slices.acquire().await;
+            let job = job.clone();
+            let outcome = self
+                .run(&never, caller, Length::Short, move |state, _| job(state))
+                .await;
+            drop(turn);
+            match outcome {
+                Err(JobError::Unproven { program, proven }) => proven.settled(&program).await,
+                outcome => return outcome,
+            }
         }
     }
 

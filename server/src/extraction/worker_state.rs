@@ -26,6 +26,7 @@ use super::results::Making;
 use super::shares::Shares;
 use super::turns::{Aside, Turn};
 use super::{Extraction, Measurement, WorkError};
+use crate::device::Proven;
 use crate::math::IndexSpace;
 use crate::metrics;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
@@ -43,6 +44,8 @@ pub(super) enum JobError {
     NeedsHistograms(Vec<HistogramKey>),
     /// More is to be done than a short job may: queue it again as a long one.
     TakesLong,
+    /// This program is still being checked: wait until it has passed and queue the job again.
+    Unproven { program: String, proven: Arc<Proven> },
     /// Queuing again would not help.
     Failed(WorkError),
 }
@@ -64,7 +67,10 @@ impl From<JobError> for WorkError {
     fn from(halt: JobError) -> Self {
         match halt {
             JobError::Failed(error) => error,
-            JobError::NotResident { .. } | JobError::NeedsHistograms(_) | JobError::TakesLong => Self::Stopped,
+            JobError::NotResident { .. }
+            | JobError::NeedsHistograms(_)
+            | JobError::TakesLong
+            | JobError::Unproven { .. } => Self::Stopped,
         }
     }
 }
@@ -197,6 +203,8 @@ pub(super) struct WorkerState {
     pub(super) uploads: HashMap<VolumeKey, (u64, Upload)>,
     /// Whether the device no longer answers: all that was on it is gone.
     pub(super) is_lost: bool,
+    /// Programs that a check which still runs has proven; the engine builds no others.
+    pub(super) proven: Option<Arc<Proven>>,
 }
 
 impl WorkerState {
@@ -227,6 +235,7 @@ impl WorkerState {
             pins,
             uploads: HashMap::new(),
             is_lost: false,
+            proven: None,
         }
     }
 

@@ -27,6 +27,7 @@ impl From<WorkError> for ApiError {
             | WorkError::TookTooLong { .. }
             | WorkError::OverBytes { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             WorkError::TooLargeForHost { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+            WorkError::Unreadable(error) if error.is_of_space() => StatusCode::INSUFFICIENT_STORAGE,
             _ if error.code() == "too-large" => StatusCode::INSUFFICIENT_STORAGE,
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };

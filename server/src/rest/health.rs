@@ -1,5 +1,6 @@
 //! Whether the server lives, and whether it can work.
 
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use axum::Json;
@@ -23,17 +24,23 @@ pub async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Whether the device is open and does what it is asked for: it is given a byte to read, and has five seconds.
+/// Whether new requests are welcome: the device is open and does what it is asked for, it is given a byte to read and has five seconds, and the server is
+/// not about to end.
 #[utoipa::path(
     get,
     path = "/readyz",
     tag = "health",
     responses(
         (status = 200, description = "The device is ready", body = String, content_type = "text/plain"),
-        (status = 503, description = "The device is being opened, could not be, or does not answer", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "The device is being opened, could not be, or does not answer; or the server is about to end", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub async fn readyz(State(state): State<ApiState>) -> Result<&'static str, ApiError> {
+    if state.is_draining.load(Ordering::Relaxed) {
+        return Err(ApiError::busy(
+            "the server is about to end, and answers those who have found it",
+        ));
+    }
     match state.extractor.worker().state() {
         DeviceState::Ready(_) if state.extractor.worker().answers_within(ANSWER_LIMIT).await => Ok("ready\n"),
         DeviceState::Ready(_) => Err(ApiError::busy(format!(

@@ -27,6 +27,7 @@ mod tests;
 
 use std::any::Any;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use axum::Router;
@@ -106,6 +107,8 @@ pub struct ApiState {
     jobs: Option<Jobs>,
     /// `None`: the server takes none.
     uploads: Option<Uploads>,
+    /// Whether the server is about to end.
+    is_draining: Arc<AtomicBool>,
 }
 
 impl ApiState {
@@ -122,6 +125,7 @@ impl ApiState {
             access,
             jobs: None,
             uploads: None,
+            is_draining: Arc::default(),
         }
     }
 
@@ -138,6 +142,12 @@ impl ApiState {
             spool: folder.unwrap_or_default(),
             ..self
         }
+    }
+
+    /// Which sees here that it is about to end.
+    #[must_use]
+    pub fn with_draining(self, is_draining: Arc<AtomicBool>) -> Self {
+        Self { is_draining, ..self }
     }
 
     /// With these uploads.

@@ -69,7 +69,7 @@ fn catalog() -> Catalog {
 fn state() -> ApiState {
     let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
     {
-        let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[]);
+        let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]);
         ApiState::new(
             catalog().into(),
             Extractor::new(worker, u64::MAX, encoded_bytes),
@@ -509,7 +509,7 @@ async fn what_each_path_needs_is_listed() {
         lifetime: None,
     };
     let (token, _) = file.create(new).unwrap();
-    let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[])
+    let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[])
         .with_token(&Token::random().unwrap())
         .with_named(&TokenWatch::open(file).unwrap());
     let gated = router(state()).layer(from_fn_with_state(access, admit));

@@ -330,7 +330,7 @@ impl From<UploadError> for ApiError {
             UploadError::KeyReused { .. } => (StatusCode::CONFLICT, "key-reused"),
             UploadError::TooMany => (StatusCode::TOO_MANY_REQUESTS, "too-many-uploads"),
             UploadError::OverQuota { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "over-quota"),
-            UploadError::DiskFull(_) => (StatusCode::INSUFFICIENT_STORAGE, "disk-full"),
+            UploadError::DiskFull(_) | UploadError::NoSpace(_) => (StatusCode::INSUFFICIENT_STORAGE, "disk-full"),
             UploadError::WrongOffset { .. } => (StatusCode::CONFLICT, "wrong-offset"),
             UploadError::TooLong { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "over-declared"),
             UploadError::TakenOver { .. } => (StatusCode::CONFLICT, "taken-over"),

@@ -94,6 +94,9 @@ pub enum UploadError {
     /// The files cannot be read.
     #[error("{0}")]
     Unreadable(String),
+    /// The disk has no space to read them.
+    #[error("{0}")]
+    NoSpace(String),
     /// Something of the server's failed.
     #[error("uploads cannot be kept")]
     Io(#[from] io::Error),
@@ -115,6 +118,10 @@ impl UploadError {
 
     /// What is wrong with the files, without the folder that they are in here.
     pub(super) fn of_read(error: &ReadError, folder: &str) -> Self {
-        Self::Unreadable(error.without_folder().replace(&format!("{folder}/"), ""))
+        let text = error.without_folder().replace(&format!("{folder}/"), "");
+        match error.is_of_space() {
+            true => Self::NoSpace(text),
+            false => Self::Unreadable(text),
+        }
     }
 }

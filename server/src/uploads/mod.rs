@@ -19,12 +19,13 @@ mod upload;
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use data_encoding::HEXLOWER;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
+use crate::clock::rfc3339_seconds;
 use crate::volumes::{Frame, Reader, SharedCatalog};
 pub use error::UploadError;
 pub use folder::{FolderError, UploadFolder};
@@ -45,6 +46,12 @@ const CONCURRENT_FINISHES: usize = 2;
 const ID_BYTES: usize = 16;
 /// Longest time between two looks at what has expired.
 const LOOK: Duration = Duration::from_secs(60);
+
+/// Longest time that an upload is overdue before it is removed: a clock that is set wrongly is noticed, or set right, within it.
+const MAX_PATIENCE: Duration = Duration::from_secs(3600);
+
+/// Since when uploads are overdue, by their ids.
+type Overdue = HashMap<String, Instant>;
 
 /// What users may have, and for how long.
 #[derive(Clone, Copy, Debug)]
@@ -110,17 +117,24 @@ impl Uploads {
             keep, keep_unfinished, ..
         } = self.0.limits;
         let pause = (keep.min(keep_unfinished) / 4).clamp(Duration::from_millis(250), LOOK);
+        let mut overdue = Overdue::default();
         while tokio::time::timeout(pause, stop.cancelled()).await.is_err() {
-            self.expire().await;
+            self.expire(&mut overdue, SystemTime::now(), Instant::now()).await;
         }
     }
 
-    async fn expire(&self) {
-        let now = SystemTime::now();
+    /// Removes what has been overdue for a while: `now` is that of a clock that may be set wrongly for some time, `at` that of one that never is.
+    async fn expire(&self, overdue: &mut Overdue, now: SystemTime, at: Instant) {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
+        overdue.retain(|id, _| all.iter().any(|upload| upload.id == *id));
         for upload in all {
             self.note(&upload);
-            if self.expires(&upload) <= now {
+            if self.expires(&upload) > now {
+                overdue.remove(&upload.id);
+                continue;
+            }
+            let since = *overdue.entry(upload.id.clone()).or_insert(at);
+            if at.saturating_duration_since(since) >= self.patience(&upload) {
                 tracing::info!(upload = upload.id, "an upload has expired");
                 if let Err(error) = self.remove(&upload).await {
                     tracing::error!(
@@ -144,12 +158,22 @@ impl Uploads {
         }
     }
 
-    fn expires(&self, upload: &Upload) -> SystemTime {
-        let status = upload.status();
-        let keep = match status.state {
+    /// How long an upload is kept without use.
+    fn keep(&self, state: UploadState) -> Duration {
+        match state {
             UploadState::Receiving => self.0.limits.keep_unfinished,
             UploadState::Ready => self.0.limits.keep,
-        };
+        }
+    }
+
+    /// How long an upload has to be overdue before it is removed.
+    fn patience(&self, upload: &Upload) -> Duration {
+        (self.keep(upload.status().state) / 4).min(MAX_PATIENCE)
+    }
+
+    fn expires(&self, upload: &Upload) -> SystemTime {
+        let status = upload.status();
+        let keep = self.keep(status.state);
         // As long as nobody is born who sees it.
         let for_ever = status.used + Duration::from_secs(100 * 365 * 86_400);
         status.used.checked_add(keep).unwrap_or(for_ever)
@@ -296,7 +320,6 @@ impl Uploads {
     }
 
     fn shown(&self, upload: &Upload) -> UploadInfo {
-        let rfc3339 = |time| humantime::format_rfc3339_seconds(time).to_string();
         let expires = self.expires(upload);
         let status = upload.status().clone();
         UploadInfo {
@@ -307,8 +330,8 @@ impl Uploads {
             files: upload.contents.files().len(),
             bytes: upload.total,
             received_bytes: status.received,
-            created: rfc3339(upload.created),
-            expires: rfc3339(expires),
+            created: rfc3339_seconds(upload.created),
+            expires: rfc3339_seconds(expires),
             volumes: status.volumes,
             error: status.error,
         }

@@ -25,6 +25,14 @@ struct Case {
 }
 
 impl Case {
+    /// Removes what is overdue, as if it had been for long.
+    async fn expire(&self) {
+        let (mut overdue, at) = (Overdue::default(), Instant::now());
+        for at in [at, at + MAX_PATIENCE] {
+            self.uploads.expire(&mut overdue, SystemTime::now(), at).await;
+        }
+    }
+
     fn new(limits: Limits) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let catalog = SharedCatalog::default();
@@ -314,7 +322,7 @@ async fn a_restart_keeps_parts_and_volumes() {
         keep_unfinished: Duration::ZERO,
         ..LIMITS
     });
-    case.uploads.expire().await;
+    case.expire().await;
     let list = case.uploads.list(ANN).uploads;
     assert_eq!(
         list.iter().map(|upload| upload.id.as_str()).collect::<Vec<_>>(),
@@ -381,13 +389,35 @@ async fn what_nobody_uses_is_removed_and_what_somebody_looks_at_is_not() {
     let gone = case.catalog.private().lease(&left);
     drop(gone);
     tokio::time::sleep(2 * short).await;
-    case.uploads.expire().await;
+    case.expire().await;
     assert!(case.catalog.find(&seen, ANN).is_some(), "somebody looks at it");
     assert!(case.catalog.find(&left, ANN).is_none());
     assert!(case.uploads.get(ANN, &half).is_err());
     drop(lease);
     tokio::time::sleep(2 * short).await;
-    case.uploads.expire().await;
+    case.expire().await;
     assert!(case.catalog.find(&seen, ANN).is_none());
     assert!(case.uploads.list(ANN).uploads.is_empty());
+}
+
+#[tokio::test]
+async fn a_clock_that_is_ahead_for_a_while_removes_nothing() {
+    let week = Duration::from_secs(7 * 86_400);
+    let case = Case::new(Limits { keep: week, ..LIMITS });
+    let volume = case.volume(ANN).await;
+    let (mut overdue, now, at) = (Overdue::default(), SystemTime::now(), Instant::now());
+    let ahead = now + week * 2;
+    let minutes = |n: u64| at + Duration::from_secs(60 * n);
+    for (clock, time, is_there) in [
+        (ahead, minutes(0), true),
+        (ahead, minutes(50), true),
+        // It is set right.
+        (now, minutes(55), true),
+        (ahead, minutes(56), true),
+        (ahead, minutes(110), true),
+        (ahead, minutes(117), false),
+    ] {
+        case.uploads.expire(&mut overdue, clock, time).await;
+        assert_eq!(case.catalog.find(&volume, ANN).is_some(), is_there, "{:?}", time - at);
+    }
 }

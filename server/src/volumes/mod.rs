@@ -445,6 +445,13 @@ impl ReadError {
         format!("{name}: {}: {why}", self.field)
     }
 
+    /// Whether the server's disk lacked space: no fault of the file.
+    pub fn is_of_space(&self) -> bool {
+        use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+        let kind = self.source.as_ref().map(std::io::Error::kind);
+        matches!(kind, Some(StorageFull | QuotaExceeded))
+    }
+
     /// An error of the operating system.
     pub fn io(path: &Path, field: impl Into<String>, why: impl Into<String>, source: std::io::Error) -> Self {
         Self {

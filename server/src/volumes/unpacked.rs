@@ -3,18 +3,21 @@
 //! Plain samples are decoded as a stream, see `decode`. All else reads through [`Unpacked`], which decodes as far as it
 //! is asked and keeps what it decoded, small files in memory, others in a temporary file without a name.
 
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tempfile::SpooledTempFile;
 
 use super::codec::{DEFLATE_RATIO, Encoding, decoder, invalid};
+use crate::private_folder::free_bytes;
 
 /// Decoded bytes that are held in memory.
 const IN_MEMORY: usize = 1 << 20;
 /// Bytes that are decoded at once.
 const PIECE: u64 = 1 << 18;
+/// Space on the disk of temporary files that is left to others.
+pub(super) const RESERVE_BYTES: u64 = 64 << 20;
 
 /// The most that `stored` bytes are decoded to where no header says how much there should be: as much as deflate may
 /// give, and 64 MiB.
@@ -47,7 +50,9 @@ struct State {
     kept: SpooledTempFile,
     decoded: u64,
     /// What ended the stream too early.
-    failure: Option<String>,
+    failure: Option<(ErrorKind, String)>,
+    /// Space on the disk of temporary files that is left to others.
+    reserve: u64,
 }
 
 /// Fills a buffer from an offset of the compressed file.
@@ -89,6 +94,7 @@ impl Unpacked {
             kept,
             decoded,
             failure,
+            reserve: RESERVE_BYTES,
         });
         Ok(Self {
             stored_len,
@@ -112,9 +118,9 @@ impl Unpacked {
         let mut state = self.decoded_up_to(offset.saturating_add(buffer.len() as u64));
         let have = state.decoded.saturating_sub(offset).min(buffer.len() as u64) as usize;
         if have < buffer.len()
-            && let Some(why) = &state.failure
+            && let Some((kind, why)) = &state.failure
         {
-            return Err(invalid(why.clone()));
+            return Err(io::Error::new(*kind, why.clone()));
         }
         state.kept.seek(SeekFrom::Start(offset))?;
         state.kept.read_exact(&mut buffer[..have])?;
@@ -129,7 +135,7 @@ impl Unpacked {
                 Ok(0) => state.stream = None,
                 Ok(_) => {}
                 Err(error) => {
-                    state.failure = Some(error.to_string());
+                    state.failure = Some((error.kind(), error.to_string()));
                     state.stream = None;
                 }
             }
@@ -145,8 +151,7 @@ impl State {
         let mut piece = Vec::new();
         let read = stream.take(PIECE).read_to_end(&mut piece);
         // What stands before an error is as good as it was.
-        self.kept.seek(SeekFrom::Start(self.decoded))?;
-        self.kept.write_all(&piece)?;
+        self.keep(&piece).map_err(of_space)?;
         self.decoded += piece.len() as u64;
         read?;
         if self.decoded > limit {
@@ -156,6 +161,22 @@ impl State {
         }
         Ok(piece.len() as u64)
     }
+
+    fn keep(&mut self, piece: &[u8]) -> io::Result<()> {
+        if self.decoded + piece.len() as u64 > IN_MEMORY as u64
+            && free_bytes(&std::env::temp_dir())? < self.reserve.saturating_add(piece.len() as u64)
+        {
+            return Err(ErrorKind::StorageFull.into());
+        }
+        self.kept.seek(SeekFrom::Start(self.decoded))?;
+        self.kept.write_all(piece)
+    }
+}
+
+/// That a temporary file cannot be written is no fault of the compressed one.
+pub(super) fn of_space(error: io::Error) -> io::Error {
+    let why = format!("the folder of temporary files, which TMPDIR names, has no space to decompress it ({error})");
+    io::Error::new(ErrorKind::StorageFull, why)
 }
 
 #[cfg(test)]
@@ -171,6 +192,24 @@ mod tests {
 
     fn location(bytes: Vec<u8>) -> FileLocation {
         FileLocation::bytes("a.tif.gz", bytes).packed(Encoding::Deflate)
+    }
+
+    #[test]
+    fn what_the_disk_of_temporary_files_lacks_is_no_fault_of_the_file() {
+        let packed = gzip(&vec![7; 3 << 20]);
+        let len = packed.len() as u64;
+        let read_at = move |buffer: &mut [u8], at: u64| (&packed[packed.len().min(at as usize)..]).read(buffer);
+        let unpacked = Unpacked::new(Box::new(read_at), len, Encoding::Deflate).unwrap();
+        unpacked.state.lock().unwrap().reserve = u64::MAX;
+        let mut head = [0; 1000];
+        assert_eq!(
+            unpacked.read_at(&mut head, 0).unwrap(),
+            1000,
+            "small files are held in memory"
+        );
+        let full = unpacked.read_at(&mut head, 2 << 20).unwrap_err();
+        assert_eq!(full.kind(), ErrorKind::StorageFull);
+        assert!(full.to_string().contains("TMPDIR"), "{full}");
     }
 
     #[test]

@@ -68,7 +68,7 @@ impl Server {
                 steps,
                 ..Deadlines::default()
             },
-            ..Config::new(catalog, worker, Access::new(address, None, &[]))
+            ..Config::new(catalog, worker, Access::new(address, &[], &[]))
         };
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(run(listener, config, shutdown.clone().cancelled_owned()));

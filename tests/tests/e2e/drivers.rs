@@ -196,6 +196,41 @@ fn a_server_whose_driver_fails_late_starts_again_with_a_workaround() {
     assert_eq!(http::post_json(process.address, "/api/v1/extract", &body).status, 200);
 }
 
+/// The check of a new device stands still at stage `slice`: a request that needs it waits beside the device's thread, not on it.
+#[test]
+fn others_work_while_a_request_waits_for_the_check_of_its_program() {
+    let Some(broken) = Broken::new("hang slice") else {
+        return;
+    };
+    let volume = broken.folder.path().join("ball.npy");
+    crate::support::ball::write(&volume);
+    let (fault, cache) = (broken.folder.path().join("fault"), broken.folder.path().join("cache"));
+    let environment = [
+        ("OPENCL_LAYERS", &*broken.layer),
+        ("DEVICE_FAULT", &*fault),
+        ("ISOPEEL_KERNEL_CACHE", &*cache),
+        ("POCL_CACHE_DIR", &*compiled_kernels()),
+    ];
+    let process = process::start_in(&[volume], &[], &environment).expect("a device");
+    let address = process.address;
+    let extract = |iso: f64| {
+        let body = serde_json::json!({"volume": "ball", "iso": iso, "format": "stl"});
+        http::post_json(address, "/api/v1/extract", &body).status
+    };
+    assert_eq!(extract(0.5), 200, "all that an export needs comes before slices");
+    std::thread::scope(|scope| {
+        let slice = scope.spawn(|| http::get(address, "/api/v1/volumes/ball/slices?axis=z&index=5").status);
+        // It has been queued by then, and waits.
+        std::thread::sleep(Duration::from_millis(500));
+        for iso in [0.4, 0.45, 0.55] {
+            assert_eq!(extract(iso), 200);
+        }
+        assert!(!slice.is_finished(), "no program runs before its check");
+        std::fs::remove_file(&fault).expect("removed");
+        assert_eq!(slice.join().expect("no panic"), 200);
+    });
+}
+
 /// Kernels by their stages' files, in the order of their names.
 fn kernels() -> Vec<String> {
     let folder = crate::support::repository().join("kernels/cl");

@@ -299,3 +299,43 @@ fn told_of_a_pause(text: &str) {
         "{text}"
     );
 }
+
+/// Balancers find out by `/readyz` that others are to be asked, while each request is answered; what runs at the end of that has as long again.
+#[test]
+fn a_server_that_drains_breaks_no_request_and_ends_in_time() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let volume = folder.path().join("ball.npy");
+    crate::support::ball::write(&volume);
+    let Some(process) = process::start(&[volume], &["--drain", "10", "--demo"]) else {
+        return;
+    };
+    let address = process.address;
+    let small = json!({"volume": "ball", "iso": 0.5, "format": "stl"});
+    let large = |iso: f64| json!({"volume": "mni152", "iso": iso, "format": "stl", "triangles": 20_000});
+    // Its volume is there, so that the later one is made at once.
+    assert_eq!(http::post_json(address, "/api/v1/extract", &large(90.0)).status, 200);
+    let start = Instant::now();
+    process.signal("TERM");
+    std::thread::sleep(Duration::from_millis(100));
+    let mut answered = 0;
+    while start.elapsed() < Duration::from_millis(3500) {
+        let code = http::get(address, "/readyz").problem(503);
+        assert_eq!(code, "busy");
+        assert_eq!(http::get(address, "/healthz").status, 200);
+        assert_eq!(http::post_json(address, "/api/v1/extract", &small).status, 200);
+        answered += 1;
+    }
+    assert!(answered > 3, "{answered} requests");
+    // On a quick machine these still run when the listener closes, after five seconds; on a busy one they begin before it does.
+    std::thread::sleep(Duration::from_millis(4300).saturating_sub(start.elapsed()));
+    let running: Vec<_> = (0..3)
+        .map(|n| {
+            std::thread::spawn(move || http::post_json(address, "/api/v1/extract", &large(80.0 + f64::from(n))).status)
+        })
+        .collect();
+    for request in running {
+        assert_eq!(request.join().expect("an answer"), 200);
+    }
+    assert!(process.ended_within(Duration::from_secs(10)).success());
+    assert!(start.elapsed() < Duration::from_secs(12), "{:?}", start.elapsed());
+}

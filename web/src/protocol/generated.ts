@@ -358,7 +358,7 @@ export type Histogram = {
   min: number,
   /** Where the last bin ends. */
   max: number,
-  /** Samples in each of the 256 bins. */
+  /** Samples in each of the 256 bins; of a volume of more than 2^27 samples those of a share of its planes. */
   counts: Array<number>,
 };
 

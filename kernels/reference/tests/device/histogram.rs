@@ -83,6 +83,51 @@ fn a_volume_of_many_launches_has_the_twins_histogram() {
     }
 }
 
+/// Large volumes are counted in part, here small ones. A field's range is that of all of its samples.
+#[test]
+fn a_share_of_a_large_volume_has_the_twins_histogram() {
+    let Some(engine) = device() else { return };
+    for (dims, limit) in [([40, 33, 97], 20_000), ([17, 40, 150], 9_000), ([64, 20, 30], 1_000)] {
+        let loaded = load(&engine, &Recipe::plain(dims, Pattern::Waves(7), 3));
+        let plane = (dims[0] * dims[1]) as usize;
+        let counted = |values: &[f32]| -> Vec<f32> {
+            let planes = histogram::counted_planes(dims, 1, limit);
+            let of_plane = |&z: &u32| values[z as usize * plane..][..plane].iter().copied();
+            planes.iter().flat_map(of_plane).collect()
+        };
+        let share = |feature| {
+            let mut work = HistogramWork::of_share(limit);
+            while work.complete().is_none() {
+                engine
+                    .continue_histogram(&loaded.volume, feature, &mut work)
+                    .expect("a part");
+            }
+            work.complete().expect("complete")
+        };
+        let (got, values) = (share(Feature::None), counted(&loaded.field.values));
+        assert_eq!(got.range, histogram::histogram(&loaded.field.values).range, "{dims:?}");
+        assert!(
+            values.len() < loaded.field.values.len() / 2,
+            "{dims:?}: {} are counted",
+            values.len()
+        );
+        let [lo, hi] = got.range;
+        let mut bins = vec![0u64; histogram::BINS];
+        for value in values {
+            let bin = (0.5 * value - 0.5 * lo) / (0.5 * hi - 0.5 * lo) * 256.0;
+            bins[(bin as usize).min(255)] += 1;
+        }
+        assert_eq!(got.bins, bins, "{dims:?}");
+        let gradients = counted(&loaded.field.gradient_magnitude().values);
+        let (got, want) = (
+            share(Feature::Derived(DerivedFeature::GradientMagnitude)),
+            histogram::histogram(&gradients),
+        );
+        assert_eq!(got.bins.iter().sum::<u64>(), want.bins.iter().sum::<u64>());
+        assert!(near(got.range[0], want.range[0], 1e-6) && near(got.range[1], want.range[1], 1e-6));
+    }
+}
+
 /// The largest and smallest finite ones count, whichever other samples their bricks have.
 #[test]
 fn infinite_samples_are_left_out() {

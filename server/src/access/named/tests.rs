@@ -79,7 +79,7 @@ fn a_file_that_others_may_write_lets_nobody_in() {
 /// A server with a token of its start, and the file's.
 fn access(watch: &TokenWatch) -> Access {
     let start = Token::random().unwrap();
-    Access::new(([127, 0, 0, 1], 8417).into(), None, &[])
+    Access::new(([127, 0, 0, 1], 8417).into(), &[], &[])
         .with_token(&start)
         .with_named(watch)
 }

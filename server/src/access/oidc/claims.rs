@@ -7,9 +7,13 @@ use serde_json::Value;
 use subtle::ConstantTimeEq;
 
 use super::signature::{self, ALGORITHMS};
+use crate::access::named::now;
 
 /// Seconds that clocks may differ by.
 const LEEWAY: u64 = 30;
+
+/// Maximum length of `sub`.
+const MAX_SUB_BYTES: usize = 255;
 
 /// Why an ID token is not believed.
 #[derive(Debug, thiserror::Error)]
@@ -30,6 +34,8 @@ pub(super) struct Claims {
     aud: Audience,
     azp: Option<String>,
     nonce: Option<String>,
+    /// When it was issued, seconds since 1970.
+    iat: Option<f64>,
     #[serde(flatten)]
     others: serde_json::Map<String, Value>,
 }
@@ -80,6 +86,7 @@ impl Claims {
         validation.set_audience(&[expected.client_id]);
         let claims = decode::<Self>(token, &DecodingKey::from_jwk(key)?, &validation)?.claims;
         claims.check_party(expected)?;
+        claims.check_person()?;
         Ok(claims)
     }
 
@@ -99,6 +106,19 @@ impl Claims {
         let nonce = self.nonce.as_deref().unwrap_or("");
         if !bool::from(nonce.as_bytes().ct_eq(expected.nonce.as_bytes())) {
             return Err(ClaimsError::Other("nonce is another one"));
+        }
+        Ok(())
+    }
+
+    /// The length of `sub` is that of OpenID Connect Core 1.0, section 2.
+    fn check_person(&self) -> Result<(), ClaimsError> {
+        if self.sub.is_empty() || self.sub.len() > MAX_SUB_BYTES || !self.sub.is_ascii() {
+            return Err(ClaimsError::Other(
+                "sub is empty, not ASCII or longer than 255 characters",
+            ));
+        }
+        if self.iat.is_some_and(|iat| iat > (now() + LEEWAY) as f64) {
+            return Err(ClaimsError::Other("time of issue is in the future"));
         }
         Ok(())
     }

@@ -67,6 +67,9 @@ pub enum OidcError {
     /// Requests cannot be sent.
     #[error("requests to the issuer cannot be sent")]
     Requests(#[source] reqwest::Error),
+    /// There is no key for sign-ins.
+    #[error(transparent)]
+    Random(TokenError),
 }
 
 /// What an operator says of an issuer.
@@ -134,7 +137,7 @@ impl Oidc {
         Ok(Self {
             options: Arc::new(options),
             provider: Arc::new(provider),
-            pending: Pending::default(),
+            pending: Pending::new().map_err(OidcError::Random)?,
             home: format!("{}/", home.trim_end_matches('/')).into(),
         })
     }

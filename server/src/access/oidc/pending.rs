@@ -1,5 +1,6 @@
-//! People on their way to an issuer and back. A browser keeps a secret in a cookie of its own, whose hash is the `state` that goes round: what comes back
-//! to another browser is of no use there.
+//! People on their way to an issuer and back. A browser keeps a secret in a cookie of its own, from which all else of its sign-in follows by a key of the
+//! server: nothing is kept of those who are away, so that strangers who leave by the thousands make nobody come back in vain. What comes back to another
+//! browser is of no use there.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,69 +8,102 @@ use std::time::{Duration, Instant};
 
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+use ring::hmac::{HMAC_SHA256, Key, sign};
 use sha2::{Digest, Sha256};
+use subtle::ConstantTimeEq;
 
 use crate::access::token::TokenError;
 
 /// How long somebody may be away: time for a password and a second factor.
 pub(in crate::access) const LIFETIME: Duration = Duration::from_secs(600);
-/// Maximum of those who are away, 200 bytes each. Of more the first who went come back in vain.
-const MAX_AWAY: usize = 4_096;
+/// Maximum of sign-ins that are remembered as used. Of more the oldest are forgotten: issuers take a code once as well.
+const MAX_USED: usize = 4_096;
 const RANDOM_BYTES: usize = 32;
 
-/// What is kept of somebody who is away.
+/// A sign-in that has begun.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Trip {
     pub nonce: String,
     /// PKCE's code verifier (RFC 7636).
     pub verifier: String,
-    begun: Instant,
 }
 
 impl Trip {
     /// PKCE's code challenge.
     pub(super) fn challenge(&self) -> String {
-        digest(&self.verifier)
+        URL_SAFE_NO_PAD.encode(Sha256::digest(&self.verifier))
     }
 }
 
-/// All of them, by the state of each. Clones are the same.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Pending(Arc<Mutex<HashMap<String, Trip>>>);
+/// The key of all of them, and which were used. Clones are the same.
+#[derive(Clone, Debug)]
+pub(super) struct Pending {
+    key: Arc<Key>,
+    /// From when the times in secrets count.
+    epoch: Instant,
+    /// When each sign-in that came back had begun, by its state.
+    used: Arc<Mutex<HashMap<String, Instant>>>,
+}
 
 impl Pending {
-    /// Somebody leaves: the secret for their browser, the state, and what is kept.
+    /// With a random key.
+    pub(super) fn new() -> Result<Self, TokenError> {
+        let mut key = [0; RANDOM_BYTES];
+        getrandom::fill(&mut key)?;
+        Ok(Self {
+            key: Arc::new(Key::new(HMAC_SHA256, &key)),
+            epoch: Instant::now(),
+            used: Arc::default(),
+        })
+    }
+
+    /// Somebody leaves: the secret for their browser, the state, and what goes to the issuer.
     pub(super) fn begin(&self, now: Instant) -> Result<(String, String, Trip), TokenError> {
-        let (secret, trip) = (
-            random()?,
-            Trip {
-                nonce: random()?,
-                verifier: random()?,
-                begun: now,
-            },
-        );
-        let state = digest(&secret);
-        let mut trips = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        trips.retain(|_, trip| now.duration_since(trip.begun) < LIFETIME);
-        if trips.len() >= MAX_AWAY
-            && let Some(first) = trips
-                .iter()
-                .min_by_key(|(_, trip)| trip.begun)
-                .map(|(state, _)| state.clone())
-        {
-            trips.remove(&first);
-        }
-        trips.insert(state.clone(), trip.clone());
+        let age = now.saturating_duration_since(self.epoch).as_secs();
+        let secret = format!("{}.{age}", random()?);
+        let state = self.derive("state", &secret);
+        let trip = self.trip(&secret);
         Ok((secret, state, trip))
     }
 
     /// Somebody is back, with this secret in their browser: once.
     pub(super) fn end(&self, secret: &str, state: &str, now: Instant) -> Option<Trip> {
-        if digest(secret) != state {
+        // Its own state alone says that the server has made a secret, and when.
+        let expected = self.derive("state", secret);
+        if !bool::from(expected.as_bytes().ct_eq(state.as_bytes())) {
             return None;
         }
-        let trip = self.0.lock().unwrap_or_else(PoisonError::into_inner).remove(state)?;
-        (now.duration_since(trip.begun) < LIFETIME).then_some(trip)
+        let age = secret.rsplit_once('.')?.1.parse().ok()?;
+        let begun = self.epoch.checked_add(Duration::from_secs(age))?;
+        if now.saturating_duration_since(begun) >= LIFETIME {
+            return None;
+        }
+        let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
+        used.retain(|_, begun| now.saturating_duration_since(*begun) < LIFETIME);
+        if used.contains_key(&expected) {
+            return None;
+        }
+        if used.len() >= MAX_USED
+            && let Some(oldest) = used
+                .iter()
+                .min_by_key(|(_, begun)| **begun)
+                .map(|(state, _)| state.clone())
+        {
+            used.remove(&oldest);
+        }
+        used.insert(expected, begun);
+        Some(self.trip(secret))
+    }
+
+    fn trip(&self, secret: &str) -> Trip {
+        Trip {
+            nonce: self.derive("nonce", secret),
+            verifier: self.derive("verifier", secret),
+        }
+    }
+
+    fn derive(&self, what: &str, secret: &str) -> String {
+        URL_SAFE_NO_PAD.encode(sign(&self.key, format!("{what} {secret}").as_bytes()))
     }
 }
 
@@ -79,39 +113,47 @@ pub(in crate::access) fn random() -> Result<String, TokenError> {
     Ok(URL_SAFE_NO_PAD.encode(bytes))
 }
 
-fn digest(text: &str) -> String {
-    URL_SAFE_NO_PAD.encode(Sha256::digest(text))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn who_comes_back_is_who_left_and_once_and_soon() {
-        let (pending, now) = (Pending::default(), Instant::now());
+        let (pending, now) = (Pending::new().unwrap(), Instant::now());
         let (secret, state, trip) = pending.begin(now).unwrap();
-        let (other, other_state, _) = pending.begin(now).unwrap();
+        let (other, other_state, other_trip) = pending.begin(now).unwrap();
+        assert_ne!(trip, other_trip);
+        assert!(trip.verifier.len() >= 43 && trip.nonce != trip.verifier);
         assert_eq!(pending.end(&other, &state, now), None, "another browser");
         assert_eq!(pending.end("", &state, now), None);
         assert_eq!(pending.end(&secret, &state, now), Some(trip));
         assert_eq!(pending.end(&secret, &state, now), None, "once");
-        assert_eq!(pending.end(&other, &other_state, now + LIFETIME), None, "soon");
+        let late = now + LIFETIME + Duration::from_secs(1);
+        assert_eq!(pending.end(&other, &other_state, late), None, "soon");
+        let younger = other.replace(".0", ".600");
+        assert_eq!(
+            pending.end(&younger, &other_state, late),
+            None,
+            "its time is the server's"
+        );
+        let elsewhere = Pending::new().unwrap();
+        assert_eq!(elsewhere.end(&other, &other_state, now), None, "another server");
     }
 
     #[test]
-    fn many_who_leave_take_no_more_memory() {
-        let (pending, now) = (Pending::default(), Instant::now());
-        let (first, first_state, _) = pending.begin(now).unwrap();
-        let later = now + Duration::from_secs(1);
-        let mut last = None;
-        for _ in 0..MAX_AWAY {
-            last = Some(pending.begin(later).unwrap());
+    fn strangers_who_leave_make_nobody_come_back_in_vain_and_take_no_memory() {
+        let (pending, now) = (Pending::new().unwrap(), Instant::now());
+        let (first, first_state, trip) = pending.begin(now).unwrap();
+        for _ in 0..2 * MAX_USED {
+            pending.begin(now).unwrap();
         }
-        let (secret, state, _) = last.unwrap();
-        assert!(pending.end(&secret, &state, later).is_some());
-        assert_eq!(pending.end(&first, &first_state, later), None);
-        assert!(pending.0.lock().unwrap().len() <= MAX_AWAY);
+        assert!(pending.used.lock().unwrap().is_empty());
+        assert_eq!(pending.end(&first, &first_state, now), Some(trip));
+        for _ in 0..MAX_USED + 10 {
+            let (secret, state, _) = pending.begin(now).unwrap();
+            assert!(pending.end(&secret, &state, now).is_some());
+        }
+        assert!(pending.used.lock().unwrap().len() <= MAX_USED);
     }
 
     #[test]
@@ -120,7 +162,6 @@ mod tests {
         let trip = Trip {
             nonce: String::new(),
             verifier: "dBjftJeZ4CVP-mB92K27uhbUJU1p1r_wW1gFWFOEjXk".into(),
-            begun: Instant::now(),
         };
         assert_eq!(trip.challenge(), "E9Melhoa2OwvFrEMTJguCHaoeK1t8URWbuGJSstw-cM");
     }

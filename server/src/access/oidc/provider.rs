@@ -10,6 +10,8 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use tokio::sync::Mutex;
 
+use crate::error::chain;
+
 /// Longest time for an answer of the issuer.
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// Longest answer: keys and addresses.
@@ -32,6 +34,8 @@ pub(super) enum ProviderError {
         #[source]
         source: serde_json::Error,
     },
+    #[error("the issuer was asked for another sign-in, in vain: {0}")]
+    Failed(String),
     #[error("the issuer calls itself {found:?}, expected {expected:?}")]
     OtherIssuer { found: String, expected: String },
 }
@@ -84,7 +88,15 @@ pub(super) struct Provider {
     issuer: String,
     http: Client,
     /// Held while it is asked, so that many who sign in ask once.
-    pub(super) known: Mutex<Option<(Instant, Metadata, JwkSet)>>,
+    pub(super) known: Mutex<Known>,
+}
+
+/// What an issuer said last, and when.
+#[derive(Debug, Default)]
+pub(super) struct Known {
+    pub answer: Option<(Instant, Metadata, JwkSet)>,
+    /// When it was last asked in vain, and why that was.
+    failure: Option<(Instant, String)>,
 }
 
 impl Provider {
@@ -98,19 +110,34 @@ impl Provider {
         Ok(Self {
             issuer,
             http: http.build()?,
-            known: Mutex::new(None),
+            known: Mutex::default(),
         })
     }
 
     /// What the issuer says of itself, and its keys; asked anew where that is `stale`.
     pub(super) async fn metadata(&self, stale: bool) -> Result<(Metadata, JwkSet), ProviderError> {
+        let arrived = Instant::now();
         let mut known = self.known.lock().await;
-        if let Some((since, metadata, keys)) = &*known
+        if let Some((since, metadata, keys)) = &known.answer
             && since.elapsed() < LIFETIME
             && !stale
         {
             return Ok((metadata.clone(), keys.clone()));
         }
+        // Those who waited meanwhile do not ask one after another.
+        if let Some((when, why)) = &known.failure
+            && *when >= arrived
+        {
+            return Err(ProviderError::Failed(why.clone()));
+        }
+        let asked = self.ask().await;
+        known.failure = asked.as_ref().err().map(|error| (Instant::now(), chain(error)));
+        let (metadata, keys) = asked?;
+        known.answer = Some((Instant::now(), metadata.clone(), keys.clone()));
+        Ok((metadata, keys))
+    }
+
+    async fn ask(&self) -> Result<(Metadata, JwkSet), ProviderError> {
         let address = format!("{}/.well-known/openid-configuration", self.issuer.trim_end_matches('/'));
         let metadata: Metadata = get(self.http.get(address), "where it is").await?;
         if metadata.issuer != self.issuer {
@@ -120,7 +147,6 @@ impl Provider {
             });
         }
         let keys: JwkSet = get(self.http.get(metadata.jwks_uri.0.clone()), "its keys").await?;
-        *known = Some((Instant::now(), metadata.clone(), keys.clone()));
         Ok((metadata, keys))
     }
 

@@ -1,5 +1,6 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use axum::extract::{Form, State};
 use axum::http::HeaderMap;
@@ -179,6 +180,19 @@ fn all_others_are_not() {
         ("not yet", keys.sign(&good, &with(claims(), "nbf", json!(now() + 120)))),
         ("nonce", keys.sign(&good, &with(claims(), "nonce", json!("another")))),
         ("no nonce", keys.sign(&good, &with(claims(), "nonce", Value::Null))),
+        ("nobody", keys.sign(&good, &with(claims(), "sub", json!("")))),
+        (
+            "a long name",
+            keys.sign(&good, &with(claims(), "sub", json!("7".repeat(256)))),
+        ),
+        (
+            "a name in other letters",
+            keys.sign(&good, &with(claims(), "sub", json!("ä"))),
+        ),
+        (
+            "issued in the future",
+            keys.sign(&good, &with(claims(), "iat", json!(now() + 36_000))),
+        ),
         ("no token", "abc".to_owned()),
         ("nothing", String::new()),
     ];
@@ -356,7 +370,7 @@ async fn new_keys_of_the_issuer_are_asked_for_when_they_are_met() {
     let oidc = oidc(&issuer.address);
     let (secret, state) = go(&oidc, &issuer).await;
     // With other names, as keys are replaced.
-    if let Some((_, _, keys)) = &mut *oidc.provider.known.lock().await {
+    if let Some((_, _, keys)) = &mut oidc.provider.known.lock().await.answer {
         keys.keys.clear();
     }
     assert!(oidc.end(Some(&secret), &state, "a code").await.is_ok());
@@ -371,6 +385,36 @@ async fn an_issuer_that_is_away_or_another_one_is_said() {
     let other = oidc(&issuer.address.replace("127.0.0.1", "localhost"));
     let refused = other.begin().await.unwrap_err();
     assert_eq!(refused.code(), "issuer");
+}
+
+/// Each of them would wait for as long as the ones before together.
+#[tokio::test]
+async fn those_who_sign_in_while_the_issuer_hangs_wait_for_one_time_limit() {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let oidc = oidc(&format!("http://{}", listener.local_addr().unwrap()));
+    // Takes requests and closes them unanswered, after a while in which the others have come.
+    let issuer = tokio::spawn(async move {
+        let mut asked = 0;
+        while let Ok((socket, _)) = listener.accept().await {
+            asked += 1;
+            tokio::time::sleep(Duration::from_millis(300)).await;
+            drop(socket);
+            if asked == 4 {
+                break;
+            }
+        }
+    });
+    let start = Instant::now();
+    let all = (0..6).map(|_| {
+        let oidc = oidc.clone();
+        tokio::spawn(async move { oidc.begin().await.unwrap_err().code() })
+    });
+    for one in all.collect::<Vec<_>>() {
+        assert_eq!(one.await.unwrap(), "issuer");
+    }
+    // The client may ask a second time after a connection was closed.
+    assert!(start.elapsed() < Duration::from_millis(1_100), "{:?}", start.elapsed());
+    issuer.abort();
 }
 
 #[test]

@@ -7,8 +7,8 @@ use std::thread::JoinHandle;
 
 use isopeel::access::Access;
 use isopeel::extraction::DeviceWorker;
-use isopeel::serve::{Config, ConnectionLimits, run};
-use isopeel::stream::{Deadlines, LiveOptions};
+use isopeel::serve::{Config, run};
+use isopeel::stream::Deadlines;
 use isopeel::volumes::Catalog;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
@@ -94,18 +94,13 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
             run(
                 listener,
                 Config {
-                    catalog,
-                    worker,
                     ceiling_triangles: 20_000_000,
-                    live: LiveOptions::default(),
                     deadlines,
-                    access: Access::new(address, None, &[FRIEND.parse().expect("an origin")]),
-                    tls: None,
-                    metrics: None,
-                    connections: ConnectionLimits::default(),
-                    jobs: None,
-                    uploads: None,
-                    spool: None,
+                    ..Config::new(
+                        catalog,
+                        worker,
+                        Access::new(address, &[], &[FRIEND.parse().expect("an origin")]),
+                    )
                 },
                 shutdown,
             )

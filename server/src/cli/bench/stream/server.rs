@@ -29,7 +29,7 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await?;
         let address = listener.local_addr()?;
         let worker = DeviceWorker::start_with(device.options(types, |_| ()))?;
-        let config = Config::new(catalog.into(), worker, Access::new(address, None, &[]));
+        let config = Config::new(catalog.into(), worker, Access::new(address, &[], &[]));
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(serve::run(listener, config, shutdown.clone().cancelled_owned()));
         Ok(Self {

@@ -169,7 +169,7 @@ pub(super) fn holder(role: Role) -> (tempfile::TempDir, TokenFile, TokenWatch, I
     };
     let (token, _) = file.create(new).expect("a token");
     let watch = TokenWatch::open(file.clone()).expect("tokens");
-    let access = Access::new(([127, 0, 0, 1], 8417).into(), None, &[])
+    let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[])
         .with_token(&Token::random().expect("random"))
         .with_named(&watch);
     let who = access.who(token.text()).expect("it was made");

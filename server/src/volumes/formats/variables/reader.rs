@@ -1,14 +1,17 @@
 //! Which of the libraries reads a file.
 
+use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
 use hdf5_reader::Storage;
 
+use super::super::super::unpacked::{RESERVE_BYTES, of_space};
 use super::super::super::{FileLocation, ReadError};
 use super::file::VariableFile;
 use super::hdf5::Hdf5;
 use super::netcdf3::NetCdf3;
+use crate::private_folder::free_bytes;
 
 /// Opens a file by its first bytes: HDF5, also behind a user block, or NetCDF-3.
 pub fn open_file(location: &FileLocation) -> Result<Box<dyn VariableFile>, ReadError> {
@@ -39,8 +42,18 @@ fn storage(location: &FileLocation) -> Result<Arc<dyn Storage>, ReadError> {
     if location.packing().is_none() {
         return Ok(Arc::new(open(location.path())?));
     }
-    let fail = |e| ReadError::io(location.path(), "file", "cannot be decompressed", e);
-    let mut decoded = tempfile::NamedTempFile::new().map_err(fail)?;
+    let fail = |e: std::io::Error| {
+        let why = match e.kind() {
+            ErrorKind::StorageFull | ErrorKind::QuotaExceeded => e.to_string(),
+            _ => "cannot be decompressed".to_owned(),
+        };
+        ReadError::io(location.path(), "file", why, e)
+    };
+    let mut decoded = tempfile::NamedTempFile::new().map_err(of_space).map_err(fail)?;
+    let (len, free) = (blob.len(), free_bytes(decoded.path()).unwrap_or(u64::MAX));
+    if len > free.saturating_sub(RESERVE_BYTES) {
+        return Err(fail(of_space(ErrorKind::StorageFull.into())));
+    }
     std::io::copy(&mut blob.reader(0), &mut decoded).map_err(fail)?;
     Ok(Arc::new(open(decoded.path())?))
 }

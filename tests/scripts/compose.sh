@@ -1,0 +1,133 @@
+#!/bin/bash
+# Runs the image isopeel:cpu by docker/compose.yaml with a real engine: state is kept, any user may run it, TLS is as docker/README.md says.
+#
+#   docker build -f docker/Dockerfile --target cpu -t isopeel:cpu .
+#   tests/scripts/compose.sh
+#
+# Needs Docker with Compose 2, curl, jq and openssl. COMPOSE is the command, "docker compose" by default. An engine without a bridge gives its
+# containers the host's network. Removes the containers and volumes of its own project at the end, and no others.
+set -euo pipefail
+
+cd "$(dirname "$0")/../.."
+read -ra compose <<<"${COMPOSE:-docker compose}"
+export ISOPEEL_PORT=${ISOPEEL_PORT:-18490}
+unset ISOPEEL_DATA ISOPEEL_USER ISOPEEL_ADDRESS ISOPEEL_PUBLIC_URL ISOPEEL_CERTIFICATE ISOPEEL_KEY ISOPEEL_TOKEN
+work=$(mktemp -d)
+chmod 755 "$work"
+files=(-f docker/compose.yaml)
+project="isopeel-test-$$"
+
+fail() {
+    printf 'compose.sh: %s\n' "$*" >&2
+    run logs --no-color >&2 || true
+    exit 1
+}
+run() { "${compose[@]}" --project-name "$project" --env-file /dev/null "${files[@]}" "$@"; }
+trap 'run down --volumes --timeout 5 >/dev/null 2>&1; rm -rf "$work"' EXIT
+
+# Each service listens on a port of its own, so that the host's network serves as well.
+{
+    echo "services:"
+    echo "  cpu:"
+    echo "    command: serve --listen 0.0.0.0:$ISOPEEL_PORT"
+    echo "    environment: {HEALTH_PORT: '$ISOPEEL_PORT'}"
+    if docker network inspect bridge >/dev/null 2>&1; then
+        echo "    ports: !override ['127.0.0.1:$ISOPEEL_PORT:$ISOPEEL_PORT']"
+    else
+        echo "    network_mode: host"
+        echo "    ports: !reset []"
+    fi
+} >"$work/test.yaml"
+
+# answer WANTED CURL_ARGUMENT ...
+answer() {
+    local wanted=$1 found
+    shift
+    found=$(curl --silent --output "$work/answer" --write-out '%{http_code}' "$@") || true
+    [ "$found" = "$wanted" ] || fail "curl $*: $found, expected $wanted: $(head -c 300 "$work/answer")"
+}
+# Seconds until the server is ready.
+ready() {
+    local start=$EPOCHREALTIME
+    for _ in $(seq 1200); do
+        if [ "$(curl --silent --output /dev/null --write-out '%{http_code}' "$@")" = 200 ]; then
+            echo "$start $EPOCHREALTIME" | awk '{ printf "%.1f", $2 - $1 }'
+            return
+        fi
+        sleep 0.1
+    done
+    fail "not ready within two minutes: curl $*"
+}
+healthy() {
+    for _ in $(seq 600); do
+        [ "$(docker inspect --format '{{.State.Health.Status}}' "$(run ps --quiet cpu)")" = healthy ] && return
+        sleep 0.1
+    done
+    fail "not healthy within a minute"
+}
+new_token() { run exec --no-TTY cpu isopeel token create --user ann --role view --role export --role upload 2>"$work/errors" || fail "no token: $(cat "$work/errors")"; }
+
+url=http://127.0.0.1:$ISOPEEL_PORT
+files+=(-f "$work/test.yaml")
+echo "=== as it is shipped"
+run up --detach --quiet-pull cpu 2>/dev/null || fail "does not start"
+echo "ready after $(ready "$url/readyz") s without compiled kernels"
+token=$(new_token)
+sleep 6
+user=(--header "Authorization: Bearer $token")
+answer 200 "${user[@]}" "$url/api/v1/volumes"
+answer 421 --header 'Host: volumes.example' "${user[@]}" "$url/api/v1/volumes"
+answer 200 --header 'Host: volumes.example' "$url/readyz"
+answer 201 "${user[@]}" --json '{"files": [{"name": "a.nrrd", "bytes": 4}]}' "$url/api/v1/uploads"
+upload=$(jq --raw-output .id "$work/answer")
+answer 201 "${user[@]}" --json '{"volume": "mni152", "extractions": [{"iso": 90, "triangles": 5000, "format": "stl"}]}' "$url/api/v1/jobs"
+job=$(jq --raw-output .id "$work/answer")
+for _ in $(seq 600); do
+    answer 200 "${user[@]}" "$url/api/v1/jobs/$job"
+    [ "$(jq --raw-output .state "$work/answer")" = done ] && break
+    sleep 0.2
+done
+[ "$(jq --raw-output .state "$work/answer")" = done ] || fail "the job is not done: $(cat "$work/answer")"
+healthy
+[ "$(run exec --no-TTY cpu id -u)" = 10001 ] || fail "another user than 10001"
+
+echo "=== after a restart"
+run restart cpu 2>/dev/null
+echo "ready after $(ready "$url/readyz") s"
+answer 200 "${user[@]}" "$url/api/v1/volumes"
+answer 200 "${user[@]}" "$url/api/v1/jobs/$job/results/0"
+answer 200 "${user[@]}" "$url/api/v1/uploads/$upload"
+run stop 2>/dev/null
+[ "$(docker inspect --format '{{.State.ExitCode}}' "$(run ps --all --quiet cpu)")" = 0 ] || fail "SIGTERM did not end it with success"
+run down --volumes 2>/dev/null
+
+echo "=== as any user"
+ISOPEEL_USER=1234567 run up --detach cpu 2>/dev/null || fail "does not start as another user"
+echo "ready after $(ready "$url/readyz") s"
+token=$(ISOPEEL_USER=1234567 new_token)
+[ -n "$token" ] || fail "no token as another user"
+ISOPEEL_USER=1234567 run exec --no-TTY cpu sh -c 'test "$(id -u)" = 1234567 && ls kernels/pocl >/dev/null && test "$(stat -c %a state)" = 700' ||
+    fail "kernels and state are not kept by another user"
+run down --volumes 2>/dev/null
+
+echo "=== with TLS"
+if "${compose[@]}" -f docker/compose.yaml -f docker/compose.tls.yaml config >"$work/answer" 2>&1 || ! grep --quiet "required variable ISOPEEL_.* is missing a value: set it to" "$work/answer"; then
+    fail "what is missing for TLS is not named: $(cat "$work/answer")"
+fi
+openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext subjectAltName=DNS:localhost,DNS:volumes.test \
+    -keyout "$work/key.pem" -out "$work/certificate.pem" 2>/dev/null
+openssl rand -hex 32 >"$work/token"
+chmod 600 "$work/key.pem" "$work/token"
+export ISOPEEL_USER=1234567
+chown "$ISOPEEL_USER" "$work/key.pem" "$work/token"
+export ISOPEEL_CERTIFICATE=$work/certificate.pem ISOPEEL_KEY=$work/key.pem ISOPEEL_TOKEN=$work/token
+export ISOPEEL_PUBLIC_URL=https://volumes.test:$ISOPEEL_PORT,https://localhost:$ISOPEEL_PORT
+sed -i "s/HEALTH_PORT: .*/HEALTH_PORT: '9417'}/" "$work/test.yaml"
+files=(-f docker/compose.yaml -f docker/compose.tls.yaml -f "$work/test.yaml")
+run up --detach cpu 2>/dev/null || fail "does not start with TLS"
+tls=(--cacert "$work/certificate.pem" --resolve "volumes.test:$ISOPEEL_PORT:127.0.0.1")
+echo "ready after $(ready "${tls[@]}" "https://localhost:$ISOPEEL_PORT/readyz") s"
+answer 200 "${tls[@]}" --header "Authorization: Bearer $(cat "$work/token")" "https://volumes.test:$ISOPEEL_PORT/api/v1/volumes"
+answer 401 "${tls[@]}" "https://localhost:$ISOPEEL_PORT/api/v1/volumes"
+healthy
+echo "compose.sh: all passed"
