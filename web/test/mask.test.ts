@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { firstMask, maskText, readMask, refusedValues } from "../src/state/mask";
+import { firstMask, maskText, plainValue, readMask, refusedValues } from "../src/state/mask";
 
 describe("masks", () => {
   test("are read as they are written, by their first comparison", () => {
@@ -18,7 +18,9 @@ describe("masks", () => {
     expect(refusedValues("==", "bone")).toMatch(/^“bone” is neither a number nor a range/);
     expect(refusedValues("==", "1, 7..4")).toBe("“7..4” begins above its end");
     expect(refusedValues("==", Array(65).fill("1").join(","))).toMatch(/^65 values, 64/);
-    for (const values of ["1,2", "1..2", "", "x"]) expect(refusedValues("<", values)).toBe(`“${values}” is not one number`);
+    expect(["0,5", "1,024"].map((values) => refusedValues("<", values))).toEqual([undefined, "“1,024” can be read in two ways: write it without a comma"]);
+    expect([" 0,5 ", "2e3", "5 000", "x "].map(plainValue)).toEqual(["0.5", "2000", "5000", "x"]);
+    for (const values of ["1,2,3", "1..2", "", "x"]) expect(refusedValues("<", values)).toBe(`“${values}” is not one number`);
   });
 
   test("begin with what a field is likely to be asked for", () => {

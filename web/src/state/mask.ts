@@ -1,5 +1,7 @@
 /** A mask as it is written: a field, how its values compare, and with what. Pure. */
 
+import { readTyped } from "./typedNumber";
+
 /** How values compare, those that begin with others first; in words. */
 export const COMPARISONS = [
   { symbol: "==", text: "is" },
@@ -37,9 +39,16 @@ const NUMBER = String.raw`[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?`;
 const RANGE = new RegExp(String.raw`^\s*(${NUMBER})\s*(?:\.\.\s*(${NUMBER})\s*)?$`, "i");
 const MAX_RANGES = 64;
 
+/** One number as the server reads it; the text itself if it is none. */
+export function plainValue(text: string): string {
+  const typed = readTyped(text);
+  return typeof typed === "number" ? String(typed) : text.trim();
+}
+
 /** What is wrong with values, for the user; `undefined` where nothing is. */
 export function refusedValues(comparison: Comparison, values: string): string | undefined {
-  const items = values.split(",");
+  if (!takesList(comparison) && typeof readTyped(values) === "object") return `“${values.trim()}” can be read in two ways: write it without a comma`;
+  const items = (takesList(comparison) ? values : plainValue(values)).split(",");
   const ranges = items.map((item) => RANGE.exec(item));
   const wrong = items.find((_, i) => ranges[i] === null);
   if (!takesList(comparison)) return items.length === 1 && wrong === undefined && ranges[0]?.[2] === undefined ? undefined : `“${values.trim()}” is not one number`;

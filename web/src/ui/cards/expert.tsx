@@ -3,8 +3,9 @@
 import { Show, type JSX } from "solid-js";
 import { LEVELS } from "../../protocol/generated";
 import type { Edit, Statistics, View } from "../../protocol/types";
-import { unitWord } from "../../state/lengths";
+import { lengthUnit, unitWord } from "../../state/lengths";
 import { budgetEdit } from "../../state/sharedBudget";
+import { unitsOf } from "../../state/typedNumber";
 import { cutsTree } from "../../state/view";
 import type { ViewerState } from "../../state/viewer";
 import { formatValue } from "../format";
@@ -53,12 +54,13 @@ function criterionEdit(by: Criterion, view: View, state: ViewerState, spacing: n
 }
 
 function Criteria(props: { readonly view: View }) {
-  const { actions, viewer } = useModel();
+  const { actions, viewer, volume } = useModel();
   const spacing = useSpacing();
   const statistics = () => viewer().statistics;
   const error = () => errorOf(props.view, statistics(), spacing());
   const tolerance = () => formatValue((statistics()?.tolerance ?? 0) / spacing(), 2);
   const by = () => criterion(props.view, statistics(), spacing());
+  const unit = () => lengthUnit(volume());
   return (
     <>
       <Row label="Decide by">
@@ -82,6 +84,7 @@ function Criteria(props: { readonly view: View }) {
           max={1000}
           step={Math.max(1e-3, Number((error() / 10).toPrecision(1)))}
           note={by() === "triangles" ? `× spacing, in force ${tolerance()}` : "× spacing"}
+          units={{ voxels: 1, voxel: 1, vx: 1, ...unitsOf(unit(), 1 / spacing()) }}
           words={`${formatValue(error())} times the distance between samples`}
           onChange={(value, gesture) => actions.edit({ error: `${value}vx`, triangles: props.view.triangles, bytes: props.view.bytes }, gesture)}
           onEnd={actions.endGesture}

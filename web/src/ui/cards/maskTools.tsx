@@ -1,7 +1,7 @@
 /** Where the surface may be: everywhere, or where another field has certain values. */
 
 import { Show } from "solid-js";
-import { COMPARISONS, firstMask, maskText, readMask, refusedValues, takesList, type Comparison, type Mask } from "../../state/mask";
+import { COMPARISONS, firstMask, maskText, plainValue, readMask, refusedValues, takesList, type Comparison, type Mask } from "../../state/mask";
 import { useModel } from "../model";
 import { Select } from "../widgets/choice";
 import { TextField } from "../widgets/textField";
@@ -44,7 +44,7 @@ function Values(props: { readonly mask: Mask }) {
         value={props.mask.values}
         placeholder={takesList(props.mask.comparison) ? "1, 4..7" : "0.5"}
         refused={(text) => refusedValues(props.mask.comparison, text)}
-        onChange={(values) => edit({ values })}
+        onChange={(values) => edit({ values: takesList(props.mask.comparison) ? values : plainValue(values) })}
       />
     </div>
   );

@@ -5,6 +5,7 @@ import { GRADIENT, NO_FEATURE, featureInfo, label, otherFeatures } from "./featu
 import type { DerivedInfo, Distribution, FieldInfo, View, VolumeInfo } from "../../protocol/types";
 import { isExpression } from "../../state/expressions";
 import { ownRange } from "../../state/fields";
+import { unitsOf } from "../../state/typedNumber";
 import { useDescribed } from "../expressions";
 import { formatShare } from "../format";
 import { useModel } from "../model";
@@ -169,6 +170,7 @@ function Weight(props: { readonly view: View }) {
       min={0}
       max={1}
       step={0.01}
+      hundredPercent={1}
       words={words()}
       onChange={(alpha, gesture) => actions.edit({ alpha }, gesture)}
       onEnd={actions.endGesture}
@@ -190,9 +192,9 @@ function Range(props: { readonly view: View; readonly info: DerivedInfo | undefi
         <div class="control row">
           <span class="label">Axis from</span>
           <span class="pair">
-            <NumberField label="Feature value that becomes 0" value={ends()[0]} step={step()} max={ends()[1] - step()} onChange={(low) => change(low, ends()[1])} />
+            <NumberField label="Feature value that becomes 0" value={ends()[0]} step={step()} units={unitsOf(props.info?.unit)} max={ends()[1] - step()} onChange={(low) => change(low, ends()[1])} />
             <span>to</span>
-            <NumberField label="Feature value that becomes 1" value={ends()[1]} step={step()} min={ends()[0] + step()} onChange={(high) => change(ends()[0], high)} />
+            <NumberField label="Feature value that becomes 1" value={ends()[1]} step={step()} units={unitsOf(props.info?.unit)} min={ends()[0] + step()} onChange={(high) => change(ends()[0], high)} />
             <span class="unit">{props.info?.unit ?? ""}</span>
           </span>
         </div>

@@ -4,6 +4,7 @@ import { createEffect, createSignal, For, onCleanup, Show } from "solid-js";
 import type { View } from "../../protocol/types";
 import { MAX_REGIONS } from "../../state/interest";
 import { lengthUnit, unitWord } from "../../state/lengths";
+import { unitsOf } from "../../state/typedNumber";
 import { formatValue } from "../format";
 import { useModel, useScale } from "../model";
 import { Button } from "../widgets/button";
@@ -67,6 +68,7 @@ function Radius() {
       max={RADII[1] * extent()}
       step={Number((brush() / 10).toPrecision(1))}
       note={unitWord(lengthUnit(volume()))}
+      units={unitsOf(lengthUnit(volume()))}
       onChange={(radius) => actions.changePage({ brush: radius })}
       onEnd={() => undefined}
     />

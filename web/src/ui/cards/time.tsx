@@ -34,7 +34,7 @@ function Body() {
         <div class="control-head">
           <label for={id}>Time step</label>
           <span class="note" />
-          <NumberField label="Number of the time step, from 1" value={step() + 1} min={1} max={count()} onChange={(value) => goByHand(value - 1)} />
+          <NumberField label="Number of the time step, from 1" value={step() + 1} min={1} max={count()} isWhole onChange={(value) => goByHand(value - 1)} />
           <span>of {count()}</span>
         </div>
         <input
