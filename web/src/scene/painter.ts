@@ -19,6 +19,7 @@ import { Effects } from "./effects";
 import { SHADINGS, type Look } from "./look";
 import { Peeling } from "./peeling";
 import { Picking, type Picked } from "./picking";
+import type { MiddleDepths } from "./scale";
 import type { Side, Surfaces } from "./surfaces";
 
 /** Samples a pixel of the picture in between, where a GPU renders. */
@@ -88,9 +89,29 @@ export class Painter {
     this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
     return this.picking.pick(this.webgl, camera, x, y, (eye) => {
       const translucent = this.surfaces.visible(false).filter((surface) => through === undefined || surface === through);
-      this.surfaces.prepare("pick", [...this.surfaces.visible(true), ...translucent], side);
-      this.webgl.render(this.surfaceScene, eye);
+      this.drawPlaces([...this.surfaces.visible(true), ...translucent], side, eye);
     });
+  }
+
+  /** How far surfaces are in the middle third of the picture. */
+  depths(camera: PerspectiveCamera | OrthographicCamera): Promise<MiddleDepths> {
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
+    return this.picking.depths(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
+  }
+
+  /** The same, at once: for images. */
+  depthsNow(camera: PerspectiveCamera | OrthographicCamera): MiddleDepths {
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
+    return this.picking.depthsNow(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
+  }
+
+  private drawAllPlaces(eye: PerspectiveCamera | OrthographicCamera): void {
+    this.drawPlaces([...this.surfaces.visible(true), ...this.surfaces.visible(false)], "now", eye);
+  }
+
+  private drawPlaces(surfaces: readonly number[], side: Side, eye: PerspectiveCamera | OrthographicCamera): void {
+    this.surfaces.prepare("pick", surfaces, side);
+    this.webgl.render(this.surfaceScene, eye);
   }
 
   /** Frees what only images and effects need; it is made again when needed. */

@@ -40,7 +40,8 @@ function stepOf({ key, shiftKey }: KeyboardEvent, step = 1): number | undefined 
   return (key === "ArrowUp" ? step : -step) * (shiftKey ? 10 : 1);
 }
 
-export function NumberField(props: NumberFieldProps) {
+/** What is typed into a field, and what becomes of it. */
+function useTyping(props: NumberFieldProps) {
   const { ask, say } = useModel();
   const format = (value: number) => formatValue(value, props.digits);
   const [text, setText] = createSignal(format(props.value));
@@ -74,6 +75,15 @@ export function NumberField(props: NumberFieldProps) {
     const value = typed();
     return isTyping() && (value === undefined || (typeof value === "number" && value !== clamp(value, props)));
   };
+  const type = (changed: string) => {
+    setTyping(true);
+    setText(changed);
+  };
+  return { text, typed, isTyping, invalid, type, accept, commit, show };
+}
+
+export function NumberField(props: NumberFieldProps) {
+  const { text, typed, isTyping, invalid, type, accept, commit, show } = useTyping(props);
   const onKeyDown = (event: KeyboardEvent) => {
     if (event.key === "Escape" && isTyping()) {
       event.stopPropagation();
@@ -100,10 +110,7 @@ export function NumberField(props: NumberFieldProps) {
       aria-invalid={invalid()}
       disabled={props.disabled ?? false}
       value={text()}
-      on:input={(event) => {
-        setTyping(true);
-        setText(event.currentTarget.value);
-      }}
+      on:input={(event) => type(event.currentTarget.value)}
       on:change={commit}
       on:blur={commit}
       on:focus={(event) => event.currentTarget.select()}
