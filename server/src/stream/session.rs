@@ -71,7 +71,7 @@ use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::metrics;
 use crate::volumes::{Dataset, Lease, StepKey, VolumeStep};
-use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
+use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
 use open_pace::OpenPace;
 use open_volume::{OpenVolume, opening_progress};
@@ -381,10 +381,9 @@ impl<B: Backend> Session<B> {
                     ClientMessage::Distribution { surface, bins } => {
                         self.on_question(surface, Question::Distribution(bins));
                     }
-                    ClientMessage::Annotate {
-                        surface,
-                        annotation: Annotation::Error,
-                    } => self.on_question(surface, Question::VertexErrors),
+                    ClientMessage::Annotate { surface, annotation } => {
+                        self.on_question(surface, questions::annotate(annotation));
+                    }
                     ClientMessage::Curve { surface } => self.on_question(surface, Question::Curve),
                     ClientMessage::Drawn { generation } => self.on_drawn(generation),
                 }

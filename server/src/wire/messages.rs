@@ -129,6 +129,8 @@ pub enum ClientMessage {
 pub enum Annotation {
     /// The distance of each vertex to the isosurface.
     Error,
+    /// The largest distance to the isosurface of each vertex and of the triangles around it.
+    ErrorAround,
 }
 
 /// Bins where a message says nothing.

@@ -16,7 +16,7 @@ export const SUBPROTOCOL = "isopeel.v2";
 export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10", "sin", "cos", "tan", "floor", "ceil", "min", "max", "pow", "clamp", "magnitude", "if", "distance"] as const;
 
 /** What a surface is annotated with. */
-export type Annotation = "error";
+export type Annotation = "error" | "error-around";
 
 /** A box along the axes of the world. */
 export type Box = {

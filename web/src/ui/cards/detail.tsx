@@ -118,7 +118,7 @@ export function shareWords(share: number, shown: number, statistics: Statistics 
 function Limits(props: { readonly view: View }) {
   const { actions, viewer } = useModel();
   const scale = useScale();
-  const limits = () => limitsOf(props.view, sharedStatistics(viewer()), viewer().refusal, scale(), budgetEdit(viewer(), { share: 0.25 }));
+  const limits = () => limitsOf(props.view, sharedStatistics(viewer()), viewer().refusal, scale(), budgetEdit(viewer(), { share: 0.25 }), sharerCount(viewer()) < 2 ? viewer().answers.curve?.value : undefined);
   return (
     <ul class="limits">
       <For each={limits()}>

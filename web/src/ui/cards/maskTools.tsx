@@ -1,13 +1,15 @@
 /** Where the surface may be: everywhere, or where another field has certain values. */
 
-import { Show } from "solid-js";
-import { COMPARISONS, firstMask, maskText, plainValue, readMask, refusedValues, takesList, type Comparison, type Mask } from "../../state/mask";
+import { For, Show } from "solid-js";
+import { COMPARISONS, firstMask, listHas, maskText, plainValue, readMask, refusedValues, takesList, toggled, type Comparison, type Mask } from "../../state/mask";
 import { useModel } from "../model";
 import { Select } from "../widgets/choice";
 import { TextField } from "../widgets/textField";
 import { label } from "./features";
 
 const EVERYWHERE = "";
+/** Labels with a button; others are typed. */
+const MAX_CHIPS = 64;
 const COMPARISON_OPTIONS = COMPARISONS.map(({ symbol, text }) => ({ value: symbol, text }));
 
 export function MaskTools(props: { readonly mask: string | null }) {
@@ -28,7 +30,7 @@ export function MaskTools(props: { readonly mask: string | null }) {
 }
 
 function Values(props: { readonly mask: Mask }) {
-  const { actions } = useModel();
+  const { actions, volume } = useModel();
   const edit = (change: Partial<Mask>) => actions.edit({ mask: maskText({ ...props.mask, ...change }) });
   /** Of a list the first number stays, where the new comparison takes one alone. */
   const compare = (symbol: string) => {
@@ -36,7 +38,14 @@ function Values(props: { readonly mask: Mask }) {
     const { values } = props.mask;
     edit({ comparison, values: takesList(comparison) ? values : (values.split(/,|\.\./)[0] ?? values).trim() });
   };
+  const labels = () => (takesList(props.mask.comparison) ? (volume()?.fields.find(({ name }) => name === props.mask.field)?.labels ?? []) : []);
+  const toggle = (value: number) => {
+    const values = toggled(props.mask.values, value, labels().map((label) => label.value));
+    // A list has at least one value.
+    if (values !== "") edit({ values });
+  };
   return (
+    <>
     <div class="control row mask-values">
       <Select label="How its values compare" hideLabel value={props.mask.comparison} options={COMPARISON_OPTIONS} onChange={compare} />
       <TextField
@@ -47,5 +56,20 @@ function Values(props: { readonly mask: Mask }) {
         onChange={(values) => edit({ values: takesList(props.mask.comparison) ? values : plainValue(values) })}
       />
     </div>
+    <Show when={labels().length > 0}>
+      <div class="chips mask-labels" role="group" aria-label="Labels of the mask">
+        <For each={labels().slice(0, MAX_CHIPS)}>
+          {({ value, name }) => (
+            <button type="button" class="chip" aria-pressed={listHas(props.mask.values, value)} title={`Label ${value}`} on:click={() => toggle(value)}>
+              {name ?? String(value)}
+            </button>
+          )}
+        </For>
+        <Show when={labels().length > MAX_CHIPS}>
+          <span class="note">and {labels().length - MAX_CHIPS} more, by number</span>
+        </Show>
+      </div>
+    </Show>
+    </>
   );
 }
