@@ -68,7 +68,10 @@ export class StreamClient {
   ) {
     this.throttle = new Throttle(EDIT_INTERVAL_MS, () => this.flush());
     this.connection = new Connection(typeof address === "string" ? () => address : address, {
-      onOpen: () => this.sendOpen(),
+      onOpen: () => {
+        if (this.send({ type: "heartbeat" })) this.asked += 1;
+        this.sendOpen();
+      },
       onText: (text) => this.receive(text),
       // Chunks that arrive between an `open` and its `opened` belong to the volume before.
       onBinary: (frame) => {
@@ -253,6 +256,7 @@ export class StreamClient {
       this.restart();
       return;
     }
+    if (message.type === "heartbeat") return this.connection.expectWithin(message.seconds);
     if (this.receiveOfGroup(message)) return;
     if (message.type === "opened") {
       // The reply to an earlier `open`.

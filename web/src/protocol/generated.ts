@@ -129,6 +129,7 @@ export type ClientMessage = { "type": "open",
   group: string,
   /** What to be called in it. */
   name: string | null,
+} | { "type": "heartbeat",
 } | { "type": "leave",
 } | { "type": "pose" } & Pose | { "type": "ask-control",
   /** Whether it is asked for. */
@@ -730,6 +731,9 @@ export type ServerMessage = { "type": "opening",
   camera?: Camera,
   /** Its look, as it writes that itself: the server does not read it. */
   page?: string,
+} | { "type": "heartbeat",
+  /** Time until the next one. */
+  seconds: number,
 } | { "type": "left",
   /** Why. */
   reason: string,

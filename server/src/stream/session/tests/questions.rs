@@ -245,6 +245,16 @@ async fn an_annotation_comes_at_rest_for_the_regions_that_the_client_holds() {
     settle(&mut viewer).await;
 }
 
+/// A client that asks for signs of life gets one at once, and others later.
+#[tokio::test]
+async fn a_heartbeat_comes_to_a_client_that_asks_for_it() {
+    let mut viewer = Viewer::showing(&[1]).await;
+    viewer.say(r#"{"type":"heartbeat"}"#).await;
+    for _ in 0..2 {
+        viewer.expect(r#"{"type":"heartbeat","seconds":1.5}"#).await;
+    }
+}
+
 /// What is around the vertices is another annotation, with a name of its own.
 #[tokio::test]
 async fn an_annotation_of_what_is_around_vertices_is_named_as_it_was_asked() {
