@@ -116,7 +116,7 @@ fn inner_points(parts: usize) -> impl Iterator<Item = [f32; 3]> {
 
 /// Gives vertices at one position the largest distance of all.
 fn join(regions: &[Region], distances: &mut [Vec<f32>]) {
-    let border = REGION_CELLS as i32 * Vertex::LATTICE as i32;
+    let border = REGION_CELLS as i32 * Vertex::LATTICE;
     let is_outside = |vertex: &Vertex| vertex.position.iter().any(|&x| x < 0 || x >= border);
     // A vertex that several regions have lies outside of all of them but one.
     let outside = |region: &Region| {

@@ -225,7 +225,7 @@ impl<B: Backend> Session<B> {
             let held_until = self.open_pace.held_until(Instant::now());
             let listening = self.outbox.kept_bytes() < HIGH_WATER && held_until.is_none();
             let draw_pause_until = self.opened.as_ref().and_then(|opened| opened.draw_pause_until());
-            let line_room_at = self.line.room_at();
+            let line_capacity_at = self.line.capacity_at();
             let rest_due = self.opened.as_ref().and_then(|opened| opened.rest_due());
             let lease = self
                 .opened
@@ -237,7 +237,7 @@ impl<B: Backend> Session<B> {
                 () = token_ended.as_mut() => Event::TokenEnded,
                 () = outgoing.closed() => Event::WriterGone,
                 message = inbox.recv(), if listening => Event::Message(message),
-                permit = outgoing.reserve(), if !self.outbox.is_empty() && self.line.has_room() => {
+                permit = outgoing.reserve(), if !self.outbox.is_empty() && self.line.has_capacity() => {
                     permit.map_or(Event::WriterGone, Event::WriterReady)
                 }
                 done = finished(&mut self.device) => Event::Device(done),
@@ -248,7 +248,7 @@ impl<B: Backend> Session<B> {
                 () = lease.removed() => Event::VolumeRemoved,
                 () = reached(draw_pause_until) => Event::DrawPauseElapsed,
                 () = self.pace.pong_wait_elapsed() => Event::PongWaitElapsed,
-                () = reached(line_room_at) => Event::PongWaitElapsed,
+                () = reached(line_capacity_at) => Event::PongWaitElapsed,
                 () = reached(self.heartbeat.due()) => Event::Beat,
                 () = reached(held_until) => Event::OpenPaceElapsed,
                 () = reached(rest_due), if self.device.is_none() => Event::RestDue,
@@ -268,7 +268,7 @@ impl<B: Backend> Session<B> {
                     self.on_writer_ready(permit);
                     // As many as there is space for, without a turn of the loop for each.
                     while !self.outbox.is_empty()
-                        && self.line.has_room()
+                        && self.line.has_capacity()
                         && let Ok(permit) = outgoing.try_reserve()
                     {
                         self.on_writer_ready(permit);
@@ -358,7 +358,7 @@ impl<B: Backend> Session<B> {
         self.send_error(error.code(), error.public_message(), true);
     }
 
-    /// Before all that waits, so that a slow line is told from a dead one. The ping has the client answer.
+    /// Before all that waits, so that a slow line differs from a dead one. The ping has the client answer.
     fn on_beat(&mut self, listening: bool) -> Option<CloseCode> {
         let Some(longest) = self.heartbeat.beat(listening, self.line.time_of(BEFORE_BEAT)) else {
             return Some(CloseCode::Silent);

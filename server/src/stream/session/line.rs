@@ -92,13 +92,13 @@ impl Line {
     }
 
     /// Whether a further frame may be handed to the writer.
-    pub(super) fn has_room(&self) -> bool {
+    pub(super) fn has_capacity(&self) -> bool {
         self.sent - self.confirmed < self.window() || self.progress.elapsed() >= MAX_PONG_WAIT
     }
 
-    /// When a full line has room without a pong; `None` if it is not full.
-    pub(super) fn room_at(&self) -> Option<Instant> {
-        (!self.has_room()).then(|| self.progress + MAX_PONG_WAIT)
+    /// When a full line has capacity without a pong; `None` if it is not full.
+    pub(super) fn capacity_at(&self) -> Option<Instant> {
+        (!self.has_capacity()).then(|| self.progress + MAX_PONG_WAIT)
     }
 
     /// The writer takes a frame. Returns what the ping behind it carries, if one is due.
@@ -133,7 +133,7 @@ impl Line {
         };
         let now = Instant::now();
         let took = (now - ping.at).max(Duration::from_micros(100));
-        self.round_trip = Some(self.round_trip.map_or(took, |least| least.min(took)));
+        self.round_trip = Some(self.round_trip.map_or(took, |minimum| minimum.min(took)));
         self.rates
             .push_back((ping.sent - ping.confirmed) as f64 / took.as_secs_f64());
         if self.rates.len() > RATES {
@@ -148,7 +148,7 @@ impl Line {
 mod tests {
     use super::*;
 
-    /// Sends as much as there is room for over a line of a rate and a round trip, in frames of 4 KiB. Returns the longest time that the
+    /// Sends as much as there is capacity for over a line of a rate and a round trip, in frames of 4 KiB. Returns the longest time that the
     /// line needs for what is on it, after a second, and the bytes that arrived in all.
     async fn send_over(bytes_per_second: f64, round_trip: Duration, seconds: u64) -> (Duration, u64) {
         let (mut line, began) = (Line::new(), Instant::now());
@@ -156,7 +156,7 @@ mod tests {
         let mut pongs: VecDeque<(Instant, Option<u32>)> = VecDeque::new();
         let (mut longest, mut arrived) = (Duration::ZERO, 0);
         while began.elapsed() < Duration::from_secs(seconds) {
-            while line.has_room() {
+            while line.has_capacity() {
                 free = free.max(Instant::now()) + Duration::from_secs_f64(4096.0 / bytes_per_second);
                 pongs.push_back((free + round_trip, line.took(4096)));
             }
@@ -191,13 +191,13 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn without_pongs_the_window_does_not_count_after_a_while() {
         let mut line = Line::new();
-        while line.has_room() {
+        while line.has_capacity() {
             line.took(1 << 10);
         }
         assert_eq!(line.sent, FIRST_WINDOW);
-        let room_at = line.room_at().expect("a full line");
-        tokio::time::sleep_until(room_at).await;
-        assert!(line.has_room());
+        let capacity_at = line.capacity_at().expect("a full line");
+        tokio::time::sleep_until(capacity_at).await;
+        assert!(line.has_capacity());
         line.received(7);
         line.received(MARK | 1 << 20);
         assert_eq!(line.confirmed, 0, "pongs of no ping");
