@@ -316,6 +316,35 @@ describe("look", { timeout: 2 * TIMEOUT_MS }, () => {
     assert.ok(lines.darkest < 0.6 * plain.darkest, JSON.stringify(found));
     assert.ok(Math.abs(lines.free - plain.free) <= 2, JSON.stringify(found));
   });
+
+  test("occlusion in images is smooth where the surface is", MORE, async () => {
+    const bends = await page.evaluate(async () => {
+      const { scene, addSphere } = window.bench;
+      // Spheres of some flat triangles that meet, seen aslant: their slopes darken each other.
+      await addSphere({ radius: 10, center: [-9, 0, 0], segments: 40 });
+      await addSphere({ radius: 10, center: [9, 0, 0], segments: 40 });
+      // What is shown is large, so that occlusion reaches far.
+      await addSphere({ radius: 1, center: [28, 28, 28], segments: 8 });
+      await addSphere({ radius: 1, center: [-28, 28, -28], segments: 8 });
+      scene.camera.restore({ position: [22, -38, 14], target: [0, 0, 0] });
+      const shot = (occlusion) => {
+        scene.setLook({ occlusion, silhouettes: false });
+        return scene.snapshot({ scale: 2, transparent: true });
+      };
+      const [plain, dark] = [shot(false), shot(true)];
+      const ratio = (x, y) => dark.pixels[4 * (y * plain.width + x)] / plain.pixels[4 * (y * plain.width + x)];
+      const bends = [];
+      for (let y = 0; y < plain.height; y += 2)
+        for (let x = 2; x < plain.width; x += 1) {
+          const [a, b, c] = [ratio(x - 2, y), ratio(x - 1, y), ratio(x, y)];
+          if (Math.max(a, b, c) < 0.95) bends.push(Math.abs(a - 2 * b + c));
+        }
+      return bends.sort((a, b) => a - b);
+    });
+    assert.ok(bends.length > 1000, `${bends.length} pixels are darkened`);
+    const most = bends[Math.floor(0.9 * bends.length)];
+    assert.ok(most < 0.048, `from pixel to pixel the shading bends by ${most}`);
+  });
 });
 
 describe("transparency", { timeout: 2 * TIMEOUT_MS }, () => {

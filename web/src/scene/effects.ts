@@ -15,7 +15,11 @@ vec3 positionAt(vec2 uv) {
 
 /** From the nearer neighbour on each side, so that a normal at an edge is that of its own side. */
 const NORMAL = /* glsl */ `
+uniform sampler2D normals; // of the surfaces, where there are any
+uniform bool hasNormals;
 vec3 normalAt(vec2 uv, vec3 p) {
+  vec4 known = texture(normals, uv);
+  if (hasNormals && known.a > 0.5) return normalize(2.0 * known.xyz - 1.0);
   vec3 r = positionAt(uv + vec2(texel.x, 0.0)) - p, l = p - positionAt(uv - vec2(texel.x, 0.0));
   vec3 t = positionAt(uv + vec2(0.0, texel.y)) - p, b = p - positionAt(uv - vec2(0.0, texel.y));
   return normalize(cross(abs(r.z) < abs(l.z) ? r : l, abs(t.z) < abs(b.z) ? t : b));
@@ -113,6 +117,8 @@ void main() {
 export interface Resolve {
   readonly picture: Texture;
   readonly depth: DepthTexture;
+  /** Normals of the surfaces in view space, from 0 to 1; without them those of the depth. */
+  readonly normals: Texture | undefined;
   /** Translucent layers before it. */
   readonly layers: Texture | undefined;
   readonly occlusion: boolean;
@@ -135,6 +141,8 @@ export class Effects {
     viewFromClip: { value: new Matrix4() },
     texel: { value: new Vector2() },
     coarseness: { value: 1 },
+    normals: { value: null as Texture | null },
+    hasNormals: { value: false },
   };
   private readonly occlusion = new ScreenPass(OCCLUSION, {
     ...this.position,
@@ -165,6 +173,8 @@ export class Effects {
     this.position.depth.value = of.depth;
     this.position.viewFromClip.value.copy(of.camera.projectionMatrixInverse);
     this.position.texel.value.set(1 / width, 1 / height);
+    this.position.normals.value = of.normals ?? null;
+    this.position.hasNormals.value = of.normals !== undefined;
     if (of.occlusion) this.renderOcclusion(webgl, of, width, height);
     const { uniforms } = this.resolving;
     uniforms.picture.value = of.picture;

@@ -6,12 +6,14 @@
 import {
   DepthStencilFormat,
   DepthTexture,
+  NearestFilter,
   Scene,
   UnsignedInt248Type,
   Vector4,
   WebGLRenderTarget,
   type OrthographicCamera,
   type PerspectiveCamera,
+  type Texture,
   type WebGLRenderer,
 } from "three";
 import type { Clipping } from "./clipping";
@@ -52,6 +54,7 @@ export class Painter {
   readonly overlay = new Scene();
   private readonly surfaceScene = new Scene();
   private between: WebGLRenderTarget | undefined;
+  private normals: WebGLRenderTarget | undefined;
   private readonly peeling = new Peeling();
   private readonly effects = new Effects();
   private readonly picking = new Picking();
@@ -119,6 +122,8 @@ export class Painter {
     this.between?.dispose();
     this.between?.depthTexture?.dispose();
     this.between = undefined;
+    this.normals?.dispose();
+    this.normals = undefined;
     this.peeling.dispose();
     this.effects.dispose();
   }
@@ -148,7 +153,23 @@ export class Painter {
   private paintOpaque(side: Side, { camera }: FrameRequest): void {
     this.surfaces.prepare("opaque", this.surfaces.visible(true), side);
     this.webgl.render(this.surfaceScene, camera);
-    if (this.solids.children.some(({ children, visible }) => visible && children.length > 0)) this.webgl.render(this.solids, camera);
+    if (this.hasSolids) this.webgl.render(this.solids, camera);
+  }
+
+  private get hasSolids(): boolean {
+    return this.solids.children.some(({ children, visible }) => visible && children.length > 0);
+  }
+
+  private paintNormals(side: Side, { camera, width, height }: FrameRequest): Texture {
+    const { webgl } = this;
+    const normals = (this.normals ??= new WebGLRenderTarget(1, 1, { minFilter: NearestFilter, magFilter: NearestFilter }));
+    normals.setSize(width, height);
+    webgl.setRenderTarget(normals);
+    webgl.setClearColor(0x000000, 0);
+    webgl.clear();
+    this.surfaces.prepare("normal", this.surfaces.visible(true), side);
+    webgl.render(this.surfaceScene, camera);
+    return normals.texture;
   }
 
   private paintInSteps(side: Side, translucent: readonly number[], request: FrameRequest): void {
@@ -168,7 +189,10 @@ export class Painter {
       });
     }
     const { effects, target, scale, radius } = request;
+    // Depths alone have the normals of triangles, which show in an image.
+    const normals = effects && look.occlusion && target !== null && !this.hasSolids ? this.paintNormals(side, request) : undefined;
     this.effects.resolve(webgl, {
+      normals,
       picture: between.texture,
       depth,
       layers,
