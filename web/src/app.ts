@@ -159,7 +159,7 @@ export class App {
       onContextLost: () => {
         this.comparison.end();
         this.pipeline.clear();
-        this.model.toast("The graphics device was reset; the picture comes back when it does");
+        this.model.toast("Graphics context lost, restoring…");
       },
       onContextRestored: () => {
         this.model.clearErrors();

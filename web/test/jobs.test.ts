@@ -36,7 +36,7 @@ describe("isovalues that are typed", () => {
 
 describe("a job in words", () => {
   test("says how far it is", () => {
-    expect(jobText({ ...JOB, state: "queued" })).toBe("waits, 3 files");
+    expect(jobText({ ...JOB, state: "queued" })).toBe("queued, 3 files");
     expect(jobText(JOB)).toBe("1 of 3 files");
     expect(jobText({ ...JOB, etaSeconds: 7200 })).toBe("1 of 3 files, about 2 h left");
     expect(jobText({ ...JOB, paused: "disk-full" })).toBe("1 of 3 files, stands still: the server’s disk is full");

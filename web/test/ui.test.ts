@@ -269,9 +269,9 @@ describe("the slider of detail", () => {
     expect(limits(both, { tolerance: 0.1 })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.25 } } } });
     expect(limits(both, { tolerance: 3 })[0]).toMatchObject({ lift: { edit: { error: "0.1vx" } } });
     expect(limits(both, { tolerance: 3, gaveWay: ["max-error", "topology"] })[0]?.text).toBe(
-      "Budget reached: 0.1 voxels needs more triangles. The limit on the error is not kept, off by ≈ 0.05 voxels rms. Topology not kept: the budget is too small",
+      "0.1 voxels needs more triangles. Error ≈ 0.05 voxels (RMS). Topology not kept: the budget is too small",
     );
-    expect(limits(both, { tolerance: 3, gaveWay: ["max-error"], error: { rms: 0.2, max: 1.58 }, estimatedError: null })[0]?.text).toContain("Off by up to 1.6 voxels");
+    expect(limits(both, { tolerance: 3, gaveWay: ["max-error"], error: { rms: 0.2, max: 1.58 }, estimatedError: null })[0]?.text).toContain("Max. error 1.6 voxels");
     expect(limits({ triangles: { share: 0.5, max: 10 } })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.5 } } } });
     const refused = { code: "over-budget", suggestedTriangles: 77 };
     expect(limits({ triangles: 9 }, {}, refused)[0]).toMatchObject({ lift: { text: "Make 77", edit: { triangles: 77 } } });
@@ -376,8 +376,8 @@ describe("what decides", () => {
 
   test("is said in words where a guard gave way", () => {
     const errors = (error: { rms: number; max: number } | null) => ({ error, estimatedError: { rms: 0.2, worstLeaf: 0.64 } });
-    expect(gaveWayText("max-error", errors({ rms: 0.3, max: 3.2 }), voxels(2))).toBe("Off by up to 1.6 voxels, more than the limit on the error");
-    expect(gaveWayText("max-error", errors(null), voxels(2))).toBe("The limit on the error is not kept, off by ≈ 0.1 voxels rms");
+    expect(gaveWayText("max-error", errors({ rms: 0.3, max: 3.2 }), voxels(2))).toBe("Max. error 1.6 voxels");
+    expect(gaveWayText("max-error", errors(null), voxels(2))).toBe("Error ≈ 0.1 voxels (RMS)");
     expect(gaveWayText("topology", errors(null), voxels(2))).toBe("Topology not kept: the budget is too small");
   });
 });

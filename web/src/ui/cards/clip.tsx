@@ -59,10 +59,10 @@ function Clip(props: { readonly volume: VolumeInfo }) {
       <Show when={clip().plane}>{(plane) => <PlanePlace plane={plane()} bounds={bounds()} onChange={(value, gesture) => change({ plane: value }, gesture)} />}</Show>
       <Toggle label="Box" on={clip().box !== undefined} onChange={(on) => change({ box: on ? bounds() : undefined })} />
       <Show when={clip().box}>{(box) => <BoxFaces box={box()} bounds={bounds()} onChange={(value) => change({ box: value })} />}</Show>
-      <Toggle label="Close what is cut" on={clip().caps} onChange={(caps) => change({ caps })} />
-      <Show when={clip().plane ?? clip().box} fallback={<p class="note">Nothing is cut away</p>}>
+      <Toggle label="Fill cut" on={clip().caps} onChange={(caps) => change({ caps })} />
+      <Show when={clip().plane ?? clip().box} fallback={<p class="note">No clipping</p>}>
         <div class="control row">
-          <p class="note">The dots in the picture can be dragged</p>
+          <p class="note">Drag the handles in the picture</p>
           <Button quiet onClick={() => actions.changeLook({ clip: { ...NO_CLIP, caps: clip().caps } })}>
             Show all
           </Button>

@@ -34,7 +34,6 @@ export function trianglesOf(budget: TriangleBudget, fullTriangles: number | unde
 /** What a guard that gave way has let happen. */
 export function gaveWayText(guard: GuardName, { error, estimatedError }: Pick<Statistics, "error" | "estimatedError">, scale: LengthScale): string {
   if (guard === "topology") return "Topology not kept: the budget is too small";
-  if (error !== null) return `Off by up to ${formatLength(error.max, scale)}, more than the limit on the error`;
-  const about = estimatedError === null ? "" : `, off by ≈ ${formatLength(estimatedError.rms, scale)} rms`;
-  return `The limit on the error is not kept${about}`;
+  if (error !== null) return `Max. error ${formatLength(error.max, scale)}`;
+  return estimatedError === null ? "The limit on the error is not kept" : `Error ≈ ${formatLength(estimatedError.rms, scale)} (RMS)`;
 }

@@ -47,7 +47,7 @@ function refusalLimit(refusal: Refusal | undefined, view: View): Limit | undefin
   const text = `No surface with so few triangles is within the guards: the smallest has ${formatCount(minimum)}`;
   const isGuarded = view.topology === "preserve" || (view.maxError !== null && view.maxError !== "auto");
   if (!isGuarded) return { text, lift: { text: `Make ${formatCount(minimum)}`, edit: { triangles: minimum } } };
-  return { text, lift: { text: "Let the guards give way", edit: { topology: "auto", maxError: "auto" } } };
+  return { text, lift: { text: "Relax limits", edit: { topology: "auto", maxError: "auto" } } };
 }
 
 function betaLimit(view: View, budget: Edit): Limit | undefined {
@@ -63,7 +63,7 @@ function errorLimit(view: View, statistics: Statistics | undefined, scale: Lengt
   const { error, triangles } = view;
   if (error === undefined || statistics === undefined || criterion(view, statistics, scale.spacing) !== "error") return undefined;
   const text = `Merged up to an error of ${formatLength(inSpacings(error, scale.spacing) * scale.spacing, scale)}`;
-  return triangles === undefined ? { text } : { text: `${text}, which needs no more triangles`, lift: { text: "Use more", edit: { triangles } } };
+  return triangles === undefined ? { text } : { text: `${text}, reached with fewer triangles than the budget`, lift: { text: "Refine further", edit: { triangles } } };
 }
 
 /** Guards that gave way to the budget, and an error that needs more triangles. */
@@ -71,8 +71,8 @@ function budgetLimit(view: View, statistics: Statistics | undefined, scale: Leng
   if (statistics === undefined) return undefined;
   const gaveWay = statistics.gaveWay.map((guard) => gaveWayText(guard, statistics, scale)).join(". ");
   const wanted = wantedLimit(view, statistics, scale, curve);
-  if (gaveWay === "") return wanted;
-  return wanted === undefined ? { text: gaveWay } : { ...wanted, text: `${wanted.text}. ${gaveWay}` };
+  if (wanted === undefined) return gaveWay === "" ? undefined : { text: `Limited by the budget. ${gaveWay}` };
+  return { ...wanted, text: gaveWay === "" ? `Budget reached: ${wanted.text}` : `${wanted.text}. ${gaveWay}` };
 }
 
 /** A budget that is reached before the view's error, or, without one, before an error that is hardly seen. */
@@ -82,11 +82,11 @@ function wantedLimit(view: View, statistics: Statistics, { spacing, unit }: Leng
   const length = (error === undefined ? FINE_ERROR : inSpacings(error, spacing)) * spacing;
   const needed = curve?.byError === true ? trianglesFor(curve.points, length, "threshold") : undefined;
   const text = formatLength(length, { spacing, unit });
-  if (needed === undefined) return error === undefined ? undefined : { text: `Budget reached: ${text} needs more triangles`, lift: { text: "Allow more", edit: { error } } };
+  if (needed === undefined) return error === undefined ? undefined : { text: `${text} needs more triangles`, lift: { text: "Allow more", edit: { error } } };
   const count = roundedUp(needed);
   if (count <= statistics.triangles) return undefined;
   const edit: Edit = { triangles: count, ...(error === undefined ? {} : { error }) };
-  return { text: `Budget reached: ${text} needs ${formatCount(count)} triangles`, lift: { text: `Use ${formatCount(count)}`, edit } };
+  return { text: `${text} needs ${formatCount(count)} triangles`, lift: { text: `Use ${formatCount(count)}`, edit } };
 }
 
 /** To two digits, and a little more than the curve says, whose points are not exact. */
@@ -99,5 +99,5 @@ function maximumLimit({ triangles, error }: View, statistics: Statistics | undef
   if (typeof triangles !== "object" || triangles.max === undefined || statistics === undefined) return undefined;
   if (triangles.share * statistics.fullTriangles <= triangles.max) return undefined;
   const edit: Edit = { triangles: { share: triangles.share }, ...(error === undefined ? {} : { error }) };
-  return { text: `At most ${formatCount(triangles.max)}, so that the picture stays quick`, lift: { text: "Lift", edit } };
+  return { text: `Capped at ${formatCount(triangles.max)} for speed`, lift: { text: "Remove cap", edit } };
 }

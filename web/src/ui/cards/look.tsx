@@ -13,7 +13,7 @@ import type { Card } from "./card";
 import { Peel } from "./peel";
 
 const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonly hint: string }[] = [
-  { value: "material", text: "Material", hint: "One colour: the light shows the shape" },
+  { value: "material", text: "Material", hint: "Single colour" },
   { value: "transfer", text: "Editor", hint: "The colours of the points under What matters" },
   { value: "feature", text: "Value", hint: "What the editor is over: shape and feature, blended" },
   { value: "importance", text: "Importance", hint: "How much each part matters" },

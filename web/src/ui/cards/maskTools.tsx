@@ -20,10 +20,10 @@ export function MaskTools(props: { readonly mask: string | null }) {
     const field = fields().find((known) => known.name === name);
     actions.edit({ mask: field === undefined ? null : maskText(firstMask(name, field)) });
   };
-  const options = () => [{ value: EVERYWHERE, text: "Everywhere" }, ...fields().map(({ name }) => ({ value: name, text: label(name) }))];
+  const options = () => [{ value: EVERYWHERE, text: "Whole volume" }, ...fields().map(({ name }) => ({ value: name, text: label(name) }))];
   return (
     <div class="mask">
-      <Select label="Only where" value={mask()?.field ?? EVERYWHERE} options={options()} onChange={choose} />
+      <Select label="Restrict to" value={mask()?.field ?? EVERYWHERE} options={options()} onChange={choose} />
       <Show when={mask()}>{(known) => <Values mask={known()} />}</Show>
     </div>
   );

@@ -66,7 +66,7 @@ export default function Body() {
         </div>
         <All />
         <Show when={canCap()}>
-          <Toggle label="Close it where it leaves the volume" on={wantsCap()} onChange={setCap} />
+          <Toggle label="Cap at volume boundary" on={wantsCap()} onChange={setCap} />
         </Show>
       </Needs>
       <div class="control row">

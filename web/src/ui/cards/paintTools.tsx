@@ -17,7 +17,7 @@ type Region = View["interest"][number];
 /** Smallest and largest radius, as shares of the volume's longest side. */
 const RADII = [0.005, 0.25] as const;
 
-const HINTS = { pick: "Click the surface for a point at its value", paint: "Click what is to stay fine" } as const;
+const HINTS = { pick: "Click the surface for a point at its value", paint: "Click to keep detail here" } as const;
 const TOOLS = [
   { tool: "pick", text: "Pick a value", title: HINTS.pick },
   { tool: "paint", text: "Mark a region", title: HINTS.paint },

@@ -47,8 +47,8 @@ export function SurfaceRows(props: { readonly children: JSX.Element }) {
   const isFull = () => surfaces().length >= most();
   const selectedName = useSurfaceName();
   const note = () => {
-    if (isFull() && most() > 1) return `${most()} surfaces are the most`;
-    return several() ? `You edit ${selectedName()}` : "";
+    if (isFull() && most() > 1) return `Maximum of ${most()} surfaces`;
+    return several() ? `Editing ${selectedName()}` : "";
   };
   const [isOpen, toggleOpen] = createPanel(several);
   const [isPartsOpen, togglePartsOpen] = createPanel(() => (view()?.parts ?? null) !== null);
@@ -77,7 +77,7 @@ export function SurfaceRows(props: { readonly children: JSX.Element }) {
           </button>
         </Show>
         <Show when={offersMask()}>
-          <button type="button" class="button quiet" aria-label="Mask of the surface" title="Only where another field has certain values" aria-expanded={isMaskOpen()} on:click={toggleMaskOpen}>
+          <button type="button" class="button quiet" aria-label="Mask of the surface" title="Restrict the surface to where another field has certain values" aria-expanded={isMaskOpen()} on:click={toggleMaskOpen}>
             Mask
           </button>
         </Show>
@@ -181,8 +181,8 @@ function Style() {
                 label={`Colour of ${name()}`}
                 value={surface().style.color === undefined ? "look" : "own"}
                 options={[
-                  { value: "look", text: "As Look", hint: "The material or the colours that Look has for all" },
-                  { value: "own", text: "Its own", hint: "One colour, whatever Look says" },
+                  { value: "look", text: "Shared", hint: "The material or colours of Look, as all surfaces" },
+                  { value: "own", text: "Custom", hint: "A single colour of this surface" },
                 ]}
                 onChange={(by) => actions.changeStyle(surface().number, { color: by === "own" ? freeColor(surfaces()) : undefined })}
               />
