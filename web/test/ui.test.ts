@@ -261,8 +261,8 @@ describe("the slider of detail", () => {
     const curve = { type: "curve", surface: 0, generation: 1, kind: "tree", byError: true, points } as const;
     const withCurve = (edit: Edit, at = curve) => limitsOf(view(edit), { ...found, tolerance: 3 }, undefined, { spacing: 1, unit: "mm" }, undefined, { ...at, points: [...at.points] });
     // Of the view's error, or of one that is hardly seen: both are a threshold of the curve.
-    expect(withCurve({ error: "0.1vx", triangles: 100 })).toEqual([{ text: "Budget reached: 0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410, error: "0.1vx" } } }]);
-    expect(withCurve({ triangles: 100 })).toEqual([{ text: "Budget reached: 0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410 } } }]);
+    expect(withCurve({ error: "0.1vx", triangles: 100 })).toEqual([{ text: "0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410, error: "0.1vx" } } }]);
+    expect(withCurve({ triangles: 100 })).toEqual([{ text: "0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410 } } }]);
     expect(withCurve({ triangles: 100 }, { ...curve, byError: false } as never)).toEqual([]);
     expect(limits({ beta: 0.5 })).toEqual([{ text: "β = 0.5 decides", lift: { text: "Decide by triangles", edit: { triangles: { share: 0.25 } } } }]);
     const both = { error: "0.1vx", triangles: { share: 0.25 } };

@@ -72,7 +72,7 @@ function budgetLimit(view: View, statistics: Statistics | undefined, scale: Leng
   const gaveWay = statistics.gaveWay.map((guard) => gaveWayText(guard, statistics, scale)).join(". ");
   const wanted = wantedLimit(view, statistics, scale, curve);
   if (wanted === undefined) return gaveWay === "" ? undefined : { text: `Limited by the budget. ${gaveWay}` };
-  return { ...wanted, text: gaveWay === "" ? `Budget reached: ${wanted.text}` : `${wanted.text}. ${gaveWay}` };
+  return { ...wanted, text: gaveWay === "" ? wanted.text : `${wanted.text}. ${gaveWay}` };
 }
 
 /** A budget that is reached before the view's error, or, without one, before an error that is hardly seen. */
