@@ -342,8 +342,8 @@ describe("look", { timeout: 2 * TIMEOUT_MS }, () => {
       return bends.sort((a, b) => a - b);
     });
     assert.ok(bends.length > 1000, `${bends.length} pixels are darkened`);
-    const most = bends[Math.floor(0.9 * bends.length)];
-    assert.ok(most < 0.048, `from pixel to pixel the shading bends by ${most}`);
+    const bend = bends[Math.floor(0.9 * bends.length)];
+    assert.ok(bend < 0.048, `from pixel to pixel the shading bends by ${bend}`);
   });
 });
 

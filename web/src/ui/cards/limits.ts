@@ -62,8 +62,9 @@ function betaLimit(view: View, budget: Edit): Limit | undefined {
 function errorLimit(view: View, statistics: Statistics | undefined, scale: LengthScale): Limit | undefined {
   const { error, triangles } = view;
   if (error === undefined || statistics === undefined || criterion(view, statistics, scale.spacing) !== "error") return undefined;
-  const text = `Merged up to an error of ${formatLength(inSpacings(error, scale.spacing) * scale.spacing, scale)}`;
-  return triangles === undefined ? { text } : { text: `${text}, reached with fewer triangles than the budget`, lift: { text: "Refine further", edit: { triangles } } };
+  const text = formatLength(inSpacings(error, scale.spacing) * scale.spacing, scale);
+  if (triangles === undefined) return { text: `Merged up to an error of ${text}` };
+  return { text: `${text} reached with fewer triangles than the budget`, lift: { text: "Refine further", edit: { triangles } } };
 }
 
 /** Guards that gave way to the budget, and an error that needs more triangles. */
