@@ -22,6 +22,7 @@ mod tree_cut;
 mod tree_part;
 pub(crate) mod tree_refine;
 pub(crate) mod upload;
+pub(crate) mod vertex_distances;
 
 /// A device, its queue and its programs. Lives on one thread.
 pub struct Engine {

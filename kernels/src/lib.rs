@@ -66,6 +66,7 @@ pub use engine::{
     query::{CURVE_POINTS, CurvePoint, DistributionCounts, MAX_BINS, Probed, ProbedLeaf, ProbedPart, ShownCut},
     tree_refine::{RefinementCost, RegionVertex},
     upload::Upload,
+    vertex_distances::DistanceOf,
 };
 pub use error::{Error, Result};
 pub use expression::Expression;

@@ -64,6 +64,7 @@ impl NoiseDevice {
             missing: None,
             unit: None,
             labels: Vec::new(),
+            declares_labels: false,
             source: Arc::new(NoSamples),
         };
         let dataset = Dataset {

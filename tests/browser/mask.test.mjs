@@ -12,15 +12,15 @@ test("a surface is shown only where another field has the values of its mask", {
   const whole = await rested(page);
   const card = page.getByRole("region", { name: "Surface", exact: true });
   await card.getByRole("button", { name: "Mask of the surface" }).click();
-  await card.getByRole("combobox", { name: "Only where" }).selectOption("height");
+  await card.getByRole("combobox", { name: "Restrict to" }).selectOption("height");
   await page.waitForFunction(() => window.isopeel.status.edit.mask !== null);
   const half = await rested(page);
   assert.ok(half.triangles > 0 && half.triangles < 0.8 * whole.triangles, `${half.triangles} of ${whole.triangles} triangles`);
   await saveScreenshot(page, "mask");
   const values = card.getByRole("textbox", { name: "Values of the mask" });
-  await values.fill("1,2");
+  await values.fill("1,2,3");
   await values.press("Enter");
-  await page.getByText("“1,2” is not one number").waitFor();
+  await page.getByText("“1,2,3” is not one number").waitFor();
   assert.equal(await values.inputValue(), half.edit.mask.split(">=")[1], "what is refused is not taken");
   await page.waitForFunction(() => decodeURIComponent(location.hash).includes("mask=height>="));
   const again = await openPage(at.browser, page.url());

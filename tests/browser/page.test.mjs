@@ -229,7 +229,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     await card("Slices").click();
     const { framesDrawn } = await status(page);
     const answer = page.waitForResponse(/slices\?/);
-    await page.locator(".toggle", { hasText: "Across z" }).locator(".toggle-track").click();
+    await page.locator(".toggle", { hasText: "Perpendicular to z" }).locator(".toggle-track").click();
     assert.equal((await answer).status(), 200);
     await page.waitForFunction((before) => window.isopeel.status.framesDrawn > before, framesDrawn);
     assert.ok(difference(clipped, await picture(page)) > 0.03, "the slice is seen");

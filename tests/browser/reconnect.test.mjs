@@ -1,6 +1,7 @@
 /** A server that stops and starts again: surface, camera and the user's values are kept. */
 
 import assert from "node:assert/strict";
+import { connect, createServer } from "node:net";
 import { test } from "node:test";
 import { saveScreenshot, decideBy, makeVolume, openPage, TIMEOUT_MS, picture, difference, cameraAtRest, settled, startBrowser, startServer, status } from "./harness.mjs";
 
@@ -46,6 +47,56 @@ test("reconnects after the server restarts", { timeout: 4 * TIMEOUT_MS }, async 
     assert.deepEqual(faults, []);
   } finally {
     await browser.close();
+    await server.stop();
+    volume.remove();
+  }
+});
+
+/** A line to a port that can be cut without a word: nothing more comes through, and no end either. */
+async function makeLine(port) {
+  const sockets = [];
+  const line = createServer((near) => {
+    const far = connect(port, "127.0.0.1");
+    for (const [from, to] of [[near, far], [far, near]]) {
+      sockets.push(from);
+      from.on("data", (data) => isCut || to.write(data));
+      from.on("close", () => isCut || to.destroy());
+      from.on("error", () => undefined);
+    }
+  });
+  let isCut = false;
+  await new Promise((done) => line.listen(0, "127.0.0.1", done));
+  return {
+    port: line.address().port,
+    cut: (cut) => (isCut = cut),
+    close: () => {
+      for (const socket of sockets) socket.destroy();
+      line.close();
+    },
+  };
+}
+
+test("says within five seconds that nothing comes through, and goes on when the line is back", { timeout: 2 * TIMEOUT_MS }, async () => {
+  const volume = makeVolume();
+  const server = await startServer([volume.path]);
+  const browser = await startBrowser();
+  const line = await makeLine(server.port);
+  try {
+    const { page, faults } = await openPage(browser, `http://127.0.0.1:${line.port}`);
+    await settled(page);
+    line.cut(true);
+    const began = Date.now();
+    await page.waitForFunction(() => window.isopeel.status.connection !== "connected");
+    const seconds = (Date.now() - began) / 1000;
+    assert.ok(seconds < 5.5, `noticed after ${seconds} s`);
+    await page.getByText(/nothing has come from the server for \d s. Reconnecting/).waitFor();
+    await saveScreenshot(page, "line-cut");
+    line.cut(false);
+    await settled(page);
+    assert.deepEqual(faults, []);
+  } finally {
+    await browser.close();
+    line.close();
     await server.stop();
     volume.remove();
   }

@@ -129,6 +129,55 @@ describe("camera", { timeout: 2 * TIMEOUT_MS }, () => {
     end.position.forEach((p, axis) => assert.ok(Math.abs(p - begin.position[axis]) < 1e-6));
   });
 
+  test("the wheel zooms towards the surface under the pointer and stops before it, and the scale bar is that of the surface at the centre", async () => {
+    const [x, y] = [150, 120];
+    const pick = (...at) => page.evaluate((at) => window.bench.scene.pick(...at), at);
+    const { position: before } = await pick(x, y);
+    await page.mouse.move(x, y);
+    for (let i = 0; i < 12; i += 1) await page.mouse.wheel(0, -300);
+    await still();
+    const { position: eye, target } = await pose();
+    assert.ok(Math.hypot(...eye) > 10, `the camera is at ${eye}, within the sphere`);
+    assert.ok(Math.hypot(...eye) < 14, `the camera stayed at ${eye}`);
+    // The same place of the surface is there still, and the camera turns around one near it.
+    const { position: after } = await pick(x, y);
+    assert.ok(Math.hypot(...after.map((c, axis) => c - before[axis])) < 0.05, `${before} became ${after}`);
+    assert.ok(Math.hypot(...target.map((c, axis) => c - before[axis])) < 1, `the target is ${target}`);
+    await page.waitForTimeout(500);
+    const bar = await page.evaluate(() => {
+      const element = document.querySelector(".scene-scale");
+      return { text: element.textContent, pixels: element.querySelector("i").getBoundingClientRect().width };
+    });
+    // Two places of the surface, twenty pixels apart around the centre, have this distance.
+    const [a, b] = [await pick(SIZE.width / 2 - 10, SIZE.height / 2), await pick(SIZE.width / 2 + 10, SIZE.height / 2)];
+    const forward = target.map((c, axis) => (c - eye[axis]) / Math.hypot(...target.map((c, axis) => c - eye[axis])));
+    const apart = a.position.map((c, axis) => c - b.position[axis]);
+    const along = apart.reduce((sum, c, axis) => sum + c * forward[axis], 0);
+    const across = Math.sqrt(apart.reduce((sum, c) => sum + c * c, 0) - along ** 2);
+    const [length, words] = [parseFloat(bar.text), bar.text.replace(/^[\d.]+ /, "")];
+    assert.equal(words, "at the centre");
+    assert.ok(Math.abs((bar.pixels / length) * (across / 20) - 1) < 0.03, `${bar.text} has ${bar.pixels} pixels, of which 20 are ${across}`);
+  });
+
+  test("an image has a scale bar if one length is right over its middle", async () => {
+    const units = (projection, distance) =>
+      page.evaluate(
+        ([projection, distance]) => {
+          const { scene } = window.bench;
+          scene.camera.restore({ position: [0, -distance, 0], target: [0, 0, 0], projection });
+          return scene.snapshot({ scale: 1, transparent: true }).unitsPerPixel ?? null;
+        },
+        [projection, distance],
+      );
+    const across = 2 * Math.tan(Math.PI * (16 / 180));
+    const front = (await units("perspective", 60)) / (across / SIZE.height);
+    assert.ok(front > 50 && front < 50 * 1.05, `the bar is that of depth ${front}, the sphere begins at 50`);
+    assert.ok(Math.abs((await units("orthographic", 60)) / ((across * 60) / SIZE.height) - 1) < 1e-6);
+    // A small sphere before it is at less than nine tenths of the distance.
+    await page.evaluate(() => window.bench.addSphere({ radius: 1, center: [0, -20, 0] }));
+    assert.equal(await units("perspective", 60), null);
+  });
+
   test("keys turn, move and zoom while the canvas has the focus, and not else", MORE, async () => {
     const begin = await pose();
     await page.keyboard.press("ArrowLeft");
@@ -267,6 +316,35 @@ describe("look", { timeout: 2 * TIMEOUT_MS }, () => {
     assert.ok(lines.darkest < 0.6 * plain.darkest, JSON.stringify(found));
     assert.ok(Math.abs(lines.free - plain.free) <= 2, JSON.stringify(found));
   });
+
+  test("occlusion in images is smooth where the surface is", MORE, async () => {
+    const bends = await page.evaluate(async () => {
+      const { scene, addSphere } = window.bench;
+      // Spheres of some flat triangles that meet, seen aslant: their slopes darken each other.
+      await addSphere({ radius: 10, center: [-9, 0, 0], segments: 40 });
+      await addSphere({ radius: 10, center: [9, 0, 0], segments: 40 });
+      // What is shown is large, so that occlusion reaches far.
+      await addSphere({ radius: 1, center: [28, 28, 28], segments: 8 });
+      await addSphere({ radius: 1, center: [-28, 28, -28], segments: 8 });
+      scene.camera.restore({ position: [22, -38, 14], target: [0, 0, 0] });
+      const shot = (occlusion) => {
+        scene.setLook({ occlusion, silhouettes: false });
+        return scene.snapshot({ scale: 2, transparent: true });
+      };
+      const [plain, dark] = [shot(false), shot(true)];
+      const ratio = (x, y) => dark.pixels[4 * (y * plain.width + x)] / plain.pixels[4 * (y * plain.width + x)];
+      const bends = [];
+      for (let y = 0; y < plain.height; y += 2)
+        for (let x = 2; x < plain.width; x += 1) {
+          const [a, b, c] = [ratio(x - 2, y), ratio(x - 1, y), ratio(x, y)];
+          if (Math.max(a, b, c) < 0.95) bends.push(Math.abs(a - 2 * b + c));
+        }
+      return bends.sort((a, b) => a - b);
+    });
+    assert.ok(bends.length > 1000, `${bends.length} pixels are darkened`);
+    const bend = bends[Math.floor(0.9 * bends.length)];
+    assert.ok(bend < 0.048, `from pixel to pixel the shading bends by ${bend}`);
+  });
 });
 
 describe("transparency", { timeout: 2 * TIMEOUT_MS }, () => {
@@ -381,7 +459,7 @@ describe("clipping", { timeout: 2 * TIMEOUT_MS }, () => {
     await still();
     // The sphere contains the box: a square of its caps, 10 wide.
     const square = (await share(capOf)) + (await share(innerCap));
-    const height = await page.evaluate(() => window.bench.scene.camera.heightAtTarget);
+    const height = await page.evaluate(() => window.bench.heightAtTarget());
     const expected = 100 / (height * height * (SIZE.width / SIZE.height));
     assert.ok(Math.abs(square / expected - 1) < 0.04, `${square}, expected ${expected}`);
 
@@ -475,7 +553,7 @@ describe("picking, slices, values", { timeout: 2 * TIMEOUT_MS }, () => {
     }
     const side = await page.evaluate(() => {
       const { scene } = window.bench;
-      const width = scene.camera.heightAtTarget;
+      const width = window.bench.heightAtTarget();
       // Seen from +y, +x is on the left.
       return scene.pick(200 - (20 / width) * 300, 150);
     });
@@ -499,7 +577,7 @@ describe("picking, slices, values", { timeout: 2 * TIMEOUT_MS }, () => {
       await window.bench.still();
     });
     const grey = async (x) => {
-      const height = await page.evaluate(() => window.bench.scene.camera.heightAtTarget);
+      const height = await page.evaluate(() => window.bench.heightAtTarget());
       return pixel(0.5 + x / (height * (SIZE.width / SIZE.height)), 0.5);
     };
     for (const x of [-15, -5, 5, 15]) {
@@ -629,7 +707,7 @@ describe("images", { timeout: 2 * TIMEOUT_MS }, () => {
       await addSphere({ radius: 10 });
       scene.home(false);
       const snapshot = scene.snapshot({ scale: 4, transparent: true });
-      const scaleBar = scene.annotations.barFor(snapshot.unitsPerPixel, 400);
+      const scaleBar = (unitsPerPixel) => scene.annotations.barFor(unitsPerPixel, 400);
       const colorBar = { stops: COLOR_MAPS.viridis, texts: ["0", "1", "2"], title: "error (mm)" };
       const parts = { ink: "#ff0000", scale: 4, caption: "A sphere", scaleBar, colorBar };
       return base64(await composeImage(snapshot, parts));

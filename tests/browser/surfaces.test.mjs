@@ -137,7 +137,7 @@ describe("several surfaces", { ...MORE, timeout: 6 * TIMEOUT_MS }, () => {
       await page.getByRole("button", { name: "Add a surface" }).click();
       await settled(page, (now, count) => now.surfaces.length === count, count);
     }
-    await page.getByText("4 surfaces are the most").waitFor();
+    await page.getByText("Maximum of 4 surfaces").waitFor();
     assert.equal(await page.getByRole("button", { name: "Add a surface" }).count(), 0);
     for (const theme of ["dark", "light"]) {
       await page.emulateMedia({ colorScheme: theme });

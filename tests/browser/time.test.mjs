@@ -31,7 +31,7 @@ test("steps are moved through and played, and a new one appears", { timeout: 2 *
     await page.locator(".viewport canvas").press(",");
     assert.equal((await step(0)).triangles, first);
 
-    await page.getByRole("button", { name: "Begin anew at the end" }).click();
+    await page.getByRole("button", { name: "Loop" }).click();
     await page.getByRole("button", { name: "Play", exact: true }).click();
     await step(4);
     await page.getByRole("button", { name: "Play", exact: true }).waitFor();

@@ -18,7 +18,7 @@ import { streamAddress } from "./net/credentials";
 import { StreamClient } from "./net/streamClient";
 import { Marks } from "./wiring/marks";
 import { Outputs } from "./wiring/outputs";
-import type { ServerMessage, VolumeSummary } from "./protocol/types";
+import type { StreamMessage, VolumeSummary } from "./protocol/types";
 import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
 import { statusOf } from "./wiring/status";
@@ -159,7 +159,7 @@ export class App {
       onContextLost: () => {
         this.comparison.end();
         this.pipeline.clear();
-        this.model.toast("The graphics device was reset; the picture comes back when it does");
+        this.model.toast("Graphics context lost, restoring…");
       },
       onContextRestored: () => {
         this.model.clearErrors();
@@ -267,7 +267,7 @@ export class App {
     this.display.show(look, surfaces, viewer.selected, source, shownErrors(viewer, surfaces));
   }
 
-  private receive(message: ServerMessage): void {
+  private receive(message: StreamMessage): void {
     const volumeBefore = this.store.viewer.volume?.id;
     this.update({ type: "message", message });
     if (this.questions.received(message) || isAboutQuestion(message)) return this.later.soon();

@@ -31,9 +31,9 @@ describe("distances taken together", () => {
   });
 
   test("are said in voxels", () => {
-    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: 1.2 }, voxels(0.5))).toBe("Darkest: off by 0.6 voxels and more, 2 % of the vertices, the farthest by 2.4 voxels");
-    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: Infinity }, voxels(1))).toBe("Darkest: off by 0.3 voxels and more, 2 % of the vertices");
-    expect(distanceWords({ share: 0.98, upper: 0.001, farthest: 0 }, voxels(1))).toBe("Darkest: off by 0.001 voxels");
+    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: 1.2 }, [{ rms: 0.1, max: 0.7 }, { rms: 0.2, max: 0.4 }], voxels(0.5))).toBe("Darkest: off by 0.6 voxels and more, around 2 % of the vertices; the measured maximum is 1.4 voxels");
+    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: Infinity }, [{ rms: 0.1, max: 0.7 }, null], voxels(1))).toBe("Darkest: off by 0.3 voxels and more, around 2 % of the vertices");
+    expect(distanceWords({ share: 0.98, upper: 0.001, farthest: 0 }, [], voxels(1))).toBe("Darkest: off by 0.001 voxels");
   });
 });
 
@@ -141,7 +141,7 @@ describe("distances of the surface on screen", () => {
     const own = { ...DEFAULT_STYLE, color: "#e08a5b" };
     const surfaces = [{ number: 0, view: OPENING, style: DEFAULT_STYLE }, { number: 1, view: OPENING, style: own }];
     const both = run(done, { type: "surfaces", surfaces, selected: 1 });
-    expect(dueErrors(both, surfaces).map(({ question }) => question)).toEqual([{ type: "annotate", surface: 0, annotation: "error" }]);
+    expect(dueErrors(both, surfaces).map(({ question }) => question)).toEqual([{ type: "annotate", surface: 0, annotation: "error-around" }]);
     expect(awaitedErrors(both, surfaces)).toBe("measuring");
     const known = run(both, { type: "distances", surface: 0, generation: 1, distances });
     expect([shownErrors(known, surfaces), awaitedErrors(known, surfaces), dueErrors(known, surfaces)]).toEqual([distances, undefined, []]);

@@ -138,6 +138,8 @@ class Viewer {
   }
 
   private receive(message: ClientMessage): void {
+    // Every client asks for it before all else.
+    if (message.type === "heartbeat") return this.server.onHeartbeat(this);
     this.server.received.push(message);
     switch (message.type) {
       case "open": {
@@ -385,6 +387,8 @@ export class FixtureServer {
   nearest: Probed["nearest"] = { distance: 0.2, smoothness: 0.5, feature: 3, blended: 0.4, importance: 0.3, leaf: { kind: "tree", level: 2, error: 0.05 }, part: 3, partArea: 120 };
   /** All messages of clients, in order. */
   readonly received: ClientMessage[] = [];
+  /** A client asks for signs of life. */
+  onHeartbeat: (connection: { send: (message: ServerMessage) => void }) => void = () => undefined;
   /** `step` is understood. */
   steps = false;
   /** Refuses edits that change something, as of somebody who may only look. */

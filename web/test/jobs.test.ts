@@ -23,18 +23,20 @@ describe("isovalues that are typed", () => {
   test("are numbers with anything usual between them", () => {
     expect(isovaluesOf(" 40, 52.5;-1e2  .5 ")).toEqual([40, 52.5, -100, 0.5]);
     expect(isovaluesOf("7")).toEqual([7]);
+    expect(isovaluesOf("1,2,3")).toEqual([1, 2, 3]);
   });
 
   test("else it is said what is wrong", () => {
     expect(isovaluesOf(" ")).toMatch(/expected a number/);
     for (const word of ["x", "1e", "0x10", "1e999", "5-7"]) expect(isovaluesOf(`1 ${word}`)).toContain(`“${word}” is no isovalue`);
+    for (const word of ["1,5", "1,024", "1,024,000"]) expect(isovaluesOf(`7; ${word} 9`)).toContain(`“${word}” can be one isovalue or two`);
     expect(isovaluesOf(Array(10_001).fill("1").join(" "))).toBe("10001 isovalues, expected at most 10000");
   });
 });
 
 describe("a job in words", () => {
   test("says how far it is", () => {
-    expect(jobText({ ...JOB, state: "queued" })).toBe("waits, 3 files");
+    expect(jobText({ ...JOB, state: "queued" })).toBe("queued, 3 files");
     expect(jobText(JOB)).toBe("1 of 3 files");
     expect(jobText({ ...JOB, etaSeconds: 7200 })).toBe("1 of 3 files, about 2 h left");
     expect(jobText({ ...JOB, paused: "disk-full" })).toBe("1 of 3 files, stands still: the server’s disk is full");

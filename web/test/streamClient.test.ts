@@ -7,6 +7,7 @@ import { smoothFeatures } from "../src/decode/smoothing";
 import type { RegionMeshData } from "../src/scene/regionMesh";
 import type { DecodeWorker } from "../src/decode/queue";
 import { DecodeQueue } from "../src/decode/queue";
+import { Connection } from "../src/net/connection";
 import { StreamClient } from "../src/net/streamClient";
 import { Throttle } from "../src/net/throttle";
 import { parseServerMessage } from "../src/protocol/messages";
@@ -283,6 +284,20 @@ describe("the stream client", () => {
   test("refuses edits before a volume is open", () => {
     expect(client.stream.edit({ beta: 1 })).toBe(false);
     expect(client.stream.edit({ beta: 1 }, 2)).toBe(false);
+  });
+
+  test("connects anew and says why where signs of life stay away", async () => {
+    const reasons: (string | undefined)[] = [];
+    server.onHeartbeat = (connection) => connection.send({ type: "heartbeat", seconds: 0.2 });
+    const stream = new Connection(() => `ws://127.0.0.1:${port}/api/v1/stream`, {
+      onOpen: () => stream.send(JSON.stringify({ type: "heartbeat" })),
+      onText: () => stream.expectWithin(0.2),
+      onBinary: () => undefined,
+      onState: (state, reason) => state === "waiting" && reasons.push(reason),
+    });
+    stream.start();
+    await vi.waitFor(() => expect(reasons).toEqual(["nothing has come from the server for 1 s"]), 4000);
+    stream.stop();
   });
 
   test("edits, removes and repeats surfaces, each with a map of its own", async () => {

@@ -1,10 +1,10 @@
 import { describe, expect, test } from "vitest";
-import { digitsBetween, formatBytes, formatCount, formatMs, formatPercent, formatShare, formatValue, parseValue } from "../src/ui/format";
+import { digitsBetween, formatBytes, formatCount, formatMs, formatPercent, formatShare, formatValue } from "../src/ui/format";
 import { histogramPath } from "../src/ui/plots/histogram";
 import { criterion, gaveWayText, inSpacings, trianglesOf } from "../src/ui/cards/criterion";
 import { BETA_SCALE, ERROR_SCALE } from "../src/ui/cards/scales";
 import { derivedFeature, ownRange } from "../src/state/fields";
-import { featureInfo, label, otherFeatures } from "../src/ui/cards/features";
+import { bestOther, featureInfo, label, otherFeatures } from "../src/ui/cards/features";
 import { limitsOf } from "../src/ui/cards/limits";
 import { alphaText, coarseText, onSurface } from "../src/ui/cards/matters";
 import { interestText, regionText } from "../src/ui/cards/paintTools";
@@ -14,33 +14,20 @@ import { openingText } from "../src/ui/cards/surface";
 import { landmarks } from "../src/ui/plots/landmarks";
 import { refusedText } from "../src/ui/widgets/numberField";
 import { valueAfter } from "../src/ui/widgets/slider";
-import { errorWords, formatSeconds, hintText, summaryOf } from "../src/ui/words";
+import { countWords, errorWords, formatSeconds, hintText, summaryOf } from "../src/ui/words";
+import { readTyped } from "../src/state/typedNumber";
 import { complete, difference } from "../src/state/view";
 import { INITIAL_STATE } from "../src/state/viewer";
 import type { Edit, View } from "../src/protocol/types";
 import { OPENING, statistics, VOLUMES, voxels } from "./fixture";
 
 describe("numbers", () => {
-  test("unfinished text is no number", () => {
-    for (const text of ["", "-", "+", "1e", "1e-", ".", "1.2.3", "0x10", "12 cm", "Infinity", "NaN", "1,2,3"]) {
-      expect(parseValue(text), text).toBeUndefined();
-    }
-  });
-
-  test("numbers are parsed", () => {
-    expect(parseValue(" 517 ")).toBe(517);
-    expect(parseValue("-2e3")).toBe(-2000);
-    expect(parseValue("1,5")).toBe(1.5);
-    expect(parseValue(".5")).toBe(0.5);
-    expect(parseValue("−3")).toBe(-3);
-  });
-
   test("what is not taken of a text is said, with what is taken in its place", () => {
-    const percent = { label: "Opacity", min: 5, max: 100 };
+    const percent = { label: "Opacity", min: 5, max: 100, hundredPercent: 100 };
     expect(refusedText("1e", percent, 40)).toBe("“1e” is no number: Opacity stays 40");
     expect(refusedText("1e9", percent, 100)).toBe("Opacity is at most 100: 100 is taken");
     expect(refusedText("-3", percent, 5)).toBe("Opacity is at least 5: 5 is taken");
-    expect([refusedText("40", percent, 40), refusedText(" ", percent, 40), refusedText("1e30", { label: "Isovalue" }, 1e30)]).toEqual([undefined, undefined, undefined]);
+    expect([refusedText("40", percent, 40), refusedText(" ", percent, 40), refusedText("40 %", percent, 40), refusedText("1e30", { label: "Isovalue" }, 1e30)]).toEqual([undefined, undefined, undefined, undefined]);
   });
 
   test("are formatted", () => {
@@ -50,7 +37,7 @@ describe("numbers", () => {
     expect([0.30000001, 1234567, 1234567.5, -33.0171, NaN].map((v) => formatValue(v))).toEqual(["0.3", "1234567", "1234600", "-33.017", ""]);
     // No rows of zeros, which would have to be counted, and of which a field has no place for the last.
     expect([3.0142966e-10, 0.0000391234, 0.0001, 0.043271, 1000000300000, -2.5e11].map((v) => formatValue(v))).toEqual(["3.0143e-10", "3.9123e-5", "0.0001", "0.043271", "1e12", "-2.5e11"]);
-    expect(parseValue(formatValue(-2.5e11))).toBe(-2.5e11);
+    expect(readTyped(formatValue(-2.5e11))).toBe(-2.5e11);
   });
 
   test("have as many digits as tell values of a range apart", () => {
@@ -60,6 +47,11 @@ describe("numbers", () => {
     const offset = [1e12, 1e12 + 1e6].map((v) => formatValue(v, digitsBetween(1e12, 1e12 + 1e6)));
     expect(offset).toEqual(["1e12", "1.000001e12"]);
   });
+});
+
+test("triangles are counted against one number, and never more than all", () => {
+  expect(countWords(87_501, 454_932)).toBe("87,501 of 454,932 triangles (19 %)");
+  expect([countWords(664_308, 662_406), countWords(5, 0)]).toEqual(["664,308 triangles (all)", "5 triangles"]);
 });
 
 describe("β", () => {
@@ -196,8 +188,14 @@ test("the derived feature is that of the field whose surface is shown", () => {
 test("features that are computed are offered, with labels, and their range is the server's where it is not known", () => {
   const features = { "divergence(u,v,w)": { unit: "1/s", range: [-2, 3] as [number, number] }, "q-criterion(u,v,w)": { unit: null } };
   const volume = { ...VOLUMES[0]!, vectors: [{ components: ["u", "v", "w"] as [string, string, string], features }] };
-  expect(otherFeatures(volume, "depth")).toEqual(["mean-curvature", "divergence(u,v,w)", "q-criterion(u,v,w)", "depth", "height"]);
+  expect(otherFeatures(volume, "depth")).toEqual(["mean-curvature", "divergence(u,v,w)", "q-criterion(u,v,w)", "height"]);
   expect(otherFeatures(volume, "height")).not.toContain("mean-curvature");
+  // Not the shown field, which has one value on its surface; measured ones before computed ones, these before labels.
+  expect([bestOther(volume, "depth"), bestOther(volume, "height")]).toEqual(["height", "depth"]);
+  const alone = { ...volume, fields: volume.fields.slice(0, 1) };
+  expect(bestOther(alone, "depth")).toBe("mean-curvature");
+  const labelled = { ...volume, vectors: [], fields: volume.fields.map((field, i) => (i === 0 ? { ...field, derivedFeatures: {} } : { ...field, labels: [] })) };
+  expect(bestOther(labelled, "depth")).toBe("height");
   const info = (feature: string) => featureInfo(volume, { feature, field: "depth" });
   expect(info("divergence(u,v,w)")?.unit).toBe("1/s");
   expect([info("divergence(u,v,w)"), info("mean-curvature"), info("q-criterion(u,v,w)")].map(ownRange)).toEqual([undefined, undefined, undefined]);
@@ -259,13 +257,21 @@ describe("the slider of detail", () => {
   test("says what limits it, with the edit that ends it", () => {
     const limits = (edit: Edit, change: object = {}, refusal?: { code: string; suggestedTriangles: number }) => limitsOf(view(edit), { ...found, ...change }, refusal, voxels(1));
     expect(limits({ triangles: { share: 0.2 } })).toEqual([]);
+    const points = [{ triangles: 1000, rms: 0, threshold: 0 }, { triangles: 400, rms: 0.02, threshold: 0.1 }, { triangles: 90, rms: 0.1, threshold: 1 }];
+    const curve = { type: "curve", surface: 0, generation: 1, kind: "tree", byError: true, points } as const;
+    const withCurve = (edit: Edit, at = curve) => limitsOf(view(edit), { ...found, tolerance: 3 }, undefined, { spacing: 1, unit: "mm" }, undefined, { ...at, points: [...at.points] });
+    // Of the view's error, or of one that is hardly seen: both are a threshold of the curve.
+    expect(withCurve({ error: "0.1vx", triangles: 100 })).toEqual([{ text: "0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410, error: "0.1vx" } } }]);
+    expect(withCurve({ triangles: 100 })).toEqual([{ text: "0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410 } } }]);
+    expect(withCurve({ triangles: 100 }, { ...curve, byError: false } as never)).toEqual([]);
     expect(limits({ beta: 0.5 })).toEqual([{ text: "β = 0.5 decides", lift: { text: "Decide by triangles", edit: { triangles: { share: 0.25 } } } }]);
     const both = { error: "0.1vx", triangles: { share: 0.25 } };
     expect(limits(both, { tolerance: 0.1 })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.25 } } } });
     expect(limits(both, { tolerance: 3 })[0]).toMatchObject({ lift: { edit: { error: "0.1vx" } } });
     expect(limits(both, { tolerance: 3, gaveWay: ["max-error", "topology"] })[0]?.text).toBe(
-      "Unimportant parts are off by up to 3 voxels: the budget is too small. Topology not kept: the budget is too small",
+      "0.1 voxels needs more triangles. Error ≈ 0.05 voxels (RMS). Topology not kept: the budget is too small",
     );
+    expect(limits(both, { tolerance: 3, gaveWay: ["max-error"], error: { rms: 0.2, max: 1.58 }, estimatedError: null })[0]?.text).toContain("Max. error 1.6 voxels");
     expect(limits({ triangles: { share: 0.5, max: 10 } })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.5 } } } });
     const refused = { code: "over-budget", suggestedTriangles: 77 };
     expect(limits({ triangles: 9 }, {}, refused)[0]).toMatchObject({ lift: { text: "Make 77", edit: { triangles: 77 } } });
@@ -369,7 +375,9 @@ describe("what decides", () => {
   });
 
   test("is said in words where a guard gave way", () => {
-    expect(gaveWayText("max-error", found(0.64), voxels(2))).toBe("Unimportant parts are off by up to 0.32 voxels: the budget is too small");
-    expect(gaveWayText("topology", found(1), voxels(2))).toBe("Topology not kept: the budget is too small");
+    const errors = (error: { rms: number; max: number } | null) => ({ error, estimatedError: { rms: 0.2, worstLeaf: 0.64 } });
+    expect(gaveWayText("max-error", errors({ rms: 0.3, max: 3.2 }), voxels(2))).toBe("Max. error 1.6 voxels");
+    expect(gaveWayText("max-error", errors(null), voxels(2))).toBe("Error ≈ 0.1 voxels (RMS)");
+    expect(gaveWayText("topology", errors(null), voxels(2))).toBe("Topology not kept: the budget is too small");
   });
 });

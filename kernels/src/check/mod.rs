@@ -6,7 +6,7 @@
 
 use crate::expression::{Binary, Comparison, Expression, Op};
 use crate::{
-    CutParams, DerivedFeature, Engine, Error, Feature, Isovalue, Level, Mesher, Never, PartFilter, Pyramid,
+    CutParams, DerivedFeature, DistanceOf, Engine, Error, Feature, Isovalue, Level, Mesher, Never, PartFilter, Pyramid,
     RectilinearGrid, SampleType, ShownCut, TreeGoal, VertexTree, Volume,
 };
 
@@ -338,7 +338,7 @@ impl<'a> Check<'a> {
         let surface = self.engine.peel(volume, pyramid, &params, Level::FINEST, &Never)?;
         let distances = self
             .engine
-            .vertex_distances(volume, pyramid, &surface.regions, &Never)?;
+            .vertex_distances(volume, pyramid, &surface.regions, DistanceOf::Vertex, &Never)?;
         let distances = distances.into_iter().flatten();
         near(
             "largest distance of a vertex",

@@ -5,11 +5,11 @@ use crate::layout::ProbedCell;
 use crate::stages::cut::{self, Criterion};
 use crate::stages::fit::{self, INNER_BINS, Keys};
 use crate::stages::tree_cut::{Cutter, LEAF_LEVEL_SHIFT, LEAF_NUMBER};
-use crate::stages::{curve, distance, distribution, probe, slice};
+use crate::stages::{curve, distribution, probe, slice};
 use crate::tree::TreeCut;
 use crate::{
-    Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, REGION_CELLS, Region, Result, SampleType, TreeGoal, Vertex,
-    VertexTree, Volume,
+    Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, REGION_CELLS, Result, SampleType, TreeGoal, VertexTree,
+    Volume,
 };
 use std::rc::Rc;
 
@@ -311,31 +311,6 @@ impl Engine {
             ShownCut::Tree(tree, cut) => self.tree_cuts(volume, pyramid, params, tree, cut)?,
         };
         Ok(thinned(&cuts))
-    }
-
-    /// Distances of the vertices of regions to the isosurface, world units; infinite where none is near.
-    ///
-    /// # Errors
-    /// [`Error::Cancelled`], or what the device says.
-    pub fn vertex_distances(
-        &self,
-        volume: &Volume,
-        pyramid: &Pyramid,
-        regions: &[Region],
-        cancel: &dyn Cancel,
-    ) -> Result<Vec<Vec<f32>>> {
-        let position = |region: &Region, vertex: &Vertex| {
-            let axis = |i: usize| {
-                let corner = i64::from(region.coords[i] * REGION_CELLS) * i64::from(Vertex::LATTICE);
-                ((corner + i64::from(vertex.position[i])) as f64 / f64::from(Vertex::LATTICE)) as f32
-            };
-            [axis(0), axis(1), axis(2), 0.0]
-        };
-        let of_region = |region: &Region| region.vertices.iter().map(|v| position(region, v)).collect::<Vec<_>>();
-        let points: Vec<[f32; 4]> = regions.iter().flat_map(of_region).collect();
-        let mut distances = distance::run(&self.cx, volume, pyramid, &points, cancel)?.into_iter();
-        let own = |region: &Region| distances.by_ref().take(region.vertices.len()).collect();
-        Ok(regions.iter().map(own).collect())
     }
 
     /// The cuts at the end of each bin of keys, the full surface first.

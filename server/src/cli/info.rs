@@ -197,7 +197,7 @@ impl FieldReport {
             labels: LabelInfo::of(field),
             missing: field.missing,
             range: statistics.range,
-            opening_iso: OpeningIso::of(&histogram, field.unit.as_deref()),
+            opening_iso: OpeningIso::of(&histogram, field.unit.as_deref(), field.has_labels()),
             histogram: histogram.bins,
             missing_samples: statistics.missing,
             not_finite_samples: statistics.not_finite,

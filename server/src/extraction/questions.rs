@@ -5,7 +5,9 @@ mod answers;
 
 use std::rc::Rc;
 
-use isopeel_kernels::{CURVE_POINTS, Cancel, Cut, CutParams, DistributionCounts, Level, MAX_BINS, ShownCut};
+use isopeel_kernels::{
+    CURVE_POINTS, Cancel, Cut, CutParams, DistanceOf, DistributionCounts, Level, MAX_BINS, ShownCut,
+};
 use tokio_util::sync::CancellationToken;
 
 use super::decisions::TreeCut;
@@ -37,8 +39,8 @@ pub enum Question {
     Distribution(u32),
     /// How do error and triangles depend on each other?
     Curve,
-    /// How far is each vertex from the isosurface?
-    VertexErrors,
+    /// How far is each vertex from the isosurface, or what is around it?
+    VertexErrors(DistanceOf),
 }
 
 /// What a question is about: the view whose surface is shown, with what was found for its budget, and its cut.
@@ -86,7 +88,7 @@ impl DeviceWorker {
             state.answer(volume, shown.as_ref(), question, turn)
         };
         let length = match question {
-            Question::VertexErrors => Length::Rest,
+            Question::VertexErrors(_) => Length::Rest,
             Question::Probe(_) | Question::Distribution(_) | Question::Curve => Length::Short,
         };
         self.with_volumes(volume, token, Caller::Viewer, length, job).await
@@ -111,7 +113,9 @@ impl WorkerState {
                 })?;
                 Ok(Answer::Distribution(distribution(counts)))
             }
-            (Question::VertexErrors, Some(shown)) => Ok(Answer::VertexErrors(self.vertex_errors(volume, shown, turn)?)),
+            (Question::VertexErrors(of), Some(shown)) => {
+                Ok(Answer::VertexErrors(self.vertex_errors(volume, shown, of, turn)?))
+            }
             (Question::Curve, Some(shown)) => {
                 let by_error = shown.view.is_by_error();
                 let curve = self.of_shown(volume, shown, turn, |on, params, cut, cancel| {
@@ -185,6 +189,7 @@ impl WorkerState {
         &mut self,
         volume: &VolumeStep,
         shown: &ShownSurface,
+        of: DistanceOf,
         turn: &mut Turn<'_, Self>,
     ) -> Result<Vec<VertexErrors>, JobError> {
         let mut view = shown.view.clone();
@@ -202,7 +207,9 @@ impl WorkerState {
                 }
             };
             let regions = surface.regions;
-            let distances = on.engine.vertex_distances(on.volume, on.pyramid, &regions, cancel)?;
+            let distances = on
+                .engine
+                .vertex_distances(on.volume, on.pyramid, &regions, of, cancel)?;
             let both = regions.into_iter().zip(distances);
             let in_world = |length| in_world(length, on.smallest);
             Ok(both

@@ -362,7 +362,7 @@ pub async fn describe_expression(
         stored_type: None,
         labels: None,
         range: histogram.range,
-        opening_iso: Some(OpeningIso::of(&histogram, unit.as_deref())),
+        opening_iso: Some(OpeningIso::of(&histogram, unit.as_deref(), false)),
         unit,
         histogram: histogram.into(),
         derived_features: BTreeMap::new(),
@@ -390,7 +390,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
             unit: field.unit.clone(),
             labels: LabelInfo::of(field),
             range: histogram.range,
-            opening_iso: Some(OpeningIso::of(&histogram, field.unit.as_deref())),
+            opening_iso: Some(OpeningIso::of(&histogram, field.unit.as_deref(), field.has_labels())),
             histogram: histogram.into(),
             derived_features,
         });

@@ -30,7 +30,7 @@ use crate::device::Proven;
 use crate::math::IndexSpace;
 use crate::metrics;
 use crate::view::{EditError, FeatureName, OpeningIso, View};
-use crate::volumes::VolumeStep;
+use crate::volumes::{Field, VolumeStep};
 
 /// Share of the device's memory for resident volumes, in percent. The rest is for pyramids (`shares`), the stages' buffers and other processes.
 const VOLUME_PERCENT: u64 = 50;
@@ -312,11 +312,12 @@ impl WorkerState {
         if !missing.is_empty() {
             return Err(JobError::NeedsHistograms(missing));
         }
-        let unit = volume
-            .dataset()
-            .field(&view.field)
-            .and_then(|field| field.unit.as_deref());
-        let opening_iso = of_field.map(|histogram| OpeningIso::of(&histogram, unit));
+        let known = volume.dataset().field(&view.field);
+        let (unit, has_labels) = (
+            known.and_then(|field| field.unit.as_deref()),
+            known.is_some_and(Field::has_labels),
+        );
+        let opening_iso = of_field.map(|histogram| OpeningIso::of(&histogram, unit, has_labels));
         view.resolve(
             || opening_iso.ok_or(JobError::Failed(WorkError::Stopped)),
             || of_feature.ok_or(JobError::Failed(WorkError::Stopped)),

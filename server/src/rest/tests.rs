@@ -57,6 +57,7 @@ fn catalog() -> Catalog {
             missing: None,
             unit: Some("K".into()),
             labels: Vec::new(),
+            declares_labels: false,
             source: Arc::new(Ramp),
         }],
         notices: Notices::of("made here"),

@@ -12,6 +12,10 @@ use std::task::{Context, Poll};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
 
+/// Bytes that the system holds of a connection beyond what it may send; a fast line is filled again before they are gone.
+#[cfg(target_os = "linux")]
+const NOT_SENT_BYTES: u32 = 128 << 10;
+
 /// Before the path of a Unix socket.
 const UNIX: &str = "unix:";
 
@@ -99,6 +103,11 @@ impl Listener {
                 // Or a small text frame waits for the acknowledgement of the chunk before it.
                 if let Err(error) = socket.set_nodelay(true) {
                     tracing::debug!(%error, "no TCP_NODELAY");
+                }
+                // What the system has not sent cannot be dropped any more where a newer edit takes its place.
+                #[cfg(target_os = "linux")]
+                if let Err(error) = socket2::SockRef::from(&socket).set_tcp_notsent_lowat(NOT_SENT_BYTES) {
+                    tracing::debug!(%error, "no TCP_NOTSENT_LOWAT");
                 }
                 Ok((Socket::Tcp(socket), peer.ip()))
             }

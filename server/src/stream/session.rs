@@ -14,7 +14,7 @@
 //!   Then its surface is marked, and when the device is free of the session's last job, the view starts a new
 //!   [`generation::Generation`]. Edits that arrive before change the same view, so they coalesce.
 //! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
-//!   (`jobs`). `pace` says how large a step may be.
+//!   (`jobs`). `pace` says how large a step may be, `line` how much of it may be on its way.
 //! - **Turns.** First steps come before further ones of other surfaces, the surface that was edited last before others, and who has waited
 //!   for a few jobs of others before all (`schedule`).
 //! - **Budget.** It is one for the connection. Surfaces share it in proportion to their full triangles, which are counted first where two
@@ -38,7 +38,9 @@ mod edits;
 mod failing;
 mod generation;
 mod group;
+mod heartbeat;
 mod jobs;
+mod line;
 mod open_pace;
 mod open_volume;
 mod outbox;
@@ -71,8 +73,10 @@ use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::metrics;
 use crate::volumes::{Dataset, Lease, StepKey, VolumeStep};
-use crate::wire::messages::{Annotation, ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
+use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
+use heartbeat::{BEFORE_BEAT, Heartbeat};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
+use line::Line;
 use open_pace::OpenPace;
 use open_volume::{OpenVolume, opening_progress};
 use outbox::{Frame, Newest, Outbox};
@@ -117,6 +121,8 @@ enum Event<'a> {
     /// The viewer's token.
     TokenEnded,
     WriterGone,
+    /// A sign of life is due.
+    Beat,
     Message(Option<Incoming>),
     WriterReady(mpsc::Permit<'a, Outgoing>),
     Device(DeviceDone),
@@ -158,6 +164,9 @@ pub(super) struct Session<B> {
     /// The client has sent `drawn` before, so it will again.
     acknowledges: bool,
     pace: Pace,
+    heartbeat: Heartbeat,
+    /// What the client has not confirmed.
+    line: Line,
     questions: Questions,
     /// The time step that is read ahead.
     ahead: Option<Ahead>,
@@ -188,6 +197,8 @@ impl<B: Backend> Session<B> {
             malformed: 0,
             acknowledges: false,
             pace: Pace::new(step_times),
+            heartbeat: Heartbeat::new(),
+            line: Line::new(),
             questions: Questions::default(),
             ahead: None,
             member: None,
@@ -214,6 +225,7 @@ impl<B: Backend> Session<B> {
             let held_until = self.open_pace.held_until(Instant::now());
             let listening = self.outbox.kept_bytes() < HIGH_WATER && held_until.is_none();
             let draw_pause_until = self.opened.as_ref().and_then(|opened| opened.draw_pause_until());
+            let line_capacity_at = self.line.capacity_at();
             let rest_due = self.opened.as_ref().and_then(|opened| opened.rest_due());
             let lease = self
                 .opened
@@ -225,7 +237,7 @@ impl<B: Backend> Session<B> {
                 () = token_ended.as_mut() => Event::TokenEnded,
                 () = outgoing.closed() => Event::WriterGone,
                 message = inbox.recv(), if listening => Event::Message(message),
-                permit = outgoing.reserve(), if !self.outbox.is_empty() => {
+                permit = outgoing.reserve(), if !self.outbox.is_empty() && self.line.has_capacity() => {
                     permit.map_or(Event::WriterGone, Event::WriterReady)
                 }
                 done = finished(&mut self.device) => Event::Device(done),
@@ -236,6 +248,8 @@ impl<B: Backend> Session<B> {
                 () = lease.removed() => Event::VolumeRemoved,
                 () = reached(draw_pause_until) => Event::DrawPauseElapsed,
                 () = self.pace.pong_wait_elapsed() => Event::PongWaitElapsed,
+                () = reached(line_capacity_at) => Event::PongWaitElapsed,
+                () = reached(self.heartbeat.due()) => Event::Beat,
                 () = reached(held_until) => Event::OpenPaceElapsed,
                 () = reached(rest_due), if self.device.is_none() => Event::RestDue,
                 event = group_event(&mut self.member) => Event::Group(event),
@@ -254,12 +268,14 @@ impl<B: Backend> Session<B> {
                     self.on_writer_ready(permit);
                     // As many as there is space for, without a turn of the loop for each.
                     while !self.outbox.is_empty()
+                        && self.line.has_capacity()
                         && let Ok(permit) = outgoing.try_reserve()
                     {
                         self.on_writer_ready(permit);
                     }
                     None
                 }
+                Event::Beat => self.on_beat(listening),
                 Event::Device(done) => {
                     self.device = None;
                     self.on_device(done);
@@ -342,11 +358,29 @@ impl<B: Backend> Session<B> {
         self.send_error(error.code(), error.public_message(), true);
     }
 
+    /// Before all that waits, so that a slow line differs from a dead one. The ping has the client answer.
+    fn on_beat(&mut self, listening: bool) -> Option<CloseCode> {
+        let Some(longest) = self.heartbeat.beat(listening, self.line.time_of(BEFORE_BEAT)) else {
+            return Some(CloseCode::Silent);
+        };
+        let message = ServerMessage::Heartbeat {
+            seconds: longest.as_secs_f64(),
+        };
+        self.outbox.push_front(Frame::Ping(0));
+        self.outbox.push_front(Frame::Control(message.to_json()));
+        None
+    }
+
     fn on_message(&mut self, message: Incoming) -> Option<CloseCode> {
+        self.heartbeat.heard(matches!(message, Incoming::Pong(_)));
         let text = match message {
             Incoming::Text(text) => text,
             Incoming::Pong(number) => {
-                self.pace.received(number);
+                if Line::is_own(number) {
+                    self.line.received(number);
+                } else {
+                    self.pace.received(number);
+                }
                 return None;
             }
             Incoming::Fault(code) => {
@@ -371,6 +405,7 @@ impl<B: Backend> Session<B> {
                     | ClientMessage::Edit(_)
                     | ClientMessage::Remove { .. } => self.on_change(message),
                     ClientMessage::Cancel {} => self.on_cancel(),
+                    ClientMessage::Heartbeat {} => self.heartbeat.begin(),
                     ClientMessage::Lead { .. }
                     | ClientMessage::Join { .. }
                     | ClientMessage::Leave {}
@@ -381,10 +416,9 @@ impl<B: Backend> Session<B> {
                     ClientMessage::Distribution { surface, bins } => {
                         self.on_question(surface, Question::Distribution(bins));
                     }
-                    ClientMessage::Annotate {
-                        surface,
-                        annotation: Annotation::Error,
-                    } => self.on_question(surface, Question::VertexErrors),
+                    ClientMessage::Annotate { surface, annotation } => {
+                        self.on_question(surface, questions::annotate(annotation));
+                    }
                     ClientMessage::Curve { surface } => self.on_question(surface, Question::Curve),
                     ClientMessage::Drawn { generation } => self.on_drawn(generation),
                 }

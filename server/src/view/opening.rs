@@ -56,6 +56,10 @@ const MIN_REST_BINS: usize = 8;
 const LABEL_BINS: std::ops::RangeInclusive<usize> = 3..=16;
 /// Bins with samples that follow each other, up to which they are labels where a bin has several whole numbers; more are a peak.
 const MAX_LABEL_RUN: usize = 4;
+/// Runs of bins with samples in a volume of many labels, at least.
+const MIN_LABEL_RUNS: usize = 4;
+/// Factor between the counts of neighbouring bins that is rough; bins of two and of three whole numbers differ by less.
+const ROUGH: f64 = 2.4;
 /// A bin's ends are known to this much of the values' unit.
 const ROUNDING: f64 = 1e-3;
 /// Up to this multiple of the lowest bin a valley is level.
@@ -64,20 +68,24 @@ const VALLEY_FLOOR: f64 = 1.5;
 const SMOOTHING: usize = 2;
 
 impl OpeningIso {
-    /// Chooses an isovalue; `unit` is that of the values, where the file declares one. There are samples on both sides of it,
-    /// unless all have the same value.
-    pub fn of(histogram: &Histogram, unit: Option<&str>) -> Self {
+    /// Chooses an isovalue; `unit` is that of the values, where the file declares one, `has_labels` whether it says that they are labels.
+    /// There are samples on both sides of it, unless all have the same value.
+    pub fn of(histogram: &Histogram, unit: Option<&str>, has_labels: bool) -> Self {
         let bins = Bins::of(histogram);
         let choice = |value, reason, explanation| Self {
             iso: bins.inside_range(value),
             reason,
             explanation,
         };
+        if has_labels && bins.low < f64::from(histogram.range[1]) {
+            let why = "around all labels, of which the lowest is the background".to_owned();
+            return choice(bins.low + 0.5, IsoReason::Labels, why);
+        }
         if bins.is_hounsfield(unit) {
             let why = "bone, in the Hounsfield units of computed tomography".to_owned();
             return choice(BONE, IsoReason::Bone, why);
         }
-        if bins.are_labels() {
+        if bins.are_labels() || bins.are_many_labels() {
             let why = "around all labels: few different values, of which the lowest is the background".to_owned();
             return choice(bins.low + 0.5, IsoReason::Labels, why);
         }
@@ -197,6 +205,29 @@ impl<'a> Bins<'a> {
         let mut runs = occupied.chunk_by(|a, b| a + 1 == *b);
         let first = runs.clone().next().map_or(0, <[usize]>::len);
         runs.all(|run| run.len() <= MAX_LABEL_RUN) && self.share(first, self.counts.len()) >= MIN_REST
+    }
+
+    /// Whether these are labels of which there are many, with gaps between them: counts of measured values are alike from bin to bin where
+    /// most samples are, those of labels are not.
+    fn are_many_labels(&self) -> bool {
+        let occupied: Vec<usize> = (0..self.counts.len()).filter(|&bin| self.counts[bin] > 0).collect();
+        let runs = occupied.chunk_by(|a, b| a + 1 == *b).count();
+        let is_whole = |value: f32| value.fract() == 0.0;
+        if !self.range.into_iter().all(is_whole) || runs < MIN_LABEL_RUNS || self.share(0, 1) < MIN_BACKGROUND {
+            return false;
+        }
+        let pairs = occupied.windows(2).skip(1).map(|pair| {
+            let [a, b] = [self.counts[pair[0]], self.counts[pair[1]]].map(|n| n as f64);
+            ((a / b).max(b / a), a + b)
+        });
+        let (mut rough, mut all) = (0.0, 0.0);
+        for (ratio, weight) in pairs {
+            all += weight;
+            if ratio >= ROUGH {
+                rough += weight;
+            }
+        }
+        rough > 0.5 * all
     }
 
     /// The bin where the background's peak ends, where there is one: a high and narrow one at the low end, with much beside it.

@@ -47,7 +47,13 @@ fn a_new_feature_brings_its_own_range() {
     assert_eq!(other.feature_range, None);
     other
         .resolve::<()>(
-            || Ok(OpeningIso::of(&histogram([0.0, 256.0], &[(10, 5), (200, 5)]), None)),
+            || {
+                Ok(OpeningIso::of(
+                    &histogram([0.0, 256.0], &[(10, 5), (200, 5)]),
+                    None,
+                    false,
+                ))
+            },
             || Ok(histogram([0.0, 40.0], &[(0, 1)])),
         )
         .expect("resolves");
@@ -62,7 +68,7 @@ fn a_constant_feature_still_has_a_proper_range() {
     for value in [0.0, -3.5, 1e30] {
         let mut view = View::opening(FIELDS, None).expect("defaults");
         view.resolve::<()>(
-            || Ok(OpeningIso::of(&histogram([value; 2], &[(0, 8)]), None)),
+            || Ok(OpeningIso::of(&histogram([value; 2], &[(0, 8)]), None, false)),
             || Ok(histogram([value; 2], &[(0, 8)])),
         )
         .expect("resolves");

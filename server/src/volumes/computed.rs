@@ -62,6 +62,7 @@ impl Dataset {
             missing: None,
             unit,
             labels: Vec::new(),
+            declares_labels: false,
             source: Arc::new(source),
         })
     }

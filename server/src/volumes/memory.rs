@@ -81,6 +81,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
             missing: None,
             unit: None,
             labels: Vec::new(),
+            declares_labels: false,
             source: Arc::new(MemorySamples {
                 title: title.to_owned(),
                 steps,

@@ -331,8 +331,37 @@ pub struct Field {
     pub unit: Option<String>,
     /// Names and colours of its labels, where the file has them; at most [`MAX_LABELS`].
     pub labels: Vec<Label>,
+    /// Whether the file says that the values are labels, whatever they are called.
+    pub declares_labels: bool,
     /// Reads the samples.
     pub source: Arc<dyn Source>,
+}
+
+/// Words in names of fields whose values are labels, if they are whole numbers.
+const LABEL_WORDS: [&str; 8] = [
+    "label",
+    "labels",
+    "seg",
+    "segmentation",
+    "mask",
+    "parcellation",
+    "atlas",
+    "aseg",
+];
+
+impl Field {
+    /// Whether the file says that the values are labels, by itself or by naming them.
+    pub fn has_labels(&self) -> bool {
+        self.declares_labels || !self.labels.is_empty()
+    }
+
+    /// Whether the values are labels as far as the header tells: by what the file says, or by name and type.
+    pub fn is_probably_labels(&self) -> bool {
+        let name = self.name.to_lowercase();
+        let mut words = name.split(|c: char| !c.is_ascii_alphabetic());
+        self.has_labels()
+            || (formats::label_table::may_be_labels(&self.stored_type) && words.any(|word| LABEL_WORDS.contains(&word)))
+    }
 }
 
 /// Takes samples in the order of the grid.

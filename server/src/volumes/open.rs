@@ -212,6 +212,9 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         file.notices.log(location.path());
         notices.extend(file.notices.clone());
     }
+    let mut fields: Vec<Field> = files.iter().flat_map(|(_, file)| file.fields.clone()).collect();
+    // The first field is the one that opens.
+    fields.sort_by_key(Field::is_probably_labels);
     Ok(Dataset {
         id: slug(title),
         title: title.to_owned(),
@@ -221,7 +224,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         uneven: first.uneven.clone(),
         times: first.times.clone(),
         notices,
-        fields: files.into_iter().flat_map(|(_, f)| f.fields).collect(),
+        fields,
         revision: 0,
         rewrites: Vec::new(),
         opening: None,

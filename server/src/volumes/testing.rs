@@ -32,6 +32,7 @@ pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
         missing: None,
         unit: None,
         labels: Vec::new(),
+        declares_labels: false,
         source: Arc::new(NoSamples),
     };
     Dataset {

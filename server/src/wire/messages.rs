@@ -106,6 +106,8 @@ pub enum ClientMessage {
         #[serde(default)]
         name: Option<String>,
     },
+    /// Ask for signs of life.
+    Heartbeat {},
     /// Leave the group; who leads it ends it.
     Leave {},
     /// How the surfaces are looked at, for those who follow.
@@ -129,6 +131,8 @@ pub enum ClientMessage {
 pub enum Annotation {
     /// The distance of each vertex to the isosurface.
     Error,
+    /// The largest distance to the isosurface of each vertex and of the triangles around it.
+    ErrorAround,
 }
 
 /// Bins where a message says nothing.
@@ -439,6 +443,11 @@ pub enum ServerMessage {
         /// Camera and look.
         #[serde(flatten)]
         pose: Pose,
+    },
+    /// A sign of life, at once and then again and again, for a client that asked for it.
+    Heartbeat {
+        /// Time until the next one.
+        seconds: f64,
     },
     /// The viewer is in no group any more.
     Left {

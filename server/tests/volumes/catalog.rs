@@ -54,6 +54,19 @@ fn a_folder_with_one_grid_is_one_dataset() {
     assert_eq!(names(&catalog.datasets()[0]), ["T1", "heat", "pressure"]);
 }
 
+#[test]
+fn labels_of_a_folder_are_not_its_first_field() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    put(at, "aparc.nii", write::nifti(&small(('i', 2)), |h| h.i16(68, 1002)));
+    put(at, "brain-mask.nii", write::nifti(&small(('u', 1)), |_| {}));
+    put(at, "mask-weight.nii", write::nifti(&small(('f', 4)), |_| {}));
+    put(at, "t1.nii", write::nifti(&small(('u', 1)), |_| {}));
+    let dataset = open_dataset(at).unwrap();
+    // By what the header says, or by name where the values are whole numbers.
+    assert_eq!(names(&dataset), ["mask-weight", "t1", "aparc", "brain-mask"]);
+}
+
 /// A volume all of whose samples are `value`.
 fn level(value: u8) -> Vec<u8> {
     let mut volume = small(('u', 1));

@@ -31,6 +31,16 @@ fn nifti_round_trips() {
     }
 }
 
+/// Intent 1002 says that values are labels; nothing else in the header does.
+#[test]
+fn nifti_intent_declares_labels() {
+    let v = Volume::new(DIMS, 1, ('u', 1), false);
+    for (intent, is_label) in [(1002, true), (0, false), (1007, false)] {
+        let file = open("a.nii", write::nifti(&v, |h| h.i16(68, intent))).unwrap();
+        assert_eq!(file.fields[0].has_labels(), is_label, "intent {intent}");
+    }
+}
+
 #[test]
 fn nifti_scale_makes_f32() {
     for kind in KINDS {

@@ -111,6 +111,7 @@ async fn expressions_turn_vectors_to_the_grid() {
     let worker = DeviceWorker::start(None).expect("a thread");
     let placed = |name: &str, value| Field {
         labels: Vec::new(),
+        declares_labels: false,
         source: Arc::new(Placed(value)),
         ..field(name, &Arc::default())
     };

@@ -37,6 +37,7 @@ fn labelled() -> Dataset {
         sample_type: SampleType::U8,
         missing: Some(255.0),
         labels: Vec::new(),
+        declares_labels: false,
         source: Arc::new(Bytes(value)),
         ..field(name, &Arc::default())
     };

@@ -71,6 +71,7 @@ fn field(name: &str, source: &Arc<Distance>) -> Field {
         missing: None,
         unit: None,
         labels: Vec::new(),
+        declares_labels: false,
         source: source.clone(),
     }
 }
@@ -226,6 +227,7 @@ async fn a_load_that_nobody_waits_for_is_cancelled() {
     let plain = field("slow", &Arc::default());
     let dataset = dataset(vec![Field {
         labels: Vec::new(),
+        declares_labels: false,
         source: slow.clone(),
         ..plain
     }]);

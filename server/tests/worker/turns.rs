@@ -85,6 +85,7 @@ impl TwoViewers {
     async fn start() -> Self {
         let small = dataset(vec![Field {
             labels: Vec::new(),
+            declares_labels: false,
             source: Arc::new(Folds),
             ..field("folds", &Arc::default())
         }]);

@@ -12,8 +12,8 @@ export interface ImageParts {
   /** Pixels of the image for one on the page; texts have the size that they have there. */
   readonly scale: number;
   readonly colorBar?: ColorBar;
-  /** A bar of a round length, in pixels of the image. */
-  readonly scaleBar?: { readonly text: string; readonly pixels: number };
+  /** A bar of a round length, in pixels of the image, of so many world units each; there is none in an image without one scale. */
+  readonly scaleBar?: (unitsPerPixel: number) => { readonly text: string; readonly pixels: number };
   readonly caption?: string;
   /** What the surfaces are, in their order. */
   readonly isovalues?: readonly SurfaceSign[];
@@ -40,7 +40,7 @@ export function composeImage(snapshot: Snapshot, parts: ImageParts): Promise<Blo
   return compose(snapshot, parts).convertToBlob({ type: "image/png" });
 }
 
-function compose({ width, height, pixels, labels }: Snapshot, parts: ImageParts): OffscreenCanvas {
+function compose({ width, height, pixels, labels, unitsPerPixel }: Snapshot, parts: ImageParts): OffscreenCanvas {
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");
   if (context === null) throw new Error("the browser gives no canvas to draw the image on");
@@ -62,7 +62,7 @@ function compose({ width, height, pixels, labels }: Snapshot, parts: ImageParts)
   context.lineJoin = "round";
   const write = writer(context, parts.background ?? opposite(ink), scale);
   for (const { text, x, y } of labels) write(text, x, y);
-  if (parts.scaleBar !== undefined) drawScaleBar(context, write, parts.scaleBar, scale, height);
+  if (parts.scaleBar !== undefined && unitsPerPixel !== undefined) drawScaleBar(context, write, parts.scaleBar(unitsPerPixel), scale, height);
   if (parts.colorBar !== undefined) drawColorBar(context, write, parts.colorBar, scale, width, height);
   if (parts.isovalues !== undefined) drawIsovalues(context, write, parts.isovalues, scale);
   if (parts.caption !== undefined) drawCaption(context, write, parts.caption, scale, width, height);

@@ -1,5 +1,6 @@
 /** One WebSocket at a time, opened again with growing pauses when it closes. Passes frames on without reading them. */
 
+import { Heartbeat } from "./heartbeat";
 import { SUBPROTOCOL } from "../protocol/generated";
 
 export type ConnectionState = "connecting" | "connected" | "waiting" | "stopped";
@@ -23,7 +24,7 @@ const CLOSE_REASONS: Readonly<Record<number, string>> = {
   4000: "the server refused 16 messages in a row",
   4001: "this viewer read too slowly and was disconnected",
   4002: "the server has as many viewers as it takes",
-  4003: "the server heard nothing of this viewer for 90 s",
+  4003: "the server heard nothing of this viewer for a while",
   4004: "the token has expired or was revoked",
 };
 
@@ -31,8 +32,14 @@ const FIRST_PAUSE_MS = 250;
 const MAX_PAUSE_MS = 8000;
 /** After a socket that was open this long, the next pause is the shortest again. */
 const STABLE_AFTER_MS = 3000;
+/** A socket that is not open by then never will be: what was sent has gone nowhere. */
+const CONNECT_MS = 8000;
 
 export class Connection {
+  private readonly heartbeat = new Heartbeat((seconds) => {
+    this.drop();
+    this.retry(`nothing has come from the server for ${seconds} s`);
+  });
   private socket: WebSocket | undefined;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private pauseMs = FIRST_PAUSE_MS;
@@ -69,6 +76,11 @@ export class Connection {
     this.socket.send(text);
     this.sent += 1;
     return true;
+  }
+
+  /** The server sends something within this time, again and again: if it does not, the socket is of no use. */
+  expectWithin(seconds: number): void {
+    this.heartbeat.promised(seconds);
   }
 
   /** Closes this socket and opens another, for instance because the server broke the protocol. */
@@ -111,7 +123,13 @@ export class Connection {
     this.socket = socket;
     // Events of a socket that was closed are ignored.
     const current = () => this.socket === socket;
+    const late = setTimeout(() => {
+      if (!current()) return;
+      this.drop();
+      this.retry("the server does not answer");
+    }, CONNECT_MS);
     socket.onopen = () => {
+      clearTimeout(late);
       if (!current()) return;
       this.openedAt = performance.now();
       this.handlers.onState("connected", undefined);
@@ -119,11 +137,14 @@ export class Connection {
     };
     socket.onmessage = (event: MessageEvent<string | ArrayBuffer>) => {
       if (!current()) return;
+      this.heartbeat.heard();
       if (typeof event.data === "string") this.handlers.onText(event.data);
       else this.handlers.onBinary(event.data);
     };
     socket.onclose = (event) => {
+      clearTimeout(late);
       if (!current()) return;
+      this.heartbeat.stop();
       this.socket = undefined;
       this.retry(CLOSE_REASONS[event.code] ?? (event.reason === "" ? undefined : event.reason));
     };
@@ -143,6 +164,7 @@ export class Connection {
 
   private drop(): void {
     const socket = this.socket;
+    this.heartbeat.stop();
     this.socket = undefined;
     this.attempt += 1;
     socket?.close(1000);

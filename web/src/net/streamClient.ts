@@ -5,7 +5,7 @@
 
 import { hasBudget, withBudget } from "../protocol/budget";
 import { parseServerMessage } from "../protocol/messages";
-import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, View } from "../protocol/types";
+import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, StreamMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
 import type { Leading } from "./leading";
 import { Throttle } from "./throttle";
@@ -18,7 +18,7 @@ export interface StreamClientHandlers {
   readonly onState: (state: ConnectionState, reason: string | undefined) => void;
   /** To the server this client holds nothing any more: the next prefix is a whole surface. */
   readonly onReset: () => void;
-  readonly onMessage: (message: ServerMessage) => void;
+  readonly onMessage: (message: StreamMessage) => void;
   readonly onChunk: (frame: ArrayBuffer) => void;
   /** A frame broke the protocol. The client connects anew by itself. */
   readonly onBroken: (reason: string) => void;
@@ -68,7 +68,10 @@ export class StreamClient {
   ) {
     this.throttle = new Throttle(EDIT_INTERVAL_MS, () => this.flush());
     this.connection = new Connection(typeof address === "string" ? () => address : address, {
-      onOpen: () => this.sendOpen(),
+      onOpen: () => {
+        if (this.send({ type: "heartbeat" })) this.asked += 1;
+        this.sendOpen();
+      },
       onText: (text) => this.receive(text),
       // Chunks that arrive between an `open` and its `opened` belong to the volume before.
       onBinary: (frame) => {
@@ -253,6 +256,7 @@ export class StreamClient {
       this.restart();
       return;
     }
+    if (message.type === "heartbeat") return this.connection.expectWithin(message.seconds);
     if (this.receiveOfGroup(message)) return;
     if (message.type === "opened") {
       // The reply to an earlier `open`.
@@ -273,7 +277,7 @@ export class StreamClient {
   }
 
   /** Whether it is about a group. What another shows is expected from then on. */
-  private receiveOfGroup(message: ServerMessage): boolean {
+  private receiveOfGroup(message: StreamMessage): boolean {
     if (message.type === "left") return this.parted(message);
     if (message.type === "error") return (message.code === "unknown-group" || message.code === "group-full") && this.parted(message);
     if (message.type === "group") return this.receiveGroup(message);
@@ -300,7 +304,7 @@ export class StreamClient {
   }
 
   /** In no group any more: what is shown stays. */
-  private parted(message: ServerMessage): true {
+  private parted(message: StreamMessage): true {
     [this.joined, this.leading, this.isLed] = [undefined, undefined, false];
     this.handlers.onMessage(message);
     if (!this.opened) this.sendOpen();

@@ -16,7 +16,7 @@ export const SUBPROTOCOL = "isopeel.v2";
 export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10", "sin", "cos", "tan", "floor", "ceil", "min", "max", "pow", "clamp", "magnitude", "if", "distance"] as const;
 
 /** What a surface is annotated with. */
-export type Annotation = "error";
+export type Annotation = "error" | "error-around";
 
 /** A box along the axes of the world. */
 export type Box = {
@@ -129,6 +129,7 @@ export type ClientMessage = { "type": "open",
   group: string,
   /** What to be called in it. */
   name: string | null,
+} | { "type": "heartbeat",
 } | { "type": "leave",
 } | { "type": "pose" } & Pose | { "type": "ask-control",
   /** Whether it is asked for. */
@@ -730,6 +731,9 @@ export type ServerMessage = { "type": "opening",
   camera?: Camera,
   /** Its look, as it writes that itself: the server does not read it. */
   page?: string,
+} | { "type": "heartbeat",
+  /** Time until the next one. */
+  seconds: number,
 } | { "type": "left",
   /** Why. */
   reason: string,

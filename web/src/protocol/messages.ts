@@ -46,6 +46,7 @@ const FIELDS: Readonly<Record<ServerMessage["type"], Readonly<Record<string, Kin
   led: { volume: "string", step: "number", surfaces: "object" },
   posed: {},
   left: { reason: "string" },
+  heartbeat: { seconds: "number" },
   error: { code: "string", message: "string", open: "boolean" },
 };
 

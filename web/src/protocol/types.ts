@@ -61,3 +61,5 @@ export type Posed = Message<"posed">;
 /** What a client says about a group. */
 export type GroupMessage = Extract<ClientMessage, { readonly type: "lead" | "leave" | "pose" | "ask-control" | "give-control" }>;
 export type Annotated = Message<"annotated">;
+/** What the server says beside its signs of life, which concern the connection alone. */
+export type StreamMessage = Exclude<ServerMessage, Message<"heartbeat">>;

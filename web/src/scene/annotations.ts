@@ -11,6 +11,7 @@ import { AxesCube, ScaleBar } from "./orientation";
 import { Outlines, type Outlined } from "./outlines";
 import { Rulers, type Ruler } from "./rulers";
 import { Overlay, type Label } from "./overlay";
+import { heightAt } from "./scale";
 import { Swipe } from "./swipe";
 
 /** Which of them are shown. */
@@ -118,17 +119,22 @@ export class Annotations {
 
   /**
    * Brings all of it to where the camera is.
-   * @param unitsPerPixel of the page, at what the camera looks at
+   * @param depth of the surface at the centre, at which the scale bar holds
    */
-  update(camera: PerspectiveCamera | OrthographicCamera, box: Box3, clip: Clip, unitsPerPixel: number): void {
+  update(camera: PerspectiveCamera | OrthographicCamera, box: Box3, clip: Clip, depth: number): void {
     const { axes, scale } = this.choice;
     this.cube.element.style.display = axes ? "" : "none";
     if (axes) this.cube.update(camera);
     this.bar.element.hidden = !scale || box.isEmpty();
-    if (scale) this.bar.update(unitsPerPixel);
+    if (scale) this.measureAt(camera, depth);
     this.overlay.label(this.place(camera, box, 1), camera);
     if (this.outlines.object.children.length > 0) this.scene.add(this.outlines.object);
     this.handles.update(this.choice.handles && !box.isEmpty() ? clip : NO_CLIP, box, camera, this.overlay.size);
+  }
+
+  /** Shows the scale at a depth. */
+  measureAt(camera: PerspectiveCamera | OrthographicCamera, depth: number): void {
+    this.bar.update(heightAt(camera, depth) / this.overlay.size.height, camera.projectionMatrix.elements[15] === 1 ? "" : "at the centre");
   }
 
   /** Puts lines and dots into the scene as they are seen from this camera, and returns the texts that belong to them. */

@@ -16,6 +16,7 @@ import {
 } from "three";
 import { homeDirection, type CameraPose, type PoseToRestore, type Projection } from "./pose";
 import { fitDistance, type Vec3 } from "./world";
+import { focused, ZoomGestures, zoomed, type PickPoint, type PlaceInPicture, type Viewpoint, type Zooming } from "./zoom";
 
 // Only what the controls use, so that the rest of three.js can be left out.
 CameraControls.install({ THREE: { Box3, Matrix4, Quaternion, Raycaster, Sphere, Spherical, Vector2, Vector3, Vector4 } });
@@ -39,7 +40,7 @@ const KEY_MOVE = 0.06;
 
 const reducedMotion = window.matchMedia("(prefers-reduced-motion: reduce)");
 
-export class SceneCamera {
+export class SceneCamera implements Zooming {
   /** What the picture is rendered with. */
   private readonly perspective = new PerspectiveCamera(FOV_DEGREES, 1, 0.1, 10);
   private readonly orthographic = new OrthographicCamera();
@@ -50,18 +51,22 @@ export class SceneCamera {
   private readonly sphere = new Sphere(new Vector3(), 1);
   private readonly drawn = new Sphere(new Vector3(), 1);
   private around = new Box3();
+  private box = new Box3();
   private projectionInUse: Projection = "perspective";
   /** World units in one unit of the controls. */
   private unit = 1;
   private moving = false;
   private lastAdvance = 0;
+  private readonly gestures: ZoomGestures;
 
   /**
+   * @param pick the place of a surface under the pointer
    * @param onChange the camera moves: `advance` has to be called in the next frame
    * Keys of the canvas, while it has the focus, are the alternative to each drag: arrows turn, shift and arrows move, + and − zoom.
    */
   constructor(
     canvas: HTMLCanvasElement,
+    pick: PickPoint,
     private readonly onChange: () => void,
   ) {
     for (const camera of [this.perspective, this.orthographic, this.handled]) camera.up.set(0, 0, 1);
@@ -70,6 +75,8 @@ export class SceneCamera {
     this.controls.updateCameraUp();
     void this.controls.setLookAt(...this.handled.position.toArray(), 0, 0, 0);
     this.controls.dollyToCursor = true;
+    this.controls.mouseButtons.wheel = CameraControls.ACTION.NONE;
+    this.gestures = new ZoomGestures(canvas, this, pick);
     // Bounds come with what is shown; a link's pose may come first.
     this.controls.minDistance = 0;
     for (const type of ["controlstart", "control", "transitionstart", "wake", "update"] as const) {
@@ -114,22 +121,54 @@ export class SceneCamera {
     this.follow();
   }
 
-  /** World units across the height of the picture, at the target. */
-  get heightAtTarget(): number {
-    return 2 * Math.tan(FOV / 2) * this.perspective.position.distanceTo(this.controls.getTarget(new Vector3(), false).multiplyScalar(this.unit));
+  /** A camera at a pose, for an image. */
+  at({ position, target, projection }: CameraPose): PerspectiveCamera | OrthographicCamera {
+    const camera = projection === "perspective" ? this.perspective.clone() : this.orthographic.clone();
+    this.place(camera, new Vector3(...position), new Vector3(...target));
+    return camera;
   }
 
-  /** A camera at a pose, for an image, and the world units across its height at the target. */
-  at({ position, target, projection }: CameraPose): { readonly camera: PerspectiveCamera | OrthographicCamera; readonly heightAtTarget: number } {
-    const camera = projection === "perspective" ? this.perspective.clone() : this.orthographic.clone();
-    const [p, t] = [new Vector3(...position), new Vector3(...target)];
-    this.place(camera, p, t);
-    return { camera, heightAtTarget: 2 * Math.tan(FOV / 2) * p.distanceTo(t) };
+  zoomTowards(point: Vec3 | undefined, [x, y]: PlaceInPicture, factor: number): void {
+    const { controls, unit, handled } = this;
+    const now = { position: controls.getPosition(new Vector3()), target: controls.getTarget(new Vector3()) };
+    const at = point && new Vector3(...point).divideScalar(unit);
+    const from = at === undefined ? now : focused(now, at, this.projectionInUse);
+    const height = Math.tan(FOV / 2) * from.position.distanceTo(from.target);
+    const beside = new Vector3(x * height * handled.aspect, y * height, 0).applyQuaternion(handled.quaternion);
+    const next = zoomed(from, at ?? from.target.clone().add(beside), factor, [controls.minDistance, controls.maxDistance]);
+    this.moveTo(factor > 1 ? this.keptNear(next) : next, true);
+  }
+
+  /** With its target in the box of what is shown. */
+  private keptNear({ position, target }: Viewpoint): Viewpoint {
+    if (this.box.isEmpty()) return { position, target };
+    const inside = this.box.clampPoint(target.clone().multiplyScalar(this.unit), new Vector3()).divideScalar(this.unit);
+    return { position: position.clone().sub(target).add(inside), target: inside };
+  }
+
+  focus(point: Vec3): void {
+    const { controls, unit } = this;
+    const now = { position: controls.getPosition(new Vector3()), target: controls.getTarget(new Vector3()) };
+    this.moveTo(focused(now, new Vector3(...point).divideScalar(unit), this.projectionInUse), false);
+  }
+
+  /** In units of the controls. */
+  private moveTo({ position, target }: Viewpoint, animate: boolean): void {
+    const { controls, unit, box } = this;
+    // The target of a place beside the surface may lie outside of it; what moves the camera next would put it back.
+    controls.setBoundary(new Box3(box.min.clone().divideScalar(unit), box.max.clone().divideScalar(unit)).expandByPoint(target));
+    void controls.setLookAt(...position.toArray(), ...target.toArray(), animate);
+    this.onChange();
   }
 
   /** Of what is shown. */
   get radius(): number {
     return this.sphere.radius;
+  }
+
+  /** The smallest distance to what is seen, world units. */
+  get nearest(): number {
+    return NEAREST * this.sphere.radius;
   }
 
   /** The move of one frame; `onChange` is called while there is any. */
@@ -151,6 +190,7 @@ export class SceneCamera {
     const { controls, unit, sphere } = this;
     box.getBoundingSphere(sphere);
     this.around = around.clone();
+    this.box = box.clone();
     around.clone().union(box).getBoundingSphere(this.drawn);
     controls.minDistance = (NEAREST * sphere.radius) / unit;
     controls.maxDistance = (FARTHEST * sphere.radius) / unit;
@@ -235,9 +275,9 @@ export class SceneCamera {
       if (event.shiftKey) void controls.truck(KEY_MOVE * controls.distance * right, -KEY_MOVE * controls.distance * up, true);
       else void controls.rotate(KEY_TURN * right, -KEY_TURN * up, true);
     } else if (event.key === "+" || event.key === "=") {
-      void controls.dolly(KEY_ZOOM * controls.distance, true);
+      void this.gestures.zoomAtCentre(1 - KEY_ZOOM);
     } else if (event.key === "-" || event.key === "_") {
-      void controls.dolly((-KEY_ZOOM / (1 - KEY_ZOOM)) * controls.distance, true);
+      void this.gestures.zoomAtCentre(1 / (1 - KEY_ZOOM));
     } else return;
     event.preventDefault();
     this.onChange();

@@ -13,24 +13,36 @@ vec3 positionAt(vec2 uv) {
 }
 `;
 
+/** From the nearer neighbour on each side, so that a normal at an edge is that of its own side. */
+const NORMAL = /* glsl */ `
+uniform sampler2D normals; // of the surfaces, where there are any
+uniform bool hasNormals;
+vec3 normalAt(vec2 uv, vec3 p) {
+  vec4 known = texture(normals, uv);
+  if (hasNormals && known.a > 0.5) return normalize(2.0 * known.xyz - 1.0);
+  vec3 r = positionAt(uv + vec2(texel.x, 0.0)) - p, l = p - positionAt(uv - vec2(texel.x, 0.0));
+  vec3 t = positionAt(uv + vec2(0.0, texel.y)) - p, b = p - positionAt(uv - vec2(0.0, texel.y));
+  return normalize(cross(abs(r.z) < abs(l.z) ? r : l, abs(t.z) < abs(b.z) ? t : b));
+}
+`;
+
 /** Samples a pixel; their pattern turns from pixel to pixel in tiles of 4 × 4, over which the resolving pass averages. */
 const SAMPLES = 9;
 
 /** Scalable ambient obscurance (McGuire et al. 2012), of a radius in view space. */
 const OCCLUSION = /* glsl */ `
 ${POSITION}
+${NORMAL}
 uniform float radius;
+uniform float coarseness; // pixels of the depth for one here
 uniform float pixelsPerUnit; // at distance 1, or everywhere in an orthographic view
 uniform bool isOrthographic;
 out vec4 color;
 void main() {
-  vec2 uv = gl_FragCoord.xy * texel * 2.0;
+  vec2 uv = gl_FragCoord.xy * texel * coarseness;
   if (texture(depth, uv).r == 1.0) { color = vec4(1.0); return; }
   vec3 p = positionAt(uv);
-  // The nearer neighbour on each side, so that a normal at an edge is that of its own side.
-  vec3 r = positionAt(uv + vec2(texel.x, 0.0)) - p, l = p - positionAt(uv - vec2(texel.x, 0.0));
-  vec3 t = positionAt(uv + vec2(0.0, texel.y)) - p, b = p - positionAt(uv - vec2(0.0, texel.y));
-  vec3 n = normalize(cross(abs(r.z) < abs(l.z) ? r : l, abs(t.z) < abs(b.z) ? t : b));
+  vec3 n = normalAt(uv, p);
   ivec2 tile = ivec2(gl_FragCoord.xy) & 3;
   float turn = float((tile.x * 4 + tile.y * 9 + (tile.x ^ tile.y) * 5) & 15) / 16.0 * 6.28319;
   float reach = radius * pixelsPerUnit / (isOrthographic ? 1.0 : -p.z);
@@ -50,6 +62,8 @@ void main() {
 
 const RESOLVE = /* glsl */ `
 ${POSITION}
+${NORMAL}
+uniform float coarseness;
 uniform sampler2D picture;
 uniform sampler2D occlusion;
 uniform sampler2D layers;
@@ -62,12 +76,13 @@ out vec4 color;
 
 float viewDepth(vec2 uv) { return -positionAt(uv).z; }
 
-// The average over a tile of the pattern, of samples at about this depth.
-float occlusionAt(vec2 uv, float here) {
+// The average over a tile of the pattern, of samples near the plane of this one: on a slope, depths alone would leave out half of the tile.
+float occlusionAt(vec2 uv) {
+  vec3 p = positionAt(uv), n = normalAt(uv, p);
   float sum = 0.0, weight = 0.0;
   for (int y = -2; y < 2; y += 1) for (int x = -2; x < 2; x += 1) {
-    vec2 at = uv + (vec2(x, y) + 0.5) * texel * 2.0;
-    float w = 0.001 + max(0.0, 1.0 - 20.0 * abs(viewDepth(at) - here) / radius);
+    vec2 at = uv + (vec2(x, y) + 0.5) * texel * coarseness;
+    float w = 0.001 + max(0.0, 1.0 - 20.0 * abs(dot(positionAt(at) - p, n)) / radius);
     sum += w * texture(occlusion, at).r;
     weight += w;
   }
@@ -88,7 +103,7 @@ void main() {
   color = texture(picture, uv);
   if (z < 1.0) {
     float here = viewDepth(uv);
-    if (hasOcclusion) color.rgb *= mix(0.25, 1.0, occlusionAt(uv, here));
+    if (hasOcclusion) color.rgb *= mix(0.25, 1.0, occlusionAt(uv));
     if (hasSilhouettes) color.rgb *= 1.0 - 0.85 * smoothstep(0.03, 0.09, bend(uv, here) / radius);
   }
   if (hasLayers) {
@@ -102,6 +117,8 @@ void main() {
 export interface Resolve {
   readonly picture: Texture;
   readonly depth: DepthTexture;
+  /** Normals of the surfaces in view space, from 0 to 1; without them those of the depth. */
+  readonly normals: Texture | undefined;
   /** Translucent layers before it. */
   readonly layers: Texture | undefined;
   readonly occlusion: boolean;
@@ -118,12 +135,14 @@ export interface Resolve {
 const REACH = 0.07;
 
 export class Effects {
-  /** Half the width and height are enough: what it shows is smooth. */
-  private readonly half = new WebGLRenderTarget(1, 1, { depthBuffer: false, minFilter: NearestFilter, magFilter: NearestFilter });
+  private readonly occluded = new WebGLRenderTarget(1, 1, { depthBuffer: false, minFilter: NearestFilter, magFilter: NearestFilter });
   private readonly position = {
     depth: { value: null as Texture | null },
     viewFromClip: { value: new Matrix4() },
     texel: { value: new Vector2() },
+    coarseness: { value: 1 },
+    normals: { value: null as Texture | null },
+    hasNormals: { value: false },
   };
   private readonly occlusion = new ScreenPass(OCCLUSION, {
     ...this.position,
@@ -136,7 +155,7 @@ export class Effects {
     {
       ...this.position,
       picture: { value: null as Texture | null },
-      occlusion: { value: this.half.texture },
+      occlusion: { value: this.occluded.texture },
       layers: { value: null as Texture | null },
       hasOcclusion: { value: false },
       hasSilhouettes: { value: false },
@@ -154,6 +173,8 @@ export class Effects {
     this.position.depth.value = of.depth;
     this.position.viewFromClip.value.copy(of.camera.projectionMatrixInverse);
     this.position.texel.value.set(1 / width, 1 / height);
+    this.position.normals.value = of.normals ?? null;
+    this.position.hasNormals.value = of.normals !== undefined;
     if (of.occlusion) this.renderOcclusion(webgl, of, width, height);
     const { uniforms } = this.resolving;
     uniforms.picture.value = of.picture;
@@ -167,15 +188,18 @@ export class Effects {
   }
 
   dispose(): void {
-    this.half.dispose();
+    this.occluded.dispose();
   }
 
-  private renderOcclusion(webgl: WebGLRenderer, { camera, radius }: Resolve, width: number, height: number): void {
-    this.half.setSize(Math.ceil(width / 2), Math.ceil(height / 2));
+  private renderOcclusion(webgl: WebGLRenderer, { camera, radius, target }: Resolve, width: number, height: number): void {
+    const { coarseness } = this.position;
+    // On screen half the width and height are enough: what it shows is smooth.
+    coarseness.value = target === null ? 2 : 1;
+    this.occluded.setSize(Math.ceil(width / coarseness.value), Math.ceil(height / coarseness.value));
     const { uniforms } = this.occlusion;
     uniforms.radius.value = REACH * radius;
     uniforms.pixelsPerUnit.value = (camera.projectionMatrix.elements[5] * height) / 2;
     uniforms.isOrthographic.value = camera.projectionMatrix.elements[15] === 1;
-    this.occlusion.render(webgl, this.half);
+    this.occlusion.render(webgl, this.occluded);
   }
 }

@@ -20,7 +20,7 @@ import {
 } from "three";
 import { linearFromSrgb, lookUp } from "./colorTable";
 import { DEFAULT_LOOK, DEFAULT_STYLE, SHADINGS, type Look, type SurfaceStyle } from "./look";
-import { MASK_FRAGMENT, NO_VALUE, PICK_FRAGMENT, surfaceFragment, VERTEX, WIRE_FRAGMENT, type ProgramVariant } from "./shaders";
+import { MASK_FRAGMENT, NO_VALUE, NORMAL_FRAGMENT, PICK_FRAGMENT, surfaceFragment, VERTEX, WIRE_FRAGMENT, type ProgramVariant } from "./shaders";
 
 /** What a pass draws of a surface. */
 export type Pass =
@@ -32,7 +32,9 @@ export type Pass =
   | "inside"
   | "outside"
   /** View position and surface number. */
-  | "pick";
+  | "pick"
+  /** Normal in view space, for ambient occlusion. */
+  | "normal";
 
 /** Uniforms that all surfaces share. */
 export class SharedUniforms {
@@ -181,6 +183,7 @@ export class SurfaceMaterials {
 
   private mask(pass: Pass): ShaderMaterial {
     if (pass === "pick") return this.make(PICK_FRAGMENT, { surface: { value: this.surface } }, { side: DoubleSide });
+    if (pass === "normal") return this.make(NORMAL_FRAGMENT, {}, { side: DoubleSide });
     const bit = 1 << this.surface;
     return this.make(MASK_FRAGMENT, {}, {
       side: pass === "inside" ? BackSide : FrontSide,

@@ -113,8 +113,10 @@ export class ScaleBar {
     this.units = unit;
   }
 
-  update(unitsPerPixel: number): void {
-    const { text, pixels } = barOf(unitsPerPixel, this.units);
+  /** @param where it holds; empty: everywhere */
+  update(unitsPerPixel: number, where: string): void {
+    const { text: length, pixels } = barOf(unitsPerPixel, this.units);
+    const text = `${length} ${where}`.trim();
     if (this.text.textContent !== text) this.text.textContent = text;
     this.bar.style.width = `${pixels.toFixed(1)}px`;
   }

@@ -6,12 +6,14 @@
 import {
   DepthStencilFormat,
   DepthTexture,
+  NearestFilter,
   Scene,
   UnsignedInt248Type,
   Vector4,
   WebGLRenderTarget,
   type OrthographicCamera,
   type PerspectiveCamera,
+  type Texture,
   type WebGLRenderer,
 } from "three";
 import type { Clipping } from "./clipping";
@@ -19,6 +21,7 @@ import { Effects } from "./effects";
 import { SHADINGS, type Look } from "./look";
 import { Peeling } from "./peeling";
 import { Picking, type Picked } from "./picking";
+import type { MiddleDepths } from "./scale";
 import type { Side, Surfaces } from "./surfaces";
 
 /** Samples a pixel of the picture in between, where a GPU renders. */
@@ -51,6 +54,7 @@ export class Painter {
   readonly overlay = new Scene();
   private readonly surfaceScene = new Scene();
   private between: WebGLRenderTarget | undefined;
+  private normals: WebGLRenderTarget | undefined;
   private readonly peeling = new Peeling();
   private readonly effects = new Effects();
   private readonly picking = new Picking();
@@ -88,9 +92,29 @@ export class Painter {
     this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
     return this.picking.pick(this.webgl, camera, x, y, (eye) => {
       const translucent = this.surfaces.visible(false).filter((surface) => through === undefined || surface === through);
-      this.surfaces.prepare("pick", [...this.surfaces.visible(true), ...translucent], side);
-      this.webgl.render(this.surfaceScene, eye);
+      this.drawPlaces([...this.surfaces.visible(true), ...translucent], side, eye);
     });
+  }
+
+  /** How far surfaces are in the middle third of the picture. */
+  depths(camera: PerspectiveCamera | OrthographicCamera): Promise<MiddleDepths> {
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
+    return this.picking.depths(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
+  }
+
+  /** The same, at once: for images. */
+  depthsNow(camera: PerspectiveCamera | OrthographicCamera): MiddleDepths {
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
+    return this.picking.depthsNow(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
+  }
+
+  private drawAllPlaces(eye: PerspectiveCamera | OrthographicCamera): void {
+    this.drawPlaces([...this.surfaces.visible(true), ...this.surfaces.visible(false)], "now", eye);
+  }
+
+  private drawPlaces(surfaces: readonly number[], side: Side, eye: PerspectiveCamera | OrthographicCamera): void {
+    this.surfaces.prepare("pick", surfaces, side);
+    this.webgl.render(this.surfaceScene, eye);
   }
 
   /** Frees what only images and effects need; it is made again when needed. */
@@ -98,6 +122,8 @@ export class Painter {
     this.between?.dispose();
     this.between?.depthTexture?.dispose();
     this.between = undefined;
+    this.normals?.dispose();
+    this.normals = undefined;
     this.peeling.dispose();
     this.effects.dispose();
   }
@@ -127,7 +153,23 @@ export class Painter {
   private paintOpaque(side: Side, { camera }: FrameRequest): void {
     this.surfaces.prepare("opaque", this.surfaces.visible(true), side);
     this.webgl.render(this.surfaceScene, camera);
-    if (this.solids.children.some(({ children, visible }) => visible && children.length > 0)) this.webgl.render(this.solids, camera);
+    if (this.hasSolids) this.webgl.render(this.solids, camera);
+  }
+
+  private get hasSolids(): boolean {
+    return this.solids.children.some(({ children, visible }) => visible && children.length > 0);
+  }
+
+  private paintNormals(side: Side, { camera, width, height }: FrameRequest): Texture {
+    const { webgl } = this;
+    const normals = (this.normals ??= new WebGLRenderTarget(1, 1, { minFilter: NearestFilter, magFilter: NearestFilter }));
+    normals.setSize(width, height);
+    webgl.setRenderTarget(normals);
+    webgl.setClearColor(0x000000, 0);
+    webgl.clear();
+    this.surfaces.prepare("normal", this.surfaces.visible(true), side);
+    webgl.render(this.surfaceScene, camera);
+    return normals.texture;
   }
 
   private paintInSteps(side: Side, translucent: readonly number[], request: FrameRequest): void {
@@ -147,7 +189,10 @@ export class Painter {
       });
     }
     const { effects, target, scale, radius } = request;
+    // Depths alone have the normals of triangles, which show in an image.
+    const normals = effects && look.occlusion && target !== null && !this.hasSolids ? this.paintNormals(side, request) : undefined;
     this.effects.resolve(webgl, {
+      normals,
       picture: between.texture,
       depth,
       layers,

@@ -1,6 +1,7 @@
-/** What lies under a pixel: one pixel is rendered with the surface's place instead of its colour. */
+/** What lies under a pixel, and how far away the middle of the picture is: pixels are rendered with the surface's place instead of its colour. */
 
 import { FloatType, NearestFilter, RGBAFormat, PerspectiveCamera, Vector3, WebGLRenderTarget, type OrthographicCamera, type WebGLRenderer } from "three";
+import { middleDepths, type MiddleDepths } from "./scale";
 import type { Vec3 } from "./world";
 
 export interface Picked {
@@ -12,35 +13,76 @@ export interface Picked {
 
 /** Rows of a picture so large that one of its pixels is a point. */
 const ACROSS = 8192;
+/** Points along each side of the middle third. */
+const MIDDLE = 25;
+
+type Camera = PerspectiveCamera | OrthographicCamera;
+/** Renders the surfaces in the materials of pass `pick` as this camera sees them. */
+type Draw = (camera: Camera) => void;
+
+function pixels(size: number): WebGLRenderTarget {
+  return new WebGLRenderTarget(size, size, { type: FloatType, format: RGBAFormat, minFilter: NearestFilter, magFilter: NearestFilter });
+}
 
 export class Picking {
-  private readonly target = new WebGLRenderTarget(1, 1, { type: FloatType, format: RGBAFormat, minFilter: NearestFilter, magFilter: NearestFilter });
+  private readonly target = pixels(1);
+  private readonly middle = pixels(MIDDLE);
 
   /**
    * @param x share of the width from the left
    * @param y share of the height from the top
-   * @param draw renders the surfaces in the materials of pass `pick` as this camera sees them
    * @returns the nearest point of a surface; `undefined` where there is none
    */
   async pick(
     webgl: WebGLRenderer,
-    camera: PerspectiveCamera | OrthographicCamera,
+    camera: Camera,
     x: number,
     y: number,
-    draw: (camera: PerspectiveCamera | OrthographicCamera) => void,
+    draw: Draw,
   ): Promise<Picked | undefined> {
     const eye = camera.clone();
     const aspect = eye instanceof PerspectiveCamera ? eye.aspect : eye.right / eye.top;
     eye.setViewOffset(ACROSS * aspect, ACROSS, Math.floor(x * ACROSS * aspect), Math.floor(y * ACROSS), 1, 1);
-    webgl.setRenderTarget(this.target);
-    webgl.setClearColor(0x000000, 0);
-    webgl.clear();
-    draw(eye);
-    webgl.setRenderTarget(null);
+    render(webgl, this.target, eye, draw);
     const found = new Float32Array(4);
     await webgl.readRenderTargetPixelsAsync(this.target, 0, 0, 1, 1, found);
     const [vx = 0, vy = 0, vz = 0, number = 0] = found;
     if (number === 0) return undefined;
     return { position: new Vector3(vx, vy, vz).applyMatrix4(eye.matrixWorld).toArray(), surface: number - 1 };
   }
+
+  /** How far surfaces are in the middle third of the picture. */
+  async depths(webgl: WebGLRenderer, camera: Camera, draw: Draw): Promise<MiddleDepths> {
+    render(webgl, this.middle, middleThird(camera), draw);
+    const found = new Float32Array(4 * MIDDLE * MIDDLE);
+    await webgl.readRenderTargetPixelsAsync(this.middle, 0, 0, MIDDLE, MIDDLE, found);
+    return middleDepths(depthsOf(found));
+  }
+
+  /** The same, at once: for images. */
+  depthsNow(webgl: WebGLRenderer, camera: Camera, draw: Draw): MiddleDepths {
+    render(webgl, this.middle, middleThird(camera), draw);
+    const found = new Float32Array(4 * MIDDLE * MIDDLE);
+    webgl.readRenderTargetPixels(this.middle, 0, 0, MIDDLE, MIDDLE, found);
+    return middleDepths(depthsOf(found));
+  }
+}
+
+function render(webgl: WebGLRenderer, target: WebGLRenderTarget, camera: Camera, draw: Draw): void {
+  webgl.setRenderTarget(target);
+  webgl.setClearColor(0x000000, 0);
+  webgl.clear();
+  draw(camera);
+  webgl.setRenderTarget(null);
+}
+
+function middleThird(camera: Camera): Camera {
+  const eye = camera.clone();
+  eye.setViewOffset(3 * MIDDLE, 3 * MIDDLE, MIDDLE, MIDDLE, MIDDLE, MIDDLE);
+  return eye;
+}
+
+/** View position and surface number, 0 where there is none, of each pixel. */
+function depthsOf(found: Float32Array): number[] {
+  return Array.from({ length: found.length / 4 }, (_, i) => (found[4 * i + 3] === 0 ? 0 : -(found[4 * i + 2] ?? 0)));
 }

@@ -7,6 +7,7 @@ import { WebGLRenderer, type Box3 } from "three";
 import type { AxisName } from "../world/axes";
 import { Annotations } from "./annotations";
 import { SceneCamera } from "./camera";
+import { CentreDepth } from "./centreDepth";
 import { Clipping, type Clip } from "./clipping";
 import { gpuDone, hasGpu } from "./gpu";
 import { DEFAULT_LOOK, type Look, type SurfaceStyle } from "./look";
@@ -58,6 +59,7 @@ export class SurfaceRenderer {
   private dirty = true;
   private frames = 0;
   private sums: ReturnType<Surfaces["levelSums"]>;
+  private readonly centre: CentreDepth;
 
   /** @throws when the browser has no WebGL 2 */
   constructor(
@@ -71,7 +73,7 @@ export class SurfaceRenderer {
     this.sums = this.surfaces.levelSums();
     this.painter = new Painter(this.webgl, this.surfaces, this.clipping, this.onGpu);
     this.painter.solids.add(this.slices.object);
-    this.camera = new SceneCamera(this.makeCanvas(), () => this.invalidate());
+    this.camera = new SceneCamera(this.makeCanvas(), async (x, y) => (await this.pick(x, y))?.position, () => this.invalidate());
     this.annotations = new Annotations(container, this.painter.overlay, {
       onView: (axis) => this.view(axis),
       onClip: (clip) => {
@@ -83,6 +85,7 @@ export class SurfaceRenderer {
         this.invalidate();
       },
     });
+    this.centre = new CentreDepth(this.camera, this.painter, () => this.annotations.measureAt(this.camera.camera, this.centre.depth));
     new ResizeObserver(() => this.resize()).observe(container);
     this.resize();
   }
@@ -97,7 +100,7 @@ export class SurfaceRenderer {
     return { width: this.container.clientWidth, height: this.container.clientHeight };
   }
 
-  /** Frames rendered since the page was opened. */
+  /** Since the page was opened. */
   get framesRendered(): number {
     return this.frames;
   }
@@ -107,7 +110,6 @@ export class SurfaceRenderer {
     return this.sums.all;
   }
 
-  /** The same of each surface. */
   get levelTrianglesBySurface(): readonly (readonly number[])[] {
     return this.sums.surfaces;
   }
@@ -117,7 +119,6 @@ export class SurfaceRenderer {
     return this.webgl.info.memory.geometries;
   }
 
-  /** Waits until the GPU has rendered all frames so far. */
   finished(): Promise<void> {
     return gpuDone(this.webgl.getContext() as WebGL2RenderingContext);
   }
@@ -274,9 +275,8 @@ export class SurfaceRenderer {
    */
   snapshot(request: SnapshotRequest): Snapshot {
     const { webgl, painter, camera, annotations, surfaces, size } = this;
-    const snapshot = takeSnapshot({ webgl, painter, camera, annotations, surfaces, look: this.currentLook, size, swipe: annotations.swipe.value }, request);
     this.invalidate();
-    return snapshot;
+    return takeSnapshot({ webgl, painter, camera, annotations, surfaces, look: this.currentLook, size, swipe: annotations.swipe.value }, request);
   }
 
   /** Of the volume in the world, or of the surfaces while the grid does not say it: where clip planes and slices make sense. */
@@ -368,7 +368,8 @@ export class SurfaceRenderer {
   private paint(): void {
     const { width, height } = this.webgl.domElement;
     const { camera, annotations } = this;
-    annotations.update(camera.camera, this.clipBounds(), this.clipping.value, camera.heightAtTarget / this.container.clientHeight);
+    annotations.update(camera.camera, this.clipBounds(), this.clipping.value, this.centre.depth);
+    this.centre.lookSoon(annotations.value.scale);
     this.painter.paint({
       target: null,
       width,

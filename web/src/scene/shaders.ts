@@ -192,3 +192,17 @@ void main() {
   color = vec4(viewPosition, surface + 1.0);
 }
 `;
+
+/** The surface's normal towards the eye, in view space, halved and from 0 to 1. */
+export const NORMAL_FRAGMENT = /* glsl */ `
+in vec3 viewNormal;
+in vec3 viewPosition;
+out vec4 color;
+${CLIPPED}
+void main() {
+  clipAway(viewPosition);
+  vec3 n = normalize(viewNormal);
+  vec3 v = isOrthographic ? vec3(0.0, 0.0, 1.0) : normalize(-viewPosition);
+  color = vec4(0.5 + 0.5 * (dot(n, v) < -0.25 ? -n : n), 1.0);
+}
+`;

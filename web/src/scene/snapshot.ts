@@ -8,6 +8,7 @@ import type { Look } from "./look";
 import type { Painter } from "./painter";
 import { LAYERS_IN_IMAGES } from "./peeling";
 import type { CameraPose } from "./pose";
+import { commonDepth, heightAt } from "./scale";
 import type { Surfaces } from "./surfaces";
 
 export interface SnapshotRequest {
@@ -26,8 +27,8 @@ export interface Snapshot {
   readonly pixels: Uint8ClampedArray<ArrayBuffer>;
   /** Texts that belong to the picture, in its pixels. */
   readonly labels: readonly { readonly text: string; readonly x: number; readonly y: number }[];
-  /** World units of one of its pixels, at what the camera looks at. */
-  readonly unitsPerPixel: number;
+  /** World units of one of its pixels, right to within a twentieth over its middle third; `undefined` if that has surfaces at too different depths. */
+  readonly unitsPerPixel: number | undefined;
 }
 
 export interface SnapshotScene {
@@ -51,7 +52,7 @@ export function takeSnapshot(scene: SnapshotScene, { scale, transparent, pose }:
   const [width, height] = [Math.round(scene.size.width * scale), Math.round(scene.size.height * scale)];
   const max = webgl.capabilities.maxTextureSize;
   if (width > max || height > max) throw new Error(`an image of ${width} × ${height} pixels, this graphics device allows ${max} on a side`);
-  const { camera, heightAtTarget } = scene.camera.at(pose ?? scene.camera.pose);
+  const camera = scene.camera.at(pose ?? scene.camera.pose);
   const labels = annotations.place(camera, surfaces.volumeBox, scale);
   const target = new WebGLRenderTarget(width, height, { samples: 4 });
   try {
@@ -67,13 +68,15 @@ export function takeSnapshot(scene: SnapshotScene, { scale, transparent, pose }:
       swipe,
       radius: scene.camera.radius,
     });
+    const depth = commonDepth(camera, painter.depthsNow(camera));
+    const unitsPerPixel = depth === undefined ? undefined : heightAt(camera, depth) / height;
     const raw = new Uint8Array(4 * width * height);
     webgl.readRenderTargetPixels(target, 0, 0, width, height, raw);
     const places = labels.flatMap(({ text, at, raised = 0 }) => {
       const place = onScreen(at, camera, width, height);
       return place === undefined ? [] : [{ text, x: place.x, y: place.y - raised * scale }];
     });
-    return { width, height, pixels: upright(raw, width, height), labels: places, unitsPerPixel: heightAtTarget / height };
+    return { width, height, pixels: upright(raw, width, height), labels: places, unitsPerPixel };
   } finally {
     target.dispose();
     painter.releaseTargets();

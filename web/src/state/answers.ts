@@ -13,7 +13,7 @@ interface Answer<T> {
 export interface Answers {
   readonly curve?: Answer<Curve>;
   readonly distribution?: Answer<Distribution>;
-  /** Of the vertices to the isosurface. */
+  /** Of the vertices, and the triangles around them, to the isosurface. */
   readonly annotate?: Answer<Distances>;
 }
 
@@ -87,7 +87,7 @@ export function dueQuestions(state: Asking, about: readonly Asked[]): readonly D
   const all: readonly Extract<Question, { type: Asked }>[] = [
     { type: "curve", surface },
     { type: "distribution", surface, bins: BINS },
-    { type: "annotate", surface, annotation: "error" },
+    { type: "annotate", surface, annotation: "error-around" },
   ];
   return all.flatMap((question) => {
     const key = keyOf(state, question.type);

@@ -4,6 +4,9 @@ import type { DerivedInfo, Edit, View, VolumeInfo } from "../protocol/types";
 
 export type Chosen = Pick<View, "feature" | "field">;
 
+/** Whether a field's values are labels: the file says so, or it opens around labels. */
+export const hasLabels = ({ labels, openingIso }: Pick<VolumeInfo["fields"][number], "labels" | "openingIso">): boolean => labels !== undefined || openingIso?.reason === "labels";
+
 /** The view's feature, where it is derived from the field whose isosurface is shown. */
 export function derivedFeature(volume: VolumeInfo, { feature, field }: Chosen): DerivedInfo | undefined {
   const derived = volume.fields.find((f) => f.name === field)?.derivedFeatures ?? {};

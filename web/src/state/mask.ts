@@ -1,5 +1,9 @@
 /** A mask as it is written: a field, how its values compare, and with what. Pure. */
 
+import type { FieldInfo } from "../protocol/types";
+import { hasLabels } from "./fields";
+import { readTyped } from "./typedNumber";
+
 /** How values compare, those that begin with others first; in words. */
 export const COMPARISONS = [
   { symbol: "==", text: "is" },
@@ -37,9 +41,16 @@ const NUMBER = String.raw`[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?`;
 const RANGE = new RegExp(String.raw`^\s*(${NUMBER})\s*(?:\.\.\s*(${NUMBER})\s*)?$`, "i");
 const MAX_RANGES = 64;
 
+/** One number as the server reads it; the text itself if it is none. */
+export function plainValue(text: string): string {
+  const typed = readTyped(text);
+  return typeof typed === "number" ? String(typed) : text.trim();
+}
+
 /** What is wrong with values, for the user; `undefined` where nothing is. */
 export function refusedValues(comparison: Comparison, values: string): string | undefined {
-  const items = values.split(",");
+  if (!takesList(comparison) && typeof readTyped(values) === "object") return `“${values.trim()}” can be read in two ways: write it without a comma`;
+  const items = (takesList(comparison) ? values : plainValue(values)).split(",");
   const ranges = items.map((item) => RANGE.exec(item));
   const wrong = items.find((_, i) => ranges[i] === null);
   if (!takesList(comparison)) return items.length === 1 && wrong === undefined && ranges[0]?.[2] === undefined ? undefined : `“${values.trim()}” is not one number`;
@@ -49,19 +60,33 @@ export function refusedValues(comparison: Comparison, values: string): string | 
   return items.length > MAX_RANGES ? `${items.length} values, ${MAX_RANGES} is the maximum` : undefined;
 }
 
-/** Values that whole numbers have if they are labels. */
-const MAX_LABELS = 64;
+/** What a mask begins with is known from: its type and values, and names of labels. */
+type Field = Pick<FieldInfo, "range" | "labels" | "openingIso">;
 
-interface Field {
-  readonly type: string;
-  readonly range: readonly [number, number];
-  readonly histogram: { readonly counts: readonly number[] };
+/** What a field is compared with first: labels with all but the background, which is the lowest, other values with the middle of their range. */
+export function firstMask(name: string, field: Field): Mask {
+  const [low, high] = field.range;
+  if (!hasLabels(field)) return { field: name, comparison: ">=", values: String(Number(((low + high) / 2).toPrecision(3))) };
+  const first = low < high ? low + 1 : low;
+  return { field: name, comparison: "==", values: first < high ? `${first}..${high}` : String(high) };
 }
 
-/** What a field is compared with first: labels with 1, other values with the middle of their range. */
-export function firstMask(name: string, { type, range, histogram }: Field): Mask {
-  const [low, high] = range;
-  const isLabels = type !== "f32" && low === 0 && histogram.counts.filter((n) => n > 0).length <= MAX_LABELS;
-  if (isLabels) return { field: name, comparison: "==", values: String(Math.min(1, high)) };
-  return { field: name, comparison: ">=", values: String(Number(((low + high) / 2).toPrecision(3))) };
+/** Whether a list of numbers and ranges has a number. */
+export function listHas(values: string, value: number): boolean {
+  return values.split(",").some((item) => {
+    const [, from, to] = RANGE.exec(item) ?? [];
+    return from !== undefined && value >= Number(from) && value <= Number(to ?? from);
+  });
+}
+
+/** The list with a label or without, of the labels that there are: those that follow each other become a range. */
+export function toggled(values: string, value: number, labels: readonly number[]): string {
+  const chosen = labels.filter((label) => (label === value ? !listHas(values, label) : listHas(values, label)));
+  const runs: [number, number][] = [];
+  for (const label of chosen) {
+    const last = runs.at(-1);
+    if (last !== undefined && label === last[1] + 1) last[1] = label;
+    else runs.push([label, label]);
+  }
+  return runs.map(([from, to]) => (from === to ? String(from) : `${from}..${to}`)).join(",");
 }

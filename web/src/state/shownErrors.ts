@@ -1,5 +1,6 @@
 /** The error of the surfaces on which colours show it: those that have the colours of the look. Pure. */
 
+import type { Statistics } from "../protocol/types";
 import { awaitedDistances, dueQuestions, measuredDistances, type DueQuestion } from "./answers";
 import { together, type Distances } from "./distances";
 import { allColoredByLook, type SurfaceList } from "./surfaceList";
@@ -17,6 +18,11 @@ export function shownErrors(viewer: ViewerState, surfaces: SurfaceList): Distanc
   const known = coloredStates(viewer, surfaces).map(measuredDistances);
   const all = known.filter((distances) => distances !== undefined);
   return all.length < known.length ? undefined : together(all);
+}
+
+/** What was measured of each. */
+export function errorsOf(viewer: ViewerState, surfaces: SurfaceList): readonly (Statistics["error"] | undefined)[] {
+  return coloredStates(viewer, surfaces).map(({ statistics }) => statistics?.error);
 }
 
 /** Why they are not known; `undefined` where they are, or there is no such surface. */

@@ -161,6 +161,7 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
     case "led":
     case "posed":
     case "left":
+    case "heartbeat":
     case "committed":
     case "superseded":
     case "probed":

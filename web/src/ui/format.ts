@@ -72,11 +72,3 @@ export function formatShare(share: number): string {
   if (percent >= 10) return `${percent >= 100 ? 100 : Math.min(99, Math.round(percent))} %`;
   return `${Number(percent.toPrecision(2))} %`;
 }
-
-/** The number that the user typed: `1.5`, `-2e3`, `1,5`. `undefined` for unfinished text (`-`, `1e`). */
-export function parseValue(text: string): number | undefined {
-  const trimmed = text.trim().replace("−", "-").replace(/^([^.,]*),([^.,]*)$/, "$1.$2");
-  if (!/^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i.test(trimmed)) return undefined;
-  const value = Number(trimmed);
-  return Number.isFinite(value) ? value : undefined;
-}

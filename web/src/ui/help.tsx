@@ -8,7 +8,7 @@ import { Icon } from "./widgets/icon";
 const KEYS: readonly (readonly [string, string])[] = [
   ["Drag, or arrow keys in the picture", "turn the surface"],
   ["Right-drag, or two fingers", "move it"],
-  ["Wheel, or pinch", "come nearer or go away"],
+  ["Wheel, or pinch", "zoom in or out"],
   ["F in the picture", "fit the surface into it"],
   [", and . in the picture", "previous and next time step; P plays them"],
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo: values, colours and look"],
@@ -39,7 +39,7 @@ export default function Help(props: { readonly onClose: () => void; readonly onT
       <dl class="rows keys">
         <For each={KEYS}>{([keys, about]) => <Row term={keys} about={about} />}</For>
       </dl>
-      <h3>Read on</h3>
+      <h3>Documentation</h3>
       <dl class="rows keys">
         <For each={DOCUMENTS}>{({ name, about }) => <Row term={<Page address={`docs/${name}.txt`} text={name} />} about={about} />}</For>
         <Row term={<Page address="api/v1/openapi.json" text="openapi" />} about="the interface for programs" />

@@ -119,12 +119,19 @@ export interface SurfaceFacts {
 /** How long a message stays that is no error. */
 type Stay = "brief" | "lasting";
 
-/** A message to the user: an error, or what was done. */
+/** One that a question offers. */
+export interface Answer {
+  readonly text: string;
+  readonly act: () => void;
+}
+
+/** A message to the user: an error, what was done, or a question. */
 export interface Toast {
   readonly text: string;
   readonly good: boolean;
   /** Does once more what has failed, where that may help. */
   readonly retry?: () => void;
+  readonly answers?: readonly Answer[];
 }
 
 export interface Connection {
@@ -307,6 +314,18 @@ export class Model {
     this.addToast({ text, good: false, retry });
     this.onError?.(text);
   }
+
+  /** A question with some answers; no answer is one too. */
+  readonly ask = (text: string, answers: readonly Answer[]): void => {
+    const closing = answers.map((answer) => ({
+      ...answer,
+      act: () => {
+        this.dismiss(text);
+        answer.act();
+      },
+    }));
+    this.addToast({ text, good: true, answers: closing });
+  };
 
   private addToast(toast: Toast): void {
     const others = this.toasts().filter(({ text }) => text !== toast.text);

@@ -19,6 +19,13 @@ export function Toasts() {
                 </Button>
               )}
             </Show>
+            <For each={toast.answers ?? []}>
+              {({ text, act }) => (
+                <Button quiet onClick={act}>
+                  {text}
+                </Button>
+              )}
+            </For>
             <Button quiet onClick={() => model.dismiss(toast.text)}>
               Dismiss
             </Button>

@@ -21,7 +21,7 @@ const STEPS: readonly Step[] = [
       const { statistics } = viewer();
       const share = statistics === undefined ? "a part" : formatShare(statistics.triangles / Math.max(1, statistics.fullTriangles));
       const full = statistics === undefined ? "" : ` of ${formatCount(statistics.fullTriangles)}`;
-      return `isopeel makes the surface inside a volume with only the triangles that show something: here ${share}${full}. Drag to turn it, scroll to come nearer.`;
+      return `isopeel makes the surface inside a volume with only the triangles that show something: here ${share}${full}. Drag to turn it, scroll to zoom.`;
     },
   },
   { at: "detail", title: "How fine", text: () => "Drag this slider: from a thousandth of the triangles to all of them. The line above says how far the surface is off." },

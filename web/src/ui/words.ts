@@ -33,10 +33,11 @@ export function errorWords(all: readonly ErrorsOf[], scale: LengthScale): string
 }
 
 /** What the colours of distances mean. */
-export function distanceWords({ share, upper, farthest }: Distances, scale: LengthScale): string {
-  const rest = `${formatShare(1 - share)} of the vertices`;
-  const end = Number.isFinite(farthest) ? `, the farthest by ${formatLength(farthest, scale)}` : "";
-  return farthest <= upper ? `Darkest: off by ${formatLength(upper, scale)}` : `Darkest: off by ${formatLength(upper, scale)} and more, ${rest}${end}`;
+export function distanceWords({ share, upper, farthest }: Distances, measured: readonly (Statistics["error"] | undefined)[], scale: LengthScale): string {
+  const darkest = `Darkest: off by ${formatLength(upper, scale)}`;
+  const max = measured.reduce<number | undefined>((max, error) => (max === undefined || error === undefined || error === null ? undefined : Math.max(max, error.max)), 0);
+  const end = max === undefined || measured.length === 0 ? "" : `; the measured maximum is ${formatLength(max, scale)}`;
+  return farthest <= upper ? `${darkest}${end}` : `${darkest} and more, around ${formatShare(1 - share)} of the vertices${end}`;
 }
 
 /** Why the colours do not show the error; empty where there is no surface that it could be of. */
@@ -69,10 +70,19 @@ function surfaceParts(state: ViewerState, triangles: number, busy: boolean, scal
   const known = all.flatMap(({ shown, statistics }) => (shown?.final === true && statistics !== undefined ? [statistics] : []));
   if (busy || known.length < all.length) return triangles === 0 ? [] : [...several, `${formatCount(triangles)} triangles so far`];
   const full = known.reduce((sum, { fullTriangles }) => sum + fullTriangles, 0);
-  const count = full > 0 ? `${formatCount(triangles)} of ${formatCount(full)} triangles (${formatShare(triangles / full)})` : `${formatCount(triangles)} triangles`;
+  const count = countWords(triangles, full);
   const error = triangles === 0 ? undefined : errorWords(known, scale);
   const ms = lastMs(all);
   return [...several, count, ...(error === undefined ? [] : [error]), ...(ms === undefined ? [] : [formatSeconds(ms)])];
+}
+
+/**
+ * `87,501 of 454,932 triangles (19 %)`. The server counts the full surface of marching cubes; that of the dual mesher has some more or less, so
+ * that one with as many is all there is.
+ */
+export function countWords(triangles: number, full: number): string {
+  if (full <= 0) return `${formatCount(triangles)} triangles`;
+  return triangles >= full ? `${formatCount(triangles)} triangles (all)` : `${formatCount(triangles)} of ${formatCount(full)} triangles (${formatShare(triangles / full)})`;
 }
 
 /** From the last edit to the last final picture that it made. */

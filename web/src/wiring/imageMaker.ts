@@ -18,11 +18,21 @@ const INKS = { dark: "#e8ebef", light: "#18202a" } as const;
 /** The scale bar is no wider than this share of the picture. */
 const WIDEST_BAR = 0.2;
 
+/** A file, and what the user has to know of it. */
+export interface Made {
+  readonly blob: Blob;
+  readonly note: string | undefined;
+}
+
+/** Why an image has no scale bar. */
+const WITHOUT_BAR = "without a scale bar, as lengths differ by more than 5 % over its middle: an orthographic view has one";
+
 /** A PNG of what is seen. */
-export async function makeImage(scene: SurfaceRenderer, store: Store, request: ImageRequest): Promise<Blob> {
+export async function makeImage(scene: SurfaceRenderer, store: Store, request: ImageRequest): Promise<Made> {
   const { composeImage } = await import("../image/compose");
   const snapshot = scene.snapshot({ scale: request.scale, transparent: true });
-  return composeImage(snapshot, parts(scene, store, request, snapshot));
+  const blob = await composeImage(snapshot, parts(scene, store, request));
+  return { blob, note: request.scaleBar && snapshot.unitsPerPixel === undefined ? WITHOUT_BAR : undefined };
 }
 
 /** A turn around the surface as numbered PNGs in a zip. */
@@ -33,20 +43,25 @@ export async function makeTurn(
   frames: number,
   onProgress: (done: number) => void,
   signal: AbortSignal,
-): Promise<Blob> {
+): Promise<Made> {
   const { makeTurntable } = await import("../image/turntable");
   const { scale } = request;
-  const unitsPerPixel = scene.camera.heightAtTarget / (scene.size.height * scale);
-  return makeTurntable((pose) => scene.snapshot({ scale, transparent: true, pose }), {
+  let withoutBar = 0;
+  const blob = await makeTurntable((pose) => {
+    const snapshot = scene.snapshot({ scale, transparent: true, pose });
+    withoutBar += snapshot.unitsPerPixel === undefined ? 1 : 0;
+    return snapshot;
+  }, {
     frames,
     from: scene.camera.pose,
-    parts: parts(scene, store, request, { width: scene.size.width * scale, unitsPerPixel }),
+    parts: parts(scene, store, request),
     onProgress,
     signal,
   });
+  return { blob, note: request.scaleBar && withoutBar > 0 ? `${withoutBar} of ${frames} ${WITHOUT_BAR}` : undefined };
 }
 
-function parts(scene: SurfaceRenderer, store: Store, request: ImageRequest, of: { readonly width: number; readonly unitsPerPixel: number }): ImageParts {
+function parts(scene: SurfaceRenderer, store: Store, request: ImageRequest): ImageParts {
   const { look, surfaces, viewer } = store;
   const page = theme();
   const colored = request.colorBar ? coloredByLook(surfaces, viewer.selected) : undefined;
@@ -59,7 +74,7 @@ function parts(scene: SurfaceRenderer, store: Store, request: ImageRequest, of: 
     ink: isDark ? INKS.dark : INKS.light,
     scale: request.scale,
     ...(colors === undefined ? {} : { colorBar: colors }),
-    ...(request.scaleBar ? { scaleBar: scene.annotations.barFor(of.unitsPerPixel, WIDEST_BAR * of.width) } : {}),
+    ...(request.scaleBar ? { scaleBar: (unitsPerPixel: number) => scene.annotations.barFor(unitsPerPixel, WIDEST_BAR * scene.size.width * request.scale) } : {}),
     ...(request.isovalues && signs.length > 1 ? { isovalues: signs } : {}),
     ...(request.caption === "" ? {} : { caption: request.caption }),
   };

@@ -5,6 +5,7 @@ import type { Store } from "../state/store";
 import type { ImageRequest, Model } from "../ui/model";
 import { saveFile } from "../ui/takeAlong";
 import { BatchJobs } from "./batchJobs";
+import type { Made } from "./imageMaker";
 
 export class Outputs {
   private turn: AbortController | undefined;
@@ -41,11 +42,12 @@ export class Outputs {
     });
   }
 
-  private async save(ending: string, make: () => Promise<Blob>, signal?: AbortSignal): Promise<void> {
+  private async save(ending: string, make: () => Promise<Made>, signal?: AbortSignal): Promise<void> {
     const name = `${this.store.viewer.volume?.id ?? "isopeel"}.${ending}`;
     try {
-      saveFile(name, await make());
-      this.model.toast(`${name} is ready`, "brief");
+      const { blob, note } = await make();
+      saveFile(name, blob);
+      this.model.toast(note === undefined ? `${name} is ready` : `${name} is ready, ${note}`, note === undefined ? "brief" : "lasting");
     } catch (error) {
       // The user ended it.
       if (signal?.aborted === true) return;

@@ -93,10 +93,16 @@ function pixel(x: number, y: number): number[] {
   return [...pixels.subarray(at, at + 4)];
 }
 
+/** World units across the height of the picture, at the target: the field of view has 32 degrees. */
+function heightAtTarget(): number {
+  const { position, target } = scene.camera.pose;
+  return 2 * Math.tan((16 * Math.PI) / 180) * Math.hypot(...position.map((p, axis) => p - (target[axis] ?? 0)));
+}
+
 /** A blob as base64, for what runs the browser. */
 async function base64(blob: Blob): Promise<string> {
   const bytes = new Uint8Array(await blob.arrayBuffer());
   return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
 }
 
-Object.assign(window, { bench: { scene, addSphere, still, pixel, base64, composeImage, makeTurntable, COLOR_MAPS, colorTable } });
+Object.assign(window, { bench: { scene, addSphere, still, pixel, heightAtTarget, base64, composeImage, makeTurntable, COLOR_MAPS, colorTable } });

@@ -2,7 +2,7 @@
 
 use super::recipes::{Pattern, recipes};
 use super::*;
-use isopeel_kernels::{SampleType, Tuning};
+use isopeel_kernels::{DistanceOf, SampleType, Tuning};
 use isopeel_reference::distance::distances;
 
 /// Extents for which every vertex can be compared with every point of the surface.
@@ -17,7 +17,7 @@ fn check(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCaseErro
     let state = host.random_state(seed, Topology::Free);
     let surface = mesh(engine, &loaded, &pyramid, &dual_params(), &state);
     let got = engine
-        .vertex_distances(&loaded.volume, &pyramid, &surface.regions, &Never)
+        .vertex_distances(&loaded.volume, &pyramid, &surface.regions, DistanceOf::Vertex, &Never)
         .expect("distances");
     prop_assert_eq!(got.len(), surface.regions.len());
     let in_cells = |at: [i64; 3]| at.map(|x| (x as f64 / f64::from(Vertex::LATTICE)) as f32);
@@ -106,7 +106,7 @@ fn distances_to_a_ball_are_known() {
                 region.vertices = moved.into();
             }
             let found = engine
-                .vertex_distances(&volume, &pyramid, &surface.regions, &Never)
+                .vertex_distances(&volume, &pyramid, &surface.regions, DistanceOf::Vertex, &Never)
                 .expect("distances");
             for (region, found) in surface.regions.iter().zip(found) {
                 for (vertex, found) in region.vertices.iter().zip(found) {
@@ -121,6 +121,64 @@ fn distances_to_a_ball_are_known() {
     }
     let pattern = Recipe::plain([12, 14, 13], Pattern::Waves(15), 9);
     check(&of_gpu, &pattern, 4).expect("brute force's distances");
+}
+
+/// Of a triangle with its corners on a ball: the corners are no distance away, what is between them is.
+#[test]
+fn distances_around_vertices_include_their_triangles() {
+    let Some(engine) = device() else { return };
+    let dims = [50u32; 3];
+    let value = |i: u32| {
+        let at = [i % 50, i / 50 % 50, i / 2500].map(|x| (x as f32 - 24.5).powi(2));
+        20.0 - at.iter().sum::<f32>().sqrt()
+    };
+    let samples = isopeel_kernels::Samples::F32((0..dims.iter().product()).map(value).collect());
+    let volume = engine
+        .upload(Grid::new(dims, [1.0; 3]).expect("a grid"), &samples, None)
+        .expect("upload");
+    let iso = Isovalue::new(0.0).expect("finite");
+    let pyramid = engine
+        .build_pyramid(&volume, Feature::None, iso, &Never)
+        .expect("a pyramid");
+    let surface = engine
+        .peel(&volume, &pyramid, &dual_params(), Level::FINEST, &Never)
+        .expect("a surface");
+    let known = surface.regions[0].vertices[0];
+    // An equilateral triangle whose corners are a third of a radian off the axis.
+    let (sin, cos) = (1.0f64 / 3.0).sin_cos();
+    let corner = |k: u32, home: [u32; 3]| {
+        let (y, x) = (f64::from(k) * std::f64::consts::TAU / 3.0).sin_cos();
+        let at = [24.5 + 20.0 * sin * x, 24.5 + 20.0 * sin * y, 24.5 + 20.0 * cos];
+        let of = |i: usize| ((at[i] - f64::from(home[i] * 32)) * f64::from(Vertex::LATTICE)).round() as i32;
+        Vertex {
+            position: [of(0), of(1), of(2)],
+            ..known
+        }
+    };
+    let region = |coords: [u32; 3], count: u32, indices: Vec<u32>| Region {
+        coords,
+        vertices: (0..count).map(|k| corner(k, coords)).collect::<Vec<_>>().into(),
+        indices: indices.into(),
+        ..Region::default()
+    };
+    // The other region has two of the corners and no triangle.
+    let regions = [region([0, 0, 1], 3, vec![0, 1, 2]), region([0; 3], 2, Vec::new())];
+    let distances = |of| {
+        engine
+            .vertex_distances(&volume, &pyramid, &regions, of, &Never)
+            .expect("distances")
+    };
+    let own = distances(DistanceOf::Vertex);
+    assert!(own.iter().flatten().all(|&distance| distance < 0.02), "{own:?}");
+    let around = distances(DistanceOf::Around);
+    let farthest = (20.0 * (1.0 - cos)) as f32;
+    for distance in around.iter().flatten() {
+        assert!(
+            (0.9 * farthest..=1.02 * farthest).contains(distance),
+            "{distance}, expected nearly {farthest}"
+        );
+    }
+    assert_eq!(around[1], around[0][..2]);
 }
 
 /// Between samples of noise the slope promises surfaces that are not there.

@@ -91,6 +91,11 @@ impl Outbox {
         self.surface_bytes
     }
 
+    /// Bytes of all frames.
+    pub(super) fn bytes(&self) -> usize {
+        self.kept_bytes + self.surface_bytes
+    }
+
     fn bytes_like(&mut self, frame: &Frame) -> &mut usize {
         if frame.is_kept() {
             &mut self.kept_bytes

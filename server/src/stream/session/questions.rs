@@ -19,6 +19,7 @@ use super::shown::HeldSurface;
 use crate::extraction::{Answer, Question, ShownSurface, WorkError};
 use crate::wire::chunk::{ChunkKind, PrefixId};
 use crate::wire::messages::{Annotation, ServerMessage};
+use isopeel_kernels::DistanceOf;
 
 /// A finished question: its number, and the answer.
 pub(super) type Answered = (u32, Result<Found, WorkError>);
@@ -52,13 +53,24 @@ pub(super) struct Questions {
     pub job: Option<BoxFuture<Answered>>,
 }
 
+/// Place of annotations, the last.
+const ANNOTATIONS: usize = 3;
+
+/// What an annotation asks of the device.
+pub(super) fn annotate(annotation: Annotation) -> Question {
+    Question::VertexErrors(match annotation {
+        Annotation::Error => DistanceOf::Vertex,
+        Annotation::ErrorAround => DistanceOf::Around,
+    })
+}
+
 /// The place of a kind: what moves with the pointer first.
 fn place(question: Question) -> usize {
     match question {
         Question::Probe(_) => 0,
         Question::Distribution(_) => 1,
         Question::Curve => 2,
-        Question::VertexErrors => 3,
+        Question::VertexErrors(_) => ANNOTATIONS,
     }
 }
 
@@ -70,11 +82,7 @@ impl Questions {
 
     /// The next one. What takes long is asked only where all surfaces rest.
     fn take(&mut self, rests: bool) -> Option<(u8, Question)> {
-        let end = if rests {
-            self.waiting.len()
-        } else {
-            place(Question::VertexErrors)
-        };
+        let end = if rests { self.waiting.len() } else { ANNOTATIONS };
         self.waiting[..end].iter_mut().find_map(Option::take)
     }
 
@@ -89,9 +97,9 @@ impl Questions {
 
     /// Drops an annotation: of whatever surface, this one may change with the others' parts of the budget.
     fn drop_annotation(&mut self) {
-        self.waiting[place(Question::VertexErrors)] = None;
+        self.waiting[ANNOTATIONS] = None;
         self.running
-            .take_if(|running| running.question == Question::VertexErrors);
+            .take_if(|running| matches!(running.question, Question::VertexErrors(_)));
     }
 
     /// Drops what is asked about a surface that is gone.
@@ -178,13 +186,16 @@ impl<B: Backend> Session<B> {
     pub(super) fn on_answer(&mut self, (number, result): Answered) {
         self.questions.job = None;
         let Some(Running {
-            surface, generation, ..
+            surface,
+            generation,
+            question,
+            ..
         }) = self.questions.finish(number)
         else {
             return;
         };
         let message = match result {
-            Ok(Found::Chunks(chunks)) => return self.send_annotation(surface, generation, chunks),
+            Ok(Found::Chunks(chunks)) => return self.send_annotation(surface, generation, question, chunks),
             Ok(Found::Answer(Answer::VertexErrors(_))) => return,
             Ok(Found::Answer(Answer::Probe(probe))) => ServerMessage::Probed {
                 surface,
@@ -207,11 +218,14 @@ impl<B: Backend> Session<B> {
         self.send(&message);
     }
 
-    fn send_annotation(&mut self, surface: u8, generation: u32, chunks: Vec<Bytes>) {
+    fn send_annotation(&mut self, surface: u8, generation: u32, question: Question, chunks: Vec<Bytes>) {
         let message = ServerMessage::Annotated {
             surface,
             generation,
-            annotation: Annotation::Error,
+            annotation: match question {
+                Question::VertexErrors(DistanceOf::Around) => Annotation::ErrorAround,
+                _ => Annotation::Error,
+            },
             regions: chunks.len(),
         };
         self.outbox

@@ -19,7 +19,12 @@ impl<B: Backend> Session<B> {
 
     /// Gives the writer one frame.
     pub(super) fn on_writer_ready(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
-        match self.outbox.pop_front() {
+        let before = self.outbox.bytes();
+        let frame = self.outbox.pop_front();
+        if let Some(ping) = self.line.took(before - self.outbox.bytes()) {
+            self.outbox.push_front(Frame::Ping(ping));
+        }
+        match frame {
             None => {}
             Some(Frame::Control(text) | Frame::Newest(_, text)) => permit.send(Outgoing::Text(text)),
             Some(Frame::Prefix(surface, frame)) => {

@@ -44,7 +44,7 @@ fn chosen(histogram: &Histogram, unit: Option<&str>) -> (f32, IsoReason) {
         iso,
         reason,
         explanation,
-    } = OpeningIso::of(histogram, unit);
+    } = OpeningIso::of(histogram, unit, false);
     assert!(!explanation.is_empty());
     (iso, reason)
 }
@@ -233,4 +233,59 @@ proptest! {
         prop_assert!(low < iso && iso <= high, "{iso} of {low} to {high}");
         prop_assert_ne!(reason, IsoReason::NoSurface);
     }
+}
+
+#[test]
+fn labels_that_the_file_declares_open_around_all_of_them() {
+    // Brain parcellation: two groups of values far apart, which would be two classes.
+    let mut parcellation = Histogram {
+        range: [0.0, 2035.0],
+        bins: vec![0; 256],
+    };
+    parcellation.bins[0] = 6_000_000;
+    for bin in 126..130 {
+        parcellation.bins[bin] = 400_000;
+        parcellation.bins[bin + 125] = 400_000;
+    }
+    parcellation.bins[255] = 9000;
+    let opening = OpeningIso::of(&parcellation, None, true);
+    assert_eq!((opening.iso, opening.reason), (0.5, IsoReason::Labels));
+    // Hounsfield units are nothing that labels have.
+    assert_eq!(
+        OpeningIso::of(&ct_head(-1024.0, |hu| hu), None, true).reason,
+        IsoReason::Labels
+    );
+    let one = Histogram {
+        range: [3.0, 3.0],
+        bins: vec![9; 1],
+    };
+    assert_eq!(OpeningIso::of(&one, None, true).reason, IsoReason::NoSurface);
+}
+
+#[test]
+fn many_labels_are_known_by_gaps_and_uneven_counts() {
+    // FreeSurfer's aseg: most numbers up to 255, with gaps, large and small structures side by side.
+    let mut aseg = Histogram {
+        range: [0.0, 255.0],
+        bins: vec![0; 256],
+    };
+    aseg.bins[0] = 10_000_000;
+    let structures = [
+        2, 3, 4, 5, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17, 18, 24, 26, 28, 31, 41, 42, 43, 44, 46, 47, 49, 50, 77, 85,
+        251, 255,
+    ];
+    for (i, &label) in structures.iter().enumerate() {
+        aseg.bins[label] = [250_000, 900, 40_000, 7000][i % 4];
+    }
+    assert_eq!(chosen(&aseg, None), (0.5, IsoReason::Labels));
+    // Measured values stretched to more grey values than they had: gaps, but counts are alike.
+    let mut stretched = histogram([0.0, 255.0], |v| {
+        peak(v, 0.0, 3.0, 5e6, 1.0) + peak(v, 120.0, 25.0, 3e6, 1.0)
+    });
+    for bin in (0..256).filter(|bin| bin % 5 == 4) {
+        stretched.bins[bin] = 0;
+    }
+    stretched.bins[0] = 5_000_000;
+    stretched.bins[255] = 1;
+    assert_ne!(chosen(&stretched, None).1, IsoReason::Labels);
 }

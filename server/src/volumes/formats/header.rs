@@ -186,6 +186,7 @@ pub fn field(
         missing: missing.filter(|m| !m.is_nan()),
         unit,
         labels: Vec::new(),
+        declares_labels: false,
         source: Arc::new(samples),
     }
 }

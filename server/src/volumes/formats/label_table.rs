@@ -41,7 +41,7 @@ pub fn name_labels(location: &FileLocation, file: &mut OpenedFile) {
 }
 
 /// Whether stored samples are whole numbers, by the name of their type.
-fn may_be_labels(stored_type: &str) -> bool {
+pub fn may_be_labels(stored_type: &str) -> bool {
     let name = stored_type.to_ascii_lowercase();
     [
         "int", "char", "short", "long", "u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "uint", "ushrt",

@@ -18,6 +18,8 @@ use super::pair::{Bytes, header_of_pair, image_of_pair};
 const HEADER_BYTES: [usize; 2] = [348, 540];
 
 /// Meanings of the fifth axis.
+/// Values are labels.
+const INTENT_LABEL: i32 = 1002;
 const INTENT_DISPLACEMENT: i32 = 1006;
 const INTENT_VECTOR: i32 = 1007;
 const INTENT_RGB: [i32; 2] = [2003, 2004];
@@ -77,12 +79,16 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         missing: None,
         unit: None,
     };
+    let mut fields = channels.fields(&samples, distance, &like);
+    for field in &mut fields {
+        field.declares_labels = header.intent == INTENT_LABEL;
+    }
     Ok(OpenedFile {
         geometry,
         steps: shape.steps,
         uneven: None,
         times: header.times(shape.steps),
-        fields: channels.fields(&samples, distance, &like),
+        fields,
         notices,
     })
 }

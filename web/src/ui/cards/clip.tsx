@@ -4,6 +4,7 @@ import { createMemo, Show } from "solid-js";
 import type { Vec3, VolumeInfo } from "../../protocol/types";
 import { boundsOf, reach, type Bounds } from "../../state/bounds";
 import { lengthUnit, unitWord } from "../../state/lengths";
+import { unitsOf } from "../../state/typedNumber";
 import { NO_CLIP, type ClipChoice } from "../../state/look";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
@@ -58,10 +59,10 @@ function Clip(props: { readonly volume: VolumeInfo }) {
       <Show when={clip().plane}>{(plane) => <PlanePlace plane={plane()} bounds={bounds()} onChange={(value, gesture) => change({ plane: value }, gesture)} />}</Show>
       <Toggle label="Box" on={clip().box !== undefined} onChange={(on) => change({ box: on ? bounds() : undefined })} />
       <Show when={clip().box}>{(box) => <BoxFaces box={box()} bounds={bounds()} onChange={(value) => change({ box: value })} />}</Show>
-      <Toggle label="Close what is cut" on={clip().caps} onChange={(caps) => change({ caps })} />
-      <Show when={clip().plane ?? clip().box} fallback={<p class="note">Nothing is cut away</p>}>
+      <Toggle label="Fill cut" on={clip().caps} onChange={(caps) => change({ caps })} />
+      <Show when={clip().plane ?? clip().box} fallback={<p class="note">No clipping</p>}>
         <div class="control row">
-          <p class="note">The dots in the picture can be dragged</p>
+          <p class="note">Drag the handles in the picture</p>
           <Button quiet onClick={() => actions.changeLook({ clip: { ...NO_CLIP, caps: clip().caps } })}>
             Show all
           </Button>
@@ -95,7 +96,7 @@ function PlanePlace(props: { readonly plane: Plane; readonly bounds: Bounds; rea
       words={`${place()} ${unitWord(lengthUnit(volume()))}`}
       field={
         <>
-          <NumberField label="Where the plane lies" value={place()} step={(range()[1] - range()[0]) / 100} onChange={(to) => move(to)} />
+          <NumberField label="Where the plane lies" value={place()} units={unitsOf(lengthUnit(volume()))} step={(range()[1] - range()[0]) / 100} onChange={(to) => move(to)} />
           <Button quiet onClick={flip}>
             Flip
           </Button>
@@ -108,6 +109,8 @@ function PlanePlace(props: { readonly plane: Plane; readonly bounds: Bounds; rea
 }
 
 function BoxFaces(props: { readonly box: Box; readonly bounds: Bounds; readonly onChange: (box: Box) => void }) {
+  const { volume } = useModel();
+  const units = () => unitsOf(lengthUnit(volume()));
   const faces = (axis: 0 | 1 | 2, name: Axis) => {
     const moved = (side: "min" | "max", value: number): Box => ({ ...props.box, [side]: props.box[side].map((n, i) => (i === axis ? value : n)) });
     const step = () => (props.bounds.max[axis] - props.bounds.min[axis]) / 100 || 1;
@@ -116,9 +119,9 @@ function BoxFaces(props: { readonly box: Box; readonly bounds: Bounds; readonly 
         <span class="label">{name}</span>
         <span class="pair">
           from
-          <NumberField label={`${name} from`} value={props.box.min[axis]} max={props.box.max[axis]} step={step()} onChange={(value) => props.onChange(moved("min", value))} />
+          <NumberField label={`${name} from`} value={props.box.min[axis]} max={props.box.max[axis]} step={step()} units={units()} onChange={(value) => props.onChange(moved("min", value))} />
           to
-          <NumberField label={`${name} to`} value={props.box.max[axis]} min={props.box.min[axis]} step={step()} onChange={(value) => props.onChange(moved("max", value))} />
+          <NumberField label={`${name} to`} value={props.box.max[axis]} min={props.box.min[axis]} step={step()} units={units()} onChange={(value) => props.onChange(moved("max", value))} />
         </span>
       </div>
     );

@@ -32,8 +32,8 @@ export function trianglesOf(budget: TriangleBudget, fullTriangles: number | unde
 }
 
 /** What a guard that gave way has let happen. */
-export function gaveWayText(guard: GuardName, { tolerance }: Statistics, scale: LengthScale): string {
+export function gaveWayText(guard: GuardName, { error, estimatedError }: Pick<Statistics, "error" | "estimatedError">, scale: LengthScale): string {
   if (guard === "topology") return "Topology not kept: the budget is too small";
-  if (tolerance === null) return "Error not kept: the budget is too small";
-  return `Unimportant parts are off by up to ${formatLength(tolerance, scale)}: the budget is too small`;
+  if (error !== null) return `Max. error ${formatLength(error.max, scale)}`;
+  return estimatedError === null ? "The limit on the error is not kept" : `Error ≈ ${formatLength(estimatedError.rms, scale)} (RMS)`;
 }

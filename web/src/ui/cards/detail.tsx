@@ -66,7 +66,7 @@ function Detail(props: { readonly view: View }) {
         words={shareWords(share(), shown(), statistics(), expected())}
         onChange={(value, gesture) => actions.edit({ triangles: budgetOf(value, props.view) }, gesture)}
         onEnd={actions.endGesture}
-        field={<TrianglesField shown={shown()} />}
+        field={<TrianglesField shown={shown()} full={statistics()?.fullTriangles} />}
       />
       <Limits view={props.view} />
       <details class="expert">
@@ -79,10 +79,22 @@ function Detail(props: { readonly view: View }) {
   );
 }
 
-function TrianglesField(props: { readonly shown: number }) {
+function TrianglesField(props: { readonly shown: number; readonly full: number | undefined }) {
   const { actions } = useModel();
   const step = () => Number((props.shown / 10 || 100).toPrecision(1));
-  return <NumberField label="Triangles" wide value={props.shown} min={1} step={step()} onChange={(n) => actions.edit({ triangles: Math.round(n) })} />;
+  return (
+    <NumberField
+      label="Triangles"
+      wide
+      isWhole
+      value={props.shown}
+      min={1}
+      step={step()}
+      hundredPercent={props.full}
+      units={{ triangles: 1 }}
+      onChange={(n) => actions.edit({ triangles: Math.round(n) })}
+    />
+  );
 }
 
 /** The triangles above which the view makes none. */
@@ -106,7 +118,7 @@ export function shareWords(share: number, shown: number, statistics: Statistics 
 function Limits(props: { readonly view: View }) {
   const { actions, viewer } = useModel();
   const scale = useScale();
-  const limits = () => limitsOf(props.view, sharedStatistics(viewer()), viewer().refusal, scale(), budgetEdit(viewer(), { share: 0.25 }));
+  const limits = () => limitsOf(props.view, sharedStatistics(viewer()), viewer().refusal, scale(), budgetEdit(viewer(), { share: 0.25 }), sharerCount(viewer()) < 2 ? viewer().answers.curve?.value : undefined);
   return (
     <ul class="limits">
       <For each={limits()}>

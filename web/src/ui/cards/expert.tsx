@@ -3,8 +3,9 @@
 import { Show, type JSX } from "solid-js";
 import { LEVELS } from "../../protocol/generated";
 import type { Edit, Statistics, View } from "../../protocol/types";
-import { unitWord } from "../../state/lengths";
+import { lengthUnit, unitWord } from "../../state/lengths";
 import { budgetEdit } from "../../state/sharedBudget";
+import { unitsOf } from "../../state/typedNumber";
 import { cutsTree } from "../../state/view";
 import type { ViewerState } from "../../state/viewer";
 import { formatValue } from "../format";
@@ -53,12 +54,13 @@ function criterionEdit(by: Criterion, view: View, state: ViewerState, spacing: n
 }
 
 function Criteria(props: { readonly view: View }) {
-  const { actions, viewer } = useModel();
+  const { actions, viewer, volume } = useModel();
   const spacing = useSpacing();
   const statistics = () => viewer().statistics;
   const error = () => errorOf(props.view, statistics(), spacing());
   const tolerance = () => formatValue((statistics()?.tolerance ?? 0) / spacing(), 2);
   const by = () => criterion(props.view, statistics(), spacing());
+  const unit = () => lengthUnit(volume());
   return (
     <>
       <Row label="Decide by">
@@ -82,6 +84,7 @@ function Criteria(props: { readonly view: View }) {
           max={1000}
           step={Math.max(1e-3, Number((error() / 10).toPrecision(1)))}
           note={by() === "triangles" ? `× spacing, in force ${tolerance()}` : "× spacing"}
+          units={{ voxels: 1, voxel: 1, vx: 1, ...unitsOf(unit(), 1 / spacing()) }}
           words={`${formatValue(error())} times the distance between samples`}
           onChange={(value, gesture) => actions.edit({ error: `${value}vx`, triangles: props.view.triangles, bytes: props.view.bytes }, gesture)}
           onEnd={actions.endGesture}
@@ -118,7 +121,7 @@ const ERROR_LIMITS = ["auto", "none", "0.1vx", "0.25vx", "0.5vx", "1vx"];
 function errorLimitText(value: string, unit: string | undefined): string {
   if (value === "auto") return "Auto";
   if (value === "none") return "No guard";
-  return value.endsWith("vx") ? `${value.slice(0, -2)} of a sample's distance` : `${value} ${unitWord(unit)}`;
+  return value.endsWith("vx") ? `${value.slice(0, -2)} voxel` : `${value} ${unitWord(unit)}`;
 }
 
 /** The paper's mesher knows no error: the budget beside it stays, or β takes its place. */
@@ -136,7 +139,7 @@ function Guards(props: { readonly view: View }) {
   const guard = (value: string) => (value === "none" ? null : value === "auto" || value.endsWith("vx") ? value : Number(value));
   return (
     <>
-      <Select label="Largest error" value={limit()} options={limits().map((value) => ({ value, text: errorLimitText(value, scale().unit) }))} onChange={(value) => actions.edit({ maxError: guard(value) })} />
+      <Select label="Maximum error" value={limit()} options={limits().map((value) => ({ value, text: errorLimitText(value, scale().unit) }))} onChange={(value) => actions.edit({ maxError: guard(value) })} />
       <Row label="Topology">
         <Choice<View["topology"]>
           label="Topology"
@@ -174,9 +177,9 @@ function MesherRows(props: { readonly view: View }) {
       <Row label="Coarsest level">
         <Choice<number> label="Coarsest level" value={props.view.maxLevel} options={levels} onChange={(maxLevel) => actions.edit({ maxLevel })} />
       </Row>
-      <Row label="Drop parts below">
+      <Row label="Remove parts smaller than">
         <span class="with-unit">
-          <NumberField label="Area below which parts are dropped" value={props.view.minPart ?? 0} min={0} step={1} disabled={!cutsTree(props.view)} onChange={(minPart) => actions.edit({ minPart })} />
+          <NumberField label="Area below which parts are removed" value={props.view.minPart ?? 0} min={0} step={1} disabled={!cutsTree(props.view)} onChange={(minPart) => actions.edit({ minPart })} />
           <span class="unit">{scale().unit === undefined ? "area" : unitWord(scale().unit, 2)}</span>
         </span>
       </Row>

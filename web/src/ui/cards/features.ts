@@ -1,7 +1,7 @@
 /** Names of features, and what is known of them. Pure. */
 
 import type { DerivedInfo, VolumeInfo } from "../../protocol/types";
-import { derivedFeature, type Chosen } from "../../state/fields";
+import { derivedFeature, hasLabels, type Chosen } from "../../state/fields";
 
 /** No feature: importance is smoothness alone. */
 export const NO_FEATURE = "none";
@@ -19,12 +19,23 @@ function vectorFeature(volume: VolumeInfo, feature: string): DerivedInfo | undef
   return volume.vectors.map(({ features }) => (Object.hasOwn(features, feature) ? features[feature] : undefined)).find((info) => info !== undefined);
 }
 
-/** Names of the features to choose from beside the shape and the gradient's magnitude: computed from the shown field, from vectors, fields. */
+/**
+ * Names of the features to choose from beside the shape and the gradient's magnitude: computed from the shown field, from vectors, other
+ * fields. The shown field has one value on its own surface.
+ */
 export function otherFeatures(volume: VolumeInfo, field: string): readonly string[] {
   const derived = Object.keys(volume.fields.find(({ name }) => name === field)?.derivedFeatures ?? {});
   const ofVectors = volume.vectors.flatMap(({ features }) => Object.keys(features));
   const names = [...derived, ...ofVectors, ...volume.fields.map(({ name }) => name)];
-  return [...new Set(names)].filter((name) => name !== GRADIENT);
+  return [...new Set(names)].filter((name) => name !== GRADIENT && name !== field);
+}
+
+/** The one that is offered first: another measured field, or what is computed, or labels. `undefined` if there is none. */
+export function bestOther(volume: VolumeInfo, field: string): string | undefined {
+  const others = otherFeatures(volume, field);
+  const ofFields = volume.fields.filter(({ name }) => others.includes(name));
+  const measured = ofFields.find((known) => !hasLabels(known) && known.range[0] < known.range[1]);
+  return measured?.name ?? others.find((name) => !ofFields.some((known) => known.name === name)) ?? others[0];
 }
 
 /** Texts of what has no name from a file. */

@@ -26,7 +26,7 @@ export function jobText({ state, paused, extractions, bytes, etaSeconds, error }
   if (paused !== undefined && (state === "queued" || state === "running")) return `${made}, stands still: ${PAUSES[paused] ?? paused}`;
   switch (state) {
     case "queued":
-      return `waits, ${files(total)}`;
+      return `queued, ${files(total)}`;
     case "running":
       return made + (etaSeconds === undefined ? "" : `, about ${formatDuration(etaSeconds)} left`);
     case "done":

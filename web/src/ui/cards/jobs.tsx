@@ -70,7 +70,7 @@ function Submit(props: { readonly onSubmit: (isovalues: readonly number[]) => Pr
         <Choice<MeshFormat> label="Format of the files" value={format()} options={OPTIONS} onChange={setFormat} />
       </div>
       <div class="control row">
-        <p class="note">A file each, as the view is now. They are made when nobody waits, and kept</p>
+        <p class="note">One file per isovalue with the current settings. Runs when the server is idle</p>
         <button type="submit" class="button" disabled={isSending()}>
           Submit
         </button>

@@ -1,8 +1,9 @@
 /** What keeps the surface from being finer or coarser, in words, and the edits that end it. Pure. */
 
-import type { Edit, Statistics, View } from "../../protocol/types";
+import type { Curve, Edit, Statistics, View } from "../../protocol/types";
 import type { LengthScale } from "../../state/lengths";
 import { formatCount, formatLength, formatValue } from "../format";
+import { FINE_ERROR, trianglesFor } from "../plots/errorCurve";
 import { criterion, gaveWayText, inSpacings } from "./criterion";
 
 export interface Limit {
@@ -20,15 +21,18 @@ interface Refusal {
 /** Where no other surface has a budget. */
 const FIRST_BUDGET: Edit = { triangles: { share: 0.25 } };
 
-/** `budget`: the edit that lets a budget decide. */
-export function limitsOf(view: View, statistics: Statistics | undefined, refusal: Refusal | undefined, scale: LengthScale, budget: Edit = FIRST_BUDGET): readonly Limit[] {
+/**
+ * @param budget the edit that lets a budget decide
+ * @param curve of this surface, if it alone has the budget
+ */
+export function limitsOf(view: View, statistics: Statistics | undefined, refusal: Refusal | undefined, scale: LengthScale, budget: Edit = FIRST_BUDGET, curve?: Curve): readonly Limit[] {
   // There is nothing to limit.
   if (statistics?.fullTriangles === 0) return [];
   const found: (Limit | undefined)[] = [
     refusalLimit(refusal, view),
     betaLimit(view, budget),
     errorLimit(view, statistics, scale),
-    budgetLimit(view, statistics, scale),
+    budgetLimit(view, statistics, scale, curve),
     maximumLimit(view, statistics),
   ];
   return found.filter((limit) => limit !== undefined);
@@ -43,7 +47,7 @@ function refusalLimit(refusal: Refusal | undefined, view: View): Limit | undefin
   const text = `No surface with so few triangles is within the guards: the smallest has ${formatCount(minimum)}`;
   const isGuarded = view.topology === "preserve" || (view.maxError !== null && view.maxError !== "auto");
   if (!isGuarded) return { text, lift: { text: `Make ${formatCount(minimum)}`, edit: { triangles: minimum } } };
-  return { text, lift: { text: "Let the guards give way", edit: { topology: "auto", maxError: "auto" } } };
+  return { text, lift: { text: "Relax limits", edit: { topology: "auto", maxError: "auto" } } };
 }
 
 function betaLimit(view: View, budget: Edit): Limit | undefined {
@@ -58,25 +62,43 @@ function betaLimit(view: View, budget: Edit): Limit | undefined {
 function errorLimit(view: View, statistics: Statistics | undefined, scale: LengthScale): Limit | undefined {
   const { error, triangles } = view;
   if (error === undefined || statistics === undefined || criterion(view, statistics, scale.spacing) !== "error") return undefined;
-  const text = `Merged up to an error of ${formatLength(inSpacings(error, scale.spacing) * scale.spacing, scale)}`;
-  return triangles === undefined ? { text } : { text: `${text}, which needs no more triangles`, lift: { text: "Use more", edit: { triangles } } };
+  const text = formatLength(inSpacings(error, scale.spacing) * scale.spacing, scale);
+  if (triangles === undefined) return { text: `Merged up to an error of ${text}` };
+  return { text: `${text} reached with fewer triangles than the budget`, lift: { text: "Refine further", edit: { triangles } } };
 }
 
-/** The budget's tolerance, and the guards that gave way to it. */
-function budgetLimit(view: View, statistics: Statistics | undefined, scale: LengthScale): Limit | undefined {
+/** Guards that gave way to the budget, and an error that needs more triangles. */
+function budgetLimit(view: View, statistics: Statistics | undefined, scale: LengthScale, curve: Curve | undefined): Limit | undefined {
   if (statistics === undefined) return undefined;
-  const { error } = view;
-  const gaveWay = statistics.gaveWay.map((guard) => gaveWayText(guard, statistics, scale));
-  const decides = error !== undefined && criterion(view, statistics, scale.spacing) === "triangles";
-  if (gaveWay.length === 0 && !decides) return undefined;
-  const wanted = error === undefined ? "" : `Within ${formatLength(inSpacings(error, scale.spacing) * scale.spacing, scale)} it takes more`;
-  const text = gaveWay.length > 0 ? gaveWay.join(". ") : wanted;
-  return decides ? { text, lift: { text: "Allow more", edit: { error } } } : { text };
+  const gaveWay = statistics.gaveWay.map((guard) => gaveWayText(guard, statistics, scale)).join(". ");
+  const wanted = wantedLimit(view, statistics, scale, curve);
+  if (wanted === undefined) return gaveWay === "" ? undefined : { text: `Limited by the budget. ${gaveWay}` };
+  return { ...wanted, text: gaveWay === "" ? wanted.text : `${wanted.text}. ${gaveWay}` };
+}
+
+/** A budget that is reached before the view's error, or, without one, before an error that is hardly seen. */
+function wantedLimit(view: View, statistics: Statistics, { spacing, unit }: LengthScale, curve: Curve | undefined): Limit | undefined {
+  const { error, triangles } = view;
+  if (triangles === undefined || criterion(view, statistics, spacing) !== "triangles") return undefined;
+  const length = (error === undefined ? FINE_ERROR : inSpacings(error, spacing)) * spacing;
+  const needed = curve?.byError === true ? trianglesFor(curve.points, length, "threshold") : undefined;
+  const text = formatLength(length, { spacing, unit });
+  if (needed === undefined) return error === undefined ? undefined : { text: `${text} needs more triangles`, lift: { text: "Allow more", edit: { error } } };
+  const count = roundedUp(needed);
+  if (count <= statistics.triangles) return undefined;
+  const edit: Edit = { triangles: count, ...(error === undefined ? {} : { error }) };
+  return { text: `${text} needs ${formatCount(count)} triangles`, lift: { text: `Use ${formatCount(count)}`, edit } };
+}
+
+/** To two digits, and a little more than the curve says, whose points are not exact. */
+function roundedUp(count: number): number {
+  const unit = 10 ** Math.max(0, Math.floor(Math.log10(count)) - 1);
+  return Math.ceil((1.02 * count) / unit) * unit;
 }
 
 function maximumLimit({ triangles, error }: View, statistics: Statistics | undefined): Limit | undefined {
   if (typeof triangles !== "object" || triangles.max === undefined || statistics === undefined) return undefined;
   if (triangles.share * statistics.fullTriangles <= triangles.max) return undefined;
   const edit: Edit = { triangles: { share: triangles.share }, ...(error === undefined ? {} : { error }) };
-  return { text: `At most ${formatCount(triangles.max)}, so that the picture stays quick`, lift: { text: "Lift", edit } };
+  return { text: `Capped at ${formatCount(triangles.max)} for speed`, lift: { text: "Remove cap", edit } };
 }

@@ -3,7 +3,7 @@
 import { For, Show } from "solid-js";
 import { COLOR_MAPS } from "../../colors/maps";
 import { MAPS, MATERIALS, type ColorBy, type Look } from "../../state/look";
-import { awaitedErrors, shownErrors } from "../../state/shownErrors";
+import { awaitedErrors, errorsOf, shownErrors } from "../../state/shownErrors";
 import { useModel, useScale } from "../model";
 import { surfaceName } from "../surfaceNames";
 import { Button } from "../widgets/button";
@@ -13,7 +13,7 @@ import type { Card } from "./card";
 import { Peel } from "./peel";
 
 const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonly hint: string }[] = [
-  { value: "material", text: "Material", hint: "One colour: the light shows the shape" },
+  { value: "material", text: "Material", hint: "Single colour" },
   { value: "transfer", text: "Editor", hint: "The colours of the points under What matters" },
   { value: "feature", text: "Value", hint: "What the editor is over: shape and feature, blended" },
   { value: "importance", text: "Importance", hint: "How much each part matters" },
@@ -81,7 +81,7 @@ function ErrorNote() {
   const scale = useScale();
   const text = () => {
     const distances = shownErrors(viewer(), surfaces());
-    return distances === undefined ? awaitedWords(awaitedErrors(viewer(), surfaces())) : distanceWords(distances, scale());
+    return distances === undefined ? awaitedWords(awaitedErrors(viewer(), surfaces())) : distanceWords(distances, errorsOf(viewer(), surfaces()), scale());
   };
   return <p class="note">{text()}</p>;
 }

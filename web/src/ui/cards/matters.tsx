@@ -1,10 +1,11 @@
 /** Where the surface stays fine: a feature, its weight against the shape, the transfer function, and regions of interest. */
 
 import { createMemo, createSignal, Show } from "solid-js";
-import { GRADIENT, NO_FEATURE, featureInfo, label, otherFeatures } from "./features";
+import { GRADIENT, NO_FEATURE, bestOther, featureInfo, label, otherFeatures } from "./features";
 import type { DerivedInfo, Distribution, FieldInfo, View, VolumeInfo } from "../../protocol/types";
 import { isExpression } from "../../state/expressions";
 import { ownRange } from "../../state/fields";
+import { unitsOf } from "../../state/typedNumber";
 import { useDescribed } from "../expressions";
 import { formatShare } from "../format";
 import { useModel } from "../model";
@@ -122,12 +123,12 @@ function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {
     { value: "edges" as const, text: "Edges", hint: "Fine where values change fast: the gradient's magnitude" },
     ...(others().length === 0 ? [] : [{ value: "field" as const, text: "Field", hint: "Fine where a field, or a feature computed from the data, is high" }]),
   ];
-  const chooseKind = (kind: Kind) => choose(kind === "shape" ? NO_FEATURE : kind === "edges" ? GRADIENT : (others().at(-1) ?? NO_FEATURE));
+  const chooseKind = (kind: Kind) => choose(kind === "shape" ? NO_FEATURE : kind === "edges" ? GRADIENT : (bestOther(props.volume, props.view.field) ?? NO_FEATURE));
   return (
     <div class="control row">
       <Choice<Kind> label="What matters" value={kindOf(props.view)} options={kinds()} onChange={chooseKind} />
       <Show when={kindOf(props.view) === "field"}>
-        <Select label="Field that matters" hideLabel value={props.view.feature} options={[...others(), ...(isExpression(props.volume, props.view.feature) ? [props.view.feature] : [])].map((name) => ({ value: name, text: label(name) }))} onChange={choose} />
+        <Select label="Field that matters" hideLabel value={props.view.feature} options={[...new Set([...others(), props.view.feature])].map((name) => ({ value: name, text: label(name) }))} onChange={choose} />
       </Show>
       <Show when={kindOf(props.view) === "edges"}>
         <span class="note" title={`α: ${alphaText(props.view.alpha, props.view.feature)}`}>
@@ -169,6 +170,7 @@ function Weight(props: { readonly view: View }) {
       min={0}
       max={1}
       step={0.01}
+      hundredPercent={1}
       words={words()}
       onChange={(alpha, gesture) => actions.edit({ alpha }, gesture)}
       onEnd={actions.endGesture}
@@ -190,9 +192,9 @@ function Range(props: { readonly view: View; readonly info: DerivedInfo | undefi
         <div class="control row">
           <span class="label">Axis from</span>
           <span class="pair">
-            <NumberField label="Feature value that becomes 0" value={ends()[0]} step={step()} max={ends()[1] - step()} onChange={(low) => change(low, ends()[1])} />
+            <NumberField label="Feature value that becomes 0" value={ends()[0]} step={step()} units={unitsOf(props.info?.unit)} max={ends()[1] - step()} onChange={(low) => change(low, ends()[1])} />
             <span>to</span>
-            <NumberField label="Feature value that becomes 1" value={ends()[1]} step={step()} min={ends()[0] + step()} onChange={(high) => change(ends()[0], high)} />
+            <NumberField label="Feature value that becomes 1" value={ends()[1]} step={step()} units={unitsOf(props.info?.unit)} min={ends()[0] + step()} onChange={(high) => change(ends()[0], high)} />
             <span class="unit">{props.info?.unit ?? ""}</span>
           </span>
         </div>

@@ -33,7 +33,7 @@ export default function Body() {
         isOffered={(tool) => tool !== "reading" || viewer().questions.includes("probe")}
         hint={(tool) => <span role="status">{STEPS[tool][page().picked.length % POINTS[tool]]}</span>}
       />
-      <Show when={look().measures.length > 0} fallback={<p class="note">Straight through space, from point to point on the surface</p>}>
+      <Show when={look().measures.length > 0} fallback={<p class="note">Straight-line distance between points on the surface</p>}>
         <List />
       </Show>
     </>

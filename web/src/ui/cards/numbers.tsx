@@ -3,6 +3,7 @@
 import type { Statistics, VolumeInfo } from "../../protocol/types";
 import { lengthScale, lengthUnit, unitWord, type LengthScale } from "../../state/lengths";
 import { formatBytes, formatCount, formatLength, formatMs, formatValue } from "../format";
+import { countWords } from "../words";
 import { useModel } from "../model";
 import type { Card } from "./card";
 import { EnclosedSums } from "./enclosed";
@@ -18,10 +19,8 @@ function volumeRows(volume: VolumeInfo): readonly Row[] {
 }
 
 function surfaceRows(s: Statistics, scale: LengthScale): readonly Row[] {
-  const kept = s.fullTriangles > 0 ? ` (${((100 * s.triangles) / s.fullTriangles).toFixed(1)} %)` : "";
   return [
-    ["Triangles", `${formatCount(s.triangles)}${kept}`],
-    ["Full surface", formatCount(s.fullTriangles)],
+    ["Triangles", countWords(s.triangles, s.fullTriangles).replace(" triangles", "")],
     ...criterionRows(s, scale),
     ...errorRows(s, scale),
     ["Vertices", formatCount(s.vertices)],
@@ -52,10 +51,7 @@ function errorRows({ error, estimatedError }: Statistics, scale: LengthScale): r
     ];
   }
   if (estimatedError === null) return [];
-  return [
-    ["Error, rms", `≈ ${formatLength(estimatedError.rms, scale, 3)}`],
-    ["Error, worst leaf", `≈ ${formatLength(estimatedError.worstLeaf, scale, 3)}`],
-  ];
+  return [["Error, rms", `≈ ${formatLength(estimatedError.rms, scale, 3)}`]];
 }
 
 function Body() {

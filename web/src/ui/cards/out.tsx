@@ -66,7 +66,7 @@ export default function Body() {
         </div>
         <All />
         <Show when={canCap()}>
-          <Toggle label="Close it where it leaves the volume" on={wantsCap()} onChange={setCap} />
+          <Toggle label="Cap at volume boundary" on={wantsCap()} onChange={setCap} />
         </Show>
       </Needs>
       <div class="control row">
@@ -103,7 +103,7 @@ function Turn() {
       <span class="label">Turntable</span>
       <span class="inline">
         <Show when={turning() === undefined} fallback={<span role="status">{formatPercent(turning() ?? 0)}</span>}>
-          <NumberField label="Images of a turn" value={frames()} min={2} max={MOST_FRAMES} step={10} onChange={(n) => setFrames(Math.round(n))} />
+          <NumberField label="Images of a turn" value={frames()} min={2} max={MOST_FRAMES} isWhole step={10} onChange={(n) => setFrames(Math.round(n))} />
           images
         </Show>
         <Button onClick={() => actions.saveTurn(request(), frames())}>{turning() === undefined ? "Save ZIP" : "Stop"}</Button>

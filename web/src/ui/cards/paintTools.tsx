@@ -4,6 +4,7 @@ import { createEffect, createSignal, For, onCleanup, Show } from "solid-js";
 import type { View } from "../../protocol/types";
 import { MAX_REGIONS } from "../../state/interest";
 import { lengthUnit, unitWord } from "../../state/lengths";
+import { unitsOf } from "../../state/typedNumber";
 import { formatValue } from "../format";
 import { useModel, useScale } from "../model";
 import { Button } from "../widgets/button";
@@ -16,7 +17,7 @@ type Region = View["interest"][number];
 /** Smallest and largest radius, as shares of the volume's longest side. */
 const RADII = [0.005, 0.25] as const;
 
-const HINTS = { pick: "Click the surface for a point at its value", paint: "Click what is to stay fine" } as const;
+const HINTS = { pick: "Click the surface for a point at its value", paint: "Click to keep detail here" } as const;
 const TOOLS = [
   { tool: "pick", text: "Pick a value", title: HINTS.pick },
   { tool: "paint", text: "Mark a region", title: HINTS.paint },
@@ -67,6 +68,7 @@ function Radius() {
       max={RADII[1] * extent()}
       step={Number((brush() / 10).toPrecision(1))}
       note={unitWord(lengthUnit(volume()))}
+      units={unitsOf(lengthUnit(volume()))}
       onChange={(radius) => actions.changePage({ brush: radius })}
       onEnd={() => undefined}
     />

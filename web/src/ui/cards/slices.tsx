@@ -43,7 +43,7 @@ function SlicePlace(props: { readonly axis: 0 | 1 | 2; readonly name: string; re
   const plane = (value: number) => Math.min(last(), Math.max(0, Math.round(value)));
   return (
     <>
-      <Toggle label={`Across ${props.name}`} on={index() !== null} onChange={(on) => change(on ? Math.round(last() / 2) : null)} />
+      <Toggle label={`Perpendicular to ${props.name}`} on={index() !== null} onChange={(on) => change(on ? Math.round(last() / 2) : null)} />
       <Show when={index() !== null}>
         <Slider
           label={`Slice across ${props.name}`}

@@ -3,6 +3,7 @@
 import { createMemo, createSignal, For, Show, type JSX } from "solid-js";
 import type { FieldInfo } from "../../protocol/types";
 import { fieldEdit } from "../../state/fields";
+import { unitsOf } from "../../state/typedNumber";
 import { useDescribed } from "../expressions";
 import { digitsBetween, formatValue } from "../format";
 import { useModel } from "../model";
@@ -106,7 +107,7 @@ function Isovalue(props: { readonly field: FieldInfo; readonly iso: number; read
         {props.children}
         <span class="spring" />
         <Show when={!several()}>
-          <NumberField label="Isovalue" value={props.iso} digits={digits() + 1} step={range() / 256 || 1} onChange={(iso) => actions.edit({ iso })} />
+          <NumberField label="Isovalue" value={props.iso} digits={digits() + 1} step={range() / 256 || 1} units={unitsOf(unit())} onChange={(iso) => actions.edit({ iso })} />
           <span class="unit">{unit()}</span>
         </Show>
       </div>

@@ -3,6 +3,7 @@
 import { createSignal, Index, Show, type JSX } from "solid-js";
 import { freeColor, MAX_SURFACES, type Surface } from "../../state/surfaceList";
 import { surfacesOf, type SurfaceState } from "../../state/surfaceState";
+import { unitsOf } from "../../state/typedNumber";
 import type { VolumeInfo } from "../../protocol/types";
 import { digitsBetween, formatCount } from "../format";
 import { useModel } from "../model";
@@ -46,8 +47,8 @@ export function SurfaceRows(props: { readonly children: JSX.Element }) {
   const isFull = () => surfaces().length >= most();
   const selectedName = useSurfaceName();
   const note = () => {
-    if (isFull() && most() > 1) return `${most()} surfaces are the most`;
-    return several() ? `You edit ${selectedName()}` : "";
+    if (isFull() && most() > 1) return `Maximum of ${most()} surfaces`;
+    return several() ? `Editing ${selectedName()}` : "";
   };
   const [isOpen, toggleOpen] = createPanel(several);
   const [isPartsOpen, togglePartsOpen] = createPanel(() => (view()?.parts ?? null) !== null);
@@ -76,7 +77,7 @@ export function SurfaceRows(props: { readonly children: JSX.Element }) {
           </button>
         </Show>
         <Show when={offersMask()}>
-          <button type="button" class="button quiet" aria-label="Mask of the surface" title="Only where another field has certain values" aria-expanded={isMaskOpen()} on:click={toggleMaskOpen}>
+          <button type="button" class="button quiet" aria-label="Mask of the surface" title="Restrict the surface to where another field has certain values" aria-expanded={isMaskOpen()} on:click={toggleMaskOpen}>
             Mask
           </button>
         </Show>
@@ -135,7 +136,7 @@ function Row(props: { readonly surface: Surface; readonly place: number; readonl
       <button type="button" class="surface-disc" style={colors()} aria-label={`Select ${name()}`} aria-pressed={props.isSelected} title="The cards are about the selected surface" on:click={() => actions.selectSurface(number())}>
         {props.place + 1}
       </button>
-      <NumberField label={`Isovalue of ${name()}`} value={props.surface.view.iso} digits={digitsBetween(...ends()) + 1} step={range() / 256 || 1} disabled={!model.may("edit")} onChange={change} />
+      <NumberField label={`Isovalue of ${name()}`} value={props.surface.view.iso} digits={digitsBetween(...ends()) + 1} step={range() / 256 || 1} units={unitsOf(field()?.unit)} disabled={!model.may("edit")} onChange={change} />
       <span class="unit">{field()?.unit ?? ""}</span>
       <span class="note clipped" title={`${label(props.surface.view.field)}, ${formatCount(triangles())} triangles`}>
         <Show when={(volume()?.fields.length ?? 1) > 1}>{label(props.surface.view.field)} · </Show>
@@ -180,8 +181,8 @@ function Style() {
                 label={`Colour of ${name()}`}
                 value={surface().style.color === undefined ? "look" : "own"}
                 options={[
-                  { value: "look", text: "As Look", hint: "The material or the colours that Look has for all" },
-                  { value: "own", text: "Its own", hint: "One colour, whatever Look says" },
+                  { value: "look", text: "Shared", hint: "The material or colours of Look, as all surfaces" },
+                  { value: "own", text: "Custom", hint: "A single colour of this surface" },
                 ]}
                 onChange={(by) => actions.changeStyle(surface().number, { color: by === "own" ? freeColor(surfaces()) : undefined })}
               />
@@ -218,7 +219,7 @@ function Opacity(props: { readonly surface: Surface; readonly name: string }) {
       words={`${percent()} percent`}
       field={
         <>
-          <NumberField label={`Opacity of ${props.name}, percent`} value={percent()} min={100 * MIN_OPACITY} max={100} step={5} onChange={(n) => change(n / 100)} />
+          <NumberField label={`Opacity of ${props.name}, percent`} value={percent()} min={100 * MIN_OPACITY} max={100} hundredPercent={100} step={5} onChange={(n) => change(n / 100)} />
           <span class="unit">%</span>
         </>
       }

@@ -34,7 +34,7 @@ function Body() {
         <div class="control-head">
           <label for={id}>Time step</label>
           <span class="note" />
-          <NumberField label="Number of the time step, from 1" value={step() + 1} min={1} max={count()} onChange={(value) => goByHand(value - 1)} />
+          <NumberField label="Number of the time step, from 1" value={step() + 1} min={1} max={count()} isWhole onChange={(value) => goByHand(value - 1)} />
           <span>of {count()}</span>
         </div>
         <input
@@ -58,7 +58,7 @@ function Body() {
         <IconButton icon="previous" label="Previous time step" keys="," disabled={step() === 0} onClick={() => goByHand(step() - 1)} />
         <IconButton icon={player().playing ? "pause" : "play"} label={player().playing ? "Pause" : "Play"} keys="P" onClick={play} />
         <IconButton icon="next" label="Next time step" keys="." disabled={atEnd()} onClick={() => goByHand(step() + 1)} />
-        <IconButton icon="loop" label="Begin anew at the end" pressed={player().loop} onClick={() => change({ loop: !player().loop })} />
+        <IconButton icon="loop" label="Loop" pressed={player().loop} onClick={() => change({ loop: !player().loop })} />
         <Select
           label="Speed"
           hideLabel

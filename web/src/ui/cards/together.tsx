@@ -55,7 +55,7 @@ function Leading(props: { readonly group: GroupState }) {
       </Show>
       <People group={props.group} />
       <div class="control row">
-        <p class="note">The link has no password: who opens it needs leave to use this server</p>
+        <p class="note">Anyone with access to this server can join by this link</p>
         <Button onClick={() => actions.group({ type: "leave" })}>End</Button>
       </div>
     </>
@@ -95,7 +95,7 @@ function Following(props: { readonly group: GroupState }) {
     <>
       <div class="control row">
         <span class="label" role="status">
-          {isLed(props.group) ? "You follow" : "You have control"}. {followersText(props.group.followers)} in all
+          {isLed(props.group) ? "You are following" : "You have control"} · {followersText(props.group.followers)}
         </span>
         <Button onClick={() => actions.group({ type: "leave" })}>Leave</Button>
       </div>
@@ -106,7 +106,7 @@ function Following(props: { readonly group: GroupState }) {
         <Camera group={props.group} />
         <Needs role="edit">
           <div class="control row">
-            <p class="note">{props.group.asks ? "The leader was asked" : "To change something yourself"}</p>
+            <p class="note">{props.group.asks ? "Request sent" : "To change something yourself"}</p>
             <Button onClick={() => actions.group({ type: "ask", asks: !props.group.asks })}>{props.group.asks ? "Ask no more" : "Ask for control"}</Button>
           </div>
         </Needs>
@@ -122,7 +122,7 @@ function Camera(props: { readonly group: GroupState }) {
   return (
     <Show when={props.group.isApart}>
       <div class="control row">
-        <p class="note">You look around on your own</p>
+        <p class="note">Free camera</p>
         <Button onClick={() => actions.group({ type: "camera" })}>Follow the camera</Button>
       </div>
     </Show>

@@ -145,11 +145,11 @@ function PointRow(props: { readonly edit: Editing; readonly points: Points; read
       />
       <label class="inline">
         x
-        <NumberField label="Place of the point" value={edit.point().x} min={0} max={1} step={0.01} onChange={(x) => edit.move(x, edit.point().importance)} />
+        <NumberField label="Place of the point" value={edit.point().x} min={0} max={1} hundredPercent={1} step={0.01} onChange={(x) => edit.move(x, edit.point().importance)} />
       </label>
       <label class="inline">
         importance
-        <NumberField label="Importance of the point" value={edit.point().importance} min={0} max={1} step={0.01} onChange={(importance) => edit.move(edit.point().x, importance)} />
+        <NumberField label="Importance of the point" value={edit.point().importance} min={0} max={1} hundredPercent={1} step={0.01} onChange={(importance) => edit.move(edit.point().x, importance)} />
       </label>
       <span class="point-buttons">
         <Show when={props.points.length < MAX_POINTS}>

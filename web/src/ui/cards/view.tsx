@@ -7,8 +7,8 @@ import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
 
 const PROJECTIONS = [
-  { value: "perspective", text: "Perspective", hint: "What is near is larger" },
-  { value: "orthographic", text: "Orthographic", hint: "Equal lengths are equal wherever they are: for measuring" },
+  { value: "perspective", text: "Perspective", hint: "Perspective projection" },
+  { value: "orthographic", text: "Orthographic", hint: "Parallel projection: equal lengths look equal, for measuring" },
 ] as const;
 const AXES: readonly AxisName[] = ["+x", "-x", "+y", "-y", "+z", "-z"];
 const sign = (axis: string) => axis.replace("-", "−");

@@ -46,12 +46,12 @@ export function errorAt(points: Points, triangles: number): number | undefined {
   return coarse.rms * (fine.rms / coarse.rms) ** t;
 }
 
-/** The fewest triangles with which the error is at most this one; `undefined` where the curve does not cross it. */
-export function trianglesFor(points: Points, rms: number): number | undefined {
-  const after = points.findIndex((point) => point.rms > rms);
+/** The fewest triangles with which the error, or the threshold, is at most this one; `undefined` where the curve does not cross it. */
+export function trianglesFor(points: Points, value: number, of: "rms" | "threshold" = "rms"): number | undefined {
+  const after = points.findIndex((point) => point[of] > value);
   const [fine, coarse] = [points[after - 1], points[after]];
   if (coarse === undefined || fine === undefined) return undefined;
-  const t = fine.rms <= 0 ? rms / coarse.rms : between(fine.rms, coarse.rms, rms);
+  const t = fine[of] <= 0 ? value / coarse[of] : between(fine[of], coarse[of], value);
   return fine.triangles * (coarse.triangles / fine.triangles) ** t;
 }
 

@@ -1,15 +1,14 @@
 /** A text field for a number. The value changes on Enter or when the field loses focus; Escape restores it. What is not taken is said. */
 
 import { createEffect, createSignal, on } from "solid-js";
-import { formatValue, parseValue } from "../format";
+import { readTyped, type NumberKind, type TypedNumber } from "../../state/typedNumber";
+import { formatValue } from "../format";
 import { useModel } from "../model";
 
-export interface NumberFieldProps {
+export interface NumberFieldProps extends NumberKind {
   readonly label: string;
   /** NaN: nothing is shown. */
   readonly value: number;
-  readonly min?: number;
-  readonly max?: number;
   /** Arrow keys change by this much; Shift by ten times. */
   readonly step?: number;
   readonly disabled?: boolean;
@@ -19,12 +18,20 @@ export interface NumberFieldProps {
   readonly onChange: (value: number) => void;
 }
 
+type Bounds = Pick<NumberKind, "min" | "max">;
+
 /** Why a text is not taken as it is; `undefined` where it is. `taken`: what takes its place. */
-export function refusedText(text: string, { label, min = -Infinity, max = Infinity }: Pick<NumberFieldProps, "label" | "min" | "max">, taken: number): string | undefined {
-  const typed = parseValue(text);
+export function refusedText(text: string, kind: NumberKind & { readonly label: string }, taken: number): string | undefined {
+  const { label, min = -Infinity, max = Infinity } = kind;
+  const typed = readTyped(text, kind);
   if (typed === undefined) return text.trim() === "" ? undefined : `“${text.trim()}” is no number: ${label} stays ${formatValue(taken)}`;
+  if (typeof typed !== "number") return undefined;
   if (typed < min) return `${label} is at least ${formatValue(min)}: ${formatValue(taken)} is taken`;
   return typed > max ? `${label} is at most ${formatValue(max)}: ${formatValue(taken)} is taken` : undefined;
+}
+
+function clamp(value: number, { min = -Infinity, max = Infinity }: Bounds): number {
+  return Math.min(max, Math.max(min, value));
 }
 
 /** What an arrow key adds; `undefined` for other keys. */
@@ -33,12 +40,13 @@ function stepOf({ key, shiftKey }: KeyboardEvent, step = 1): number | undefined 
   return (key === "ArrowUp" ? step : -step) * (shiftKey ? 10 : 1);
 }
 
-export function NumberField(props: NumberFieldProps) {
-  const { say } = useModel();
+/** What is typed into a field, and what becomes of it. */
+function useTyping(props: NumberFieldProps) {
+  const { ask, say } = useModel();
   const format = (value: number) => formatValue(value, props.digits);
   const [text, setText] = createSignal(format(props.value));
   const [isTyping, setTyping] = createSignal(false);
-  const clamp = (value: number) => Math.min(props.max ?? Infinity, Math.max(props.min ?? -Infinity, value));
+  const typed = () => readTyped(text(), props);
   const show = () => {
     setTyping(false);
     setText(format(props.value));
@@ -46,19 +54,36 @@ export function NumberField(props: NumberFieldProps) {
   // The user's unfinished text is not overwritten.
   createEffect(on(() => props.value, () => isTyping() || show(), { defer: true }));
   const accept = (value: number) => {
-    const rounded = Number(formatValue(value, Math.max(7, props.digits ?? 0)));
+    const rounded = Number(formatValue(clamp(value, props), Math.max(7, props.digits ?? 0)));
     setTyping(false);
     setText(format(rounded));
     if (rounded !== props.value) props.onChange(rounded);
   };
-  const commit = () => {
-    const typed = parseValue(text());
-    // A value out of bounds becomes the bound; text that is no number is replaced by the value before.
-    if (isTyping()) say(refusedText(text(), props, typed === undefined ? props.value : clamp(typed)));
-    if (!isTyping() || typed === undefined || text() === format(props.value)) show();
-    else accept(clamp(typed));
+  /** Text that is no number is replaced by the value before, and so is text that can be read in two ways until the user says which is meant. */
+  const commitTyped = (text: string, value: TypedNumber) => {
+    if (typeof value === "number") accept(value);
+    else show();
+    if (typeof value === "object") ask(`“${text.trim()}” can be read in two ways. Which is ${props.label}?`, value.map((number) => ({ text: formatValue(number, 9), act: () => accept(number) })));
   };
-  const invalid = () => isTyping() && parseValue(text()) !== clamp(parseValue(text()) ?? NaN);
+  const commit = () => {
+    const value = typed();
+    if (!isTyping() || text() === format(props.value)) return show();
+    say(refusedText(text(), props, typeof value === "number" ? clamp(value, props) : props.value));
+    commitTyped(text(), value);
+  };
+  const invalid = () => {
+    const value = typed();
+    return isTyping() && (value === undefined || (typeof value === "number" && value !== clamp(value, props)));
+  };
+  const type = (changed: string) => {
+    setTyping(true);
+    setText(changed);
+  };
+  return { text, typed, isTyping, invalid, type, accept, commit, show };
+}
+
+export function NumberField(props: NumberFieldProps) {
+  const { text, typed, isTyping, invalid, type, accept, commit, show } = useTyping(props);
   const onKeyDown = (event: KeyboardEvent) => {
     if (event.key === "Escape" && isTyping()) {
       event.stopPropagation();
@@ -68,8 +93,9 @@ export function NumberField(props: NumberFieldProps) {
     const step = stepOf(event, props.step);
     if (step === undefined) return;
     event.preventDefault();
-    const value = parseValue(text()) ?? props.value;
-    if (Number.isFinite(value)) accept(clamp(value + step));
+    const value = typed();
+    const from = typeof value === "number" ? value : props.value;
+    if (Number.isFinite(from)) accept(from + step);
   };
   return (
     <input
@@ -84,10 +110,7 @@ export function NumberField(props: NumberFieldProps) {
       aria-invalid={invalid()}
       disabled={props.disabled ?? false}
       value={text()}
-      on:input={(event) => {
-        setTyping(true);
-        setText(event.currentTarget.value);
-      }}
+      on:input={(event) => type(event.currentTarget.value)}
       on:change={commit}
       on:blur={commit}
       on:focus={(event) => event.currentTarget.select()}

@@ -1,6 +1,7 @@
 /** A labelled slider with a number field beside it. The browser's own slider: it works with mouse, touch and readers of the screen; arrow keys move to the next value that differs. */
 
 import { createUniqueId, For, Show, type JSX } from "solid-js";
+import type { NumberKind } from "../../state/typedNumber";
 import { formatValue } from "../format";
 import { NumberField } from "./numberField";
 
@@ -32,7 +33,8 @@ export function valueAfter(scale: Scale, value: number, from: number, by: number
   }
 }
 
-export interface SliderProps {
+/** Of its number: bounds, and how it may be typed. */
+export interface SliderProps extends NumberKind {
   readonly label: string;
   readonly value: number;
   readonly scale: Scale;
@@ -49,8 +51,6 @@ export interface SliderProps {
   readonly disabled?: boolean;
   /** In place of the number field that shows the slider's value. */
   readonly field?: JSX.Element;
-  readonly min?: number;
-  readonly max?: number;
   readonly step?: number;
   readonly onChange: (value: number, gesture?: string) => void;
   /** The drag is over. */
@@ -132,8 +132,21 @@ function fieldProps(props: SliderProps) {
     get step() {
       return props.step ?? 1;
     },
-    min: props.min ?? -Infinity,
-    max: props.max ?? Infinity,
+    get min() {
+      return props.min;
+    },
+    get max() {
+      return props.max;
+    },
+    get isWhole() {
+      return props.isWhole;
+    },
+    get hundredPercent() {
+      return props.hundredPercent;
+    },
+    get units() {
+      return props.units;
+    },
     onChange: (value: number) => props.onChange(value),
   };
 }

@@ -9,6 +9,7 @@ use super::viewer::Viewer;
 use crate::extraction::{Answer, Curve, CutId, LeafKind, Probe, Question, VertexErrors, WorkError};
 use crate::stream::session::Outgoing;
 use crate::wire::chunk::{ChunkKind, decode_errors};
+use isopeel_kernels::DistanceOf;
 
 impl super::scripted::Asked {
     fn answer(self) {
@@ -19,7 +20,7 @@ impl super::scripted::Asked {
                 values: Vec::new(),
                 nearest: None,
             }),
-            Question::VertexErrors => Answer::VertexErrors(
+            Question::VertexErrors(_) => Answer::VertexErrors(
                 shapes(&[1, 5])
                     .into_iter()
                     .map(|region| VertexErrors {
@@ -226,7 +227,7 @@ async fn an_annotation_comes_at_rest_for_the_regions_that_the_client_holds() {
     assert!(viewer.questions.try_recv().is_err(), "after all other work");
     assert!(measurement.reply.send(Ok(None)).is_ok());
     let asked = viewer.questions.recv().await.expect("a question");
-    assert_eq!(asked.question, Question::VertexErrors);
+    assert_eq!(asked.question, Question::VertexErrors(DistanceOf::Vertex));
     asked.answer();
     // The second region is not the one that was made again.
     viewer
@@ -242,6 +243,33 @@ async fn an_annotation_comes_at_rest_for_the_regions_that_the_client_holds() {
     );
     assert_eq!(errors.len(), 3);
     settle(&mut viewer).await;
+}
+
+/// A client that asks for signs of life gets one at once, and others later.
+#[tokio::test]
+async fn a_heartbeat_comes_to_a_client_that_asks_for_it() {
+    let mut viewer = Viewer::showing(&[1]).await;
+    viewer.say(r#"{"type":"heartbeat"}"#).await;
+    for _ in 0..2 {
+        viewer.expect(r#"{"type":"heartbeat","seconds":1.5}"#).await;
+    }
+}
+
+/// What is around the vertices is another annotation, with a name of its own.
+#[tokio::test]
+async fn an_annotation_of_what_is_around_vertices_is_named_as_it_was_asked() {
+    let mut viewer = Viewer::showing(&[1]).await;
+    let measurement = viewer.measurements.recv().await.expect("a measurement");
+    assert!(measurement.reply.send(Ok(None)).is_ok());
+    viewer
+        .say(r#"{"type":"annotate","surface":0,"annotation":"error-around"}"#)
+        .await;
+    let asked = viewer.questions.recv().await.expect("a question");
+    assert_eq!(asked.question, Question::VertexErrors(DistanceOf::Around));
+    asked.answer();
+    viewer
+        .expect(r#"{"type":"annotated","surface":0,"generation":1,"annotation":"error-around","regions":1}"#)
+        .await;
 }
 
 /// Surfaces 0 and 1 as `with_two` has them, and measured.

@@ -127,16 +127,25 @@ impl Viewer {
 
     /// The next frame; pings are answered.
     pub(super) async fn frame(&mut self) -> Outgoing {
-        let frame = self.frames.recv().await.expect("a frame");
+        let mut frame = self.frames.recv().await.expect("a frame");
+        while let Outgoing::Ping(number) = frame {
+            self.answer_ping(number).await;
+            frame = self.frames.recv().await.expect("a frame");
+        }
         if matches!(&frame, Outgoing::Text(text) if text.contains(r#""type":"committed""#)) {
-            // As any client's network layer does.
             let Some(Outgoing::Ping(number)) = self.frames.recv().await else {
                 panic!("no ping behind a step");
             };
-            let inbox = self.inbox.as_ref().expect("still connected");
-            inbox.send(Incoming::Pong(number)).await.expect("the session listens");
+            self.answer_ping(number).await;
         }
         frame
+    }
+
+    /// As any client's network layer does.
+    async fn answer_ping(&self, number: u32) {
+        if let Some(inbox) = &self.inbox {
+            inbox.send(Incoming::Pong(number)).await.expect("the session listens");
+        }
     }
 
     /// Reads on to a message of this type.

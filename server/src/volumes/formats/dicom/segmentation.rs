@@ -72,6 +72,7 @@ pub(super) fn open(
         missing: None,
         unit: None,
         labels: segmentation.labels.clone(),
+        declares_labels: true,
         source: Arc::new(SegmentSource {
             label: label.clone(),
             slices,

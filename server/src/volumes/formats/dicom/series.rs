@@ -195,6 +195,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
         missing: target.missing.map(|missing| missing as f32),
         unit: file.unit.map(str::to_owned),
         labels: Vec::new(),
+        declares_labels: false,
         source: Arc::new(DicomSamples::new(label.clone(), images, slices, target)),
     };
     Ok(OpenedFile {

@@ -193,6 +193,7 @@ fn open_scale(store: &Arc<Store>, info: &Info, scale: &Scale, name: &str) -> Res
         missing: None,
         unit: None,
         labels: Vec::new(),
+        declares_labels: false,
         source: Arc::new(base.of_channel(channel)),
     };
     let mut notices = Notices::default();

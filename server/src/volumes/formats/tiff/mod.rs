@@ -289,6 +289,7 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
             missing: missing.map(|value| value as f32),
             unit: stack.value_unit.clone(),
             labels: Vec::new(),
+            declares_labels: false,
             source: Arc::new(source),
         }
     });

@@ -30,6 +30,7 @@ pub(super) fn fields_of(
         missing: values.missing(),
         unit: unit.clone(),
         labels: Vec::new(),
+        declares_labels: false,
         source: samples.source(channel, values.missing()),
     };
     let names = match channels {

@@ -263,6 +263,7 @@ pub(super) fn joined(
     let sources = pieces.iter().map(of_piece).collect::<Result<Vec<_>, _>>()?;
     Ok(Field {
         labels: Vec::new(),
+        declares_labels: false,
         source: Arc::new(JoinedPieces {
             path: path.to_owned(),
             dims,

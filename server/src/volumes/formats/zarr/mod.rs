@@ -283,6 +283,7 @@ fn open_samples(
             missing: base.missing(),
             unit: unit.map(str::to_owned),
             labels: Vec::new(),
+            declares_labels: false,
             source: Arc::new(samples),
         }
     };

@@ -1,0 +1,205 @@
+//! How much may be on the line: what a client has not confirmed yet, so that a newer edit waits for little of an older surface.
+//!
+//! A ping follows every so many bytes, and its pong says that they have arrived. The window is what the line takes in its round trip and
+//! [`QUEUE`]. Without it, buffers of the operating system and of the network take several megabytes, which a slow line needs seconds for.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+/// Time that bytes may wait for the line, beyond a round trip.
+const QUEUE: Duration = Duration::from_millis(120);
+
+/// The window until the first pong, and of slow lines.
+const FIRST_WINDOW: u64 = 64 << 10;
+const MIN_WINDOW: u64 = 24 << 10;
+
+/// Pings in a window, at most; the reader limits how many messages it takes.
+const PINGS_PER_WINDOW: u64 = 8;
+const MIN_BYTES_PER_PING: u64 = 8 << 10;
+
+/// Rates of which the highest counts: a pause of the sender or the network makes some of them too low.
+const RATES: usize = 10;
+
+/// Without a pong for so long, the window does not count: a proxy may answer none, and a client that does not read is for the writer's
+/// deadline.
+const MAX_PONG_WAIT: Duration = Duration::from_secs(2);
+
+/// Set in the numbers of these pings; others are of [`super::pace`].
+const MARK: u32 = 1 << 31;
+
+/// A ping whose pong is awaited.
+struct Ping {
+    number: u32,
+    /// Bytes sent before it.
+    sent: u64,
+    /// Bytes that were confirmed when it was sent.
+    confirmed: u64,
+    at: Instant,
+}
+
+/// What is on the line of one connection.
+pub(super) struct Line {
+    sent: u64,
+    confirmed: u64,
+    /// The oldest first.
+    pings: VecDeque<Ping>,
+    next: u32,
+    /// Bytes a second, the latest last.
+    rates: VecDeque<f64>,
+    round_trip: Option<Duration>,
+    /// When bytes were confirmed, or when the first of those that are not were sent.
+    progress: Instant,
+}
+
+impl Line {
+    pub(super) fn new() -> Self {
+        Self {
+            sent: 0,
+            confirmed: 0,
+            pings: VecDeque::new(),
+            next: 0,
+            rates: VecDeque::with_capacity(RATES),
+            round_trip: None,
+            progress: Instant::now(),
+        }
+    }
+
+    /// Whether a ping of this number is one of these.
+    pub(super) fn is_own(number: u32) -> bool {
+        number & MARK != 0
+    }
+
+    fn window(&self) -> u64 {
+        let highest = self.rates.iter().copied().fold(0.0, f64::max);
+        match self.round_trip {
+            Some(round_trip) if highest > 0.0 => {
+                ((highest * (round_trip + QUEUE).as_secs_f64()) as u64).max(MIN_WINDOW)
+            }
+            _ => FIRST_WINDOW,
+        }
+    }
+
+    /// How long the line needs for so many bytes; nothing while its rate is not known.
+    pub(super) fn time_of(&self, bytes: u64) -> Duration {
+        let highest = self.rates.iter().copied().fold(0.0, f64::max);
+        if highest > 0.0 {
+            Duration::from_secs_f64(bytes as f64 / highest)
+        } else {
+            Duration::ZERO
+        }
+    }
+
+    /// Whether a further frame may be handed to the writer.
+    pub(super) fn has_capacity(&self) -> bool {
+        self.sent - self.confirmed < self.window() || self.progress.elapsed() >= MAX_PONG_WAIT
+    }
+
+    /// When a full line has capacity without a pong; `None` if it is not full.
+    pub(super) fn capacity_at(&self) -> Option<Instant> {
+        (!self.has_capacity()).then(|| self.progress + MAX_PONG_WAIT)
+    }
+
+    /// The writer takes a frame. Returns what the ping behind it carries, if one is due.
+    pub(super) fn took(&mut self, bytes: usize) -> Option<u32> {
+        let now = Instant::now();
+        if self.sent == self.confirmed {
+            self.progress = now;
+        }
+        self.sent += bytes as u64;
+        let since = self.sent - self.pings.back().map_or(self.confirmed, |ping| ping.sent);
+        if since < (self.window() / PINGS_PER_WINDOW).max(MIN_BYTES_PER_PING) {
+            return None;
+        }
+        self.next = self.next.wrapping_add(1);
+        let number = self.next | MARK;
+        self.pings.push_back(Ping {
+            number,
+            sent: self.sent,
+            confirmed: self.confirmed,
+            at: now,
+        });
+        Some(number)
+    }
+
+    /// A pong arrived. Those that belong to no ping are ignored.
+    pub(super) fn received(&mut self, number: u32) {
+        let Some(at) = self.pings.iter().position(|ping| ping.number == number) else {
+            return;
+        };
+        let Some(ping) = self.pings.drain(..=at).next_back() else {
+            return;
+        };
+        let now = Instant::now();
+        let took = (now - ping.at).max(Duration::from_micros(100));
+        self.round_trip = Some(self.round_trip.map_or(took, |minimum| minimum.min(took)));
+        self.rates
+            .push_back((ping.sent - ping.confirmed) as f64 / took.as_secs_f64());
+        if self.rates.len() > RATES {
+            self.rates.pop_front();
+        }
+        self.confirmed = ping.sent;
+        self.progress = now;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sends as much as there is capacity for over a line of a rate and a round trip, in frames of 4 KiB. Returns the longest time that the
+    /// line needs for what is on it, after a second, and the bytes that arrived in all.
+    async fn send_over(bytes_per_second: f64, round_trip: Duration, seconds: u64) -> (Duration, u64) {
+        let (mut line, began) = (Line::new(), Instant::now());
+        let mut free = began;
+        let mut pongs: VecDeque<(Instant, Option<u32>)> = VecDeque::new();
+        let (mut longest, mut arrived) = (Duration::ZERO, 0);
+        while began.elapsed() < Duration::from_secs(seconds) {
+            while line.has_capacity() {
+                free = free.max(Instant::now()) + Duration::from_secs_f64(4096.0 / bytes_per_second);
+                pongs.push_back((free + round_trip, line.took(4096)));
+            }
+            if began.elapsed() > Duration::from_secs(1) {
+                longest = longest.max(free.saturating_duration_since(Instant::now()));
+            }
+            tokio::time::sleep(Duration::from_millis(1)).await;
+            while let Some((_, number)) = pongs.pop_front_if(|(at, _)| *at <= Instant::now()) {
+                arrived += 4096;
+                number.into_iter().for_each(|number| line.received(number));
+            }
+        }
+        (longest, arrived)
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_slow_line_is_kept_busy_and_short() {
+        for (mbit, round_trip) in [(5.0, 80), (20.0, 40), (1.0, 200), (1000.0, 2)] {
+            let rate = mbit * 125_000.0;
+            let (longest, arrived) = send_over(rate, Duration::from_millis(round_trip), 6).await;
+            assert!(
+                longest <= Duration::from_millis(250),
+                "{mbit} Mbit/s: {longest:?} of it"
+            );
+            assert!(
+                arrived as f64 > 0.8 * 6.0 * rate,
+                "{mbit} Mbit/s: {arrived} bytes arrived"
+            );
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn without_pongs_the_window_does_not_count_after_a_while() {
+        let mut line = Line::new();
+        while line.has_capacity() {
+            line.took(1 << 10);
+        }
+        assert_eq!(line.sent, FIRST_WINDOW);
+        let capacity_at = line.capacity_at().expect("a full line");
+        tokio::time::sleep_until(capacity_at).await;
+        assert!(line.has_capacity());
+        line.received(7);
+        line.received(MARK | 1 << 20);
+        assert_eq!(line.confirmed, 0, "pongs of no ping");
+    }
+}
