@@ -21,7 +21,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	dependencies lint test-clients test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
+	dependencies lint test-compose test-clients test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -125,6 +125,7 @@ build-tests: web-client
 # The web client is checked on one core beside the compiler, which often uses one alone.
 .PHONY: build-and-test-web
 build-and-test-web: web-client
+	mkdir -p target
 	$(MAKE) --no-print-directory lint-web test-web >target/test-web.log 2>&1 & web=$$!; \
 		$(MAKE) --no-print-directory build-tests; wait $$web || failed=1; cat target/test-web.log; test -z "$${failed:-}"
 
@@ -174,6 +175,10 @@ fuzz: prerequisites-test web-client ## kernels against their twins on random vol
 
 containers: ## both images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes a quarter of an hour
 	tests/scripts/containers.sh
+
+test-compose: ## the CPU image by docker/compose.yaml: what is kept, any user, TLS; needs Docker with Compose 2, and takes a quarter of an hour
+	docker build --file docker/Dockerfile --target cpu --tag isopeel:cpu .
+	tests/scripts/compose.sh
 
 fixtures: ## tests/fixtures/volumes anew: small volumes by independent programs, from PyPI, and what these read from them
 	tests/scripts/fixtures.py
