@@ -23,7 +23,7 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{Error, Message};
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 use tokio_util::sync::CancellationToken;
 
 type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
@@ -230,7 +230,10 @@ impl Server {
             let headers = request.headers_mut();
             headers.insert("sec-websocket-protocol", name.parse().expect("a header"));
         }
-        connect_async(request).await.map(|(socket, _)| socket)
+        // Without Nagle's algorithm, as browsers: a pong would wait for the one before.
+        connect_async_with_config(request, None, true)
+            .await
+            .map(|(socket, _)| socket)
     }
 
     async fn connect(&self) -> Socket {

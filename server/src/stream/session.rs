@@ -90,6 +90,8 @@ use trace::ConnectionId;
 /// Bytes of other frames from which on no message is read: a client that sends and does not read cannot fill memory. On a slow line
 /// edits are still read, however much of a surface waits.
 const HIGH_WATER: usize = 1 << 20;
+/// A frame of at most so many bytes goes on a full line, too.
+const SMALL_FRAME: usize = 1 << 10;
 
 /// From the reader.
 #[derive(Debug)]
@@ -237,7 +239,7 @@ impl<B: Backend> Session<B> {
                 () = token_ended.as_mut() => Event::TokenEnded,
                 () = outgoing.closed() => Event::WriterGone,
                 message = inbox.recv(), if listening => Event::Message(message),
-                permit = outgoing.reserve(), if !self.outbox.is_empty() && self.line.has_capacity() => {
+                permit = outgoing.reserve(), if self.may_write() => {
                     permit.map_or(Event::WriterGone, Event::WriterReady)
                 }
                 done = finished(&mut self.device) => Event::Device(done),
@@ -267,8 +269,7 @@ impl<B: Backend> Session<B> {
                 Event::WriterReady(permit) => {
                     self.on_writer_ready(permit);
                     // As many as there is space for, without a turn of the loop for each.
-                    while !self.outbox.is_empty()
-                        && self.line.has_capacity()
+                    while self.may_write()
                         && let Ok(permit) = outgoing.try_reserve()
                     {
                         self.on_writer_ready(permit);
@@ -356,6 +357,12 @@ impl<B: Backend> Session<B> {
     fn send_work_error(&mut self, error: &WorkError) {
         tracing::debug!(error = chain(error), "work failed");
         self.send_error(error.code(), error.public_message(), true);
+    }
+
+    /// Whether the writer may take the next frame. A small one goes on a full line, too: the ping whose pong makes room is one.
+    fn may_write(&self) -> bool {
+        let next = self.outbox.next_bytes();
+        next.is_some_and(|bytes| bytes <= SMALL_FRAME || self.line.has_capacity())
     }
 
     /// Before all that waits, so that a slow line differs from a dead one. The ping has the client answer.

@@ -20,7 +20,7 @@ use tokio::task::JoinHandle;
 use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 use tokio_util::sync::CancellationToken;
 
 /// One server at a time: PoCL 3.1 fails with two engines in one process.
@@ -85,7 +85,7 @@ impl Server {
         let mut request = url.into_client_request().expect("a request");
         let headers = request.headers_mut();
         headers.insert("sec-websocket-protocol", "isopeel.v2".parse().expect("a header"));
-        let (socket, _) = connect_async(request).await.expect("connects");
+        let (socket, _) = connect_async_with_config(request, None, true).await.expect("connects");
         let mut viewer = Viewer {
             socket,
             held: BTreeMap::new(),

@@ -91,6 +91,11 @@ impl Outbox {
         self.surface_bytes
     }
 
+    /// Bytes of the next frame.
+    pub(super) fn next_bytes(&self) -> Option<usize> {
+        self.frames.front().map(Frame::bytes)
+    }
+
     /// Bytes of all frames.
     pub(super) fn bytes(&self) -> usize {
         self.kept_bytes + self.surface_bytes

@@ -103,6 +103,8 @@ async fn shake_hands(
             .headers_mut()
             .insert("Sec-WebSocket-Protocol", HeaderValue::from_static(name));
     }
+    // As browsers do: a pong would wait for the one before.
+    tcp.set_nodelay(true).expect("a socket");
     match tokio_tungstenite::client_async(request, tcp).await {
         Ok((socket, answer)) => {
             let chosen = answer
