@@ -359,7 +359,7 @@ impl<B: Backend> Session<B> {
         self.send_error(error.code(), error.public_message(), true);
     }
 
-    /// Whether the writer may take the next frame. A small one goes on a full line, too: the ping whose pong makes room is one.
+    /// Whether the writer may take the next frame. A small one goes on a full line, too: the ping whose pong leads to capacity is one.
     fn may_write(&self) -> bool {
         let next = self.outbox.next_bytes();
         next.is_some_and(|bytes| bytes <= SMALL_FRAME || self.line.has_capacity())
