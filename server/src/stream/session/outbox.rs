@@ -77,10 +77,6 @@ pub(super) struct Outbox {
 }
 
 impl Outbox {
-    pub(super) fn is_empty(&self) -> bool {
-        self.frames.is_empty()
-    }
-
     /// Bytes of frames that outlive their generation: what a client can cause that sends and does not read.
     pub(super) fn kept_bytes(&self) -> usize {
         self.kept_bytes
@@ -185,7 +181,7 @@ mod tests {
         outbox.push_newest(Newest::Led, "23".into());
         assert!(matches!(outbox.pop_front(), Some(Frame::Newest(Newest::Led, text)) if text == "23"));
         assert!(matches!(outbox.pop_front(), Some(Frame::Control(_))));
-        assert!(outbox.is_empty() && outbox.kept_bytes() == 0);
+        assert!(outbox.next_bytes().is_none() && outbox.kept_bytes() == 0);
     }
 
     #[test]
@@ -228,6 +224,6 @@ mod tests {
         outbox.drop_surface(0);
         assert_eq!((outbox.kept_bytes(), outbox.surface_bytes()), (of_frame + 3, 0));
         while outbox.pop_front().is_some() {}
-        assert_eq!((outbox.kept_bytes(), outbox.is_empty()), (0, true));
+        assert_eq!((outbox.kept_bytes(), outbox.next_bytes().is_none()), (0, true));
     }
 }
