@@ -315,8 +315,8 @@ inline uint2 share_of_vertices(__global const RegionMesh *mesh, ErrorTask task) 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void error_samples(const ErrorSamplesArgs args, __global const SAMPLE *samples, __global const ErrorTask *tasks,
                    __global const uint *region_index, __global const Region *regions, __global const Brick *bricks,
-                   __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes, __global const uint *indices, __global const Vertex *vertices,
-                   __global ErrorSum *out) {
+                   __global const uint *corner_slots, __global const float4 *positions, __global const RegionMesh *meshes,
+                   __global const uint *indices, __global const Vertex *vertices, __global ErrorSum *out) {
     const uint lid = get_local_id(0), number = args.first_task + (uint)get_group_id(0);
     __local float scratch[3 * GROUP];
     __local uint ends[GROUP];

@@ -125,6 +125,11 @@ pub fn free_bytes(path: &Path) -> io::Result<u64> {
     Ok(found.f_bavail.saturating_mul(found.f_frsize))
 }
 
+/// Whether an error says that a disk, or its user's share of it, is full.
+pub fn is_full(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+}
+
 #[cfg(unix)]
 fn check(path: PathBuf, access: FolderAccess) -> Result<PathBuf, FolderAccessError> {
     use std::os::unix::fs::MetadataExt;
@@ -185,7 +190,7 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn a_folder_that_the_system_does_not_allow_is_named_with_what_helps() {
-        // Nobody makes folders there, whoever runs the test.
+        // No user can make folders there, root included.
         let error = open(Path::new("/sys/isopeel"), FolderAccess::Group).unwrap_err();
         assert!(matches!(&error, FolderAccessError::Denied { .. }), "{error:?}");
         assert!(error.to_string().contains("group 0 may write"), "{error}");

@@ -92,8 +92,11 @@ INLINED void measure_crossings(Crossings *crossings, Grid grid, const MeshFans *
         // A point that counts for the maximum alone cannot change it.
         if (crossings->weight[i] == 0.0f && distance2 <= sums->maximum * sums->maximum) continue;
         if (crossings->triangle[i] != NONE) {
-            const uint vertex = crossings->vertex[i], other = nearest_other_corner(grid, mesh, p, crossings->triangle[i], vertex);
-            if (crossings->beyond[i] || distance2_of(p, mesh->positions[other].xyz) < distance2_of(p, mesh->positions[vertex].xyz))
+            const uint vertex = crossings->vertex[i];
+            uint tried = corners_at(mesh, crossings->triangle[i], vertex);
+            const uint other = untried_corner(grid, mesh, p, crossings->triangle[i], &tried);
+            if (other != NONE
+                && (crossings->beyond[i] || distance2_of(p, mesh->positions[other].xyz) < distance2_of(p, mesh->positions[vertex].xyz)))
                 distance2 = fmin(distance2, walk_to_mesh(grid, mesh, pairs, p, other));
         }
         if (distance2 > near * near || (large >> i & 1u)) {

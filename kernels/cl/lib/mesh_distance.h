@@ -168,23 +168,14 @@ INLINED Nearest nearest_in_fan(Grid grid, const MeshFans *mesh, Pairs *pairs, fl
     return pairs->count ? nearest_pair(nearest, pairs) : nearest;
 }
 
-// Returns the slot of a triangle's corner that is nearest to `p`, other than `slot`.
-INLINED uint nearest_other_corner(Grid grid, const MeshFans *mesh, float3 p, uint triangle, uint slot) {
-    uint other = slot;
-    float nearest2 = INFINITY;
-    for (uint i = 0; i < 3; i++) {
-        const uint at = mesh->corner_slots[triangle + i] & ~ON_BORDER;
-        if (at == slot) continue;
-        const float distance2 = distance2_of(p, corner_position(grid, mesh, triangle + i));
-        if (distance2 < nearest2) {
-            nearest2 = distance2;
-            other = at;
-        }
-    }
-    return other;
+// The corners of a triangle that are at the vertex of a slot, one bit each; a border vertex counts as the vertex that it was moved from.
+INLINED uint corners_at(const MeshFans *mesh, uint triangle, uint slot) {
+    uint corners = 0;
+    for (uint i = 0; i < 3; i++) corners |= (uint)((mesh->corner_slots[triangle + i] & ~ON_BORDER) == slot) << i;
+    return corners;
 }
 
-// The corner of a triangle that is nearest to `p` and whose bit is not in `tried`; sets its bit. NONE: all are.
+// The slot of the triangle's corner that is nearest to `p` among those whose bits are not set in `tried`; sets its bit. NONE: all are set.
 INLINED uint untried_corner(Grid grid, const MeshFans *mesh, float3 p, uint triangle, uint *tried) {
     uint nearest = NONE;
     float nearest2 = INFINITY;
@@ -209,11 +200,9 @@ INLINED float walk_to_mesh(Grid grid, const MeshFans *mesh, Pairs *pairs, float3
         const Nearest found = nearest_in_fan(grid, mesh, pairs, p, slot);
         if (found.distance2 < nearest.distance2) {
             nearest = found;
-            tried = 0;
-            for (uint i = 0; i < 3 && found.triangle != NONE; i++)
-                tried |= (uint)((mesh->corner_slots[found.triangle + i] & ~ON_BORDER) == slot) << i;
+            if (found.triangle == NONE) break;
+            tried = corners_at(mesh, found.triangle, slot);
         }
-        if (nearest.triangle == NONE) break;
         slot = untried_corner(grid, mesh, p, nearest.triangle, &tried);
     }
     return nearest.distance2;

@@ -31,9 +31,10 @@ typedef struct {
     FieldBox box;
 } SampledField;
 
-// Upper estimate of the distance of a point on a triangle to the surface, at most `bound`: the minimum over the corners of the distance to the
+// Upper estimate of the distance of a point on a triangle to the surface: the minimum over the corners of the distance to the
 // corner and the corner's own residual; a border vertex counts as the vertex that it was moved from. World units.
-INLINED float bound_by_corners(const SampledField *field, const MeshFans *mesh, float3 p, uint first, float bound) {
+INLINED float bound_by_corners(const SampledField *field, const MeshFans *mesh, float3 p, uint first) {
+    float bound = INFINITY;
     for (uint i = 0; i < 3; i++) {
         const float4 corner = mesh->positions[mesh->corner_slots[first + i] & ~ON_BORDER];
         const float3 x = corner.xyz / field->box.spacing;
@@ -178,7 +179,7 @@ INLINED void measure_samples(const SampledField *field, const MeshFans *mesh, Tr
     for (uint i = 0; i < batch->count; i++) {
         const float3 x = sample_position(batch, i);
         float d = distances[i];
-        if (d == INFINITY && batch->first[i] != NONE) d = bound_by_corners(field, mesh, x * field->box.spacing, batch->first[i], d);
+        if (d == INFINITY && batch->first[i] != NONE) d = bound_by_corners(field, mesh, x * field->box.spacing, batch->first[i]);
         if (field->cap) d = distance_to_cap(field, x, d);
         // A vertex so far away is a corner of triangles that are measured.
         if (d < INFINITY) add_distance(sums, d, batch->weight[i]);

@@ -61,7 +61,7 @@ pub struct Choice {
     pub selector: Option<String>,
     /// How its kernels are built and launched, if not by default.
     pub tuning: Option<Tuning>,
-    /// Programs that a check which still runs has proven; no others are run, but for those of a first surface.
+    /// Programs that a check which still runs has proven; no others are run, except those of a first surface.
     pub proven: Option<Arc<Proven>>,
 }
 

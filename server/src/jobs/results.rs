@@ -17,6 +17,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::export::ExportError;
 use crate::extraction::MeasuredError;
+use crate::private_folder;
 
 /// Bytes of a write.
 const PART_BYTES: usize = 4 << 20;
@@ -237,10 +238,9 @@ fn storage(error: object_store::Error) -> WriteError {
 
 /// Whether an error says that there is no space left.
 fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
-    let full = |error: &io::Error| matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
     std::iter::successors(Some(error), |error| error.source())
         .filter_map(|error| error.downcast_ref::<io::Error>())
-        .any(full)
+        .any(private_folder::is_full)
 }
 
 /// Sends what is written to the store in parts, and hashes it. On a blocking thread.

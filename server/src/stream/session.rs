@@ -90,7 +90,7 @@ use trace::ConnectionId;
 /// Bytes of other frames from which on no message is read: a client that sends and does not read cannot fill memory. On a slow line
 /// edits are still read, however much of a surface waits.
 const HIGH_WATER: usize = 1 << 20;
-/// A frame of at most so many bytes goes on a full line, too.
+/// Frames of at most this size go on a full line, too.
 const SMALL_FRAME: usize = 1 << 10;
 
 /// From the reader.

@@ -4,6 +4,7 @@ use std::io;
 
 use super::MAX_UPLOADS;
 use super::names::NameError;
+use crate::private_folder;
 use crate::volumes::ReadError;
 
 /// Why a request about uploads has no answer. Each variant asks for another reaction of the caller.
@@ -108,20 +109,20 @@ pub enum UploadError {
 impl UploadError {
     /// What the disk says to writing so many bytes.
     pub(super) fn of_write(error: io::Error, bytes: u64) -> Self {
-        match error.kind() {
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
-                Self::DiskFull(bytes)
-            }
-            _ => Self::Io(error),
+        if private_folder::is_full(&error) || error.kind() == io::ErrorKind::FileTooLarge {
+            Self::DiskFull(bytes)
+        } else {
+            Self::Io(error)
         }
     }
 
     /// What is wrong with the files, without the folder that they are in here.
     pub(super) fn of_read(error: &ReadError, folder: &str) -> Self {
         let text = error.without_folder().replace(&format!("{folder}/"), "");
-        match error.is_of_space() {
-            true => Self::NoSpace(text),
-            false => Self::Unreadable(text),
+        if error.is_of_space() {
+            Self::NoSpace(text)
+        } else {
+            Self::Unreadable(text)
         }
     }
 }

@@ -70,6 +70,7 @@ pub use memory::memory_dataset;
 pub use notices::Notices;
 
 use crate::math::{DAffine3, DVec3, IndexSpace, UnevenAxes};
+use crate::private_folder;
 use crate::view::{Edit, EditError, View};
 pub use open::{open_dataset, read_file};
 pub use private::{Lease, Reader};
@@ -476,9 +477,7 @@ impl ReadError {
 
     /// Whether the server's disk lacked space: no fault of the file.
     pub fn is_of_space(&self) -> bool {
-        use std::io::ErrorKind::{QuotaExceeded, StorageFull};
-        let kind = self.source.as_ref().map(std::io::Error::kind);
-        matches!(kind, Some(StorageFull | QuotaExceeded))
+        self.source.as_ref().is_some_and(private_folder::is_full)
     }
 
     /// An error of the operating system.

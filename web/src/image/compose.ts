@@ -12,7 +12,7 @@ export interface ImageParts {
   /** Pixels of the image for one on the page; texts have the size that they have there. */
   readonly scale: number;
   readonly colorBar?: ColorBar;
-  /** A bar of a round length, in pixels of the image, of so many world units each; there is none in an image without one scale. */
+  /** A bar of a round length in pixels of the image, from the world units of a pixel. An image whose scale differs from place to place has none. */
   readonly scaleBar?: (unitsPerPixel: number) => { readonly text: string; readonly pixels: number };
   readonly caption?: string;
   /** What the surfaces are, in their order. */

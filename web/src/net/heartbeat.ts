@@ -13,7 +13,7 @@ export class Heartbeat {
   private lookedAt = 0;
   private limitMs = Infinity;
 
-  /** @param onDead nothing was heard for so many seconds */
+  /** @param onDead called with the seconds since anything was heard */
   constructor(private readonly onDead: (seconds: number) => void) {}
 
   /** Any frame came. */

@@ -4,7 +4,7 @@ import { Vector3 } from "three";
 import type { SceneCamera } from "./camera";
 import type { Painter } from "./painter";
 
-/** The picture is still when no frame was rendered for so long. */
+/** The picture is still if no frame was rendered for this time. */
 const STILL_MS = 200;
 
 export class CentreDepth {

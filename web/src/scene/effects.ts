@@ -15,7 +15,7 @@ vec3 positionAt(vec2 uv) {
 
 /** From the nearer neighbour on each side, so that a normal at an edge is that of its own side. */
 const NORMAL = /* glsl */ `
-uniform sampler2D normals; // of the surfaces, where there are any
+uniform sampler2D normals; // of the surfaces; elsewhere a is 0
 uniform bool hasNormals;
 vec3 normalAt(vec2 uv, vec3 p) {
   vec4 known = texture(normals, uv);

@@ -82,7 +82,7 @@ function middleThird(camera: Camera): Camera {
   return eye;
 }
 
-/** View position and surface number, 0 where there is none, of each pixel. */
+/** View position and surface number of each pixel; 0: no surface. */
 function depthsOf(found: Float32Array): number[] {
   return Array.from({ length: found.length / 4 }, (_, i) => (found[4 * i + 3] === 0 ? 0 : -(found[4 * i + 2] ?? 0)));
 }

@@ -4,7 +4,7 @@ import type { OrthographicCamera, PerspectiveCamera } from "three";
 
 /** How far before the camera surfaces are in the middle third of the picture; without what is beside them. */
 export interface MiddleDepths {
-  /** At the centre, or, if there is none, where it is half of all. `undefined`: there is no surface. */
+  /** At the centre; if no surface is there, the median. `undefined`: there is no surface. */
   readonly centre: number | undefined;
   readonly nearest: number;
   readonly farthest: number;

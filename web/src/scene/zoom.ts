@@ -21,7 +21,7 @@ export function focused({ position, target }: Viewpoint, point: Vector3, project
   return depth > 1e-6 * distance ? { position, target: position.clone().addScaledVector(forward, depth) } : { position, target };
 }
 
-/** Multiplies the distance by `factor`, within bounds where it is within them now; `point` keeps its place in the picture. */
+/** Multiplies the distance by `factor`, within bounds if it is within them now; `point` keeps its place in the picture. */
 export function zoomed({ position, target }: Viewpoint, point: Vector3, factor: number, [nearest, farthest]: readonly [number, number]): Viewpoint {
   const distance = position.distanceTo(target);
   const bounded = factor < 1 ? Math.min(1, Math.max(factor, nearest / distance)) : Math.max(1, Math.min(factor, farthest / distance));

@@ -1,5 +1,5 @@
 //! People on their way to an issuer and back. A browser keeps a secret in a cookie of its own, from which all else of its sign-in follows by a key of the
-//! server: nothing is kept of those who are away, so that strangers who leave by the thousands make nobody come back in vain. What comes back to another
+//! server: nothing is kept of those who are away, so thousands of strangers who begin a sign-in cannot make one of another user fail. What comes back to another
 //! browser is of no use there.
 
 use std::collections::HashMap;

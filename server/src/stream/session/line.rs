@@ -1,6 +1,6 @@
 //! How much may be on the line: what a client has not confirmed yet, so that a newer edit waits for little of an older surface.
 //!
-//! A ping follows every so many bytes, and its pong says that they have arrived. The window is what the line takes in its round trip and
+//! A ping follows each eighth of the window, and its pong says that all before it has arrived. The window is what the line takes in its round trip and
 //! [`QUEUE`]. Without it, buffers of the operating system and of the network take several megabytes, which a slow line needs seconds for.
 
 use std::collections::VecDeque;
@@ -81,7 +81,7 @@ impl Line {
         }
     }
 
-    /// How long the line needs for so many bytes; nothing while its rate is not known.
+    /// Time that the line needs for `bytes`; zero while its rate is not known.
     pub(super) fn time_of(&self, bytes: u64) -> Duration {
         let highest = self.rates.iter().copied().fold(0.0, f64::max);
         if highest > 0.0 {

@@ -92,11 +92,6 @@ impl Outbox {
         self.frames.front().map(Frame::bytes)
     }
 
-    /// Bytes of all frames.
-    pub(super) fn bytes(&self) -> usize {
-        self.kept_bytes + self.surface_bytes
-    }
-
     fn bytes_like(&mut self, frame: &Frame) -> &mut usize {
         if frame.is_kept() {
             &mut self.kept_bytes

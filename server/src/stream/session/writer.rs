@@ -19,9 +19,9 @@ impl<B: Backend> Session<B> {
 
     /// Gives the writer one frame.
     pub(super) fn on_writer_ready(&mut self, permit: mpsc::Permit<'_, Outgoing>) {
-        let before = self.outbox.bytes();
+        let bytes = self.outbox.next_bytes().unwrap_or(0);
         let frame = self.outbox.pop_front();
-        if let Some(ping) = self.line.took(before - self.outbox.bytes()) {
+        if let Some(ping) = self.line.took(bytes) {
             self.outbox.push_front(Frame::Ping(ping));
         }
         match frame {

@@ -11,7 +11,7 @@ use super::super::super::{FileLocation, ReadError};
 use super::file::VariableFile;
 use super::hdf5::Hdf5;
 use super::netcdf3::NetCdf3;
-use crate::private_folder::free_bytes;
+use crate::private_folder::{free_bytes, is_full};
 
 /// Opens a file by its first bytes: HDF5, also behind a user block, or NetCDF-3.
 pub fn open_file(location: &FileLocation) -> Result<Box<dyn VariableFile>, ReadError> {
@@ -43,9 +43,10 @@ fn storage(location: &FileLocation) -> Result<Arc<dyn Storage>, ReadError> {
         return Ok(Arc::new(open(location.path())?));
     }
     let fail = |e: std::io::Error| {
-        let why = match e.kind() {
-            ErrorKind::StorageFull | ErrorKind::QuotaExceeded => e.to_string(),
-            _ => "cannot be decompressed".to_owned(),
+        let why = if is_full(&e) {
+            e.to_string()
+        } else {
+            "cannot be decompressed".to_owned()
         };
         ReadError::io(location.path(), "file", why, e)
     };
