@@ -42,7 +42,7 @@ build: prerequisites-build release ## everything built, the web client inside ta
 test: export RUSTC_WORKSPACE_WRAPPER := clippy-driver
 test: export CLIPPY_ARGS := -Dwarnings__CLIPPY_HACKERY__
 # What can be built is built first, so that the runners' summaries stand together at the end.
-test: prerequisites-test lint-text build-and-test-web lint-generated test-rust test-oclgrind test-pocl-6 test-browser test-glb test-clients ## all tests, linters and formatters; what CI runs
+test: prerequisites-test lint-text build-and-test-web lint-generated test-rust test-oclgrind test-pocl-6 test-browser test-glb-and-clients ## all tests, linters and formatters; what CI runs
 
 prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
 	@tests/scripts/prerequisites.sh $*
@@ -234,6 +234,13 @@ target/clients-venv/bin/openapi-python-client: tests/clients/requirements.txt
 
 test-clients: build-tests tests/clients/node_modules/.package-lock.json target/clients-venv/bin/openapi-python-client ## clients in TypeScript and Python, generated from server/openapi.json, against the server
 	cd tests/clients && ISOPEEL_BINARY=$(TESTED_BINARY) npm test --silent
+
+# Side by side: one waits for the network and for pip, the other for its validator.
+.PHONY: test-glb-and-clients
+test-glb-and-clients:
+	$(MAKE) --no-print-directory test-clients >target/test-clients.log 2>&1 & clients=$$!; \
+		$(MAKE) --no-print-directory test-glb || failed=1; \
+		wait $$clients || failed=1; cat target/test-clients.log; test -z "$${failed:-}"
 
 bench: prerequisites-run web-client ## isopeel beside its peers on this machine, written to BENCHMARKS.md
 	tests/scripts/bench.py $(if $(DEVICE),--device '$(DEVICE)') $(BENCH)

@@ -22,8 +22,8 @@ fail() {
 }
 
 [ "$(id -u)" -eq 0 ] || { echo "containers.sh: needs root" >&2 && exit 1; }
-for tool in buildah podman debootstrap runc; do
-    command -v "$tool" >/dev/null || apt-get install --yes --no-install-recommends buildah podman debootstrap runc >"$log" 2>&1 ||
+for tool in buildah podman mmdebstrap runc; do
+    command -v "$tool" >/dev/null || apt-get install --yes --no-install-recommends buildah podman mmdebstrap runc >"$log" 2>&1 ||
         fail "could not install $tool"
 done
 
@@ -45,8 +45,7 @@ say "base images"
 : >"$log"
 export mirror
 image debian scratch <<'SCRIPT'
-debootstrap --variant=minbase --include=ca-certificates bookworm "$root" "$mirror"
-rm -rf "$root"/var/lib/apt/lists/* "$root"/var/cache/apt/archives/*.deb
+mmdebstrap --variant=minbase --include=ca-certificates bookworm "$root" "$mirror"
 SCRIPT
 image rust localhost/isopeel-debian <<'SCRIPT'
 buildah run --isolation chroot "$container" sh -c \

@@ -14,7 +14,7 @@
 #
 # Roots are kept in target/roots until `make clean`: SUITE is an empty release, SUITE-with one with packages.
 #
-# Needs debootstrap, and network (Debian; for `prove` crates.io and npm too). Rust and Node are this machine's own, copied. What
+# Needs mmdebstrap, and network (Debian; for `prove` crates.io and npm too). Rust and Node are this machine's own, copied. What
 # this machine needs to reach the network (proxies, certificates, ~/.npmrc, ~/.cargo/config.toml) is taken from it.
 # DEBIAN_MIRROR and DEBIAN_SECURITY_MIRROR replace the usual ones.
 set -euo pipefail
@@ -62,26 +62,20 @@ copy_network() {
 
 # Makes target/roots/SUITE. It is renamed when it is complete, so that an interrupted run leaves none.
 make_empty_root() {
-    local root=$roots/$suite known=/usr/share/debootstrap/scripts/$suite
+    local root=$roots/$suite
     [ ! -e "$root" ] || return 0
-    command -v debootstrap >/dev/null || fail "needs debootstrap: apt-get install debootstrap"
-    # A release that is newer than debootstrap is made as all since 2005 are.
-    [ -e "$known" ] || known=/usr/share/debootstrap/scripts/sid
+    command -v mmdebstrap >/dev/null || fail "needs mmdebstrap: apt-get install mmdebstrap"
     say "Debian's $suite in $root"
     rm -rf --one-file-system "$root.new"
     mkdir -p "$roots"
-    debootstrap --variant=minbase --include=ca-certificates,git,make "$suite" "$root.new" "$mirror" "$known" >"$root.log" 2>&1 ||
-        { tail -n 20 "$root.log" >&2 && fail "debootstrap failed, its log is $root.log"; }
-    echo "deb $mirror $suite main" >"$root.new/etc/apt/sources.list"
-    case $suite in
-    sid) ;;
-    *) cat >>"$root.new/etc/apt/sources.list" <<LIST ;;
+    # A mirror may be a snapshot, older than its lists are valid.
+    mmdebstrap --variant=minbase --include=ca-certificates,git,make --aptopt='Acquire::Check-Valid-Until "false"' \
+        "$suite" "$root.new" "$mirror" >"$root.log" 2>&1 ||
+        { tail -n 20 "$root.log" >&2 && fail "mmdebstrap failed, its log is $root.log"; }
+    [ "$suite" = sid ] || cat >>"$root.new/etc/apt/sources.list" <<LIST
 deb $mirror $suite-updates main
 deb $security_mirror $suite-security main
 LIST
-    esac
-    # A mirror may be a snapshot, older than its lists are valid.
-    echo 'Acquire::Check-Valid-Until "false";' >"$root.new/etc/apt/apt.conf.d/80snapshot"
     mv "$root.new" "$root"
     rm "$root.log"
 }

@@ -3,7 +3,7 @@
 #
 #   prerequisites.sh build   compilers for Rust's C and C++ dependencies
 #   prerequisites.sh run     and an OpenCL loader with a driver
-#   prerequisites.sh test    and oclgrind, clang, OpenCL's headers, Python, chromium, and debootstrap for a root of Debian 13
+#   prerequisites.sh test    and oclgrind, clang, OpenCL's headers, Python, chromium, and mmdebstrap for a root of Debian 13
 #
 # Rust and Node are never installed, only checked: how they come to a machine is its owner's choice. Packages are
 # installed on Debian and Ubuntu, as root or through a sudo that asks for no password; everywhere else the missing
@@ -86,7 +86,7 @@ missing_packages() {
     # Only Debian 12 has it; elsewhere tests/scripts/oclgrind.sh unpacks that of Debian 12, whose keys it needs
     command -v oclgrind >/dev/null || ! is_debian_12 || printf '%s\n' oclgrind
     [ -e /usr/share/keyrings/debian-archive-keyring.gpg ] || printf '%s\n' debian-archive-keyring
-    PATH=$PATH:/usr/sbin command -v debootstrap >/dev/null || printf '%s\n' debootstrap
+    command -v mmdebstrap >/dev/null || printf '%s\n' mmdebstrap
     command -v "${CLANG:-clang}" >/dev/null || printf '%s\n' clang
     echo '#include <CL/cl_layer.h>' | cc -E - >/dev/null 2>&1 || printf '%s\n' opencl-c-headers
     command -v python3 >/dev/null || printf '%s\n' python3

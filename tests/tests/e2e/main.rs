@@ -7,6 +7,7 @@ mod abuse;
 mod audit;
 mod batch;
 mod batch_requests;
+mod bench;
 mod budgets;
 mod bytes;
 mod command_line;
