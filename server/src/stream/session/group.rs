@@ -7,7 +7,7 @@ use super::super::groups::{GroupError, GroupEvent, Leader, Scene};
 use super::Session;
 use super::open_volume::OpeningPhase;
 use super::outbox::Newest;
-use super::pending::PendingStep;
+use super::pending::{NamedBudget, PendingStep};
 use crate::access::{Occupant, Role};
 use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};
@@ -223,7 +223,9 @@ impl<B: Backend> Session<B> {
             let is_made = opened.surface(*number).is_some_and(|surface| surface.edited > 0);
             if !is_made || opened.view_of(*number) != *view {
                 self.count_edit(*number);
-                self.come_into_force(*number, view.clone(), view.budget.is_some(), self.edits, true);
+                let edit = self.edits;
+                let named = view.budget.map(|budget| NamedBudget { budget, edit });
+                self.come_into_force(*number, view.clone(), named, edit, true);
             }
         }
         let Some(opened) = &self.opened else { return };

@@ -8,7 +8,7 @@ use super::super::backend::Backend;
 use super::Session;
 use super::generation::{Generation, Sending};
 use super::outbox::Newest;
-use super::pending::PendingStep;
+use super::pending::{NamedBudget, PendingStep};
 use super::surface::SurfaceSession;
 use crate::extraction::{Held, OpeningProgress};
 use crate::view::View;
@@ -27,6 +27,8 @@ pub(super) struct OpenVolume {
     pub shares_processors: bool,
     /// By their numbers.
     surfaces: [Option<SurfaceSession>; MAX_SURFACES as usize],
+    /// The connection's budget, once an edit has named one.
+    named: Option<NamedBudget>,
     /// The step that the client goes to, until it comes into force.
     pub stepping: Option<PendingStep>,
     /// The step that the client is expected to go to next, until it is read ahead.
@@ -91,7 +93,10 @@ impl OpenVolume {
     pub(super) fn new(volume: VolumeStep, view: View, held: Held, lease: Lease) -> Self {
         let (token, step_token) = (CancellationToken::new(), CancellationToken::new());
         let mut surfaces = [const { None }; MAX_SURFACES as usize];
-        surfaces[0] = Some(SurfaceSession::new(view.clone()));
+        surfaces[0] = Some(SurfaceSession {
+            is_opening: true,
+            ..SurfaceSession::new(view.clone())
+        });
         Self {
             volume,
             view,
@@ -100,6 +105,7 @@ impl OpenVolume {
             device: String::new(),
             shares_processors: false,
             surfaces,
+            named: None,
             stepping: None,
             expected: None,
             undescribed_since: None,
@@ -133,7 +139,7 @@ impl OpenVolume {
                 let budget = surface.view.budget;
                 let edited = std::mem::replace(&mut surface.view, View { budget, ..begins });
                 if self.has_to_resolve(number, &edited) {
-                    self.hold_back(number, edited, false, edits, None);
+                    self.hold_back(number, edited, None, edits, None);
                     if let Some(surface) = self.surface_mut(number) {
                         (surface.edit_pending, surface.edited) = (false, 0);
                     }
@@ -213,19 +219,28 @@ impl OpenVolume {
         view
     }
 
-    /// Takes a view that an edit has changed; `has_budget`: and with it the connection's budget.
-    pub(super) fn set_view(&mut self, number: u8, view: View, has_budget: bool) {
-        if has_budget {
-            let others = self.surfaces_mut().filter(|(other, _)| *other != number);
-            for (_, other) in others {
-                let pending = other.pending.as_mut().map(|pending| &mut pending.view.budget);
-                for budget in pending.into_iter().chain([&mut other.view.budget]) {
-                    *budget = budget.and(view.budget);
-                }
+    /// Takes a view that edits have changed; `named`: and with it the connection's budget, unless a later edit has changed it.
+    pub(super) fn set_view(&mut self, number: u8, mut view: View, named: Option<NamedBudget>) {
+        if let Some(named) = named {
+            match self.named.filter(|newer| newer.edit > named.edit) {
+                Some(newer) => view.budget = view.budget.and(Some(newer.budget)),
+                None => self.set_budget_of_others(number, named),
             }
         }
         let surface = self.surface_or_new(number, view.clone());
         surface.view = view;
+    }
+
+    fn set_budget_of_others(&mut self, number: u8, named: NamedBudget) {
+        self.named = Some(named);
+        for (_, other) in self.surfaces_mut().filter(|(other, _)| *other != number) {
+            other.view.budget = other.view.budget.and(Some(named.budget));
+            if let Some(pending) = &mut other.pending
+                && pending.named.is_none_or(|newer| newer.edit < named.edit)
+            {
+                pending.view.budget = pending.view.budget.and(Some(named.budget));
+            }
+        }
     }
 
     /// A surface; one that is not there yet is made with a view.

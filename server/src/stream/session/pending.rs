@@ -1,5 +1,6 @@
 //! Edits and time steps that have not come into force.
 
+use crate::view::quality::Budget;
 use crate::view::{Edit, View};
 use crate::volumes::VolumeStep;
 
@@ -12,8 +13,30 @@ pub(super) struct KeptEdit {
     pub edit: Edit,
     /// The time step that was in force, or on its way, when it came.
     pub at: VolumeStep,
+    /// Counts the connection's edits.
+    pub number: u64,
     /// Whether its surface is made when it comes into force: not after a `cancel`.
     pub is_made: bool,
+}
+
+/// A budget that an edit has named, for all surfaces that have one.
+#[derive(Clone, Copy)]
+pub(super) struct NamedBudget {
+    pub budget: Budget,
+    /// Number of the edit: the latest one wins, whichever comes into force first.
+    pub edit: u64,
+}
+
+impl NamedBudget {
+    /// What an edit that led to this view has named.
+    pub(super) fn of(kept: &KeptEdit, view: &View) -> Option<Self> {
+        let is_named = kept.edit.triangles.is_some() || kept.edit.bytes.is_some();
+        let budget = view.budget.filter(|_| is_named)?;
+        Some(Self {
+            budget,
+            edit: kept.number,
+        })
+    }
 }
 
 /// Edits of a surface that have not come into force.
@@ -23,8 +46,8 @@ pub(super) struct PendingView {
     pub view: View,
     /// The time step whose values it gets where it leaves them open.
     pub at: VolumeStep,
-    /// Whether an edit has named a budget, which is then the connection's.
-    pub has_budget: bool,
+    /// The last budget that one of the edits has named. A later one may have left the surface without any.
+    pub named: Option<NamedBudget>,
     /// Number of the last edit.
     pub edit: u64,
     /// Whether the surface is made then: not after a `cancel`.

@@ -11,7 +11,7 @@ use super::super::backend::Backend;
 use super::Session;
 use super::jobs::BoxFuture;
 use super::open_volume::{OpenVolume, OpeningPhase};
-use super::pending::{KeptEdit, MAX_KEPT_EDITS, PendingView};
+use super::pending::{KeptEdit, MAX_KEPT_EDITS, NamedBudget, PendingView};
 use super::rest::Rest;
 use crate::error::chain;
 use crate::extraction::WorkError;
@@ -66,6 +66,7 @@ impl<B: Backend> Session<B> {
         let kept = KeptEdit {
             edit: edit.clone(),
             at: opened.newest_step().clone(),
+            number: self.edits,
             is_made: true,
         };
         self.apply(surface, view, kept);
@@ -74,10 +75,10 @@ impl<B: Backend> Session<B> {
     /// As [`Session::take_edit`], of an edit that was taken before.
     fn apply(&mut self, surface: u8, view: View, kept: KeptEdit) {
         let Some(opened) = &mut self.opened else { return };
-        let has_budget = kept.edit.triangles.is_some() || kept.edit.bytes.is_some();
+        let named = NamedBudget::of(&kept, &view);
         // Before it is open, nothing can be resolved.
         if opened.phase != OpeningPhase::Open {
-            return self.come_into_force(surface, view, has_budget, self.edits, true);
+            return self.come_into_force(surface, view, named, self.edits, true);
         }
         let pending = opened.surface_mut(surface).and_then(|session| session.pending.as_mut());
         if let Some(pending) = pending.filter(|pending| !pending.queue.is_empty()) {
@@ -89,9 +90,9 @@ impl<B: Backend> Session<B> {
             return;
         }
         if !opened.has_to_resolve(surface, &view) {
-            return self.come_into_force(surface, view, has_budget, self.edits, kept.is_made);
+            return self.come_into_force(surface, view, named, self.edits, kept.is_made);
         }
-        opened.hold_back(surface, view, has_budget, self.edits, Some(kept));
+        opened.hold_back(surface, view, named, self.edits, Some(kept));
     }
 
     /// Applies edits that were taken before, one by one: the first that has to be resolved holds those behind it back.
@@ -128,9 +129,16 @@ impl<B: Backend> Session<B> {
     }
 
     /// A view takes the place of the one in force.
-    pub(super) fn come_into_force(&mut self, surface: u8, view: View, has_budget: bool, edit: u64, is_made: bool) {
+    pub(super) fn come_into_force(
+        &mut self,
+        surface: u8,
+        view: View,
+        named: Option<NamedBudget>,
+        edit: u64,
+        is_made: bool,
+    ) {
         let Some(opened) = &mut self.opened else { return };
-        opened.set_view(surface, view, has_budget);
+        opened.set_view(surface, view, named);
         if let Some(session) = opened.surface_mut(surface) {
             session.edited = edit;
             (session.pending, session.failed, session.key) = (None, None, None);
@@ -184,7 +192,7 @@ impl<B: Backend> Session<B> {
             Ok(resolved) => {
                 let PendingView {
                     mut view,
-                    has_budget,
+                    named,
                     edit,
                     is_made,
                     queue,
@@ -192,7 +200,7 @@ impl<B: Backend> Session<B> {
                 } = pending.clone();
                 view.iso = view.iso.or(resolved.iso);
                 view.feature_range = view.feature_range.or(resolved.feature_range);
-                self.come_into_force(surface, view, has_budget, edit, is_made);
+                self.come_into_force(surface, view, named, edit, is_made);
                 self.apply_all(surface, queue);
                 self.lead_or_follow();
             }
@@ -210,7 +218,7 @@ impl<B: Backend> Session<B> {
                 tracing::debug!(error = chain(&error), "an edit does not come into force");
                 let queue = std::mem::take(&mut pending.queue);
                 session.pending = None;
-                let is_new = session.edited == 0 && surface > 0;
+                let is_new = session.edited == 0 && !session.is_opening;
                 if is_new && let Some(opened) = &mut self.opened {
                     opened.remove(surface);
                 }
@@ -262,7 +270,14 @@ impl<B: Backend> Session<B> {
 
 impl OpenVolume {
     /// Keeps the view of an edit until it is resolved.
-    pub(super) fn hold_back(&mut self, number: u8, view: View, has_budget: bool, edit: u64, kept: Option<KeptEdit>) {
+    pub(super) fn hold_back(
+        &mut self,
+        number: u8,
+        view: View,
+        named: Option<NamedBudget>,
+        edit: u64,
+        kept: Option<KeptEdit>,
+    ) {
         let at = kept
             .as_ref()
             .map_or_else(|| self.newest_step().clone(), |kept| kept.at.clone());
@@ -275,7 +290,7 @@ impl OpenVolume {
         let is_still_open =
             |before: &&PendingView| before.view.feature_range.is_none() && feature(&before.view) == feature(&view);
         let at = before.filter(is_still_open).map_or(at, |before| before.at.clone());
-        let has_budget = has_budget || before.is_some_and(|before| before.has_budget);
+        let named = named.or(before.and_then(|before| before.named));
         let is_made = kept.as_ref().is_none_or(|kept| kept.is_made);
         let mut edits = before.map_or_else(Vec::new, |before| before.edits.clone());
         let is_first = before.is_none();
@@ -286,7 +301,7 @@ impl OpenVolume {
         surface.pending = Some(PendingView {
             view,
             at,
-            has_budget,
+            named,
             edit,
             is_made,
             is_paused: false,

@@ -15,6 +15,8 @@ use crate::view::quality::Budget;
 pub(super) struct SurfaceSession {
     /// The view in force: resolved, and all that it uses is there. Its budget is that of the connection.
     pub view: View,
+    /// There since the volume was opened: no edit has made it.
+    pub is_opening: bool,
     /// Of its full surface, once the view has come into force.
     pub key: Option<SurfaceKey>,
     /// Edits that have not come into force yet.
@@ -69,6 +71,7 @@ impl SurfaceSession {
     pub(super) fn new(view: View) -> Self {
         Self {
             view,
+            is_opening: false,
             key: None,
             pending: None,
             proven: None,

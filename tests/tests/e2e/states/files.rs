@@ -36,7 +36,7 @@ impl Files {
             upload: None,
             fresh: None,
         };
-        for name in ["uploads", "own", SERIES] {
+        for name in ["own", SERIES] {
             std::fs::create_dir_all(folder.join(name)).expect("a folder");
         }
         write_changing(&files.own(), 0);

@@ -224,6 +224,14 @@ async fn a_surface_that_never_was_is_gone_with_its_bad_edit() {
     assert_eq!(viewer.until("error").await["surface"], 2);
     viewer.say(r#"{"type":"remove","surface":2}"#).await;
     assert_eq!(viewer.error().await, ("unknown-surface".into(), true));
+    // Nor is surface 0 there, once it was removed.
+    viewer.say(r#"{"type":"remove","surface":0}"#).await;
+    viewer.until("removed").await;
+    viewer.say(FEATURE).await;
+    resolution(&mut viewer).await.refuse();
+    assert_eq!(viewer.until("error").await["surface"], 0);
+    viewer.say(r#"{"type":"remove","surface":0}"#).await;
+    assert_eq!(viewer.error().await, ("unknown-surface".into(), true));
 }
 
 #[tokio::test]
@@ -296,6 +304,42 @@ async fn a_new_surface_has_the_budget_that_edits_left_in_force_or_not() {
         Some(opening),
         "not the one that went with the edit before"
     );
+}
+
+#[tokio::test]
+async fn others_keep_a_budget_that_its_surface_gives_up_before_it_is_in_force() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer
+        .say(r#"{"type":"edit","surface":1,"feature":"none","triangles":77}"#)
+        .await;
+    let first = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"edit","surface":1,"beta":0.5}"#).await;
+    tokio::task::yield_now().await;
+    first.resolve();
+    for budget in [None, Some(Budget::Triangles(TriangleBudget::AtMost(77)))] {
+        let job = viewer.step().await;
+        assert_eq!(job.view.budget, budget);
+        job.answer(Answer::last(2, shapes(&[2])));
+        viewer.until("done").await;
+    }
+}
+
+#[tokio::test]
+async fn the_budget_of_the_latest_edit_counts_whichever_comes_into_force_first() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer
+        .say(r#"{"type":"edit","surface":1,"feature":"none","triangles":77}"#)
+        .await;
+    let first = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"edit","triangles":99}"#).await;
+    let budget = Some(Budget::Triangles(TriangleBudget::AtMost(99)));
+    let job = viewer.step().await;
+    assert_eq!(job.view.budget, budget);
+    job.answer(Answer::last(2, shapes(&[2])));
+    viewer.until("done").await;
+    first.resolve();
+    let job = viewer.counts.recv().await.expect("a count");
+    assert_eq!(job.view.budget, budget);
 }
 
 #[tokio::test]
