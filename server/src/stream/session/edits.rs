@@ -101,7 +101,7 @@ impl<B: Backend> Session<B> {
             self.end_generation(number);
         }
         if let Some(stepping) = self.opened.as_mut().and_then(|opened| opened.stepping.as_mut()) {
-            stepping.is_made = false;
+            stepping.cancelled_after = Some(self.edits);
         }
     }
 

@@ -192,7 +192,7 @@ impl<B: Backend> Session<B> {
             (true, true) => {}
             (true, false) if is_open => self.step_into_force(PendingStep {
                 volume: scene.volume.clone(),
-                is_made: true,
+                cancelled_after: None,
             }),
             // What cannot be opened is tried once.
             _ if open.is_none() && self.tried.as_ref() == Some(&scene.volume.key()) => return,

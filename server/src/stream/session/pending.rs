@@ -63,8 +63,8 @@ pub(super) struct PendingView {
 /// A time step that has not come into force.
 pub(super) struct PendingStep {
     pub volume: VolumeStep,
-    /// Whether surfaces are made then: not after a `cancel`.
-    pub is_made: bool,
+    /// A `cancel` came after so many edits: surfaces that none has changed since are not made then.
+    pub cancelled_after: Option<u64>,
 }
 
 impl PendingView {

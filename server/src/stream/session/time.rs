@@ -83,7 +83,10 @@ impl<B: Backend> Session<B> {
     fn go_to(&mut self, volume: VolumeStep) {
         if let Some(opened) = &mut self.opened {
             let is_checked = opened.stepping.is_some();
-            opened.stepping = Some(PendingStep { volume, is_made: true });
+            opened.stepping = Some(PendingStep {
+                volume,
+                cancelled_after: None,
+            });
             if is_checked {
                 self.resolving = None;
             }
@@ -91,7 +94,11 @@ impl<B: Backend> Session<B> {
     }
 
     /// The open volume is at another step from now on.
-    pub(super) fn step_into_force(&mut self, PendingStep { volume, is_made }: PendingStep) {
+    pub(super) fn step_into_force(&mut self, step: PendingStep) {
+        let PendingStep {
+            volume,
+            cancelled_after,
+        } = step;
         for surface in 0..MAX_SURFACES {
             self.end_generation(surface);
         }
@@ -107,10 +114,8 @@ impl<B: Backend> Session<B> {
         if let Some(opened) = &mut self.opened {
             opened.expected = expected(opened.volume.step(), step, volume.dataset().steps);
             opened.step_to(volume, held);
-            if !is_made {
-                opened
-                    .surfaces_mut()
-                    .for_each(|(_, surface)| surface.edit_pending = false);
+            for (_, surface) in opened.surfaces_mut() {
+                surface.edit_pending &= cancelled_after.is_none_or(|edits| surface.edited > edits);
             }
         }
         if let Some(opened) = &mut self.opened {

@@ -168,6 +168,34 @@ async fn values_that_an_edit_leaves_open_are_those_of_its_step() {
 }
 
 #[tokio::test]
+async fn a_cancelled_step_leaves_the_edits_behind_it_to_be_made() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(r#"{"type":"step","step":3}"#).await;
+    let job = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"cancel"}"#).await;
+    viewer.say(r#"{"type":"edit","alpha":0.25}"#).await;
+    let of_before = viewer.step().await;
+    assert_eq!((of_before.volume.step(), of_before.view.alpha), (0, 0.25));
+    job.resolve();
+    viewer.until("stepped").await;
+    of_before.answer_cancelled().await;
+    let job = viewer.step().await;
+    assert_eq!((job.volume.step(), job.view.alpha), (3, 0.25));
+
+    // Without one, nothing is made of the step.
+    job.answer(Answer::last(2, shapes(&[2])));
+    viewer.until("done").await;
+    viewer.say(r#"{"type":"step","step":4}"#).await;
+    let job = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"cancel"}"#).await;
+    tokio::task::yield_now().await;
+    job.resolve();
+    viewer.until("stepped").await;
+    viewer.quiet().await;
+    assert!(viewer.steps.try_recv().is_err(), "it was cancelled");
+}
+
+#[tokio::test]
 async fn a_step_of_which_a_surface_cannot_be_made_is_refused() {
     let mut viewer = showing(&Common::new(0)).await;
     viewer.say(r#"{"type":"step","step":1}"#).await;
