@@ -182,7 +182,8 @@ impl Made {
         // it has.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
-        let making = Self::make(state.extractor, source, request, token, permit);
+        let extractor = state.extractor.paid_by(who.limited_user());
+        let making = Self::make(extractor, source, request, token, permit);
         let (making, spool) = (tokio::spawn(making), state.spool);
         let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
             let deadline = EXPORT_DEADLINE.as_secs();

@@ -108,8 +108,8 @@ pub async fn slice(
     plane.check(&options).map_err(refused)?;
     let seat = state.slices.take(Occupant::from(&who));
     let _seat = seat.map_err(|none| ApiError::busy(none.to_string()))?;
-    let worker = state.extractor.worker();
-    let (slice, range) = shown_slice(worker, &volume, &plane, &options)
+    let worker = state.worker_for(&who);
+    let (slice, range) = shown_slice(&worker, &volume, &plane, &options)
         .await
         .map_err(|error| state.failed(&who, once(&**volume.dataset()), error))?;
     let info = header_of(&info(&plane, slice.sample_type))?;

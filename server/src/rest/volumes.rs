@@ -11,7 +11,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::ApiState;
 use crate::access::Identity;
-use crate::extraction::{FieldInfo, VolumeInfo, describe, describe_expression};
+use crate::extraction::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_expression};
 use crate::problem::{ApiError, Problem};
 use crate::volumes::{Dataset, Unreadable, VolumeStep};
 
@@ -125,7 +125,7 @@ pub async fn show(
     let Path(id) = id?;
     let Query(StepQuery { step }) = query?;
     let volume = state.volume(&who, &id, step)?;
-    let described = describe(state.extractor.worker(), &volume).await;
+    let described = describe(&state.worker_for(&who), &volume).await;
     Ok(Json(described.map_err(|error| {
         state.failed(&who, once(&**volume.dataset()), error)
     })?))
@@ -171,7 +171,7 @@ pub async fn expression(
     let Path(id) = id?;
     let Query(ExpressionQuery { expression, step }) = query?;
     let volume = state.volume(&who, &id, step)?;
-    let described = describe_expression(state.extractor.worker(), &volume, &expression).await;
+    let described = describe_expression(&state.worker_for(&who), &volume, &expression).await;
     Ok(Json(described.map_err(|error| {
         state.failed(&who, once(&**volume.dataset()), error)
     })?))
@@ -185,6 +185,11 @@ impl ApiState {
             dataset.ok_or_else(|| ApiError::unknown_volume(id))?,
             step,
         )?)
+    }
+
+    /// The device, for a user.
+    pub(super) fn worker_for(&self, who: &Identity) -> DeviceWorker {
+        self.extractor.worker().paid_by(who.limited_user())
     }
 
     /// Returns the answer to a failure of work on these volumes. If one of them was removed meanwhile, it is unknown; if one that cannot be read was

@@ -142,7 +142,7 @@ async fn upgrade<B: Backend>(
                 match common.viewers.enter(&who) {
                     Ok(_entered) => {
                         let _connected = ConnectedViewer::enter();
-                        socket::serve(socket, backend, common, who, deadlines, shutdown).await;
+                        socket::serve(socket, backend.used_by(&who), common, who, deadlines, shutdown).await;
                     }
                     Err(none) => {
                         tracing::debug!("a viewer is refused: {none}");
