@@ -3,7 +3,7 @@
 #
 #   prerequisites.sh build   compilers for Rust's C and C++ dependencies
 #   prerequisites.sh run     and an OpenCL loader with a driver
-#   prerequisites.sh test    and oclgrind, clang, OpenCL's headers, Python, chromium, and debootstrap for a root of Debian 13
+#   prerequisites.sh test    and oclgrind, clang, OpenCL's headers, curl, openssl, Python, chromium, and debootstrap for a root of Debian 13
 #
 # Rust and Node are never installed, only checked: how they come to a machine is its owner's choice. Packages are
 # installed on Debian and Ubuntu, as root or through a sudo that asks for no password; everywhere else the missing
@@ -89,6 +89,9 @@ missing_packages() {
     PATH=$PATH:/usr/sbin command -v debootstrap >/dev/null || printf '%s\n' debootstrap
     command -v "${CLANG:-clang}" >/dev/null || printf '%s\n' clang
     echo '#include <CL/cl_layer.h>' | cc -E - >/dev/null 2>&1 || printf '%s\n' opencl-c-headers
+    # Lines of docs/how-to, which are run as they are written
+    command -v curl >/dev/null || printf '%s\n' curl
+    command -v openssl >/dev/null || printf '%s\n' openssl
     command -v python3 >/dev/null || printf '%s\n' python3
     # For the generated clients, in a virtual environment
     python3 -c 'import ensurepip' 2>/dev/null || printf '%s\n' python3-venv

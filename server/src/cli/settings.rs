@@ -286,7 +286,7 @@ mod tests {
     /// Lines of code in the documentation that call this program, with what a line after a backslash adds.
     fn documented() -> Vec<(String, String)> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-        let pages = ["docs", "server", "docker"].map(|folder| root.join(folder));
+        let pages = ["docs", "docs/how-to", "server", "docker"].map(|folder| root.join(folder));
         let pages = pages
             .iter()
             .flat_map(|folder| std::fs::read_dir(folder).expect("a folder"));
@@ -333,6 +333,13 @@ mod tests {
             let parsed = with_variables(Cli::command()).try_get_matches_from(shell_words(line));
             assert!(parsed.is_ok(), "{page}: {line}: {}", parsed.expect_err("an error"));
         }
+    }
+
+    #[test]
+    fn the_configuration_for_kubernetes_is_understood() {
+        let text = include_str!("../../../docker/kubernetes/base/isopeel.toml");
+        let args = format!("{:?}", served(text, "isopeel serve").expect("arguments"));
+        assert!(args.contains("0.0.0.0:9417"), "{args}");
     }
 
     #[test]

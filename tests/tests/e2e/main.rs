@@ -11,6 +11,7 @@ mod budgets;
 mod bytes;
 mod command_line;
 mod crowd;
+mod documentation;
 mod drivers;
 mod edits;
 mod expected_cuts;
