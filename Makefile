@@ -104,6 +104,7 @@ lint-text:
 	tests/lint/layers.py
 	tests/lint/citations.py
 	tests/lint/unused.py
+	tests/lint/help.py
 	tests/lint/retired_words.py
 
 lint-rust: web-client

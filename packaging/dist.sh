@@ -7,6 +7,7 @@
 #
 # `build` needs Rust and the web client in web/dist, and gets zig and cargo-zigbuild from PyPI. `pack` needs binutils, dpkg-deb and xz, and writes
 # the same bytes for the same binary and commit. `try` uses tests/scripts/fresh-debian.sh.
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
 cd "$(dirname "$0")/.."
@@ -73,7 +74,8 @@ make_package() {
     documents "$root/usr/share/doc/isopeel"
     cp LICENSE-MIT "$root/usr/share/doc/isopeel/copyright"
     "$work/isopeel" completions bash >"$root/usr/share/bash-completion/completions/isopeel"
-    "$work/isopeel" manual | gzip --no-name --best >"$root/usr/share/man/man1/isopeel.1.gz"
+    "$work/isopeel" manual "$root/usr/share/man/man1"
+    gzip --no-name --best "$root/usr/share/man/man1/"*
     echo /etc/isopeel/isopeel.toml >"$root/DEBIAN/conffiles"
     sed "s/@VERSION@/$version/; s/@GLIBC@/$glibc/; s/@SIZE@/$(du --summarize --apparent-size --block-size=1K "$root" | cut -f1)/" packaging/control >"$root/DEBIAN/control"
     install --mode=755 packaging/postinst packaging/prerm packaging/postrm "$root/DEBIAN"

@@ -2,9 +2,10 @@
 # Runs the scripts for Slurm in docker/ as Slurm would run them, with its variables and without Slurm.
 #
 #   tests/scripts/slurm.sh BINARY
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
-[ $# -eq 1 ] && [ "$1" != --help ] || { sed -n '2,4s/^# \{0,1\}//p' "$0" && exit 2; }
+[ $# -eq 1 ] || { echo "slurm.sh: expected the binary, found: $*" >&2 && exit 2; }
 binary=$(realpath "$1")
 cd "$(dirname "$0")/../.."
 repository=$PWD work=$(mktemp -d)
