@@ -115,9 +115,17 @@ in_root() {
     cd "$(mktemp -d)"
     tar --extract --gzip --file "$1/$2.tar.gz"
     "./$2/isopeel" --version
-    "./$2/isopeel" extract - --iso 100 --format stl -o tarball.stl <"$3"
     dpkg --install "$1/isopeel_$4_amd64.deb" >/dev/null
     [ "$(command -v isopeel)" = /usr/bin/isopeel ]
+    # PoCL 1.6 of Debian 11 compiles for few processors.
+    if ! "./$2/isopeel" extract - --iso 100 --format stl -o tarball.stl <"$3" 2>log; then
+        grep --quiet 'Update or replace the driver' log || { cat log >&2 && exit 1; }
+        isopeel info - <"$3" | grep --quiet '16 x 16 x 16'
+        isopeel token create --state-folder state --user ann --role view | grep --quiet '^isop_'
+        dpkg --purge isopeel >/dev/null
+        echo "$PRETTY_NAME: tarball and package run, but its PoCL does not compile for this processor: tried without a device"
+        return
+    fi
     isopeel extract - --iso 100 --format stl -o package.stl <"$3"
     cmp tarball.stl package.stl
     isopeel serve --listen 127.0.0.1:8471 --no-auth --state-folder state &

@@ -38,4 +38,5 @@ mod surfaces;
 mod tls;
 mod tokens;
 mod unix;
+mod upgrade;
 mod uploads;
