@@ -65,6 +65,13 @@ documents() {
     cp README.md CHANGELOG.md LICENSE-MIT LICENSE-APACHE "$work/THIRD-PARTY.txt" "$1"
 }
 
+# The unit leaves the service little, where systemd can say so.
+check_unit() {
+    command -v systemd-analyze >/dev/null || return 0
+    systemd-analyze security --offline=yes --threshold=30 packaging/isopeel.service >"$work/unit" || { cat "$work/unit" >&2 && fail "the unit is rated above 3"; }
+    tail --lines=1 "$work/unit"
+}
+
 make_package() {
     local root=$work/deb
     install -D --mode=755 "$work/isopeel" "$root/usr/bin/isopeel"
@@ -92,6 +99,7 @@ pack() {
     objcopy --only-keep-debug "$binary" "$work/isopeel.debug"
     objcopy --strip-all --add-gnu-debuglink="$work/isopeel.debug" "$binary" "$work/isopeel"
     check_binary "$work/isopeel"
+    check_unit
     packaging/third_party.py "$work"
     cp "$work/isopeel.cdx.json" "$dist/isopeel-$version.cdx.json"
 

@@ -335,6 +335,31 @@ mod tests {
         }
     }
 
+    /// `command` and those below it.
+    fn all_below(command: &Command) -> Vec<&Command> {
+        let below = command.get_subcommands().flat_map(all_below);
+        std::iter::once(command).chain(below).collect()
+    }
+
+    #[test]
+    fn every_option_is_on_the_page() {
+        let page = include_str!("../../../docs/command-line.md");
+        let cli = Cli::command();
+        for command in all_below(&cli) {
+            let options = command.get_arguments().filter(|option| !option.is_hide_set());
+            for option in options.filter_map(Arg::get_long) {
+                let is_there = page.match_indices(&format!("--{option}")).any(|(at, found)| {
+                    !page[at + found.len()..].starts_with(|c: char| c.is_ascii_alphanumeric() || c == '-')
+                });
+                assert!(
+                    is_there || ["help", "version"].contains(&option),
+                    "{}: --{option}",
+                    command.get_name()
+                );
+            }
+        }
+    }
+
     #[test]
     fn the_configuration_for_kubernetes_is_understood() {
         let text = include_str!("../../../docker/kubernetes/base/isopeel.toml");
