@@ -298,6 +298,11 @@ mod tests {
             let text = std::fs::read_to_string(&page).expect("text").replace("\\\n", " ");
             for line in text.lines() {
                 let line = line.strip_prefix("    ").unwrap_or_default();
+                // In a container: `docker compose … exec cpu isopeel …`, `kubectl … exec isopeel-0 -- isopeel …`.
+                let line = match line.rsplit_once(" isopeel ").filter(|(before, _)| before.contains(" exec ")) {
+                    Some((_, rest)) => &format!("isopeel {rest}"),
+                    None => line,
+                };
                 if line.starts_with("isopeel ") {
                     found.push((page.display().to_string(), line.to_owned()));
                 }
