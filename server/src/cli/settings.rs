@@ -299,7 +299,10 @@ mod tests {
             for line in text.lines() {
                 let line = line.strip_prefix("    ").unwrap_or_default();
                 // In a container: `docker compose … exec cpu isopeel …`, `kubectl … exec isopeel-0 -- isopeel …`.
-                let line = match line.rsplit_once(" isopeel ").filter(|(before, _)| before.contains(" exec ")) {
+                let line = match line
+                    .rsplit_once(" isopeel ")
+                    .filter(|(before, _)| before.contains(" exec "))
+                {
                     Some((_, rest)) => &format!("isopeel {rest}"),
                     None => line,
                 };

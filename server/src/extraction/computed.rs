@@ -33,21 +33,11 @@ impl WorkerState {
         }
         let limit = TimeLimit::of(self.request_time, payer)?;
         self.use_fields(volume, &inputs)?;
-        let bytes: u64 = self
-            .bytes_of(volume, std::slice::from_ref(key))?
-            .iter()
-            .map(|(_, bytes)| bytes)
-            .sum();
         let resident = |input: &VolumeKey| self.volumes.peek(input).map(Rc::clone).ok_or(WorkError::Stopped);
         // Held, so that none of them goes.
         let fields = inputs.iter().map(resident).collect::<Result<Vec<_>, _>>()?;
         let fields: Vec<&Volume> = fields.iter().map(|field| &**field).collect();
-        // Distances are made in two fields in turns.
-        let held = if found.is_distance { 2 * bytes } else { bytes };
-        self.evict_for(held + self.upload_bytes());
-        if self.engine().device().kind == DeviceKind::Cpu {
-            self.make_host_space(held)?;
-        }
+        let bytes = self.make_space(volume, key, found.is_distance)?;
         let engine = Rc::clone(self.engine());
         let take_times = || engine.take_times().unwrap_or_default();
         let world = volume.dataset().smallest_length() as f32;
@@ -84,6 +74,19 @@ impl WorkerState {
         self.computed.insert(key.clone());
         self.add_volume(key.clone(), bytes, Rc::new(computed));
         Ok(())
+    }
+
+    /// Makes space for a field that is to be computed; returns its bytes.
+    fn make_space(&mut self, volume: &VolumeStep, key: &VolumeKey, is_distance: bool) -> Result<u64, JobError> {
+        let bytes = self.bytes_of(volume, std::slice::from_ref(key))?;
+        let bytes: u64 = bytes.iter().map(|(_, bytes)| bytes).sum();
+        // Distances are made in two fields in turns.
+        let held = if is_distance { 2 * bytes } else { bytes };
+        self.evict_for(held + self.upload_bytes());
+        if self.engine().device().kind == DeviceKind::Cpu {
+            self.make_host_space(held)?;
+        }
+        Ok(bytes)
     }
 }
 
