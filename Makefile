@@ -21,7 +21,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	dependencies lint test-compose test-clients test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
+	dependencies lint test-compose test-clients dist test-dist test-kubernetes test-slurm test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -104,6 +104,7 @@ lint-text:
 	tests/lint/layers.py
 	tests/lint/citations.py
 	tests/lint/unused.py
+	tests/lint/help.py
 	tests/lint/retired_words.py
 
 lint-rust: web-client
@@ -179,6 +180,19 @@ containers: ## both images, built without a daemon on Debian as root, and the br
 test-compose: ## the CPU image by docker/compose.yaml: what is kept, any user, TLS; needs Docker with Compose 2, and takes a quarter of an hour
 	docker build --file docker/Dockerfile --target cpu --tag isopeel:cpu .
 	tests/scripts/compose.sh
+
+dist: web-client ## what a release has, in target/dist: tarball and Debian package against an old glibc, licences, bill of materials, checksums
+	packaging/dist.sh build
+	packaging/dist.sh pack
+
+test-dist: ## the files of `make dist` in roots of Debian 11, 12 and 13; as root, or after it made the roots once
+	packaging/dist.sh try bullseye bookworm trixie
+
+test-kubernetes: ## docker/kubernetes rendered by kustomize or kubectl, and validated by schemas from PyPI
+	tests/scripts/kubernetes.py
+
+test-slurm: build-tests ## the scripts of docker/ for Slurm, run as it would run them
+	tests/scripts/slurm.sh $(TESTED_BINARY)
 
 fixtures: ## tests/fixtures/volumes anew: small volumes by independent programs, from PyPI, and what these read from them
 	tests/scripts/fixtures.py

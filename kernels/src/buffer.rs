@@ -175,6 +175,11 @@ impl<T> Buffer<T> {
         self.len.max(1) as u64 * size_of::<T>() as u64
     }
 
+    /// Bytes that the pool holds for it: an allocation that is used again may be larger than what is asked for.
+    pub fn allocated_bytes(&self) -> u64 {
+        self.allocated_bytes
+    }
+
     pub(crate) fn raw(&self) -> &opencl3::memory::Buffer<T> {
         &self.inner
     }

@@ -78,7 +78,7 @@ impl Cut {
 
     /// Bytes it holds on the device.
     pub fn device_bytes(&self) -> u64 {
-        self.state.bytes()
+        self.state.allocated_bytes()
     }
 
     /// Whether vertices of the same leaf are equal in both cuts.

@@ -90,11 +90,11 @@ impl Pyramid {
 
     /// Bytes it holds on the device.
     pub fn device_bytes(&self) -> u64 {
-        self.region_index.bytes()
-            + self.regions.bytes()
-            + self.bricks.bytes()
-            + self.near.bytes()
-            + self.nodes.bytes()
-            + self.vertex_records.bytes()
+        self.region_index.allocated_bytes()
+            + self.regions.allocated_bytes()
+            + self.bricks.allocated_bytes()
+            + self.near.allocated_bytes()
+            + self.nodes.allocated_bytes()
+            + self.vertex_records.allocated_bytes()
     }
 }

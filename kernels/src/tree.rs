@@ -174,30 +174,29 @@ impl VertexTree {
     pub fn device_bytes(&self) -> u64 {
         let last_cut = (self.leaf_count() + self.built.nodes.len()) * size_of::<u32>();
         last_cut as u64
-            + self.built.regions.bytes()
-            + self.built.nodes.bytes()
-            + self.built.node_errors.bytes()
-            + self.built.node_levels.bytes()
-            + self.built.node_parents.bytes()
-            + self.built.point_parents.bytes()
-            + self.built.round_ends.bytes()
-            + self.points.bytes()
-            + self.corners.bytes()
-            + self.meshes.bytes()
-            + self.collapsed_by.bytes()
-            + self.point_corners.bytes()
-            + self.corner_ends.bytes()
-            + self.lives.bytes()
-            + self.beside.bytes()
-            + self
-                .parts
-                .get()
-                .map_or(0, |parts| parts.firsts.bytes() + parts.areas.bytes())
+            + self.built.regions.allocated_bytes()
+            + self.built.nodes.allocated_bytes()
+            + self.built.node_errors.allocated_bytes()
+            + self.built.node_levels.allocated_bytes()
+            + self.built.node_parents.allocated_bytes()
+            + self.built.point_parents.allocated_bytes()
+            + self.built.round_ends.allocated_bytes()
+            + self.points.allocated_bytes()
+            + self.corners.allocated_bytes()
+            + self.meshes.allocated_bytes()
+            + self.collapsed_by.allocated_bytes()
+            + self.point_corners.allocated_bytes()
+            + self.corner_ends.allocated_bytes()
+            + self.lives.allocated_bytes()
+            + self.beside.allocated_bytes()
+            + self.parts.get().map_or(0, |parts| {
+                parts.firsts.allocated_bytes() + parts.areas.allocated_bytes()
+            })
             + self
                 .left_out
                 .borrow()
                 .as_ref()
-                .map_or(0, |left_out| left_out.points.bytes())
+                .map_or(0, |left_out| left_out.points.allocated_bytes())
     }
 
     pub(crate) fn point_count(&self) -> u32 {

@@ -1,7 +1,26 @@
 //! Folders of the server's user alone: what is in them is secret, or believed.
 
+use std::fs::{File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Longest wait for the lock of a process that was killed: the system keeps it until the process's memory is freed.
+const LOCK_WAIT: Duration = Duration::from_secs(4);
+
+/// Locks a file for this process alone, as soon as no other one holds it.
+///
+/// # Errors
+/// [`TryLockError::WouldBlock`]: another process holds it for longer than one that was killed does; or there are no locks.
+pub fn lock(file: &File) -> Result<(), TryLockError> {
+    let start = Instant::now();
+    loop {
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) if start.elapsed() < LOCK_WAIT => std::thread::sleep(LOCK_WAIT / 100),
+            outcome => return outcome,
+        }
+    }
+}
 
 /// Who may use such a folder beside the server's user.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -156,6 +175,21 @@ fn check(path: PathBuf, _: FolderAccess) -> Result<PathBuf, FolderAccessError> {
 #[cfg(all(test, unix))]
 mod tests {
     use std::os::unix::fs::PermissionsExt;
+
+    #[test]
+    fn a_lock_that_is_let_go_soon_is_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lock");
+        let open = || File::options().create(true).append(true).open(&path).unwrap();
+        let (dying, next) = (open(), open());
+        dying.try_lock().unwrap();
+        let thread = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(100));
+            drop(dying);
+        });
+        lock(&next).unwrap();
+        thread.join().unwrap();
+    }
 
     use super::*;
 

@@ -95,6 +95,12 @@ impl ApiError {
         self
     }
 
+    /// The same with another status.
+    #[must_use]
+    pub fn with_status(self, status: StatusCode) -> Self {
+        Self { status, ..self }
+    }
+
     /// There is no such path.
     pub fn not_found(path: &str) -> Self {
         let message = format!("nothing at {path:?}, /api/v1/openapi.json lists what there is");

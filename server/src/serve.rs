@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
-use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
+use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate, SizeAbove};
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
@@ -243,9 +243,13 @@ async fn count(request: Request<Body>, next: middleware::Next) -> Response {
     response
 }
 
+/// Answers below this size are not compressed.
+const MIN_COMPRESSED_BYTES: u64 = 1 << 10;
+
 fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
-    // gzip on meshes takes longer than it saves on the line.
+    // gzip on meshes takes longer than it saves on the line, and so does what fits a packet: strangers may ask for small answers.
     let compress = DefaultPredicate::new()
+        .and(SizeAbove::new(MIN_COMPRESSED_BYTES))
         .and(NotForContentType::const_new("model/"))
         .and(NotForContentType::const_new("application/octet-stream"));
     let set = |name: HeaderName, value: HeaderValue| SetResponseHeaderLayer::overriding(name, value);

@@ -4,6 +4,8 @@
 - A link in a page leads to a file, and to a heading of it where it names one (GitHub's slugs).
 - A page named in a comment exists, with the heading that follows it: `#slug`, or `, section N` of numbered ones. A path counts
   from the file's own folder or any above it; a name alone may also be the only page of that name.
+- `make TARGET` in a page, as code, is a target of the Makefile.
+- A test that a page names, five words or more, is a function.
 - No comment cites a section of "the algorithm" by number alone: docs/algorithm.md has headings.
 """
 
@@ -17,6 +19,8 @@ from tree import ROOT, read, text_files
 LINK = re.compile(r"\]\(<?([^()\s>]+)>?\)|^\[[^\]]+\]:\s+(\S+)", re.MULTILINE)
 PAGE = re.compile(r"(?<![\w/*.{}-])((?:[\w.-]+/|\.\./)*[\w-]+\.md)(?:#([\w-]+)|`?,? sections? (\d+))?")
 UNNAMED_PAGE = re.compile(r"\balgorithm,?\s+sections?\b", re.IGNORECASE)
+MAKE = re.compile(r"(?:`|^    )make ([a-z][a-z0-9-]*)", re.MULTILINE)
+TEST = re.compile(r"`(?!isopeel_)([a-z0-9]+(?:_[a-z0-9]+){4,})`")
 FILES = text_files(".")
 
 
@@ -39,6 +43,18 @@ def headings(page):
     return anchors | set(re.findall(r'<a (?:id|name)="([^"]+)"', text)), numbers
 
 
+@cache
+def targets():
+    """What can be made."""
+    return set(re.findall(r"^([a-z][a-z0-9-]*)[^=\n]*:(?!=)", read(Path("Makefile")), re.MULTILINE))
+
+
+@cache
+def functions():
+    """Names of all functions."""
+    return {name for path in FILES if path.suffix == ".rs" for name in re.findall(r"\bfn (\w+)", read(path))}
+
+
 def find_page(citing, name):
     for folder in citing.parents:
         if (ROOT / folder / name).is_file():
@@ -53,6 +69,12 @@ def problems(path):
     for match in UNNAMED_PAGE.finditer(text):
         yield match.start(), f"cites '{match[0]}' of an unnamed page: link to a heading of docs/algorithm.md"
     if path.suffix == ".md":
+        for match in MAKE.finditer(text):
+            if match[1] not in targets():
+                yield match.start(), f"names make {match[1]}, no target of the Makefile"
+        for match in TEST.finditer(text):
+            if match[1] not in functions():
+                yield match.start(), f"names the test {match[1]}, which does not exist"
         text = without_code_blocks(text)
         for match in LINK.finditer(text):
             target, _, anchor = (match[1] or match[2]).partition("#")

@@ -5,6 +5,7 @@
 #
 # Kernels may be renamed between the two; what is compared is the contents of their buffers, launch by launch. Worktrees and
 # hashes are kept below target/compare. No test of CI: processors and drivers round differently.
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 

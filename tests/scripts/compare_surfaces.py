@@ -13,6 +13,9 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
+if {"-h", "--help"} & set(sys.argv[1:]):
+    sys.exit(print(__doc__.strip()))
+
 COLUMNS = ["surface", "driver", "triangles", "vertices", "Euler", "parts", "open edges", "edges of 3 or more", "same bits"]
 
 

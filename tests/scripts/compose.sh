@@ -6,6 +6,7 @@
 #
 # Needs Docker with Compose 2, curl, jq and openssl. COMPOSE is the command, "docker compose" by default. An engine without a bridge gives its
 # containers the host's network. Removes the containers and volumes of its own project at the end, and no others.
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
 cd "$(dirname "$0")/../.."

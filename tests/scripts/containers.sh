@@ -7,6 +7,7 @@
 # Needs root, Debian, and network (Debian, crates.io, npm). Rust and Node are this machine's own, copied into images that only
 # build. What this machine needs to reach the network (certificates, ~/.npmrc, ~/.cargo/config.toml) is mounted while they build
 # and stays out of the images. DEBIAN_MIRROR replaces the usual one; ISOPEEL_LOG is where the builds' output goes.
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
 cd "$(dirname "$0")/../.."

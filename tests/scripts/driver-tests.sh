@@ -14,6 +14,7 @@
 # library, which many machines have without naming it. ISOPEEL_DEVICE selects one of several devices. A test that takes longer
 # than TEST_SECONDS (600) fails; tests of one binary together may take ten times that. The last line but one is a summary for
 # programs, separated by tabs: `summary`, driver, tests that passed and failed, seconds. The exit status is 1 when one failed.
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
 folder=$(dirname "$(realpath "$0")")

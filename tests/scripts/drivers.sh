@@ -12,6 +12,7 @@
 # from PyPI into target/drivers (1 GB; its licence is Intel's). No part of the machine's own OpenCL setup is changed. A test
 # fails because of what a driver computes, never because of its version: the table has the versions that were found.
 # Logs are in target/drivers/logs.
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 

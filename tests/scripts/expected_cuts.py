@@ -13,6 +13,9 @@ import sys
 from functools import cache
 from pathlib import Path
 
+if {"-h", "--help"} & set(sys.argv[1:]):
+    sys.exit(print(__doc__.strip()))
+
 import numpy as np
 
 LEVELS = 6

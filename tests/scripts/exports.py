@@ -16,6 +16,9 @@ import sys
 import tempfile
 from pathlib import Path
 
+if {"-h", "--help"} & set(sys.argv[1:]):
+    sys.exit(print(__doc__.strip()))
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 VENV = ROOT / "target/fixtures-venv"
 VOLUME = ROOT / "server/demo/t1.nii.gz"

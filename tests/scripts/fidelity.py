@@ -3,7 +3,7 @@
 
     tests/scripts/fidelity.py --work FOLDER [--isopeel target/release/isopeel] [--parts peers shading …] [--volumes sin …]
 
-Measures with quality.py, topology.py and volumes.py of --measure (default: ../shared/measure beside the repository), in a
+Measures with quality.py, topology.py and volumes.py of tests/scripts/measure, in a
 virtual environment of its own, made from fidelity-requirements.txt at the first run. Meshes and results are kept in --work: a
 run that was broken off goes on where it was. Meshes of isopeel are made anew for another binary; delete the folder after a change of a
 measure or of a peer's version. Cuts of the octree are those of a server on a CPU.
@@ -25,16 +25,18 @@ PARTS = ["peers", "shading", "octree", "topology", "intersections", "importance"
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--isopeel", type=Path, default=ROOT / "target/release/isopeel", help="the binary to measure")
-parser.add_argument("--measure", type=Path, default=ROOT.parent / "shared/measure", help="folder of quality.py, topology.py and volumes.py")
-parser.add_argument("--data", type=Path, default=ROOT.parent / "shared/data", help="folder of ct-head.nrrd and mni152-*.nii.gz")
+parser.add_argument("--data", type=Path, default=os.environ.get("ISOPEEL_DATA"), help="folder of ct-head.nrrd [default: ISOPEEL_DATA]")
 parser.add_argument("--size", type=int, default=256, help="samples along each axis of sin and ml")
 parser.add_argument("--fractions", type=float, nargs="+", default=[0.5, 0.25, 0.15, 0.08], help="of the full-resolution triangles")
-parser.add_argument("--volumes", nargs="+", default=VOLUMES)
+parser.add_argument("--volumes", nargs="+", default=VOLUMES, help="sin and ml are made, others are in --data")
 parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="tables to make; all of them are needed for the page")
 parser.add_argument("--output", type=Path, default=ROOT / "docs/fidelity.md", help="page to write; - prints the tables alone")
 parser.add_argument("--work", type=Path, help="folder for volumes, meshes and results that is kept [default: a temporary one]")
 parser.add_argument("--python", type=Path, help="interpreter that has the requirements, instead of the own environment")
 args = parser.parse_args()
+missing = [name for name in args.volumes if name not in ("sin", "ml") and not (args.data and (args.data / f"{name.split()[0]}.nrrd").exists())]
+if missing:
+    parser.error(f"{', '.join(missing)}: not in --data ({args.data}), expected a folder that has them, or --volumes sin ml")
 
 
 def enter_environment():
@@ -54,7 +56,7 @@ def enter_environment():
 
 
 enter_environment()
-sys.path.insert(0, str(args.measure))
+sys.path.insert(0, str(HERE / "measure"))
 
 from fidelity import figures
 from fidelity.measures import Truth
@@ -77,7 +79,7 @@ def make(part, inputs, work):
         "octree": lambda: figures.octree([one for one in inputs if one.source.name != "ct-head 517"], 0.25),
         "topology": lambda: figures.topology(inputs, args.fractions),
         "intersections": lambda: figures.intersections(inputs, args.fractions),
-        "importance": lambda: figures.importance([measured(open_brain(iso, args.data, work)) for iso in BRAINS], 0.15),
+        "importance": lambda: figures.importance([measured(open_brain(iso, work)) for iso in BRAINS], 0.15),
         "where": lambda: by_part(opened("ml"), 0.08),
         "all": lambda: "\n".join(figures.everything(one, args.fractions) for one in inputs),
         "pictures": lambda: draw(opened("ct-head 517"), ROOT / "docs/images"),

@@ -17,6 +17,7 @@
 # Needs mmdebstrap, and network (Debian; for `prove` crates.io and npm too). Rust and Node are this machine's own, copied. What
 # this machine needs to reach the network (proxies, certificates, ~/.npmrc, ~/.cargo/config.toml) is taken from it.
 # DEBIAN_MIRROR and DEBIAN_SECURITY_MIRROR replace the usual ones.
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
 mirror=${DEBIAN_MIRROR:-http://deb.debian.org/debian}

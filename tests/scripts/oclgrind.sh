@@ -7,6 +7,7 @@
 #
 # Oclgrind exits with 0 whatever it finds, so its log decides: it must be empty. Writes of one value by several work-items
 # are no findings (OCLGRIND_UNIFORM_WRITES stays off).
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 

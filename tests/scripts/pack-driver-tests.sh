@@ -4,6 +4,7 @@
 #
 #   pack-driver-tests.sh               builds, and makes target/driver-tests
 #   pack-driver-tests.sh ARCHIVE       and packs it, with the OpenCL loader, into ARCHIVE, a .tar.xz
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 

@@ -3,16 +3,18 @@
 #
 #   prerequisites.sh build   compilers for Rust's C and C++ dependencies
 #   prerequisites.sh run     and an OpenCL loader with a driver
-#   prerequisites.sh test    and oclgrind, clang, OpenCL's headers, Python, chromium, and mmdebstrap for a root of Debian 13
+#   prerequisites.sh test    and oclgrind, clang, OpenCL's headers, curl, openssl, Python, chromium, and mmdebstrap for a root of Debian 13
 #
 # Rust and Node are never installed, only checked: how they come to a machine is its owner's choice. Packages are
 # installed on Debian and Ubuntu, as root or through a sudo that asks for no password; everywhere else the missing
 # commands are named, with the line to type. Nothing is touched when nothing is missing.
+case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
 purpose=${1:?usage: prerequisites.sh build|run|test}
 minimum_rust=1.92  # rust-version in Cargo.toml
-minimum_node=20.19 # what Vite asks for
+# What Vite and ESLint ask for, which crash on others: 20.19 of 20, 22.13 of 22, or 24 and newer.
+wanted_node="20.19 of 20, 22.13 of 22, or 24 or newer"
 
 fail() {
     printf 'isopeel: %s\n' "$@" >&2
@@ -24,16 +26,25 @@ at_least() {
     [ "$(printf '%s\n' "$2" "$1" | sort -V | head -n 1)" = "$2" ]
 }
 
+# node_serves VERSION
+node_serves() {
+    case ${1%%.*} in
+    20) at_least "$1" 20.19 ;;
+    22) at_least "$1" 22.13 ;;
+    *) at_least "$1" 24 ;;
+    esac
+}
+
 check_toolchains() {
     command -v cargo >/dev/null || fail "no cargo found: install Rust $minimum_rust or newer, see https://rustup.rs"
     local rust node
     rust=$(rustc --version | cut -d ' ' -f 2)
     at_least "$rust" "$minimum_rust" ||
         fail "Rust is $rust, expected $minimum_rust or newer: with rustup, type 'rustup update stable'"
-    command -v node >/dev/null || fail "no node found: install Node $minimum_node or newer, see https://nodejs.org"
+    command -v node >/dev/null || fail "no node found: install Node, $wanted_node, see https://nodejs.org"
     command -v npm >/dev/null || fail "no npm found: install the one that comes with Node, see https://nodejs.org"
     node=$(node --version)
-    at_least "${node#v}" "$minimum_node" || fail "Node is ${node#v}, expected $minimum_node or newer, see https://nodejs.org"
+    node_serves "${node#v}" || fail "Node is ${node#v}, expected $wanted_node, see https://nodejs.org"
     [ "$purpose" != test ] && return
     cargo fmt --version >/dev/null 2>&1 && cargo clippy --version >/dev/null 2>&1 ||
         fail "no rustfmt or clippy found: with rustup, type 'rustup component add rustfmt clippy'"
@@ -89,6 +100,9 @@ missing_packages() {
     command -v mmdebstrap >/dev/null || printf '%s\n' mmdebstrap
     command -v "${CLANG:-clang}" >/dev/null || printf '%s\n' clang
     echo '#include <CL/cl_layer.h>' | cc -E - >/dev/null 2>&1 || printf '%s\n' opencl-c-headers
+    # Lines of docs/how-to, which are run as they are written
+    command -v curl >/dev/null || printf '%s\n' curl
+    command -v openssl >/dev/null || printf '%s\n' openssl
     command -v python3 >/dev/null || printf '%s\n' python3
     # For the generated clients, in a virtual environment
     python3 -c 'import ensurepip' 2>/dev/null || printf '%s\n' python3-venv

@@ -17,6 +17,9 @@ import tempfile
 import time
 from pathlib import Path
 
+if {"-h", "--help"} & set(sys.argv[1:]):
+    sys.exit(print(__doc__.strip()))
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 VENV = ROOT / "target/fixtures-venv"
 RUNS = 5

@@ -10,11 +10,18 @@
  */
 
 import { spawn } from "node:child_process";
+import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { resolve } from "node:path";
 import { createInterface } from "node:readline";
 import { setTimeout as sleep } from "node:timers/promises";
 import { parseArgs } from "node:util";
+
+if (process.argv.includes("--help")) {
+  const text = readFileSync(import.meta.filename, "utf8");
+  console.log(text.slice(text.indexOf("/**"), text.indexOf("*/")).replace(/^[/ ]\*+ ?/gm, "").trim());
+  process.exit();
+}
 
 const ROOT = resolve(import.meta.dirname, "../..");
 const { WebSocket } = createRequire(resolve(ROOT, "web/package.json"))("ws");

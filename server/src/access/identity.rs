@@ -170,6 +170,11 @@ impl Identity {
         Reader::new(&self.user, self.may(Role::Admin))
     }
 
+    /// The user, if limits of one user are for them: an administrator has none.
+    pub fn limited_user(&self) -> Option<&str> {
+        (!self.may(Role::Admin)).then_some(&*self.user)
+    }
+
     /// Whether the token holds still.
     pub(super) fn is_valid(&self) -> bool {
         match &self.holds {

@@ -37,6 +37,9 @@ const CEILING_TRIANGLES: u64 = 20_000_000;
 /// An expression of 64 operations over 1024³ samples takes less on two cores, except with the slowest functions.
 const REQUEST_SECONDS: u32 = 120;
 
+/// Half of the time.
+const USER_SECONDS: u32 = 300;
+
 /// An export may take as long.
 const MAX_DRAIN_SECONDS: i64 = 1200;
 
@@ -74,6 +77,11 @@ pub struct Args {
     /// Time of the device that a field may take which an expression or a distance gives, in seconds; 0: as much as it takes
     #[arg(long, value_name = "SECONDS", default_value_t = REQUEST_SECONDS)]
     request_time: u32,
+
+    /// Time of the device that all such fields of one user may take within ten minutes, in seconds; 0: as much as they take. Administrators
+    /// have no limit
+    #[arg(long, value_name = "SECONDS", default_value_t = USER_SECONDS)]
+    user_time: u32,
 
     /// Look at the paths every two seconds: files that appear, as time steps or volumes, are offered without a restart
     #[arg(long)]
@@ -470,9 +478,15 @@ fn start_worker(
     DeviceWorker::start_with(DeviceOptions {
         is_patient,
         surface_bytes: args.memory.surface_bytes(),
-        request_time: (args.request_time > 0).then(|| Duration::from_secs(args.request_time.into())),
+        request_time: limit_of(args.request_time),
+        user_time: limit_of(args.user_time),
         ..args.device.server_options(types, next)
     })
+}
+
+/// A limit in seconds, of which 0 is none.
+fn limit_of(seconds: u32) -> Option<Duration> {
+    (seconds > 0).then(|| Duration::from_secs(seconds.into()))
 }
 
 /// Who may use the server that listens there.

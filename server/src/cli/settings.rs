@@ -286,7 +286,7 @@ mod tests {
     /// Lines of code in the documentation that call this program, with what a line after a backslash adds.
     fn documented() -> Vec<(String, String)> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-        let pages = ["docs", "server", "docker"].map(|folder| root.join(folder));
+        let pages = ["docs", "docs/how-to", "server", "docker"].map(|folder| root.join(folder));
         let pages = pages
             .iter()
             .flat_map(|folder| std::fs::read_dir(folder).expect("a folder"));
@@ -298,6 +298,14 @@ mod tests {
             let text = std::fs::read_to_string(&page).expect("text").replace("\\\n", " ");
             for line in text.lines() {
                 let line = line.strip_prefix("    ").unwrap_or_default();
+                // In a container: `docker compose … exec cpu isopeel …`, `kubectl … exec isopeel-0 -- isopeel …`.
+                let line = match line
+                    .rsplit_once(" isopeel ")
+                    .filter(|(before, _)| before.contains(" exec "))
+                {
+                    Some((_, rest)) => &format!("isopeel {rest}"),
+                    None => line,
+                };
                 if line.starts_with("isopeel ") {
                     found.push((page.display().to_string(), line.to_owned()));
                 }
@@ -333,6 +341,38 @@ mod tests {
             let parsed = with_variables(Cli::command()).try_get_matches_from(shell_words(line));
             assert!(parsed.is_ok(), "{page}: {line}: {}", parsed.expect_err("an error"));
         }
+    }
+
+    /// `command` and those below it.
+    fn all_below(command: &Command) -> Vec<&Command> {
+        let below = command.get_subcommands().flat_map(all_below);
+        std::iter::once(command).chain(below).collect()
+    }
+
+    #[test]
+    fn every_option_is_on_the_page() {
+        let page = include_str!("../../../docs/command-line.md");
+        let cli = Cli::command();
+        for command in all_below(&cli) {
+            let options = command.get_arguments().filter(|option| !option.is_hide_set());
+            for option in options.filter_map(Arg::get_long) {
+                let is_there = page.match_indices(&format!("--{option}")).any(|(at, found)| {
+                    !page[at + found.len()..].starts_with(|c: char| c.is_ascii_alphanumeric() || c == '-')
+                });
+                assert!(
+                    is_there || ["help", "version"].contains(&option),
+                    "{}: --{option}",
+                    command.get_name()
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_configuration_for_kubernetes_is_understood() {
+        let text = include_str!("../../../docker/kubernetes/base/isopeel.toml");
+        let args = format!("{:?}", served(text, "isopeel serve").expect("arguments"));
+        assert!(args.contains("0.0.0.0:9417"), "{args}");
     }
 
     #[test]

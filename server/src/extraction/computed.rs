@@ -1,25 +1,28 @@
 //! Fields that the device computes from others.
 
 use std::rc::Rc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, DeviceKind, Error, Volume};
 
 use super::WorkError;
 use super::keys::VolumeKey;
 use super::turns::{Aside, Turn};
+use super::user_time::Payer;
 use super::worker_state::{JobError, WorkerState};
 use crate::view::EditError;
 use crate::volumes::{ReadProgress, VolumeStep};
 
 impl WorkerState {
     /// Makes a field resident that is computed from others. Other jobs run between its launches, which are sized by their time. It ends if
-    /// `progress` is cancelled, because no caller waits for the field any more, and when it has taken as much of the device's time as a request may.
+    /// `progress` is cancelled, because no caller waits for the field any more, and when it has taken as much of the device's time as a request or
+    /// its user may.
     pub(super) fn compute(
         &mut self,
         volume: &VolumeStep,
         key: &VolumeKey,
         progress: &ReadProgress,
+        payer: Option<&Payer>,
         turn: &mut Turn<'_, Self>,
     ) -> Result<(), JobError> {
         let Some((found, inputs)) = key.computed(volume).filter(|_| !self.is_resident(key)) else {
@@ -28,27 +31,18 @@ impl WorkerState {
         if progress.is_cancelled() {
             return Err(WorkError::Cancelled.into());
         }
+        let limit = TimeLimit::of(self.request_time, payer)?;
         self.use_fields(volume, &inputs)?;
-        let bytes: u64 = self
-            .bytes_of(volume, std::slice::from_ref(key))?
-            .iter()
-            .map(|(_, bytes)| bytes)
-            .sum();
         let resident = |input: &VolumeKey| self.volumes.peek(input).map(Rc::clone).ok_or(WorkError::Stopped);
         // Held, so that none of them goes.
         let fields = inputs.iter().map(resident).collect::<Result<Vec<_>, _>>()?;
         let fields: Vec<&Volume> = fields.iter().map(|field| &**field).collect();
-        // Distances are made in two fields in turns.
-        let held = if found.is_distance { 2 * bytes } else { bytes };
-        self.evict_for(held + self.upload_bytes());
-        if self.engine().device().kind == DeviceKind::Cpu {
-            self.make_host_space(held)?;
-        }
+        let bytes = self.make_space(volume, key, found.is_distance)?;
         let engine = Rc::clone(self.engine());
         let take_times = || engine.take_times().unwrap_or_default();
         let world = volume.dataset().smallest_length() as f32;
-        let (limit, start, aside) = (self.request_time, Instant::now(), Aside::default());
-        let is_over = || limit.is_some_and(|limit| aside.own_time(start) > limit);
+        let (start, aside) = (Instant::now(), Aside::default());
+        let is_over = || limit.is_over(aside.own_time(start));
         let computed = turn.run(self, &take_times, &aside, |cancel| {
             let cancel = &Wanted {
                 cancel,
@@ -61,11 +55,13 @@ impl WorkerState {
                 engine.evaluate(&found.expression, &fields, cancel).map(Some)
             }
         });
-        let computed = match (computed, limit) {
-            (Err(Error::Cancelled), Some(limit)) if is_over() => {
-                return Err(WorkError::TookTooLong { limit }.into());
-            }
-            (computed, _) => computed?,
+        let time = aside.own_time(start);
+        if let Some(payer) = payer {
+            payer.take(time, Instant::now());
+        }
+        let computed = match computed {
+            Err(Error::Cancelled) if limit.is_over(time) => return Err(limit.error(payer).into()),
+            computed => computed?,
         };
         let computed = computed.ok_or_else(|| WorkError::Edit(nothing_inside(key)))?;
         tracing::info!(
@@ -78,6 +74,61 @@ impl WorkerState {
         self.computed.insert(key.clone());
         self.add_volume(key.clone(), bytes, Rc::new(computed));
         Ok(())
+    }
+
+    /// Makes space for a field that is to be computed; returns its bytes.
+    fn make_space(&mut self, volume: &VolumeStep, key: &VolumeKey, is_distance: bool) -> Result<u64, JobError> {
+        let bytes = self.bytes_of(volume, std::slice::from_ref(key))?;
+        let bytes: u64 = bytes.iter().map(|(_, bytes)| bytes).sum();
+        // Distances are made in two fields in turns.
+        let held = if is_distance { 2 * bytes } else { bytes };
+        self.evict_for(held + self.upload_bytes());
+        if self.engine().device().kind == DeviceKind::Cpu {
+            self.make_host_space(held)?;
+        }
+        Ok(bytes)
+    }
+}
+
+/// Time of the device that a field may take.
+#[derive(Clone, Copy)]
+struct TimeLimit {
+    request: Option<Duration>,
+    /// What its user has left.
+    user: Option<Duration>,
+}
+
+impl TimeLimit {
+    /// # Errors
+    /// The user has none left.
+    fn of(request: Option<Duration>, payer: Option<&Payer>) -> Result<Self, WorkError> {
+        let left = payer.and_then(|payer| payer.left(Instant::now()));
+        let limit = Self {
+            request,
+            user: left.map(|left| left.now),
+        };
+        match left {
+            Some(left) if left.now.is_zero() => Err(limit.error(payer)),
+            _ => Ok(limit),
+        }
+    }
+
+    fn is_over(self, time: Duration) -> bool {
+        let limits = self.request.into_iter().chain(self.user);
+        limits.min().is_some_and(|limit| time > limit)
+    }
+
+    /// Why work that took too long was ended.
+    fn error(self, payer: Option<&Payer>) -> WorkError {
+        let of_request = self.request.unwrap_or(Duration::MAX);
+        let left = payer.and_then(|payer| payer.left(Instant::now()));
+        match left.filter(|_| self.user.is_some_and(|user| user < of_request)) {
+            Some(left) => WorkError::UserTime {
+                limit: left.limit,
+                wait: left.wait,
+            },
+            None => WorkError::TookTooLong { limit: of_request },
+        }
     }
 }
 

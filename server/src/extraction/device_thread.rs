@@ -118,6 +118,8 @@ pub struct DeviceOptions {
     pub surface_bytes: Option<u64>,
     /// Maximum time of the device that a request may take for a field that it has computed.
     pub request_time: Option<Duration>,
+    /// Time of the device that the computed fields of one user may take within [`super::USER_TIME_PERIOD`]; `None`: as much as they take.
+    pub user_time: Option<Duration>,
 }
 
 impl DeviceOptions {
@@ -134,6 +136,7 @@ impl DeviceOptions {
             is_patient: false,
             surface_bytes: None,
             request_time: None,
+            user_time: None,
         }
     }
 }

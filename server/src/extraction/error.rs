@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::user_time::USER_TIME_PERIOD;
 use crate::error::chain;
 use crate::view::EditError;
 use crate::volumes::ReadError;
@@ -101,6 +102,20 @@ pub enum WorkError {
         /// Maximum time of a request.
         limit: Duration,
     },
+    /// Fields of the user took as much of the device's time as those of one user may.
+    #[error(
+        "expressions and distances of yours have taken the {} s of the device's time that one user may take within {} minutes: try again in {} s, or \
+         ask for a simpler expression",
+        limit.as_secs_f64(),
+        USER_TIME_PERIOD.as_secs() / 60,
+        wait.as_secs() + 1
+    )]
+    UserTime {
+        /// Maximum time of a user.
+        limit: Duration,
+        /// After how long there is some again.
+        wait: Duration,
+    },
     /// A stage failed.
     #[error(transparent)]
     Device(isopeel_kernels::Error),
@@ -125,7 +140,7 @@ impl WorkError {
     /// The stable code of `PROTOCOL.md`, also in REST problems.
     pub fn code(&self) -> &'static str {
         match self {
-            Self::Busy | Self::HostBusy { .. } => "busy",
+            Self::Busy | Self::HostBusy { .. } | Self::UserTime { .. } => "busy",
             Self::Unreadable(_) => "unreadable-volume",
             Self::TooManyTriangles { .. }
             | Self::TooLarge { .. }
@@ -156,6 +171,7 @@ impl WorkError {
                 | Self::TooLarge { .. }
                 | Self::TooLargeForHost { .. }
                 | Self::TookTooLong { .. }
+                | Self::UserTime { .. }
                 | Self::NoTree(_)
         )
     }

@@ -37,6 +37,15 @@ impl Extractor {
         }
     }
 
+    /// The same with [`DeviceWorker::paid_by`].
+    #[must_use]
+    pub fn paid_by(&self, user: Option<&str>) -> Self {
+        Self {
+            worker: self.worker.paid_by(user),
+            ..self.clone()
+        }
+    }
+
     /// The device.
     pub fn worker(&self) -> &DeviceWorker {
         &self.worker

@@ -197,13 +197,13 @@ impl DeviceWorker {
     ) -> Pin<Box<dyn Future<Output = Result<(), WorkError>> + Send + 'a>> {
         // Boxed because the future is recursive: loading loads.
         Box::pin(async move {
-            let never = CancellationToken::new();
+            let (never, payer) = (CancellationToken::new(), self.payer.clone());
             self.with_volumes(
                 volume,
                 &never,
                 Caller::Cache,
                 Length::Field,
-                move |state, volume, turn| state.compute(volume, &key, &progress, turn),
+                move |state, volume, turn| state.compute(volume, &key, &progress, payer.as_ref(), turn),
             )
             .await
         })

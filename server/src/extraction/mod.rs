@@ -13,6 +13,7 @@
 //! - `refine`: steps from a surface that is shown to another one.
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view; `decisions`: which of them it gets.
+//! - `user_time`: the device's time that the computed fields of each user have taken.
 //! - `intersections`: where triangles of a surface intersect, so that it is refined there.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
@@ -54,6 +55,7 @@ mod tree_surfaces;
 mod turns;
 mod unfinished;
 mod uploads;
+mod user_time;
 mod volume_info;
 mod worker;
 mod worker_state;
@@ -74,6 +76,7 @@ pub use results::{CutId, ExportWork, Extraction, FullCount, Measurement, Measuri
 pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
 pub use statistics::{Cleaned, EstimatedError, ExtractionStatistics, MeasuredError, Shape};
+pub use user_time::USER_TIME_PERIOD;
 pub use volume_info::{
     DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo, describe,
     describe_expression,

@@ -28,6 +28,7 @@ use super::residency::Lru;
 use super::results::Making;
 use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
 use super::unfinished::Unfinished;
+use super::user_time::{Payer, UserTimes};
 use super::worker_state::{Histograms, JobError, WorkerState, no_finite_sample};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::metrics;
@@ -55,6 +56,8 @@ pub struct DeviceWorker {
     pub(super) shared: Arc<Shared>,
     /// Sees what this handle's jobs do.
     pub(super) watch: Option<Arc<OpeningWatch>>,
+    /// Whose time the fields count as that this handle computes.
+    pub(super) payer: Option<Payer>,
 }
 
 pub(super) struct Shared {
@@ -71,6 +74,7 @@ pub(super) struct Shared {
     pub slices: Semaphore,
     /// Time of the last successful probe.
     last_answer: tokio::sync::Mutex<Option<Instant>>,
+    user_times: Arc<UserTimes>,
     pub loads: Loads,
     pub ahead: AheadState,
     permits: Permits,
@@ -111,6 +115,7 @@ impl DeviceWorker {
             is_patient,
             surface_bytes,
             request_time,
+            user_time,
         } = options;
         let (jobs, waiting) = mpsc::channel::<Job<WorkerState>>(QUEUED_JOBS);
         let (state, watched) = watch::channel(DeviceState::Opening(Preparation::default()));
@@ -142,6 +147,7 @@ impl DeviceWorker {
                 unfinished: Unfinished::default(),
                 slices: Semaphore::new(1),
                 last_answer: tokio::sync::Mutex::default(),
+                user_times: UserTimes::new(user_time),
                 loads: Loads::new(),
                 ahead: AheadState::new(),
                 permits: Permits::new(VIEWERS_JOBS),
@@ -149,7 +155,18 @@ impl DeviceWorker {
                 thread: Some(thread),
             }),
             watch: None,
+            payer: None,
         })
+    }
+
+    /// A handle that does the same, and counts the device's time that computed fields take as this user's; `None`: as that
+    /// of no user.
+    #[must_use]
+    pub fn paid_by(&self, user: Option<&str>) -> Self {
+        Self {
+            payer: user.map(|user| Payer::new(&self.shared.user_times, user)),
+            ..self.clone()
+        }
     }
 
     /// Ends the thread, once all other handles are gone. False if that takes longer than `limit`: then it runs on until the process ends.
@@ -257,8 +274,8 @@ impl DeviceWorker {
         };
         let watch = Arc::new(OpeningWatch::new(work));
         let worker = Self {
-            shared: Arc::clone(&self.shared),
             watch: Some(Arc::clone(&watch)),
+            ..self.clone()
         };
         Ok((worker, watch))
     }

@@ -17,6 +17,7 @@ impl From<WorkError> for ApiError {
         let status = match &error {
             WorkError::Busy
             | WorkError::HostBusy { .. }
+            | WorkError::UserTime { .. }
             | WorkError::NoDevice(_)
             | WorkError::DeviceLost
             | WorkError::Reopening
@@ -35,6 +36,7 @@ impl From<WorkError> for ApiError {
         match error {
             // It is opened again every half second.
             WorkError::DeviceLost | WorkError::Reopening => answer.retry_after(Duration::from_secs(1)),
+            WorkError::UserTime { wait, .. } => answer.retry_after(wait),
             _ => answer,
         }
         .because(error)

@@ -13,6 +13,8 @@ use crate::problem::ApiError;
 pub(super) struct QueueLimits {
     /// Exports at a time.
     pub running: usize,
+    /// Exports of one user at a time: fewer, so that those that take long leave others a place.
+    pub running_of_user: usize,
     /// Exports that wait, of all users.
     pub waiting: usize,
     /// Exports that wait, of one user.
@@ -77,8 +79,9 @@ impl ExportQueue {
         match tokio::time::timeout(limits.wait, admitted).await {
             Ok(Ok(permit)) => Ok(permit),
             _ => Err(ApiError::busy(format!(
-                "{} exports are under way, the most at a time, and none ended within {} s: try again in a few seconds",
+                "up to {} exports are made at a time, up to {} of one user, and none ended within {} s: try again in a few seconds",
                 limits.running,
+                limits.running_of_user,
                 limits.wait.as_secs()
             ))),
         }
@@ -89,7 +92,7 @@ impl ExportQueue {
         let mut state = self.state();
         // Clients that have left wait no more.
         state.waiting.retain(|waiter| !waiter.admit.is_closed());
-        if state.waiting.is_empty() && state.running.values().sum::<usize>() < limits.running {
+        if state.has_place(&limits) && state.may_run(&user, &limits) && state.next_place(&limits).is_none() {
             *state.running.entry(Arc::clone(&user)).or_default() += 1;
             let queue = self.clone();
             return Ok(Entry::Admitted(ExportPermit { queue, user }));
@@ -115,8 +118,7 @@ impl ExportQueue {
         let next = {
             let mut state = self.state();
             state.leave(user);
-            let is_free = state.running.values().sum::<usize>() < self.0.limits.running;
-            let next = is_free.then(|| state.next()).flatten();
+            let next = state.next(&self.0.limits);
             if let Some(waiter) = &next {
                 *state.running.entry(Arc::clone(&waiter.user)).or_default() += 1;
             }
@@ -140,11 +142,29 @@ enum Entry {
 }
 
 impl State {
-    /// Takes the export that is admitted next: of the user with the fewest running exports, the one that has waited longest.
-    fn next(&mut self) -> Option<Waiter> {
-        let running = |waiter: &Waiter| self.running.get(&waiter.user).copied().unwrap_or_default();
+    fn has_place(&self, limits: &QueueLimits) -> bool {
+        self.running.values().sum::<usize>() < limits.running
+    }
+
+    fn running_of(&self, user: &str) -> usize {
+        self.running.get(user).copied().unwrap_or_default()
+    }
+
+    fn may_run(&self, user: &str, limits: &QueueLimits) -> bool {
+        self.running_of(user) < limits.running_of_user
+    }
+
+    /// Place of the export that is admitted next: of the user with the fewest running exports, the one that has waited longest.
+    fn next_place(&self, limits: &QueueLimits) -> Option<usize> {
         let numbered = self.waiting.iter().enumerate();
-        let (place, _) = numbered.min_by_key(|(place, waiter)| (running(waiter), *place))?;
+        let admissible = numbered.filter(|(_, waiter)| self.may_run(&waiter.user, limits));
+        let next = admissible.min_by_key(|(place, waiter)| (self.running_of(&waiter.user), *place));
+        next.map(|(place, _)| place)
+    }
+
+    /// Takes the export that is admitted next, if there is a place for it.
+    fn next(&mut self, limits: &QueueLimits) -> Option<Waiter> {
+        let place = self.next_place(limits).filter(|_| self.has_place(limits))?;
         Some(self.waiting.remove(place))
     }
 
@@ -176,6 +196,7 @@ mod tests {
     fn queue(running: usize) -> ExportQueue {
         ExportQueue::new(QueueLimits {
             running,
+            running_of_user: running,
             waiting: 4,
             waiting_of_user: 3,
             wait: Duration::from_secs(600),
@@ -232,6 +253,22 @@ mod tests {
             panic!("b is admitted before a second one of a");
         };
         drop(other);
+        assert!(poll!(&mut next_of_a).is_ready());
+    }
+
+    #[tokio::test]
+    async fn one_user_leaves_a_place_for_others() {
+        let queue = ExportQueue::new(QueueLimits {
+            running_of_user: 2,
+            ..queue(3).0.limits
+        });
+        let mut of_a = vec![queue.admit("a").await.unwrap(), queue.admit("a").await.unwrap()];
+        let mut next_of_a = pin!(queue.admit("a"));
+        assert!(poll!(&mut next_of_a).is_pending(), "a third one of a");
+        let of_b = queue.admit("b").await.unwrap();
+        drop(of_b);
+        assert!(poll!(&mut next_of_a).is_pending(), "b has left a place, not to a");
+        drop(of_a.pop());
         assert!(poll!(&mut next_of_a).is_ready());
     }
 

@@ -4,6 +4,7 @@ pub(super) mod address;
 mod body;
 mod spool;
 
+use std::iter::once;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -121,7 +122,7 @@ impl ToSchema for File {}
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`body-too-large`: more than 64 KiB; or `too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-edit`: a value out of range; `empty-surface`: no triangles, and `allowEmpty` is not set; `not-clean`: triangles intersect, and `clean` is set; or `too-large`: more triangles than the server makes (`suggestedTriangles` says what it would), or than the format holds", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`: a value out of range; `empty-surface`: no triangles, and `allowEmpty` is not set; `not-clean`: triangles intersect, and `clean` is set; or `too-large`: more triangles than the server makes (`suggestedTriangles` says what it would), or than the format holds; or `unreadable-volume`, of an upload", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -140,13 +141,23 @@ pub async fn extract(
     file.surfaces(&volume, &others)?;
     let encoding = ContentEncoding::accepted(&headers);
     let source = Source { volume, others };
-    Made::admitted(state, &who, source, file).await?.whole(encoding)
+    source.made(state, &who, file).await?.whole(encoding)
 }
 
 /// The volumes that a file is made of.
 struct Source {
     volume: VolumeStep,
     others: OtherVolumes,
+}
+
+impl Source {
+    /// Makes a file as soon as the queue admits it.
+    async fn made(self, state: ApiState, who: &Identity, file: FileRequest) -> Result<Made, ApiError> {
+        let others = self.others.values();
+        let volumes: Vec<_> = once(self.volume.dataset()).chain(others).map(Arc::clone).collect();
+        let made = Made::admitted(state.clone(), who, self, file).await;
+        made.map_err(|error| state.failed(who, volumes.iter().map(|volume| &**volume), error))
+    }
 }
 
 /// The volumes that surfaces name, which the client may see.
@@ -171,7 +182,8 @@ impl Made {
         // it has.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
-        let making = Self::make(state.extractor, source, request, token, permit);
+        let extractor = state.extractor.paid_by(who.limited_user());
+        let making = Self::make(extractor, source, request, token, permit);
         let (making, spool) = (tokio::spawn(making), state.spool);
         let made = tokio::time::timeout(EXPORT_DEADLINE, making).await.map_err(|_| {
             let deadline = EXPORT_DEADLINE.as_secs();

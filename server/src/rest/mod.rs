@@ -69,6 +69,7 @@ const BODY_PAUSE: Duration = Duration::from_secs(10);
 /// triangles. One that waits holds a connection.
 const EXPORTS: QueueLimits = QueueLimits {
     running: 4,
+    running_of_user: 3,
     waiting: 32,
     waiting_of_user: 8,
     wait: Duration::from_secs(60),

@@ -1,5 +1,7 @@
 //! Planes of samples: raw for a shader, or as a picture.
 
+use std::iter::once;
+
 use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
@@ -86,7 +88,7 @@ pub struct SliceInfo<'a> {
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume`, `unknown-step` or `unknown-field`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-slice`: no such plane, a window that shows nothing, or isovalues that are missing or of no use", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-slice`: no such plane, a window that shows nothing, or isovalues that are missing or of no use; or `unreadable-volume`, of an upload", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume` or `device`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -106,8 +108,10 @@ pub async fn slice(
     plane.check(&options).map_err(refused)?;
     let seat = state.slices.take(Occupant::from(&who));
     let _seat = seat.map_err(|none| ApiError::busy(none.to_string()))?;
-    let worker = state.extractor.worker();
-    let (slice, range) = shown_slice(worker, &volume, &plane, &options).await?;
+    let worker = state.worker_for(&who);
+    let (slice, range) = shown_slice(&worker, &volume, &plane, &options)
+        .await
+        .map_err(|error| state.failed(&who, once(&**volume.dataset()), error))?;
     let info = header_of(&info(&plane, slice.sample_type))?;
     let content_type = HeaderValue::from_static(options.format.content_type());
     let file = pool::run(move || plane.file(slice, &options, range)).await;

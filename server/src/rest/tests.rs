@@ -155,6 +155,40 @@ async fn volumes_and_steps_that_are_not_there_are_named() {
     }
 }
 
+/// Returns the answer to a client if the samples of a volume cannot be read.
+fn answer_to_unreadable(state: &ApiState, volume: &Dataset) -> (StatusCode, &'static str) {
+    let unreadable = ReadError::new(std::path::Path::new("a.nrrd"), "data", "it has 3 bytes, expected 8");
+    let error = crate::extraction::WorkError::from(unreadable);
+    let error = state.failed(&Identity::without_token(), std::iter::once(volume), error);
+    (error.status(), error.code())
+}
+
+#[tokio::test]
+async fn volumes_that_were_removed_are_unknown_and_broken_uploads_are_their_users_fault() {
+    let (state, served) = (state(), catalog());
+    let served = Dataset::clone(&served.datasets()[0]);
+    let uploaded = Dataset {
+        id: "upload-1".into(),
+        ..served.clone()
+    };
+    let private = state.catalog.private();
+    let owner = Identity::without_token().user().to_owned();
+    private.add(&owner, [Arc::new(uploaded.clone())], std::time::SystemTime::now());
+    assert_eq!(
+        answer_to_unreadable(&state, &uploaded),
+        (StatusCode::UNPROCESSABLE_ENTITY, "unreadable-volume")
+    );
+    assert_eq!(
+        answer_to_unreadable(&state, &served),
+        (StatusCode::INTERNAL_SERVER_ERROR, "unreadable-volume")
+    );
+    private.remove("upload-1");
+    assert_eq!(
+        answer_to_unreadable(&state, &uploaded),
+        (StatusCode::NOT_FOUND, "unknown-volume")
+    );
+}
+
 #[tokio::test]
 async fn slices_that_are_not_there_are_refused_before_any_work() {
     let at = |query: &str| format!("/api/v1/volumes/ramp/slices?{query}");

@@ -1,14 +1,17 @@
 //! What volumes there are, and what is in each.
 
+use std::iter::once;
+
 use axum::Json;
 use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
+use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::ApiState;
 use crate::access::Identity;
-use crate::extraction::{FieldInfo, VolumeInfo, describe, describe_expression};
+use crate::extraction::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_expression};
 use crate::problem::{ApiError, Problem};
 use crate::volumes::{Dataset, Unreadable, VolumeStep};
 
@@ -107,6 +110,7 @@ pub struct StepQuery {
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`unreadable-volume`, of an upload", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume` or `device`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -121,7 +125,10 @@ pub async fn show(
     let Path(id) = id?;
     let Query(StepQuery { step }) = query?;
     let volume = state.volume(&who, &id, step)?;
-    Ok(Json(describe(state.extractor.worker(), &volume).await?))
+    let described = describe(&state.worker_for(&who), &volume).await;
+    Ok(Json(described.map_err(|error| {
+        state.failed(&who, once(&**volume.dataset()), error)
+    })?))
 }
 
 /// Which field.
@@ -149,7 +156,7 @@ pub struct ExpressionQuery {
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-edit`: what is wrong with the expression, and at which character", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`: what is wrong with the expression, and at which character; or `unreadable-volume`, of an upload", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume` or `device`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -164,8 +171,10 @@ pub async fn expression(
     let Path(id) = id?;
     let Query(ExpressionQuery { expression, step }) = query?;
     let volume = state.volume(&who, &id, step)?;
-    let described = describe_expression(state.extractor.worker(), &volume, &expression).await?;
-    Ok(Json(described))
+    let described = describe_expression(&state.worker_for(&who), &volume, &expression).await;
+    Ok(Json(described.map_err(|error| {
+        state.failed(&who, once(&**volume.dataset()), error)
+    })?))
 }
 
 impl ApiState {
@@ -176,5 +185,34 @@ impl ApiState {
             dataset.ok_or_else(|| ApiError::unknown_volume(id))?,
             step,
         )?)
+    }
+
+    /// The device, for a user.
+    pub(super) fn worker_for(&self, who: &Identity) -> DeviceWorker {
+        self.extractor.worker().paid_by(who.limited_user())
+    }
+
+    /// Returns the answer to a failure of work on these volumes. If one of them was removed meanwhile, it is unknown; if one that cannot be read was
+    /// uploaded, its user is at fault, not the server.
+    pub(super) fn failed<'a>(
+        &self,
+        who: &Identity,
+        mut volumes: impl Iterator<Item = &'a Dataset> + Clone,
+        error: impl Into<ApiError>,
+    ) -> ApiError {
+        let error = error.into();
+        if error.code() != "unreadable-volume" {
+            return error;
+        }
+        let gone = volumes
+            .clone()
+            .find(|volume| self.catalog.find(&volume.id, who.reader()).is_none());
+        match gone {
+            Some(volume) => ApiError::unknown_volume(&volume.id).because(error),
+            None if volumes.any(|volume| self.catalog.private().contains(&volume.id)) => {
+                error.with_status(StatusCode::UNPROCESSABLE_ENTITY)
+            }
+            None => error,
+        }
     }
 }

@@ -28,6 +28,12 @@ pub trait Backend: Clone + Send + Sync + 'static {
     /// The dataset of that id, if the viewer may see it.
     fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>>;
 
+    /// The same for one viewer.
+    #[must_use]
+    fn used_by(self, _who: &Identity) -> Self {
+        self
+    }
+
     /// For as long as somebody looks at a volume.
     fn lease(&self, _volume: &str) -> Lease {
         Lease::default()
@@ -181,6 +187,13 @@ impl Live {
 impl Backend for Live {
     fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>> {
         self.catalog.find(volume, who.reader())
+    }
+
+    fn used_by(self, who: &Identity) -> Self {
+        Self {
+            extractor: self.extractor.paid_by(who.limited_user()),
+            ..self
+        }
     }
 
     fn lease(&self, volume: &str) -> Lease {

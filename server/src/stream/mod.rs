@@ -20,7 +20,7 @@ use axum::Router;
 use axum::extract::State;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::any;
 use tokio_util::sync::CancellationToken;
@@ -113,6 +113,7 @@ pub fn router<B: Backend>(state: StreamState<B>) -> Router {
 async fn upgrade<B: Backend>(
     State(state): State<StreamState<B>>,
     who: Identity,
+    headers: HeaderMap,
     socket: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let socket = match socket {
@@ -122,7 +123,14 @@ async fn upgrade<B: Backend>(
         }
     };
     if socket.selected_protocol().is_none() {
-        let message = format!("the subprotocol {SUBPROTOCOL:?} was not offered, this server speaks no other");
+        let offered = headers.get_all(header::SEC_WEBSOCKET_PROTOCOL).iter();
+        let offered: Vec<_> = offered.map(|value| value.to_str().unwrap_or("?")).collect();
+        let message = format!(
+            "the subprotocols offered are {:?}, expected {SUBPROTOCOL:?}, the only one of isopeel {}: use a client of the same version, or \
+             load the page again",
+            offered.join(", "),
+            env!("CARGO_PKG_VERSION")
+        );
         return ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message).into_response();
     }
     let tasks = state.tasks.clone();
@@ -142,7 +150,7 @@ async fn upgrade<B: Backend>(
                 match common.viewers.enter(&who) {
                     Ok(_entered) => {
                         let _connected = ConnectedViewer::enter();
-                        socket::serve(socket, backend, common, who, deadlines, shutdown).await;
+                        socket::serve(socket, backend.used_by(&who), common, who, deadlines, shutdown).await;
                     }
                     Err(none) => {
                         tracing::debug!("a viewer is refused: {none}");

@@ -83,7 +83,7 @@ impl UploadFolder {
         let mut options = OpenOptions::new();
         let lock = options.create(true).truncate(false).write(true).open(path.join(LOCK));
         let lock = lock.map_err(fail)?;
-        match lock.try_lock() {
+        match private_folder::lock(&lock) {
             Ok(()) => Ok(Self { path, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path }),
             Err(TryLockError::Error(source)) => Err(fail(source)),

@@ -121,6 +121,11 @@ impl PrivateVolumes {
         Some(Arc::clone(&volume.dataset))
     }
 
+    /// Whether there is a volume of that id.
+    pub fn contains(&self, id: &str) -> bool {
+        self.get(id).is_some()
+    }
+
     /// For as long as somebody looks at a volume.
     pub fn lease(&self, id: &str) -> Lease {
         Lease(self.get(id))

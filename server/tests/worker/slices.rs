@@ -186,6 +186,35 @@ async fn an_expression_that_nobody_waits_for_ends_and_leaves_no_memory() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_user_whose_fields_have_taken_their_time_waits_and_others_do_not() {
+    let _alone = ALONE.lock().await;
+    let volumes = Volumes::start(DeviceOptions {
+        user_time: Some(Duration::from_millis(60)),
+        ..DeviceOptions::unchecked(None)
+    })
+    .await;
+    let Volumes {
+        worker, large, small, ..
+    } = &volumes;
+    let ann = worker.paid_by(Some("ann"));
+    let costly = ann.slice(large, &costly("waves", 1), 2, 5).await;
+    let error = costly.expect_err("too long");
+    assert!(matches!(error, WorkError::UserTime { .. }), "{error:?}");
+    let further = ann.slice(small, "3*small", 2, 5).await.expect_err("nothing is left");
+    assert_eq!(further.code(), "busy");
+    assert!(
+        further
+            .to_string()
+            .contains("the 0.06 s of the device's time that one user may take within 10 minutes"),
+        "{further}"
+    );
+    let of_another = worker.paid_by(Some("bob")).slice(small, "3*small", 2, 5).await;
+    of_another.expect("bob has taken nothing");
+    ann.slice(small, "small", 2, 5).await.expect("nothing is computed");
+    worker.slice(small, "4*small", 2, 5).await.expect("an administrator");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_field_that_takes_too_much_time_is_refused() {
     let _alone = ALONE.lock().await;
     let volumes = Volumes::start(DeviceOptions {

@@ -7,6 +7,9 @@ import numpy as np
 from volumes import VOLUMES, read_nrrd, write_nrrd
 
 
+DEMO = Path(__file__).resolve().parents[3] / "server/demo"
+
+
 @dataclass(frozen=True)
 class Input:
     name: str
@@ -57,15 +60,15 @@ def ball_in(shape):
     return (255 * ((x - 98) ** 2 + (y - 180) ** 2 + (z - 110) ** 2 < 45**2)).astype(np.uint8)
 
 
-def open_brain(iso, data, work):
+def open_brain(iso, work):
     """The demo volume's T1 image; grey matter and a ball beside it, as other fields of its folder."""
     fields = work / "brain"
     meshes = work / f"brain-{iso}"
     for folder in (fields, meshes):
         folder.mkdir(parents=True, exist_ok=True)
     if not (fields / "ball.nrrd").exists():
-        t1 = closed(read_nifti(data / "mni152-t1.nii.gz"))
+        t1 = closed(read_nifti(DEMO / "t1.nii.gz"))
         write_nrrd(fields / "t1.nrrd", t1)
-        write_nrrd(fields / "gm.nrrd", read_nifti(data / "mni152-gm.nii.gz"))
+        write_nrrd(fields / "gm.nrrd", read_nifti(DEMO / "gm.nii.gz"))
         write_nrrd(fields / "ball.nrrd", ball_in(t1.shape))
     return Input("brain", f"`mni152`, T1 at {iso}", fields / "t1.nrrd", iso, meshes)

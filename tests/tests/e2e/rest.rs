@@ -4,6 +4,26 @@ use serde_json::{Value, json};
 
 use crate::support::{assert_leaves, command, demo, demo_file, files, http, server};
 
+/// Strangers may ask for them, and compressing takes longer than sending.
+#[test]
+fn small_answers_are_not_compressed() {
+    let Some(address) = server::shared() else { return };
+    let ask = |path: &str| {
+        let headers = [("accept-encoding", "gzip, zstd, br")];
+        http::send(address, "GET", path, &headers, b"").expect("an answer")
+    };
+    for path in ["/api/v1/nothing", "/api/v1/volumes/none", "/api/v1/session"] {
+        let answer = ask(path);
+        assert_eq!(answer.header("content-encoding"), "", "{path}");
+        assert!(
+            answer.body.len() > 32 && answer.body.len() < 1024,
+            "{path}: {} bytes",
+            answer.body.len()
+        );
+    }
+    assert_eq!(ask("/api/v1/openapi.json").header("content-encoding"), "zstd");
+}
+
 #[test]
 fn volumes_are_listed_and_described_with_histograms() {
     let Some(address) = server::shared() else { return };

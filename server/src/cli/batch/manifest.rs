@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::cli::jobs::{MANIFEST_FILE, checksum_of, write_manifest};
 use crate::cli::output::BATCH_TEMPORARY;
 use crate::jobs::{ExtractionState, ManifestEntry};
+use crate::private_folder;
 
 /// A line of the manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,7 +43,7 @@ impl Manifest {
     pub(super) fn open(folder: &Path) -> io::Result<Self> {
         let path = folder.join(MANIFEST_FILE);
         let file = File::options().create(true).append(true).open(&path)?;
-        match file.try_lock() {
+        match private_folder::lock(&file) {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
                 let why = "another isopeel batch writes to this folder: wait for its end, or name another folder";

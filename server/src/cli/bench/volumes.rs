@@ -156,6 +156,7 @@ impl Recipe {
             path: path.clone(),
             source,
         };
+        std::fs::create_dir_all(folder).map_err(failed)?;
         let mut file = File::create(&path).map_err(failed)?;
         let stored = match self.sample_type {
             SampleType::U8 => "uint8",

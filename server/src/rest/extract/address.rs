@@ -13,7 +13,7 @@ use lru::LruCache;
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
-use super::{ApiState, ExtractRequest, File, Made, Source, other_volumes};
+use super::{ApiState, ExtractRequest, File, Source, other_volumes};
 use crate::access::Identity;
 use crate::export::{FileDigest, FileRequest, FileSurface, Format};
 use crate::problem::{ApiError, Problem};
@@ -122,7 +122,7 @@ fn has(headers: &HeaderMap, digest: FileDigest) -> bool {
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "`bad-range`: beyond the end of the file", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`bad-edit`, `empty-surface`, `not-clean` or `too-large`, as of `POST`", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`bad-edit`, `empty-surface`, `not-clean`, `too-large` or `unreadable-volume`, as of `POST`", body = Problem, content_type = "application/problem+json"),
         (status = 500, description = "`unreadable-volume`, `device` or `internal`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "`busy`, or `device`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`too-large` for the device", body = Problem, content_type = "application/problem+json"),
@@ -149,7 +149,7 @@ pub async fn extract_by_address(
     if let Some(digest) = before {
         return not_modified(digest, encoding);
     }
-    let made = Made::admitted(state, &who, Source { volume, others }, file).await?;
+    let made = Source { volume, others }.made(state, &who, file).await?;
     let digest = made.digest;
     if is_known {
         known.insert(key, digest);

@@ -1,10 +1,11 @@
 //! Which of the libraries reads a file.
 
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
+use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::Arc;
 
-use hdf5_reader::Storage;
+use hdf5_reader::{Storage, StorageBuffer};
 
 use super::super::super::unpacked::{RESERVE_BYTES, of_space};
 use super::super::super::{FileLocation, ReadError};
@@ -36,9 +37,8 @@ fn storage(location: &FileLocation) -> Result<Arc<dyn Storage>, ReadError> {
     if location.is_in_memory() {
         return Ok(Arc::new(hdf5_reader::BytesStorage::new(blob.head(usize::MAX)?)));
     }
-    let open = |path: &Path| {
-        hdf5_reader::FileStorage::open(path).map_err(|e| ReadError::new(location.path(), "file", e.to_string()))
-    };
+    let open =
+        |path: &Path| DiskStorage::open(path).map_err(|e| ReadError::io(location.path(), "file", e.to_string(), e));
     if location.packing().is_none() {
         return Ok(Arc::new(open(location.path())?));
     }
@@ -57,4 +57,84 @@ fn storage(location: &FileLocation) -> Result<Arc<dyn Storage>, ReadError> {
     }
     std::io::copy(&mut blob.reader(0), &mut decoded).map_err(fail)?;
     Ok(Arc::new(open(decoded.path())?))
+}
+
+/// A file on disk. The library's own gives up where a signal interrupts a read.
+struct DiskStorage<F> {
+    file: F,
+    len: u64,
+}
+
+impl DiskStorage<std::fs::File> {
+    fn open(path: &Path) -> io::Result<Self> {
+        let file = std::fs::File::open(path)?;
+        let len = file.metadata()?.len();
+        Ok(Self { file, len })
+    }
+}
+
+impl<F: FileExt + Send + Sync> Storage for DiskStorage<F> {
+    fn len(&self) -> u64 {
+        self.len
+    }
+
+    fn read_range(&self, offset: u64, len: usize) -> hdf5_reader::error::Result<StorageBuffer> {
+        let available = self.len.saturating_sub(offset);
+        // Before anything is allocated for it.
+        if len as u64 > available {
+            return Err(hdf5_reader::error::Error::UnexpectedEof {
+                offset,
+                needed: len as u64,
+                available,
+            });
+        }
+        let mut bytes = vec![0; len];
+        self.file.read_exact_at(&mut bytes, offset)?;
+        Ok(StorageBuffer::from_vec(bytes))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use super::*;
+
+    /// Ten bytes, of which each other read is interrupted, and the others have three.
+    #[derive(Default)]
+    struct Interrupted(AtomicBool);
+
+    impl FileExt for Interrupted {
+        fn read_at(&self, out: &mut [u8], offset: u64) -> io::Result<usize> {
+            if !self.0.fetch_xor(true, Ordering::Relaxed) {
+                return Err(ErrorKind::Interrupted.into());
+            }
+            let count = out.len().min(3);
+            out.iter_mut()
+                .zip(offset as u8..)
+                .take(count)
+                .for_each(|(out, at)| *out = at);
+            Ok(count)
+        }
+
+        fn write_at(&self, _: &[u8], _: u64) -> io::Result<usize> {
+            Err(ErrorKind::Unsupported.into())
+        }
+    }
+
+    #[test]
+    fn reads_that_signals_interrupt_go_on() {
+        let storage = DiskStorage {
+            file: Interrupted::default(),
+            len: 10,
+        };
+        let read = storage.read_range(1, 8).unwrap();
+        assert_eq!(&*read, [1, 2, 3, 4, 5, 6, 7, 8]);
+        let beyond = storage
+            .read_range(8, 3)
+            .err()
+            .map(|error| error.to_string())
+            .unwrap_or_default();
+        assert!(beyond.contains('8') && beyond.contains('3'), "{beyond}");
+    }
 }

@@ -1,0 +1,133 @@
+//! Time of the device that each user's computed fields have taken lately.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use super::lock::lock;
+
+/// Period in which a user may take the limit.
+pub const USER_TIME_PERIOD: Duration = Duration::from_secs(600);
+
+/// Users whose time is kept before those are dropped who have all of it again.
+const MANY_USERS: usize = 1024;
+
+/// What the users of a server have taken.
+pub(super) struct UserTimes {
+    /// `None`: there is no limit.
+    limit: Option<Duration>,
+    taken: Mutex<HashMap<Arc<str>, Taken>>,
+}
+
+/// Time that was taken, as of a moment; it is given back evenly, the whole limit in a period.
+#[derive(Clone, Copy)]
+struct Taken {
+    time: Duration,
+    at: Instant,
+}
+
+impl Taken {
+    /// What of it still counts.
+    fn remaining(self, limit: Duration, now: Instant) -> Duration {
+        let back = now.saturating_duration_since(self.at).as_secs_f64() / USER_TIME_PERIOD.as_secs_f64();
+        self.time.saturating_sub(limit.mul_f64(back))
+    }
+}
+
+impl UserTimes {
+    pub(super) fn new(limit: Option<Duration>) -> Arc<Self> {
+        Arc::new(Self {
+            limit,
+            taken: Mutex::default(),
+        })
+    }
+}
+
+/// The user whose time a piece of work counts as.
+#[derive(Clone)]
+pub(super) struct Payer {
+    times: Arc<UserTimes>,
+    user: Arc<str>,
+}
+
+/// Time that a user may take now, and after how long a tenth of the limit will be there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct TimeLeft {
+    pub limit: Duration,
+    pub now: Duration,
+    pub wait: Duration,
+}
+
+impl Payer {
+    pub(super) fn new(times: &Arc<UserTimes>, user: &str) -> Self {
+        Self {
+            times: Arc::clone(times),
+            user: user.into(),
+        }
+    }
+
+    /// Returns what the user may take; `None` where there is no limit.
+    pub(super) fn left(&self, now: Instant) -> Option<TimeLeft> {
+        let limit = self.times.limit?;
+        let taken = lock(&self.times.taken).get(&self.user).copied();
+        let counts = taken.map_or(Duration::ZERO, |taken| taken.remaining(limit, now));
+        let too_much = counts.saturating_sub(limit.mul_f64(0.9)).as_secs_f64() / limit.as_secs_f64();
+        Some(TimeLeft {
+            limit,
+            now: limit.saturating_sub(counts),
+            wait: USER_TIME_PERIOD.mul_f64(too_much),
+        })
+    }
+
+    /// Adds time that was taken.
+    pub(super) fn take(&self, time: Duration, now: Instant) {
+        let Some(limit) = self.times.limit else {
+            return;
+        };
+        let mut taken = lock(&self.times.taken);
+        if taken.len() >= MANY_USERS {
+            taken.retain(|_, taken| !taken.remaining(limit, now).is_zero());
+        }
+        let before = taken.get(&self.user).copied();
+        let before = before.map_or(Duration::ZERO, |taken| taken.remaining(limit, now));
+        let time = before + time;
+        taken.insert(Arc::clone(&self.user), Taken { time, at: now });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_is_each_users_and_comes_back() {
+        let times = UserTimes::new(Some(Duration::from_secs(100)));
+        let (ann, bob) = (Payer::new(&times, "ann"), Payer::new(&times, "bob"));
+        let start = Instant::now();
+        let left = |payer: &Payer, seconds| {
+            let left = payer.left(start + Duration::from_secs(seconds)).unwrap();
+            (left.now.as_secs_f64().round(), left.wait.as_secs_f64().round())
+        };
+        assert_eq!(left(&ann, 0), (100.0, 0.0));
+        ann.take(Duration::from_secs(60), start);
+        ann.take(Duration::from_secs(50), start);
+        assert_eq!(left(&ann, 0), (0.0, 120.0), "a tenth is there again after 20 s of 100");
+        assert_eq!(left(&bob, 0), (100.0, 0.0), "another user's");
+        assert_eq!(left(&ann, 120), (10.0, 0.0));
+        assert_eq!(left(&ann, 660), (100.0, 0.0));
+        let unlimited = Payer::new(&UserTimes::new(None), "ann");
+        unlimited.take(Duration::from_secs(9000), start);
+        assert!(unlimited.left(start).is_none());
+    }
+
+    #[test]
+    fn users_who_have_all_their_time_are_forgotten() {
+        let times = UserTimes::new(Some(Duration::from_secs(100)));
+        let start = Instant::now();
+        let payers = (0..2 * MANY_USERS).map(|user| Payer::new(&times, &user.to_string()));
+        for (second, payer) in payers.enumerate() {
+            payer.take(Duration::from_secs(1), start + Duration::from_secs(second as u64));
+        }
+        assert!(lock(&times.taken).len() <= MANY_USERS);
+    }
+}

@@ -1,0 +1,105 @@
+#!/usr/bin/env python3
+"""Renders docker/kubernetes and validates what comes out against the schemas of several versions of Kubernetes.
+
+    tests/scripts/kubernetes.py
+
+Needs `kustomize`, or a `kubectl`, which has it built in. The schemas come with PyPI's kubernetes-validate, which is installed in
+target/kubernetes-venv. No cluster is asked.
+"""
+
+import argparse
+import shutil
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "docker" / "kubernetes"
+VENV = ROOT / "target" / "kubernetes-venv"
+PACKAGES = ["kubernetes-validate==1.35.0", "PyYAML"]
+VERSIONS = ["1.28", "1.31", "1.34"]
+KINDS = {"Namespace", "ConfigMap", "Service", "StatefulSet", "NetworkPolicy"}
+
+
+def renderer():
+    """The command that renders a kustomization."""
+    if shutil.which("kustomize"):
+        return ["kustomize", "build"]
+    if shutil.which("kubectl"):
+        return ["kubectl", "kustomize"]
+    sys.exit("kubernetes.py: neither kustomize nor kubectl is installed, expected one of them")
+
+
+def install():
+    """Installs the schemas, and runs this script again with them."""
+    if not (VENV / "bin" / "kubernetes-validate").exists():
+        venv.create(VENV, with_pip=True)
+        subprocess.run([VENV / "bin" / "pip", "--quiet", "install", *PACKAGES], check=True)
+    sys.exit(subprocess.run([VENV / "bin" / "python", __file__]).returncode)
+
+
+def pod_of(objects):
+    """The pod that the stateful set makes, and its container."""
+    pod = objects["StatefulSet"]["spec"]["template"]["spec"]
+    return pod, pod["containers"][0]
+
+
+def check(name, objects):
+    """Checks what no schema says: that the parts fit each other. Returns what is wrong."""
+    wrong = [f"no {kind}" for kind in KINDS - objects.keys()]
+    if wrong:
+        return wrong
+    pod, container = pod_of(objects)
+    mounted = {mount["name"] for mount in container["volumeMounts"]}
+    claims = {claim["metadata"]["name"] for claim in objects["StatefulSet"]["spec"]["volumeClaimTemplates"]}
+    volumes = {volume["name"] for volume in pod["volumes"]} | claims
+    if mounted != volumes:
+        wrong.append(f"volumes {sorted(volumes)}, expected those that are mounted, {sorted(mounted)}")
+    ports = {port["name"]: port["containerPort"] for port in container["ports"]}
+    for probe in ("startupProbe", "readinessProbe", "livenessProbe"):
+        if container[probe]["httpGet"]["port"] not in ports:
+            wrong.append(f"{probe} asks for a port that the container does not name")
+    config = objects["ConfigMap"]
+    used = next(volume["configMap"]["name"] for volume in pod["volumes"] if "configMap" in volume)
+    if used != config["metadata"]["name"]:
+        wrong.append(f"the pod has the configuration {used}, expected {config['metadata']['name']}")
+    text = config["data"]["isopeel.toml"]
+    wrong += [f"isopeel.toml does not listen on port {port}" for port in ports.values() if f"0.0.0.0:{port}" not in text]
+    drain = int(text.split("drain = ")[1].split()[0])
+    if pod["terminationGracePeriodSeconds"] <= drain:
+        wrong.append(f"the grace period is {pod['terminationGracePeriodSeconds']} s, expected more than drain, {drain} s")
+    has_gpu = "nvidia.com/gpu" in container["resources"]["limits"]
+    if has_gpu != (name != "base") or container["image"].endswith("-gpu") != has_gpu:
+        wrong.append(f"image {container['image']}, GPU {has_gpu}")
+    return wrong
+
+
+def main():
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    command = renderer()
+    try:
+        import kubernetes_validate
+        import yaml
+    except ImportError:
+        install()
+    failed = False
+    for name in ("base", "gpu", "example"):
+        rendered = subprocess.run([*command, FOLDER / name], check=True, capture_output=True, text=True).stdout
+        objects = [document for document in yaml.safe_load_all(rendered) if document]
+        for version in VERSIONS:
+            for item in objects:
+                try:
+                    kubernetes_validate.validate(item, version, strict=True)
+                except kubernetes_validate.ValidationError as error:
+                    failed = True
+                    print(f"{name}: {item['kind']} in {version}: {error.message}", file=sys.stderr)
+        for wrong in check(name, {item["kind"]: item for item in objects}):
+            failed = True
+            print(f"{name}: {wrong}", file=sys.stderr)
+        print(f"{name}: {', '.join(item['kind'] for item in objects)}: Kubernetes {', '.join(VERSIONS)}")
+    sys.exit(failed)
+
+
+if __name__ == "__main__":
+    main()
