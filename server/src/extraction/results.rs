@@ -93,6 +93,8 @@ pub struct Step {
     pub shown: Shown,
     /// The cut of the view, where a step before has made it.
     pub target: Option<CutId>,
+    /// Triangles of the surface that the last step towards this view has made; 0 before the first step.
+    pub made_triangles: u64,
     /// About how many triangles to make of a surface that is new.
     pub fresh_triangles: u64,
     /// About how many triangles to make anew of one that is shown.

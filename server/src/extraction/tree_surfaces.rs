@@ -23,6 +23,9 @@ use crate::volumes::VolumeStep;
 /// Full surfaces of more triangles are cut as cubes before their tree is built: on an H200 a tree of so many takes about 20 ms.
 const MAX_FULL_TRIANGLES: u64 = 1_500_000;
 
+/// A coarser cut of the tree may have so many times the triangles that were asked for: its topology may need them.
+const MAX_PREFIX_FACTOR: u64 = 2;
+
 impl WorkerState {
     /// The final surface of a view as a cut of the vertex tree; `None` where no cut of the tree is small enough.
     pub(super) fn improve(
@@ -200,6 +203,31 @@ impl OnDevice<'_> {
         Ok(TreeCut::Made(self.with_all_stages(surface)))
     }
 
+    /// A coarser cut of the tree than that of a view, of about so many triangles: it has the same parts and topology, and no guard. `None` if there
+    /// is no tree, or none of its cuts has so few triangles.
+    pub(super) fn tree_prefix(
+        &self,
+        view: &View,
+        triangles: u64,
+        cancel: &dyn Cancel,
+    ) -> Result<Option<Surface>, JobError> {
+        let params = self.params_of(view);
+        let Some(tree) = self.tree(view, &params, cancel)? else {
+            return Ok(None);
+        };
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
+        let coarser = TreeGoal {
+            max_triangles: goal.max_triangles.min(triangles),
+            max_tolerance: f32::INFINITY,
+            ..goal
+        };
+        let surface = self
+            .engine
+            .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, cancel)?;
+        let is_small = surface.statistics.triangles <= goal.max_triangles.min(MAX_PREFIX_FACTOR * triangles);
+        Ok(is_small.then(|| self.with_all_stages(surface)))
+    }
+
     /// The surface that [`OnDevice::tree_surface`] made of a view, refined where its triangles intersect.
     ///
     /// # Errors
@@ -289,11 +317,19 @@ impl OnDevice<'_> {
     /// A cut of the tree as the last step towards its view. It has no states of cubes: what follows it is made as a whole.
     pub(super) fn tree_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
         Refinement {
+            is_final: true,
+            ..self.tree_prefix_refinement(surface, view, wall)
+        }
+    }
+
+    /// A coarser cut of the tree as a step towards a view.
+    pub(super) fn tree_prefix_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
+        Refinement {
             surface,
             view: view.clone(),
             cut: CutId::next(),
             target: None,
-            is_final: true,
+            is_final: false,
             can_improve: false,
             wall,
             meshing: wall,

@@ -430,6 +430,7 @@ impl<B: Backend> Session<B> {
         let step = Step {
             shown: generation.shown,
             target: generation.target,
+            made_triangles: generation.made_triangles,
             fresh_triangles: self.fresh_triangles(),
             triangles: self.pace.changing(job == NextJob::First),
             bytes: self.pace.bytes(),
