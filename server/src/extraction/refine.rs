@@ -89,8 +89,8 @@ impl WorkerState {
             }
             if tree_first
                 && let Some(expected) = expected
-                && let Some(triangles) = tree_steps::prefix_triangles(step, on.regions(), expected)
-                && let Some(surface) = on.tree_prefix(view, triangles, cancel)?
+                && let Some(prefix) = tree_steps::next_prefix(step, on.regions(), expected)
+                && let Some(surface) = on.tree_prefix(view, prefix, cancel)?
             {
                 return Ok(on.tree_prefix_refinement(surface, view, on.own_time(start)));
             }

@@ -20,15 +20,26 @@ const MIN_GROWTH: u64 = 2;
 /// There is one only if the final surface has the bytes of more steps than that.
 const LONG_STEPS: u64 = 8;
 
-/// Every cut has at most one in so many of the final surface's bytes.
+/// Every cut is to have at most one in so many of the final surface's bytes,
 const MAX_FINAL_PART: u64 = 5;
+/// and where its topology needs more, at most one in so many.
+const MOST_FINAL_PART: u64 = 3;
 
 /// Cuts of fewer triangles show too little of a surface.
 const MIN_TRIANGLES: u64 = 1000;
 
-/// Triangles of the coarser cut that comes next; `None` if that is the final one. `regions`: those that have cells of the surface; `expected`: triangles of
-/// the final surface.
-pub(super) fn prefix_triangles(step: Step, regions: u64, expected: u64) -> Option<u64> {
+/// Triangles of a coarser cut.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct TreePrefix {
+    /// Those that it is to have.
+    pub triangles: u64,
+    /// Those that it may have, where its topology needs more: the final surface comes at once instead of a larger cut.
+    pub most: u64,
+}
+
+/// The coarser cut that comes next; `None` if that is the final one. `regions`: those that have cells of the surface; `expected`: triangles of the final
+/// surface.
+pub(super) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<TreePrefix> {
     let whole = chunk_bytes::of_triangles(expected, regions, BYTES_OF_100_TRIANGLES);
     // What replaces a whole surface at once has to be final.
     if step.shown == Shown::Alike || whole <= step.bytes / AT_ONCE_PART {
@@ -44,13 +55,14 @@ pub(super) fn prefix_triangles(step: Step, regions: u64, expected: u64) -> Optio
         _ => return None,
     };
     let headers = chunk_bytes::of_headers(u64::MAX, regions);
-    let triangles = bytes.saturating_sub(headers) * 100 / BYTES_OF_100_COARSE_TRIANGLES;
-    (triangles >= MIN_TRIANGLES).then_some(triangles)
+    let triangles_of = |bytes: u64| bytes.saturating_sub(headers) * 100 / BYTES_OF_100_COARSE_TRIANGLES;
+    let (triangles, most) = (triangles_of(bytes), triangles_of(whole / MOST_FINAL_PART));
+    (triangles >= MIN_TRIANGLES).then_some(TreePrefix { triangles, most })
 }
 
 #[cfg(test)]
 mod tests {
-    use super::prefix_triangles;
+    use super::next_prefix;
     use crate::extraction::{CutId, Shown, Step};
 
     const REGIONS: u64 = 250;
@@ -69,7 +81,7 @@ mod tests {
 
     /// The triangles of all coarser cuts.
     fn all(bytes: u64, expected: u64) -> Vec<u64> {
-        let next = |&made: &u64| prefix_triangles(step(bytes, made), REGIONS, expected);
+        let next = |&made: &u64| Some(next_prefix(step(bytes, made), REGIONS, expected)?.triangles);
         std::iter::successors(next(&0), next).collect()
     }
 
@@ -97,8 +109,8 @@ mod tests {
             shown: Shown::Alike,
             ..step(20_000, 0)
         };
-        assert_eq!(prefix_triangles(alike, REGIONS, 300_000), None);
+        assert_eq!(next_prefix(alike, REGIONS, 300_000), None);
         assert!(all(10_000, 10_000).is_empty());
-        assert_eq!(prefix_triangles(step(20_000, 0), 100_000, 300_000), None);
+        assert_eq!(next_prefix(step(20_000, 0), 100_000, 300_000), None);
     }
 }

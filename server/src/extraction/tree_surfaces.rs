@@ -12,6 +12,7 @@ use super::decisions::{Decided, TreeCut, lesser};
 use super::intersections::intersecting_vertices;
 use super::questions::index_inside;
 use super::results::Making;
+use super::tree_steps::TreePrefix;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, WorkError};
@@ -22,9 +23,6 @@ use crate::volumes::VolumeStep;
 
 /// Full surfaces of more triangles are cut as cubes before their tree is built: on an H200 a tree of so many takes about 20 ms.
 const MAX_FULL_TRIANGLES: u64 = 1_500_000;
-
-/// A coarser cut of the tree may have so many times the triangles that were asked for: its topology may need them.
-const MAX_PREFIX_FACTOR: u64 = 2;
 
 impl WorkerState {
     /// The final surface of a view as a cut of the vertex tree; `None` where no cut of the tree is small enough.
@@ -203,12 +201,12 @@ impl OnDevice<'_> {
         Ok(TreeCut::Made(self.with_all_stages(surface)))
     }
 
-    /// A coarser cut of the tree than that of a view, of about so many triangles: it has the same parts and topology, and no guard. `None` if there
-    /// is no tree, or none of its cuts has so few triangles.
+    /// A coarser cut of the tree than that of a view: it has the same parts and topology, and no guard. `None` if there is no tree, or none of its
+    /// cuts has so few triangles.
     pub(super) fn tree_prefix(
         &self,
         view: &View,
-        triangles: u64,
+        prefix: TreePrefix,
         cancel: &dyn Cancel,
     ) -> Result<Option<Surface>, JobError> {
         let params = self.params_of(view);
@@ -217,14 +215,14 @@ impl OnDevice<'_> {
         };
         let goal = self.tree_goal(view, &tree, &params, cancel)?;
         let coarser = TreeGoal {
-            max_triangles: goal.max_triangles.min(triangles),
+            max_triangles: goal.max_triangles.min(prefix.triangles),
             max_tolerance: f32::INFINITY,
             ..goal
         };
         let surface = self
             .engine
             .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, cancel)?;
-        let is_small = surface.statistics.triangles <= goal.max_triangles.min(MAX_PREFIX_FACTOR * triangles);
+        let is_small = surface.statistics.triangles <= goal.max_triangles.min(prefix.most);
         Ok(is_small.then(|| self.with_all_stages(surface)))
     }
 
