@@ -21,9 +21,9 @@ const MIN_GROWTH: u64 = 2;
 const LONG_STEPS: u64 = 8;
 
 /// Every cut is to have at most one in so many of the final surface's bytes,
-const MAX_FINAL_PART: u64 = 5;
+const TARGET_FINAL_PART: u64 = 5;
 /// and where its topology needs more, at most one in so many.
-const MOST_FINAL_PART: u64 = 3;
+const MAX_FINAL_PART: u64 = 3;
 
 /// Cuts of fewer triangles show too little of a surface.
 const MIN_TRIANGLES: u64 = 1000;
@@ -34,7 +34,7 @@ pub(super) struct TreePrefix {
     /// Those that it is to have.
     pub triangles: u64,
     /// Those that it may have, where its topology needs more: the final surface comes at once instead of a larger cut.
-    pub most: u64,
+    pub max_triangles: u64,
 }
 
 /// The coarser cut that comes next; `None` if that is the final one. `regions`: those that have cells of the surface; `expected`: triangles of the final
@@ -46,7 +46,7 @@ pub(super) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<Tre
         return None;
     }
     let of_coarse = |triangles| chunk_bytes::of_triangles(triangles, regions, BYTES_OF_100_COARSE_TRIANGLES);
-    let largest = whole / MAX_FINAL_PART;
+    let largest = whole / TARGET_FINAL_PART;
     let bytes = match step.made_triangles {
         0 => (step.bytes / FIRST_PART).max(MIN_FIRST_BYTES).min(largest),
         made if whole > step.bytes.saturating_mul(LONG_STEPS) && largest >= of_coarse(made) * MIN_GROWTH => {
@@ -56,8 +56,11 @@ pub(super) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<Tre
     };
     let headers = chunk_bytes::of_headers(u64::MAX, regions);
     let triangles_of = |bytes: u64| bytes.saturating_sub(headers) * 100 / BYTES_OF_100_COARSE_TRIANGLES;
-    let (triangles, most) = (triangles_of(bytes), triangles_of(whole / MOST_FINAL_PART));
-    (triangles >= MIN_TRIANGLES).then_some(TreePrefix { triangles, most })
+    let (triangles, max_triangles) = (triangles_of(bytes), triangles_of(whole / MAX_FINAL_PART));
+    (triangles >= MIN_TRIANGLES).then_some(TreePrefix {
+        triangles,
+        max_triangles,
+    })
 }
 
 #[cfg(test)]

@@ -222,7 +222,7 @@ impl OnDevice<'_> {
         let surface = self
             .engine
             .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, cancel)?;
-        let is_small = surface.statistics.triangles <= goal.max_triangles.min(prefix.most);
+        let is_small = surface.statistics.triangles <= goal.max_triangles.min(prefix.max_triangles);
         Ok(is_small.then(|| self.with_all_stages(surface)))
     }
 
