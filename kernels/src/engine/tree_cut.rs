@@ -238,6 +238,7 @@ impl Engine {
         };
         let statistics = SurfaceStatistics {
             full_triangles: cutter.pyramid.full_triangles - removed.map_or(0, |removed| removed.full_triangles),
+            mesher_triangles: Some(cutter.full_triangles()),
             removed,
             active_cells: cutter.pyramid.active_cells,
             leaves,

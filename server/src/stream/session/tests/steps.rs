@@ -48,6 +48,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
         "error",
         "estimatedError",
         "fullTriangles",
+        "mesherTriangles",
         "removedParts",
         "removedTriangles",
         "unmatchedPositions",
