@@ -101,6 +101,8 @@ pub struct Step {
     pub triangles: u64,
     /// About how many bytes to send.
     pub bytes: u64,
+    /// Bytes that the line has been seen to take in the time of a step: a pause of the sender, or of a client that draws, does not count.
+    pub line_bytes: u64,
 }
 
 /// What a client shows when a step begins.

@@ -42,14 +42,14 @@ pub(super) struct TreePrefix {
 pub(super) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<TreePrefix> {
     let whole = chunk_bytes::of_triangles(expected, regions, BYTES_OF_100_TRIANGLES);
     // What replaces a whole surface at once has to be final.
-    if step.shown == Shown::Alike || whole <= step.bytes / AT_ONCE_PART {
+    if step.shown == Shown::Alike || whole <= step.line_bytes / AT_ONCE_PART {
         return None;
     }
     let of_coarse = |triangles| chunk_bytes::of_triangles(triangles, regions, BYTES_OF_100_COARSE_TRIANGLES);
     let largest = whole / TARGET_FINAL_PART;
     let bytes = match step.made_triangles {
-        0 => (step.bytes / FIRST_PART).max(MIN_FIRST_BYTES).min(largest),
-        made if whole > step.bytes.saturating_mul(LONG_STEPS) && largest >= of_coarse(made) * MIN_GROWTH => {
+        0 => (step.line_bytes / FIRST_PART).max(MIN_FIRST_BYTES).min(largest),
+        made if whole > step.line_bytes.saturating_mul(LONG_STEPS) && largest >= of_coarse(made) * MIN_GROWTH => {
             (of_coarse(made) * GROWTH).min(largest)
         }
         _ => return None,
@@ -78,7 +78,8 @@ mod tests {
             made_triangles,
             fresh_triangles: u64::MAX,
             triangles: u64::MAX,
-            bytes,
+            bytes: u64::MAX,
+            line_bytes: bytes,
         }
     }
 

@@ -32,7 +32,7 @@ impl Viewer {
         let improved = improved.expect("improves").expect("a tree");
         let step = Step {
             shown: Shown::Cut(improved.cut),
-            bytes,
+            line_bytes: bytes,
             ..WHOLE
         };
         Self { worker, volume, step }
@@ -97,10 +97,10 @@ async fn a_slow_line_gets_coarser_cuts_first_and_the_same_surface_in_the_end() {
         r#"{"iso":0.1,"error":"0.2vx","triangles":100000,"maxError":"0.5vx"}"#,
     );
     for view in [budget, guarded] {
-        viewer.step.bytes = u64::MAX;
+        viewer.step.line_bytes = u64::MAX;
         let at_once = viewer.steps(&view).await;
         assert_eq!(at_once.len(), 1, "a fast line");
-        viewer.step.bytes = SLOW_BYTES;
+        viewer.step.line_bytes = SLOW_BYTES;
         let steps = viewer.steps(&view).await;
         assert!(steps.len() >= 2, "{} steps", steps.len());
         let triangles = |step: &Refinement| step.surface.statistics.triangles;

@@ -61,6 +61,7 @@ pub const WHOLE: Step = Step {
     fresh_triangles: u64::MAX,
     triangles: u64::MAX,
     bytes: u64::MAX,
+    line_bytes: u64::MAX,
 };
 
 #[tokio::test(flavor = "multi_thread")]

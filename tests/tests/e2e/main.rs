@@ -29,6 +29,7 @@ mod questions;
 mod rest;
 mod shared;
 mod slices;
+mod slow_line;
 mod startup;
 mod states;
 mod strangers;

@@ -434,6 +434,7 @@ impl<B: Backend> Session<B> {
             fresh_triangles: self.fresh_triangles(),
             triangles: self.pace.changing(job == NextJob::First),
             bytes: self.pace.bytes(),
+            line_bytes: self.line.bytes_within(self.pace.line_time()).max(self.pace.bytes()),
         };
         let refine = async move {
             if let Some(others) = others_first {
