@@ -7,6 +7,7 @@
 
 #include "lib/precision.h"
 #include "lib/args.h"
+#include "lib/cell_values.h"
 #include "lib/device.h"
 #include "lib/grid.h"
 #include "lib/layout.h"
@@ -133,7 +134,8 @@ void tree_index(const uint points, __global const Region *regions, __global cons
 #define VERTICES_AHEAD 8 // vertices whose data is prefetched: without, a CPU waits for memory half of the time
 
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
-void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, __global const Node *nodes,
+void tree_vertices(const TreeVerticesArgs args, __global const uint *region_index, __global const Region *regions,
+                   __global const Brick *bricks, __global const Node *nodes,
                    __global const VertexRecord *vertex_records, __global const TreeNode *tree_nodes, __global const int4 *points,
                    __global const uint2 *offset_sums, __global const RegionMesh *cut_meshes, __global const uint *vertex_leaves,
                    __global Vertex *vertices) {
@@ -170,7 +172,10 @@ void tree_vertices(const TreeVerticesArgs args, __global const Region *regions, 
             node.s = (float)(merged.normal_s >> 16) / 65535.0f;
             node.f = merged.f;
             normal = merged.normal_s & 0xffffu;
-            at = moved_position(grid, args.cap, merged, home, offset_sums[leaf - args.points]) + (home - origin) * (int)VERTEX_LATTICE;
+            const int3 in_volume = moved_position(grid, args.cap, merged, home, offset_sums[leaf - args.points])
+                + home * (int)VERTEX_LATTICE;
+            at = in_volume - origin * (int)VERTEX_LATTICE;
+            node = with_values_at(grid, region_index, regions, bricks, nodes, node, in_volume);
         }
         vertices[mesh.vertex_base + i] = make_vertex(args.params, node, normal, at);
     }

@@ -97,7 +97,7 @@ const BALL: Field = (x, y, z) => 21.3 - Math.hypot(x - 32.2, y - 31.7, z - 32.4)
 /** What the worker answers, in order. */
 function service() {
   const replies: DecodeReply[] = [];
-  const worker = new DecodeService(MeshoptDecoder, (reply) => replies.push(reply), () => undefined);
+  const worker = new DecodeService(MeshoptDecoder, (reply) => replies.push(reply));
   const sum = (ids: readonly number[], ticket = 1) => worker.receive({ type: "sum", ticket, ids, axes: UNIT });
   return { replies, worker, sum };
 }

@@ -365,6 +365,7 @@ export function statistics(triangles: number): Statistics {
     error: null,
     estimatedError: { rms: 0.05, worstLeaf: 0.2 },
     fullTriangles: 4 * triangles,
+    mesherTriangles: null,
     removedParts: null,
     removedTriangles: null,
     unmatchedPositions: null,

@@ -3,7 +3,6 @@ import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import { WebSocket } from "ws";
 import { DecodeService, type DecodeReply, type DecodeRequest } from "../src/decode/service";
-import { smoothFeatures } from "../src/decode/smoothing";
 import type { RegionMeshData } from "../src/scene/regionMesh";
 import type { DecodeWorker } from "../src/decode/queue";
 import { DecodeQueue } from "../src/decode/queue";
@@ -17,17 +16,12 @@ import { RegionPipeline, type RegionScene } from "../src/regions/pipeline";
 import { FixtureServer, OPENING } from "./fixture";
 import { CELLS, encodeChunk, encodeDistances, surfaceNets, wobblyBall } from "./synthetic";
 
-/** Does what the worker does, in this thread, and averages values only where a test asks for it: that takes this thread's time. */
+/** Does what the worker does, in this thread. */
 class LocalWorker implements DecodeWorker {
   onmessage: DecodeWorker["onmessage"] = null;
   onerror: DecodeWorker["onerror"] = null;
   readonly requests: number[] = [];
-  smooths = false;
-  readonly service = new DecodeService(
-    MeshoptDecoder,
-    (data) => this.onmessage?.({ data } as MessageEvent<DecodeReply>),
-    (vertices, indices) => this.smooths && smoothFeatures(vertices, indices),
-  );
+  readonly service = new DecodeService(MeshoptDecoder, (data) => this.onmessage?.({ data } as MessageEvent<DecodeReply>));
   postMessage(request: DecodeRequest): void {
     if (request.type === "decode") this.requests.push(request.id);
     this.service.receive(request);
@@ -330,7 +324,6 @@ describe("the stream client", () => {
 
   test.each([0, 120])("gives each vertex its own distance, where meshes take %d ms to be on screen", async (uploadMs) => {
     client.scene.uploadMs = uploadMs;
-    client.worker.smooths = true;
     client.stream.open("ball", 0);
     client.stream.start();
     // Asked at once: the answer follows the chunks closely.

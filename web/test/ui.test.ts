@@ -125,6 +125,12 @@ describe("the top line", () => {
     expect(activity).toBe("");
   });
 
+  test("counts the full surface of the mesher in use", () => {
+    const all = { ...final, statistics: { ...final.statistics, triangles: 404, mesherTriangles: 404 } };
+    expect(summaryOf(all, 404, false, voxels(0.5)).parts[0]).toBe("404 triangles (all)");
+    expect(summaryOf(all, 402, false, voxels(0.5)).parts[0]).toBe("402 of 404 triangles (99 %)");
+  });
+
   test("says what goes on", () => {
     expect(summaryOf(final, 50, true, voxels(1))).toEqual({ parts: ["50 triangles so far"], activity: "Working" });
     expect(summaryOf({ ...INITIAL_STATE, connection: "waiting" }, 0, false, voxels(1))).toEqual({ parts: [], activity: "Reconnecting" });

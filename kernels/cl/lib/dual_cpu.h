@@ -151,7 +151,7 @@ INLINED void set_row(VertexTable *table, uint row, Grid grid, const Part *part, 
         if (!(mesh->ghosts[part->region * HALO_WORDS + (name >> 5)] >> (name & 31) & 1u)) return;
         const int3 at = lattice_position(grid, mesh->params, mesh->records[slot], from->origin)
             - part->origin * (int)VERTEX_LATTICE;
-        index = write_ghost(mesh, part->region, slot, name, at);
+        index = write_ghost(mesh, part->region, slot, mesh->nodes[slot], name, at);
     }
     table->index[row] = index;
     table->slot[row] = slot;

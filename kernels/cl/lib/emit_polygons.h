@@ -3,6 +3,7 @@
 #define ISOPEEL_EMIT_POLYGONS_H
 
 #include "lib/batch.h"
+#include "lib/cell_values.h"
 #include "lib/cube.h"
 #include "lib/cut.h"
 #include "lib/device.h"
@@ -17,6 +18,14 @@
 // The corners' order is counter-clockwise seen from the edge's high end, which is right when that end is outside.
 inline uint flips_winding(uint signs, uint edge) { return !(signs >> edge_low_corner(edge) & 1u); }
 
+// The node of a slot, with the values of a vertex at `at`, from the low corner of the part's region.
+INLINED Node vertex_node(Grid grid, const Cut *cut, const Part *part, uint slot, int3 at) {
+    const Node node = cut->nodes[slot];
+    if (code_level(meta_code(node.meta)) == 0) return node;
+    const int3 in_volume = at + part->origin * (int)VERTEX_LATTICE;
+    return with_values_at(grid, cut->region_index, cut->regions, cut->bricks, cut->nodes, node, in_volume);
+}
+
 // Writes the vertex of a slot of the part's region, if it is used.
 INLINED void write_vertex(Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, __global const uchar *used, uint slot) {
     if (!used[slot]) return;
@@ -24,7 +33,7 @@ INLINED void write_vertex(Grid grid, const Cut *cut, const Part *part, const Mes
     int3 at = (int3)(record.position[0], record.position[1], record.position[2]);
     if (mesh->params.cap)
         at = lattice_position(grid, mesh->params, record, part->origin) - part->origin * (int)VERTEX_LATTICE;
-    mesh->out[mesh->compact_index[slot]] = make_vertex(mesh->params, cut->nodes[slot], record.normal, at);
+    mesh->out[mesh->compact_index[slot]] = make_vertex(mesh->params, vertex_node(grid, cut, part, slot, at), record.normal, at);
 }
 
 // Writes the vertices of the part's own leaves. Its nodes of all levels and its extra sheets are numbered through, so that many
@@ -80,7 +89,7 @@ INLINED void add_polygon(Batch *batch, Grid grid, const Cut *cut, const Part *pa
         const bool is_own = region == part->region && !faces;
         const uint index = mesh->points.wanted ? corner_point(grid, cut, part, &mesh->points, slot, region, faces, at)
             : is_own ? mesh->compact_index[slot]
-            : write_ghost(mesh, part->region, slot,
+            : write_ghost(mesh, part->region, slot, vertex_node(grid, cut, part, slot, at),
                           ghost_bit(grid, cut->regions, cut->nodes, part->origin, region, slot, faces), at);
         batch->position_normal[k * LANES + column] = (int4)(at, (int)record.normal);
         batch->index_slot[k * LANES + column] = (uint2)(index, slot | (faces ? ON_BORDER : 0));

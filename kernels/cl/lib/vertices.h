@@ -90,11 +90,12 @@ typedef struct {
     PointNumbers points;
 } MeshVertices;
 
-// Writes the vertex of a ghost, or a border vertex, and returns its index. `bit`: its name; `at`: as in vertex_position.
-INLINED uint write_ghost(const MeshVertices *mesh, uint region, uint slot, uint bit, int3 at) {
+// Writes the vertex of a ghost, or a border vertex, and returns its index. `node`: of the slot, with the vertex' values; `bit`: its name;
+// `at`: as in vertex_position.
+INLINED uint write_ghost(const MeshVertices *mesh, uint region, uint slot, Node node, uint bit, int3 at) {
     const uint word = region * HALO_WORDS + (bit >> 5);
     const uint index = mesh->ghost_base[word] + popcount(mesh->ghosts[word] & ((1u << (bit & 31)) - 1));
-    mesh->out[index] = make_vertex(mesh->params, mesh->nodes[slot], mesh->records[slot].normal, at);
+    mesh->out[index] = make_vertex(mesh->params, node, mesh->records[slot].normal, at);
     return index;
 }
 

@@ -4,7 +4,7 @@
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`derive`], [`construct`], [`cut`], [`march`],
 //! [`patch`], [`pack`], [`dual`], [`error`], [`tree`], [`tree_part`], [`tree_cut`], [`slice`], [`probe`], [`distribution`],
-//! [`curve`] and [`distance`]; beside them [`expression`], [`distance_field`] and, for tests of whole surfaces, [`edges`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and `relax`, over
+//! [`curve`] and [`distance`]; beside them [`expression`], [`distance_field`], [`cell_values`] and, for tests of whole surfaces, [`edges`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and `relax`, over
 //! [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. Both cuts use [`interest`].
 //! [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can also be fed with another's results: a test
 //! that fills [`Pyramid`] with nodes read back from a device gets a cut that must agree leaf for leaf. [`files`] reads test
@@ -17,6 +17,7 @@
 //! cube of level `l` that holds cell `c` has the coordinates `c >> l`.
 
 mod block;
+pub mod cell_values;
 pub mod classify;
 mod cluster;
 pub mod construct;

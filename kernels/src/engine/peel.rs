@@ -77,12 +77,19 @@ impl Engine {
         let regions = self.read_back(pyramid, mesh)?;
         let stages = self.cx.take_times()?;
         let sum = |of: fn(&RegionMesh) -> u64| meshes.iter().map(of).sum();
+        let (leaves, made) = (cut.leaves(), sum(|mesh| triangles(mesh) as u64));
         let statistics = SurfaceStatistics {
             full_triangles: pyramid.full_triangles,
+            mesher_triangles: match params.mesher {
+                Mesher::MarchingCubes => Some(pyramid.full_triangles),
+                // Nothing is merged: this is all.
+                Mesher::Dual if leaves[1..].iter().all(|&n| n == 0) => Some(made),
+                Mesher::Dual => None,
+            },
             removed: None,
             active_cells: pyramid.active_cells,
-            leaves: cut.leaves(),
-            triangles: sum(|mesh| triangles(mesh) as u64),
+            leaves,
+            triangles: made,
             vertices: sum(|mesh| mesh.distinct_vertices.into()),
             lost_cubes: cut.lost_cubes(),
             unpatched_vertices: cut.unpatched_vertices.get(),

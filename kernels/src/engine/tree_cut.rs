@@ -46,6 +46,25 @@ impl Engine {
         Ok((surface, tolerance))
     }
 
+    /// As [`Engine::tree_surface`], of a cut that is not kept for questions and measuring: one that a finer cut replaces soon.
+    ///
+    /// # Errors
+    /// As [`Engine::tree_surface`].
+    pub fn tree_prefix(
+        &self,
+        volume: &Volume,
+        pyramid: &Pyramid,
+        tree: &VertexTree,
+        params: &CutParams,
+        goal: &TreeGoal,
+        cancel: &dyn Cancel,
+    ) -> Result<Surface> {
+        let before = self.cx.pool.restart();
+        let cutter = self.cutter_without_parts(volume, pyramid, tree, params, &goal.without, cancel)?;
+        let (work, _) = self.cut_tree(&cutter, params, goal, cancel)?;
+        self.surface_of_tree_cut(&cutter, params, &work, before, cancel)
+    }
+
     /// The mesh of a cut on the host. `before`: bytes of the pool when the work began.
     pub(super) fn surface_of_tree_cut(
         &self,
@@ -219,6 +238,7 @@ impl Engine {
         };
         let statistics = SurfaceStatistics {
             full_triangles: cutter.pyramid.full_triangles - removed.map_or(0, |removed| removed.full_triangles),
+            mesher_triangles: Some(cutter.full_triangles()),
             removed,
             active_cells: cutter.pyramid.active_cells,
             leaves,

@@ -99,7 +99,9 @@ impl Cutter<'_> {
             "tree_vertices",
             &[
                 &args,
+                &self.pyramid.region_index,
                 &self.pyramid.regions,
+                &self.pyramid.bricks,
                 &self.pyramid.nodes,
                 &self.pyramid.vertex_records,
                 &self.tree.built.nodes,

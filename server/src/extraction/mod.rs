@@ -10,7 +10,7 @@
 //! - `questions`: what a viewer asks about the surface that it is shown.
 //! - `histograms`: ranges and histograms, made a slice at a time between other jobs; `unfinished`: partial histograms, which their callers share.
 //! - `slices`: planes of samples.
-//! - `refine`: steps from a surface that is shown to another one.
+//! - `refine`: steps from a surface that is shown to another one; `tree_steps`: coarser cuts of the vertex tree on the way; `chunk_bytes`: about how many bytes they are.
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view; `decisions`: which of them it gets.
 //! - `user_time`: the device's time that the computed fields of each user have taken.
@@ -20,6 +20,7 @@
 mod ahead;
 mod attempts;
 mod byte_search;
+mod chunk_bytes;
 mod computed;
 mod counting;
 mod cube_cuts;
@@ -51,6 +52,7 @@ mod results;
 mod shares;
 mod slices;
 mod statistics;
+mod tree_steps;
 mod tree_surfaces;
 mod turns;
 mod unfinished;

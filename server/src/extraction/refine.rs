@@ -7,14 +7,17 @@
 //!   prefix is first followed by the finest one that is small enough.
 //! - Where an error or a budget decides, the final surface is a cut of the vertex tree, if that is built, or soon will be: on a GPU, where
 //!   the full surface is not too large. Else it comes when the viewer rests ([`Refinement::can_improve`]), and until then the surface is
-//!   a cut of cubes. Where parts are to be removed, that cut is on the way, and the cut of the tree the last step.
+//!   a cut of cubes. Where parts are to be removed, that cut is on the way, and the cut of the tree the last step. On a slow line a cut of the
+//!   tree comes after coarser ones ([`tree_steps`]).
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface};
 
+use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
 use super::decisions::Decided;
+use super::tree_steps;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, Shown, Step, WorkError};
@@ -47,12 +50,6 @@ const MAX_PREFIX_TRIANGLES: u64 = 30_000;
 
 /// A new surface's first prefix has at most this share of the final bytes, in percent, so that it arrives at once.
 const FRESH_PERCENT: u64 = 3;
-
-/// Bytes of a chunk without its triangles: headers of chunk and codecs.
-const CHUNK_BYTES: u64 = 160;
-/// Bytes of a hundred triangles in a chunk. Coarse meshes take more: their vertices differ by more.
-const BYTES_OF_100_TRIANGLES: u64 = 450;
-const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
 
 /// What a step has made.
 struct Made {
@@ -89,6 +86,13 @@ impl WorkerState {
                 && let Some(prefix) = unfitted_prefix(on, expected, step)
             {
                 return Ok(unfitted(on, view, prefix, cancel)?.refinement(view, false, on.own_time(start)));
+            }
+            if tree_first
+                && let Some(expected) = expected
+                && let Some(prefix) = tree_steps::next_prefix(step, on.regions(), expected)
+                && let Some(surface) = on.tree_prefix(view, prefix, cancel)?
+            {
+                return Ok(on.tree_prefix_refinement(surface, view, on.own_time(start)));
             }
             let kept = step.target.and_then(|id| Some((id, on.cuts.borrow_mut().get(id)?)));
             let kept = kept.filter(|(_, target)| !tree_first && target.is_of(on.pyramid));
@@ -140,6 +144,11 @@ impl WorkerState {
 }
 
 impl OnDevice<'_> {
+    /// Regions that have cells of the surface.
+    fn regions(&self) -> u64 {
+        self.pyramid.active_regions() as u64
+    }
+
     /// Whether a step of a view that an error or a budget decides cuts the vertex tree, or else cubes first.
     fn cuts_tree(&self, view: &View, step: Step) -> bool {
         let Some(target) = step.target else {
@@ -217,8 +226,7 @@ fn is_last(leaves: u64, triangles: u64) -> bool {
 
 /// About how many bytes so many leaves are in so many regions.
 fn bytes_of(leaves: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
-    let triangles = leaves * TRIANGLES_PER_LEAF;
-    triangles.min(regions) * CHUNK_BYTES + triangles * bytes_of_100_triangles / 100
+    chunk_bytes::of_triangles(leaves * TRIANGLES_PER_LEAF, regions, bytes_of_100_triangles)
 }
 
 /// Triangles of a new surface's first prefix.
@@ -297,7 +305,7 @@ impl Next<'_> {
     }
 
     fn regions(&self) -> u64 {
-        self.on.pyramid.active_regions() as u64
+        self.on.regions()
     }
 
     fn prefix_bytes(&self, leaves: u64) -> u64 {

@@ -93,12 +93,16 @@ pub struct Step {
     pub shown: Shown,
     /// The cut of the view, where a step before has made it.
     pub target: Option<CutId>,
+    /// Triangles of the surface that the last step towards this view has made; 0 before the first step.
+    pub made_triangles: u64,
     /// About how many triangles to make of a surface that is new.
     pub fresh_triangles: u64,
     /// About how many triangles to make anew of one that is shown.
     pub triangles: u64,
     /// About how many bytes to send.
     pub bytes: u64,
+    /// Bytes that the line has been seen to take in the time of a step: a pause of the sender, or of a client that draws, does not count.
+    pub line_bytes: u64,
 }
 
 /// What a client shows when a step begins.

@@ -123,6 +123,8 @@ pub struct ExtractionStatistics {
     pub estimated_error: Option<EstimatedError>,
     /// Triangles of the undecimated marching-cubes surface, without removed parts.
     pub full_triangles: u64,
+    /// Triangles of the undecimated surface by the mesher of this one, without removed parts. Null: not counted.
+    pub mesher_triangles: Option<u64>,
     /// Parts that were removed, because of `minPart` or `parts`. Null: none were to be, or this is a cut of the octree, which
     /// has them all.
     pub removed_parts: Option<u64>,
@@ -205,6 +207,7 @@ impl ExtractionStatistics {
         });
         self.estimated_error = None;
         self.full_triangles += next.full_triangles;
+        self.mesher_triangles = self.mesher_triangles.zip(next.mesher_triangles).map(|(a, b)| a + b);
         self.active_cells += next.active_cells;
         for (sum, leaves) in self.leaves.iter_mut().zip(next.leaves) {
             *sum += leaves;
@@ -258,6 +261,7 @@ impl ExtractionStatistics {
             error: kernels.error.map(|error| MeasuredError::in_world(error, smallest)),
             estimated_error: Some(EstimatedError::in_world(kernels.estimate, smallest)),
             full_triangles: kernels.full_triangles,
+            mesher_triangles: kernels.mesher_triangles,
             removed_parts: kernels.removed.map(|removed| removed.parts),
             removed_triangles: kernels.removed.map(|removed| removed.full_triangles),
             unmatched_positions: kernels.removed.map(|removed| removed.unmatched),

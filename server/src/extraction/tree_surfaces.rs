@@ -12,6 +12,7 @@ use super::decisions::{Decided, TreeCut, lesser};
 use super::intersections::intersecting_vertices;
 use super::questions::index_inside;
 use super::results::Making;
+use super::tree_steps::TreePrefix;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, WorkError};
@@ -200,6 +201,31 @@ impl OnDevice<'_> {
         Ok(TreeCut::Made(self.with_all_stages(surface)))
     }
 
+    /// A coarser cut of the tree than that of a view: it has the same parts and topology, and no guard. `None` if there is no tree, or none of its
+    /// cuts has so few triangles.
+    pub(super) fn tree_prefix(
+        &self,
+        view: &View,
+        prefix: TreePrefix,
+        cancel: &dyn Cancel,
+    ) -> Result<Option<Surface>, JobError> {
+        let params = self.params_of(view);
+        let Some(tree) = self.tree(view, &params, cancel)? else {
+            return Ok(None);
+        };
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
+        let coarser = TreeGoal {
+            max_triangles: goal.max_triangles.min(prefix.triangles),
+            max_tolerance: f32::INFINITY,
+            ..goal
+        };
+        let surface = self
+            .engine
+            .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, cancel)?;
+        let is_small = surface.statistics.triangles <= goal.max_triangles.min(prefix.max_triangles);
+        Ok(is_small.then(|| self.with_all_stages(surface)))
+    }
+
     /// The surface that [`OnDevice::tree_surface`] made of a view, refined where its triangles intersect.
     ///
     /// # Errors
@@ -289,11 +315,19 @@ impl OnDevice<'_> {
     /// A cut of the tree as the last step towards its view. It has no states of cubes: what follows it is made as a whole.
     pub(super) fn tree_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
         Refinement {
+            is_final: true,
+            ..self.tree_prefix_refinement(surface, view, wall)
+        }
+    }
+
+    /// A coarser cut of the tree as a step towards a view.
+    pub(super) fn tree_prefix_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
+        Refinement {
             surface,
             view: view.clone(),
             cut: CutId::next(),
             target: None,
-            is_final: true,
+            is_final: false,
             can_improve: false,
             wall,
             meshing: wall,

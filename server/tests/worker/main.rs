@@ -4,6 +4,7 @@ mod computed;
 mod distances;
 mod slices;
 mod torn;
+mod tree_steps;
 mod turns;
 mod uneven;
 

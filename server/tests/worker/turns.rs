@@ -12,12 +12,28 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{ALONE, dataset, field, view};
 
-/// Folds every few samples along each axis: a surface whose vertex tree takes many launches.
+/// Folds along each axis, by so many radians a sample.
 #[derive(Debug)]
-struct Folds;
+pub struct Folds(f32);
 
 impl Folds {
-    const SIDE: usize = 128;
+    pub const SIDE: usize = 128;
+
+    pub fn dataset(radians: f32) -> Arc<Dataset> {
+        let small = dataset(vec![Field {
+            labels: Vec::new(),
+            declares_labels: false,
+            source: Arc::new(Folds(radians)),
+            ..field("folds", &Arc::default())
+        }]);
+        Arc::new(Dataset {
+            geometry: Geometry {
+                dims: [Self::SIDE as u32; 3],
+                ..small.geometry
+            },
+            ..Dataset::clone(&small)
+        })
+    }
 }
 
 impl Source for Folds {
@@ -31,19 +47,21 @@ impl Source for Folds {
 
     fn read(&self, _: u32, progress: &ReadProgress) -> Result<Samples, ReadError> {
         progress.add(self.stored_bytes());
-        let wave = |i: usize| (i as f32 * 0.7).sin();
+        let wave = |i: usize| (i as f32 * self.0).sin();
         let sample = |i: usize| wave(i % Self::SIDE) + wave(i / Self::SIDE % Self::SIDE) + wave(i / Self::SIDE.pow(2));
         Ok(Samples::F32((0..Self::SIDE.pow(3)).map(sample).collect()))
     }
 }
 
 /// A step that makes the whole surface.
-const WHOLE: Step = Step {
+pub const WHOLE: Step = Step {
     shown: Shown::Another,
     target: None,
+    made_triangles: 0,
     fresh_triangles: u64::MAX,
     triangles: u64::MAX,
     bytes: u64::MAX,
+    line_bytes: u64::MAX,
 };
 
 #[tokio::test(flavor = "multi_thread")]
@@ -83,19 +101,8 @@ struct TwoViewers {
 impl TwoViewers {
     /// With the first surface made: what follows is the tree.
     async fn start() -> Self {
-        let small = dataset(vec![Field {
-            labels: Vec::new(),
-            declares_labels: false,
-            source: Arc::new(Folds),
-            ..field("folds", &Arc::default())
-        }]);
-        let dataset = Arc::new(Dataset {
-            geometry: Geometry {
-                dims: [Folds::SIDE as u32; 3],
-                ..small.geometry
-            },
-            ..Dataset::clone(&small)
-        });
+        // Many folds, so that the vertex tree takes many launches.
+        let dataset = Folds::dataset(0.7);
         let viewers = Self {
             worker: DeviceWorker::start(None).expect("a thread"),
             view: view(&dataset, r#"{"iso":0.1,"triangles":{"share":0.2}}"#),

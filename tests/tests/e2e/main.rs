@@ -31,6 +31,7 @@ mod questions;
 mod rest;
 mod shared;
 mod slices;
+mod slow_line;
 mod startup;
 mod states;
 mod strangers;

@@ -4,7 +4,6 @@ import { readChunkHeader } from "../protocol/chunk";
 import type { Uneven } from "../world/uneven";
 import { decodeChunk, type DecodedChunk, type MeshDecoder } from "./decode";
 import { MeshSummation, type MeshSums, type WorldAxes } from "./meshSums";
-import { smoothFeatures } from "./smoothing";
 
 export type DecodeRequest =
   | { readonly type: "decode"; readonly id: number; readonly frame: ArrayBuffer }
@@ -32,7 +31,6 @@ export class DecodeService {
   constructor(
     private readonly decoder: MeshDecoder & { readonly ready: Promise<void> },
     private readonly reply: (reply: DecodeReply, transfer: Transferable[]) => void,
-    private readonly smooth: (vertices: Int16Array, indices: DecodedChunk["indices"]) => unknown = smoothFeatures,
   ) {}
 
   /** Chunks in use. */
@@ -58,7 +56,6 @@ export class DecodeService {
     try {
       await this.decoder.ready;
       const chunk = decodeChunk(this.decoder, readChunkHeader(frame), frame);
-      this.smooth(chunk.vertices, chunk.indices);
       this.reply({ type: "decoded", id, chunk }, [chunk.vertices.buffer, chunk.indices.buffer]);
     } catch (error) {
       this.frames.delete(id);

@@ -823,6 +823,8 @@ export type Statistics = {
   estimatedError: EstimatedError | null,
   /** Triangles of the undecimated marching-cubes surface, without removed parts. */
   fullTriangles: number,
+  /** Triangles of the undecimated surface by the mesher of this one, without removed parts. Null: not counted. */
+  mesherTriangles: number | null,
   /**
    * Parts that were removed, because of `minPart` or `parts`. Null: none were to be, or this is a cut of the octree, which
    * has them all.

@@ -28,7 +28,9 @@ export function sharedStatistics(state: ViewerState): Statistics | undefined {
   if (statistics === undefined || sharerCount(state) < 2) return statistics;
   const known = sharers(state).flatMap((surface) => surface.statistics ?? []);
   const sum = (of: keyof Counts) => known.reduce((total, one) => total + one[of], 0);
-  return { ...statistics, triangles: sum("triangles"), fullTriangles: sum("fullTriangles") };
+  const ofMeshers = known.flatMap(({ mesherTriangles }) => mesherTriangles ?? []);
+  const mesherTriangles = ofMeshers.length === known.length ? ofMeshers.reduce((total, one) => total + one, 0) : null;
+  return { ...statistics, triangles: sum("triangles"), fullTriangles: sum("fullTriangles"), mesherTriangles };
 }
 
 /** The view that makes the selected surface as it is where there are no others: its part of the budget is its own. */

@@ -1,6 +1,7 @@
 /** Sentences about the surface and the connection. Pure. */
 
 import type { ServerMessage, Statistics, View } from "../protocol/types";
+import { allTriangles } from "../state/counts";
 import type { Distances } from "../state/distances";
 import type { LengthScale } from "../state/lengths";
 import type { awaitedErrors } from "../state/shownErrors";
@@ -69,7 +70,7 @@ function surfaceParts(state: ViewerState, triangles: number, busy: boolean, scal
   const several = all.length > 1 ? [`${all.length} surfaces`] : [];
   const known = all.flatMap(({ shown, statistics }) => (shown?.final === true && statistics !== undefined ? [statistics] : []));
   if (busy || known.length < all.length) return triangles === 0 ? [] : [...several, `${formatCount(triangles)} triangles so far`];
-  const full = known.reduce((sum, { fullTriangles }) => sum + fullTriangles, 0);
+  const full = known.reduce((sum, one) => sum + allTriangles(one), 0);
   const count = countWords(triangles, full);
   const error = triangles === 0 ? undefined : errorWords(known, scale);
   const ms = lastMs(all);
@@ -77,8 +78,8 @@ function surfaceParts(state: ViewerState, triangles: number, busy: boolean, scal
 }
 
 /**
- * `87,501 of 454,932 triangles (19 %)`. The server counts the full surface of marching cubes; that of the dual mesher has some more or less, so
- * that one with as many is all there is.
+ * `87,501 of 454,932 triangles (19 %)`. Where only the full surface of marching cubes was counted, that of the dual mesher has some more or less: one
+ * with as many is all there is.
  */
 export function countWords(triangles: number, full: number): string {
   if (full <= 0) return `${formatCount(triangles)} triangles`;

@@ -4,6 +4,7 @@ import { HostPort, type HostEvent, type PageState } from "../embed/hostPort";
 import type { EmbedOptions } from "../embed/origins";
 import { RequestError, type HostRequest } from "../embed/requests";
 import type { SurfaceRenderer } from "../scene/renderer";
+import { allTriangles } from "../state/counts";
 import { changedLink, decodeLink, encodeLink, type Link, type LinkState } from "../state/link";
 import type { Store } from "../state/store";
 import { surfacesOf } from "../state/surfaceState";
@@ -85,7 +86,7 @@ export class Embedding {
     const { scene, store, link } = this.parts;
     const state = link();
     const all = [...surfacesOf(store.viewer).values()];
-    const known = all.flatMap(({ statistics }) => statistics?.fullTriangles ?? []);
+    const known = all.flatMap(({ statistics }) => (statistics === undefined ? [] : allTriangles(statistics)));
     return {
       link: state === undefined ? null : encodeLink(state),
       settled,

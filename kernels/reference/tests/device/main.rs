@@ -1,6 +1,7 @@
 //! The device against the plain Rust twins, stage by stage, with buffers read back; and what the dual mesher promises of any
 //! cut. One file a stage, in one test binary, for tests use the device one at a time.
 
+mod cell_values;
 mod classify;
 mod construct;
 mod curve;

@@ -45,6 +45,8 @@ pub(super) struct Generation {
     /// The cut of the final surface, once it is known.
     pub target: Option<CutId>,
     pub steps_made: u32,
+    /// Triangles of the surface that the last step has made; 0 before the first step.
+    pub made_triangles: u64,
     /// Whether any step was committed.
     pub committed: bool,
     /// Whether a better surface may follow the final one.
@@ -136,6 +138,7 @@ impl Generation {
             shown,
             target: None,
             steps_made: 0,
+            made_triangles: 0,
             committed: false,
             can_improve: false,
             is_overtaken: false,
@@ -191,6 +194,7 @@ impl Generation {
         self.shown = self.held(made.cut).shown_for(self.key.surface(), &self.view);
         self.target = made.target;
         self.steps_made += 1;
+        self.made_triangles = made.surface.statistics.triangles;
         // What keeps a budget, which the next steps need not find again.
         self.view.fitted = made.view.fitted;
         self.making = Making::Made(offered);

@@ -430,9 +430,11 @@ impl<B: Backend> Session<B> {
         let step = Step {
             shown: generation.shown,
             target: generation.target,
+            made_triangles: generation.made_triangles,
             fresh_triangles: self.fresh_triangles(),
             triangles: self.pace.changing(job == NextJob::First),
             bytes: self.pace.bytes(),
+            line_bytes: self.line.bytes_within(self.pace.line_time()).max(self.pace.bytes()),
         };
         let refine = async move {
             if let Some(others) = others_first {

@@ -71,8 +71,13 @@ impl Line {
         number & MARK != 0
     }
 
+    /// The highest of the latest rates, bytes a second; 0 while none is known.
+    fn highest_rate(&self) -> f64 {
+        self.rates.iter().copied().fold(0.0, f64::max)
+    }
+
     fn window(&self) -> u64 {
-        let highest = self.rates.iter().copied().fold(0.0, f64::max);
+        let highest = self.highest_rate();
         match self.round_trip {
             Some(round_trip) if highest > 0.0 => {
                 ((highest * (round_trip + QUEUE).as_secs_f64()) as u64).max(MIN_WINDOW)
@@ -83,11 +88,19 @@ impl Line {
 
     /// Time that the line needs for `bytes`; zero while its rate is not known.
     pub(super) fn time_of(&self, bytes: u64) -> Duration {
-        let highest = self.rates.iter().copied().fold(0.0, f64::max);
+        let highest = self.highest_rate();
         if highest > 0.0 {
             Duration::from_secs_f64(bytes as f64 / highest)
         } else {
             Duration::ZERO
+        }
+    }
+
+    /// Bytes that the line takes in a time; no bound while its rate is not known.
+    pub(super) fn bytes_within(&self, time: Duration) -> u64 {
+        match self.highest_rate() {
+            rate if rate > 0.0 => (rate * time.as_secs_f64()) as u64,
+            _ => u64::MAX,
         }
     }
 
@@ -195,6 +208,7 @@ mod tests {
             line.took(1 << 10);
         }
         assert_eq!(line.sent, FIRST_WINDOW);
+        assert_eq!(line.bytes_within(QUEUE), u64::MAX, "not known yet");
         let capacity_at = line.capacity_at().expect("a full line");
         tokio::time::sleep_until(capacity_at).await;
         assert!(line.has_capacity());

@@ -101,6 +101,11 @@ impl Pace {
         (self.triangles_per_ms * time.as_secs_f64() * 1e3).max(MIN_TRIANGLES) as u64
     }
 
+    /// How long the line may take for a step.
+    pub(super) fn line_time(&self) -> Duration {
+        self.times.line
+    }
+
     /// Bytes of any step.
     pub(super) fn bytes(&self) -> u64 {
         (self.bytes_per_ms * self.times.line.as_secs_f64() * 1e3) as u64

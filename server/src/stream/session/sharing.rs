@@ -212,8 +212,9 @@ impl OpenVolume {
         };
         let is_final = matches!(&generation.making, Making::Made(made) if made.step.made.is_final);
         let made_with = generation.view.budget;
-        if is_final && surface.shares() && surface.edit_pending && surface.exceeds(made_with, surface.allotted) {
-            // What others got meanwhile is not left for it.
+        let is_superseded = is_final && surface.shares() && surface.edit_pending;
+        // What others got meanwhile is not left for it. Without others it shows something of a budget that is dragged down.
+        if is_superseded && self.surfaces().count() > 1 && surface.exceeds(made_with, surface.allotted) {
             return Verdict::GiveUp;
         }
         let grows = is_final && surface.shares() && surface.exceeds(made_with, surface.kept);

@@ -2,6 +2,7 @@
 
 import { createMemo, For, lazy, Show, Suspense } from "solid-js";
 import type { Statistics, View } from "../../protocol/types";
+import { allTriangles } from "../../state/counts";
 import { budgetEdit, sharedStatistics, sharerCount } from "../../state/sharedBudget";
 import { formatCount, formatLength, formatShare } from "../format";
 import { useModel, useScale } from "../model";
@@ -111,7 +112,7 @@ export function allWords(surfaces: number): string {
 /** `19 percent, 87,501 of 454,932 triangles, off by about 0.11 voxels`; `expected`: the error. */
 export function shareWords(share: number, shown: number, statistics: Statistics | undefined, expected: string | undefined): string {
   if (statistics === undefined) return "not known yet";
-  const triangles = `${formatShare(share).replace(" %", " percent")}, ${formatCount(shown)} of ${formatCount(statistics.fullTriangles)} triangles`;
+  const triangles = `${formatShare(share).replace(" %", " percent")}, ${formatCount(shown)} of ${formatCount(allTriangles(statistics))} triangles`;
   return expected === undefined ? triangles : `${triangles}, off by about ${expected}`;
 }
 

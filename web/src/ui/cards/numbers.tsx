@@ -1,6 +1,7 @@
 /** All that is known of the open volume and of the last final surface. */
 
 import type { Statistics, VolumeInfo } from "../../protocol/types";
+import { allTriangles } from "../../state/counts";
 import { lengthScale, lengthUnit, unitWord, type LengthScale } from "../../state/lengths";
 import { formatBytes, formatCount, formatLength, formatMs, formatValue } from "../format";
 import { countWords } from "../words";
@@ -20,7 +21,7 @@ function volumeRows(volume: VolumeInfo): readonly Row[] {
 
 function surfaceRows(s: Statistics, scale: LengthScale): readonly Row[] {
   return [
-    ["Triangles", countWords(s.triangles, s.fullTriangles).replace(" triangles", "")],
+    ["Triangles", countWords(s.triangles, allTriangles(s)).replace(" triangles", "")],
     ...criterionRows(s, scale),
     ...errorRows(s, scale),
     ["Vertices", formatCount(s.vertices)],

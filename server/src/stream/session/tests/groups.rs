@@ -7,9 +7,10 @@ use tokio::sync::mpsc;
 
 use super::super::Common;
 use super::faults::holder;
-use super::scripted::{Answer, shapes};
+use super::scripted::{Answer, Job, shapes};
 use super::viewer::Viewer;
 use crate::access::{Identity, Occupant, Role};
+use crate::extraction::Refinement;
 use crate::stream::groups::{Groups, LONGEST_WAIT, Leader, MAX_FOLLOWERS, MAX_GROUPS, MAX_GROUPS_OF_USER};
 
 /// Messages about the group, in between others.
@@ -76,6 +77,11 @@ async fn follows(viewer: &mut Viewer, surface: usize, iso: f32) {
 /// A surface of this isovalue is made and shown.
 async fn shown(viewer: &mut Viewer, iso: f32) {
     let job = viewer.step().await;
+    shown_by(viewer, job, iso).await;
+}
+
+/// The same, by this job.
+async fn shown_by(viewer: &mut Viewer, job: Job<Refinement>, iso: f32) {
     assert_eq!(job.view.iso.expect("an isovalue").get(), iso);
     job.answer(Answer::last(1, shapes(&[1, 2])));
     viewer.until("done").await;
@@ -295,12 +301,12 @@ async fn a_leader_whose_connection_was_lost_comes_back() {
     );
     while group_message(&mut looks, "group").await["leaderAway"] == true {}
     again.say(r#"{"type":"edit","iso":6}"#).await;
-    // Whichever of both is first to ask for it: the leader's session may be busy with its surface of before.
-    tokio::select! {
-        job = again.step() => job.answer(Answer::last(1, shapes(&[1, 2]))),
-        job = looks.step() => job.answer(Answer::last(1, shapes(&[1, 2]))),
-    }
-    again.until("done").await;
+    // The leader may be about to be measured, so that a follower asks first.
+    let job = tokio::select! {
+        job = again.step() => job,
+        job = looks.step() => job,
+    };
+    shown_by(&mut again, job, 6.0).await;
     follows(&mut looks, 0, 6.0).await;
 
     // A connection that nobody has closed yet leads no longer, and ends nothing.

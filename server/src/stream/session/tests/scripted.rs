@@ -278,6 +278,11 @@ impl Job<Refinement> {
         self.step.expect("a step").shown
     }
 
+    /// Triangles of the surface that the last step towards the view has made.
+    pub(super) fn made_triangles(&self) -> u64 {
+        self.step.expect("a step").made_triangles
+    }
+
     pub(super) fn answer(self, answer: Answer) {
         let made = answer.refinement(&self.view);
         assert!(self.reply.send(Ok(made)).is_ok(), "the session dropped its job");

@@ -75,6 +75,20 @@ async fn a_budget_is_shared_in_proportion_to_full_surfaces_and_what_shrinks_is_s
 }
 
 #[tokio::test]
+async fn a_budget_that_is_dragged_down_shows_surfaces_on_the_way() {
+    let mut viewer = with_budget().await;
+    viewer.say(r#"{"type":"edit","triangles":900}"#).await;
+    let job = viewer.step().await;
+    viewer.say(r#"{"type":"edit","triangles":800}"#).await;
+    viewer.quiet().await;
+    assert_eq!(triangles(&job.view), 900);
+    job.answer(Answer::last(2, shapes(&[2])).of_full(4000));
+    viewer.expect(&prefix(2, 0, [1, 0, 1], true)).await;
+    assert_eq!(viewer.until("done").await["generation"], 2);
+    assert_eq!(triangles(&viewer.step().await.view), 800);
+}
+
+#[tokio::test]
 async fn a_surface_that_beta_or_an_error_decides_has_no_part_of_the_budget() {
     let mut viewer = with_budget().await;
     for fields in [r#""beta":0.1"#, r#""error":0.5"#] {

@@ -14,7 +14,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
     viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
     let job = viewer.step().await;
     assert_eq!((job.view.beta, job.view.iso.map(|iso| iso.get())), (0.5, Some(100.0)));
-    assert_eq!(job.shown(), Shown::Another);
+    assert_eq!((job.shown(), job.made_triangles()), (Shown::Another, 0));
     job.answer(Answer::prefix(1, shapes(&[1])));
     viewer.expect(&prefix(1, 4, [1, 0, 1], false)).await;
     let chunk = viewer.chunk().await;
@@ -28,7 +28,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
     );
     viewer.expect(&committed(1, 4, false)).await;
     let job = viewer.step().await;
-    assert_eq!(job.shown(), Shown::Cut(CutId::new(1)));
+    assert_eq!((job.shown(), job.made_triangles()), (Shown::Cut(CutId::new(1)), 1));
     job.answer(Answer::last(2, shapes(&[1, 2])));
     viewer.expect(&prefix(1, 0, [1, 1, 2], true)).await;
     assert_eq!(viewer.chunk().await.header.region, [1, 0, 0]);
@@ -48,6 +48,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
         "error",
         "estimatedError",
         "fullTriangles",
+        "mesherTriangles",
         "removedParts",
         "removedTriangles",
         "unmatchedPositions",

@@ -1,0 +1,18 @@
+//! About how many bytes meshes are in chunks.
+
+/// Bytes of a chunk without its triangles: headers of chunk and codecs.
+const CHUNK_BYTES: u64 = 160;
+
+/// Bytes of a hundred triangles in a chunk. Coarse meshes take more: their vertices differ by more.
+pub(super) const BYTES_OF_100_TRIANGLES: u64 = 450;
+pub(super) const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
+
+/// Bytes of the headers of so many triangles in so many regions.
+pub(super) fn of_headers(triangles: u64, regions: u64) -> u64 {
+    triangles.min(regions) * CHUNK_BYTES
+}
+
+/// Bytes of so many triangles in so many regions, with headers.
+pub(super) fn of_triangles(triangles: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
+    of_headers(triangles, regions) + triangles.saturating_mul(bytes_of_100_triangles) / 100
+}

@@ -1,0 +1,88 @@
+//! A viewer behind a line that takes a second for a surface: it is shown a coarser one soon, and the same one in the end.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use serde_json::json;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::time::Instant;
+
+use crate::support::frame::Prefix;
+use crate::support::viewer::{Frame, Viewer};
+use crate::support::{demo, mesh, server};
+
+const BYTES_PER_SECOND: f64 = 750_000.0;
+
+/// A line to a server: what it sends takes its time.
+async fn slow_line(server: SocketAddr) -> TcpStream {
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let address = listener.local_addr().expect("an address");
+    tokio::spawn(async move {
+        let (client, _) = listener.accept().await.expect("the viewer");
+        let to_server = TcpStream::connect(server).await.expect("the server listens");
+        for socket in [&client, &to_server] {
+            socket.set_nodelay(true).expect("a socket");
+        }
+        let (mut from_client, mut to_client) = client.into_split();
+        let (mut from_server, mut to_server) = to_server.into_split();
+        tokio::spawn(async move { tokio::io::copy(&mut from_client, &mut to_server).await });
+        let (mut bytes, mut free) = ([0; 4096], Instant::now());
+        while let Ok(count @ 1..) = from_server.read(&mut bytes).await {
+            free = free.max(Instant::now()) + Duration::from_secs_f64(count as f64 / BYTES_PER_SECOND);
+            tokio::time::sleep_until(free).await;
+            if to_client.write_all(&bytes[..count]).await.is_err() {
+                return;
+            }
+        }
+    });
+    TcpStream::connect(address).await.expect("the relay listens")
+}
+
+/// The prefixes of the surface that is shown.
+fn prefixes(viewer: &Viewer) -> Vec<Prefix> {
+    let of_surface = |frame: &Frame| match frame {
+        Frame::Prefix(prefix) if prefix.generation == viewer.generation() => Some(*prefix),
+        _ => None,
+    };
+    viewer.log.iter().filter_map(of_surface).collect()
+}
+
+#[tokio::test]
+async fn a_slow_line_shows_a_coarser_cut_soon_and_the_same_surface_in_the_end() {
+    let Some(address) = server::shared() else { return };
+    let mut slow = Viewer::connect_on(slow_line(address).await, address).await;
+    slow.send(json!({"type": "open", "volume": demo::ID})).await;
+    slow.until_opened().await;
+    let opening = json!({"iso": demo::ISO, "alpha": 0.5, "triangles": 100_000});
+    let done = slow.edit_and_rest(opening.clone()).await;
+    assert_eq!(done[done.len() - 1]["isTreeCut"], true);
+
+    let expected = slow.edit(json!({"alpha": 0.8})).await;
+    let of_slow = prefixes(&slow);
+    let [first, .., last] = &of_slow[..] else {
+        panic!("one step on a slow line: {of_slow:?}");
+    };
+    assert!(!first.is_final && last.is_final, "{of_slow:?}");
+    assert!(4 * first.triangles < last.triangles, "{of_slow:?}");
+    assert_eq!(
+        mesh::open_edges(slow.shown.values(), demo::DIMS).len(),
+        0,
+        "edges that do not close"
+    );
+
+    let mut fast = Viewer::open(address, demo::ID).await;
+    fast.edit_and_rest(opening).await;
+    let found = fast.edit(json!({"alpha": 0.8})).await;
+    for name in ["triangles", "vertices", "tolerance", "mesherTriangles", "leaves"] {
+        assert_eq!(found[name], expected[name], "{name}");
+    }
+    assert_eq!(fast.shown.len(), slow.shown.len());
+    for (region, chunk) in &slow.shown {
+        let other = fast.shown.get(region);
+        assert!(
+            other.is_some_and(|other| other.same_mesh(chunk)),
+            "another mesh of {region:?}"
+        );
+    }
+}
