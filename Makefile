@@ -42,7 +42,7 @@ build: prerequisites-build release ## everything built, the web client inside ta
 test: export RUSTC_WORKSPACE_WRAPPER := clippy-driver
 test: export CLIPPY_ARGS := -Dwarnings__CLIPPY_HACKERY__
 # What can be built is built first, so that the runners' summaries stand together at the end.
-test: prerequisites-test lint-text build-and-test-web lint-generated test-rust test-oclgrind test-pocl-6 test-browser test-glb-and-clients ## all tests, linters and formatters; what CI runs
+test: prerequisites-test lint-text build-and-test-web lint-generated test-rust test-side-by-side test-browser ## all tests, linters and formatters; what CI runs
 
 prerequisites-build prerequisites-run prerequisites-test: prerequisites-%:
 	@tests/scripts/prerequisites.sh $*
@@ -123,12 +123,21 @@ build-tests: web-client
 	# Once, before tests start many servers at the same time.
 	$(TESTED_BINARY) devices --check
 
-# The web client is checked on one core beside the compiler, which often uses one alone.
+# beside TARGETS,TARGETS: makes both at a time, of which one alone leaves a core idle, and prints the output of one after that of the other.
+beside = mkdir -p target; \
+	$(MAKE) --no-print-directory $(1) >target/beside.log 2>&1 & other=$$!; \
+	$(MAKE) --no-print-directory $(2) || failed=1; \
+	wait $$other || failed=1; cat target/beside.log; test -z "$${failed:-}"
+
+# The compiler often uses one core alone.
 .PHONY: build-and-test-web
 build-and-test-web: web-client
-	mkdir -p target
-	$(MAKE) --no-print-directory lint-web test-web >target/test-web.log 2>&1 & web=$$!; \
-		$(MAKE) --no-print-directory build-tests; wait $$web || failed=1; cat target/test-web.log; test -z "$${failed:-}"
+	$(call beside,lint-web test-web,build-tests)
+
+# These wait for the network, or have one thread.
+.PHONY: test-side-by-side
+test-side-by-side: build-tests
+	$(call beside,test-pocl-6 test-clients,test-oclgrind test-glb)
 
 test-web: web-client ## the web client's unit tests
 	cd web && npm test --silent
@@ -248,13 +257,6 @@ target/clients-venv/bin/openapi-python-client: tests/clients/requirements.txt
 
 test-clients: build-tests tests/clients/node_modules/.package-lock.json target/clients-venv/bin/openapi-python-client ## clients in TypeScript and Python, generated from server/openapi.json, against the server
 	cd tests/clients && ISOPEEL_BINARY=$(TESTED_BINARY) npm test --silent
-
-# Side by side: one waits for the network and for pip, the other for its validator.
-.PHONY: test-glb-and-clients
-test-glb-and-clients:
-	$(MAKE) --no-print-directory test-clients >target/test-clients.log 2>&1 & clients=$$!; \
-		$(MAKE) --no-print-directory test-glb || failed=1; \
-		wait $$clients || failed=1; cat target/test-clients.log; test -z "$${failed:-}"
 
 bench: prerequisites-run web-client ## isopeel beside its peers on this machine, written to BENCHMARKS.md
 	tests/scripts/bench.py $(if $(DEVICE),--device '$(DEVICE)') $(BENCH)
