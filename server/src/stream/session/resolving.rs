@@ -47,12 +47,12 @@ impl OpenVolume {
         self.stepping.as_ref().map_or(&self.volume, |stepping| &stepping.volume)
     }
 
-    /// The next view to be resolved: one of the step in force, before that is left.
+    /// The next view to be resolved: one of the step in force, before that is left, or of one that another step has overtaken.
     fn next_pending(&self) -> Option<(u8, &PendingView)> {
-        let here = self.volume.key();
+        let comes = self.stepping.as_ref().map(|stepping| stepping.volume.key());
         let pending = self.surfaces().filter_map(|(number, surface)| {
             let pending = surface.pending.as_ref().filter(|pending| !pending.is_paused)?;
-            (pending.at.key() == here).then_some((number, pending))
+            (Some(pending.at.key()) != comes).then_some((number, pending))
         });
         pending.min_by_key(|(_, pending)| pending.edit)
     }
@@ -159,9 +159,6 @@ impl<B: Backend> Session<B> {
         if self.resolving.is_some() || opened.phase != OpeningPhase::Open {
             return;
         }
-        if opened.stepping.is_none() {
-            opened.resolve_here();
-        }
         let job = match (opened.next_pending(), &opened.stepping) {
             (Some((surface, pending)), _) => resolve_view(self.backend.clone(), surface, pending.clone()),
             (None, Some(stepping)) => {
@@ -182,8 +179,11 @@ impl<B: Backend> Session<B> {
     }
 
     fn on_resolved_view(&mut self, surface: u8, asked: &PendingView, result: Result<View, WorkError>) {
-        let session = self.opened.as_mut().and_then(|opened| opened.surface_mut(surface));
-        let Some(session) = session else { return };
+        let Some(opened) = &mut self.opened else { return };
+        let here = opened.volume.clone();
+        let Some(session) = opened.surface_mut(surface) else {
+            return;
+        };
         // A newer edit has changed what has to be resolved: it is resolved next.
         let Some(pending) = session.pending.as_mut().filter(|pending| pending.resolves_like(asked)) else {
             return;
@@ -200,9 +200,18 @@ impl<B: Backend> Session<B> {
                 } = pending.clone();
                 view.iso = view.iso.or(resolved.iso);
                 view.feature_range = view.feature_range.or(resolved.feature_range);
+                // Its values are those of a step that was overtaken; what it uses has to be there in the one in force.
+                if pending.at.key() != here.key() {
+                    (pending.view, pending.at) = (view, here);
+                    return;
+                }
                 self.come_into_force(surface, view, named, edit, is_made);
                 self.apply_all(surface, queue);
                 self.lead_or_follow();
+            }
+            Err(error) if !error.rejects_view() && pending.at.key() != here.key() => {
+                tracing::debug!(error = chain(&error), "a time step that was overtaken gives no values");
+                pending.at = here;
             }
             Err(error) if !error.rejects_view() => {
                 pending.is_paused = true;
@@ -245,6 +254,7 @@ impl<B: Backend> Session<B> {
             }
             Err((surface, error)) => {
                 tracing::debug!(error = chain(&error), "a time step does not come into force");
+                opened.resolve_here(step);
                 let message = format!(
                     "step {} is not shown, step {} stays: {}",
                     step.step,
@@ -310,13 +320,12 @@ impl OpenVolume {
         });
     }
 
-    /// Views that were to be resolved at a step which did not come into force are resolved at the one that is.
-    fn resolve_here(&mut self) {
+    /// Views that were to be resolved at a step of which a surface cannot be made are resolved at the one that is in force.
+    fn resolve_here(&mut self, failed: &StepKey) {
         let here = self.volume.clone();
-        for (_, surface) in self.surfaces_mut() {
-            if let Some(pending) = &mut surface.pending {
-                pending.at = here.clone();
-            }
+        let pending = self.surfaces_mut().filter_map(|(_, surface)| surface.pending.as_mut());
+        for pending in pending.filter(|pending| pending.at.key() == *failed) {
+            pending.at = here.clone();
         }
     }
 }

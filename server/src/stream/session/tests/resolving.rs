@@ -196,6 +196,24 @@ async fn a_cancelled_step_leaves_the_edits_behind_it_to_be_made() {
 }
 
 #[tokio::test]
+async fn values_are_those_of_a_step_that_another_one_has_overtaken() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(r#"{"type":"step","step":3}"#).await;
+    let _overtaken = resolution(&mut viewer).await;
+    viewer.say(FEATURE).await;
+    viewer.say(r#"{"type":"step","step":0}"#).await;
+    tokio::task::yield_now().await;
+    let job = resolution(&mut viewer).await;
+    assert_eq!((job.volume.step(), job.view.feature_range), (3, None));
+    job.resolve();
+    // The step, and then what the view uses in it.
+    resolution(&mut viewer).await.resolve();
+    viewer.until("stepped").await;
+    let there = resolution(&mut viewer).await;
+    assert_eq!((there.volume.step(), there.view.feature_range), (0, Some([-1.0, 3.0])));
+}
+
+#[tokio::test]
 async fn a_step_of_which_a_surface_cannot_be_made_is_refused() {
     let mut viewer = showing(&Common::new(0)).await;
     viewer.say(r#"{"type":"step","step":1}"#).await;
