@@ -96,7 +96,7 @@ pub struct RemovedParts {
 pub struct SurfaceStatistics {
     /// Triangles of the undecimated marching-cubes surface, without removed parts.
     pub full_triangles: u64,
-    /// Triangles of the undecimated surface by the mesher of this one, without removed parts; `None` where they were not counted.
+    /// Triangles of the undecimated surface by the mesher of this one, without removed parts; `None`: not counted.
     pub mesher_triangles: Option<u64>,
     /// Parts that were removed; `None` where none are to be.
     pub removed: Option<RemovedParts>,

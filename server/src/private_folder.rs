@@ -8,6 +8,22 @@ use std::time::{Duration, Instant};
 /// Longest wait for the lock of a process that was killed: the system keeps it until the process's memory is freed.
 const LOCK_WAIT: Duration = Duration::from_secs(4);
 
+/// Makes a file in a folder, if there is none, and locks it for this process alone, as [`lock`] does.
+///
+/// # Errors
+/// As [`lock`]; or the file cannot be made.
+pub fn lock_in(folder: &Path, name: &str) -> Result<File, TryLockError> {
+    let mut options = File::options();
+    let file = options
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(folder.join(name))
+        .map_err(TryLockError::Error)?;
+    lock(&file)?;
+    Ok(file)
+}
+
 /// Locks a file for this process alone, as soon as no other one holds it.
 ///
 /// # Errors
@@ -176,6 +192,8 @@ fn check(path: PathBuf, _: FolderAccess) -> Result<PathBuf, FolderAccessError> {
 mod tests {
     use std::os::unix::fs::PermissionsExt;
 
+    use super::*;
+
     #[test]
     fn a_lock_that_is_let_go_soon_is_waited_for() {
         let folder = tempfile::tempdir().unwrap();
@@ -190,8 +208,6 @@ mod tests {
         lock(&next).unwrap();
         thread.join().unwrap();
     }
-
-    use super::*;
 
     #[test]
     fn a_folder_that_others_may_use_is_refused_with_the_command_that_helps() {

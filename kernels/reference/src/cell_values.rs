@@ -18,7 +18,7 @@ fn distance2(position: [i32; 3], cell: [i32; 3]) -> i32 {
         .sum()
 }
 
-/// The values at a position in a volume of so many samples, 1/[`LATTICE`] cell; `None` where no cell around is active.
+/// The values at a position. `dims`: samples of the volume along each axis; `position`: 1/[`LATTICE`] cell. `None`: no cell around is active.
 pub fn at(cells: &CellValues, dims: [u32; 3], position: [i32; 3]) -> Option<[f32; 2]> {
     let centre: [i32; 3] = std::array::from_fn(|axis| (position[axis] / LATTICE).clamp(0, dims[axis] as i32 - 2));
     let value = |cell: [i32; 3]| {

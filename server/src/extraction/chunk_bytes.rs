@@ -7,12 +7,12 @@ const CHUNK_BYTES: u64 = 160;
 pub(super) const BYTES_OF_100_TRIANGLES: u64 = 450;
 pub(super) const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
 
-/// Bytes of the headers of so many triangles in so many regions.
-pub(super) fn of_headers(triangles: u64, regions: u64) -> u64 {
-    triangles.min(regions) * CHUNK_BYTES
+/// Bytes of the headers of `chunks` chunks.
+pub(super) fn of_headers(chunks: u64) -> u64 {
+    chunks * CHUNK_BYTES
 }
 
-/// Bytes of so many triangles in so many regions, with headers.
+/// Bytes of `triangles` triangles in `regions` regions, with headers.
 pub(super) fn of_triangles(triangles: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
-    of_headers(triangles, regions) + triangles.saturating_mul(bytes_of_100_triangles) / 100
+    of_headers(triangles.min(regions)) + triangles.saturating_mul(bytes_of_100_triangles) / 100
 }

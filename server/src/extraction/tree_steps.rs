@@ -6,23 +6,24 @@
 use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
 use super::{Shown, Step};
 
-/// A final surface of at most one in so many of a step's bytes comes at once.
+/// The final surface comes at once if it has at most the bytes of a step, divided by this.
 const AT_ONCE_PART: u64 = 4;
 
-/// The first cut has one in so many of a step's bytes,
+/// Bytes of a step, divided by those of the first cut.
 const FIRST_PART: u64 = 6;
-/// or so many, if the line takes less: fewer show hardly more than headers.
+/// Minimum bytes of the first cut: smaller ones are mostly headers.
 const MIN_FIRST_BYTES: u64 = 80 << 10;
 
-/// Each further cut has so many times the bytes of the one before, or at least so many.
+/// Bytes of a further cut, divided by those of the cut before.
 const GROWTH: u64 = 4;
+/// The same, at least: the final surface comes instead of a cut that grows by less.
 const MIN_GROWTH: u64 = 2;
-/// There is one only if the final surface has the bytes of more steps than that.
+/// There is a further cut only if the bytes of the final surface, divided by those of a step, are above this.
 const LONG_STEPS: u64 = 8;
 
-/// Every cut is to have at most one in so many of the final surface's bytes,
+/// Bytes of the final surface, divided by those of the largest cut.
 const TARGET_FINAL_PART: u64 = 5;
-/// and where its topology needs more, at most one in so many.
+/// The same of a cut whose topology needs more triangles.
 const MAX_FINAL_PART: u64 = 3;
 
 /// Cuts of fewer triangles show too little of a surface.
@@ -33,7 +34,7 @@ const MIN_TRIANGLES: u64 = 1000;
 pub(super) struct TreePrefix {
     /// Those that it is to have.
     pub triangles: u64,
-    /// Those that it may have, where its topology needs more: the final surface comes at once instead of a larger cut.
+    /// Those that it may have if its topology needs more: the final surface comes at once instead of a larger cut.
     pub max_triangles: u64,
 }
 
@@ -54,7 +55,7 @@ pub(super) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<Tre
         }
         _ => return None,
     };
-    let headers = chunk_bytes::of_headers(u64::MAX, regions);
+    let headers = chunk_bytes::of_headers(regions);
     let triangles_of = |bytes: u64| bytes.saturating_sub(headers) * 100 / BYTES_OF_100_COARSE_TRIANGLES;
     let (triangles, max_triangles) = (triangles_of(bytes), triangles_of(whole / MAX_FINAL_PART));
     (triangles >= MIN_TRIANGLES).then_some(TreePrefix {
@@ -70,7 +71,7 @@ mod tests {
 
     const REGIONS: u64 = 250;
 
-    /// A step on a line that takes so many bytes in 400 ms.
+    /// A step on a line that takes `bytes` in 400 ms.
     fn step(bytes: u64, made_triangles: u64) -> Step {
         Step {
             shown: Shown::Cut(CutId::new(1)),

@@ -66,7 +66,7 @@ impl Payer {
         }
     }
 
-    /// Returns what the user may take; `None` where there is no limit.
+    /// Returns what the user may take; `None`: there is no limit.
     pub(super) fn left(&self, now: Instant) -> Option<TimeLeft> {
         let limit = self.times.limit?;
         let taken = lock(&self.times.taken).get(&self.user).copied();

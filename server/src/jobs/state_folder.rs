@@ -1,6 +1,6 @@
 //! The folder that batch jobs and tokens are kept in: on a disk of this machine, and of one server at a time.
 
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -58,11 +58,8 @@ impl StateFolder {
             path: path.clone(),
             source,
         };
-        let mut options = OpenOptions::new();
-        let lock = options.create(true).truncate(false).write(true).open(path.join(LOCK));
-        let lock = lock.map_err(fail)?;
-        match private_folder::lock(&lock) {
-            Ok(()) => Ok(Self { path, _lock: lock }),
+        match private_folder::lock_in(&path, LOCK) {
+            Ok(lock) => Ok(Self { path, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(StateFolderError::InUse { path }),
             Err(TryLockError::Error(source)) => Err(fail(source)),
         }

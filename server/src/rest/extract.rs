@@ -156,7 +156,7 @@ impl Source {
         let others = self.others.values();
         let volumes: Vec<_> = once(self.volume.dataset()).chain(others).map(Arc::clone).collect();
         let made = Made::admitted(state.clone(), who, self, file).await;
-        made.map_err(|error| state.failed(who, volumes.iter().map(|volume| &**volume), error))
+        made.map_err(|error| state.failed(who, &volumes, error))
     }
 }
 

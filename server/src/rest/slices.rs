@@ -1,7 +1,5 @@
 //! Planes of samples: raw for a shader, or as a picture.
 
-use std::iter::once;
-
 use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
@@ -111,7 +109,7 @@ pub async fn slice(
     let worker = state.worker_for(&who);
     let (slice, range) = shown_slice(&worker, &volume, &plane, &options)
         .await
-        .map_err(|error| state.failed(&who, once(&**volume.dataset()), error))?;
+        .map_err(|error| state.failed_on(&who, &volume, error))?;
     let info = header_of(&info(&plane, slice.sample_type))?;
     let content_type = HeaderValue::from_static(options.format.content_type());
     let file = pool::run(move || plane.file(slice, &options, range)).await;

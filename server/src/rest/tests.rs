@@ -159,7 +159,7 @@ async fn volumes_and_steps_that_are_not_there_are_named() {
 fn answer_to_unreadable(state: &ApiState, volume: &Dataset) -> (StatusCode, &'static str) {
     let unreadable = ReadError::new(std::path::Path::new("a.nrrd"), "data", "it has 3 bytes, expected 8");
     let error = crate::extraction::WorkError::from(unreadable);
-    let error = state.failed(&Identity::without_token(), std::iter::once(volume), error);
+    let error = state.failed(&Identity::without_token(), &[Arc::new(volume.clone())], error);
     (error.status(), error.code())
 }
 

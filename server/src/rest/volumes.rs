@@ -1,6 +1,7 @@
 //! What volumes there are, and what is in each.
 
-use std::iter::once;
+use std::slice;
+use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::rejection::{PathRejection, QueryRejection};
@@ -126,9 +127,7 @@ pub async fn show(
     let Query(StepQuery { step }) = query?;
     let volume = state.volume(&who, &id, step)?;
     let described = describe(&state.worker_for(&who), &volume).await;
-    Ok(Json(described.map_err(|error| {
-        state.failed(&who, once(&**volume.dataset()), error)
-    })?))
+    Ok(Json(described.map_err(|error| state.failed_on(&who, &volume, error))?))
 }
 
 /// Which field.
@@ -172,9 +171,7 @@ pub async fn expression(
     let Query(ExpressionQuery { expression, step }) = query?;
     let volume = state.volume(&who, &id, step)?;
     let described = describe_expression(&state.worker_for(&who), &volume, &expression).await;
-    Ok(Json(described.map_err(|error| {
-        state.failed(&who, once(&**volume.dataset()), error)
-    })?))
+    Ok(Json(described.map_err(|error| state.failed_on(&who, &volume, error))?))
 }
 
 impl ApiState {
@@ -194,25 +191,23 @@ impl ApiState {
 
     /// Returns the answer to a failure of work on these volumes. If one of them was removed meanwhile, it is unknown; if one that cannot be read was
     /// uploaded, its user is at fault, not the server.
-    pub(super) fn failed<'a>(
-        &self,
-        who: &Identity,
-        mut volumes: impl Iterator<Item = &'a Dataset> + Clone,
-        error: impl Into<ApiError>,
-    ) -> ApiError {
+    pub(super) fn failed(&self, who: &Identity, volumes: &[Arc<Dataset>], error: impl Into<ApiError>) -> ApiError {
         let error = error.into();
         if error.code() != "unreadable-volume" {
             return error;
         }
-        let gone = volumes
-            .clone()
-            .find(|volume| self.catalog.find(&volume.id, who.reader()).is_none());
-        match gone {
+        let is_gone = |volume: &&Arc<Dataset>| self.catalog.find(&volume.id, who.reader()).is_none();
+        match volumes.iter().find(is_gone) {
             Some(volume) => ApiError::unknown_volume(&volume.id).because(error),
-            None if volumes.any(|volume| self.catalog.private().contains(&volume.id)) => {
+            None if volumes.iter().any(|volume| self.catalog.private().contains(&volume.id)) => {
                 error.with_status(StatusCode::UNPROCESSABLE_ENTITY)
             }
             None => error,
         }
+    }
+
+    /// As [`ApiState::failed`], of one volume.
+    pub(super) fn failed_on(&self, who: &Identity, volume: &VolumeStep, error: impl Into<ApiError>) -> ApiError {
+        self.failed(who, slice::from_ref(volume.dataset()), error)
     }
 }

@@ -28,7 +28,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
     /// The dataset of that id, if the viewer may see it.
     fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>>;
 
-    /// The same for one viewer.
+    /// The same, whose work counts as that of this viewer's user.
     #[must_use]
     fn used_by(self, _who: &Identity) -> Self {
         self

@@ -80,11 +80,8 @@ impl UploadFolder {
             path: path.clone(),
             source,
         };
-        let mut options = OpenOptions::new();
-        let lock = options.create(true).truncate(false).write(true).open(path.join(LOCK));
-        let lock = lock.map_err(fail)?;
-        match private_folder::lock(&lock) {
-            Ok(()) => Ok(Self { path, _lock: lock }),
+        match private_folder::lock_in(&path, LOCK) {
+            Ok(lock) => Ok(Self { path, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path }),
             Err(TryLockError::Error(source)) => Err(fail(source)),
         }

@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{ALONE, dataset, field, view};
 
-/// Folds along each axis, by so many radians a sample.
+/// A sum of sines along the axes. The number: radians a sample.
 #[derive(Debug)]
 pub struct Folds(f32);
 

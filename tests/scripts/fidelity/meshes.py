@@ -7,28 +7,16 @@ from functools import cache
 import fast_simplification
 import meshoptimizer
 import numpy as np
+import quality
 import scipy.ndimage
 import trimesh
-import vtk
-from vtk.util import numpy_support as vn
 
 from fidelity.stream import cut_of_cubes
 
 
 def flying_edges(volume, spacing, iso):
-    image = vtk.vtkImageData()
-    image.SetDimensions(*volume.shape[::-1])
-    image.SetSpacing(*spacing)
-    image.GetPointData().SetScalars(vn.numpy_to_vtk(np.ascontiguousarray(volume).ravel()))
-    edges = vtk.vtkFlyingEdges3D()
-    edges.SetInputData(image)
-    edges.SetValue(0, iso)
-    edges.ComputeNormalsOff()
-    edges.ComputeScalarsOff()
-    edges.Update()
-    mesh = edges.GetOutput()
-    points = vn.vtk_to_numpy(mesh.GetPoints().GetData()).astype(np.float32)
-    return points, vn.vtk_to_numpy(mesh.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.uint32)
+    points, faces = quality.flying_edges(volume, spacing, iso)
+    return points.astype(np.float32), faces.astype(np.uint32)
 
 
 def coarser(volume, spacing, iso, triangles, full):

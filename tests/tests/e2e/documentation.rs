@@ -3,12 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::support::{command, process};
+use crate::support::{command, process, repository};
+
+fn text_of(page: &str) -> String {
+    let path = repository().join("docs/how-to").join(page);
+    std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
 
 /// The blocks of bash of a page, in their order.
 fn blocks(page: &str) -> Vec<String> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/how-to").join(page);
-    let text = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let text = text_of(page);
     let blocks = text.split("```bash\n").skip(1);
     blocks
         .map(|block| block.split("```").next().unwrap_or_default().to_owned())
@@ -17,8 +21,7 @@ fn blocks(page: &str) -> Vec<String> {
 
 /// The line of a page that starts a server, as words.
 fn server_line(page: &str) -> Vec<String> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/how-to").join(page);
-    let text = std::fs::read_to_string(path).expect("a page");
+    let text = text_of(page);
     let line = text.lines().find_map(|line| line.strip_prefix("    isopeel serve "));
     line.expect("a line").split_whitespace().map(str::to_owned).collect()
 }

@@ -13,7 +13,7 @@ pub(super) struct KeptEdit {
     pub edit: Edit,
     /// The time step that was in force, or on its way, when it came.
     pub at: VolumeStep,
-    /// Counts the connection's edits.
+    /// Place among the edits of the connection, from 1.
     pub number: u64,
     /// Whether its surface is made when it comes into force: not after a `cancel`.
     pub is_made: bool,
@@ -63,7 +63,7 @@ pub(super) struct PendingView {
 /// A time step that has not come into force.
 pub(super) struct PendingStep {
     pub volume: VolumeStep,
-    /// A `cancel` came after so many edits: surfaces that none has changed since are not made then.
+    /// Number of the last edit before a `cancel`: surfaces that no later edit has changed are not made then. `None`: no `cancel` came.
     pub cancelled_after: Option<u64>,
 }
 

@@ -352,13 +352,17 @@ async fn a_new_surface_has_the_budget_that_edits_left_in_force_or_not() {
     );
 }
 
+/// Surface 1 is edited, with a budget of 77 triangles; the job that resolves it.
+async fn naming_a_budget(viewer: &mut Viewer) -> Job<View> {
+    let edit = r#"{"type":"edit","surface":1,"feature":"none","triangles":77}"#;
+    viewer.say(edit).await;
+    resolution(viewer).await
+}
+
 #[tokio::test]
 async fn others_keep_a_budget_that_its_surface_gives_up_before_it_is_in_force() {
     let mut viewer = showing(&Common::new(0)).await;
-    viewer
-        .say(r#"{"type":"edit","surface":1,"feature":"none","triangles":77}"#)
-        .await;
-    let first = resolution(&mut viewer).await;
+    let first = naming_a_budget(&mut viewer).await;
     viewer.say(r#"{"type":"edit","surface":1,"beta":0.5}"#).await;
     tokio::task::yield_now().await;
     first.resolve();
@@ -373,10 +377,7 @@ async fn others_keep_a_budget_that_its_surface_gives_up_before_it_is_in_force() 
 #[tokio::test]
 async fn the_budget_of_the_latest_edit_counts_whichever_comes_into_force_first() {
     let mut viewer = showing(&Common::new(0)).await;
-    viewer
-        .say(r#"{"type":"edit","surface":1,"feature":"none","triangles":77}"#)
-        .await;
-    let first = resolution(&mut viewer).await;
+    let first = naming_a_budget(&mut viewer).await;
     viewer.say(r#"{"type":"edit","triangles":99}"#).await;
     let budget = Some(Budget::Triangles(TriangleBudget::AtMost(99)));
     let job = viewer.step().await;
