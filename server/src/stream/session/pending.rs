@@ -74,6 +74,11 @@ impl PendingView {
         self.queue.iter().fold(self.view.clone(), applied)
     }
 
+    /// Number of the first edit that waits, or of the last one where there were too many.
+    pub(super) fn first_edit(&self) -> u64 {
+        self.edits.first().map_or(self.edit, |first| first.number)
+    }
+
     /// Nothing is made when it comes into force.
     pub(super) fn cancel(&mut self) {
         self.is_made = false;

@@ -13,6 +13,7 @@ use super::jobs::BoxFuture;
 use super::open_volume::{OpenVolume, OpeningPhase};
 use super::pending::{KeptEdit, MAX_KEPT_EDITS, NamedBudget, PendingView};
 use super::rest::Rest;
+use super::surface::SurfaceSession;
 use crate::error::chain;
 use crate::extraction::WorkError;
 use crate::metrics;
@@ -47,6 +48,33 @@ impl OpenVolume {
         self.stepping.as_ref().map_or(&self.volume, |stepping| &stepping.volume)
     }
 
+    /// Whether a surface that is not in force yet begins with a budget that edits of others, not in force either, have named or given up.
+    fn waits_for_budget(&self, surface: u8) -> bool {
+        let fields = self.volume.dataset().field_names();
+        let is_open_question = |other: &SurfaceSession| {
+            other.pending.is_some() && (other.is_new() || other.edited_view(&fields).budget != other.view.budget)
+        };
+        self.surface(surface).is_none_or(SurfaceSession::is_new)
+            && self
+                .surfaces()
+                .any(|(number, other)| number != surface && is_open_question(other))
+    }
+
+    /// Takes the edits of all surfaces that are not in force yet, in the order in which they came. Such a surface is gone then.
+    fn take_new_surfaces(&mut self) -> Vec<(u8, Vec<KeptEdit>)> {
+        let new = self.surfaces().filter_map(|(number, surface)| {
+            let pending = surface.pending.as_ref().filter(|pending| !pending.edits.is_empty())?;
+            let edits = pending.edits.iter().chain(&pending.queue).cloned().collect();
+            surface.is_new().then_some((number, edits))
+        });
+        let mut new: Vec<(u8, Vec<KeptEdit>)> = new.collect();
+        new.sort_by_key(|(_, edits)| edits[0].number);
+        for (number, _) in &new {
+            self.remove(*number);
+        }
+        new
+    }
+
     /// The next view to be resolved: one of the step in force, before that is left, or of one that another step has overtaken.
     fn next_pending(&self) -> Option<(u8, &PendingView)> {
         let comes = self.stepping.as_ref().map(|stepping| stepping.volume.key());
@@ -54,7 +82,7 @@ impl OpenVolume {
             let pending = surface.pending.as_ref().filter(|pending| !pending.is_paused)?;
             (Some(pending.at.key()) != comes).then_some((number, pending))
         });
-        pending.min_by_key(|(_, pending)| pending.edit)
+        pending.min_by_key(|(_, pending)| pending.first_edit())
     }
 }
 
@@ -89,7 +117,7 @@ impl<B: Backend> Session<B> {
             }
             return;
         }
-        if !opened.has_to_resolve(surface, &view) {
+        if !opened.has_to_resolve(surface, &view) && !opened.waits_for_budget(surface) {
             return self.come_into_force(surface, view, named, self.edits, kept.is_made);
         }
         opened.hold_back(surface, view, named, self.edits, Some(kept));
@@ -227,12 +255,16 @@ impl<B: Backend> Session<B> {
                 tracing::debug!(error = chain(&error), "an edit does not come into force");
                 let queue = std::mem::take(&mut pending.queue);
                 session.pending = None;
-                let is_new = session.edited == 0 && !session.is_opening;
-                if is_new && let Some(opened) = &mut self.opened {
+                if session.is_new() {
                     opened.remove(surface);
                 }
+                let new = opened.take_new_surfaces();
                 self.send_surface_error(surface, error.code(), error.public_message());
                 self.apply_all(surface, queue);
+                // They may have begun with the budget of the edit that was bad.
+                for (surface, edits) in new {
+                    self.apply_all(surface, edits);
+                }
             }
         }
     }

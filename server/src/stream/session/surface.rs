@@ -172,6 +172,11 @@ impl SurfaceSession {
         self.edit_pending || self.generation().is_some()
     }
 
+    /// Whether no edit of it has come into force, nor was it there when the volume was opened.
+    pub(super) fn is_new(&self) -> bool {
+        self.edited == 0 && !self.is_opening
+    }
+
     /// Whether something of it is still to come: a generation, or an edit that has not come into force.
     pub(super) fn is_awaited(&self) -> bool {
         self.is_busy() || self.pending.is_some()

@@ -335,21 +335,45 @@ async fn followers_are_shown_what_has_come_into_force() {
 }
 
 #[tokio::test]
-async fn a_new_surface_has_the_budget_that_edits_left_in_force_or_not() {
-    let mut viewer = Viewer::that_resolves(&Common::new(0)).open().await;
-    viewer.say(r#"{"type":"edit","triangles":77}"#).await;
-    viewer.step().await.answer(Answer::last(1, shapes(&[1])));
-    viewer.until("done").await;
-    viewer.say(r#"{"type":"edit","beta":0.5,"feature":"none"}"#).await;
-    let _first = resolution(&mut viewer).await;
-    viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
-    let job = viewer.counts.recv().await.expect("a count");
+async fn a_new_surface_has_the_budget_that_edits_left_in_force() {
     let opening = Budget::Triangles(TriangleBudget::Share(View::OPENING_BUDGET));
-    assert_eq!(
-        job.view.budget,
-        Some(opening),
-        "not the one that went with the edit before"
-    );
+    for is_bad in [false, true] {
+        let mut viewer = Viewer::that_resolves(&Common::new(0)).open().await;
+        viewer.say(r#"{"type":"edit","triangles":77}"#).await;
+        viewer.step().await.answer(Answer::last(1, shapes(&[1])));
+        viewer.until("done").await;
+        viewer.say(r#"{"type":"edit","beta":0.5,"feature":"none"}"#).await;
+        let first = resolution(&mut viewer).await;
+        viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
+        tokio::task::yield_now().await;
+        if is_bad {
+            first.refuse();
+            // Two share it.
+            let job = viewer.counts.recv().await.expect("a count");
+            assert_eq!(job.view.budget, Some(Budget::Triangles(TriangleBudget::AtMost(77))));
+        } else {
+            first.resolve();
+            resolution(&mut viewer).await.resolve();
+            viewer.step().await.answer(Answer::last(2, shapes(&[2])));
+            viewer.until("done").await;
+            assert_eq!(viewer.step().await.view.budget, Some(opening));
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_new_surface_does_not_have_the_budget_of_a_bad_new_one() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
+    viewer.step().await.answer(Answer::last(2, shapes(&[2])));
+    viewer.until("done").await;
+    let bad = naming_a_budget(&mut viewer).await;
+    viewer.say(r#"{"type":"edit","surface":2,"iso":20}"#).await;
+    tokio::task::yield_now().await;
+    bad.refuse();
+    viewer.until("error").await;
+    let opening = Budget::Triangles(TriangleBudget::Share(View::OPENING_BUDGET));
+    assert_eq!(viewer.step().await.view.budget, Some(opening), "not that of surface 1");
 }
 
 /// Surface 1 is edited, with a budget of 77 triangles; the job that resolves it.
