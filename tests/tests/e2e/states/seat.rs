@@ -1,6 +1,6 @@
 //! A viewer with what it has been sent, and the model of what it should be shown.
 
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{HashMap, HashSet};
 use std::net::SocketAddr;
 use std::time::Duration;
 
@@ -95,10 +95,11 @@ pub struct Seat {
     /// `bad-edit` so far, and how many were expected.
     bad_edits: usize,
     pub expected_bad_edits: usize,
-    /// Kinds of questions that were asked and not answered, except the one that waits for rest.
-    questions: BTreeSet<String>,
-    /// Whether that one was answered, and chunks that are still to come.
+    /// Questions since the last rest that were not answered, or dropped, except the one that waits for rest.
+    questions: usize,
+    /// Whether that one was answered, whether it has to be asked again, and chunks that are still to come.
     is_answered: bool,
+    asks_again: bool,
     chunks_to_come: usize,
     /// Errors that no `superseded` has followed yet.
     errors: Vec<Failed>,
@@ -136,8 +137,9 @@ impl Seat {
             line,
             bad_edits: 0,
             expected_bad_edits: 0,
-            questions: BTreeSet::new(),
+            questions: 0,
             is_answered: false,
+            asks_again: false,
             chunks_to_come: 0,
             errors: Vec::new(),
             group: None,
@@ -194,12 +196,8 @@ impl Seat {
     }
 
     pub async fn send(&mut self, message: Value) {
-        match message["type"].as_str() {
-            Some(kind @ ("probe" | "distribution" | "curve")) => drop(self.questions.insert(kind.to_owned())),
-            // These are not answered any more.
-            Some("open" | "cancel" | "remove") => self.questions.clear(),
-            _ => {}
-        }
+        let is_question = matches!(message["type"].as_str(), Some("probe" | "distribution" | "curve"));
+        self.questions += usize::from(is_question);
         self.viewer.send(message).await;
     }
 
@@ -304,7 +302,7 @@ impl Seat {
                 self.chunks_to_come = answer["regions"].as_u64().expect("a count") as usize;
                 self.is_answered = true;
             }
-            Frame::Answer { kind, .. } => drop(self.questions.remove(if kind == "probed" { "probe" } else { &kind })),
+            Frame::Answer { .. } => self.questions = self.questions.saturating_sub(1),
             Frame::Errors { .. } => self.chunks_to_come = self.chunks_to_come.saturating_sub(1),
             Frame::Group(group) => self.group = group["group"].as_str().map(str::to_owned),
             Frame::Closed { code } => panic!("closed with {code:?}"),
@@ -345,8 +343,8 @@ impl Seat {
 
     fn take_error(&mut self, code: String, surface: Option<u8>, suggested_triangles: Option<u64>) {
         match code.as_str() {
-            // It does not say which question is meant: those that were asked before are answered first.
-            "no-surface" | "unknown-surface" => return self.is_answered |= self.questions.pop_first().is_none(),
+            // It does not say which question is meant: it may be one of those before.
+            "no-surface" | "unknown-surface" => return self.take_refusal(),
             "volume-removed" => return self.is_removed = true,
             "bad-edit" => return self.bad_edits += 1,
             _ => {}
@@ -356,6 +354,14 @@ impl Seat {
             suggested_triangles,
             surface,
         });
+    }
+
+    /// A question is about a surface of which nothing is shown.
+    fn take_refusal(&mut self) {
+        match self.questions.checked_sub(1) {
+            Some(others) => (self.questions, self.asks_again) = (others, true),
+            None => self.is_answered = true,
+        }
     }
 
     /// Waits until the viewer rests, and all came that comes then: an annotation is made after all of it.
@@ -409,10 +415,12 @@ impl Seat {
                 let detail = format!("no rest after {REST_LIMIT:?}: {:?}", self.states());
                 return Err(Difference::new("hang", detail));
             }
-            if !self.read_until(Instant::now() + SILENCE).await {
+            let is_silent = !self.read_until(Instant::now() + SILENCE).await;
+            if is_silent || std::mem::take(&mut self.asks_again) {
                 self.viewer.send(question.clone()).await;
             }
         }
+        self.questions = 0;
         Ok(())
     }
 
