@@ -303,10 +303,11 @@ fn by_tus(answer: Result<Response, ApiError>) -> Response {
         (status = 200, description = "The upload, with the ids of its volumes", body = UploadInfo),
         (status = 404, description = "`unknown-upload`", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "`upload-incomplete`", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "`over-quota`: what is in a compressed file is more than the user may have", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "`unreadable-volume`: what is wrong with the files", body = Problem, content_type = "application/problem+json"),
         (status = 423, description = "`upload-locked`: another request is at work on it", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`uploads-off`", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "`busy`: others are being read", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "`busy`: another one of the user, or others, are being read", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "`disk-full`", body = Problem, content_type = "application/problem+json"),
     ),
 )]
@@ -329,7 +330,9 @@ impl From<UploadError> for ApiError {
             UploadError::BadKey(_) | UploadError::Interrupted { .. } => (StatusCode::BAD_REQUEST, "bad-request"),
             UploadError::KeyReused { .. } => (StatusCode::CONFLICT, "key-reused"),
             UploadError::TooMany => (StatusCode::TOO_MANY_REQUESTS, "too-many-uploads"),
-            UploadError::OverQuota { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "over-quota"),
+            UploadError::OverQuota { .. } | UploadError::UnpacksOverQuota { .. } => {
+                (StatusCode::PAYLOAD_TOO_LARGE, "over-quota")
+            }
             UploadError::DiskFull(_) | UploadError::NoSpace(_) => (StatusCode::INSUFFICIENT_STORAGE, "disk-full"),
             UploadError::WrongOffset { .. } => (StatusCode::CONFLICT, "wrong-offset"),
             UploadError::TooLong { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "over-declared"),

@@ -44,6 +44,19 @@ pub enum UploadError {
         /// What a user may have.
         quota: u64,
     },
+    /// What is in a compressed file is more than the user may have.
+    #[error(
+        "{file:?} unpacks to more than you may have: {used} of your {quota} bytes are taken, and what is in compressed files counts. \
+         Delete uploads that are not needed"
+    )]
+    UnpacksOverQuota {
+        /// Which.
+        file: String,
+        /// Of the user's uploads, this one too.
+        used: u64,
+        /// What a user may have.
+        quota: u64,
+    },
     /// The disk has not enough space, or it is full.
     #[error("the server's disk has no space for {0} bytes more: try again when others have deleted something")]
     DiskFull(u64),

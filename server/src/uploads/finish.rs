@@ -9,10 +9,10 @@ use super::folder::{FILES, write_record};
 use super::names::common_folder;
 use super::state::{UploadInfo, UploadState};
 use super::upload::Upload;
-use super::{Reader, Uploads};
+use super::{Reader, Uploads, counted};
 use crate::pool::ReadPool;
 use crate::volumes::location::stem;
-use crate::volumes::{Dataset, Frame, open_path};
+use crate::volumes::{Dataset, FileLocation, Frame, open_path};
 
 impl Uploads {
     /// Reads an upload that is whole as volumes, and offers these to its owner. Of one that was read before nothing changes.
@@ -37,7 +37,7 @@ impl Uploads {
                 file: upload.contents.files()[missing].name.clone(),
             });
         }
-        let _permit = self.0.finishes.try_acquire().map_err(|_| UploadError::Busy)?;
+        let _slot = self.0.finishes.enter(&upload.owner)?;
         let (uploads, read) = (self.clone(), Arc::clone(&upload));
         let reading = move || {
             let _writer = writer;
@@ -52,6 +52,7 @@ impl Uploads {
     fn read(&self, upload: &Upload) -> Result<(), UploadError> {
         let missing = |error| UploadError::of_write(error, 0);
         upload.contents.seal().map_err(missing)?;
+        upload.status().unpacked = self.unpacked(upload)?;
         let datasets = self.datasets(upload)?;
         write_record(&upload.folder, &upload.record(true)).map_err(missing)?;
         // Not if it was deleted meanwhile: what is in the list then is removed with it.
@@ -61,6 +62,33 @@ impl Uploads {
         upload.status().used = SystemTime::now();
         self.offer(upload, datasets);
         Ok(())
+    }
+
+    /// By how much what is in compressed files is more than these, where their owner may have as much.
+    fn unpacked(&self, upload: &Upload) -> Result<u64, UploadError> {
+        let all: Vec<_> = self.all().values().cloned().collect();
+        let own = all
+            .iter()
+            .filter(|one| one.owner == upload.owner && one.id != upload.id);
+        let (used, quota) = (counted(&own.collect::<Vec<_>>()), self.0.limits.quota_bytes);
+        let mut left = quota.saturating_sub(used).saturating_sub(upload.total);
+        let mut more = 0;
+        for file in upload.contents.files() {
+            let location = FileLocation::disk(upload.contents.folder().join(&file.name)).packed_by_name();
+            let limit = file.bytes.saturating_add(left);
+            // What cannot be decoded is said by the reader.
+            let bytes = location.unpacked_bytes(limit).unwrap_or(0);
+            if bytes > limit {
+                return Err(UploadError::UnpacksOverQuota {
+                    file: file.name.clone(),
+                    used: used.saturating_add(upload.total).saturating_add(more),
+                    quota,
+                });
+            }
+            let grown = bytes.saturating_sub(file.bytes);
+            (left, more) = (left - grown, more + grown);
+        }
+        Ok(more)
     }
 
     /// The same after a restart, of an upload that was read before.

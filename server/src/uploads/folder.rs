@@ -58,6 +58,9 @@ pub(super) struct Record {
     pub key: Option<String>,
     pub created: SystemTime,
     pub files: Vec<DeclaredFile>,
+    /// By how much what is in its compressed files is more than these; 0 before it was read.
+    #[serde(default)]
+    pub unpacked: u64,
     /// It was read as a volume.
     pub is_ready: bool,
 }
@@ -193,6 +196,7 @@ mod tests {
                 name: "a.nii".into(),
                 bytes: 7,
             }],
+            unpacked: 0,
             is_ready: false,
         }
     }

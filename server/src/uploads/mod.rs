@@ -12,6 +12,7 @@ mod finish;
 mod folder;
 mod names;
 mod receive;
+mod slots;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -22,7 +23,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use data_encoding::HEXLOWER;
-use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::rfc3339_seconds;
@@ -31,6 +31,7 @@ pub use error::UploadError;
 pub use folder::{FolderError, UploadFolder};
 use folder::{Record, note_use, used};
 pub use names::{DeclaredFile, MAX_FILES, NameError};
+use slots::Slots;
 pub use state::{UploadInfo, UploadList, UploadRequest, UploadState};
 use upload::Upload;
 
@@ -40,8 +41,8 @@ pub const MAX_REQUEST_BYTES: usize = 4 << 20;
 pub const MAX_UPLOADS: usize = 100;
 /// Bytes of the disk that stay free, for all else that is on it.
 const RESERVE_BYTES: u64 = 1 << 30;
-/// Uploads that are read as volumes at a time: the headers of thousands of files.
-const CONCURRENT_FINISHES: usize = 2;
+/// Uploads that are read as volumes at a time, one of a user: the headers of thousands of files.
+const MAX_FINISHES: usize = 2;
 /// Random bytes of an id: nobody finds another's by trying.
 const ID_BYTES: usize = 16;
 /// Longest time between two looks at what has expired.
@@ -56,7 +57,7 @@ type Overdue = HashMap<String, Instant>;
 /// What users may have, and for how long.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Bytes of a user's uploads, as they were declared.
+    /// Bytes of a user's uploads: as they were declared, or what is in files that are compressed as a whole, where that is more.
     pub quota_bytes: u64,
     /// Time without use after which volumes are removed.
     pub keep: Duration,
@@ -77,8 +78,10 @@ struct Shared {
     uploads: Mutex<HashMap<String, Arc<Upload>>>,
     /// Held while one is made, so that what several declare at once is added up.
     creating: Mutex<()>,
-    receiving: receive::Receiving,
-    finishes: Semaphore,
+    /// Parts that are received.
+    parts: Slots,
+    /// Uploads that are read.
+    finishes: Slots,
 }
 
 impl Uploads {
@@ -95,8 +98,8 @@ impl Uploads {
             catalog,
             uploads: Mutex::default(),
             creating: Mutex::default(),
-            receiving: receive::Receiving::default(),
-            finishes: Semaphore::new(CONCURRENT_FINISHES),
+            parts: Slots::new(receive::MAX_PARTS, receive::MAX_PARTS_OF_USER),
+            finishes: Slots::new(MAX_FINISHES, 1),
         }));
         for (id, path, record) in found {
             let (is_ready, used) = (record.is_ready, used(&path)?);
@@ -230,7 +233,7 @@ impl Uploads {
         if own.len() >= MAX_UPLOADS {
             return Err(UploadError::TooMany);
         }
-        let (used, quota) = (own.iter().map(|upload| upload.total).sum(), self.0.limits.quota_bytes);
+        let (used, quota) = (counted(&own), self.0.limits.quota_bytes);
         if total > quota.saturating_sub(used) {
             return Err(UploadError::OverQuota {
                 wanted: total,
@@ -248,6 +251,7 @@ impl Uploads {
             key,
             created: SystemTime::now(),
             files: request.files,
+            unpacked: 0,
             is_ready: false,
         };
         let id = new_id()?;
@@ -261,8 +265,8 @@ impl Uploads {
     /// The uploads that somebody sees, the latest first, and what is left to them.
     pub fn list(&self, who: Reader<'_>) -> UploadList {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
-        let own = all.iter().filter(|upload| upload.owner == who.user());
-        let used_bytes = own.map(|upload| upload.total).sum();
+        let own: Vec<_> = all.iter().filter(|upload| upload.owner == who.user()).collect();
+        let used_bytes = counted(&own);
         let mut seen: Vec<_> = all.into_iter().filter(|upload| who.sees(&upload.owner)).collect();
         seen.sort_by_key(|upload| std::cmp::Reverse(upload.created));
         UploadList {
@@ -336,6 +340,13 @@ impl Uploads {
             error: status.error,
         }
     }
+}
+
+/// Bytes of uploads that count in a quota.
+fn counted(uploads: &[&Arc<Upload>]) -> u64 {
+    uploads
+        .iter()
+        .fold(0, |sum: u64, upload| sum.saturating_add(upload.counted()))
 }
 
 fn is_key(key: &str) -> bool {

@@ -1,12 +1,10 @@
 //! Parts of uploads as they come: how many at a time, and where they go.
 
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use axum::body::Bytes;
 use futures_util::{Stream, StreamExt};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::error::UploadError;
 use super::state::UploadState;
@@ -15,9 +13,9 @@ use super::{Reader, Uploads};
 use crate::metrics;
 
 /// Maximum parts that are received at a time, of all users: each holds a connection and [`BLOCK_BYTES`].
-const MAX_PARTS: usize = 32;
+pub(super) const MAX_PARTS: usize = 32;
 /// The same of one user.
-const MAX_RECEIVING: usize = 4;
+pub(super) const MAX_PARTS_OF_USER: usize = 4;
 /// Bytes that are written at once: large enough that a disk is as fast as it can be.
 const BLOCK_BYTES: usize = 1 << 20;
 
@@ -31,60 +29,6 @@ enum Event {
     End,
     Lost,
     TakenOver,
-}
-
-/// Who sends.
-pub(super) struct Receiving {
-    parts: Arc<Semaphore>,
-    /// Parts of each user that are being received.
-    users: Arc<Mutex<HashMap<String, usize>>>,
-}
-
-impl Default for Receiving {
-    fn default() -> Self {
-        Self {
-            parts: Arc::new(Semaphore::new(MAX_PARTS)),
-            users: Arc::default(),
-        }
-    }
-}
-
-/// A part that is being received counts until this is dropped.
-struct Counted {
-    _permit: OwnedSemaphorePermit,
-    users: Arc<Mutex<HashMap<String, usize>>>,
-    user: String,
-}
-
-impl Receiving {
-    fn enter(&self, user: &str) -> Result<Counted, UploadError> {
-        let permit = Arc::clone(&self.parts)
-            .try_acquire_owned()
-            .map_err(|_| UploadError::Busy)?;
-        let mut users = self.users.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = users.entry(user.to_owned()).or_default();
-        if *count >= MAX_RECEIVING {
-            return Err(UploadError::Busy);
-        }
-        *count += 1;
-        Ok(Counted {
-            _permit: permit,
-            users: Arc::clone(&self.users),
-            user: user.to_owned(),
-        })
-    }
-}
-
-impl Drop for Counted {
-    fn drop(&mut self) {
-        let mut users = self.users.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(count) = users.get_mut(&self.user) {
-            *count -= 1;
-            if *count == 0 {
-                users.remove(&self.user);
-            }
-        }
-    }
 }
 
 impl Uploads {
@@ -115,7 +59,7 @@ impl Uploads {
     ) -> Result<u64, UploadError> {
         let upload = self.find(who, id)?;
         let writer = upload.take_over().await?;
-        let _counted = self.0.receiving.enter(who.user())?;
+        let _slot = self.0.parts.enter(who.user())?;
         // It may have been removed meanwhile.
         let upload = self.find(who, id)?;
         let (state, expected) = {

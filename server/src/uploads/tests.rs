@@ -157,6 +157,43 @@ async fn what_is_above_a_limit_is_refused_before_anything_is_stored() {
 }
 
 #[tokio::test]
+async fn what_is_in_compressed_files_counts() {
+    let packed = |bytes: &[u8]| {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+        std::io::Write::write_all(&mut encoder, bytes).unwrap();
+        encoder.finish().unwrap()
+    };
+    let case = Case::new(LIMITS);
+    let finish = async |name: &str, bytes: &[u8]| {
+        let upload = case.create(ANN, &[(name, bytes.len())]).await?;
+        case.send(ANN, &upload.id, 0, bytes).await?;
+        case.uploads.finish(ANN, &upload.id).await
+    };
+    let used = || case.uploads.list(ANN).used_bytes;
+    let samples = [&npy_of("(4, 30, 50)"), &vec![0; 5_976][..]].concat();
+    let first = packed(&samples);
+    finish("a.npy.gz", &first).await.unwrap();
+    assert_eq!(used(), samples.len() as u64, "{} bytes as they are stored", first.len());
+    let second = finish("b.npy.gz", &first).await.unwrap_err();
+    assert!(
+        matches!(second, UploadError::UnpacksOverQuota { .. }),
+        "6,128 bytes of 3,872: {second}"
+    );
+    let seen = case.uploads.list(ANN);
+    assert!(
+        seen.uploads[0]
+            .error
+            .as_ref()
+            .unwrap()
+            .contains("\"b.npy.gz\" unpacks to more")
+    );
+    case.uploads.delete(ANN, &seen.uploads[0].id).await.unwrap();
+    finish("c.npy", &npy()).await.unwrap();
+    let case = case.again(LIMITS);
+    assert_eq!(case.uploads.list(ANN).used_bytes, samples.len() as u64 + 152);
+}
+
+#[tokio::test]
 async fn the_same_request_makes_one_upload() {
     let case = Case::new(LIMITS);
     let key = || Some("k1".to_owned());

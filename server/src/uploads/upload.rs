@@ -36,6 +36,8 @@ pub(super) struct Upload {
 pub(super) struct Status {
     pub state: UploadState,
     pub received: u64,
+    /// By how much what is in its compressed files is more than these: known once it was read.
+    pub unpacked: u64,
     /// When something of it was written or looked at last.
     pub used: SystemTime,
     /// Ids of its volumes.
@@ -58,6 +60,7 @@ impl Upload {
             status: Mutex::new(Status {
                 state: UploadState::Receiving,
                 received,
+                unpacked: record.unpacked,
                 used,
                 volumes: Vec::new(),
                 error: None,
@@ -73,8 +76,14 @@ impl Upload {
             key: self.key.clone(),
             created: self.created,
             files: self.contents.files().to_vec(),
+            unpacked: self.status().unpacked,
             is_ready,
         }
+    }
+
+    /// Bytes that count in its owner's quota.
+    pub(super) fn counted(&self) -> u64 {
+        self.total.saturating_add(self.status().unpacked)
     }
 
     /// For people: the only file, the folder of all files, or the first one.

@@ -9,7 +9,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use super::beneath::{self, leaves};
-use super::codec::Encoding;
+use super::codec::{Encoding, decoder};
 use super::remote::Address;
 use super::unpacked::{ReadAt, Unpacked, packing};
 use super::{ReadError, ReadProgress};
@@ -267,6 +267,24 @@ impl FileLocation {
             content: Content::Unpacked(Box::new(unpacked)),
             progress: None,
         })
+    }
+
+    /// Bytes of the file that is in a compressed one, counted up to one above `limit`, as far as they can be decoded; 0 where it is not
+    /// compressed as a whole. Keeps nothing of them.
+    ///
+    /// # Errors
+    /// As [`FileLocation::open`].
+    pub fn unpacked_bytes(&self, limit: u64) -> Result<u64, ReadError> {
+        let Some(encoding) = self.packing else { return Ok(0) };
+        let stored = self.open_stored()?;
+        let fail = |e: io::Error| ReadError::io(&self.path, "file", format!("cannot be decoded: {e}"), e);
+        let decoded = decoder(encoding, stored.reader(0), stored.len).map_err(fail)?;
+        let (mut decoded, mut piece, mut count) = (decoded.take(limit.saturating_add(1)), vec![0; 1 << 16], 0);
+        // A broken file has what stands before the error.
+        while let Ok(n @ 1..) = decoded.read(&mut piece) {
+            count += n as u64;
+        }
+        Ok(count)
     }
 
     /// Opens the file for reading as it is stored.
