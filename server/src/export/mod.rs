@@ -14,6 +14,7 @@ use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
 use crate::volumes::{LengthUnit, VolumeStep};
 
+mod caps;
 mod clean;
 mod contours;
 mod decimal;

@@ -12,7 +12,8 @@ use super::label::around_labels;
 use super::schema::merged_schema;
 use super::surface_options::SurfaceOptions;
 use super::{Compress, Format};
-use crate::extraction::{ExportWork, Measuring};
+use crate::extraction::{ExportWork, Measuring, Refining};
+use crate::view::quality::Budget;
 use crate::view::{Edit, EditError, Outward, View};
 use crate::volumes::{Dataset, LengthUnit};
 
@@ -157,22 +158,32 @@ impl FileOptions {
         Ok(())
     }
 
-    /// Whether the error is measured and the surface refined.
-    pub fn work(&self) -> ExportWork {
-        let measuring = match self.measure {
+    /// Whether the error of a view's surface is measured, and where that is refined.
+    pub fn work(&self, view: &View) -> ExportWork {
+        let refining = match self.clean {
+            true => Refining::Everywhere,
+            // A budget of bytes is that of a surface that is not refined.
+            false if view.cap && !matches!(view.budget, Some(Budget::Bytes(_))) => Refining::AtCaps,
+            false => Refining::Never,
+        };
+        ExportWork {
+            measuring: self.measuring(),
+            refining,
+        }
+    }
+
+    /// Whether the error is measured.
+    pub fn measuring(&self) -> Measuring {
+        match self.measure {
             None => Measuring::Always,
             Some(seconds) if seconds > 0.0 => Measuring::Within(Duration::from_secs_f64(seconds.min(MAX_SECONDS))),
             Some(_) => Measuring::Never,
-        };
-        ExportWork {
-            measuring,
-            refines: self.clean,
         }
     }
 
     /// Whether the same request has the same bytes: not if the time that measuring takes decides what they say.
     pub fn is_reproducible(&self) -> bool {
-        !matches!(self.work().measuring, Measuring::Within(_))
+        !matches!(self.measuring(), Measuring::Within(_))
     }
 
     /// The unit of lengths that `unit` names, if it names one.
