@@ -93,8 +93,8 @@ impl Faces {
 mod tests {
     use super::*;
 
-    /// Faces of a turned and sheared volume of 6 · 7 · 8 samples with its padding, its axes, and vertices at places of index space.
-    fn sheared(places: &[[f32; 3]]) -> (Faces, [DVec3; 3], Mesh) {
+    /// Faces of a turned and sheared volume of 6 · 7 · 8 samples with its padding, its axes, and vertices at indices of index space.
+    fn sheared(indices: &[[f32; 3]]) -> (Faces, [DVec3; 3], Mesh) {
         let mut geometry = Geometry::of_index([6, 7, 8]);
         geometry.direction = [[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.6, 0.8]];
         let axes = geometry.direction.map(DVec3::from);
@@ -103,8 +103,8 @@ mod tests {
             (axes[0] * x + axes[1] * y + axes[2] * z).to_array().map(|at| at as f32)
         };
         let mesh = Mesh {
-            positions: places.iter().map(world).collect(),
-            caps: places.iter().map(|&at| ToCaps::of(at, geometry.dims)).collect(),
+            positions: indices.iter().map(world).collect(),
+            caps: indices.iter().map(|&at| ToCaps::of(at, geometry.dims)).collect(),
             ..Mesh::default()
         };
         (Faces::new(&geometry, &mesh), axes, mesh)
@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn moves_stay_on_the_faces_and_in_the_volume() {
-        let places = [
+        let indices = [
             [2.5, 3.0, 3.5],
             [1.5, 3.0, 3.5],
             [1.0, 3.0, 3.5],
@@ -120,7 +120,7 @@ mod tests {
             [1.0, 5.0, 3.5],
             [1.0, 5.0, 6.0],
         ];
-        let (faces, [x, y, z], mesh) = sheared(&places);
+        let (faces, [x, y, z], mesh) = sheared(&indices);
         let near: Vec<bool> = mesh.caps.iter().map(|to| to.is_near).collect();
         assert_eq!(near, [false, true, true, true, true, true]);
         let at = |i: usize| DVec3::from(mesh.positions[i].map(f64::from));

@@ -327,15 +327,15 @@ impl Repair<'_> {
         false
     }
 
-    /// Triangles that those around a vertex may meet, where it is and at other places.
-    fn near(&self, tree: &TriangleTree, vertex: u32, places: &[[f32; 3]]) -> Vec<u32> {
+    /// Triangles that those around a vertex may meet, where it is and at positions that are tried.
+    fn near(&self, tree: &TriangleTree, vertex: u32, tried: &[[f32; 3]]) -> Vec<u32> {
         let corners = self
             .around
             .of(vertex)
             .iter()
             .flat_map(|&triangle| self.mesh.triangles[triangle as usize]);
         let mut points: Vec<[f64; 3]> = corners.map(|corner| self.positions[corner as usize]).collect();
-        points.extend(places.iter().map(|&place| self.numbers.position(self.mesh, place)));
+        points.extend(tried.iter().map(|&place| self.numbers.position(self.mesh, place)));
         let mut near = tree.near(&Bounds::around(&points));
         near.extend(&self.moved);
         near.sort_unstable();
@@ -517,6 +517,7 @@ mod tests {
         for (is_at_cap, left) in [(true, 0), (false, 1)] {
             let mut mesh = pillow(9, 2.5);
             let pushed = mesh.positions.iter().position(|at| at[2] == -1.5).unwrap();
+            mesh.smallest_spacing = 1.0;
             mesh.caps = vec![ToCaps::of([3.0; 3], [7; 3]); mesh.positions.len()];
             if is_at_cap {
                 mesh.caps[pushed] = ToCaps::of([3.0, 3.0, 1.0], [7; 3]);

@@ -25,6 +25,7 @@ mod glb;
 mod label;
 mod made;
 pub mod mesh;
+mod nifti;
 mod obj;
 mod picture;
 mod ply;

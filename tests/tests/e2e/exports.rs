@@ -251,6 +251,21 @@ fn the_surface_of_a_label_is_around_its_samples() {
         let volume = volume(&mesh) / centres.len() as f64;
         assert!((450.0..600.0).contains(&volume), "{label}: {volume}");
     }
+    // Smoothed, on even ground and with caps: vertices are nearer to one sphere.
+    let spread = |options: &str| {
+        let (.., mesh) = setting.extract(&labels, &format!("--label 7 --beta -1 {options}"), "ply");
+        let radius = |at: &[f64; 3]| {
+            let square = |i: usize| (at[i] - f64::from(balls[2].1[i])).powi(2);
+            (0..3).map(square).sum::<f64>().sqrt()
+        };
+        let radii = mesh.positions.iter().map(radius);
+        radii.clone().fold(0.0, f64::max) - radii.fold(f64::INFINITY, f64::min)
+    };
+    let exact = spread("");
+    for options in ["--label-smoothing 0.8", "--label-smoothing 0.8 --cap"] {
+        let smoothed = spread(options);
+        assert!(smoothed < 0.7 * exact, "{options}: {smoothed}, {exact} without");
+    }
     let path = labels.display().to_string();
     let out = setting.path("none.stl").display().to_string();
     let empty = command::run(["extract", &path, "--label", "5", "-o", &out]);
