@@ -1,6 +1,5 @@
 //! Where vertices of a capped surface lie to the faces of the volume, on which its caps are.
 
-use super::Mesh;
 use crate::math::DVec3;
 use crate::volumes::Geometry;
 
@@ -45,15 +44,15 @@ pub(super) struct Faces {
 }
 
 impl Faces {
-    /// Those on which a mesh has caps.
-    pub fn new(geometry: &Geometry, mesh: &Mesh) -> Self {
+    /// Those on which there are vertices of caps. `caps`: empty, or of each vertex.
+    pub fn new(geometry: &Geometry, positions: &[[f32; 3]], caps: &[ToCaps]) -> Self {
         let [x, y, z] = geometry.direction.map(DVec3::from);
         let turn = x.dot(y.cross(z)).signum();
         let normals = [y.cross(z), z.cross(x), x.cross(y)].map(|normal| normal * turn / normal.length());
         let ends = std::array::from_fn(|face| {
-            let on_face = mesh.caps.iter().position(|to| to.is_on(face));
+            let on_face = caps.iter().position(|to| to.is_on(face));
             match on_face {
-                Some(vertex) => DVec3::from(mesh.positions[vertex].map(f64::from)).dot(normals[face / 2]),
+                Some(vertex) => DVec3::from(positions[vertex].map(f64::from)).dot(normals[face / 2]),
                 None if face % 2 == 0 => f64::NEG_INFINITY,
                 None => f64::INFINITY,
             }
@@ -93,25 +92,12 @@ impl Faces {
 mod tests {
     use super::*;
 
-    /// Faces of a turned and sheared volume of 6 · 7 · 8 samples with its padding, its axes, and vertices at indices of index space.
-    fn sheared(indices: &[[f32; 3]]) -> (Faces, [DVec3; 3], Mesh) {
-        let mut geometry = Geometry::of_index([6, 7, 8]);
-        geometry.direction = [[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.6, 0.8]];
-        let axes = geometry.direction.map(DVec3::from);
-        let world = |place: &[f32; 3]| {
-            let [x, y, z] = place.map(f64::from);
-            (axes[0] * x + axes[1] * y + axes[2] * z).to_array().map(|at| at as f32)
-        };
-        let mesh = Mesh {
-            positions: indices.iter().map(world).collect(),
-            caps: indices.iter().map(|&at| ToCaps::of(at, geometry.dims)).collect(),
-            ..Mesh::default()
-        };
-        (Faces::new(&geometry, &mesh), axes, mesh)
-    }
-
     #[test]
     fn moves_stay_on_the_faces_and_in_the_volume() {
+        // A turned and sheared volume.
+        let mut geometry = Geometry::of_index([6, 7, 8]);
+        geometry.direction = [[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.6, 0.8]];
+        let [x, y, z] = geometry.direction.map(DVec3::from);
         let indices = [
             [2.5, 3.0, 3.5],
             [1.5, 3.0, 3.5],
@@ -120,11 +106,15 @@ mod tests {
             [1.0, 5.0, 3.5],
             [1.0, 5.0, 6.0],
         ];
-        let (faces, [x, y, z], mesh) = sheared(&indices);
-        let near: Vec<bool> = mesh.caps.iter().map(|to| to.is_near).collect();
-        assert_eq!(near, [false, true, true, true, true, true]);
-        let at = |i: usize| DVec3::from(mesh.positions[i].map(f64::from));
-        let go = |i: usize, by: DVec3| faces.constrained(at(i), at(i) + by, mesh.caps[i]).map(|to| to - at(i));
+        let world = indices.map(|index| {
+            let [i, j, k] = index.map(f64::from);
+            (x * i + y * j + z * k).to_array().map(|at| at as f32)
+        });
+        let caps = indices.map(|index| ToCaps::of(index, geometry.dims));
+        let faces = Faces::new(&geometry, &world, &caps);
+        assert_eq!(caps.map(|to| to.is_near), [false, true, true, true, true, true]);
+        let at = |i: usize| DVec3::from(world[i].map(f64::from));
+        let go = |i: usize, by: DVec3| faces.constrained(at(i), at(i) + by, caps[i]).map(|to| to - at(i));
         let by = DVec3::new(0.3, -0.2, 0.5);
         let is_near = |a: DVec3, b: DVec3| (a - b).length() < 1e-12;
         assert!(is_near(go(0, by).unwrap(), by));

@@ -334,7 +334,7 @@ impl MadeSurface {
                 view.cap.then_some(Scope::AtCaps)
             },
             measuring: options.measuring(),
-            faces: Faces::new(&of_view, &mesh),
+            faces: Faces::new(&of_view, &mesh.positions, &mesh.caps),
             refined,
         };
         let (self_intersections, cleaned) = cleaning.run(&mut mesh, options.format, is_cancelled)?;

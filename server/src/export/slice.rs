@@ -9,8 +9,8 @@ use serde_json::json;
 use utoipa::ToSchema;
 
 use super::contours::{Contour, contours};
-use super::nifti::nifti;
 use super::picture::{Picture, samples_of};
+use super::placed::{PlacedPlane, nifti, nrrd};
 use super::xml::escaped;
 use crate::extraction::{DeviceWorker, Slice, WorkError};
 use crate::math::{DVec3, IndexSpace};
@@ -127,8 +127,8 @@ pub struct Plane {
     pub dims: [u32; 2],
     volume: String,
     space: IndexSpace,
-    pub(super) frame: Frame,
-    pub(super) unit: Option<LengthUnit>,
+    frame: Frame,
+    unit: Option<LengthUnit>,
 }
 
 impl Plane {
@@ -230,8 +230,8 @@ impl Plane {
         match options.format {
             SliceFormat::Raw => Ok(slice.bytes),
             SliceFormat::Png => self.picture(options, range).png(&slice),
-            SliceFormat::Nrrd => Ok(self.nrrd(&slice)),
-            SliceFormat::Nii => Ok(nifti(self, &slice)),
+            SliceFormat::Nrrd => Ok(nrrd(&self.placed(), &slice)),
+            SliceFormat::Nii => Ok(nifti(&self.placed(), &slice)),
             SliceFormat::Svg => Ok(self.svg(&self.contours(&slice, &options.isovalues)).into_bytes()),
             SliceFormat::Geojson => Ok(self.geojson(&self.contours(&slice, &options.isovalues)).into_bytes()),
         }
@@ -258,47 +258,20 @@ impl Plane {
         isovalues.iter().map(of).collect()
     }
 
-    /// One step of the even grid along the plane's axes and across it, and the position of the first sample.
-    pub(super) fn columns(&self) -> [DVec3; 4] {
+    fn placed(&self) -> PlacedPlane {
         let [along, across] = self.steps().map(DVec3::from);
         let through = self.space.world_from_even.matrix3.col(self.axis as usize);
-        [along, across, through, self.world([0.0; 2])]
-    }
-
-    fn nrrd(&self, slice: &Slice) -> Vec<u8> {
-        let vector = |[x, y, z]: [f64; 3]| format!("({x},{y},{z})");
-        let space = match self.frame {
-            Frame::Lps => "space: left-posterior-superior",
-            Frame::Ras => "space: right-anterior-superior",
-            Frame::World | Frame::Index => "space dimension: 3",
-        };
-        let kind = match slice.sample_type {
-            SampleType::U8 => "uint8",
-            SampleType::I8 => "int8",
-            SampleType::U16 => "uint16",
-            SampleType::I16 => "int16",
-            SampleType::F32 => "float",
-        };
-        let [along, across] = self.steps().map(vector);
-        let unit = self.unit.map_or(String::new(), |unit| {
-            let unit = unit.ascii_symbol();
-            format!("space units: \"{unit}\" \"{unit}\" \"{unit}\"\n")
-        });
-        let mut file = format!(
-            "NRRD0005\n# {}\ntype: {kind}\ndimension: 2\n{space}\nsizes: {} {}\nspace directions: {along} {across}\n\
-             space origin: {}\n{unit}endian: little\nencoding: raw\n\n",
-            super::mesh::ascii(&self.title()),
-            self.dims[0],
-            self.dims[1],
-            vector(self.world([0.0; 2]).to_array()),
-        )
-        .into_bytes();
-        file.extend_from_slice(&slice.bytes);
-        file
+        PlacedPlane {
+            dims: self.dims,
+            columns: [along, across, through, self.world([0.0; 2])],
+            frame: self.frame,
+            unit: self.unit,
+            title: self.title(),
+        }
     }
 
     /// What it shows, for people.
-    pub(super) fn title(&self) -> String {
+    fn title(&self) -> String {
         format!(
             "{}: {}, {} = {}",
             self.volume,

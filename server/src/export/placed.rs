@@ -1,9 +1,9 @@
-//! A plane of samples as NIfTI-1: one volume of one sample across the plane.
+//! A plane of samples with its place in the world: NRRD, and NIfTI-1 with one sample across the plane.
 
 use isopeel_kernels::SampleType;
 
-use super::slice::Plane;
 use crate::extraction::Slice;
+use crate::math::DVec3;
 use crate::volumes::{Frame, LengthUnit};
 
 /// Bytes of the header.
@@ -12,8 +12,52 @@ const HEADER: usize = 348;
 /// Where samples begin: behind the header and four bytes that say that nothing follows it.
 const SAMPLES: usize = HEADER + 4;
 
-/// The file of a plane on even axes.
-pub(super) fn nifti(plane: &Plane, slice: &Slice) -> Vec<u8> {
+/// A plane on even axes.
+pub(super) struct PlacedPlane {
+    /// Samples along its axes.
+    pub dims: [u32; 2],
+    /// One step along its axes and across it, and the position of the first sample, in the world.
+    pub columns: [DVec3; 4],
+    pub frame: Frame,
+    pub unit: Option<LengthUnit>,
+    /// What it shows, for people.
+    pub title: String,
+}
+
+/// The NRRD of a plane.
+pub(super) fn nrrd(plane: &PlacedPlane, slice: &Slice) -> Vec<u8> {
+    let vector = |at: DVec3| format!("({},{},{})", at[0], at[1], at[2]);
+    let space = match plane.frame {
+        Frame::Lps => "space: left-posterior-superior",
+        Frame::Ras => "space: right-anterior-superior",
+        Frame::World | Frame::Index => "space dimension: 3",
+    };
+    let kind = match slice.sample_type {
+        SampleType::U8 => "uint8",
+        SampleType::I8 => "int8",
+        SampleType::U16 => "uint16",
+        SampleType::I16 => "int16",
+        SampleType::F32 => "float",
+    };
+    let [along, across, _, origin] = plane.columns.map(vector);
+    let unit = plane.unit.map_or(String::new(), |unit| {
+        let unit = unit.ascii_symbol();
+        format!("space units: \"{unit}\" \"{unit}\" \"{unit}\"\n")
+    });
+    let mut file = format!(
+        "NRRD0005\n# {}\ntype: {kind}\ndimension: 2\n{space}\nsizes: {} {}\nspace directions: {along} {across}\n\
+         space origin: {origin}\n{unit}endian: little\nencoding: raw\n\n",
+        super::mesh::ascii(&plane.title),
+        plane.dims[0],
+        plane.dims[1],
+    )
+    .into_bytes();
+    file.extend_from_slice(&slice.bytes);
+    file
+}
+
+/// The NIfTI file of a plane.
+pub(super) fn nifti(plane: &PlacedPlane, slice: &Slice) -> Vec<u8> {
     let mut file = vec![0; SAMPLES];
     let mut put = |at: usize, bytes: &[u8]| file[at..at + bytes.len()].copy_from_slice(bytes);
     put(0, &(HEADER as i32).to_le_bytes());
@@ -32,7 +76,7 @@ pub(super) fn nifti(plane: &Plane, slice: &Slice) -> Vec<u8> {
     put(70, &code.to_le_bytes());
     put(72, &bits.to_le_bytes());
     let (scale, unit) = unit(plane.unit);
-    let columns = plane.columns().map(|column| column * scale);
+    let columns = plane.columns.map(|column| column * scale);
     put(76, &1f32.to_le_bytes());
     for (i, column) in columns[..3].iter().enumerate() {
         put(80 + 4 * i, &(column.length() as f32).to_le_bytes());
@@ -40,7 +84,7 @@ pub(super) fn nifti(plane: &Plane, slice: &Slice) -> Vec<u8> {
     put(108, &(SAMPLES as f32).to_le_bytes());
     put(112, &1f32.to_le_bytes());
     put(123, &[unit]);
-    let title = super::mesh::ascii(&plane.title());
+    let title = super::mesh::ascii(&plane.title);
     put(148, &title.as_bytes()[..title.len().min(79)]);
     // In the scanner's anatomy, or aligned to something else.
     let is_patient = matches!(plane.frame, Frame::Lps | Frame::Ras);
