@@ -3,7 +3,6 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use isopeel_kernels::SampleType;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use utoipa::ToSchema;
@@ -388,6 +387,8 @@ pub async fn shown_slice(
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
+
+    use isopeel_kernels::SampleType;
 
     use super::*;
     use crate::volumes::testing;
