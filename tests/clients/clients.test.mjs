@@ -28,7 +28,7 @@ before(async () => {
   free.close()
   await once(free, 'close')
   url = `http://127.0.0.1:${port}`
-  const options = ['serve', '--no-auth', '--listen', `127.0.0.1:${port}`, '--state-folder', join(folder, 'state')]
+  const options = ['serve', '--no-auth', '--listen', `127.0.0.1:${port}`, '--state-folder', join(folder, 'state'), '--uploads', join(folder, 'uploads')]
   server = spawn(binary, options, { stdio: ['ignore', 'ignore', 'inherit'] })
   for (let tries = 0; ; tries += 1) {
     assert.equal(server.exitCode, null, 'the server ended before it was ready')

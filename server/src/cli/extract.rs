@@ -161,7 +161,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let (mut made, mut counted) = (Vec::new(), Vec::new());
     for surface in surfaces {
-        let work = request.options.work();
+        let work = request.options.work(&surface.view);
         let extracted = extractor.extract_with(&surface.volume, &surface.view, work, &token);
         let extraction = extracted.await?;
         let statistics = extraction.statistics(&surface.volume, &device.name);

@@ -25,6 +25,10 @@ pub struct SurfaceArgs {
     #[arg(long, value_name = "LABELS", conflicts_with = "iso", allow_hyphen_values = true)]
     pub(super) label: Option<String>,
 
+    /// Smooths the surface around labels: standard deviation of a Gaussian, in samples, 0.1 to 10, as 0.8; details thinner than about two of it vanish
+    #[arg(long, value_name = "SAMPLES", default_value_t = 0.0)]
+    label_smoothing: f32,
+
     /// Field whose isosurface is extracted, or an expression over fields, as `log(rho)` [default: the main one]
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
@@ -209,6 +213,7 @@ impl SurfaceArgs {
             unit: self.unit.clone(),
             field_values: self.field_values.as_deref().map(names).unwrap_or_default(),
             label: self.label.clone(),
+            label_smoothing: self.label_smoothing,
             compress: self.compress.unwrap_or_default(),
             clean: self.clean,
             measure: if self.no_measure { Some(0.0) } else { self.measure },

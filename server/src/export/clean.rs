@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use isopeel_geometry::{Bounds, Corners, TriangleSoup, TriangleTree, has_area, intersect};
 use rustc_hash::FxHashMap;
 
+use super::caps::Faces;
 use super::decimal::Decimals;
 use super::topology::Around;
 use super::{Format, Mesh};
@@ -13,6 +14,12 @@ use crate::math::DVec3;
 
 /// Times that the groups of intersecting triangles are worked on before the repair is given up.
 const MAX_ROUNDS: usize = 16;
+
+/// The same at caps, where triangles may go on to intersect.
+const CAP_ROUNDS: usize = 4;
+
+/// Smallest spacings that a vertex of a capped surface is moved at most.
+const CAP_REACH: f64 = 2.0;
 
 /// Each time after this many rounds, a group grows by the vertices around it.
 const ROUNDS_BEFORE_GROWTH: usize = 3;
@@ -38,6 +45,14 @@ const SIDEWAYS: u64 = 4;
 pub struct NotClean {
     /// Pairs of triangles that intersect.
     pairs: u64,
+}
+
+/// What a repair has done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Repaired {
+    pub cleaned: Cleaned,
+    /// Pairs of triangles that intersect afterwards.
+    pub intersections: u64,
 }
 
 /// Why a mesh is not repaired.
@@ -68,45 +83,69 @@ pub(super) fn count(
     (!is_late()).then_some(pairs.len() as u64)
 }
 
+/// Which triangles are repaired.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Scope {
+    /// All: it is an error if some still intersect.
+    All,
+    /// Pairs with a corner near a cap: what other surfaces have, too, stays.
+    AtCaps,
+}
+
 /// Moves vertices of triangles that intersect, and if that does not suffice those around, until no triangles of a file of the format intersect.
-/// Moves are tried in a fixed order, so that equal meshes are repaired equally.
+/// Moves are tried in a fixed order, so that equal meshes are repaired equally. Vertices on caps stay on the faces of the volume.
 ///
 /// # Errors
-/// [`RepairError::NotClean`] if some still intersect after [`MAX_ROUNDS`].
+/// [`RepairError::NotClean`] if some still intersect after [`MAX_ROUNDS`] that may not.
 pub(super) fn repair(
     mesh: &mut Mesh,
     format: Format,
+    scope: Scope,
+    faces: Faces,
     is_cancelled: &(dyn Fn() -> bool + Sync),
-) -> Result<Cleaned, RepairError> {
+) -> Result<Repaired, RepairError> {
     let mut cleaned = Cleaned::default();
+    let (reach, rounds) = match scope {
+        Scope::All => (f64::INFINITY, MAX_ROUNDS),
+        Scope::AtCaps => (CAP_REACH * mesh.smallest_spacing, CAP_ROUNDS),
+    };
     let around = Around::new(mesh);
     let numbers = Numbers::new(mesh, format);
     let mut repair = Repair {
         positions: numbers.all(mesh),
         numbers,
         mesh,
+        faces,
+        reach,
         around: &around,
+        moved: Vec::new(),
         originals: FxHashMap::default(),
         random: Random(1),
     };
-    for round in 0..=MAX_ROUNDS {
+    for round in 0..=rounds {
         let soup = TriangleSoup {
             positions: &repair.positions,
             triangles: &repair.mesh.triangles,
         };
         let tree = TriangleTree::new(&soup);
+        repair.moved.clear();
         let pairs = tree.intersections(&soup, is_cancelled);
-        let pairs = pairs.ok_or(RepairError::Cancelled)?;
+        let mut pairs = pairs.ok_or(RepairError::Cancelled)?;
+        let all = pairs.len() as u64;
+        pairs.retain(|pair| repair.is_repaired(pair, scope));
         if round == 0 {
             cleaned.intersections = pairs.len() as u64;
         }
-        if pairs.is_empty() {
-            repair.state_moves(&mut cleaned);
-            return Ok(cleaned);
-        }
-        if round == MAX_ROUNDS {
-            let pairs = pairs.len() as u64;
+        let is_last = round == rounds;
+        if let (true, Scope::All, pairs @ 1..) = (is_last, scope, pairs.len() as u64) {
             return Err(RepairError::NotClean(NotClean { pairs }));
+        }
+        if pairs.is_empty() || is_last {
+            repair.state_moves(&mut cleaned);
+            return Ok(Repaired {
+                cleaned,
+                intersections: all,
+            });
         }
         for group in groups(&repair.mesh.triangles, &pairs) {
             if is_cancelled() {
@@ -210,13 +249,27 @@ struct Repair<'a> {
     /// As the file has them.
     positions: Vec<[f64; 3]>,
     numbers: Numbers,
+    faces: Faces,
+    /// Farthest from where it was that a vertex of a capped surface goes.
+    reach: f64,
     around: &'a Around,
+    /// Triangles that are no longer as the tree has them.
+    moved: Vec<u32>,
     /// Where vertices were that have been moved.
     originals: FxHashMap<u32, [f32; 3]>,
     random: Random,
 }
 
 impl Repair<'_> {
+    /// Whether a pair of triangles is in the scope.
+    fn is_repaired(&self, pair: &[u32; 2], scope: Scope) -> bool {
+        let mut corners = pair.iter().flat_map(|&triangle| self.mesh.triangles[triangle as usize]);
+        match scope {
+            Scope::All => true,
+            Scope::AtCaps => corners.any(|corner| self.mesh.caps[corner as usize].is_near),
+        }
+    }
+
     /// Moves vertices of a group, and those within `edges` edges of them, until no triangles intersect there or [`SWEEPS`] are done. Vertices on
     /// borders stay.
     fn repair_group(&mut self, mut vertices: Vec<u32>, edges: usize, tree: &TriangleTree) {
@@ -227,14 +280,10 @@ impl Repair<'_> {
             vertices.dedup();
         }
         vertices.retain(|&vertex| !self.is_on_border(vertex));
-        let triangles = vertices.iter().flat_map(|&vertex| self.around.of(vertex));
-        let corners = triangles.flat_map(|&triangle| self.mesh.triangles[triangle as usize]);
-        let points: Vec<[f64; 3]> = corners.map(|corner| self.positions[corner as usize]).collect();
-        let near = tree.near(&Bounds::around(&points));
         for _ in 0..SWEEPS {
             let mut is_done = true;
             for &vertex in &vertices {
-                is_done &= self.improve(vertex, &near);
+                is_done &= self.improve(vertex, tree);
             }
             if is_done {
                 return;
@@ -244,17 +293,22 @@ impl Repair<'_> {
 
     /// Moves a vertex to the tried position at which its triangles intersect fewest others, or sometimes to one that is as good as its own. True if they
     /// intersected none before.
-    fn improve(&mut self, vertex: u32, near: &[u32]) -> bool {
+    fn improve(&mut self, vertex: u32, tree: &TriangleTree) -> bool {
         let current = self.mesh.positions[vertex as usize];
-        let before = self.faults(vertex, current, near, usize::MAX);
-        if before == 0 {
+        let near = self.near(tree, vertex, &[]);
+        if self.faults(vertex, current, &near, usize::MAX) == 0 {
             return true;
         }
-        let at = DVec3::from(current.map(f64::from));
+        let candidates = self.candidates(vertex, DVec3::from(current.map(f64::from)));
+        let candidates: Vec<[f32; 3]> = candidates
+            .iter()
+            .map(|at| at.to_array().map(|component| component as f32))
+            .collect();
+        let near = self.near(tree, vertex, &candidates);
+        let before = self.faults(vertex, current, &near, usize::MAX);
         let (mut best, mut fewest) = (current, before);
-        for candidate in self.candidates(vertex, at) {
-            let candidate = candidate.to_array().map(|component| component as f32);
-            let faults = self.faults(vertex, candidate, near, fewest + 1);
+        for candidate in candidates {
+            let faults = self.faults(vertex, candidate, &near, fewest + 1);
             let is_sideways = faults == before && fewest == before && self.random.next().is_multiple_of(SIDEWAYS);
             if faults < fewest || is_sideways {
                 (best, fewest) = (candidate, faults);
@@ -266,8 +320,27 @@ impl Repair<'_> {
         if best != current {
             self.originals.entry(vertex).or_insert(current);
             self.place(vertex, best);
+            self.moved.extend(self.around.of(vertex));
+            self.moved.sort_unstable();
+            self.moved.dedup();
         }
         false
+    }
+
+    /// Triangles that those around a vertex may meet, where it is and at positions that are tried.
+    fn near(&self, tree: &TriangleTree, vertex: u32, tried: &[[f32; 3]]) -> Vec<u32> {
+        let corners = self
+            .around
+            .of(vertex)
+            .iter()
+            .flat_map(|&triangle| self.mesh.triangles[triangle as usize]);
+        let mut points: Vec<[f64; 3]> = corners.map(|corner| self.positions[corner as usize]).collect();
+        points.extend(tried.iter().map(|&place| self.numbers.position(self.mesh, place)));
+        let mut near = tree.near(&Bounds::around(&points));
+        near.extend(&self.moved);
+        near.sort_unstable();
+        near.dedup();
+        near
     }
 
     fn place(&mut self, vertex: u32, position: [f32; 3]) {
@@ -292,6 +365,12 @@ impl Repair<'_> {
                 .map(|&radius| at + radius * length * self.random.vector()),
         );
         tried.extend(original);
+        if let Some(&to) = self.mesh.caps.get(vertex as usize) {
+            tried = (tried.iter())
+                .filter_map(|&place| self.faces.constrained(at, place, to))
+                .filter(|place| place.distance(original.unwrap_or(at)) <= self.reach)
+                .collect();
+        }
         tried.sort_by(|a, b| a.distance(at).total_cmp(&b.distance(at)));
         tried
     }
@@ -367,90 +446,4 @@ impl Repair<'_> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A closed surface of 2·n² triangles over a square, one side of which is pushed through the other by so much.
-    fn pillow(n: usize, push: f32) -> Mesh {
-        let at = |i: usize, j: usize, top: bool| {
-            let is_boundary = i == 0 || j == 0 || i == n || j == n;
-            let side = match (is_boundary, top) {
-                (true, _) => 0.0,
-                (false, true) => 1.0,
-                (false, false) => -1.0,
-            };
-            let z = if i == n / 2 && j == n / 2 && top {
-                side - push
-            } else {
-                side
-            };
-            [i as f32, j as f32, z]
-        };
-        let mut mesh = Mesh::default();
-        let mut boundary = std::collections::HashMap::new();
-        for (top, i, j) in [true, false]
-            .into_iter()
-            .flat_map(|top| (0..n).flat_map(move |i| (0..n).map(move |j| (top, i, j))))
-        {
-            let mut vertex = |i: usize, j: usize| {
-                let position = at(i, j, top);
-                *boundary
-                    .entry((i, j, position[2] != 0.0, top && position[2] != 0.0))
-                    .or_insert_with(|| {
-                        mesh.positions.push(position);
-                        mesh.positions.len() as u32 - 1
-                    })
-            };
-            let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
-            // No triangle has all corners on the boundary, which both sides share.
-            let pair = match (i == n - 1 && j == 0) || (i == 0 && j == n - 1) {
-                true => [[a, b, d], [b, c, d]],
-                false => [[a, b, c], [a, c, d]],
-            };
-            let pair = pair.map(|[a, b, c]| if top { [a, b, c] } else { [a, c, b] });
-            mesh.triangles.extend(pair);
-        }
-        mesh
-    }
-
-    #[test]
-    fn sheets_that_cross_are_pulled_apart() {
-        let mut mesh = pillow(9, 2.5);
-        let before = count(&mesh, Format::Ply, None, &|| false).unwrap();
-        assert!(before > 0);
-        let triangles = mesh.triangles.clone();
-        let cleaned = repair(&mut mesh, Format::Ply, &|| false).unwrap();
-        assert_eq!(cleaned.intersections, before);
-        assert!(cleaned.moved_vertices > 0 && cleaned.largest_move > 0.0 && cleaned.largest_move < 4.0);
-        assert_eq!(count(&mesh, Format::Ply, None, &|| false), Some(0));
-        assert_eq!(mesh.triangles, triangles);
-    }
-
-    #[test]
-    fn a_clean_mesh_stays_as_it_is() {
-        let mut mesh = pillow(9, 0.5);
-        let before = mesh.clone();
-        assert_eq!(repair(&mut mesh, Format::Stl, &|| false).unwrap(), Cleaned::default());
-        assert_eq!(mesh, before);
-    }
-
-    #[test]
-    fn what_cannot_be_repaired_is_an_error() {
-        // One triangle through another: all vertices are on borders.
-        let mut mesh = Mesh {
-            positions: vec![
-                [0.0; 3],
-                [4.0, 0.0, 0.0],
-                [0.0, 4.0, 0.0],
-                [1.0, 1.0, -1.0],
-                [1.0, 1.0, 1.0],
-                [9.0, 9.0, 1.0],
-            ],
-            triangles: vec![[0, 1, 2], [3, 4, 5]],
-            ..Mesh::default()
-        };
-        let error = repair(&mut mesh, Format::Ply, &|| false).unwrap_err().to_string();
-        assert!(error.starts_with("1 pair of triangles still intersects"), "{error}");
-        assert_eq!(count(&mesh, Format::Ply, Some(Duration::ZERO), &|| false), None);
-    }
-}
+mod tests;

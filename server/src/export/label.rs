@@ -1,4 +1,4 @@
-//! The surface around labels of a segmentation: an expression that is 1 at their samples and 0 elsewhere, at isovalue 0.5.
+//! The surface around labels of a segmentation: an expression that is 1 at their samples and 0 elsewhere, or that smoothed, at isovalue 0.5.
 
 use crate::view::{Edit, EditError};
 use crate::volumes::{Dataset, Field};
@@ -7,11 +7,11 @@ use crate::volumes::{Dataset, Field};
 const ISO: f32 = 0.5;
 
 /// Returns the edit whose surface is that around some labels: `7`, `Hippocampus`, or several with commas between them. They are of the edit's
-/// field, else of the first field with names of labels, else of the first field.
+/// field, else of the first field with names of labels, else of the first field. `smoothing`: standard deviation in samples; 0: none.
 ///
 /// # Errors
 /// A label that is neither a whole number nor a name of the field, or an edit that has an isovalue.
-pub(super) fn around_labels(dataset: &Dataset, labels: &str, edit: &Edit) -> Result<Edit, EditError> {
+pub(super) fn around_labels(dataset: &Dataset, labels: &str, smoothing: f32, edit: &Edit) -> Result<Edit, EditError> {
     let refuse = |why| Err(EditError { field: "label", why });
     if edit.iso.is_some() {
         return refuse(format!("{labels:?} beside iso, expected only one of both"));
@@ -42,7 +42,10 @@ pub(super) fn around_labels(dataset: &Dataset, labels: &str, edit: &Edit) -> Res
     let condition = is.collect::<Vec<_>>().join("||");
     Ok(Edit {
         iso: Some(ISO),
-        field: Some(format!("if({condition},1,0)")),
+        field: Some(match smoothing {
+            0.0 => format!("if({condition},1,0)"),
+            sigma => format!("smooth({sigma},{condition})"),
+        }),
         ..edit.clone()
     })
 }
@@ -117,16 +120,22 @@ mod tests {
                 field: field.map(str::to_owned),
                 ..Edit::default()
             };
-            let found = around_labels(&dataset(), labels, &edit).unwrap();
+            let found = around_labels(&dataset(), labels, 0.0, &edit).unwrap();
             assert_eq!(found.field.as_deref(), Some(expected));
             let view = View::requested(&found, &["t1", "the labels"]).unwrap();
             assert_eq!(view.iso.map(isopeel_kernels::Isovalue::get), Some(0.5));
         }
+        let smooth = around_labels(&dataset(), "pons, 7", 0.8, &Edit::default()).unwrap();
+        assert_eq!(
+            smooth.field.as_deref(),
+            Some(r#"smooth(0.8,"the labels"==3||"the labels"==7)"#)
+        );
+        assert!(View::requested(&smooth, &["t1", "the labels"]).is_ok());
     }
 
     #[test]
     fn what_is_no_label_is_named() {
-        let refused = |labels: &str, edit: Edit| around_labels(&dataset(), labels, &edit).unwrap_err().to_string();
+        let refused = |labels: &str, edit: Edit| around_labels(&dataset(), labels, 0.0, &edit).unwrap_err().to_string();
         let unknown = refused("Cortex", Edit::default());
         assert!(
             unknown

@@ -5,7 +5,8 @@ use std::io::Write;
 use isopeel_kernels::RefinementCost;
 use tokio_util::sync::CancellationToken;
 
-use super::clean::{self, NotClean, RepairError};
+use super::caps::{Faces, ToCaps};
+use super::clean::{self, NotClean, RepairError, Scope};
 use super::field_values::FieldSamples;
 use super::topology::{Topology, split_pinched, volume};
 use super::{
@@ -74,7 +75,7 @@ pub async fn make(
     let device = extractor.worker().ready().await?;
     let mut made = Vec::new();
     for surface in request.surfaces(volume, others)? {
-        let work = request.options.work();
+        let work = request.options.work(&surface.view);
         let extracted = extractor.extract_with(&surface.volume, &surface.view, work, token);
         let extraction = extracted.await?;
         if !request.options.allow_empty && extraction.surface.statistics.triangles == 0 {
@@ -174,25 +175,47 @@ fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
     let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
     (count > 0).then(|| {
         let length = cleaned.largest_move;
-        format!("{count} vertices were moved by up to {length:.3e} {unit} so that no triangles intersect, after the error was measured (--clean, clean)")
+        format!("{count} vertices were moved by up to {length:.3e} {unit} so that no triangles intersect, after the error was measured")
     })
 }
 
-/// Makes a mesh one without intersections, and says what that has cost, with what the cut has.
-fn cleaned(
-    mesh: &mut Mesh,
-    format: Format,
+/// What is done about triangles that intersect.
+struct Cleaning {
+    /// `None`: nothing is repaired.
+    scope: Option<Scope>,
+    measuring: Measuring,
+    faces: Faces,
+    /// What the cut has cost.
     refined: Option<RefinementCost>,
-    is_cancelled: &(dyn Fn() -> bool + Sync),
-) -> Result<Cleaned, MakeError> {
-    let repaired = clean::repair(mesh, format, is_cancelled)?;
-    let triangles = mesh.triangles.len() as u64;
-    Ok(Cleaned {
-        triangles_before: refined.map_or(triangles, |refined| refined.triangles),
-        triangles_after: triangles,
-        rounds: refined.map_or(0, |refined| refined.rounds),
-        ..repaired
-    })
+}
+
+impl Cleaning {
+    /// Repairs a mesh, and counts the pairs of triangles that intersect afterwards: `None` if they are not to be counted, or not in time.
+    fn run(
+        &self,
+        mesh: &mut Mesh,
+        format: Format,
+        is_cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<(Option<u64>, Option<Cleaned>), MakeError> {
+        let Some(scope) = self.scope else {
+            let count = |limit| clean::count(mesh, format, limit, is_cancelled);
+            let counted = match self.measuring {
+                Measuring::Never => None,
+                Measuring::Always => count(None),
+                Measuring::Within(limit) => count(Some(limit)),
+            };
+            return Ok((counted, None));
+        };
+        let repaired = clean::repair(mesh, format, scope, self.faces, is_cancelled)?;
+        let triangles = mesh.triangles.len() as u64;
+        let cleaned = Cleaned {
+            triangles_before: self.refined.map_or(triangles, |refined| refined.triangles),
+            triangles_after: triangles,
+            rounds: self.refined.map_or(0, |refined| refined.rounds),
+            ..repaired.cleaned
+        };
+        Ok((Some(repaired.intersections), Some(cleaned)))
+    }
 }
 
 /// What a surface is, for people.
@@ -298,19 +321,23 @@ impl MadeSurface {
         let padding = if view.cap { 1.0 } else { 0.0 };
         mesh.fields = fields.iter().map(|field| field.at(&mesh.index, padding)).collect();
         drop(fields);
+        if view.cap {
+            mesh.caps = mesh.index.iter().map(|&at| ToCaps::of(at, of_view.dims)).collect();
+        }
         mesh.index = Vec::new();
         let topology = split_pinched(&mut mesh);
         mesh.is_closed = topology.is_closed;
-        let cleaned = match options.clean {
-            true => Some(cleaned(&mut mesh, options.format, refined, is_cancelled)?),
-            false => None,
+        let cleaning = Cleaning {
+            scope: if options.clean {
+                Some(Scope::All)
+            } else {
+                view.cap.then_some(Scope::AtCaps)
+            },
+            measuring: options.measuring(),
+            faces: Faces::new(&of_view, &mesh.positions, &mesh.caps),
+            refined,
         };
-        let self_intersections = match (cleaned, options.work().measuring) {
-            (Some(_), _) => Some(0),
-            (None, Measuring::Never) => None,
-            (None, Measuring::Always) => clean::count(&mesh, options.format, None, is_cancelled),
-            (None, Measuring::Within(limit)) => clean::count(&mesh, options.format, Some(limit), is_cancelled),
-        };
+        let (self_intersections, cleaned) = cleaning.run(&mut mesh, options.format, is_cancelled)?;
         statistics.shape = Some(Shape {
             self_intersections,
             cleaned,

@@ -4,6 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 
+use super::caps::ToCaps;
 use super::transform::Transform;
 use super::{ExportError, fits_u32};
 use crate::math::UnevenAxes;
@@ -32,6 +33,8 @@ pub struct Mesh {
     pub feature: Vec<f32>,
     /// Positions in index space, until values of fields are taken there.
     pub(crate) index: Vec<[f32; 3]>,
+    /// Where the vertices of a capped surface lie to its caps; empty without caps.
+    pub(crate) caps: Vec<ToCaps>,
     /// Values of fields at the vertices.
     pub fields: Vec<FieldValues>,
     /// Linear RGB of a vertex, 0 to 65535; empty without a transfer function.
@@ -188,6 +191,9 @@ impl Mesh {
         }
         if !self.colors.is_empty() {
             self.colors.push(self.colors[vertex]);
+        }
+        if !self.caps.is_empty() {
+            self.caps.push(self.caps[vertex]);
         }
         self.positions.len() as u32 - 1
     }

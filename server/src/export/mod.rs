@@ -14,6 +14,7 @@ use crate::extraction::ExtractionStatistics;
 use crate::view::Edit;
 use crate::volumes::{LengthUnit, VolumeStep};
 
+mod caps;
 mod clean;
 mod contours;
 mod decimal;
@@ -26,6 +27,7 @@ mod made;
 pub mod mesh;
 mod obj;
 mod picture;
+mod placed;
 mod ply;
 mod precomputed;
 mod request;

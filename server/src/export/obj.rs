@@ -25,9 +25,11 @@ pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
             for corner in triangle {
                 let number = first + u64::from(*corner);
                 text.push(b' ');
+                let digits = text.len();
                 push_whole(&mut text, number);
+                let end = text.len();
                 text.extend_from_slice(b"//");
-                push_whole(&mut text, number);
+                text.extend_from_within(digits..end);
             }
             text.push(b'\n');
             flush(&mut text, out, PIECE_BYTES)?;

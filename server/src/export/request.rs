@@ -12,8 +12,9 @@ use super::label::around_labels;
 use super::schema::merged_schema;
 use super::surface_options::SurfaceOptions;
 use super::{Compress, Format};
-use crate::extraction::{ExportWork, Measuring};
-use crate::view::{Edit, EditError, Outward, View};
+use crate::extraction::{ExportWork, Measuring, Refining};
+use crate::view::quality::Budget;
+use crate::view::{Edit, EditError, Outward, SIGMAS, View};
 use crate::volumes::{Dataset, LengthUnit};
 
 /// Maximum fields whose values a file has: the samples of each are in memory while the file is made.
@@ -21,6 +22,10 @@ const MAX_FIELD_VALUES: usize = 16;
 
 /// Longest bound on the time that measuring takes: a day.
 const MAX_SECONDS: f64 = 86_400.0;
+
+fn is_zero(number: &f32) -> bool {
+    *number == 0.0
+}
 
 /// How a surface is written.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -45,6 +50,10 @@ pub struct FileOptions {
     /// The surface around labels of a segmentation instead of one at an isovalue, by numbers or names: `7`, `3,Hippocampus`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<String>,
+    /// Smooths the surface around labels: standard deviation, in samples, of a Gaussian over the samples that have one of them, up to 10. Details thinner than about
+    /// two of it vanish. 0, which is the default: the surface is exactly between samples.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub label_smoothing: f32,
     /// How the file is compressed: `zlib` for a VTP, `meshopt` for a GLB on a page.
     #[serde(default, skip_serializing_if = "Compress::is_none")]
     pub compress: Compress,
@@ -63,13 +72,14 @@ pub struct FileOptions {
 
 impl FileOptions {
     /// The names in JSON.
-    const NAMES: [&str; 10] = [
+    const NAMES: [&str; 11] = [
         "format",
         "allowEmpty",
         "outward",
         "unit",
         "fieldValues",
         "label",
+        "labelSmoothing",
         "compress",
         "measure",
         "clean",
@@ -85,6 +95,7 @@ impl FileOptions {
             unit: None,
             field_values: Vec::new(),
             label: None,
+            label_smoothing: 0.0,
             compress: Compress::None,
             measure: None,
             clean: false,
@@ -135,6 +146,21 @@ impl FileOptions {
         if let Some(seconds) = self.measure.filter(|seconds| !(0.0..=MAX_SECONDS).contains(seconds)) {
             return refuse("measure", format!("{seconds}, expected seconds, 0 to {MAX_SECONDS}"));
         }
+        let sigma = self.label_smoothing;
+        if sigma != 0.0 && !SIGMAS.contains(&sigma) {
+            let [low, high] = [SIGMAS.start(), SIGMAS.end()];
+            return refuse(
+                "labelSmoothing",
+                format!("{sigma}, expected 0, or {low} to {high} samples"),
+            );
+        }
+        let has_labels = self.label.is_some() || self.surfaces.iter().any(|surface| surface.look.label.is_some());
+        if sigma != 0.0 && !has_labels {
+            return refuse(
+                "labelSmoothing",
+                format!("{sigma} without label, expected a label beside it"),
+            );
+        }
         if let Some(text) = self.unit.as_ref().filter(|_| self.length_unit().is_none()) {
             let why = format!("{text:?}, expected one of m, mm, cm, um, nm, km or angstrom");
             return refuse("unit", why);
@@ -157,22 +183,32 @@ impl FileOptions {
         Ok(())
     }
 
-    /// Whether the error is measured and the surface refined.
-    pub fn work(&self) -> ExportWork {
-        let measuring = match self.measure {
+    /// Whether the error of a view's surface is measured, and where that is refined.
+    pub fn work(&self, view: &View) -> ExportWork {
+        let refining = match self.clean {
+            true => Refining::Everywhere,
+            // A budget of bytes is that of a surface that is not refined.
+            false if view.cap && !matches!(view.budget, Some(Budget::Bytes(_))) => Refining::AtCaps,
+            false => Refining::Never,
+        };
+        ExportWork {
+            measuring: self.measuring(),
+            refining,
+        }
+    }
+
+    /// Whether the error is measured.
+    pub fn measuring(&self) -> Measuring {
+        match self.measure {
             None => Measuring::Always,
             Some(seconds) if seconds > 0.0 => Measuring::Within(Duration::from_secs_f64(seconds.min(MAX_SECONDS))),
             Some(_) => Measuring::Never,
-        };
-        ExportWork {
-            measuring,
-            refines: self.clean,
         }
     }
 
     /// Whether the same request has the same bytes: not if the time that measuring takes decides what they say.
     pub fn is_reproducible(&self) -> bool {
-        !matches!(self.work().measuring, Measuring::Within(_))
+        !matches!(self.measuring(), Measuring::Within(_))
     }
 
     /// The unit of lengths that `unit` names, if it names one.
@@ -205,7 +241,10 @@ impl FileRequest {
         self.check_bytes()?;
         let fields = dataset.field_names();
         match &self.options.label {
-            Some(labels) => View::requested(&around_labels(dataset, labels, &self.edit)?, &fields),
+            Some(labels) => View::requested(
+                &around_labels(dataset, labels, self.options.label_smoothing, &self.edit)?,
+                &fields,
+            ),
             None => View::requested(&self.edit, &fields),
         }
     }

@@ -1,15 +1,15 @@
-//! Planes of samples and their contours as files: raw samples, pictures, NRRD, SVG and GeoJSON.
+//! Planes of samples and their contours as files: raw samples, pictures, NRRD, NIfTI, SVG and GeoJSON.
 
 use std::fmt::Write;
 use std::path::Path;
 
-use isopeel_kernels::SampleType;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use utoipa::ToSchema;
 
 use super::contours::{Contour, contours};
 use super::picture::{Picture, samples_of};
+use super::placed::{PlacedPlane, nifti, nrrd};
 use super::xml::escaped;
 use crate::extraction::{DeviceWorker, Slice, WorkError};
 use crate::math::{DVec3, IndexSpace};
@@ -65,6 +65,8 @@ pub enum SliceFormat {
     Png,
     /// The samples with their place in the world: NRRD, two axes in three dimensions.
     Nrrd,
+    /// The samples with their place in the world: NIfTI-1, one sample across the plane.
+    Nii,
     /// Contours at isovalues, in the plane's own coordinates.
     Svg,
     /// Contours at isovalues, in the world's coordinates.
@@ -80,7 +82,7 @@ impl SliceFormat {
     /// Media type for HTTP.
     pub const fn content_type(self) -> &'static str {
         match self {
-            Self::Raw | Self::Nrrd => "application/octet-stream",
+            Self::Raw | Self::Nrrd | Self::Nii => "application/octet-stream",
             Self::Png => "image/png",
             Self::Svg => "image/svg+xml",
             Self::Geojson => "application/geo+json",
@@ -181,8 +183,16 @@ impl Plane {
         if let Some(iso) = isovalues.iter().find(|iso| !iso.is_finite()) {
             return refuse(format!("iso: {iso}, expected a finite number"));
         }
-        if *format == SliceFormat::Nrrd && self.space.uneven.is_some() {
-            return refuse("format: NRRD holds samples at even distances, and the volume's axes are uneven: expected another format".into());
+        let is_placed = matches!(format, SliceFormat::Nrrd | SliceFormat::Nii);
+        if is_placed && self.space.uneven.is_some() {
+            return refuse("format: NRRD and NIfTI hold samples at even distances, and the volume's axes are uneven: expected another format".into());
+        }
+        if *format == SliceFormat::Nii && self.dims.iter().any(|&n| n > i16::MAX as u32) {
+            return refuse(format!(
+                "format: NIfTI holds {} samples along an axis, and the plane has {:?}: expected nrrd",
+                i16::MAX,
+                self.dims
+            ));
         }
         match (window, level) {
             (Some(window), _) if !(window.is_finite() && *window > 0.0) => {
@@ -219,7 +229,8 @@ impl Plane {
         match options.format {
             SliceFormat::Raw => Ok(slice.bytes),
             SliceFormat::Png => self.picture(options, range).png(&slice),
-            SliceFormat::Nrrd => Ok(self.nrrd(&slice)),
+            SliceFormat::Nrrd => Ok(nrrd(&self.placed(), &slice)),
+            SliceFormat::Nii => Ok(nifti(&self.placed(), &slice)),
             SliceFormat::Svg => Ok(self.svg(&self.contours(&slice, &options.isovalues)).into_bytes()),
             SliceFormat::Geojson => Ok(self.geojson(&self.contours(&slice, &options.isovalues)).into_bytes()),
         }
@@ -246,36 +257,16 @@ impl Plane {
         isovalues.iter().map(of).collect()
     }
 
-    fn nrrd(&self, slice: &Slice) -> Vec<u8> {
-        let vector = |[x, y, z]: [f64; 3]| format!("({x},{y},{z})");
-        let space = match self.frame {
-            Frame::Lps => "space: left-posterior-superior",
-            Frame::Ras => "space: right-anterior-superior",
-            Frame::World | Frame::Index => "space dimension: 3",
-        };
-        let kind = match slice.sample_type {
-            SampleType::U8 => "uint8",
-            SampleType::I8 => "int8",
-            SampleType::U16 => "uint16",
-            SampleType::I16 => "int16",
-            SampleType::F32 => "float",
-        };
-        let [along, across] = self.steps().map(vector);
-        let unit = self.unit.map_or(String::new(), |unit| {
-            let unit = unit.ascii_symbol();
-            format!("space units: \"{unit}\" \"{unit}\" \"{unit}\"\n")
-        });
-        let mut file = format!(
-            "NRRD0005\n# {}\ntype: {kind}\ndimension: 2\n{space}\nsizes: {} {}\nspace directions: {along} {across}\n\
-             space origin: {}\n{unit}endian: little\nencoding: raw\n\n",
-            super::mesh::ascii(&self.title()),
-            self.dims[0],
-            self.dims[1],
-            vector(self.world([0.0; 2]).to_array()),
-        )
-        .into_bytes();
-        file.extend_from_slice(&slice.bytes);
-        file
+    fn placed(&self) -> PlacedPlane {
+        let [along, across] = self.steps().map(DVec3::from);
+        let through = self.space.world_from_even.matrix3.col(self.axis as usize);
+        PlacedPlane {
+            dims: self.dims,
+            columns: [along, across, through, self.world([0.0; 2])],
+            frame: self.frame,
+            unit: self.unit,
+            title: self.title(),
+        }
     }
 
     /// What it shows, for people.
@@ -397,6 +388,8 @@ pub async fn shown_slice(
 mod tests {
     use std::sync::Arc;
 
+    use isopeel_kernels::SampleType;
+
     use super::*;
     use crate::volumes::testing;
 
@@ -444,6 +437,17 @@ mod tests {
             assert!(nrrd.contains(line), "{line:?} in {nrrd}");
         }
         assert!(nrrd.as_bytes().ends_with(&ramp().bytes));
+        let nifti = lps.file(ramp(), &options(SliceFormat::Nii, &[]), [0.0, 4.0]).unwrap();
+        let short = |at: usize| i16::from_le_bytes([nifti[at], nifti[at + 1]]);
+        let float = |at: usize| f32::from_le_bytes(std::array::from_fn(|i| nifti[at + i]));
+        assert_eq!([0, 1, 2, 3].map(|i| short(40 + 2 * i)), [3, 5, 3, 1]);
+        assert_eq!((short(70), short(72), short(254), nifti[123]), (2, 8, 1, 2));
+        // From LPS to RAS, with the axis across the plane third.
+        let rows = [280, 296, 312].map(|at| [0, 4, 8, 12].map(|i| float(at + i)));
+        let expected = [[-0.5, 0.0, 0.0, -10.0], [0.0, 0.0, -2.0, -22.0], [0.0, 3.0, 0.0, 30.0]];
+        assert_eq!(rows.map(|row| row.map(|x| x + 0.0)), expected);
+        assert_eq!([80, 84, 88, 108].map(float), [0.5, 3.0, 2.0, 352.0]);
+        assert!(nifti[344..348] == *b"n+1\0" && nifti[352..] == ramp().bytes[..]);
         let svg = text(&lps, options(SliceFormat::Svg, &[1.5, 9.0]));
         assert!(
             svg.contains("width=\"2mm\" height=\"6mm\" viewBox=\"0 0 2 6\""),

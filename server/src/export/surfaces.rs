@@ -132,6 +132,8 @@ impl FileRequest {
         let request = FileRequest {
             step,
             options: FileOptions {
+                // Surfaces at isovalues have none.
+                label_smoothing: label.as_ref().map_or(0.0, |_| self.options.label_smoothing),
                 label,
                 surfaces: Vec::new(),
                 ..self.options.clone()
@@ -278,6 +280,11 @@ mod tests {
             ),
             (r#""glb","surfaces":[{"alpha":2}]"#, "alpha: 2, expected 0 to 1"),
             (r#""glb","surfaces":[{"iso":1,"label":"3"}]"#, "label: \"3\" beside iso"),
+            (r#""glb","labelSmoothing":0.8"#, "labelSmoothing: 0.8 without label"),
+            (
+                r#""glb","label":"3","labelSmoothing":11"#,
+                "labelSmoothing: 11, expected 0, or 0.1 to 10",
+            ),
         ] {
             let error = surfaces(&format!("{{\"format\":{options}}}")).unwrap_err().to_string();
             assert!(error.starts_with(expected), "{options}: {error}");

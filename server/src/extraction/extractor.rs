@@ -9,7 +9,9 @@ use super::byte_search::{Trial, best, next_triangles};
 use super::host_memory::HostMemory;
 use super::results::Making;
 use super::turns::{Caller, Length};
-use super::{DeviceWorker, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Step, WorkError};
+use super::{
+    DeviceWorker, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Refining, Step, WorkError,
+};
 use crate::error::BoxError;
 use crate::pool;
 use crate::view::View;
@@ -135,7 +137,7 @@ impl Extractor {
     ) -> Result<Extraction, WorkError> {
         let work = ExportWork {
             measuring: Measuring::Always,
-            refines: false,
+            refining: Refining::Never,
         };
         self.extract_with(volume, view, work, token).await
     }
@@ -158,23 +160,33 @@ impl Extractor {
         } else {
             start.elapsed()
         };
-        let mut extraction = self
-            .within_memory(|ceiling| {
+        let make = |measures| {
+            let (fitted, refining) = (&fitted, work.refining);
+            self.within_memory(move |ceiling| {
                 let making = Making {
                     ceiling,
-                    measures: work.measuring == Measuring::Always,
-                    refines: work.refines,
+                    measures,
+                    refining,
                 };
-                self.worker.extract_for(Caller::Request, volume, &fitted, making, token)
+                self.worker.extract_for(Caller::Request, volume, fitted, making, token)
             })
-            .await?;
+        };
+        let mut extraction = make(work.measuring == Measuring::Always).await?;
         extraction.wall += planning;
         if let Measuring::Within(limit) = work.measuring {
-            let caller = (Caller::Request, Caller::Request.long());
-            let measured = self.measure_for(caller, volume, &extraction.view, token);
+            let measured = async {
+                // A refined cut is not kept, so it is made once more.
+                if extraction.refined.is_some() {
+                    let again = make(true).await?;
+                    return Ok(again.statistics(volume, "").error);
+                }
+                let caller = (Caller::Request, Caller::Request.long());
+                let measured = self.measure_for(caller, volume, &extraction.view, token).await?;
+                Ok::<_, WorkError>(measured.map(|measurement| measurement.whole))
+            };
             // Dropped at the limit, which cancels it.
             if let Ok(measured) = tokio::time::timeout(limit, measured).await {
-                extraction.measured = measured?.map(|measurement| measurement.whole);
+                extraction.measured = measured?;
             }
         }
         Ok(extraction)
@@ -273,7 +285,7 @@ impl Extractor {
             let making = Making {
                 ceiling,
                 measures: false,
-                refines: false,
+                refining: Refining::Never,
             };
             self.worker.extract_for(caller, volume, &trial, making, token)
         })

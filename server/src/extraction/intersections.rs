@@ -11,14 +11,42 @@ use crate::pool;
 /// How often the device's thread lets others run while it waits.
 const YIELD_INTERVAL: Duration = Duration::from_millis(1);
 
-/// The vertices of triangles that intersect others. Triangles are tested on the processors, and meanwhile the device's thread lets others run.
+/// The faces that a capped volume closes surfaces at.
+#[derive(Clone, Copy)]
+pub(super) struct CapFaces {
+    /// Last sample before the padding along each axis; the first one is 1.
+    last: [f64; 3],
+}
+
+impl CapFaces {
+    /// `dims`: samples along each axis, with the padding.
+    pub(super) fn of_padded(dims: [u32; 3]) -> Self {
+        Self {
+            last: dims.map(|n| f64::from(n) - 2.0),
+        }
+    }
+
+    /// Whether a position on the lattice is less than a cell from a face.
+    fn are_near(self, position: [f64; 3]) -> bool {
+        (position.iter().zip(self.last)).any(|(at, last)| {
+            let index = at / f64::from(Vertex::LATTICE);
+            index < 2.0 || index > last - 1.0
+        })
+    }
+}
+
+/// The vertices of triangles that intersect others; if there are `faces`, of pairs with a corner near one. Triangles are tested on the processors, and meanwhile the device's thread lets others run.
 ///
 /// # Errors
 /// [`Error::Cancelled`].
-pub(super) fn intersecting_vertices(regions: &[Region], cancel: &dyn Cancel) -> Result<Vec<RegionVertex>, Error> {
+pub(super) fn intersecting_vertices(
+    regions: &[Region],
+    faces: Option<CapFaces>,
+    cancel: &dyn Cancel,
+) -> Result<Vec<RegionVertex>, Error> {
     let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
-        let search = scope.spawn(|| pool::install_export(|| find(regions, &|| stop.load(Ordering::Relaxed))));
+        let search = scope.spawn(|| pool::install_export(|| find(regions, faces, &|| stop.load(Ordering::Relaxed))));
         while !search.is_finished() {
             std::thread::sleep(YIELD_INTERVAL);
             if cancel.cancelled() {
@@ -34,7 +62,11 @@ pub(super) fn intersecting_vertices(regions: &[Region], cancel: &dyn Cancel) -> 
 }
 
 /// On the lattice, where positions are exact. Vertices of different regions at one position are one there.
-fn find(regions: &[Region], is_cancelled: &(dyn Fn() -> bool + Sync)) -> Option<Vec<RegionVertex>> {
+fn find(
+    regions: &[Region],
+    faces: Option<CapFaces>,
+    is_cancelled: &(dyn Fn() -> bool + Sync),
+) -> Option<Vec<RegionVertex>> {
     let (mut positions, mut triangles, mut vertices) = (Vec::new(), Vec::new(), Vec::new());
     for (place, region) in (0u32..).zip(regions) {
         let base = positions.len() as u32;
@@ -53,11 +85,11 @@ fn find(regions: &[Region], is_cancelled: &(dyn Fn() -> bool + Sync)) -> Option<
         triangles: &triangles,
     };
     let pairs = soup.intersections(is_cancelled)?;
-    let mut found: Vec<u32> = pairs
-        .as_flattened()
-        .iter()
-        .flat_map(|&at| triangles[at as usize])
-        .collect();
+    let corners_of = |pair: &[u32; 2]| pair.map(|at| triangles[at as usize]);
+    let is_near = |vertex: &u32| faces.is_none_or(|faces| faces.are_near(positions[*vertex as usize]));
+    let pairs = pairs.iter().map(corners_of);
+    let counted = pairs.filter(|corners| corners.as_flattened().iter().any(is_near));
+    let mut found: Vec<u32> = counted.flat_map(|corners| corners.concat()).collect();
     found.sort_unstable();
     found.dedup();
     Some(found.into_iter().map(|vertex| vertices[vertex as usize]).collect())

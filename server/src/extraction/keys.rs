@@ -66,13 +66,16 @@ impl VolumeKey {
 }
 
 impl VolumeKey {
-    /// The expression with the keys of its fields, of a field that is computed on the device. One that is padded or masked is computed on
-    /// the host, as these are.
+    /// The expression with the keys of its fields, of a field that is computed on the device. One that is padded, masked or
+    /// smoothed is computed on the host.
     pub(super) fn computed(&self, volume: &VolumeStep) -> Option<(FieldExpression, Vec<Self>)> {
         if self.padded || self.mask.is_some() {
             return None;
         }
         let found = volume.dataset().expression(&self.field)?;
+        if found.smoothing.is_some() {
+            return None;
+        }
         let keys = found.fields.iter().map(|name| Self::new(volume, name, false)).collect();
         Some((found, keys))
     }

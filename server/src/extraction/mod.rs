@@ -74,7 +74,9 @@ pub use questions::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
     Question, ShownSurface, VertexErrors,
 };
-pub use results::{CutId, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Shown, Step};
+pub use results::{
+    CutId, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Refining, Shown, Step,
+};
 pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
 pub use statistics::{Cleaned, EstimatedError, ExtractionStatistics, MeasuredError, Shape};

@@ -41,8 +41,8 @@ impl Extraction {
 pub struct ExportWork {
     /// Whether the error is measured.
     pub measuring: Measuring,
-    /// Whether the surface is refined where its triangles intersect.
-    pub refines: bool,
+    /// Where the surface is refined if its triangles intersect.
+    pub refining: Refining,
 }
 
 /// How a final surface is made.
@@ -52,8 +52,19 @@ pub(super) struct Making {
     pub ceiling: u64,
     /// Whether its error is measured.
     pub measures: bool,
-    /// As [`ExportWork::refines`].
-    pub refines: bool,
+    /// As [`ExportWork::refining`].
+    pub refining: Refining,
+}
+
+/// Where a cut of the vertex tree is refined if triangles intersect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refining {
+    /// Nowhere.
+    Never,
+    /// Less than a cell from the faces that a capped surface closes at.
+    AtCaps,
+    /// Everywhere.
+    Everywhere,
 }
 
 /// Whether the error of a surface is measured, which takes about as long as all else.

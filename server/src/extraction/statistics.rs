@@ -71,11 +71,11 @@ pub struct Shape {
     pub volume: Option<f64>,
     /// Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured.
     pub self_intersections: Option<u64>,
-    /// What it cost that there are none. Null: that was not asked for.
+    /// What it cost that there are none, or none at the caps of a capped surface. Null: neither was asked for.
     pub cleaned: Option<Cleaned>,
 }
 
-/// What `clean` has changed.
+/// What `clean`, or `cap`, has changed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]

@@ -9,9 +9,9 @@ use isopeel_kernels::{
 };
 
 use super::decisions::{Decided, TreeCut, lesser};
-use super::intersections::intersecting_vertices;
+use super::intersections::{CapFaces, intersecting_vertices};
 use super::questions::index_inside;
-use super::results::Making;
+use super::results::{Making, Refining};
 use super::tree_steps::TreePrefix;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
@@ -243,13 +243,14 @@ impl OnDevice<'_> {
         let no_tree = WorkError::Stopped;
         let tree = self.tree(view, &params, cancel)?.ok_or(no_tree)?;
         let goal = self.tree_goal(view, &tree, &params, cancel)?;
+        let faces = (making.refining == Refining::AtCaps).then(|| CapFaces::of_padded(self.volume.grid().dims));
         let (surface, tolerance, cost) = self.engine.refined_tree_surface(
             self.volume,
             self.pyramid,
             &tree,
             &params,
             &goal,
-            &intersecting_vertices,
+            &|regions, cancel| intersecting_vertices(regions, faces, cancel),
             cancel,
         )?;
         let triangles = surface.statistics.triangles;

@@ -25,7 +25,7 @@ use super::memory::ThreadMemory;
 use super::open_steps::AheadState;
 use super::pins::Pins;
 use super::residency::Lru;
-use super::results::Making;
+use super::results::{Making, Refining};
 use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
 use super::unfinished::Unfinished;
 use super::user_time::{Payer, UserTimes};
@@ -335,7 +335,7 @@ impl DeviceWorker {
         let making = Making {
             ceiling: ceiling_triangles,
             measures: true,
-            refines: false,
+            refining: Refining::Never,
         };
         self.extract_for(Caller::Request, volume, view, making, token).await
     }

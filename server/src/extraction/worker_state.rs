@@ -22,7 +22,7 @@ use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
-use super::results::Making;
+use super::results::{Making, Refining};
 use super::shares::Shares;
 use super::turns::{Aside, Turn};
 use super::{Extraction, Measurement, WorkError};
@@ -124,11 +124,16 @@ impl OnDevice<'_> {
         making: Making,
         cancel: &dyn Cancel,
     ) -> Result<(Surface, Option<RefinementCost>), JobError> {
-        let Making { ceiling, measures, .. } = making;
+        let Making {
+            ceiling,
+            measures,
+            refining,
+        } = making;
+        let refines = refining != Refining::Never;
         let (params, cut) = if view.is_by_error() {
             // What is refined is measured afterwards.
-            match self.decided(view, ceiling, true, measures && !making.refines, cancel)? {
-                Decided::Tree(_) if making.refines => {
+            match self.decided(view, ceiling, true, measures && !refines, cancel)? {
+                Decided::Tree(_) if refines => {
                     let (surface, cost) = self.refined_tree_surface(view, making, cancel)?;
                     return Ok((surface, Some(cost)));
                 }

@@ -167,7 +167,7 @@ impl ApiState {
                        application/problem+json document.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),
-    components(schemas(Problem, crate::extraction::ExtractionStatistics))
+    components(schemas(Problem, crate::extraction::ExtractionStatistics, crate::jobs::JobEvent))
 )]
 struct Doc;
 

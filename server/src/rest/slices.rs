@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::ApiState;
+use super::extract::File;
 use crate::access::{Identity, Occupant};
 use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, isovalues, shown_slice};
 use crate::pool;
@@ -81,7 +82,7 @@ pub struct SliceInfo<'a> {
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), SliceQuery),
     responses(
-        (status = 200, description = "The samples, a PNG, NRRD, SVG or GeoJSON file", content_type = "application/octet-stream",
+        (status = 200, description = "The samples, a PNG, NRRD, NIfTI, SVG or GeoJSON file", body = File, content_type = "application/octet-stream",
          headers(("isopeel-slice" = String, description = "Type, size and place of the samples, JSON in ASCII"))),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume`, `unknown-step` or `unknown-field`", body = Problem, content_type = "application/problem+json"),

@@ -513,6 +513,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
         "interest",
         "iso",
         "label",
+        "labelSmoothing",
         "mask",
         "maxError",
         "maxLevel",

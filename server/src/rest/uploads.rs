@@ -13,6 +13,7 @@ use futures_util::StreamExt;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use super::extract::File;
 use super::{ApiState, KEY_HEADER};
 use crate::access::Identity;
 use crate::problem::{ApiError, Problem};
@@ -199,7 +200,7 @@ async fn offset(
         ("upload-offset" = u64, Header, description = "Bytes that are there, as `HEAD` says"),
         ("tus-resumable" = Option<String>, Header, description = "1.0.0"),
     ),
-    request_body(content = String, content_type = "application/offset+octet-stream", description = "Any number of bytes, up to those that are missing"),
+    request_body(content = File, content_type = "application/offset+octet-stream", description = "Any number of bytes, up to those that are missing"),
     responses(
         (status = 204, description = "All of it is there", headers(
             ("upload-offset" = u64, description = "Bytes that are there"),

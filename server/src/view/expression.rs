@@ -1,4 +1,4 @@
-//! Expressions over the fields of a volume: `log(rho)`, `magnitude(u,v,w)`, `if(p > 0, rho/p, 0)`; and `distance(labels == 3)`.
+//! Expressions over the fields of a volume: `log(rho)`, `magnitude(u,v,w)`, `if(p > 0, rho/p, 0)`; `distance(labels == 3)` and `smooth(0.8, labels == 3)`.
 
 mod condition;
 mod syntax;
@@ -9,14 +9,17 @@ use isopeel_kernels::expression::{Binary, Comparison, Kind, MAX_NODES, Op, Unary
 use super::error::{EditError, quoted};
 use syntax::{Tree, What};
 
+pub use condition::SIGMAS;
+
 /// Maximum bytes of an expression's text: 64 operations on names of some letters.
 const MAX_BYTES: usize = 1024;
 /// Maximum fields of an expression, as the device's program has them.
 const MAX_FIELDS: usize = 8;
 /// Functions that are made of several operations, or choose.
-const OTHERS: [&str; 5] = ["pow", "clamp", "magnitude", "if", DISTANCE];
-/// The function of a condition that stands alone.
+const OTHERS: [&str; 6] = ["pow", "clamp", "magnitude", "if", DISTANCE, SMOOTH];
+/// The functions of a condition, which stand alone.
 const DISTANCE: &str = "distance";
+const SMOOTH: &str = "smooth";
 
 /// An expression that gives a field.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +30,9 @@ pub struct FieldExpression {
     pub expression: Expression,
     /// Whether the field has the distances to the nearest sample where the expression is neither 0 nor missing, in place of its values.
     pub is_distance: bool,
+    /// Standard deviation, in samples, of a Gaussian: the field has the share of samples around where the expression is neither 0 nor missing, 0 to 1, in
+    /// place of its values.
+    pub smoothing: Option<f32>,
 }
 
 /// The rank of a number among the labels of a field, if that has ranks in place of numbers.
@@ -64,7 +70,7 @@ impl FieldExpression {
     ///
     /// Distances have the unit of lengths, which is not known here.
     pub fn unit<'a>(&self, units: &[Option<&'a str>]) -> Option<&'a str> {
-        if self.is_distance {
+        if self.is_distance || self.smoothing.is_some() {
             return None;
         }
         let mut known: Vec<Dimension<'a>> = Vec::new();
@@ -101,8 +107,9 @@ impl FieldExpression {
             fields: Vec::new(),
             ops: Vec::new(),
         };
-        let condition = condition::of_distance(text)?;
-        match condition {
+        let smoothed = condition::of_smooth(text)?;
+        let distance = condition::of_distance(text)?;
+        match smoothed.map(|(_, condition)| condition).or(distance) {
             Some((at, condition)) => program.indicator(at, condition)?,
             None => {
                 program.number(&syntax::parse(text)?)?;
@@ -115,7 +122,8 @@ impl FieldExpression {
         Ok(Self {
             fields: program.fields,
             expression,
-            is_distance: condition.is_some(),
+            is_distance: distance.is_some(),
+            smoothing: smoothed.map(|(sigma, _)| sigma),
         })
     }
 }
@@ -327,6 +335,10 @@ impl Program<'_> {
             DISTANCE => Err((
                 at,
                 "distance(CONDITION) inside another expression, expected it alone".to_owned(),
+            )),
+            SMOOTH => Err((
+                at,
+                "smooth(SAMPLES, CONDITION) inside another expression, expected it alone".to_owned(),
             )),
             _ => {
                 let known = quoted(&FieldExpression::functions());

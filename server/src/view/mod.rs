@@ -20,7 +20,7 @@ use crate::math::IndexSpace;
 pub use chosen_parts::{ChosenPartsJson, parse_position};
 pub use edit::Edit;
 pub use error::EditError;
-pub use expression::FieldExpression;
+pub use expression::{FieldExpression, SIGMAS};
 pub(crate) use feature::arguments;
 pub use feature::{FeatureName, VectorName};
 pub use interest::InterestJson;

@@ -1,5 +1,5 @@
-//! Fields that an expression over others gives, or the distances to where it holds. On a device they are computed there; here, where their
-//! samples are needed on the host: padded or masked.
+//! Fields that an expression over others gives, the distances to where it holds, or that smoothed. On a device they are computed there; here,
+//! where their samples are needed on the host, padded or masked, and those that are smoothed.
 
 use std::sync::Arc;
 
@@ -7,6 +7,7 @@ use isopeel_kernels::{Expression, SampleType, Samples};
 use rayon::prelude::*;
 
 use super::distances::distances;
+use super::smoothing::smoothed;
 use super::{Dataset, Field, FileLocation, LengthUnit, Notices, ReadError, ReadProgress, Source};
 use crate::view::FieldExpression;
 
@@ -23,6 +24,9 @@ struct Computed {
     fields: Vec<Field>,
     /// Of distances to where it is not 0: positions of the samples along the axes.
     positions: Option<Box<[Vec<f64>; 3]>>,
+    /// Of a smoothed one: the standard deviation.
+    smoothing: Option<f32>,
+    dims: [u32; 3],
 }
 
 impl Dataset {
@@ -54,6 +58,8 @@ impl Dataset {
             text: text.to_owned(),
             fields,
             positions: found.is_distance.then(|| Box::new(self.positions(false))),
+            smoothing: found.smoothing,
+            dims: self.geometry.dims,
         };
         Some(Field {
             name: text.to_owned(),
@@ -112,10 +118,11 @@ impl Source for Computed {
                 *value = expression.value(&at);
             }
         });
-        Ok(Samples::F32(match &self.positions {
-            None => values,
+        Ok(Samples::F32(match (&self.positions, self.smoothing) {
+            (None, None) => values,
+            (None, Some(sigma)) => smoothed(self.dims, values, sigma),
             // To nothing: every one is missing.
-            Some(positions) => distances(positions, values).unwrap_or_else(|| vec![f32::NAN; count]),
+            (Some(positions), _) => distances(positions, values).unwrap_or_else(|| vec![f32::NAN; count]),
         }))
     }
 }

@@ -43,6 +43,7 @@ mod rectilinear;
 mod remote;
 mod replaced;
 mod scalar;
+mod smoothing;
 pub mod statistics;
 mod step;
 pub mod stored;

@@ -251,6 +251,21 @@ fn the_surface_of_a_label_is_around_its_samples() {
         let volume = volume(&mesh) / centres.len() as f64;
         assert!((450.0..600.0).contains(&volume), "{label}: {volume}");
     }
+    // Smoothed, on even ground and with caps: vertices are nearer to one sphere.
+    let spread = |options: &str| {
+        let (.., mesh) = setting.extract(&labels, &format!("--label 7 --beta -1 {options}"), "ply");
+        let radius = |at: &[f64; 3]| {
+            let square = |i: usize| (at[i] - f64::from(balls[2].1[i])).powi(2);
+            (0..3).map(square).sum::<f64>().sqrt()
+        };
+        let radii = mesh.positions.iter().map(radius);
+        radii.clone().fold(0.0, f64::max) - radii.fold(f64::INFINITY, f64::min)
+    };
+    let exact = spread("");
+    for options in ["--label-smoothing 0.8", "--label-smoothing 0.8 --cap"] {
+        let smoothed = spread(options);
+        assert!(smoothed < 0.7 * exact, "{options}: {smoothed}, {exact} without");
+    }
     let path = labels.display().to_string();
     let out = setting.path("none.stl").display().to_string();
     let empty = command::run(["extract", &path, "--label", "5", "-o", &out]);
@@ -347,7 +362,7 @@ fn clean_files_have_no_triangles_that_intersect() {
         assert_eq!(number(&clean, "/shape/selfIntersections"), Some(0), "{format}");
         let [before, after, rounds] = ["trianglesBefore", "trianglesAfter", "rounds"]
             .map(|name| number(&clean, &format!("/shape/cleaned/{name}")));
-        assert_eq!(before, number(&plain, "/triangles"));
+        assert_eq!(before, number(&plain, "/shape/cleaned/trianglesBefore"));
         assert_eq!(after, Some(mesh.triangles.len() as u64));
         assert!(
             after <= before.map(|before| before + before / 50) && rounds > Some(0),
@@ -355,11 +370,39 @@ fn clean_files_have_no_triangles_that_intersect() {
         );
         assert_eq!(piercing(&mesh), 0, "{format}");
     }
-    let (unmeasured, ..) = setting.extract(&noise, "--iso 0.013 --cap --triangles 60% --no-measure", "ply");
+    let (unmeasured, ..) = setting.extract(&noise, "--iso 0.013 --triangles 60% --no-measure", "ply");
     assert_eq!(
         unmeasured.pointer("/shape/selfIntersections"),
         Some(&serde_json::Value::Null)
     );
+}
+
+#[test]
+fn caps_add_no_triangles_that_intersect() {
+    let Some(setting) = Setting::new() else { return };
+    let gyroid = setting.path("gyroid.npy");
+    ball::write_field(&gyroid, [40; 3], |at| {
+        let [x, y, z] = at.map(|x| x * std::f32::consts::PI / 8.0);
+        x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()
+    });
+    let number = |statistics: &serde_json::Value, name: &str| statistics.pointer(name).and_then(|n| n.as_u64());
+    for (options, what) in [("--triangles 25%", "rounds"), ("--beta 0.1", "movedVertices")] {
+        let (open, ..) = setting.extract(&gyroid, &format!("--iso 0 {options}"), "ply");
+        assert_eq!(number(&open, "/shape/selfIntersections"), Some(0), "{options}");
+        assert_eq!(open.pointer("/shape/cleaned"), Some(&serde_json::Value::Null));
+        let (capped, _, mesh) = setting.extract(&gyroid, &format!("--iso 0 --cap {options}"), "ply");
+        assert_eq!(number(&capped, "/shape/selfIntersections"), Some(0), "{options}");
+        assert!(
+            number(&capped, &format!("/shape/cleaned/{what}")) > Some(0),
+            "nothing to do: {options}"
+        );
+        // Nothing was moved out of the volume, whose faces are closed.
+        let all = || mesh.positions.iter().flatten();
+        assert!(all().all(|at| (0.0..=39.0).contains(at)), "{options}");
+        assert!(all().filter(|&&at| at == 39.0).count() > 50, "{options}");
+        let (bounded, ..) = setting.extract(&gyroid, &format!("--iso 0 --cap {options} --measure 60"), "ply");
+        assert_eq!(bounded.pointer("/error"), capped.pointer("/error"), "{options}");
+    }
 }
 
 /// Edges that pierce a triangle without a corner in common, of all pairs. Not exact: edges and triangles that hardly meet are left out.

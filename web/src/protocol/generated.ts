@@ -13,7 +13,7 @@ export const MAX_POINTS = 64;
 export const SUBPROTOCOL = "isopeel.v2";
 
 /** Functions of expressions over fields. */
-export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10", "sin", "cos", "tan", "floor", "ceil", "min", "max", "pow", "clamp", "magnitude", "if", "distance"] as const;
+export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10", "sin", "cos", "tan", "floor", "ceil", "min", "max", "pow", "clamp", "magnitude", "if", "distance", "smooth"] as const;
 
 /** What a surface is annotated with. */
 export type Annotation = "error" | "error-around";
@@ -71,7 +71,7 @@ export type ChosenParts = { "hide": Array<[number, number, number]> } | { "keep"
 /** What a chunk's triangles are; the wire has it as a number in chunks and as text in messages. */
 export type ChunkKind = "cut" | "error";
 
-/** What `clean` has changed. */
+/** What `clean`, or `cap`, has changed. */
 export type Cleaned = {
   /** Pairs of triangles that intersected in the file's numbers, after the cut was refined. */
   intersections: number,
@@ -772,7 +772,7 @@ export type Shape = {
   volume: number | null,
   /** Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured. */
   selfIntersections: number | null,
-  /** What it cost that there are none. Null: that was not asked for. */
+  /** What it cost that there are none, or none at the caps of a capped surface. Null: neither was asked for. */
   cleaned: Cleaned | null,
 };
 

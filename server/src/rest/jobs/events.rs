@@ -32,7 +32,7 @@ pub const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
         ("last-event-id" = Option<i64>, Header, description = "The id of the last event that was seen"),
     ),
     responses(
-        (status = 200, description = "Server-sent events, the data of each as `JobEvent`", body = JobEvent, content_type = "text/event-stream"),
+        (status = 200, description = "Server-sent events, the data of each as `JobEvent`", body = String, content_type = "text/event-stream"),
         (status = 204, description = "The job is finished and its last event was seen: browsers do not connect again"),
         (status = 400, description = "`bad-request`: a malformed id of an event", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-job`", body = Problem, content_type = "application/problem+json"),

@@ -1,13 +1,45 @@
-//! `distance(CONDITION)`: where a condition holds, as numbers that are not 0 there.
+//! `distance(CONDITION)` and `smooth(SAMPLES, CONDITION)`: where a condition holds, as numbers that are not 0 there.
 
 use isopeel_kernels::expression::{Comparison, Kind, Op};
 
-use super::{DISTANCE, Fault, Program, syntax};
+use super::{DISTANCE, Fault, Program, SMOOTH, syntax};
 use crate::view::mask::{Mask, Operator};
 
-/// The condition of a text that is `distance(CONDITION)`, and the byte at which it begins; `None` where the text is another expression.
-pub(super) fn of_distance(text: &str) -> Result<Option<(usize, &str)>, Fault> {
-    let inner = text.trim_start().strip_prefix(DISTANCE);
+/// Standard deviations that a condition is smoothed by.
+pub const SIGMAS: std::ops::RangeInclusive<f32> = 0.1..=10.0;
+
+/// A part of a text, and the byte at which it begins.
+type Part<'a> = (usize, &'a str);
+
+/// The condition of a text that is `distance(CONDITION)`; `None` if the text is another expression.
+pub(super) fn of_distance(text: &str) -> Result<Option<Part<'_>>, Fault> {
+    inside(text, DISTANCE, "distance(CONDITION)")
+}
+
+/// Standard deviation and condition of a text that is `smooth(SAMPLES, CONDITION)`; `None` if the text is another expression.
+pub(super) fn of_smooth(text: &str) -> Result<Option<(f32, Part<'_>)>, Fault> {
+    let Some((from, inner)) = inside(text, SMOOTH, "smooth(SAMPLES, CONDITION)")? else {
+        return Ok(None);
+    };
+    let (sigma, condition) = inner.split_once(',').unwrap_or((inner, ""));
+    match sigma.trim().parse() {
+        Ok(number) if SIGMAS.contains(&number) => Ok(Some((number, (from + sigma.len() + 1, condition)))),
+        _ => {
+            let [low, high] = [SIGMAS.start(), SIGMAS.end()];
+            Err((
+                from,
+                format!(
+                    "{:?}, expected a number of samples, {low} to {high}, and behind a comma a condition",
+                    sigma.trim()
+                ),
+            ))
+        }
+    }
+}
+
+/// What stands in the parentheses of a function that is all of a text.
+fn inside<'a>(text: &'a str, function: &str, form: &str) -> Result<Option<Part<'a>>, Fault> {
+    let inner = text.trim_start().strip_prefix(function);
     let Some(inner) = inner.and_then(|rest| rest.trim_start().strip_prefix('(')) else {
         return Ok(None);
     };
@@ -16,7 +48,7 @@ pub(super) fn of_distance(text: &str) -> Result<Option<(usize, &str)>, Fault> {
         Some(condition) => Ok(Some((from, condition))),
         None => Err((
             text.trim_end().len(),
-            "expected \")\" at the end: distance(CONDITION) stands alone".to_owned(),
+            format!("expected \")\" at the end: {form} stands alone"),
         )),
     }
 }

@@ -259,6 +259,37 @@ fn faults_of_distances_point_at_the_character() {
 }
 
 #[test]
+fn smoothed_conditions_have_a_number_of_samples_first() {
+    let smoothed = FieldExpression::parse(" smooth ( 0.8 , u==1,4..7 )", FIELDS, "field").expect("an expression");
+    assert_eq!((smoothed.smoothing, smoothed.is_distance), (Some(0.8), false));
+    assert_eq!(
+        (smoothed.expression.value(&[5.0]), smoothed.expression.value(&[3.0])),
+        (1.0, 0.0)
+    );
+    assert_eq!(smoothed.unit(&[Some("m")]), None);
+    for (text, words) in [
+        (
+            "smooth(u == 3)",
+            "character 8: \"u == 3\", expected a number of samples, 0.1 to 10",
+        ),
+        ("smooth(0, u == 3)", "character 8: \"0\", expected a number"),
+        ("smooth(NaN, u == 3)", "character 8: \"NaN\", expected a number"),
+        ("smooth(1, bone == 3)", "character 11: no field \"bone\""),
+        ("smooth(1,)", "expected"),
+        ("smooth(1, u == 3) * 2", "character 22: expected \")\" at the end"),
+        (
+            "2 * smooth(1, u)",
+            "smooth(SAMPLES, CONDITION) inside another expression",
+        ),
+    ] {
+        let error = FieldExpression::parse(text, FIELDS, "field")
+            .expect_err(text)
+            .to_string();
+        assert!(error.contains(words), "{error}, expected {words}");
+    }
+}
+
+#[test]
 fn numbers_beside_a_field_with_ranks_are_those_of_its_file() {
     let rank = |name: &str, number: i128| (name == "labels").then(|| (number - 16_777_210) as f32);
     let value = |text: &str, labels: f32| {

@@ -1,0 +1,135 @@
+//! Where vertices of a capped surface lie to the faces of the volume, on which its caps are.
+
+use crate::math::DVec3;
+use crate::volumes::Geometry;
+
+/// A vertex and the caps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct ToCaps {
+    /// The faces that it lies on, a bit each: that at the low end of the first axis, that at its high end, and so on.
+    faces: u8,
+    /// Whether it is less than a cell from a face.
+    pub is_near: bool,
+}
+
+impl ToCaps {
+    /// Of a position in the index space of a capped volume, which has `dims` samples with its padding.
+    pub fn of(position: [f32; 3], dims: [u32; 3]) -> Self {
+        let mut to = Self::default();
+        for (axis, (at, n)) in position.into_iter().zip(dims).enumerate() {
+            let [first, last] = [1.0, n as f32 - 2.0];
+            to.faces |= u8::from(at == first) << (2 * axis) | u8::from(at == last) << (2 * axis + 1);
+            to.is_near |= at < first + 1.0 || at > last - 1.0;
+        }
+        to
+    }
+
+    fn is_on(self, face: usize) -> bool {
+        self.faces >> face & 1 == 1
+    }
+
+    /// Whether it is on a face across an axis.
+    fn is_on_axis(self, axis: usize) -> bool {
+        self.is_on(2 * axis) || self.is_on(2 * axis + 1)
+    }
+}
+
+/// The faces of a volume.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Faces {
+    /// Unit normals, across each axis.
+    normals: [DVec3; 3],
+    /// Where the caps are along these, in the order of [`ToCaps`]; infinite if there are none.
+    ends: [f64; 6],
+}
+
+impl Faces {
+    /// Those on which there are vertices of caps. `caps`: empty, or of each vertex.
+    pub fn new(geometry: &Geometry, positions: &[[f32; 3]], caps: &[ToCaps]) -> Self {
+        let [x, y, z] = geometry.direction.map(DVec3::from);
+        let turn = x.dot(y.cross(z)).signum();
+        let normals = [y.cross(z), z.cross(x), x.cross(y)].map(|normal| normal * turn / normal.length());
+        let ends = std::array::from_fn(|face| {
+            let on_face = caps.iter().position(|to| to.is_on(face));
+            match on_face {
+                Some(vertex) => DVec3::from(positions[vertex].map(f64::from)).dot(normals[face / 2]),
+                None if face % 2 == 0 => f64::NEG_INFINITY,
+                None => f64::INFINITY,
+            }
+        });
+        Self { normals, ends }
+    }
+
+    /// Where a vertex goes on its way from one place to another: it stays on its faces. `None` if that is outside of the volume.
+    pub fn constrained(&self, from: DVec3, to: DVec3, caps: ToCaps) -> Option<DVec3> {
+        let along = self.along(to - from, caps);
+        let is_inside = (0..3).filter(|&axis| !caps.is_on_axis(axis)).all(|axis| {
+            let at = (from + along).dot(self.normals[axis]);
+            (self.ends[2 * axis]..=self.ends[2 * axis + 1]).contains(&at)
+        });
+        is_inside.then_some(from + along)
+    }
+
+    /// What is left of a move by which a vertex stays on its faces.
+    fn along(&self, move_by: DVec3, caps: ToCaps) -> DVec3 {
+        let across: Vec<DVec3> = (0..3)
+            .filter(|&axis| caps.is_on_axis(axis))
+            .map(|axis| self.normals[axis])
+            .collect();
+        match across[..] {
+            [] => move_by,
+            [normal] => move_by - normal * move_by.dot(normal),
+            [a, b] => {
+                let edge = a.cross(b);
+                edge * (move_by.dot(edge) / edge.dot(edge))
+            }
+            _ => DVec3::ZERO,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn moves_stay_on_the_faces_and_in_the_volume() {
+        // A turned and sheared volume.
+        let mut geometry = Geometry::of_index([6, 7, 8]);
+        geometry.direction = [[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.6, 0.8]];
+        let [x, y, z] = geometry.direction.map(DVec3::from);
+        let indices = [
+            [2.5, 3.0, 3.5],
+            [1.5, 3.0, 3.5],
+            [1.0, 3.0, 3.5],
+            [2.5, 5.0, 3.5],
+            [1.0, 5.0, 3.5],
+            [1.0, 5.0, 6.0],
+        ];
+        let world = indices.map(|index| {
+            let [i, j, k] = index.map(f64::from);
+            (x * i + y * j + z * k).to_array().map(|at| at as f32)
+        });
+        let caps = indices.map(|index| ToCaps::of(index, geometry.dims));
+        let faces = Faces::new(&geometry, &world, &caps);
+        assert_eq!(caps.map(|to| to.is_near), [false, true, true, true, true, true]);
+        let at = |i: usize| DVec3::from(world[i].map(f64::from));
+        let go = |i: usize, by: DVec3| faces.constrained(at(i), at(i) + by, caps[i]).map(|to| to - at(i));
+        let by = DVec3::new(0.3, -0.2, 0.5);
+        let is_near = |a: DVec3, b: DVec3| (a - b).length() < 1e-12;
+        assert!(is_near(go(0, by).unwrap(), by));
+        for (i, [a, b]) in [(2, [y, z]), (3, [x, z])] {
+            let moved = go(i, by).unwrap();
+            assert!(
+                moved.length() > 0.1 && moved.dot(a.cross(b)).abs() < 1e-12,
+                "{i}: {moved:?}"
+            );
+        }
+        let edge = go(4, by).unwrap();
+        assert!(is_near(edge, z * edge.dot(z)), "{edge:?}");
+        assert!(is_near(go(5, by).unwrap(), DVec3::ZERO));
+        // Through a face, and as far where there is no cap.
+        assert_eq!(go(1, x * -0.6), None);
+        assert!(go(1, x * -0.4).is_some() && go(0, x * 9.0).is_some());
+    }
+}

@@ -1,0 +1,113 @@
+use super::*;
+use crate::export::caps::ToCaps;
+use crate::volumes::Geometry;
+
+/// A closed surface of 2·n² triangles over a square, one side of which is pushed through the other by so much.
+fn pillow(n: usize, push: f32) -> Mesh {
+    let at = |i: usize, j: usize, top: bool| {
+        let is_boundary = i == 0 || j == 0 || i == n || j == n;
+        let side = match (is_boundary, top) {
+            (true, _) => 0.0,
+            (false, true) => 1.0,
+            (false, false) => -1.0,
+        };
+        let z = if i == n / 2 && j == n / 2 && top {
+            side - push
+        } else {
+            side
+        };
+        [i as f32, j as f32, z]
+    };
+    let mut mesh = Mesh::default();
+    let mut boundary = std::collections::HashMap::new();
+    for (top, i, j) in [true, false]
+        .into_iter()
+        .flat_map(|top| (0..n).flat_map(move |i| (0..n).map(move |j| (top, i, j))))
+    {
+        let mut vertex = |i: usize, j: usize| {
+            let position = at(i, j, top);
+            *boundary
+                .entry((i, j, position[2] != 0.0, top && position[2] != 0.0))
+                .or_insert_with(|| {
+                    mesh.positions.push(position);
+                    mesh.positions.len() as u32 - 1
+                })
+        };
+        let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
+        // No triangle has all corners on the boundary, which both sides share.
+        let pair = match (i == n - 1 && j == 0) || (i == 0 && j == n - 1) {
+            true => [[a, b, d], [b, c, d]],
+            false => [[a, b, c], [a, c, d]],
+        };
+        let pair = pair.map(|[a, b, c]| if top { [a, b, c] } else { [a, c, b] });
+        mesh.triangles.extend(pair);
+    }
+    mesh
+}
+
+fn faces() -> Faces {
+    Faces::new(&Geometry::of_index([2; 3]), &[], &[])
+}
+
+#[test]
+fn sheets_that_cross_are_pulled_apart() {
+    let mut mesh = pillow(9, 2.5);
+    let before = count(&mesh, Format::Ply, None, &|| false).unwrap();
+    assert!(before > 0);
+    let triangles = mesh.triangles.clone();
+    let Repaired { cleaned, .. } = repair(&mut mesh, Format::Ply, Scope::All, faces(), &|| false).unwrap();
+    assert_eq!(cleaned.intersections, before);
+    assert!(cleaned.moved_vertices > 0 && cleaned.largest_move > 0.0 && cleaned.largest_move < 4.0);
+    assert_eq!(count(&mesh, Format::Ply, None, &|| false), Some(0));
+    assert_eq!(mesh.triangles, triangles);
+}
+
+#[test]
+fn at_caps_vertices_stay_on_the_faces_and_others_are_left_alone() {
+    // The vertex that is pushed through lies on a face across z, or nothing is near a cap.
+    for (is_at_cap, left) in [(true, 0), (false, 1)] {
+        let mut mesh = pillow(9, 2.5);
+        let pushed = mesh.positions.iter().position(|at| at[2] == -1.5).unwrap();
+        mesh.smallest_spacing = 1.0;
+        mesh.caps = vec![ToCaps::of([3.0; 3], [7; 3]); mesh.positions.len()];
+        if is_at_cap {
+            mesh.caps[pushed] = ToCaps::of([3.0, 3.0, 1.0], [7; 3]);
+        }
+        let before = mesh.clone();
+        let repaired = repair(&mut mesh, Format::Ply, Scope::AtCaps, faces(), &|| false).unwrap();
+        assert_eq!(repaired.intersections > 0, left > 0, "{repaired:?}");
+        assert_eq!(mesh.positions[pushed][2], -1.5);
+        assert_eq!(mesh == before, left > 0);
+    }
+}
+
+#[test]
+fn a_clean_mesh_stays_as_it_is() {
+    let mut mesh = pillow(9, 0.5);
+    let before = mesh.clone();
+    let repaired = repair(&mut mesh, Format::Stl, Scope::All, faces(), &|| false).unwrap();
+    assert_eq!((repaired.cleaned, repaired.intersections), (Cleaned::default(), 0));
+    assert_eq!(mesh, before);
+}
+
+#[test]
+fn what_cannot_be_repaired_is_an_error() {
+    // One triangle through another: all vertices are on borders.
+    let mut mesh = Mesh {
+        positions: vec![
+            [0.0; 3],
+            [4.0, 0.0, 0.0],
+            [0.0, 4.0, 0.0],
+            [1.0, 1.0, -1.0],
+            [1.0, 1.0, 1.0],
+            [9.0, 9.0, 1.0],
+        ],
+        triangles: vec![[0, 1, 2], [3, 4, 5]],
+        ..Mesh::default()
+    };
+    let error = repair(&mut mesh, Format::Ply, Scope::All, faces(), &|| false)
+        .unwrap_err()
+        .to_string();
+    assert!(error.starts_with("1 pair of triangles still intersects"), "{error}");
+    assert_eq!(count(&mesh, Format::Ply, Some(Duration::ZERO), &|| false), None);
+}
