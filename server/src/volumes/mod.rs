@@ -294,6 +294,16 @@ impl Geometry {
         DAffine3::from_cols(x, y, z, self.origin.into())
     }
 
+    /// Largest distance in the world between samples of equal indices.
+    pub(crate) fn farthest_from(&self, other: &Self) -> f64 {
+        let [a, b] = [self, other].map(Self::world_from_index);
+        let corners = (0..8).map(|corner: u32| {
+            let at = [0, 1, 2].map(|axis| f64::from((corner >> axis & 1) * (self.dims[axis] - 1)));
+            (a.transform_point3(at.into()) - b.transform_point3(at.into())).length()
+        });
+        corners.fold(0.0, f64::max)
+    }
+
     /// Whether two grids are equal up to the rounding of a header that is written in decimal or in single precision.
     pub fn matches(&self, other: &Self) -> bool {
         const RELATIVE: f64 = 1e-4;

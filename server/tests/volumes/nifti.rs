@@ -115,6 +115,18 @@ fn what_is_repaired_is_said() {
     let (notice, geometry) = opened(&zero);
     assert!(notice.starts_with("sform describes no grid, pixdim"), "{notice}");
     assert_eq!((geometry.spacing, geometry.frame), (v.spacing, Frame::World));
+    // Both, in one place and in two.
+    let both = |x: f32| {
+        move |h: &mut write::Nifti| {
+            h.i16(252, 1);
+            (0..3).for_each(|axis| h.f32(280 + 16 * axis + 12, 0.0));
+            h.f32(268, x);
+        }
+    };
+    assert_eq!(opened(&both(0.2)).0, "");
+    let (notice, geometry) = opened(&both(7.0));
+    assert_eq!(notice, "sform and qform put samples up to 7 apart: sform is taken");
+    assert_eq!(geometry.origin, [0.0; 3]);
     // Distances below 0, and none.
     let (notice, geometry) = opened(&|h| {
         h.i16(254, 0);

@@ -322,7 +322,10 @@ impl Header {
         if self.sform > 0 {
             match self.by_sform(path, dims) {
                 Err(error) if self.is_sform_empty() || self.qform > 0 => failed = Some(error),
-                geometry => return geometry,
+                geometry => {
+                    self.compare_with_qform(path, geometry.as_ref().ok(), notices);
+                    return geometry;
+                }
             }
         }
         let pixdim = self.distances(notices);
@@ -339,6 +342,25 @@ impl Header {
             ));
         }
         Ok(geometry)
+    }
+
+    /// Says so if `qform`, which other readers prefer, has another place for the samples.
+    fn compare_with_qform(&self, path: &Path, by_sform: Option<&Geometry>, notices: &mut Notices) {
+        let pixdim = self.distances(&mut Notices::default());
+        let (Some(by_sform), 1..) = (by_sform, self.qform) else {
+            return;
+        };
+        let Ok(by_qform) = self.by_qform(path, by_sform.dims, pixdim) else {
+            return;
+        };
+        let smallest = by_sform.spacing.into_iter().fold(f64::INFINITY, f64::min);
+        let distance = by_sform.farthest_from(&by_qform);
+        if distance > 0.5 * smallest {
+            notices.add(format!(
+                "sform and qform put samples up to {} apart: sform is taken",
+                distance as f32
+            ));
+        }
     }
 
     /// Whether `sform` has no vector at all.
