@@ -49,7 +49,7 @@ export class Boundary {
     const next = at(this.next, edge);
     const isLeftToo = at(this.from, previous) === c;
     const met = at(this.ending, c);
-    const isMet = met !== NONE && met !== edge && at(this.isOpen, met) === 1 && at(this.to, met) === c;
+    const isMet = met !== NONE && met !== edge && this.isOpen[met] === 1 && at(this.to, met) === c;
     const left = this.edges;
     const right = left + 1;
     this.add(a, c, b, level, previous, right);
@@ -112,4 +112,4 @@ export class Boundary {
   }
 }
 
-const at = (values: Int32Array | Uint8Array, index: number): number => values[index] ?? 0;
+const at = (values: Int32Array, index: number): number => values[index] ?? 0;

@@ -38,6 +38,7 @@ class PredictiveDecoder {
   /** Of each vertex: the sum of the cross products of its triangles, and how many these are, up to a maximum. */
   private readonly normals: Float64Array;
   private readonly counts: Uint8Array;
+  private readonly edgeNormal = new Float64Array(3);
   private triangleCount = 0;
   private vertexCount = 0;
   private startLevel = 0;
@@ -116,17 +117,18 @@ class PredictiveDecoder {
   /** The triangle behind an edge, if there is one. */
   private follow(edge: number): void {
     const { reader, boundary } = this;
-    const previous = at(boundary.previous, edge);
-    const next = at(boundary.next, edge);
-    if (!reader.bit(this.isTriangle + at(boundary.isBorder, previous) + 2 * at(boundary.isBorder, next))) {
+    const previous = int(boundary.previous, edge);
+    const next = int(boundary.next, edge);
+    if (!reader.bit(this.isTriangle + byte(boundary.isBorder, previous) + 2 * byte(boundary.isBorder, next))) {
       boundary.isBorder[edge] = 1;
       return;
     }
-    let level = at(boundary.level, edge);
-    const context = (at(boundary.level, previous) === level ? 0 : 1) + (at(boundary.level, next) === level ? 0 : 2);
+    let level = byte(boundary.level, edge);
+    const context = (byte(boundary.level, previous) === level ? 0 : 1) + (byte(boundary.level, next) === level ? 0 : 2);
     if (!reader.bit(this.isSameLevel + context)) level = this.readLevel(level);
-    const [from, to] = [at(boundary.from, edge), at(boundary.to, edge)];
-    const third = this.readThird(at(this.counts, from) + 8 * at(this.counts, to));
+    const from = int(boundary.from, edge);
+    const to = int(boundary.to, edge);
+    const third = this.readThird(byte(this.counts, from) + 8 * byte(this.counts, to));
     const vertex = this.thirdVertex(third, edge);
     this.addTriangle(from, to, vertex, level);
     const left = boundary.cover(edge, vertex, third, level);
@@ -145,9 +147,9 @@ class PredictiveDecoder {
       case THIRD.new:
         return this.addVertex(edge);
       case THIRD.right:
-        return at(this.boundary.to, at(this.boundary.next, edge));
+        return int(this.boundary.to, int(this.boundary.next, edge));
       case THIRD.left:
-        return at(this.boundary.from, at(this.boundary.previous, edge));
+        return int(this.boundary.from, int(this.boundary.previous, edge));
       case THIRD.other:
         return this.oldVertex();
     }
@@ -175,34 +177,50 @@ class PredictiveDecoder {
 
   private addTriangle(a: number, b: number, c: number, level: number): void {
     this.check(this.triangleCount < this.triangles && !this.reader.isExhausted, `more than ${this.triangles} triangles, or it ends early`);
-    this.corners.set([a, b, c], 3 * this.triangleCount);
+    const first = 3 * this.triangleCount;
+    this.corners[first] = a;
+    this.corners[first + 1] = b;
+    this.corners[first + 2] = c;
     this.levels[this.triangleCount] = level;
     this.triangleCount += 1;
-    const [x, y, z] = [this.position(a, 0), this.position(a, 1), this.position(a, 2)];
-    const [ux, uy, uz] = [this.position(b, 0) - x, this.position(b, 1) - y, this.position(b, 2) - z];
-    const [vx, vy, vz] = [this.position(c, 0) - x, this.position(c, 1) - y, this.position(c, 2) - z];
-    const [nx, ny, nz] = [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx];
-    for (const vertex of [a, b, c]) {
-      this.normals[3 * vertex] = at(this.normals, 3 * vertex) + nx;
-      this.normals[3 * vertex + 1] = at(this.normals, 3 * vertex + 1) + ny;
-      this.normals[3 * vertex + 2] = at(this.normals, 3 * vertex + 2) + nz;
-      this.counts[vertex] = Math.min(at(this.counts, vertex) + 1, MAX_COUNT);
-    }
+    const x = this.position(a, 0);
+    const y = this.position(a, 1);
+    const z = this.position(a, 2);
+    const ux = this.position(b, 0) - x;
+    const uy = this.position(b, 1) - y;
+    const uz = this.position(b, 2) - z;
+    const vx = this.position(c, 0) - x;
+    const vy = this.position(c, 1) - y;
+    const vz = this.position(c, 2) - z;
+    const nx = uy * vz - uz * vy;
+    const ny = uz * vx - ux * vz;
+    const nz = ux * vy - uy * vx;
+    this.addNormal(a, nx, ny, nz);
+    this.addNormal(b, nx, ny, nz);
+    this.addNormal(c, nx, ny, nz);
+  }
+
+  private addNormal(vertex: number, x: number, y: number, z: number): void {
+    const first = 3 * vertex;
+    this.normals[first] = float(this.normals, first) + x;
+    this.normals[first + 1] = float(this.normals, first + 1) + y;
+    this.normals[first + 2] = float(this.normals, first + 2) + z;
+    this.counts[vertex] = Math.min(byte(this.counts, vertex) + 1, MAX_COUNT);
   }
 
   private position(vertex: number, axis: number): number {
-    return at(this.vertices, WORDS * vertex + axis);
+    return word(this.vertices, WORDS * vertex + axis);
   }
 
   /** A feature as it is coded: multiples of 256, and 65535. */
-  private featureStep(vertex: number, word: number): number {
-    const value = at(this.vertices, WORDS * vertex + word) & 0xffff;
+  private featureStep(vertex: number, place: number): number {
+    const value = word(this.vertices, WORDS * vertex + place) & 0xffff;
     return (value >> 8) + (value === 0xffff ? 1 : 0);
   }
 
-  private setFeature(vertex: number, word: number, step: number): void {
+  private setFeature(vertex: number, place: number, step: number): void {
     this.check(step >= 0 && step <= 256, `feature ${step}, expected 0 to 256`);
-    this.vertices[WORDS * vertex + word] = step === 256 ? 0xffff : step << 8;
+    this.vertices[WORDS * vertex + place] = step === 256 ? 0xffff : step << 8;
   }
 
   /** A corner of a triangle that nothing leads to, predicted by the vertex before. */
@@ -212,57 +230,84 @@ class PredictiveDecoder {
       const before = vertex === 0 ? 1024 : this.position(vertex - 1, axis);
       this.vertices[WORDS * vertex + axis] = before + this.reader.number(this.corner, place > 0 ? 1 : 0);
     }
-    for (const word of [4, 5]) {
-      const before = vertex === 0 ? 128 : this.featureStep(vertex - 1, word);
-      this.setFeature(vertex, word, before + this.reader.number(this.corner, 2));
+    for (const place of [4, 5]) {
+      const before = vertex === 0 ? 128 : this.featureStep(vertex - 1, place);
+      this.setFeature(vertex, place, before + this.reader.number(this.corner, 2));
     }
     return vertex;
   }
 
   /** A new vertex behind an edge. */
   private addVertex(edge: number): number {
-    const [a, b, o] = [at(this.boundary.from, edge), at(this.boundary.to, edge), at(this.boundary.opposite, edge)];
+    const a = int(this.boundary.from, edge);
+    const b = int(this.boundary.to, edge);
     const vertex = this.beginVertex();
-    this.readPosition(vertex, a, b, o);
-    for (const [word, model] of [[4, this.smoothness], [5, this.feature]] as const) {
-      const [low, high] = [this.featureStep(a, word), this.featureStep(b, word)];
-      const context = Math.min(length(low - high), DIFFERENCES - 1);
-      this.setFeature(vertex, word, ((low + high) >> 1) + this.reader.number(model, context));
-    }
+    this.readPosition(vertex, a, b, int(this.boundary.opposite, edge));
+    this.readFeature(vertex, a, b, 4, this.smoothness);
+    this.readFeature(vertex, a, b, 5, this.feature);
     return vertex;
   }
 
+  private readFeature(vertex: number, a: number, b: number, place: number, model: NumberModel): void {
+    const low = this.featureStep(a, place);
+    const high = this.featureStep(b, place);
+    const context = Math.min(length(low - high), DIFFERENCES - 1);
+    this.setFeature(vertex, place, ((low + high) >> 1) + this.reader.number(model, context));
+  }
+
   private readPosition(vertex: number, a: number, b: number, o: number): void {
-    let [edge, height] = [0, 0];
+    let edge = 0;
+    let height = 0;
     for (let axis = 0; axis < 3; axis += 1) {
-      const [p, q, r] = [this.position(a, axis), this.position(b, axis), this.position(o, axis)];
+      const p = this.position(a, axis);
+      const q = this.position(b, axis);
       edge = Math.max(edge, Math.abs(p - q));
-      height = Math.max(height, Math.abs(p + q - 2 * r));
+      height = Math.max(height, Math.abs(p + q - 2 * this.position(o, axis)));
     }
     const size = Math.min(length(edge + (height >> 1)), SIZES - 1);
-    const normal = this.normalOfEdge(a, b);
+    this.setEdgeNormal(a, b);
+    const normal = this.edgeNormal;
     const depth = deepest(normal);
-    const parallelogram = (axis: number) => (7 * (this.position(a, axis) + this.position(b, axis)) - 6 * this.position(o, axis) + 4) >> 3;
-    const [x, y] = [(depth + 1) % 3, (depth + 2) % 3];
-    for (const axis of [x, y]) this.vertices[WORDS * vertex + axis] = parallelogram(axis) + this.reader.number(this.across, size);
-    const plane = (end: number) => {
-      const rise =
-        at(normal, x) * (this.position(vertex, x) - this.position(end, x)) + at(normal, y) * (this.position(vertex, y) - this.position(end, y));
-      return this.position(end, depth) - rise / at(normal, depth);
-    };
-    const mean = Math.floor((plane(a) + plane(b)) * 0.5 + 0.5);
+    const x = (depth + 1) % 3;
+    const y = (depth + 2) % 3;
+    const first = WORDS * vertex;
+    this.vertices[first + x] = this.parallelogram(a, b, o, x) + this.reader.number(this.across, size);
+    this.vertices[first + y] = this.parallelogram(a, b, o, y) + this.reader.number(this.across, size);
+    const mean = Math.floor((this.inPlane(vertex, a, x, y, depth) + this.inPlane(vertex, b, x, y, depth)) * 0.5 + 0.5);
     // Where there is no normal it is no number.
-    const predicted = Math.abs(mean) <= MAX_PREDICTED ? mean : parallelogram(depth);
-    this.vertices[WORDS * vertex + depth] = predicted + this.reader.number(this.depth, size);
+    const predicted = Math.abs(mean) <= MAX_PREDICTED ? mean : this.parallelogram(a, b, o, depth);
+    this.vertices[first + depth] = predicted + this.reader.number(this.depth, size);
+  }
+
+  private parallelogram(a: number, b: number, o: number, axis: number): number {
+    return (7 * (this.position(a, axis) + this.position(b, axis)) - 6 * this.position(o, axis) + 4) >> 3;
+  }
+
+  /** Where the plane of one end of the edge is along the axis `depth`, beside a vertex. */
+  private inPlane(vertex: number, end: number, x: number, y: number, depth: number): number {
+    const { edgeNormal: normal } = this;
+    const rise =
+      float(normal, x) * (this.position(vertex, x) - this.position(end, x)) + float(normal, y) * (this.position(vertex, y) - this.position(end, y));
+    return this.position(end, depth) - rise / float(normal, depth);
   }
 
   /** The sum of the unit normals at both ends. */
-  private normalOfEdge(a: number, b: number): readonly [number, number, number] {
-    const [ax, ay, az] = [at(this.normals, 3 * a), at(this.normals, 3 * a + 1), at(this.normals, 3 * a + 2)];
-    const [bx, by, bz] = [at(this.normals, 3 * b), at(this.normals, 3 * b + 1), at(this.normals, 3 * b + 2)];
-    const [inA, inB] = [Math.sqrt(ax * ax + ay * ay + az * az), Math.sqrt(bx * bx + by * by + bz * bz)];
-    const over = (value: number, by: number) => (by > 0 ? value / by : 0);
-    return [over(ax, inA) + over(bx, inB), over(ay, inA) + over(by, inB), over(az, inA) + over(bz, inB)];
+  private setEdgeNormal(a: number, b: number): void {
+    const { normals } = this;
+    const inA = this.normalLength(a);
+    const inB = this.normalLength(b);
+    for (let axis = 0; axis < 3; axis += 1) {
+      const ofA = inA > 0 ? float(normals, 3 * a + axis) / inA : 0;
+      const ofB = inB > 0 ? float(normals, 3 * b + axis) / inB : 0;
+      this.edgeNormal[axis] = ofA + ofB;
+    }
+  }
+
+  private normalLength(vertex: number): number {
+    const x = float(this.normals, 3 * vertex);
+    const y = float(this.normals, 3 * vertex + 1);
+    const z = float(this.normals, 3 * vertex + 2);
+    return Math.sqrt(x * x + y * y + z * z);
   }
 
   /** All normals, behind everything else. */
@@ -271,11 +316,11 @@ class PredictiveDecoder {
     const atBorder = this.boundary.borderVertices();
     for (let vertex = 0; vertex < this.vertexCount; vertex += 1) {
       const [x, y] = octahedral(
-        at(this.normals, 3 * vertex) * at(weights, 0),
-        at(this.normals, 3 * vertex + 1) * at(weights, 1),
-        at(this.normals, 3 * vertex + 2) * at(weights, 2),
+        float(this.normals, 3 * vertex) * (weights[0] ?? 0),
+        float(this.normals, 3 * vertex + 1) * (weights[1] ?? 0),
+        float(this.normals, 3 * vertex + 2) * (weights[2] ?? 0),
       );
-      const context = at(atBorder, vertex);
+      const context = byte(atBorder, vertex);
       const first = x + this.reader.number(this.normal, context);
       const second = y + this.reader.number(this.normal, context);
       this.vertices[WORDS * vertex + 3] = (first & 0xff) | (second << 8);
@@ -288,11 +333,11 @@ class PredictiveDecoder {
     const { levelTriangles } = this.header;
     let sum = 0;
     const ends = levelTriangles.map((count) => (sum += count));
-    const places = levelTriangles.map((count, level) => at(ends, level) - count);
+    const places = levelTriangles.map((count, level) => (ends[level] ?? 0) - count);
     for (let triangle = 0; triangle < this.triangles; triangle += 1) {
-      const level = at(this.levels, triangle);
-      const place = at(places, level);
-      this.check(place < at(ends, level), `more triangles of level ${level} than ${levelTriangles[level] ?? 0}`);
+      const level = byte(this.levels, triangle);
+      const place = (places[level] ?? 0);
+      this.check(place < (ends[level] ?? 0), `more triangles of level ${level} than ${levelTriangles[level] ?? 0}`);
       indices.set(this.corners.subarray(3 * triangle, 3 * triangle + 3), 3 * place);
       places[level] = place + 1;
     }
@@ -300,15 +345,20 @@ class PredictiveDecoder {
   }
 }
 
-const at = (values: ArrayLike<number>, index: number): number => values[index] ?? 0;
+// One function a type of array, or the engine looks the type up at each access.
+const int = (values: Int32Array, index: number): number => values[index] ?? 0;
+const byte = (values: Uint8Array, index: number): number => values[index] ?? 0;
+const word = (values: Int16Array, index: number): number => values[index] ?? 0;
+const float = (values: Float64Array, index: number): number => values[index] ?? 0;
 
 /** Bits of a magnitude. */
 const length = (value: number): number => 32 - Math.clz32(Math.abs(value));
 
 /** The axis of the largest component; of equal ones the first. */
-function deepest([x, y, z]: readonly [number, number, number]): number {
-  const first = Math.abs(y) > Math.abs(x) ? 1 : 0;
-  return Math.abs(z) > Math.max(Math.abs(x), Math.abs(y)) ? 2 : first;
+function deepest(normal: Float64Array): number {
+  const x = Math.abs(float(normal, 0));
+  const y = Math.abs(float(normal, 1));
+  return Math.abs(float(normal, 2)) > Math.max(x, y) ? 2 : y > x ? 1 : 0;
 }
 
 /** Octahedral coordinates over 127, rounded. */

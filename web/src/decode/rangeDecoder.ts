@@ -3,8 +3,10 @@
 /** Lowest probability of either bit, in units of 1/2¹². */
 const MIN_PROBABILITY = 16;
 const MAX_PROBABILITY = (1 << 12) - MIN_PROBABILITY;
-/** A range below this takes a further byte. */
-const MIN_RANGE = 2 ** 24;
+/** A range with none of these bits takes a further byte. */
+const HIGH_BITS = 0xff << 24;
+/** Added to both, 32-bit words are compared as if they had no sign. */
+const SIGN = 1 << 31;
 /** Bits after which a model learns no slower. */
 const MAX_SEEN = 100;
 /** How fast a model learns after so many bits, in units of 1/2¹⁶. */
@@ -23,8 +25,9 @@ export interface NumberModel {
 }
 
 export class RangeDecoder {
+  /** 32-bit words without a sign, kept as numbers with one: the engine has no others of 32 bits. */
   private code = 0;
-  private range = 2 ** 32 - 1;
+  private range = -1;
   private at = 0;
   /** Of each model: the probability of a 1 in units of 1/2¹⁶, and the bits that were coded, up to the maximum. */
   private readonly probabilities: Uint16Array;
@@ -66,8 +69,8 @@ export class RangeDecoder {
   /** A bit of a model. */
   bit(model: number): boolean {
     const probability = this.probabilities[model] ?? 0;
-    const bound = (this.range >>> 12) * Math.min(Math.max(probability >>> 4, MIN_PROBABILITY), MAX_PROBABILITY);
-    const bit = this.code < bound;
+    const bound = Math.imul(this.range >>> 12, Math.min(Math.max(probability >>> 4, MIN_PROBABILITY), MAX_PROBABILITY));
+    const bit = (this.code ^ SIGN) < (bound ^ SIGN);
     const seen = this.seen[model] ?? 0;
     const rate = RATES[seen] ?? 0;
     if (seen < MAX_SEEN) this.seen[model] = seen + 1;
@@ -75,11 +78,11 @@ export class RangeDecoder {
       this.range = bound;
       this.probabilities[model] = probability + (((0xffff - probability) * rate) >>> 16);
     } else {
-      this.range -= bound;
-      this.code -= bound;
+      this.range = (this.range - bound) | 0;
+      this.code = (this.code - bound) | 0;
       this.probabilities[model] = probability - ((probability * rate) >>> 16);
     }
-    while (this.range < MIN_RANGE) this.nextByte();
+    while ((this.range & HIGH_BITS) === 0) this.nextByte();
     return bit;
   }
 
@@ -88,12 +91,12 @@ export class RangeDecoder {
     let value = 0;
     for (let i = 0; i < bits; i += 1) {
       this.range >>>= 1;
-      value *= 2;
-      if (this.code >= this.range) {
-        this.code -= this.range;
+      value <<= 1;
+      if ((this.code ^ SIGN) >= (this.range ^ SIGN)) {
+        this.code = (this.code - this.range) | 0;
         value += 1;
       }
-      while (this.range < MIN_RANGE) this.nextByte();
+      while ((this.range & HIGH_BITS) === 0) this.nextByte();
     }
     return value;
   }
@@ -111,17 +114,17 @@ export class RangeDecoder {
       magnitude = 2 * magnitude + bit;
       node = 2 * node + 1 + bit;
     }
-    magnitude = magnitude * 2 ** below + this.raw(below);
+    magnitude = (magnitude << below) + this.raw(below);
     return isNegative ? -magnitude : magnitude;
   }
 
   private nextByte(): void {
-    this.range = (this.range << 8) >>> 0;
+    this.range <<= 8;
     this.takeByte();
   }
 
   private takeByte(): void {
-    this.code = ((this.code << 8) | (this.payload[this.at] ?? 0)) >>> 0;
+    this.code = (this.code << 8) | (this.payload[this.at] ?? 0);
     this.at += 1;
   }
 }

@@ -30,7 +30,7 @@ use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 const FOLLOWED_TRIANGLES: u64 = 2_000_000;
 
 /// Bytes a second from which on a line takes bytes faster than the coding for slow lines saves them.
-const MIN_FAST_LINE: u64 = 6_000_000;
+const MIN_FAST_LINE: u64 = 4_000_000;
 
 /// Batches that are encoded at once: the next one fills the threads that have nothing left to do of the one before.
 const MAX_BATCHES: usize = 2;
