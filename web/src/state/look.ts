@@ -10,7 +10,9 @@ import type { Measure } from "./measure";
  */
 export const COLOR_BY = ["material", "transfer", "feature", "importance", "level", "error"] as const;
 export type ColorBy = (typeof COLOR_BY)[number];
-export const MAPS = ["batlow", "viridis", "cividis", "vik"] as const;
+export const MAPS = [
+  "batlow", "viridis", "cividis", "magma", "inferno", "plasma", "cubehelix", "greys", "ylor", "ylorrd", "ylgnbu", "vik", "rdbu", "puor",
+] as const;
 export const MATERIALS = ["ivory", "clay", "tissue", "metal"] as const;
 export const BACKGROUNDS = ["page", "black", "white"] as const;
 

@@ -1,7 +1,8 @@
 /** Shows the look in the scene: colours, what is cut away, slices, what is drawn beside the surface. */
 
-import { COLOR_MAPS, colorTable, DISTANCE_COLORS } from "../colors/maps";
-import type { TransferFunction } from "../protocol/types";
+import { COLOR_MAPS, colorAt, colorTable, DISTANCE_COLORS } from "../colors/maps";
+import type { TransferFunction, View } from "../protocol/types";
+import type { ColoredRegion } from "../scene/coloredRegions";
 import type { ColorBar } from "../scene/colorScale";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { SliceLoader, type SliceSource } from "./sliceLoader";
@@ -46,6 +47,12 @@ function stopsOf(table: Uint8Array): string[] {
 /** Colours and importance over the blended value. */
 function tableOf({ colorBy, map }: Look, points: Points): Uint8Array<ArrayBuffer> {
   return colorBy === "feature" || colorBy === "importance" ? mappedLut(points, COLOR_MAPS[map], colorBy) : transferLut(points);
+}
+
+/** Regions of interest in the colours of their importance, where colours show that. */
+function regionsOf({ colorBy, map }: Look, interest: View["interest"]): readonly ColoredRegion[] {
+  if (colorBy !== "importance") return [];
+  return interest.map(({ sphere, box, importance }) => ({ ball: sphere, box, importance, color: colorAt(COLOR_MAPS[map], importance) }));
 }
 
 export class Display {
@@ -119,7 +126,8 @@ export class Display {
     const before = this.shown.get(number);
     this.shown.set(number, surface);
     const { points } = view.transferFunction;
-    if (isRecolored || points !== before?.view.transferFunction.points) this.scene.setTransfer(tableOf(look, points), number);
+    const isChanged = points !== before?.view.transferFunction.points || view.interest !== before.view.interest;
+    if (isRecolored || isChanged) this.scene.setTransfer(tableOf(look, points), number, regionsOf(look, view.interest));
     if (style !== before?.style) this.scene.setSurfaceStyle(number, style);
     this.scene.setAlpha(view.alpha, number);
   }
