@@ -80,6 +80,14 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     assert.deepEqual([asked(), after.triangles], [1, before.triangles]);
   });
 
+  test("a reload keeps an edit of the last moment", async () => {
+    await page.getByRole("switch", { name: "Wireframe" }).setChecked(true, { force: true });
+    await page.evaluate(() => location.reload());
+    await page.waitForURL(/wire=1/);
+    await rested(page);
+    assert.ok(await page.getByRole("switch", { name: "Wireframe" }).isChecked());
+  });
+
   test("dragging β changes the triangle count, its low end is the full surface", async () => {
     await decideBy(page, "β (paper)");
     await dragSlider(page, "β", 0);

@@ -115,8 +115,8 @@ export function onSurface(distribution: Distribution | undefined): Background | 
 /** How much of the surface is merged into larger parts. */
 export function coarseText(share: number | undefined): string {
   if (share === undefined) return "";
-  if (share <= 0) return "All of this surface stays fine";
-  return `Hatched: becomes coarse, ${formatShare(share)}`;
+  if (share <= 0) return "Nothing of this surface is simplified";
+  return `${formatShare(share)} of the surface is simplified (hatched)`;
 }
 
 function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {
