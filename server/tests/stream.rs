@@ -14,7 +14,7 @@ use isopeel::extraction::{
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel::view::View;
 use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source, VolumeStep};
-use isopeel::wire::chunk::decode;
+use isopeel::wire::decode::decode;
 use isopeel_kernels::{Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
 use serde_json::Value;
 use serde_json::value::RawValue;

@@ -10,7 +10,7 @@ const at = setUp(undefined, { demo: true });
 
 /** Opens the card, asks, and returns the rows by their names. */
 async function summedUp(page) {
-  await page.getByRole("button", { name: "Sum up" }).click();
+  await page.getByRole("button", { name: "Compute" }).click();
   const card = page.locator(".enclosed");
   // A better surface that comes meanwhile is summed up again.
   await rested(page);
@@ -38,7 +38,7 @@ test("area and volume of a ball, which end with the next edit", { ...MORE, timeo
   const field = page.getByRole("textbox", { name: "Isovalue" });
   await field.fill("-9");
   await field.press("Enter");
-  await page.getByRole("button", { name: "Sum up" }).waitFor();
+  await page.getByRole("button", { name: "Compute" }).waitFor();
   await settled(page, (now) => now.edit.iso === -9);
   const open = await summedUp(page);
   assert.equal(open.rows["Enclosed volume"], "none, it is open");

@@ -156,7 +156,7 @@ test("distances, angles and values are measured, kept, saved and removed", { ...
   await click(0.4, 0.6);
   await items.getByText(/^2 · Angle [\d.]+°$/).waitFor();
   await card.getByRole("button", { name: "Values" }).click();
-  await card.getByRole("button", { name: "At the centre" }).click();
+  await card.getByRole("button", { name: "Use the centre" }).click();
   await items.getByText(/^3 · depth .*, height [\d.]+$/).waitFor();
   await page.locator(".scene-labels").getByText(/^1 · [\d.]+$/).waitFor();
   await saveScreenshot(page, "measured");

@@ -93,7 +93,7 @@ test("lengths have the unit that a server names beside the grid, the same everyw
   await page.getByRole("button", { name: "Numbers" }).click();
   const rows = page.locator(".card dd");
   await rows.getByText("1 × 1 × 1 mm").waitFor();
-  await page.getByRole("button", { name: "Sum up" }).click();
+  await page.getByRole("button", { name: "Compute" }).click();
   await rows.getByText(/^[\d,]+ mm²$/).waitFor();
   await page.getByRole("button", { name: "View", exact: true }).click();
   await page.locator(".toggle", { hasText: "Bounding box" }).locator(".toggle-track").click();

@@ -130,7 +130,7 @@ test("the tool is used at the centre by a key and a button", { ...MORE, timeout:
   const card = page.getByRole("region", { name: "Surface", exact: true });
   await card.getByRole("button", { name: "Parts of the surface" }).click();
   await card.getByRole("button", { name: "Keep part" }).click();
-  await card.getByRole("button", { name: "At the centre" }).click();
+  await card.getByRole("button", { name: "Use the centre" }).click();
   await settled(page, (now) => now.statistics.removedParts === 2);
   await card.getByRole("button", { name: "Show all" }).click();
   await settled(page, (now) => now.statistics.removedParts === null);

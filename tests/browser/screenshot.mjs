@@ -5,13 +5,15 @@ import { resolve } from "node:path";
 import { openPage, rested, startBrowser, startServer } from "./harness.mjs";
 
 const IMAGES = resolve(import.meta.dirname, "../../docs/images");
+/** A part that matters, and the rest with few triangles. */
+const LINK = "#v=1&volume=mni152&triangles=20000&tf=0,0,3f6f8c;1,0.1,7d2f35&roi=53.7,-26.7,33.5,23,0.95&color=importance&map=ylor&wire=1";
 const light = process.argv.includes("--light");
 
 mkdirSync(IMAGES, { recursive: true });
 const server = await startServer([], { demo: true });
 const browser = await startBrowser();
 try {
-  const { page, faults } = await openPage(browser, server.url, {
+  const { page, faults } = await openPage(browser, `${server.url}/${LINK}`, {
     viewport: { width: 1440, height: 960 },
     colorScheme: light ? "light" : "dark",
   });

@@ -55,6 +55,39 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     assert.ok(colours.size > 50, `${colours.size} colours that are no grey`);
   });
 
+  test("a region of interest has the colour of its importance, and is compared with as many triangles without", async () => {
+    const region = "0,0,0,25,47,44,0.9";
+    const { volume } = await status(page);
+    await page.goto(`${at.server.url}/#v=1&volume=${volume}&triangles=1500&alpha=0&tf=0,0,000000;1,0,000000&color=importance&map=ylor&roi=${region}`);
+    await page.reload();
+    const before = await rested(page);
+    const { data } = await picture(page);
+    let [red, pale] = [0, 0];
+    for (let i = 0; i < data.length; i += 4) {
+      if (data[i] > 2 * data[i + 1] && data[i] > 100) red += 1;
+      if (data[i] > 100 && data[i + 1] > 0.85 * data[i] && data[i + 2] < 0.9 * data[i]) pale += 1;
+    }
+    assert.ok(Math.min(red, pale) > 2000, `${red} red pixels, ${pale} pale ones`);
+
+    const without = page.getByRole("switch", { name: "Same budget without importance" });
+    await without.setChecked(true, { force: true });
+    const now = await settled(page, ({ generation }, before) => generation > before, before.generation);
+    const asked = () => messages.filter(({ type }) => type === "edit").at(-1).interest.length;
+    assert.equal(asked(), 0);
+    assert.ok(now.triangles <= before.triangles && now.triangles > 0.9 * before.triangles, `${now.triangles} and ${before.triangles} triangles`);
+    await without.setChecked(false, { force: true });
+    const after = await settled(page, ({ generation }, before) => generation > before, now.generation);
+    assert.deepEqual([asked(), after.triangles], [1, before.triangles]);
+  });
+
+  test("a reload keeps an edit of the last moment", async () => {
+    await page.getByRole("switch", { name: "Wireframe" }).setChecked(true, { force: true });
+    await page.evaluate(() => location.reload());
+    await page.waitForURL(/wire=1/);
+    await rested(page);
+    assert.ok(await page.getByRole("switch", { name: "Wireframe" }).isChecked());
+  });
+
   test("dragging β changes the triangle count, its low end is the full surface", async () => {
     await decideBy(page, "β (paper)");
     await dragSlider(page, "β", 0);

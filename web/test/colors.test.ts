@@ -39,11 +39,19 @@ describe("colour maps", () => {
     expect([...table.subarray(252)]).toEqual([0xfd, 0xe7, 0x25, 255]);
   });
 
-  test.each(["batlow", "viridis", "cividis"] as const)("%s grows lighter all the way, to all eyes", (name: ColorMapName) => {
+  test.each(["batlow", "viridis", "cividis", "magma", "inferno", "plasma", "cubehelix"] as const)("%s grows lighter all the way, to all eyes", (name: ColorMapName) => {
     for (const sight of eyes) {
       const lightness = Array.from({ length: 33 }, (_, i) => seen(hex(colorAt(COLOR_MAPS[name], i / 32)), sight)[0]);
       lightness.slice(1).forEach((l, i) => expect(l, `${sight} at ${i}`).toBeGreaterThan((lightness[i] ?? 1) - 0.003));
       expect((lightness.at(-1) ?? 0) - (lightness[0] ?? 0)).toBeGreaterThan(0.5);
+    }
+  });
+
+  test.each(["greys", "ylorrd", "ylgnbu"] as const)("%s grows darker all the way, to all eyes", (name: ColorMapName) => {
+    for (const sight of eyes) {
+      const lightness = Array.from({ length: 33 }, (_, i) => seen(hex(colorAt(COLOR_MAPS[name], i / 32)), sight)[0]);
+      lightness.slice(1).forEach((l, i) => expect(l, `${sight} at ${i}`).toBeLessThan((lightness[i] ?? 0) + 0.003));
+      expect((lightness[0] ?? 0) - (lightness.at(-1) ?? 0)).toBeGreaterThan(0.5);
     }
   });
 

@@ -59,3 +59,15 @@ test("what is shown is kept at once to compare edits with it, and asks for nothi
   expect(calls).toEqual(["keep", "0.5 before · 15 triangles | now · 15 triangles"]);
   expect(sent).toEqual([]);
 });
+
+test("without importance the server is asked for as many triangles, and for the values in force at the end", () => {
+  const { comparison, calls, sent, states } = comparisonOf();
+  comparison.start("importance");
+  const points = OPENING.transferFunction.points.map((point) => ({ ...point, importance: 0 }));
+  expect(sent).toEqual([{ ...OPENING, error: undefined, triangles: 15, transferFunction: { points }, interest: [] }]);
+  expect(calls).toEqual(["keep", "0.5 with importance · 15 triangles | without · 15 triangles"]);
+  comparison.advance(true);
+  comparison.end();
+  expect(sent[1]).toEqual(OPENING);
+  expect([calls.at(-1), states]).toEqual(["release", ["importance", undefined]]);
+});

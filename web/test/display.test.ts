@@ -55,3 +55,10 @@ test("the bar of the error names its ends", () => {
   expect(colorBarOf(look, undefined, DISTANCES, undefined)).toMatchObject({ texts: ["0", "0.15", "≥ 0.3"], title: "Off by, in world units" });
   expect(colorBarOf(look, undefined, DISTANCES, "mm")?.title).toBe("Off by, in mm");
 });
+
+test("the bar of the field that matters has its units, from end to end of its range", () => {
+  const look: Look = { ...DEFAULT_LOOK, colorBy: "field", map: "ylor" };
+  const view = { ...OPENING, feature: "depth", featureRange: [-10, 30] as const };
+  expect(colorBarOf(look, view, undefined, undefined, VOLUMES[0])).toMatchObject({ texts: ["-10", "10", "30"], title: "depth, in mm" });
+  expect(colorBarOf(look, { ...view, feature: "none" }, undefined, undefined, VOLUMES[0])).toBeUndefined();
+});

@@ -152,7 +152,7 @@ describe("a client that follows", () => {
     await vi.waitFor(() => expect(heard.at(-1)?.type).toBe("left"));
     expect([client.following, client.ready]).toEqual([false, true]);
     client.restart();
-    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2 }), 5000);
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2, codings: ["predictive"] }), 5000);
   });
 
   test("who leads does so again on a new connection, after what it shows, and nobody else has the key", async () => {
@@ -182,7 +182,7 @@ describe("a client that follows", () => {
     await vi.waitFor(() => expect(said.slice(count)).toEqual([resume]), 5000);
     // It was too late.
     say({ type: "error", code: "unknown-group", message: "there is no such group", open: true });
-    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2 }));
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 2, codings: ["predictive"] }));
     expect(client.following).toBe(false);
     client.restart();
     await vi.waitFor(() => expect(said.slice(count)).toHaveLength(3), 5000);
@@ -211,6 +211,6 @@ describe("a client that follows", () => {
     await vi.waitFor(() => expect(heard.at(-1)?.type).toBe("error"));
     expect(client.following).toBe(false);
     client.open("head", 0);
-    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 0 }));
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "open", volume: "head", step: 0, codings: ["predictive"] }));
   });
 });

@@ -149,7 +149,7 @@ describe("the stream client", () => {
     client.stream.open("ball", 0);
     client.stream.start();
     await client.done();
-    expect(server.received).toEqual([{ type: "open", volume: "ball", step: 0 }, { type: "edit" }]);
+    expect(server.received).toEqual([{ type: "open", volume: "ball", step: 0, codings: ["predictive"] }, { type: "edit" }]);
     expect(client.scene.triangles).toBe(trianglesAt(0));
     expect(client.scene.ready.size).toBe(0);
     const read = client.of("opening").map(({ bytes, totalBytes }) => bytes / totalBytes);
@@ -205,7 +205,7 @@ describe("the stream client", () => {
     server.received.length = 0;
     await server.listen(port);
     await client.done(3);
-    expect(server.received[0]).toEqual({ type: "open", volume: "ball", step: 0 });
+    expect(server.received[0]).toEqual({ type: "open", volume: "ball", step: 0, codings: ["predictive"] });
     expect(server.received[1]).toMatchObject({
       type: "edit",
       beta: 0.5,
@@ -251,7 +251,7 @@ describe("the stream client", () => {
     client.stream.open("ball-mirrored", 2);
     await vi.waitFor(() => expect(client.scene.triangles).toBe(trianglesAt(2, 2)));
     expect(server.received.filter(({ type }) => type === "open" || type === "step")).toEqual([
-      { type: "open", volume: "ball-mirrored", step: 0 },
+      { type: "open", volume: "ball-mirrored", step: 0, codings: ["predictive"] },
       { type: "step", step: 3 },
       { type: "step", step: 2 },
     ]);

@@ -24,9 +24,9 @@ import { OPENING, statistics, VOLUMES, voxels } from "./fixture";
 describe("numbers", () => {
   test("what is not taken of a text is said, with what is taken in its place", () => {
     const percent = { label: "Opacity", min: 5, max: 100, hundredPercent: 100 };
-    expect(refusedText("1e", percent, 40)).toBe("“1e” is no number: Opacity stays 40");
-    expect(refusedText("1e9", percent, 100)).toBe("Opacity is at most 100: 100 is taken");
-    expect(refusedText("-3", percent, 5)).toBe("Opacity is at least 5: 5 is taken");
+    expect(refusedText("1e", percent, 40)).toBe("“1e” is not a number: Opacity stays 40");
+    expect(refusedText("1e9", percent, 100)).toBe("Opacity: the maximum is 100");
+    expect(refusedText("-3", percent, 5)).toBe("Opacity: the minimum is 5");
     expect([refusedText("40", percent, 40), refusedText(" ", percent, 40), refusedText("40 %", percent, 40), refusedText("1e30", { label: "Isovalue" }, 1e30)]).toEqual([undefined, undefined, undefined, undefined]);
   });
 
@@ -96,7 +96,7 @@ test("the editor has the values of this surface, and says what becomes coarse", 
   const of = { type: "distribution", surface: 0, generation: 1, kind: "tree", bins: [3, 1], coarse: [2, 0], coarseShare: 0.5 } as const;
   expect(onSurface(of)).toEqual({ histogram: { min: 0, max: 1, counts: [3, 1] }, range: [0, 1], coarse: { min: 0, max: 1, counts: [2, 0] } });
   expect(onSurface(undefined)).toBeUndefined();
-  expect([0.5, 0, undefined].map(coarseText)).toEqual(["Hatched: becomes coarse, 50 %", "All of this surface stays fine", ""]);
+  expect([0.5, 0, undefined].map(coarseText)).toEqual(["50 % of the surface is simplified (hatched)", "Nothing of this surface is simplified", ""]);
 });
 
 test("regions of interest are counted", () => {

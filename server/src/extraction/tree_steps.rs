@@ -10,7 +10,7 @@ use super::{Shown, Step};
 const AT_ONCE_PART: u64 = 4;
 
 /// Bytes of a step, divided by those of the first cut.
-const FIRST_PART: u64 = 6;
+const FIRST_PART: u64 = 10;
 /// Minimum bytes of the first cut: smaller ones are mostly headers.
 const MIN_FIRST_BYTES: u64 = 80 << 10;
 

@@ -7,10 +7,10 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use tokio_util::sync::CancellationToken;
 
-use super::shared::{Kept, RegionHashes, SharedStep};
+use super::shared::{HeldRegion, HeldRegions, Kept, SharedStep};
 use crate::extraction::VertexErrors;
 use crate::pool::{self, Panicked};
-use crate::wire::chunk::PrefixId;
+use crate::wire::chunk::{Coding, PrefixId};
 use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 
 /// Triangles in a batch for each thread of the pool. Two batches take about 5 ms: so long another viewer's work waits.
@@ -37,12 +37,14 @@ pub(super) enum PrefixError {
 pub(super) struct Changes {
     /// The step that has them.
     pub step: Arc<SharedStep>,
+    /// In which to send it.
+    pub coding: Coding,
     /// What to send.
     pub changed: Vec<Part>,
     /// How many regions stay as they are.
     pub unchanged: usize,
     /// What the client holds afterwards.
-    pub held: RegionHashes,
+    pub held: HeldRegions,
 }
 
 /// What is sent of a region.
@@ -63,38 +65,39 @@ impl Part {
     }
 
     /// Whether its chunk is at hand, but for the prefix that it names.
-    fn is_encoded(self, step: &SharedStep) -> bool {
+    fn is_encoded(self, step: &SharedStep, coding: Coding) -> bool {
         match self {
-            Self::Made(region) => step.regions[region].is_encoded(),
+            Self::Made(region) => step.regions[region].is_encoded(coding),
             Self::Gone(_) => true,
         }
     }
 
-    fn encode(self, step: &SharedStep, prefix: PrefixId, kept: &Kept) -> Result<Bytes, EncodeError> {
+    fn encode(self, step: &SharedStep, id: (PrefixId, Coding), kept: &Kept) -> Result<Bytes, EncodeError> {
         match self {
-            Self::Made(region) => step.chunk(region, prefix, kept),
-            Self::Gone(coords) => encode::encode_gone(coords, prefix),
+            Self::Made(region) => step.chunk(region, id, kept),
+            Self::Gone(coords) => encode::encode_gone(coords, id.0),
         }
     }
 }
 
-/// Keeps what of a surface, or of what was made anew of it, differs from `held`.
+/// Keeps what of a surface, or of what was made anew of it, differs from `held`. It is to be sent in this coding.
 pub(super) async fn compare(
     step: Arc<SharedStep>,
-    held: Arc<RegionHashes>,
+    held: Arc<HeldRegions>,
+    coding: Coding,
     token: CancellationToken,
 ) -> Result<Changes, PrefixError> {
     if step.regions.len() + held.len() <= FEW_REGIONS {
-        return Ok(differences(step, &held));
+        return Ok(differences(step, &held, coding));
     }
     pool::run(move || match token.is_cancelled() {
         true => Err(PrefixError::Cancelled),
-        false => Ok(differences(step, &held)),
+        false => Ok(differences(step, &held, coding)),
     })
     .await?
 }
 
-fn differences(step: Arc<SharedStep>, held: &RegionHashes) -> Changes {
+fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Changes {
     let made: FxHashSet<[u32; 3]> = step.regions.iter().map(|region| region.coords).collect();
     let remade = step.made.surface.remade.as_ref();
     let mut gone: Vec<[u32; 3]> = match remade {
@@ -106,7 +109,7 @@ fn differences(step: Arc<SharedStep>, held: &RegionHashes) -> Changes {
     let mut after = if remade.is_some() {
         held.clone()
     } else {
-        RegionHashes::default()
+        HeldRegions::default()
     };
     for coords in &gone {
         after.remove(coords);
@@ -114,17 +117,22 @@ fn differences(step: Arc<SharedStep>, held: &RegionHashes) -> Changes {
     let mut changed = Vec::new();
     for (number, region) in step.regions.iter().enumerate() {
         let before = held.get(&region.coords);
-        let same = before.filter(|before| before.triangles == region.hash.triangles);
+        let same = before.filter(|before| before.hash.triangles == region.hash.triangles);
         if same.is_none() {
             changed.push(Part::Made(number));
         }
         // What is not sent again has the order in which it was sent.
-        after.insert(region.coords, *same.unwrap_or(&region.hash));
+        let sent = HeldRegion {
+            hash: region.hash,
+            coding,
+        };
+        after.insert(region.coords, *same.unwrap_or(&sent));
     }
     let unchanged = after.len() - changed.len();
     changed.extend(gone.into_iter().map(Part::Gone));
     Changes {
         step,
+        coding,
         changed,
         unchanged,
         held: after,
@@ -153,18 +161,18 @@ fn take_batch_for<P>(threads: usize, triangles_of: impl Fn(&P) -> usize, parts: 
 pub(super) async fn encode(
     step: Arc<SharedStep>,
     batch: Vec<Part>,
-    prefix: PrefixId,
+    id: (PrefixId, Coding),
     kept: Arc<Kept>,
     token: CancellationToken,
 ) -> Result<Vec<Bytes>, PrefixError> {
-    if batch.iter().all(|part| part.is_encoded(&step)) {
-        let chunks = batch.into_iter().map(|part| part.encode(&step, prefix, &kept));
+    if batch.iter().all(|part| part.is_encoded(&step, id.1)) {
+        let chunks = batch.into_iter().map(|part| part.encode(&step, id, &kept));
         return Ok(chunks.collect::<Result<_, _>>()?);
     }
     pool::run(move || {
         let encode = |part: Part| match part {
             _ if token.is_cancelled() => Err(PrefixError::Cancelled),
-            part => Ok(part.encode(&step, prefix, &kept)?),
+            part => Ok(part.encode(&step, id, &kept)?),
         };
         batch
             .into_par_iter()
@@ -178,7 +186,7 @@ pub(super) async fn encode(
 /// Encodes the errors of those regions that the client holds as they are, in parallel.
 pub(super) async fn encode_errors(
     errors: Vec<VertexErrors>,
-    held: Arc<RegionHashes>,
+    held: Arc<HeldRegions>,
     prefix: PrefixId,
     token: CancellationToken,
 ) -> Result<Vec<Bytes>, PrefixError> {
@@ -187,10 +195,9 @@ pub(super) async fn encode_errors(
             if token.is_cancelled() {
                 return Err(PrefixError::Cancelled);
             }
-            if held.get(&region.coords) != Some(&MeshHash::of(&region)) {
-                return Ok(None);
-            }
-            Ok(Some(encode::encode_errors(&region, &distances, prefix)?))
+            let held = (held.get(&region.coords)).filter(|held| held.hash == MeshHash::of(&region));
+            let Some(held) = held else { return Ok(None) };
+            Ok(Some(encode::encode_errors(&region, &distances, (prefix, held.coding))?))
         };
         let errors = errors.into_par_iter().with_max_len(MAX_TASK_REGIONS);
         errors.map(encode).filter_map(Result::transpose).collect()

@@ -73,6 +73,7 @@ use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::metrics;
 use crate::volumes::{Dataset, Lease, StepKey, VolumeStep};
+use crate::wire::chunk::Coding;
 use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use heartbeat::{BEFORE_BEAT, Heartbeat};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
@@ -167,6 +168,8 @@ pub(super) struct Session<B> {
     acknowledges: bool,
     pace: Pace,
     heartbeat: Heartbeat,
+    /// The best coding that the client can read.
+    coding: Coding,
     /// What the client has not confirmed.
     line: Line,
     questions: Questions,
@@ -200,6 +203,7 @@ impl<B: Backend> Session<B> {
             acknowledges: false,
             pace: Pace::new(step_times),
             heartbeat: Heartbeat::new(),
+            coding: Coding::default(),
             line: Line::new(),
             questions: Questions::default(),
             ahead: None,

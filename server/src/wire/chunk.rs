@@ -16,8 +16,6 @@ pub const MAX_SURFACES: u8 = 4;
 /// Lattice units per cell: rounding moves a vertex by 0.005 cells across the surface (rms), a sixth of the distance between the
 /// smoothest mesh and the isosurface.
 pub const LATTICE: u16 = 64;
-/// No flag is defined yet.
-const FLAGS: u8 = 0;
 /// Value of the bytes without a meaning yet.
 const RESERVED: u16 = 0;
 /// Bytes of a vertex before compression.
@@ -64,6 +62,36 @@ impl ChunkKind {
     }
 }
 
+/// How a chunk's mesh is coded: the flags of its header.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Coding {
+    /// By meshoptimizer's codecs.
+    #[default]
+    Meshopt = 0,
+    /// By predictions; only for clients that ask for it.
+    Predictive = 1,
+}
+
+impl Coding {
+    /// Name of [`Coding::Predictive`] in messages.
+    const PREDICTIVE: &str = "predictive";
+
+    /// The best one that a client may be sent that names these.
+    pub fn asked_for(names: &[String]) -> Self {
+        match names.iter().any(|name| name == Self::PREDICTIVE) {
+            true => Self::Predictive,
+            false => Self::Meshopt,
+        }
+    }
+
+    fn from_flags(flags: u8) -> Result<Self, ChunkError> {
+        [Self::Meshopt, Self::Predictive]
+            .into_iter()
+            .find(|&coding| coding as u8 == flags)
+            .ok_or_else(|| ChunkError(format!("flags {flags}, expected 0 (meshopt) or 1 (predictive)")))
+    }
+}
+
 /// The prefix that a chunk belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PrefixId {
@@ -82,6 +110,8 @@ pub struct PrefixId {
 pub struct ChunkHeader {
     /// Its prefix.
     pub prefix: PrefixId,
+    /// How its mesh is coded.
+    pub coding: Coding,
     /// Region, in units of 32 cells.
     pub region: [u32; 3],
     /// Minimum position of the vertices, index space; zeros where there is none.
@@ -101,7 +131,7 @@ pub struct ChunkHeader {
 }
 
 /// Where a header says which prefix its chunk belongs to.
-const PREFIX_BYTES: std::ops::Range<usize> = 8..16;
+const PREFIX_BYTES: std::ops::Range<usize> = 8..15;
 
 /// A chunk that was encoded, as one of another prefix; where it belongs to that already, nothing is copied.
 pub fn with_prefix(frame: &Bytes, prefix: PrefixId) -> Bytes {
@@ -119,6 +149,12 @@ pub fn with_prefix(frame: &Bytes, prefix: PrefixId) -> Bytes {
 #[error("mesh chunk: {0}")]
 pub struct ChunkError(String);
 
+impl ChunkError {
+    pub(super) fn new(why: String) -> Self {
+        Self(why)
+    }
+}
+
 fn check(ok: bool, what: &dyn Fn() -> String) -> Result<(), ChunkError> {
     if ok { Ok(()) } else { Err(ChunkError(what())) }
 }
@@ -134,21 +170,20 @@ impl PrefixId {
         }
     }
 
-    /// As a header has them, from [`PREFIX_BYTES`] on: the generation and the four bytes that follow it.
-    fn to_bytes(self) -> [u8; 8] {
+    /// As a header has them, from [`PREFIX_BYTES`] on: the generation and the three bytes that follow it.
+    fn to_bytes(self) -> [u8; 7] {
         let [a, b, c, d] = self.generation.to_le_bytes();
-        [a, b, c, d, self.level, self.kind as u8, self.surface, FLAGS]
+        [a, b, c, d, self.level, self.kind as u8, self.surface]
     }
 
-    /// From the generation and the four bytes that follow it.
-    fn parse(generation: u32, [level, kind, surface, flags]: [u8; 4]) -> Result<Self, ChunkError> {
+    /// From the generation and the three bytes that follow it.
+    fn parse(generation: u32, [level, kind, surface]: [u8; 3]) -> Result<Self, ChunkError> {
         check(level <= 5, &|| format!("prefix level {level}, expected 0 to 5"))?;
         let kind = ChunkKind::from_number(kind)
             .ok_or_else(|| ChunkError(format!("kind {kind}, expected 0 (cut) or 1 (error)")))?;
         check(surface < MAX_SURFACES, &|| {
             format!("surface {surface}, expected 0 to {}", MAX_SURFACES - 1)
         })?;
-        check(flags == FLAGS, &|| format!("flags {flags}, expected {FLAGS}"))?;
         Ok(Self {
             surface,
             generation,
@@ -171,6 +206,7 @@ impl ChunkHeader {
         put(&VERSION.to_le_bytes());
         put(&(HEADER_BYTES as u16).to_le_bytes());
         put(&self.prefix.to_bytes());
+        put(&[self.coding as u8]);
         put(&LATTICE.to_le_bytes());
         put(&RESERVED.to_le_bytes());
         self.region.iter().for_each(|v| put(&v.to_le_bytes()));
@@ -207,7 +243,8 @@ impl ChunkHeader {
         expect_u16(16, "lattice units per cell", LATTICE)?;
         expect_u16(18, "reserved field", RESERVED)?;
         let header = Self {
-            prefix: PrefixId::parse(u32_at(8), [frame[12], frame[13], frame[14], frame[15]])?,
+            prefix: PrefixId::parse(u32_at(8), [frame[12], frame[13], frame[14]])?,
+            coding: Coding::from_flags(frame[15])?,
             region: [20, 24, 28].map(u32_at),
             min: [32, 36, 40].map(f32_at),
             max: [44, 48, 52].map(f32_at),
@@ -250,6 +287,9 @@ impl ChunkHeader {
             format!("header and payloads are {length} bytes, the frame has {}", frame_bytes)
         })?;
         if self.prefix.kind == ChunkKind::Error {
+            check(self.coding == Coding::Meshopt, &|| {
+                "flags 1 (predictive) of kind 1 (error), expected 0".into()
+            })?;
             return check(
                 index_bytes == 0 && u64::from(vertex_bytes) == 4 * u64::from(vertex_count),
                 &|| {
@@ -260,9 +300,11 @@ impl ChunkHeader {
             );
         }
         let empty = vertex_count == 0;
-        check(empty == (vertex_bytes == 0) && empty == (index_bytes == 0), &|| {
-            format!("{vertex_count} vertices in payloads of {vertex_bytes} and {index_bytes} bytes")
-        })?;
+        let has_indices = !empty && self.coding == Coding::Meshopt;
+        check(
+            empty == (vertex_bytes == 0) && has_indices == (index_bytes > 0),
+            &|| format!("{vertex_count} vertices in payloads of {vertex_bytes} and {index_bytes} bytes"),
+        )?;
         Ok(())
     }
 }
@@ -291,14 +333,17 @@ pub fn decode_errors(frame: &[u8]) -> Result<(ChunkHeader, Vec<f32>), ChunkError
     Ok((header, distances))
 }
 
-/// Decodes a chunk as a client does. Safe on any bytes.
+/// Decodes a chunk of a mesh in the coding [`Coding::Meshopt`]. Safe on any bytes.
 ///
 /// # Errors
 /// What is wrong with the frame.
-pub fn decode(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
+pub(super) fn decode_meshopt(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
     let header = ChunkHeader::parse(frame)?;
     check(header.prefix.kind == ChunkKind::Cut, &|| {
         "kind 1 (error), expected 0 (cut)".into()
+    })?;
+    check(header.coding == Coding::Meshopt, &|| {
+        "flags 1 (predictive), expected 0 (meshopt)".into()
     })?;
     if header.vertex_count == 0 {
         return Ok(DecodedChunk {

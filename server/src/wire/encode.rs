@@ -7,9 +7,10 @@ use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::chunk::{ChunkHeader, HEADER_BYTES, LATTICE, MAX_INDICES, PrefixId, VERTEX_BYTES, WireVertex};
+use super::chunk::{ChunkHeader, Coding, HEADER_BYTES, LATTICE, MAX_INDICES, PrefixId, VERTEX_BYTES, WireVertex};
 use super::index_codec::IndexWriter;
 use super::order::Traversal;
+use super::predictive;
 use super::vertex_codec::VertexWriter;
 use crate::error::BoxError;
 
@@ -90,6 +91,7 @@ pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
         let (min, max) = bounds(region.coords, &scratch.vertices);
         let header = ChunkHeader {
             prefix,
+            coding: Coding::Meshopt,
             region: region.coords,
             min,
             max,
@@ -120,11 +122,15 @@ pub fn encode_gone(coords: [u32; 3], prefix: PrefixId) -> Result<Bytes, EncodeEr
     encode(&region, prefix)
 }
 
-/// The chunk of the errors of a region's vertices, in the order in which [`encode`] sends these.
+/// The chunk of the errors of a region's vertices, in the order that these have in its chunk of this coding.
 ///
 /// # Errors
 /// As [`encode`], or where there are more or fewer errors than vertices.
-pub fn encode_errors(region: &Region, errors: &[f32], prefix: PrefixId) -> Result<Bytes, EncodeError> {
+pub fn encode_errors(
+    region: &Region,
+    errors: &[f32],
+    (prefix, coding): (PrefixId, Coding),
+) -> Result<Bytes, EncodeError> {
     check(region)?;
     if errors.len() != region.vertices.len() {
         return Err(EncodeError {
@@ -132,12 +138,17 @@ pub fn encode_errors(region: &Region, errors: &[f32], prefix: PrefixId) -> Resul
             why: format!("{} errors of {} vertices", errors.len(), region.vertices.len()),
         });
     }
+    let reordered = match coding {
+        Coding::Meshopt => None,
+        Coding::Predictive => Some(predictive_order(region)?),
+    };
     SCRATCH.with_borrow_mut(|scratch| {
         scratch.write(region);
         let (min, max) = bounds(region.coords, &scratch.vertices);
         let vertex_count = scratch.vertices.len() as u32;
         let header = ChunkHeader {
             prefix,
+            coding: Coding::Meshopt,
             region: region.coords,
             min,
             max,
@@ -149,9 +160,22 @@ pub fn encode_errors(region: &Region, errors: &[f32], prefix: PrefixId) -> Resul
         };
         let mut frame = Vec::with_capacity(HEADER_BYTES + header.vertex_bytes as usize);
         frame.extend_from_slice(&header.to_bytes());
-        let order = scratch.indices.order().iter();
-        order.for_each(|&old| frame.extend_from_slice(&errors[old as usize].to_le_bytes()));
+        let order = scratch.indices.order();
+        let mut push = |old: u32| frame.extend_from_slice(&errors[old as usize].to_le_bytes());
+        match reordered {
+            None => order.iter().for_each(|&old| push(old)),
+            Some(reordered) => reordered.iter().for_each(|&sent| push(order[sent as usize])),
+        }
         Ok(frame.into())
+    })
+}
+
+/// For each vertex of the predictive chunk, its number in the one of [`encode`].
+fn predictive_order(region: &Region) -> Result<Vec<u32>, EncodeError> {
+    let chunk = encode(region, PrefixId::cut(0, 0, 0))?;
+    predictive::order(&chunk).map_err(|error| EncodeError {
+        coords: region.coords,
+        why: error.to_string(),
     })
 }
 

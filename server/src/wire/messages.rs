@@ -41,6 +41,9 @@ pub enum ClientMessage {
         /// Time step.
         #[serde(default)]
         step: u32,
+        /// Names of codings that the client can read beside that of every client; those that are unknown here count for nothing.
+        #[serde(default)]
+        codings: Vec<String>,
     },
     /// Go to another time step of the open volume.
     Step {

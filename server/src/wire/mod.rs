@@ -2,12 +2,16 @@
 //! `PROTOCOL.md`.
 //!
 //! - [`messages`], [`chunk`]: text and binary frames; [`group`]: what messages of groups have.
-//! - [`encode`]: from the device's regions to chunk bytes, in an `order` that `index_codec` writes.
+//! - [`encode`]: from the device's regions to chunk bytes, in an `order` that `index_codec` writes; [`predictive`]: chunks for slow lines.
+//! - [`decode`]: chunks as a client reads them.
 
 pub mod chunk;
+pub mod decode;
 pub mod encode;
 pub mod group;
 mod index_codec;
 pub mod messages;
 mod order;
+pub mod predictive;
+mod range_coder;
 mod vertex_codec;

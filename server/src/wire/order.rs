@@ -31,12 +31,12 @@ type HalfEdge = u32;
 const NONE: HalfEdge = 0;
 
 /// The corner after one. Two bits each in a constant are faster than an array's element.
-fn next(corner: u32) -> u32 {
+pub(super) fn after(corner: u32) -> u32 {
     0b00_10_01 >> (2 * corner) & 3
 }
 
 /// The corner before one.
-fn previous(corner: u32) -> u32 {
+pub(super) fn before(corner: u32) -> u32 {
     0b01_00_10 >> (2 * corner) & 3
 }
 
@@ -72,6 +72,14 @@ impl Traversal {
                 self.cover(triangles, writer);
             }
         }
+    }
+
+    /// The opposite half-edge of each half-edge of a triangle, by its number, counted from 1, and corner, whatever the levels; 0: none. Of each half-edge:
+    /// four times the number, plus the corner that it starts at.
+    pub fn twins(&mut self, indices: &[u32], vertices: usize) -> &[[HalfEdge; 4]] {
+        let triangles = indices.as_chunks::<3>().0;
+        self.connect(triangles, &[triangles.len() as u32, 0, 0, 0, 0, 0], vertices);
+        &self.twins
     }
 
     /// Enters a triangle that no gate leads to, or whose gate the codec has forgotten.
@@ -114,10 +122,10 @@ impl Traversal {
     /// Writes the triangle behind a gate that the codec took `age` edges ago, and on from there while a way out is free.
     fn follow(&mut self, mut gate: HalfEdge, mut age: u32, triangles: &[[u32; 3]], writer: &mut IndexWriter) {
         let corners = triangles[gate as usize / 4 - 1];
-        let [mut a, mut b] = [gate % 4, next(gate % 4)].map(|corner| corners[corner as usize]);
+        let [mut a, mut b] = [gate % 4, after(gate % 4)].map(|corner| corners[corner as usize]);
         while gate != NONE {
             let (triangle, corner) = (gate as usize / 4, gate % 4);
-            let [second, third] = [next(corner), previous(corner)].map(|corner| corner as usize % 4);
+            let [second, third] = [after(corner), before(corner)].map(|corner| corner as usize % 4);
             let c = triangles[triangle - 1][third];
             self.uncovered[triangle] = false;
             writer.attach([a, b, c], age);

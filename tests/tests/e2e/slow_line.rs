@@ -8,6 +8,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::Instant;
 
+use crate::support::chunk::Vertex;
 use crate::support::frame::Prefix;
 use crate::support::viewer::{Frame, Viewer};
 use crate::support::{demo, mesh, server};
@@ -48,23 +49,29 @@ fn prefixes(viewer: &Viewer) -> Vec<Prefix> {
     viewer.log.iter().filter_map(of_surface).collect()
 }
 
+fn last(mut done: Vec<serde_json::Value>) -> serde_json::Value {
+    done.pop().expect("statistics of a surface")
+}
+
 #[tokio::test]
 async fn a_slow_line_shows_a_coarser_cut_soon_and_the_same_surface_in_the_end() {
     let Some(address) = server::shared() else { return };
     let mut slow = Viewer::connect_on(slow_line(address).await, address).await;
-    slow.send(json!({"type": "open", "volume": demo::ID})).await;
+    let codings = json!(["one of tomorrow", "predictive"]);
+    slow.send(json!({"type": "open", "volume": demo::ID, "codings": codings}))
+        .await;
     slow.until_opened().await;
     let opening = json!({"iso": demo::ISO, "alpha": 0.5, "triangles": 100_000});
     let done = slow.edit_and_rest(opening.clone()).await;
     assert_eq!(done[done.len() - 1]["isTreeCut"], true);
 
-    let expected = slow.edit(json!({"alpha": 0.8})).await;
+    let expected = last(slow.edit_and_rest(json!({"alpha": 0.8})).await);
     let of_slow = prefixes(&slow);
-    let [first, .., last] = &of_slow[..] else {
+    let [first, .., end] = &of_slow[..] else {
         panic!("one step on a slow line: {of_slow:?}");
     };
-    assert!(!first.is_final && last.is_final, "{of_slow:?}");
-    assert!(4 * first.triangles < last.triangles, "{of_slow:?}");
+    assert!(!first.is_final && end.is_final, "{of_slow:?}");
+    assert!(4 * first.triangles < end.triangles, "{of_slow:?}");
     assert_eq!(
         mesh::open_edges(slow.shown.values(), demo::DIMS).len(),
         0,
@@ -73,7 +80,7 @@ async fn a_slow_line_shows_a_coarser_cut_soon_and_the_same_surface_in_the_end() 
 
     let mut fast = Viewer::open(address, demo::ID).await;
     fast.edit_and_rest(opening).await;
-    let found = fast.edit(json!({"alpha": 0.8})).await;
+    let found = last(fast.edit_and_rest(json!({"alpha": 0.8})).await);
     for name in ["triangles", "vertices", "tolerance", "mesherTriangles", "leaves"] {
         assert_eq!(found[name], expected[name], "{name}");
     }
@@ -85,4 +92,37 @@ async fn a_slow_line_shows_a_coarser_cut_soon_and_the_same_surface_in_the_end() 
             "another mesh of {region:?}"
         );
     }
+    check_codings(&mut slow, &mut fast).await;
+}
+
+/// The slow line has the coding that takes less, and errors in the order of its vertices.
+async fn check_codings(slow: &mut Viewer, fast: &mut Viewer) {
+    let bytes = |viewer: &Viewer| viewer.shown.values().map(|chunk| chunk.frame_bytes).sum::<usize>();
+    let coded = slow.shown.values().filter(|chunk| chunk.is_predictive).count();
+    assert!(2 * coded > slow.shown.len(), "{coded} of {} chunks", slow.shown.len());
+    assert!(
+        3 * bytes(slow) < 2 * bytes(fast),
+        "{} bytes, {} on a fast line",
+        bytes(slow),
+        bytes(fast)
+    );
+    let (of_slow, of_fast) = (errors(slow).await, errors(fast).await);
+    assert_eq!(of_slow, of_fast);
+}
+
+/// All vertices that are shown, with their distances to the isosurface.
+async fn errors(viewer: &mut Viewer) -> Vec<([u32; 3], Vertex, u32)> {
+    let question = json!({"type": "annotate", "annotation": "error"});
+    let (_, annotated) = viewer.ask(question).await;
+    let mut errors = Vec::new();
+    for _ in 0..annotated["regions"].as_u64().expect("a count") {
+        let Frame::Errors { region, distances, .. } = viewer.next().await else {
+            panic!("expected errors, got {:?}", viewer.log.last())
+        };
+        let vertices = viewer.shown[&region].vertices.iter().zip(distances);
+        errors.extend(vertices.map(|(vertex, distance)| (region, *vertex, distance.to_bits())));
+    }
+    errors.sort_unstable();
+    assert!(!errors.is_empty());
+    errors
 }

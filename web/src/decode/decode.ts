@@ -1,6 +1,7 @@
 /** Decodes one mesh chunk into arrays ready for WebGL. Pure; runs in the worker and in tests. */
 
 import { HEADER_BYTES, VERTEX_BYTES, ChunkError, type ChunkHeader } from "../protocol/chunk";
+import { decodePredictive } from "./predictive";
 
 /** The functions of meshoptimizer's decoder that are used. */
 export interface MeshDecoder {
@@ -24,6 +25,10 @@ export interface DecodedChunk {
  */
 export function decodeChunk(decoder: MeshDecoder, header: ChunkHeader, frame: ArrayBuffer): DecodedChunk {
   const { vertexCount, indexCount, vertexBytes, indexBytes } = header;
+  if (header.coding === "predictive" && vertexCount > 0) {
+    const decoded = decodePredictive(header, new Uint8Array(frame, HEADER_BYTES, vertexBytes));
+    return { vertices: decoded.vertices, indices: narrow(decoded.indices, vertexCount) };
+  }
   const vertices = new Int16Array((vertexCount * VERTEX_BYTES) / 2);
   const indices = new Uint32Array(indexCount);
   try {
@@ -51,5 +56,9 @@ export function decodeChunk(decoder: MeshDecoder, header: ChunkHeader, frame: Ar
       `mesh chunk of region (${header.region.join(", ")}): index ${largest}, expected below ${vertexCount} vertices`,
     );
   }
-  return { vertices, indices: vertexCount <= 0x10000 ? Uint16Array.from(indices) : indices };
+  return { vertices, indices: narrow(indices, vertexCount) };
 }
+
+/** In 16 bits where the vertices allow. */
+const narrow = (indices: Uint32Array<ArrayBuffer>, vertexCount: number): DecodedChunk["indices"] =>
+  vertexCount <= 0x10000 ? Uint16Array.from(indices) : indices;

@@ -1,9 +1,10 @@
 /**
- * Client of the stream: opens a volume at a step and edits the views of its surfaces. Repeats both on a new connection, merges edits,
- * and sends at most 20 a second of each surface, always including the last one.
+ * Client of the stream: opens a volume at a step and edits the views of its surfaces. Repeats both on a new connection, merges edits, and sends at
+ * most 20 a second of each surface, always including the last one.
  */
 
 import { hasBudget, withBudget } from "../protocol/budget";
+import { ASKED_CODINGS } from "../protocol/chunk";
 import { parseServerMessage } from "../protocol/messages";
 import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, StreamMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
@@ -238,8 +239,7 @@ export class StreamClient {
     }
     // Another shows what is to be opened.
     if (this.isLed && this.leadAgain()) return;
-    if (this.target === undefined) return;
-    this.send({ type: "open", ...this.target });
+    if (this.target !== undefined) this.send({ type: "open", ...this.target, codings: [...ASKED_CODINGS] });
   }
 
   /** Whether a group is led from here; then it is, on this connection too. */

@@ -20,8 +20,14 @@ export const MAX_VERTICES = 3 * MAX_TRIANGLES;
 /** What a chunk holds: a region of a prefix, or the distance of each of its vertices to the isosurface. By their numbers. */
 const KINDS = ["cut", "error"] as const;
 
+/** How a mesh is coded, by the flags of its chunk. The second one is for those who ask for it. */
+const CODINGS = ["meshopt", "predictive"] as const;
+/** What a client may ask for when it opens a volume. */
+export const ASKED_CODINGS: readonly string[] = CODINGS.slice(1);
+
 export interface ChunkHeader {
   readonly kind: (typeof KINDS)[number];
+  readonly coding: (typeof CODINGS)[number];
   readonly generation: number;
   /** Level of the prefix. */
   readonly level: number;
@@ -65,7 +71,8 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
   const surface = view.getUint8(14);
   check(surface < MAX_SURFACES, `surface ${surface}, expected 0 to ${MAX_SURFACES - 1}`);
   const flags = view.getUint8(15);
-  check(flags === 0, `flags ${flags}, expected 0`);
+  const coding = CODINGS[flags];
+  check(coding !== undefined && (kind === "cut" || flags === 0), `flags ${flags} of kind ${kind}, expected 0 (meshopt) or, of cut, 1 (predictive)`);
   const lattice = view.getUint16(16, true);
   check(
     lattice > 0 && lattice * REGION_CELLS <= 0x7fff,
@@ -75,13 +82,14 @@ export function readChunkHeader(frame: ArrayBuffer): ChunkHeader {
   check(reserved === 0, `reserved field ${reserved}, expected 0`);
   return {
     kind,
+    coding,
     generation: view.getUint32(8, true),
     level,
     surface,
     lattice,
     region: vec(20, (at) => view.getUint32(at, true)),
     bounds: readBounds(view),
-    ...readCounts(view, kind),
+    ...readCounts(view, kind, coding),
   };
 }
 
@@ -114,7 +122,7 @@ function readBounds(view: DataView): ChunkHeader["bounds"] {
 
 type Counts = Pick<ChunkHeader, "vertexCount" | "indexCount" | "vertexBytes" | "indexBytes" | "levelTriangles">;
 
-function readCounts(view: DataView, kind: ChunkHeader["kind"]): Counts {
+function readCounts(view: DataView, kind: ChunkHeader["kind"], coding: ChunkHeader["coding"]): Counts {
   const u32 = (offset: number) => view.getUint32(offset, true);
   const vertexCount = u32(56);
   const indexCount = u32(60);
@@ -128,7 +136,8 @@ function readCounts(view: DataView, kind: ChunkHeader["kind"]): Counts {
     HEADER_BYTES + vertexBytes + indexBytes === view.byteLength,
     `header ${HEADER_BYTES} + vertices ${vertexBytes} + indices ${indexBytes} bytes, the frame has ${view.byteLength}`,
   );
-  const isWhole = vertexCount > 0 ? vertexBytes > 0 && indexBytes > 0 : vertexBytes === 0 && indexBytes === 0;
+  const hasIndices = vertexCount > 0 && coding === "meshopt";
+  const isWhole = vertexBytes > 0 === vertexCount > 0 && indexBytes > 0 === hasIndices;
   const hasNumbers = vertexBytes === 4 * vertexCount && indexBytes === 0;
   check(kind === "cut" ? isWhole : hasNumbers, `${vertexCount} vertices in payloads of ${vertexBytes} and ${indexBytes} bytes`);
   const levelTriangles = Array.from({ length: LEVELS }, (_, level) => u32(72 + 4 * level));

@@ -93,6 +93,8 @@ export type ClientMessage = { "type": "open",
   volume: string,
   /** Time step. */
   step: number,
+  /** Names of codings that the client can read beside that of every client; those that are unknown here count for nothing. */
+  codings: Array<string>,
 } | { "type": "step",
   /** Which one. */
   step: number,

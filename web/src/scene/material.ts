@@ -18,6 +18,7 @@ import {
   type Material,
   type Texture,
 } from "three";
+import { regionTexture, type ColoredRegion } from "./coloredRegions";
 import { linearFromSrgb, lookUp } from "./colorTable";
 import { DEFAULT_LOOK, DEFAULT_STYLE, SHADINGS, type Look, type SurfaceStyle } from "./look";
 import { MASK_FRAGMENT, NO_VALUE, NORMAL_FRAGMENT, PICK_FRAGMENT, surfaceFragment, VERTEX, WIRE_FRAGMENT, type ProgramVariant } from "./shaders";
@@ -79,6 +80,8 @@ export class SurfaceMaterials {
   private readonly opacity: IUniform<number> = { value: 1 };
   private readonly tint: IUniform<Color> = { value: new Color() };
   private readonly colors: IUniform<DataTexture>;
+  private readonly regions: IUniform<DataTexture> = { value: regionTexture([]) };
+  private hasRegions = false;
 
   constructor(
     /** Its number. */
@@ -109,11 +112,12 @@ export class SurfaceMaterials {
     const { material, flat } = this.look;
     const { colorMode } = this;
     const colored = pass === "opaque" || pass === "peel";
+    const regions = this.hasRegions && colorMode === "transfer";
     const source = colorMode === "material" || colorMode === "level" ? "tint" : colorMode === "value" ? "value" : "table";
-    const kind = colored ? [material, source, flat, colorMode === "level"] : [];
+    const kind = colored ? [material, source, flat, colorMode === "level", regions] : [];
     return this.cached([pass, this.planes, ...kind].join(), () => {
       if (!colored) return this.mask(pass);
-      const variant = { shading: SHADINGS[material], source, flat, peel: pass === "peel" } as const;
+      const variant = { shading: SHADINGS[material], source, flat, peel: pass === "peel", regions } as const;
       if (colorMode !== "level") return this.colored(variant, this.tint);
       return this.levels.map((color) => this.colored(variant, { value: new Color(color) }));
     });
@@ -153,6 +157,13 @@ export class SurfaceMaterials {
     this.recolor();
   }
 
+  /** What has colours of its own where the transfer table gives the others. */
+  set coloredRegions(regions: readonly ColoredRegion[]) {
+    this.hasRegions = regions.length > 0;
+    this.regions.value.dispose();
+    this.regions.value = regionTexture(regions);
+  }
+
   /** RGBA over the value of a vertex, 0 to 1. */
   set values(bytes: Uint8Array<ArrayBuffer>) {
     this.valueTable = bytes;
@@ -170,10 +181,11 @@ export class SurfaceMaterials {
 
   private colored(variant: ProgramVariant, tint: IUniform<Color>): ShaderMaterial {
     const { nearer, opaque } = this.shared;
-    const uniforms = { colors: this.colors, tint, nearer, opaque, opacity: this.opacity };
+    const uniforms = { colors: this.colors, regions: this.regions, tint, nearer, opaque, opacity: this.opacity };
     // The offset avoids depth fighting with the edges. A layer's depth is compared with that of the layer before, without any.
     const flags = variant.peel ? {} : { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
     const material = this.make(surfaceFragment(variant), uniforms, { side: DoubleSide, ...flags });
+    if (variant.regions) material.defines["REGIONS"] = "";
     if (variant.source === "value") {
       material.defines["VALUE"] = "";
       Object.assign(material.defaultAttributeValues, { value: [NO_VALUE] });

@@ -193,8 +193,8 @@ export class SurfaceRenderer {
   }
 
   /** RGBA bytes over the blended feature. */
-  setTransfer(table: Uint8Array<ArrayBuffer>, surface = 0): void {
-    this.surfaces.of(surface).transfer = table;
+  setTransfer(table: Uint8Array<ArrayBuffer>, surface = 0, regions: Parameters<Surfaces["setTransfer"]>[2] = []): void {
+    this.surfaces.setTransfer(table, surface, regions);
     this.invalidate();
   }
 

@@ -10,6 +10,8 @@ export interface ProgramVariant {
   readonly flat: boolean;
   /** Draws the nearest fragments behind those of the layer before, translucent. */
   readonly peel: boolean;
+  /** Regions have colours of their own. */
+  readonly regions: boolean;
 }
 
 /** What a mesh has whose vertices have no values. */
@@ -26,6 +28,9 @@ in float value;
 out vec3 viewNormal;
 out vec3 viewPosition;
 out float shown;       // what is looked up in the table
+#ifdef REGIONS
+out vec3 worldPosition;
+#endif
 
 vec2 unsignedWords(vec2 words) {
   return words + 65536.0 * vec2(lessThan(words, vec2(0.0)));
@@ -41,6 +46,9 @@ vec3 unpackNormal(float word) {
 
 void main() {
   vec4 p = modelViewMatrix * vec4(position, 1.0);
+#ifdef REGIONS
+  worldPosition = (modelMatrix * vec4(position, 1.0)).xyz;
+#endif
   viewPosition = p.xyz;
   viewNormal = mat3(viewMatrix) * (worldFromGrid * unpackNormal(unsignedWords(vec2(packedNormal)).x));
 #ifdef VALUE
@@ -75,7 +83,7 @@ vec3 toSrgb(vec3 light) {
 `;
 
 /** Fragments of a surface. The table holds linear light and is fetched without a filter: a filtered fetch from sRGB costs as much as the whole lighting. */
-export function surfaceFragment({ shading, source, flat, peel }: ProgramVariant): string {
+export function surfaceFragment({ shading, source, flat, peel, regions }: ProgramVariant): string {
   return /* glsl */ `
 uniform highp sampler2D colors; // linear light over what is looked up
 uniform vec3 tint;
@@ -83,6 +91,7 @@ ${peel ? "uniform highp sampler2D nearer;\nuniform highp sampler2D opaque;\nunif
 in vec3 viewNormal;
 in vec3 viewPosition;
 in float shown;
+${regions ? "uniform highp sampler2D regions;\nin vec3 worldPosition;" : ""}
 out vec4 color;
 ${CLIPPED}
 ${OUTPUT}
@@ -91,6 +100,7 @@ void main() {
   clipAway(viewPosition);
   ${peel ? PEELED : ""}
   ${source === "tint" ? "vec3 base = tint;" : LOOK_UP}
+  ${regions ? IN_REGIONS : ""}
   ${source === "value" ? "if (shown < -0.5) base = vec3(0.3);" : ""}
   vec3 v = isOrthographic ? vec3(0.0, 0.0, 1.0) : normalize(-viewPosition);
   ${flat ? FLAT : SMOOTH}
@@ -110,6 +120,20 @@ const PEELED = /* glsl */ `
 const LOOK_UP = /* glsl */ `
   int entry = int(clamp(shown, 0.0, 1.0) * float(textureSize(colors, 0).x - 1) + 0.5);
   vec3 base = texelFetch(colors, ivec2(entry, 0), 0).rgb;`;
+
+/** The most important region, if it is more important than what the table has here (`regionTexture`). */
+const IN_REGIONS = /* glsl */ `
+  float importance = texelFetch(colors, ivec2(entry, 0), 0).a;
+  for (int i = 0; i < textureSize(regions, 0).x; i += 1) {
+    vec4 low = texelFetch(regions, ivec2(i, 0), 0);
+    vec4 high = texelFetch(regions, ivec2(i, 1), 0);
+    bool within = low.w > 0.0
+      ? distance(worldPosition, low.xyz) <= low.w
+      : all(greaterThanEqual(worldPosition, low.xyz)) && all(lessThanEqual(worldPosition, high.xyz));
+    if (!within || high.w <= importance) continue;
+    importance = high.w;
+    base = texelFetch(regions, ivec2(i, 2), 0).rgb;
+  }`;
 
 /** At the silhouette an interpolated normal points away a little without showing the inside; flipped, it would give dark dots. */
 const SMOOTH = /* glsl */ `

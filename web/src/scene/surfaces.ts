@@ -1,6 +1,7 @@
 /** The region meshes on screen, by surface; and those of an earlier picture that is compared with. */
 
 import { Box3, Group, type Vector3 } from "three";
+import type { ColoredRegion } from "./coloredRegions";
 import { MAX_SURFACES, DEFAULT_LOOK, type Look, type SurfaceStyle } from "./look";
 import { SharedUniforms, SurfaceMaterials, type ColorTables, type Pass } from "./material";
 import { srgb } from "./plain";
@@ -126,6 +127,15 @@ export class Surfaces {
   /** Of the triangles' edges. */
   set edgeColor(style: string) {
     this.shared.wireColor.value.copy(srgb(style));
+  }
+
+  /** RGBA over the blended feature: colour and importance; and regions that have colours of their own. */
+  setTransfer(table: Uint8Array<ArrayBuffer>, surface: number, regions: readonly ColoredRegion[]): void {
+    const materials = this.of(surface);
+    materials.transfer = table;
+    materials.coloredRegions = regions;
+    // Other programs, where there were none.
+    this.applyDisplayToAll();
   }
 
   /** Colours of the vertices' values. */

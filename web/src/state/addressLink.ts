@@ -23,6 +23,11 @@ export class AddressLink {
     window.addEventListener("hashchange", () => {
       if (window.location.hash.slice(1) !== this.written) this.read();
     });
+    restoreUnwritten();
+    window.addEventListener("pagehide", () => {
+      const state = this.timer === undefined ? undefined : this.handlers.link();
+      if (state !== undefined) keepUnwritten(encodeLink(state));
+    });
   }
 
   /** Follows the address. `false`: it asks for nothing. */
@@ -57,5 +62,26 @@ export class AddressLink {
   writeSoon(): void {
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.write(), WRITE_DELAY_MS);
+  }
+}
+
+/** State that was not written yet when the page was left: a reload begins with the address of before. Storage may be forbidden. */
+const UNWRITTEN = "isopeel.unwritten";
+
+function keepUnwritten(link: string): void {
+  try {
+    sessionStorage.setItem(UNWRITTEN, JSON.stringify([window.location.href, link]));
+  } catch {
+    // The address of before stays.
+  }
+}
+
+function restoreUnwritten(): void {
+  try {
+    const [from, link] = JSON.parse(sessionStorage.getItem(UNWRITTEN) ?? "[]") as readonly unknown[];
+    sessionStorage.removeItem(UNWRITTEN);
+    if (from === window.location.href && typeof link === "string") window.history.replaceState(null, "", `#${link}`);
+  } catch {
+    // As if nothing had been kept.
   }
 }

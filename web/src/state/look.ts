@@ -5,12 +5,14 @@ import type { Vec3, VolumeInfo } from "../protocol/types";
 import type { Measure } from "./measure";
 
 /**
- * One colour, or what colours stand for: those of the control points, the blended value, the importance, the level, the distance to the
- * isosurface.
+ * One colour, or what colours stand for: those of the control points, the blended value, the field that matters in its units, the importance, the
+ * level, the distance to the isosurface.
  */
-export const COLOR_BY = ["material", "transfer", "feature", "importance", "level", "error"] as const;
+export const COLOR_BY = ["material", "transfer", "feature", "field", "importance", "level", "error"] as const;
 export type ColorBy = (typeof COLOR_BY)[number];
-export const MAPS = ["batlow", "viridis", "cividis", "vik"] as const;
+export const MAPS = [
+  "batlow", "viridis", "cividis", "magma", "inferno", "plasma", "cubehelix", "greys", "ylor", "ylorrd", "ylgnbu", "vik", "rdbu", "puor",
+] as const;
 export const MATERIALS = ["ivory", "clay", "tissue", "metal"] as const;
 export const BACKGROUNDS = ["page", "black", "white"] as const;
 

@@ -10,5 +10,5 @@ export const DOCUMENTS: readonly Document[] = [
   { name: "glossary", about: "the words" },
   { name: "command-line", about: "the same without a browser" },
   { name: "embedding", about: "the viewer in another page" },
-  { name: "fidelity", about: "how near its surfaces are" },
+  { name: "fidelity", about: "the accuracy of its surfaces" },
 ];

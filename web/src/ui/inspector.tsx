@@ -50,14 +50,20 @@ function FoldingCard(props: { readonly card: Card }) {
   const { actions, page } = useModel();
   const { id, title, folded } = props.card;
   const isFolded = () => page().folded[id] ?? folded ?? false;
+  let section: HTMLElement | undefined;
+  const onOpenChange = (open: boolean) => {
+    actions.changePage({ folded: { ...page().folded, [id]: !open } });
+    if (open && section !== undefined) showGrowing(section);
+  };
   return (
     <Collapsible
+      ref={(element: HTMLElement) => (section = element)}
       as="section"
       class="card"
       data-tour={id}
       aria-label={title}
       open={!isFolded()}
-      onOpenChange={(open) => actions.changePage({ folded: { ...page().folded, [id]: !open } })}
+      onOpenChange={onOpenChange}
     >
       <h2>
         <Collapsible.Trigger class="card-head">
@@ -73,6 +79,21 @@ function FoldingCard(props: { readonly card: Card }) {
       </Collapsible.Content>
     </Collapsible>
   );
+}
+
+/** How long a card grows that is unfolded: its body may have to be loaded. */
+const GROWING_MS = 1000;
+
+/** Keeps what was unfolded in sight while it grows, or its head where all of it is higher than the page. */
+function showGrowing(section: HTMLElement): void {
+  const show = () => {
+    const column = section.parentElement?.parentElement;
+    const isHigh = column !== null && column !== undefined && section.offsetHeight > column.clientHeight;
+    section.scrollIntoView({ block: isHigh ? "start" : "nearest" });
+  };
+  const observer = new ResizeObserver(show);
+  observer.observe(section);
+  setTimeout(() => observer.disconnect(), GROWING_MS);
 }
 
 function CardBody(props: { readonly card: Card }) {

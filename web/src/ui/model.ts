@@ -57,7 +57,7 @@ export interface Actions {
 }
 
 /** What is compared: edits with what was before, or the decimated surface with the full one. */
-export type Compared = "edit" | "full";
+export type Compared = "edit" | "full" | "importance";
 
 /** What an image shows besides the surface. */
 export interface ImageRequest {

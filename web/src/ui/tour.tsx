@@ -1,17 +1,29 @@
 /** Three steps for those who see the page for the first time. Nothing is covered or locked: the page works all the while. */
 
-import { createEffect, createSignal, onCleanup, onMount } from "solid-js";
+import { createEffect, createSignal, onCleanup, onMount, Show, untrack } from "solid-js";
 import { formatCount, formatShare } from "./format";
 import { useModel, type Model } from "./model";
 import { endTour } from "./tourState";
 import { Button } from "./widgets/button";
+import { Toggle } from "./widgets/choice";
 
 interface Step {
   /** `data-tour` of what it is about. */
   readonly at: string;
   readonly title: string;
   readonly text: (model: Model) => string;
+  /** Triangles are seen one by one. */
+  readonly wireframe?: boolean;
+  /** The user tries what it is about. */
+  readonly tries?: boolean;
 }
+
+/** Triangles of the surface of which a part is marked: so few that edges are seen. */
+const TRIED_TRIANGLES = 20_000;
+/** Radius of the part, as a share of the volume's longest side. */
+const TRIED_RADIUS = 0.1;
+/** Of the rest: what its importance becomes. */
+const REST = 0.1;
 
 const STEPS: readonly Step[] = [
   {
@@ -24,9 +36,30 @@ const STEPS: readonly Step[] = [
       return `isopeel makes the surface inside a volume with only the triangles that show something: here ${share}${full}. Drag to turn it, scroll to zoom.`;
     },
   },
-  { at: "detail", title: "How fine", text: () => "Drag this slider: from a thousandth of the triangles to all of them. The line above says how far the surface is off." },
-  { at: "matters", title: "What stays fine", text: () => "Say what matters: the shape, edges in the data, or another field. High points keep their triangles, low ones give them up." },
+  {
+    at: "detail",
+    title: "How fine",
+    wireframe: true,
+    text: () => "Drag this slider: from a thousandth of the triangles to all of them, whose edges are drawn meanwhile. The line above says how far the surface is off.",
+  },
+  {
+    at: "matters",
+    title: "What stays fine",
+    wireframe: true,
+    tries: true,
+    text: () => "Say what matters: the shape, edges in the data, another field, or a place. What matters keeps its triangles, the rest gives them up. Mark a place and see them move.",
+  },
 ];
+
+/** Few triangles, nothing of much importance, and a tool in hand that marks what has it; a first mark is at the picture's centre. */
+function markCentre({ actions, extent, view }: Model): void {
+  const points = view()?.transferFunction.points.map((point) => ({ ...point, importance: REST * point.importance }));
+  if (points === undefined) return;
+  actions.edit({ triangles: TRIED_TRIANGLES, transferFunction: { points } });
+  actions.changeLook({ colorBy: "importance", map: "ylor" });
+  actions.changePage({ tool: "paint", brush: Number((TRIED_RADIUS * extent()).toPrecision(2)) });
+  actions.useAtCentre();
+}
 
 /** As in `over.css`: as a style here it would be a constant, which is put in the page's text, where the page's policy forbids it. */
 const WIDTH = 320;
@@ -50,9 +83,21 @@ export default function Tour(props: { readonly onEnd: () => void }) {
   const [corner, setCorner] = createSignal({ left: 0, top: 0 });
   let card: HTMLElement | undefined;
   const now = () => STEPS[step()] ?? STEPS[0];
+  const hadWireframe = model.look().wireframe;
+  const [hasTried, setTried] = createSignal(false);
+  createEffect(() => {
+    const wireframe = hadWireframe || hasTried() || now()?.wireframe === true;
+    if (untrack(model.look).wireframe !== wireframe) model.actions.changeLook({ wireframe });
+  });
   const end = () => {
     endTour();
+    model.actions.changePage({ tool: undefined });
+    if (!hadWireframe && !hasTried()) model.actions.changeLook({ wireframe: false });
     props.onEnd();
+  };
+  const mark = () => {
+    setTried(true);
+    markCentre(model);
   };
   const settle = () => setCorner(place(now()?.at ?? "", card));
   createEffect(settle);
@@ -73,6 +118,9 @@ export default function Tour(props: { readonly onEnd: () => void }) {
     >
       <h2>{now()?.title}</h2>
       <p>{now()?.text(model)}</p>
+      <Show when={now()?.tries && model.may("edit")}>
+        <Trial hasTried={hasTried()} onTry={mark} />
+      </Show>
       <div class="tour-foot">
         <span class="note">
           {step() + 1} of {STEPS.length}
@@ -84,5 +132,16 @@ export default function Tour(props: { readonly onEnd: () => void }) {
         <Button onClick={() => (step() + 1 < STEPS.length ? setStep(step() + 1) : end())}>{step() + 1 < STEPS.length ? "Next" : "Done"}</Button>
       </div>
     </section>
+  );
+}
+
+/** Marks a part, and then shows what its importance brings. */
+function Trial(props: { readonly hasTried: boolean; readonly onTry: () => void }) {
+  const { actions, comparing } = useModel();
+  return (
+    <Show when={props.hasTried} fallback={<Button onClick={props.onTry}>Mark the middle</Button>}>
+      <p class="note">Click elsewhere to mark more</p>
+      <Toggle label="Same budget without importance" on={comparing() === "importance"} onChange={(on) => actions.compare(on ? "importance" : undefined)} />
+    </Show>
   );
 }

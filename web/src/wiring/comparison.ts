@@ -1,4 +1,4 @@
-/** Two pictures side by side: before and after edits, or the full surfaces and the decimated ones. */
+/** Two pictures side by side: before and after edits, the full surfaces and the decimated ones, or with importance and without. */
 
 import type { Edit, View } from "../protocol/types";
 import type { SurfaceRenderer } from "../scene/renderer";
@@ -13,7 +13,14 @@ export interface ComparisonHandlers {
 }
 
 const FULL: Edit = complete({ triangles: { share: 1 } });
-const NAMES = { edit: ["before", "now"], full: ["full", "decimated"] } as const;
+const NAMES = { edit: ["before", "now"], full: ["full", "decimated"], importance: ["with importance", "without"] } as const;
+
+/** A view of as many triangles in which everything is as important. */
+function withoutImportance(view: View, triangles: number): View {
+  const points = view.transferFunction.points.map((point) => ({ ...point, importance: 0 }));
+  return { ...view, ...complete({ triangles }), transferFunction: { points }, interest: [] };
+}
+
 
 export class Comparison {
   private kind: Compared | undefined;
@@ -32,24 +39,28 @@ export class Comparison {
     if (this.scene.regionCount === 0) return;
     this.end();
     this.kind = kind;
-    if (kind === "edit") return this.keep();
+    if (kind !== "full") {
+      this.keep();
+      return kind === "importance" ? this.handlers.ask() : undefined;
+    }
     this.waiting = true;
     this.handlers.onChange("waiting");
     this.handlers.ask();
   }
 
-  /** What the server is asked for in place of values in force, which the user sees: the full surface while it is fetched. */
+  /** What the server is asked for in place of values in force, which the user sees: the full surface while it is fetched, or none of the importance. */
   wanted(view: View): View {
+    if (this.kind === "importance") return withoutImportance(view, this.kept);
     return this.waiting ? { ...view, ...FULL } : view;
   }
 
   end(): void {
     if (this.kind === undefined) return;
+    const isReplaced = this.waiting || this.kind === "importance";
     this.kind = undefined;
     this.texts = "";
-    const wasWaiting = this.waiting;
     this.waiting = false;
-    if (wasWaiting) this.handlers.ask();
+    if (isReplaced) this.handlers.ask();
     this.scene.release();
     this.handlers.onChange(undefined);
   }

@@ -1,7 +1,8 @@
 /** Shows the look in the scene: colours, what is cut away, slices, what is drawn beside the surface. */
 
-import { COLOR_MAPS, colorTable, DISTANCE_COLORS } from "../colors/maps";
-import type { TransferFunction } from "../protocol/types";
+import { COLOR_MAPS, colorAt, colorTable, DISTANCE_COLORS } from "../colors/maps";
+import type { TransferFunction, View, VolumeInfo } from "../protocol/types";
+import type { ColoredRegion } from "../scene/coloredRegions";
 import type { ColorBar } from "../scene/colorScale";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { SliceLoader, type SliceSource } from "./sliceLoader";
@@ -11,19 +12,31 @@ import type { ColorBy, Look } from "../state/look";
 import { coloredByLook, type Surface, type SurfaceList } from "../state/surfaceList";
 import { LEVEL_COLORS, mappedLut, rampLut, transferLut } from "../transfer/lut";
 import { IDENTITY } from "../transfer/model";
+import { featureInfo, label, NO_FEATURE } from "../ui/cards/features";
 import { formatValue } from "../ui/format";
 
 type Points = TransferFunction["points"];
 
+/** Colours of a field, of which vertices have 257 values. */
+const FIELD_COLORS = 257;
+
 /** What the scene looks up. */
-const MODES = { material: "material", transfer: "transfer", feature: "transfer", importance: "transfer", level: "level", error: "value" } as const;
+const MODES = { material: "material", transfer: "transfer", feature: "transfer", field: "transfer", importance: "transfer", level: "level", error: "value" } as const;
 
 /** Colours of a scene that nothing is known of yet. */
 export const FIRST_TABLES = { transfer: transferLut(IDENTITY), importance: rampLut(COLOR_MAPS.batlow), levels: LEVEL_COLORS };
 
 /** What the colours mean; `undefined` where there is nothing to say of them, or the distances are not known yet. */
-export function colorBarOf({ colorBy, map }: Look, points: Points | undefined, distances: Distances | undefined, unit: string | undefined): ColorBar | undefined {
+export function colorBarOf(
+  { colorBy, map }: Look,
+  view: View | undefined,
+  distances: Distances | undefined,
+  unit: string | undefined,
+  volume?: VolumeInfo,
+): ColorBar | undefined {
   if (colorBy === "error") return distances && distanceBar(distances, unit);
+  if (colorBy === "field") return view && fieldBar(view, COLOR_MAPS[map], volume);
+  const points = view?.transferFunction.points;
   const ends = { texts: ["0", "0.5", "1"] };
   if (colorBy === "feature") return { ...ends, stops: COLOR_MAPS[map], title: "Blended value" };
   if (colorBy === "importance") return { ...ends, stops: COLOR_MAPS[map], title: "Importance" };
@@ -32,6 +45,16 @@ export function colorBarOf({ colorBy, map }: Look, points: Points | undefined, d
   // Steps, with a number in the middle of each.
   const texts = LEVEL_COLORS.flatMap((_, level) => ["", String(level)]);
   return { stops: LEVEL_COLORS.flatMap((color) => new Array<string>(16).fill(color)), texts: [...texts, ""], title: "Level" };
+}
+
+/** The field that matters; nothing where there is none, or its range is not known yet. */
+function fieldBar(view: View, stops: readonly string[], volume: VolumeInfo | undefined): ColorBar | undefined {
+  const { feature, featureRange } = view;
+  if (feature === NO_FEATURE || featureRange === undefined) return undefined;
+  const [low, high] = featureRange;
+  const unit = volume && featureInfo(volume, view)?.unit;
+  const title = unit === null || unit === undefined ? label(feature) : `${label(feature)}, in ${unit}`;
+  return { stops, texts: [low, (low + high) / 2, high].map((value) => formatValue(value)), title };
 }
 
 function distanceBar({ upper }: Distances, unit: string | undefined): ColorBar {
@@ -45,7 +68,14 @@ function stopsOf(table: Uint8Array): string[] {
 
 /** Colours and importance over the blended value. */
 function tableOf({ colorBy, map }: Look, points: Points): Uint8Array<ArrayBuffer> {
+  if (colorBy === "field") return rampLut(COLOR_MAPS[map], FIELD_COLORS);
   return colorBy === "feature" || colorBy === "importance" ? mappedLut(points, COLOR_MAPS[map], colorBy) : transferLut(points);
+}
+
+/** Regions of interest in the colours of their importance, where colours show that. */
+function regionsOf({ colorBy, map }: Look, interest: View["interest"]): readonly ColoredRegion[] {
+  if (colorBy !== "importance") return [];
+  return interest.map(({ sphere, box, importance }) => ({ ball: sphere, box, importance, color: colorAt(COLOR_MAPS[map], importance) }));
 }
 
 export class Display {
@@ -57,8 +87,8 @@ export class Display {
   private otherColors: ColorBy = "material";
   /** What the scene shows of each surface. */
   private readonly shown = new Map<number, Surface>();
-  /** Control points of the colour bar. */
-  private bar: Points | undefined;
+  /** What the colour bar says: control points, the field that matters and its range, the volume. */
+  private bar: readonly unknown[] | undefined;
   private readonly slices: SliceLoader;
   private unit: string | undefined;
 
@@ -85,7 +115,7 @@ export class Display {
     for (const surface of surfaces) this.showSurface(look, surface, isRecolored);
     this.hideOthers(surfaces);
     if (distances !== undefined && isRecolored) this.scene.setValueColors(0, distances.upper, colorTable(DISTANCE_COLORS));
-    this.showColorBar(look, coloredByLook(surfaces, selected)?.view.transferFunction.points, isRecolored);
+    this.showColorBar(look, coloredByLook(surfaces, selected)?.view, source.volume, isRecolored);
     this.slices.show(look.slices, source);
   }
 
@@ -119,9 +149,11 @@ export class Display {
     const before = this.shown.get(number);
     this.shown.set(number, surface);
     const { points } = view.transferFunction;
-    if (isRecolored || points !== before?.view.transferFunction.points) this.scene.setTransfer(tableOf(look, points), number);
+    const isChanged = points !== before?.view.transferFunction.points || view.interest !== before.view.interest;
+    if (isRecolored || isChanged) this.scene.setTransfer(tableOf(look, points), number, regionsOf(look, view.interest));
     if (style !== before?.style) this.scene.setSurfaceStyle(number, style);
-    this.scene.setAlpha(view.alpha, number);
+    // The field alone, whatever its weight against the shape.
+    this.scene.setAlpha(look.colorBy === "field" ? 1 : view.alpha, number);
   }
 
   /** What was removed is not seen any more, though its meshes are there until the server has removed it too. */
@@ -133,11 +165,12 @@ export class Display {
     }
   }
 
-  private showColorBar(look: Look, points: Points | undefined, isRecolored: boolean): void {
-    if (!isRecolored && points === this.bar) return;
-    this.bar = points;
+  private showColorBar(look: Look, view: View | undefined, volume: VolumeInfo | undefined, isRecolored: boolean): void {
+    const decides = view && [view.transferFunction.points, view.feature, view.featureRange, volume?.id];
+    if (!isRecolored && decides?.length === this.bar?.length && (decides ?? []).every((value, i) => value === this.bar?.[i])) return;
+    this.bar = decides;
     // The editor shows its own colours, where there is one, and the page has a list of the levels.
     const isSaid = look.colorBy === "level" || (look.colorBy === "transfer" && !this.isEmbedded);
-    this.scene.annotations.showColors(!isSaid && points !== undefined ? colorBarOf(look, points, this.distances, this.unit) : undefined);
+    this.scene.annotations.showColors(!isSaid && view !== undefined ? colorBarOf(look, view, this.distances, this.unit, volume) : undefined);
   }
 }

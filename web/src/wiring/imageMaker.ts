@@ -65,7 +65,7 @@ function parts(scene: SurfaceRenderer, store: Store, request: ImageRequest): Ima
   const { look, surfaces, viewer } = store;
   const page = theme();
   const colored = request.colorBar ? coloredByLook(surfaces, viewer.selected) : undefined;
-  const colors = colored && colorBarOf(look, colored.view.transferFunction.points, shownErrors(viewer, surfaces), lengthUnit(viewer.volume));
+  const colors = colored && colorBarOf(look, colored.view, shownErrors(viewer, surfaces), lengthUnit(viewer.volume), viewer.volume);
   const signs = surfaces.filter(({ style }) => style.visible).map((surface) => signOf(surface, store));
   // On white paper, where nobody knows the background, dark ink is read.
   const isDark = !request.transparent && (look.background === "black" || (look.background === "page" && page === "dark"));

@@ -17,7 +17,7 @@ export function colorOf({ style }: Pick<Surface, "style">, { colorBy, material }
 
 /** The colours of a surface as they are seen, and its isovalue: `T1 90`, with the unit where the field has one. */
 export function signOf({ style, view }: Surface, { look, surfaces, viewer }: Pick<Store, "look" | "surfaces" | "viewer">): SurfaceSign {
-  const bar = style.color === undefined ? colorBarOf(look, view.transferFunction.points, shownErrors(viewer, surfaces), undefined) : undefined;
+  const bar = style.color === undefined ? colorBarOf(look, view, shownErrors(viewer, surfaces), undefined) : undefined;
   const unit = viewer.volume?.fields.find(({ name }) => name === view.field)?.unit ?? "";
   return { stops: bar?.stops ?? [style.color ?? SHADINGS[look.material].color], opacity: style.opacity, text: `${view.field} ${formatValue(view.iso)} ${unit}`.trim() };
 }

@@ -18,7 +18,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::groups::FirstStep;
 use super::super::prefix::{Changes, Part};
-use super::super::shared::{Offered, RegionHashes, SharedStep};
+use super::super::shared::{HeldRegions, Offered, SharedStep};
 use super::draw_pause::DrawPause;
 use super::shown::HeldSurface;
 use crate::extraction::{CutId, ExtractionStatistics, FullCount, Shown, ViewKey};
@@ -26,7 +26,7 @@ use crate::metrics;
 use crate::view::View;
 use crate::view::quality::Budget;
 use crate::volumes::VolumeStep;
-use crate::wire::chunk::PrefixId;
+use crate::wire::chunk::{Coding, PrefixId};
 use crate::wire::messages::ServerMessage;
 
 pub(super) struct Generation {
@@ -93,15 +93,16 @@ pub(super) enum Sending {
     Encoding {
         sent: Sent,
         step: Arc<SharedStep>,
+        coding: Coding,
         /// What is in no batch yet; the next part is the last.
         remaining: Vec<Part>,
         /// Batches on the pool.
         batches: usize,
         /// What the client will hold.
-        held: RegionHashes,
+        held: HeldRegions,
     },
     /// `committed` waits for the writer. Then the client holds these regions.
-    Committing(Sent, RegionHashes),
+    Committing(Sent, HeldRegions),
 }
 
 /// What is known of a step that is sent.
@@ -292,6 +293,7 @@ impl Generation {
         self.sending = Sending::Encoding {
             sent,
             step: changes.step,
+            coding: changes.coding,
             remaining,
             batches: 0,
             held: changes.held,

@@ -9,6 +9,7 @@ use super::open_volume::OpeningPhase;
 use super::outbox::Newest;
 use super::pending::{NamedBudget, PendingStep};
 use crate::access::{Occupant, Role};
+use crate::wire::chunk::Coding;
 use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};
 
@@ -22,7 +23,10 @@ impl<B: Backend> Session<B> {
             return self.refuse(GroupError::NotInControl);
         }
         match message {
-            ClientMessage::Open { volume, step } => self.on_open(&volume, step),
+            ClientMessage::Open { volume, step, codings } => {
+                self.coding = Coding::asked_for(&codings);
+                self.on_open(&volume, step);
+            }
             ClientMessage::Step { step } => self.on_step(step),
             ClientMessage::Edit(of) => self.on_edit(of.surface, &of.edit),
             ClientMessage::Remove { .. } if !self.who.may(Role::Edit) => self.refuse_edit(),

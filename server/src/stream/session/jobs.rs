@@ -2,6 +2,7 @@
 
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::body::Bytes;
 use serde_json::value::RawValue;
@@ -22,11 +23,16 @@ use super::surface::Phase;
 use super::{Outgoing, Session};
 use crate::error::chain;
 use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, SurfaceKey, WorkError};
-use crate::wire::chunk::ChunkKind;
+use crate::wire::chunk::{ChunkKind, Coding};
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
 /// Triangles of a new surface's first steps for all of a group: so many reach a thousand followers within 70 ms on two cores.
 const FOLLOWED_TRIANGLES: u64 = 2_000_000;
+
+/// Bytes a second from which on a line takes bytes faster than the coding for slow lines saves them.
+const MIN_FAST_LINE: u64 = 4_000_000;
+/// The same of a step on the way: coarse meshes are harder to predict, so it saves them a fifth of their bytes alone.
+const MIN_FAST_LINE_OF_COARSE: u64 = 1_250_000;
 
 /// Batches that are encoded at once: the next one fills the threads that have nothing left to do of the one before.
 const MAX_BATCHES: usize = 2;
@@ -311,13 +317,18 @@ impl<B: Backend> Session<B> {
             && let Sending::Encoding {
                 sent,
                 step,
+                coding,
                 remaining,
                 batches,
                 ..
             } = &mut generation.sending
         {
             while !remaining.is_empty() && *batches < MAX_BATCHES && self.outbox.surface_bytes() < ahead_bytes {
-                let (batch, id, token) = (take_batch(step, remaining), sent.id, generation.token.clone());
+                let (batch, id, token) = (
+                    take_batch(step, remaining),
+                    (sent.id, *coding),
+                    generation.token.clone(),
+                );
                 let (step, kept) = (Arc::clone(step), self.common.shared.kept());
                 *batches += 1;
                 self.pool.push_back(Box::pin(async move {
@@ -329,6 +340,10 @@ impl<B: Backend> Session<B> {
 
     /// Begins to send the step that was made of a surface.
     fn send_step(&mut self, surface: u8) {
+        let (final_coding, coarse_coding) = (
+            self.line_coding(MIN_FAST_LINE),
+            self.line_coding(MIN_FAST_LINE_OF_COARSE),
+        );
         let Some(opened) = &mut self.opened else { return };
         let (smallest, device) = (opened.volume.dataset().smallest_length(), opened.device.clone());
         let Some(session) = opened.surface_mut(surface) else {
@@ -338,10 +353,15 @@ impl<B: Backend> Session<B> {
             return;
         };
         let Some(made) = generation.take_made() else { return };
+        let coding = if made.step.made.is_final {
+            final_coding
+        } else {
+            coarse_coding
+        };
         generation.sending = Sending::Comparing(generation.sent_of(&made, smallest, &device));
         let (held, token) = (Arc::clone(&session.held), generation.token.clone());
         self.pool.push_back(Box::pin(async move {
-            PoolDone::Compared(compare(made.step, held, token).await)
+            PoolDone::Compared(compare(made.step, held, coding, token).await)
         }));
     }
 
@@ -433,8 +453,8 @@ impl<B: Backend> Session<B> {
             made_triangles: generation.made_triangles,
             fresh_triangles: self.fresh_triangles(),
             triangles: self.pace.changing(job == NextJob::First),
-            bytes: self.pace.bytes(),
-            line_bytes: self.line.bytes_within(self.pace.line_time()).max(self.pace.bytes()),
+            bytes: self.uncoded_bytes(self.pace.bytes()),
+            line_bytes: self.uncoded_bytes(self.line.bytes_within(self.pace.line_time()).max(self.pace.bytes())),
         };
         let refine = async move {
             if let Some(others) = others_first {
@@ -443,6 +463,22 @@ impl<B: Backend> Session<B> {
             DeviceDone::Refined(number, shared.refine(wanted, step, &token).await)
         };
         Some(Box::pin(refine.instrument(span)))
+    }
+
+    /// The coding of what is sent next: that for slow lines where the line is known to be one, and the client has asked for it.
+    fn line_coding(&self, min_fast: u64) -> Coding {
+        match self.line.bytes_within(Duration::from_secs(1)) < min_fast {
+            true => self.coding,
+            false => Coding::Meshopt,
+        }
+    }
+
+    /// Bytes of chunks in the coding of every client that the line takes in the time in which it takes these.
+    fn uncoded_bytes(&self, bytes: u64) -> u64 {
+        match self.line_coding(MIN_FAST_LINE) {
+            Coding::Meshopt => bytes,
+            Coding::Predictive => bytes.saturating_mul(3) / 2,
+        }
     }
 
     /// Triangles of the first step of a new surface: with many who follow, as few as reach all of them soon.

@@ -34,9 +34,12 @@ struct Ping {
     number: u32,
     /// Bytes sent before it.
     sent: u64,
-    /// Bytes that were confirmed when it was sent.
+    /// Bytes that were confirmed when it was sent, and since when: `progress`.
     confirmed: u64,
+    since: Instant,
     at: Instant,
+    /// Whether the line was not full: then the rate may be that of the sender.
+    had_capacity: bool,
 }
 
 /// What is on the line of one connection.
@@ -131,7 +134,9 @@ impl Line {
             number,
             sent: self.sent,
             confirmed: self.confirmed,
+            since: self.progress,
             at: now,
+            had_capacity: self.sent - self.confirmed < self.window(),
         });
         Some(number)
     }
@@ -145,10 +150,13 @@ impl Line {
             return;
         };
         let now = Instant::now();
-        let took = (now - ping.at).max(Duration::from_micros(100));
-        self.round_trip = Some(self.round_trip.map_or(took, |minimum| minimum.min(took)));
-        self.rates
-            .push_back((ping.sent - ping.confirmed) as f64 / took.as_secs_f64());
+        let took = |since: Instant| (now - since).max(Duration::from_micros(100));
+        let round_trip = took(ping.at);
+        self.round_trip = Some(self.round_trip.map_or(round_trip, |minimum| minimum.min(round_trip)));
+        let rate = (ping.sent - ping.confirmed) as f64 / took(ping.since).as_secs_f64();
+        if !ping.had_capacity || rate > self.highest_rate() {
+            self.rates.push_back(rate);
+        }
         if self.rates.len() > RATES {
             self.rates.pop_front();
         }
@@ -199,6 +207,29 @@ mod tests {
                 "{mbit} Mbit/s: {arrived} bytes arrived"
             );
         }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_slow_sender_makes_no_line_fast_or_slow() {
+        let (rate, round_trip) = (625_000.0, Duration::from_millis(20));
+        let frame_time = Duration::from_secs_f64(3072.0 / rate);
+        let mut line = Line::new();
+        // Frames that come one by one, then as many as the line takes, then one by one again.
+        for pause in [Duration::from_millis(20), Duration::ZERO, Duration::from_millis(20)] {
+            for _ in 0..200 {
+                let number = line.took(3072);
+                tokio::time::sleep(frame_time.max(pause)).await;
+                if let Some(number) = number {
+                    tokio::time::sleep(round_trip).await;
+                    line.received(number);
+                }
+            }
+            let found = line.highest_rate();
+            assert!(found <= 1.05 * rate, "{found} bytes a second");
+            assert!(pause > Duration::ZERO || found > 0.2 * rate, "{found} bytes a second");
+        }
+        let found = line.highest_rate();
+        assert!(found > 0.2 * rate, "{found} bytes a second after a pause of the sender");
     }
 
     #[tokio::test(start_paused = true)]

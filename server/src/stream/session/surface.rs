@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::super::groups::FirstStep;
-use super::super::shared::RegionHashes;
+use super::super::shared::HeldRegions;
 use super::generation::Generation;
 use super::pending::PendingView;
 use super::rest::Rest;
@@ -29,7 +29,7 @@ pub(super) struct SurfaceSession {
     pub edited: u64,
     pub phase: Phase,
     /// What the client holds.
-    pub held: Arc<RegionHashes>,
+    pub held: Arc<HeldRegions>,
     /// Triangles of what the client holds.
     pub held_triangles: u64,
     /// The view and the cut of what the client holds.

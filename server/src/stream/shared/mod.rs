@@ -23,7 +23,7 @@ use crate::volumes::VolumeStep;
 use joint::Joint;
 pub(super) use joint::Outcome;
 pub(super) use kept::Kept;
-pub(super) use step::{RegionHashes, SharedStep};
+pub(super) use step::{HeldRegion, HeldRegions, SharedStep};
 
 /// Steps of others that are waited for before one of one's own is made, where none of them fits the line.
 const MAX_JOINED: usize = 2;

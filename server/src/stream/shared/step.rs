@@ -13,11 +13,20 @@ use crate::extraction::{Refinement, Shown, Step, WorkError};
 use crate::metrics;
 use crate::pool;
 use crate::volumes::{DatasetKey, VolumeStep};
-use crate::wire::chunk::{PrefixId, with_prefix};
+use crate::wire::chunk::{Coding, PrefixId, with_prefix};
 use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
+use crate::wire::predictive;
 
-/// Hashes of each region that a client holds.
-pub(in crate::stream) type RegionHashes = FxHashMap<[u32; 3], MeshHash>;
+/// Each region that a client holds.
+pub(in crate::stream) type HeldRegions = FxHashMap<[u32; 3], HeldRegion>;
+
+/// A region that a client holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::stream) struct HeldRegion {
+    pub hash: MeshHash,
+    /// Of the chunk that it was sent in, which decides the order of its vertices.
+    pub coding: Coding,
+}
 
 /// About how many bytes a region and a hundred triangles are in chunks.
 const REGION_BYTES: u64 = 160;
@@ -43,6 +52,8 @@ pub(in crate::stream) struct SharedRegion {
     /// Until it is encoded.
     mesh: Mutex<Option<Region>>,
     chunk: OnceLock<Result<Bytes, EncodeError>>,
+    /// The same chunk in the coding for slow lines.
+    predictive: OnceLock<Result<Bytes, EncodeError>>,
 }
 
 /// What of a region is kept beside its chunk.
@@ -109,10 +120,21 @@ impl SharedStep {
     pub(in crate::stream) fn chunk(
         &self,
         region: usize,
-        prefix: PrefixId,
+        (prefix, coding): (PrefixId, Coding),
         kept: &impl Chunks,
     ) -> Result<Bytes, EncodeError> {
         let region = &self.regions[region];
+        let chunk = match coding {
+            Coding::Meshopt => self.plain_chunk(region, prefix, kept),
+            Coding::Predictive => (region.predictive)
+                .get_or_init(|| region.encode_predictive(&self.plain_chunk(region, prefix, kept)?))
+                .clone(),
+        };
+        chunk.map(|chunk| with_prefix(&chunk, prefix))
+    }
+
+    /// The chunk in the coding of every client; it may name another prefix.
+    fn plain_chunk(&self, region: &SharedRegion, prefix: PrefixId, kept: &impl Chunks) -> Result<Bytes, EncodeError> {
         let mut was_there = true;
         let chunk = region.chunk.get_or_init(|| {
             let key = self.key_of(region);
@@ -125,10 +147,7 @@ impl SharedStep {
             Ok(chunk)
         });
         metrics::looked_up_chunk(was_there);
-        chunk
-            .as_ref()
-            .map(|chunk| with_prefix(chunk, prefix))
-            .map_err(Clone::clone)
+        chunk.clone()
     }
 
     fn key_of(&self, region: &SharedRegion) -> ChunkKey {
@@ -157,6 +176,7 @@ impl SharedStep {
             triangles: note.triangles,
             mesh: Mutex::new(None),
             chunk: OnceLock::from(Ok(chunk)),
+            predictive: OnceLock::new(),
         };
         Self {
             made,
@@ -174,12 +194,17 @@ impl SharedRegion {
             triangles: mesh.indices.len() / 3,
             mesh: Mutex::new(Some(mesh)),
             chunk: OnceLock::new(),
+            predictive: OnceLock::new(),
         }
     }
 
-    /// Whether somebody has needed its chunk before.
-    pub(in crate::stream) fn is_encoded(&self) -> bool {
-        self.chunk.get().is_some()
+    /// Whether somebody has needed its chunk in this coding before.
+    pub(in crate::stream) fn is_encoded(&self, coding: Coding) -> bool {
+        let chunk = match coding {
+            Coding::Meshopt => &self.chunk,
+            Coding::Predictive => &self.predictive,
+        };
+        chunk.get().is_some()
     }
 
     /// Its mesh is not needed any more.
@@ -190,5 +215,12 @@ impl SharedRegion {
             why: "its mesh is gone".into(),
         })?;
         encode::encode(&mesh, prefix)
+    }
+
+    fn encode_predictive(&self, chunk: &Bytes) -> Result<Bytes, EncodeError> {
+        predictive::encode(chunk).map_err(|error| EncodeError {
+            coords: self.coords,
+            why: error.to_string(),
+        })
     }
 }

@@ -1,7 +1,9 @@
 use isopeel_kernels::{Region, Vertex};
 use proptest::prelude::*;
 
-use super::super::chunk::{ChunkHeader, ChunkKind, HEADER_BYTES, PrefixId, WireVertex, decode, decode_errors};
+use super::super::chunk::{ChunkHeader, ChunkKind, Coding, HEADER_BYTES, PrefixId, WireVertex, decode_errors};
+use super::super::decode::decode;
+use super::super::predictive;
 use super::{MeshHash, encode, encode_errors};
 
 fn vertex(position: [i32; 3]) -> Vertex {
@@ -98,7 +100,8 @@ fn a_bad_header_fails_with_its_field() {
         (13, 1, "expected 4 a vertex"),
         (13, 2, "kind 2"),
         (14, 4, "surface 4"),
-        (15, 1, "flags 1"),
+        (15, 1, "bytes"),
+        (15, 2, "flags 2"),
         (16, 1, "lattice"),
         (18, 1, "reserved"),
         (56, 5, "bytes"),
@@ -322,23 +325,25 @@ fn errors_of_vertices_have_the_order_of_their_chunk() {
         kind: ChunkKind::Error,
         ..PrefixId::cut(0, 3, 0)
     };
-    let frame = encode_errors(&region, &errors, prefix).expect("errors");
-    let (header, found) = decode_errors(&frame).expect("a chunk of errors");
-    let chunk = decode(&encode(&region, PrefixId::cut(0, 3, 0)).expect("a chunk")).expect("a chunk");
-    assert_eq!(
-        (header.region, header.vertex_count),
-        (chunk.header.region, chunk.header.vertex_count)
-    );
-    let expected: Vec<f32> = chunk
-        .vertices
-        .iter()
-        .map(|v| 1024.0 * (f32::from(v.position[0]) + 7.0 * f32::from(v.position[1])))
-        .collect();
-    assert_eq!(found, expected);
+    let plain = encode(&region, PrefixId::cut(0, 3, 0)).expect("a chunk");
+    let predictive = predictive::encode(&plain).expect("a chunk");
+    for (coding, chunk) in [(Coding::Predictive, &predictive), (Coding::Meshopt, &plain)] {
+        let frame = encode_errors(&region, &errors, (prefix, coding)).expect("errors");
+        let (header, found) = decode_errors(&frame).expect("a chunk of errors");
+        let chunk = decode(chunk).expect("a chunk");
+        assert_eq!(
+            (header.region, header.vertex_count),
+            (chunk.header.region, chunk.header.vertex_count)
+        );
+        let vertices = chunk.vertices.iter();
+        let expected = vertices.map(|v| 1024.0 * (f32::from(v.position[0]) + 7.0 * f32::from(v.position[1])));
+        assert_eq!(found, expected.collect::<Vec<f32>>());
+    }
+    let frame = encode_errors(&region, &errors, (prefix, Coding::Meshopt)).expect("errors");
     assert!(decode(&frame).is_err(), "it is no mesh");
     assert!(decode_errors(&encode(&region, PrefixId::cut(0, 3, 0)).expect("a chunk")).is_err());
     for length in 0..frame.len() {
         assert!(decode_errors(&frame[..length]).is_err(), "{length} bytes");
     }
-    assert!(encode_errors(&region, &errors[1..], prefix).is_err());
+    assert!(encode_errors(&region, &errors[1..], (prefix, Coding::Meshopt)).is_err());
 }

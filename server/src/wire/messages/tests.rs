@@ -15,7 +15,16 @@ fn messages_parse_as_in_the_protocol_page() {
         parse(r#"{"type":"open","volume":"mni152"}"#),
         ClientMessage::Open {
             volume: "mni152".into(),
-            step: 0
+            step: 0,
+            codings: Vec::new(),
+        }
+    );
+    assert_eq!(
+        parse(r#"{"type":"open","volume":"ct","step":2,"codings":["later","predictive"]}"#),
+        ClientMessage::Open {
+            volume: "ct".into(),
+            step: 2,
+            codings: vec!["later".into(), "predictive".into()],
         }
     );
     assert_eq!(parse(r#"{"type":"cancel"}"#), ClientMessage::Cancel {});

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use super::predictive;
+
 /// Length of the header.
 pub const HEADER: usize = 96;
 /// Lattice units per cell.
@@ -26,10 +28,12 @@ pub struct Chunk {
     pub level_triangles: [u32; 6],
     /// Bytes of the whole frame.
     pub frame_bytes: usize,
+    /// Whether its coding is that for slow lines.
+    pub is_predictive: bool,
 }
 
 /// A decoded vertex.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Vertex {
     /// Lattice units from the region's low corner.
     pub position: [i16; 3],
@@ -71,7 +75,10 @@ impl Chunk {
         if frame[14] > 3 {
             return Err(format!("surface: {}, expected 0 to 3", frame[14]));
         }
-        expect("flags", frame[15], 0)?;
+        if frame[15] > 1 {
+            return Err(format!("flags: {}, expected 0 or 1", frame[15]));
+        }
+        let is_predictive = frame[15] == 1;
         expect("lattice units per cell", i32::from(header.u16(16)), LATTICE)?;
         expect("bytes 18 and 19", header.u16(18), 0)?;
         let prefix_level = frame[12];
@@ -93,8 +100,16 @@ impl Chunk {
             )?;
         }
 
-        let vertices = decode_vertices(&frame[HEADER..HEADER + vertex_bytes], vertex_count)?;
-        let triangles = decode_triangles(&frame[HEADER + vertex_bytes..], index_count)?;
+        let (vertex_payload, index_payload) = frame[HEADER..].split_at(vertex_bytes);
+        let (vertices, triangles) = if is_predictive {
+            expect("index payload of the coding predictive", index_bytes, 0)?;
+            let mesh = predictive::decode(vertex_payload, vertex_count, index_count / 3)?;
+            expect("levels", mesh.levels, level_triangles)?;
+            (mesh.vertices, mesh.triangles)
+        } else {
+            let vertices = decode_vertices(vertex_payload, vertex_count)?;
+            (vertices, decode_triangles(index_payload, index_count)?)
+        };
         if let Some(index) = triangles
             .iter()
             .flatten()
@@ -112,6 +127,7 @@ impl Chunk {
             triangles,
             level_triangles,
             frame_bytes: frame.len(),
+            is_predictive,
         })
     }
 
@@ -132,11 +148,28 @@ impl Chunk {
         start..start + self.level_triangles[level] as usize
     }
 
-    /// Whether two chunks carry the same mesh, whatever generation and prefix they came with.
+    /// Whether two chunks carry the same mesh, whatever generation and prefix they came with, and in whatever order.
     pub fn same_mesh(&self, other: &Self) -> bool {
-        self.vertices == other.vertices
-            && self.triangles == other.triangles
-            && self.level_triangles == other.level_triangles
+        self.sorted() == other.sorted()
+    }
+
+    /// Level and corners of all triangles, the lowest corner first.
+    fn sorted(&self) -> Vec<(usize, [Vertex; 3])> {
+        let of_level = |level| {
+            self.triangles[self.triangles_of_level(level)]
+                .iter()
+                .map(move |t| (level, *t))
+        };
+        let mut sorted: Vec<_> = (0..6)
+            .flat_map(of_level)
+            .map(|(level, [a, b, c])| {
+                let turned = [[a, b, c], [b, c, a], [c, a, b]];
+                let corners = turned.map(|turned| turned.map(|index| self.vertices[index as usize]));
+                (level, corners.into_iter().min().unwrap_or(corners[0]))
+            })
+            .collect();
+        sorted.sort_unstable();
+        sorted
     }
 }
 

@@ -7,6 +7,7 @@ pub mod files;
 pub mod frame;
 pub mod http;
 pub mod mesh;
+pub mod predictive;
 pub mod process;
 pub mod server;
 pub mod surface;

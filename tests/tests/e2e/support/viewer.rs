@@ -32,6 +32,8 @@ pub struct Viewer {
     pending: Option<Pending>,
     /// Bytes that the last `opening` stated since `open` was sent.
     read_bytes: u64,
+    /// Whether the last `open` asked for other codings of chunks.
+    asks_for_codings: bool,
     /// Whether regions that have not changed may be sent again.
     pub may_repeat: bool,
 }
@@ -140,6 +142,7 @@ impl Viewer {
             surfaces: Default::default(),
             pending: None,
             read_bytes: 0,
+            asks_for_codings: false,
             may_repeat: false,
         }
     }
@@ -166,6 +169,9 @@ impl Viewer {
 
     /// Sends a control message.
     pub async fn send(&mut self, message: Value) {
+        if message["type"] == "open" {
+            self.asks_for_codings = message["codings"].is_array();
+        }
         self.send_raw(Message::text(message.to_string())).await;
     }
 
@@ -427,6 +433,10 @@ impl Viewer {
             return self.errors(bytes);
         }
         let chunk = Chunk::decode(bytes).unwrap_or_else(|why| panic!("chunk: {why}"));
+        assert!(
+            self.asks_for_codings || !chunk.is_predictive,
+            "a coding that nobody has asked for"
+        );
         let pending = self.pending.as_mut().expect("a chunk comes inside a prefix");
         let announced = pending.announced;
         assert_eq!(

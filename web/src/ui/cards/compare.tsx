@@ -22,6 +22,12 @@ export default function Body() {
           {stop()}
         </div>
       </Match>
+      <Match when={comparing() === "importance"}>
+        <div class="control row">
+          <p class="note">As many triangles, with importance on the left and without on the right. Drag the line</p>
+          {stop()}
+        </div>
+      </Match>
       <Match when={comparing() === "edit"}>
         <div class="control row">
           <p class="note">What was kept is on the left. Whatever you change now is on the right of the line</p>
@@ -41,6 +47,10 @@ function Choices() {
         <div class="control row">
           <span class="note">What does decimation cost?</span>
           <Button onClick={() => actions.compare("full")}>Against full</Button>
+        </div>
+        <div class="control row">
+          <span class="note">What does importance bring?</span>
+          <Button onClick={() => actions.compare("importance")}>Same budget without</Button>
         </div>
         <div class="control row">
           <span class="note">What does the next edit change?</span>

@@ -23,7 +23,7 @@ export function EnclosedSums() {
           <div class="control row">
             <span class="label">Area and volume</span>
             <Button disabled={isDue()} onClick={actions.sumUp}>
-              Sum up
+              Compute
             </Button>
           </div>
         }

@@ -83,7 +83,7 @@ function Criteria(props: { readonly view: View }) {
           min={0}
           max={1000}
           step={Math.max(1e-3, Number((error() / 10).toPrecision(1)))}
-          note={by() === "triangles" ? `× spacing, in force ${tolerance()}` : "× spacing"}
+          note={by() === "triangles" ? `× spacing, applied ${tolerance()}` : "× spacing"}
           units={{ voxels: 1, voxel: 1, vx: 1, ...unitsOf(unit(), 1 / spacing()) }}
           words={`${formatValue(error())} times the distance between samples`}
           onChange={(value, gesture) => actions.edit({ error: `${value}vx`, triangles: props.view.triangles, bytes: props.view.bytes }, gesture)}

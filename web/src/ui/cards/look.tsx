@@ -10,12 +10,14 @@ import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
 import { awaitedWords, distanceWords } from "../words";
 import type { Card } from "./card";
+import { NO_FEATURE } from "./features";
 import { Peel } from "./peel";
 
 const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonly hint: string }[] = [
   { value: "material", text: "Material", hint: "Single colour" },
   { value: "transfer", text: "Editor", hint: "The colours of the points under What matters" },
   { value: "feature", text: "Value", hint: "What the editor is over: shape and feature, blended" },
+  { value: "field", text: "Field", hint: "The field under What matters, in its units" },
   { value: "importance", text: "Importance", hint: "How much each part matters" },
   { value: "level", text: "Level", hint: "How large the cubes are that triangles stand for" },
   { value: "error", text: "Error", hint: "How far each vertex is from the isosurface, measured" },
@@ -30,10 +32,14 @@ const BACKGROUNDS: readonly { readonly value: Look["background"]; readonly text:
 const capitalised = (name: string) => `${name.charAt(0).toUpperCase()}${name.slice(1)}`;
 
 function Body() {
-  const { actions, look, onGpu, selected, surfaces, viewer } = useModel();
+  const { actions, look, onGpu, selected, surfaces, view, viewer } = useModel();
   const materials = MATERIALS.map((name) => ({ value: name, text: capitalised(name) }));
-  const colors = () => COLORS.filter(({ value }) => value !== "error" || look().colorBy === "error" || viewer().questions.includes("annotate"));
-  const mapped = () => look().colorBy === "feature" || look().colorBy === "importance";
+  const isOffered = (by: ColorBy) => {
+    if (by === "error") return viewer().questions.includes("annotate");
+    return by !== "field" || (view()?.feature ?? NO_FEATURE) !== NO_FEATURE;
+  };
+  const colors = () => COLORS.filter(({ value }) => value === look().colorBy || isOffered(value));
+  const mapped = () => ["feature", "field", "importance"].includes(look().colorBy);
   return (
     <>
       <div class="control">

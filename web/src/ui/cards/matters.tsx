@@ -11,7 +11,7 @@ import { formatShare } from "../format";
 import { useModel } from "../model";
 import type { Background } from "../plots/transferPlot";
 import { Button } from "../widgets/button";
-import { Choice, Select } from "../widgets/choice";
+import { Choice, Select, Toggle } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { LINEAR, Slider } from "../widgets/slider";
 import { evaluate } from "../../transfer/model";
@@ -45,7 +45,7 @@ function Body() {
 }
 
 function Matters(props: { readonly volume: VolumeInfo; readonly view: View }) {
-  const { actions, picked, probe, viewer } = useModel();
+  const { actions, comparing, picked, probe, viewer } = useModel();
   const expression = () => (isExpression(props.volume, props.view.feature) ? props.view.feature : undefined);
   const described = useDescribed(expression);
   const info = createMemo(() => (expression() === undefined ? featureInfo(props.volume, props.view) : described()?.info));
@@ -93,6 +93,11 @@ function Matters(props: { readonly volume: VolumeInfo; readonly view: View }) {
         onEnd={actions.endGesture}
       />
       <PaintTools view={props.view} />
+      <Toggle
+        label="Same budget without importance"
+        on={comparing() === "importance"}
+        onChange={(on) => actions.compare(on ? "importance" : undefined)}
+      />
       <Show when={props.view.feature !== NO_FEATURE}>
         <Range view={props.view} info={info()} />
       </Show>
@@ -110,8 +115,8 @@ export function onSurface(distribution: Distribution | undefined): Background | 
 /** How much of the surface is merged into larger parts. */
 export function coarseText(share: number | undefined): string {
   if (share === undefined) return "";
-  if (share <= 0) return "All of this surface stays fine";
-  return `Hatched: becomes coarse, ${formatShare(share)}`;
+  if (share <= 0) return "Nothing of this surface is simplified";
+  return `${formatShare(share)} of the surface is simplified (hatched)`;
 }
 
 function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {

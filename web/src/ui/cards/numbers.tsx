@@ -38,9 +38,9 @@ function surfaceRows(s: Statistics, scale: LengthScale): readonly Row[] {
 /** β, or the tolerance where an error or a budget decided. */
 function criterionRows({ beta, tolerance, isTreeCut }: Statistics, scale: LengthScale): readonly Row[] {
   const cut = ["Cut of", isTreeCut ? "the vertex tree" : "the octree"] as const;
-  if (beta !== null) return [["β in force", formatValue(beta, 3)], cut];
+  if (beta !== null) return [["β applied", formatValue(beta, 3)], cut];
   if (tolerance === null) return [cut];
-  return [["Tolerance in force", tolerance < 0 ? "nothing is merged" : formatLength(tolerance, scale, 3)], cut];
+  return [["Tolerance applied", tolerance < 0 ? "nothing is merged" : formatLength(tolerance, scale, 3)], cut];
 }
 
 /** The measured error, else the estimate, else nothing. */

@@ -213,7 +213,7 @@ function Opacity(props: { readonly surface: Surface; readonly name: string }) {
   return (
     <Slider
       label={`Opacity of ${props.name}`}
-      ends={["See-through", "Solid"]}
+      ends={["Transparent", "Opaque"]}
       value={props.surface.style.opacity}
       scale={OPACITY_SCALE}
       words={`${percent()} percent`}

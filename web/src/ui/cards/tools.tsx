@@ -43,7 +43,7 @@ export function Tools<T extends Tool>(props: ToolsProps<T>) {
           <div class="tool-hint">
             {props.hint(tool())}
             <Button quiet onClick={actions.useAtCentre}>
-              At the centre
+              Use the centre
             </Button>
           </div>
         )}

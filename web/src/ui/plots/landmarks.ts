@@ -70,7 +70,7 @@ function thresholds({ openingIso }: FieldInfo, brought: number | undefined): rea
 /** Between two classes of values; none where there is one. */
 function otsu(histogram: Histogram, width: number): readonly Landmark[] {
   const threshold = otsuThreshold(histogram);
-  return threshold === undefined ? [] : [{ name: "Otsu", iso: readable(threshold, width), why: "Parts the values into two classes (Otsu's threshold)" }];
+  return threshold === undefined ? [] : [{ name: "Otsu", iso: readable(threshold, width), why: "Separates the values into two classes (Otsu's threshold)" }];
 }
 
 /**

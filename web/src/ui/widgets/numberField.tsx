@@ -24,10 +24,10 @@ type Bounds = Pick<NumberKind, "min" | "max">;
 export function refusedText(text: string, kind: NumberKind & { readonly label: string }, taken: number): string | undefined {
   const { label, min = -Infinity, max = Infinity } = kind;
   const typed = readTyped(text, kind);
-  if (typed === undefined) return text.trim() === "" ? undefined : `“${text.trim()}” is no number: ${label} stays ${formatValue(taken)}`;
+  if (typed === undefined) return text.trim() === "" ? undefined : `“${text.trim()}” is not a number: ${label} stays ${formatValue(taken)}`;
   if (typeof typed !== "number") return undefined;
-  if (typed < min) return `${label} is at least ${formatValue(min)}: ${formatValue(taken)} is taken`;
-  return typed > max ? `${label} is at most ${formatValue(max)}: ${formatValue(taken)} is taken` : undefined;
+  if (typed < min) return `${label}: the minimum is ${formatValue(min)}`;
+  return typed > max ? `${label}: the maximum is ${formatValue(max)}` : undefined;
 }
 
 function clamp(value: number, { min = -Infinity, max = Infinity }: Bounds): number {

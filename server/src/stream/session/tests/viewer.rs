@@ -13,7 +13,8 @@ use crate::access::Identity;
 use crate::extraction::{FullCount, Measurement, Refinement};
 use crate::stream::backend::Opening;
 use crate::view::View;
-use crate::wire::chunk::{DecodedChunk, decode};
+use crate::wire::chunk::DecodedChunk;
+use crate::wire::decode::decode;
 
 /// The other end of a session.
 pub(super) struct Viewer {

@@ -1,0 +1,169 @@
+//! The boundary of the part of a mesh that is covered: directed edges, linked to loops. Links are hints for the coding. On a mesh that is no
+//! manifold they may be wrong, and then cost bits, but encoder and decoder keep the same ones.
+
+/// Number of an edge.
+pub(super) type EdgeId = usize;
+
+/// An edge, in the direction in which the uncovered triangle behind it passes it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Edge {
+    pub from: u32,
+    pub to: u32,
+    /// The third vertex of the covered triangle.
+    pub opposite: u32,
+    /// Level of the covered triangle.
+    pub level: u8,
+    previous: EdgeId,
+    next: EdgeId,
+    is_open: bool,
+    /// Whether no triangle is behind it.
+    pub is_border: bool,
+}
+
+/// Where the third vertex of a triangle behind an edge is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Third {
+    /// Not used yet.
+    New,
+    /// The end of the next edge of the loop.
+    Right,
+    /// The start of the previous edge of the loop.
+    Left,
+    /// Any other that was used.
+    Other,
+}
+
+#[derive(Default)]
+pub(super) struct Boundary {
+    edges: Vec<Edge>,
+    /// An edge that ended at each vertex.
+    ending: Vec<Option<EdgeId>>,
+}
+
+impl Boundary {
+    pub fn edge(&self, id: EdgeId) -> Edge {
+        self.edges[id]
+    }
+
+    pub fn is_open(&self, id: EdgeId) -> bool {
+        self.edges[id].is_open
+    }
+
+    pub fn previous(&self, id: EdgeId) -> Edge {
+        self.edges[self.edges[id].previous]
+    }
+
+    pub fn next(&self, id: EdgeId) -> Edge {
+        self.edges[self.edges[id].next]
+    }
+
+    pub fn set_border(&mut self, id: EdgeId) {
+        self.edges[id].is_border = true;
+    }
+
+    /// Of each vertex, whether an edge of it is open.
+    pub fn border_vertices(&self) -> Vec<bool> {
+        let mut at_border = vec![false; self.ending.len()];
+        for edge in self.edges.iter().filter(|edge| edge.is_open) {
+            at_border[edge.from as usize] = true;
+            at_border[edge.to as usize] = true;
+        }
+        at_border
+    }
+
+    /// A further vertex.
+    pub fn add_vertex(&mut self) {
+        self.ending.push(None);
+    }
+
+    /// The loop around a first triangle: the edges opposite to its corners b, a and c.
+    pub fn start(&mut self, [a, b, c]: [u32; 3], level: u8) -> [EdgeId; 3] {
+        let first = self.edges.len();
+        let ids = [first, first + 1, first + 2];
+        for (number, (from, to, opposite)) in [(a, c, b), (c, b, a), (b, a, c)].into_iter().enumerate() {
+            self.edges.push(Edge {
+                from,
+                to,
+                opposite,
+                level,
+                previous: ids[(number + 2) % 3],
+                next: ids[(number + 1) % 3],
+                is_open: true,
+                is_border: false,
+            });
+            self.ending[to as usize] = Some(ids[number]);
+        }
+        ids
+    }
+
+    /// Covers the triangle behind an edge, whose third vertex is `c`. Returns its edge at the start of that one, and that at its end.
+    pub fn cover(&mut self, id: EdgeId, c: u32, third: Third, level: u8) -> [EdgeId; 2] {
+        let Edge {
+            from: a,
+            to: b,
+            previous,
+            next,
+            ..
+        } = self.edges[id];
+        let is_left_too = self.edges[previous].from == c;
+        let met = self.ending[c as usize].filter(|&met| met != id && self.is_open(met) && self.edges[met].to == c);
+        let [left, right] = self.replace(id, [a, b, c], level);
+        match third {
+            Third::Other => {
+                if let Some(met) = met {
+                    self.split(met, left, right);
+                }
+            }
+            Third::Right => self.close(right, next, c, left),
+            Third::New | Third::Left => {}
+        }
+        if third == Third::Left || third == Third::Right && is_left_too {
+            let previous = self.edges[left].previous;
+            let before = self.edges[previous].previous;
+            self.close(previous, left, c, before);
+        }
+        [left, right]
+    }
+
+    /// Puts the two other edges of a triangle in the place of one.
+    fn replace(&mut self, id: EdgeId, [a, b, c]: [u32; 3], level: u8) -> [EdgeId; 2] {
+        let Edge { previous, next, .. } = self.edges[id];
+        let left = self.edges.len();
+        let right = left + 1;
+        let edge = |from, to, opposite, previous, next| Edge {
+            from,
+            to,
+            opposite,
+            level,
+            previous,
+            next,
+            is_open: true,
+            is_border: false,
+        };
+        self.edges.push(edge(a, c, b, previous, right));
+        self.edges.push(edge(c, b, a, left, next));
+        self.edges[id].is_open = false;
+        self.edges[previous].next = left;
+        self.edges[next].previous = right;
+        (self.ending[b as usize], self.ending[c as usize]) = (Some(right), Some(left));
+        [left, right]
+    }
+
+    /// The loop meets itself, or another one, at the end of `met`.
+    fn split(&mut self, met: EdgeId, left: EdgeId, right: EdgeId) {
+        let after = self.edges[met].next;
+        self.edges[left].next = after;
+        self.edges[after].previous = left;
+        self.edges[met].next = right;
+        self.edges[right].previous = met;
+    }
+
+    /// Takes two edges out that follow each other and lead there and back. `ending` ends at `c` from now on.
+    fn close(&mut self, first: EdgeId, second: EdgeId, c: u32, ending: EdgeId) {
+        let (before, after) = (self.edges[first].previous, self.edges[second].next);
+        (self.edges[first].is_open, self.edges[second].is_open) = (false, false);
+        self.edges[before].next = after;
+        self.edges[after].previous = before;
+        self.ending[c as usize] = Some(ending);
+    }
+}

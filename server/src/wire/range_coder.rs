@@ -1,0 +1,334 @@
+//! Adaptive binary range coder: bits, each with a model of how probable a 1 is. The decoder mirrors the encoder, so that what is coded is
+//! written once for both ([`Coder`]). Normative: `PROTOCOL.md`, section 4.1.
+
+/// Bits of a probability when a range is divided.
+const PROBABILITY_BITS: u32 = 12;
+/// Lowest probability of either bit, in units of 1/2¹².
+const MIN_PROBABILITY: u32 = 16;
+/// A range below this takes a further byte.
+const MIN_RANGE: u32 = 1 << 24;
+/// Bits after which a model learns no slower.
+const MAX_SEEN: u8 = 100;
+
+/// How probable a 1 is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BitModel {
+    /// Of a 1, in units of 1/2¹⁶.
+    probability: u16,
+    /// Bits that were coded, up to [`MAX_SEEN`].
+    seen: u8,
+}
+
+impl Default for BitModel {
+    fn default() -> Self {
+        Self {
+            probability: 1 << 15,
+            seen: 0,
+        }
+    }
+}
+
+impl BitModel {
+    /// The part of a range that a 1 takes.
+    fn bound(self, range: u32) -> u32 {
+        let probability = u32::from(self.probability) >> (16 - PROBABILITY_BITS);
+        let max = (1 << PROBABILITY_BITS) - MIN_PROBABILITY;
+        (range >> PROBABILITY_BITS) * probability.clamp(MIN_PROBABILITY, max)
+    }
+
+    /// Learns by about the reciprocal of the number of bits: fast at first, because chunks are short.
+    fn update(&mut self, bit: bool) {
+        let rate = (2 << 16) / (2 * u32::from(self.seen) + 5);
+        self.seen = (self.seen + 1).min(MAX_SEEN);
+        let change = |distance: u16| ((u32::from(distance) * rate) >> 16) as u16;
+        if bit {
+            self.probability += change(u16::MAX - self.probability);
+        } else {
+            self.probability -= change(self.probability);
+        }
+    }
+}
+
+/// An encoder, which takes the bits that it is given and returns them, or a decoder, which ignores these and returns what it reads.
+pub(super) trait Coder {
+    /// A bit with a model.
+    fn bit(&mut self, model: &mut BitModel, bit: bool) -> bool;
+    /// So many low bits of a value, the highest first; both values of each are as probable.
+    fn raw(&mut self, bits: u32, value: u32) -> u32;
+    /// Whether more was read than there is.
+    fn is_exhausted(&self) -> bool;
+}
+
+/// Writes.
+pub(super) struct Encoder {
+    /// The low end of the range; bit 32 is a carry.
+    low: u64,
+    range: u32,
+    /// The last byte that a carry may change, and how many bytes of ones follow it.
+    pending: u8,
+    ones: u32,
+    bytes: Vec<u8>,
+}
+
+impl Encoder {
+    pub fn new() -> Self {
+        Self {
+            low: 0,
+            range: u32::MAX,
+            pending: 0,
+            ones: 0,
+            bytes: Vec::new(),
+        }
+    }
+
+    /// The payload.
+    pub fn finish(mut self) -> Vec<u8> {
+        for _ in 0..5 {
+            self.shift();
+        }
+        // The first byte is the one that waited at the beginning: 0.
+        self.bytes.split_off(1)
+    }
+
+    fn normalise(&mut self) {
+        while self.range < MIN_RANGE {
+            self.range <<= 8;
+            self.shift();
+        }
+    }
+
+    /// Moves the highest byte of `low` out, when no carry can change it any more.
+    fn shift(&mut self) {
+        const CARRY: u64 = 1 << 32;
+        if self.low < 0xff00_0000 || self.low >= CARRY {
+            let carry = (self.low >> 32) as u8;
+            self.bytes.push(self.pending.wrapping_add(carry));
+            let ones = std::iter::repeat_n(0xff_u8.wrapping_add(carry), self.ones as usize);
+            self.bytes.extend(ones);
+            (self.pending, self.ones) = ((self.low >> 24) as u8, 0);
+        } else {
+            self.ones += 1;
+        }
+        self.low = (self.low & 0x00ff_ffff) << 8;
+    }
+}
+
+impl Coder for Encoder {
+    fn bit(&mut self, model: &mut BitModel, bit: bool) -> bool {
+        let bound = model.bound(self.range);
+        if bit {
+            self.range = bound;
+        } else {
+            self.low += u64::from(bound);
+            self.range -= bound;
+        }
+        model.update(bit);
+        self.normalise();
+        bit
+    }
+
+    fn raw(&mut self, bits: u32, value: u32) -> u32 {
+        for bit in (0..bits).rev() {
+            self.range >>= 1;
+            if value >> bit & 1 == 1 {
+                self.low += u64::from(self.range);
+            }
+            self.normalise();
+        }
+        value
+    }
+
+    fn is_exhausted(&self) -> bool {
+        false
+    }
+}
+
+/// Reads a payload; behind its end there are zeros.
+pub(super) struct Decoder<'a> {
+    code: u32,
+    range: u32,
+    payload: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Decoder<'a> {
+    pub fn new(payload: &'a [u8]) -> Self {
+        let mut decoder = Self {
+            code: 0,
+            range: u32::MAX,
+            payload,
+            at: 0,
+        };
+        for _ in 0..4 {
+            decoder.take_byte();
+        }
+        decoder
+    }
+
+    /// Whether all of the payload was read, and no more.
+    pub fn is_at_end(&self) -> bool {
+        self.at == self.payload.len()
+    }
+
+    fn take_byte(&mut self) {
+        let byte = self.payload.get(self.at).copied().unwrap_or_default();
+        self.at += 1;
+        self.code = self.code << 8 | u32::from(byte);
+    }
+
+    fn normalise(&mut self) {
+        while self.range < MIN_RANGE {
+            self.range <<= 8;
+            self.take_byte();
+        }
+    }
+}
+
+impl Coder for Decoder<'_> {
+    fn bit(&mut self, model: &mut BitModel, _: bool) -> bool {
+        let bound = model.bound(self.range);
+        let bit = self.code < bound;
+        if bit {
+            self.range = bound;
+        } else {
+            self.code -= bound;
+            self.range -= bound;
+        }
+        model.update(bit);
+        self.normalise();
+        bit
+    }
+
+    fn raw(&mut self, bits: u32, _: u32) -> u32 {
+        let mut value = 0;
+        for _ in 0..bits {
+            self.range >>= 1;
+            let bit = self.code >= self.range;
+            if bit {
+                self.code -= self.range;
+            }
+            value = value << 1 | u32::from(bit);
+            self.normalise();
+        }
+        value
+    }
+
+    fn is_exhausted(&self) -> bool {
+        self.at > self.payload.len()
+    }
+}
+
+/// A model of whole numbers: how many bits their magnitude has, sign, and the two bits below the highest. Further bits are raw.
+pub(super) struct NumberModel {
+    contexts: Vec<NumberContext>,
+    /// By the number of bits of the magnitude: those below the highest, the second one given the first.
+    below_highest: [[BitModel; 3]; MAX_LENGTH + 1],
+}
+
+/// Bits of the largest magnitude.
+const MAX_LENGTH: usize = 20;
+
+#[derive(Clone, Copy, Default)]
+struct NumberContext {
+    /// Whether there are more bits than so many.
+    is_longer: [BitModel; MAX_LENGTH],
+    is_negative: BitModel,
+}
+
+impl NumberModel {
+    pub fn new(contexts: usize) -> Self {
+        Self {
+            contexts: vec![NumberContext::default(); contexts],
+            below_highest: Default::default(),
+        }
+    }
+
+    /// A number of less than 2²⁰ in magnitude.
+    pub fn code(&mut self, coder: &mut impl Coder, context: usize, value: i32) -> i32 {
+        let context = &mut self.contexts[context];
+        let (given, given_length) = (value.unsigned_abs(), length(value));
+        let mut length = 0;
+        while length < MAX_LENGTH && coder.bit(&mut context.is_longer[length], length < given_length) {
+            length += 1;
+        }
+        if length == 0 {
+            return 0;
+        }
+        let is_negative = coder.bit(&mut context.is_negative, value < 0);
+        let models = &mut self.below_highest[length];
+        let (mut magnitude, mut below) = (1, length as u32 - 1);
+        let mut model = 0;
+        while below > 0 && model < 3 {
+            below -= 1;
+            let bit = coder.bit(&mut models[model], given >> below & 1 == 1);
+            magnitude = magnitude << 1 | i32::from(bit);
+            model = 2 * model + 1 + usize::from(bit);
+        }
+        let low = coder.raw(below, given & ((1 << below) - 1));
+        magnitude = magnitude << below | low as i32;
+        if is_negative { -magnitude } else { magnitude }
+    }
+}
+
+/// Bits of a magnitude.
+pub(super) fn length(value: i32) -> usize {
+    (u32::BITS - value.unsigned_abs().leading_zeros()) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn bits_and_numbers_come_back(
+            numbers in prop::collection::vec((0..3_usize, any::<i32>(), 0..32_u32), 0..400),
+            skew in 0..100_u32,
+        ) {
+            let numbers: Vec<_> = numbers.iter().map(|&(context, value, shift)| {
+                (context, (value >> shift).clamp(-(1 << 20) + 1, (1 << 20) - 1))
+            }).collect();
+            let bits: Vec<bool> = numbers.iter().map(|(_, value)| value.unsigned_abs() % 100 < skew).collect();
+            let run = |coder: &mut dyn FnMut(usize, i32, bool) -> (i32, bool)| -> Vec<(i32, bool)> {
+                numbers.iter().zip(&bits).map(|(&(context, value), &bit)| coder(context, value, bit)).collect()
+            };
+            let expected: Vec<_> = numbers.iter().zip(&bits).map(|(&(_, value), &bit)| (value, bit)).collect();
+            let (mut encoder, mut model, mut bit_model) = (Encoder::new(), NumberModel::new(3), BitModel::default());
+            run(&mut |context, value, bit| (model.code(&mut encoder, context, value), encoder.bit(&mut bit_model, bit)));
+            let payload = encoder.finish();
+            let (mut decoder, mut model, mut bit_model) = (Decoder::new(&payload), NumberModel::new(3), BitModel::default());
+            let found = run(&mut |context, _, _| (model.code(&mut decoder, context, 0), decoder.bit(&mut bit_model, false)));
+            prop_assert_eq!(found, expected);
+            prop_assert!(decoder.is_at_end() && !decoder.is_exhausted());
+        }
+    }
+
+    #[test]
+    fn probable_bits_take_little() {
+        let (mut encoder, mut model) = (Encoder::new(), BitModel::default());
+        for n in 0..8000 {
+            encoder.bit(&mut model, n % 100 == 0);
+        }
+        let bytes = encoder.finish().len();
+        // The entropy is 81 bytes.
+        assert!(bytes < 95, "{bytes} bytes");
+    }
+
+    #[test]
+    fn carries_reach_bytes_that_wait() {
+        // The highest values of raw bits keep the low end next to a carry.
+        for length in 1..200 {
+            let mut encoder = Encoder::new();
+            for n in 0..length {
+                encoder.raw(7, if n + 1 == length { 0 } else { 127 });
+            }
+            let payload = encoder.finish();
+            let mut decoder = Decoder::new(&payload);
+            let found: Vec<u32> = (0..length).map(|_| decoder.raw(7, 0)).collect();
+            assert!(found[..length - 1].iter().all(|&value| value == 127) && found[length - 1] == 0);
+            assert!(decoder.is_at_end());
+        }
+    }
+}
