@@ -21,7 +21,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	dependencies lint test-compose test-clients dist test-dist test-kubernetes test-slurm test-web test-rust load soak test-volumes fuzz fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
+	dependencies lint test-compose test-clients dist test-dist test-kubernetes test-slurm test-web test-rust load soak test-volumes fuzz fuzz-targets fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -182,6 +182,17 @@ fuzz: prerequisites-test web-client ## kernels against their twins on random vol
 	ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel-tests --test e2e -- mutated:: --nocapture
 	ISOPEEL_STATES_SECONDS=$(STATES_SECONDS) ISOPEEL_STATES_SEED=$(STATES_SEED) cargo test --locked --package isopeel-tests --test e2e -- states:: --nocapture
 	ISOPEEL_TEST_TIMES=$(TIMES) ISOPEEL_EXPRESSIONS=$(EXPRESSIONS) cargo test --locked --package isopeel-reference --test device
+
+# With coverage, from small valid files. cargo-fuzz needs a nightly compiler for the sanitizer alone.
+CARGO_FUZZ_VERSION := 0.13.2
+target/tools/cargo-fuzz-$(CARGO_FUZZ_VERSION):
+	cargo install --locked --quiet --debug --root target/tools cargo-fuzz --version $(CARGO_FUZZ_VERSION)
+	@touch $@
+
+MINUTES ?= 10
+TARGETS ?=
+fuzz-targets: prerequisites-build target/tools/cargo-fuzz-$(CARGO_FUZZ_VERSION) web-client ## each reader for ten minutes (MINUTES), or some of them (TARGETS), by libFuzzer, which looks for new paths; keeps what it found
+	PATH="$(CURDIR)/target/tools/bin:$$PATH" tests/scripts/fuzz-targets.sh $(MINUTES) $(TARGETS)
 
 containers: ## both images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes a quarter of an hour
 	tests/scripts/containers.sh

@@ -140,7 +140,7 @@ pub struct SurfaceArgs {
     #[arg(long, value_enum, value_name = "FORMAT")]
     pub(super) format: Option<Format>,
 
-    /// How the file is compressed: zlib for a VTP; meshopt for a GLB on a page, with positions of 16 bits, which Blender does not read
+    /// How the file is compressed: zlib for a VTP or 3MF; meshopt for a GLB on a page, with positions of 16 bits, which Blender does not read
     /// [default: none]
     #[arg(long, value_enum, value_name = "HOW")]
     compress: Option<Compress>,

@@ -88,7 +88,7 @@ pub enum Compress {
     /// As little as the format asks for.
     #[default]
     None,
-    /// Arrays of a VTP as blocks of zlib.
+    /// Arrays of a VTP as blocks of zlib; the text of a 3MF by deflate, to a fifth of its bytes.
     Zlib,
     /// A GLB with meshoptimizer's codecs and numbers of fewer bits, for pages on the web. Blender does not read it.
     Meshopt,
@@ -109,12 +109,21 @@ impl Compress {
         }
     }
 
-    /// The only format that has it; `None`: all have.
-    pub const fn format(self) -> Option<Format> {
+    /// Whether files of a format can be compressed so.
+    pub const fn is_of(self, format: Format) -> bool {
         match self {
-            Self::None => None,
-            Self::Zlib => Some(Format::Vtp),
-            Self::Meshopt => Some(Format::Glb),
+            Self::None => true,
+            Self::Zlib => matches!(format, Format::Vtp | Format::ThreeMf),
+            Self::Meshopt => matches!(format, Format::Glb),
+        }
+    }
+
+    /// The formats whose files can be compressed so, for people.
+    pub const fn expected(self) -> &'static str {
+        match self {
+            Self::None => "any format",
+            Self::Zlib => "a VTP or 3MF",
+            Self::Meshopt => "a GLB",
         }
     }
 }
@@ -202,8 +211,8 @@ impl Format {
             Self::Vtp => 39,
             // Lines of some 60 bytes a vertex, and of 50 a triangle.
             Self::Obj => 80,
-            // As OBJ without normals, a third of it compressed.
-            Self::ThreeMf => 35,
+            // Elements of some 55 bytes a vertex, and of 55 a triangle.
+            Self::ThreeMf => 80,
             // Vertices of 12 bytes, three indices of 4.
             Self::Gifti | Self::Precomputed => 18,
         };
@@ -335,7 +344,7 @@ impl Content {
             Format::Stl => stl::write(self.only()?, out),
             Format::Vtp => vtp::write(self.only()?, self.compress == Compress::Zlib, out),
             Format::Obj => obj::write(meshes, out),
-            Format::ThreeMf => three_mf::write(meshes, out),
+            Format::ThreeMf => three_mf::write(meshes, self.compress == Compress::Zlib, out),
             Format::Gifti => gifti::write(self.only()?, out),
             Format::Precomputed => precomputed::write(meshes, out),
         }

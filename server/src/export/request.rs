@@ -54,7 +54,7 @@ pub struct FileOptions {
     /// two of it vanish. 0, which is the default: the surface is exactly between samples.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub label_smoothing: f32,
-    /// How the file is compressed: `zlib` for a VTP, `meshopt` for a GLB on a page.
+    /// How the file is compressed: `zlib` for a VTP or 3MF, `meshopt` for a GLB on a page.
     #[serde(default, skip_serializing_if = "Compress::is_none")]
     pub compress: Compress,
     /// Seconds that measuring the error of a surface may take, which takes about as long as all else; 0: it is not measured. Without it there is no bound.
@@ -139,9 +139,9 @@ impl FileOptions {
                 format!("{count} fields, expected at most {MAX_FIELD_VALUES}"),
             );
         }
-        if let Some(format) = self.compress.format().filter(|format| *format != self.format) {
-            let (name, title, expected) = (self.compress.name(), self.format.title(), format.title());
-            return refuse("compress", format!("{name} of a {title}, expected a {expected}"));
+        if !self.compress.is_of(self.format) {
+            let (name, title, expected) = (self.compress.name(), self.format.title(), self.compress.expected());
+            return refuse("compress", format!("{name} of a {title}, expected {expected}"));
         }
         if let Some(seconds) = self.measure.filter(|seconds| !(0.0..=MAX_SECONDS).contains(seconds)) {
             return refuse("measure", format!("{seconds}, expected seconds, 0 to {MAX_SECONDS}"));

@@ -221,7 +221,7 @@ mod tests {
             (r#"{"format":"glb","unit":"stone"}"#, "unit: \"stone\""),
             (
                 r#"{"format":"ply","compress":"zlib"}"#,
-                "compress: zlib of a PLY, expected a VTP",
+                "compress: zlib of a PLY, expected a VTP or 3MF",
             ),
             (
                 r#"{"format":"ply","surfaces":[{},{}]}"#,

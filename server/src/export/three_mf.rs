@@ -11,7 +11,7 @@ use super::mesh::srgb_bytes;
 use super::xml::escaped;
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
 
-/// Level of compression: higher ones take three times as long for a tenth of the bytes.
+/// Level of deflate: higher ones take three times as long for a tenth of the bytes.
 const LEVEL: i64 = 1;
 /// Bytes of text of a triangle with its share of vertices, or more.
 const TRIANGLE_BYTES: u64 = 200;
@@ -33,15 +33,20 @@ const RELATIONSHIPS: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
      </Relationships>\n";
 
 /// Writes `meshes`, an object each with its name, in millimetres. A closed surface is a `model`, which encloses a solid, another one a `surface`. A
-/// mesh has the colours of its vertices, or its material's. Metadata hold the provenance, which is the first mesh's.
+/// mesh has the colours of its vertices, or its material's. Metadata hold the provenance, which is the first mesh's. `compresses`: the parts
+/// are deflated, which takes several times as long as to write them.
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+pub fn write(meshes: &[Mesh], compresses: bool, out: &mut impl Write) -> Result<(), ExportError> {
     let triangles: u64 = meshes.iter().map(|mesh| mesh.triangles.len() as u64).sum();
+    let (method, level) = match compresses {
+        true => (CompressionMethod::Deflated, Some(LEVEL)),
+        false => (CompressionMethod::Stored, None),
+    };
     let options = SimpleFileOptions::default()
-        .compression_method(CompressionMethod::Deflated)
-        .compression_level(Some(LEVEL))
+        .compression_method(method)
+        .compression_level(level)
         .large_file(triangles.saturating_mul(TRIANGLE_BYTES) > SHORT_PART);
     let mut package = ZipWriter::new_stream(out);
     package
@@ -241,15 +246,24 @@ mod tests {
     use super::super::mesh::tests::{geometry, two_quads};
     use super::*;
 
-    /// Elements of the model in their order, each with its attributes.
-    fn elements(meshes: &[Mesh]) -> Vec<(String, HashMap<String, String>)> {
+    fn package(meshes: &[Mesh], compresses: bool) -> Vec<u8> {
         let mut bytes = Vec::new();
-        write(meshes, &mut bytes).unwrap();
-        let mut package = ZipArchive::new(io::Cursor::new(bytes)).unwrap();
+        write(meshes, compresses, &mut bytes).unwrap();
+        bytes
+    }
+
+    fn model_of(meshes: &[Mesh], compresses: bool) -> String {
+        let mut package = ZipArchive::new(io::Cursor::new(package(meshes, compresses))).unwrap();
         for name in ["[Content_Types].xml", "_rels/.rels"] {
             assert!(package.by_name(name).is_ok(), "{name}");
         }
-        let model = io::read_to_string(package.by_name("3D/3dmodel.model").unwrap()).unwrap();
+        io::read_to_string(package.by_name("3D/3dmodel.model").unwrap()).unwrap()
+    }
+
+    /// Elements of the model in their order, each with its attributes.
+    fn elements(meshes: &[Mesh]) -> Vec<(String, HashMap<String, String>)> {
+        let model = model_of(meshes, false);
+        assert_eq!(model_of(meshes, true), model);
         let mut reader = Reader::from_str(&model);
         let mut elements = Vec::new();
         loop {
@@ -310,6 +324,18 @@ mod tests {
         let last = named("triangle").next_back().unwrap();
         assert_eq!(["p1", "p2", "p3"].map(|corner| last[corner].as_str()), ["0", "0", "1"]);
         assert!(named("triangle").next().unwrap().get("p1").is_none());
+    }
+
+    #[test]
+    fn only_a_compressed_package_is_smaller_than_its_text() {
+        let mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        let meshes = vec![mesh; 20];
+        let (text, stored) = (model_of(&meshes, false).len(), package(&meshes, false).len());
+        let deflated = package(&meshes, true).len();
+        assert!(
+            stored > text && deflated < text / 4,
+            "{text} bytes of text, {stored} stored, {deflated} deflated"
+        );
     }
 
     #[test]
