@@ -288,7 +288,9 @@ void error_crossings(const ErrorCrossingsArgs args, __global const SAMPLE *sampl
         const int3 at = convert_int3(unmorton(cell));
         const uint brick = region->brick_base + rank64(region->brick_mask[0], region->brick_mask[1], cell >> 9);
         const uint leaf = level > 0 ? find_slot(region, bricks, level, cell) : slot;
-        const CellOfLines lines = load_cell_of_lines(grid, SLAB_ARGS, args.iso, args.cap, origin + at);
+        CellOfLines lines = load_cell_of_lines(grid, SLAB_ARGS, args.iso, args.cap, origin + at);
+        // Any cell may be the last one before missing samples.
+        if (args.has_missing) lines.last = 7u;
         for (uint line = 0; line < 3 * LINES_OF_AXIS; line++) {
             const float4 p = cross_line(&lines, line / LINES_OF_AXIS, line % LINES_OF_AXIS);
             if (!(p.w >= 0.0f)) continue;

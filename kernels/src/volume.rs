@@ -309,6 +309,11 @@ impl Volume {
         self.table.bytes()
     }
 
+    /// Whether samples are missing anywhere.
+    pub(crate) fn has_missing(&self) -> bool {
+        self.missing_masks.iter().any(|mask| *mask != [0, 0])
+    }
+
     pub(crate) fn layout(&self) -> layout::Grid {
         layout::Grid {
             dims: self.grid.dims,

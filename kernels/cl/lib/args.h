@@ -189,6 +189,7 @@ typedef struct {
     uint z0; // First plane of the slab.
     float iso; // Isovalue in the field's units.
     uint cap; // 1: the volume was padded by one sample on every side.
+    uint has_missing; // 1: samples are missing somewhere.
     uint first_task; // The first task of this launch.
     uint region_count; // Active regions.
     uint has_stand_ins; // 1: other vertices stand for those of slots.

@@ -9,7 +9,7 @@ use crate::error::surface_points;
 pub fn distances(field: &Field, iso: f32, vertices: &[[f32; 3]], points: &[[f32; 3]]) -> (Vec<f64>, f64) {
     let spacing = field.grid.spacing.map(f64::from);
     let world = |point: &[f32; 3]| -> [f64; 3] { std::array::from_fn(|i| f64::from(point[i]) * spacing[i]) };
-    let mut surface = surface_points(field, iso, false);
+    let mut surface = surface_points(field, iso, false, 2);
     surface.extend(vertices.iter().map(world));
     let of_point = |point: &[f32; 3]| {
         let at = world(point);

@@ -21,7 +21,7 @@ pub struct Triangle {
 }
 
 /// Lines of a cell along each axis that measure area: where they go through it, along the next axis.
-const INNER_LINES: [f64; 2] = [0.25, 0.75];
+const INNER_LINES: [f64; 2] = [0.22, 0.78];
 
 /// How far from edges lines lie that count for the maximum alone.
 const INSET: f64 = 0.0625;
@@ -126,9 +126,10 @@ fn without_padding(field: &Field, cap: bool) -> [[u32; 3]; 2] {
     [[padding; 3], field.grid.dims.map(|n| n - 1 - padding)]
 }
 
-/// Points of the surface in world units: where it crosses the lattice of half a cell, on whose lines the interpolant of a cell is
+/// Points of the surface in world units: where it crosses a lattice with so many steps a cell, on whose lines the interpolant of a cell is
 /// linear. In a capped volume also those points of the lattice on its faces that lie inside.
-pub(crate) fn surface_points(field: &Field, iso: f32, cap: bool) -> Vec<Vector> {
+pub(crate) fn surface_points(field: &Field, iso: f32, cap: bool, steps: u32) -> Vec<Vector> {
+    let step = 1.0 / f64::from(steps);
     let spacing = field.grid.spacing.map(f64::from);
     let [first, last] = without_padding(field, cap);
     let world = |x: Vector| -> Vector { std::array::from_fn(|i| x[i] * spacing[i]) };
@@ -138,21 +139,21 @@ pub(crate) fn surface_points(field: &Field, iso: f32, cap: bool) -> Vec<Vector> 
         if v.iter().any(|v| v.is_nan()) {
             continue;
         }
-        let at = |i: [u32; 3]| -> Vector { std::array::from_fn(|a| f64::from(cell[a]) + f64::from(i[a]) / 2.0) };
-        let value = |i: [u32; 3]| interpolate(v, i.map(|i| f64::from(i) / 2.0)).1 - f64::from(iso);
-        for i in boxes([0; 3], [3; 3]) {
+        let at = |i: [u32; 3]| -> Vector { std::array::from_fn(|a| f64::from(cell[a]) + step * f64::from(i[a])) };
+        let value = |i: [u32; 3]| interpolate(v, i.map(|i| step * f64::from(i))).1 - f64::from(iso);
+        for i in boxes([0; 3], [steps + 1; 3]) {
             let (x, here) = (at(i), value(i));
             let on_face = (0..3).any(|a| x[a] == f64::from(first[a]) || x[a] == f64::from(last[a]));
             if cap && on_face && here >= 0.0 {
                 points.push(world(x));
             }
-            for axis in (0..3).filter(|&a| i[a] < 2) {
+            for axis in (0..3).filter(|&a| i[a] < steps) {
                 let mut next = i;
                 next[axis] += 1;
                 let there = value(next);
                 if (here >= 0.0) != (there >= 0.0) {
                     let mut x = x;
-                    x[axis] += 0.5 * here / (here - there);
+                    x[axis] += step * here / (here - there);
                     points.push(world(x));
                 }
             }
@@ -199,8 +200,8 @@ fn way_to_foot(field: &Field, iso: f32, cap: bool, p: Vector, start: Vector) -> 
 /// A point that is measured, and the area that it stands for, world units.
 type Weighted = (Vector, f64);
 
-/// Where lines through a cell cross the surface; in the padding of a capped volume that is on its faces.
-fn crossings(field: &Field, iso: f32, cap: bool, cell: [u32; 3]) -> Vec<Weighted> {
+/// Where lines through a cell cross the surface; in the padding of a capped volume that is on its faces. `has_missing`: samples are missing somewhere.
+fn crossings(field: &Field, iso: f32, cap: bool, has_missing: bool, cell: [u32; 3]) -> Vec<Weighted> {
     let spacing = field.grid.spacing.map(f64::from);
     let [first, last] = without_padding(field, cap);
     let v = field.cell_corners(cell).map(|v| f64::from(v) - f64::from(iso));
@@ -215,7 +216,7 @@ fn crossings(field: &Field, iso: f32, cap: bool, cell: [u32; 3]) -> Vec<Weighted
         let inner = INNER_LINES.map(|s| ([s, if other_diagonal { 1.0 - s } else { s }], true));
         let edges = [[false, false], [true, false], [false, true], [true, true]]
             .into_iter()
-            .filter(|far| (0..2).all(|i| !far[i] || cell[across[i]] + 1 == last[across[i]]))
+            .filter(|far| has_missing || (0..2).all(|i| !far[i] || cell[across[i]] + 1 == last[across[i]]))
             .map(|far| (far.map(|far| if far { 1.0 - INSET } else { INSET }), false));
         for (place, measures_area) in inner.into_iter().chain(edges) {
             let at = |along: f64| -> Vector {
@@ -339,15 +340,17 @@ pub fn bounds(
     triangles: &[Triangle],
 ) -> (BTreeMap<[u32; 3], Bounds>, Bounds) {
     let spacing = field.grid.spacing.map(f64::from);
-    let mut regions: BTreeMap<[u32; 3], Sums> = BTreeMap::new();
+    let (mut regions, has_missing) = (BTreeMap::<[u32; 3], Sums>::new(), field.has_missing());
     for cell in cut.leaf_of.keys() {
         let sums = &mut regions.entry(cell.map(|c| c / 32)).or_default().to_mesh;
-        for (p, weight) in crossings(field, iso, cap, *cell) {
+        for (p, weight) in crossings(field, iso, cap, has_missing, *cell) {
             let distances = triangles.iter().map(|t| triangle_distance(p, t.corners));
             sums.add(distances.fold(f64::INFINITY, f64::min), weight);
         }
     }
-    let points = surface_points(field, iso, cap);
+    // Beside missing samples the foot of a perpendicular may lie beyond the end of the surface, and points are all that is known of it.
+    let steps = if has_missing { 5 } else { 2 };
+    let points = surface_points(field, iso, cap, steps);
     let between = BETWEEN_POINTS * length(spacing);
     let mut seen = HashSet::new();
     for triangle in triangles {

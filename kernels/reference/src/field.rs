@@ -47,6 +47,11 @@ impl Field {
         Self::new(grid, (0..samples.len()).map(value).collect())
     }
 
+    /// Whether samples are missing anywhere.
+    pub fn has_missing(&self) -> bool {
+        self.values.iter().any(|value| value.is_nan())
+    }
+
     /// The value at a sample.
     pub fn at(&self, [x, y, z]: [u32; 3]) -> f32 {
         let [nx, ny, _] = self.grid.dims.map(|n| n as usize);

@@ -64,11 +64,6 @@ pub struct Counted {
     pub borders: Buffer<u32>,
 }
 
-/// Whether samples are missing anywhere, as the kernels take it.
-fn has_missing(volume: &Volume) -> u32 {
-    volume.missing_masks.iter().any(|mask| *mask != [0, 0]).into()
-}
-
 /// What is done in a region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
@@ -152,7 +147,7 @@ pub fn count(
     let args = DualCountArgs {
         grid: volume.layout(),
         brick_count,
-        has_missing: has_missing(volume),
+        has_missing: volume.has_missing().into(),
     };
     cx.launch(
         STAGE,
@@ -253,7 +248,7 @@ pub fn emit(
         grid: volume.layout(),
         params: *input.params,
         brick_count: pyramid.bricks.len() as u32,
-        has_missing: has_missing(volume),
+        has_missing: volume.has_missing().into(),
         corners,
     };
     cx.launch(

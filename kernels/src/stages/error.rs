@@ -66,6 +66,8 @@ kernel_args! {
         iso: f32,
         /// 1: the volume was padded by one sample on every side.
         cap: u32,
+        /// 1: samples are missing somewhere.
+        has_missing: u32,
         /// The first task of this launch.
         first_task: u32,
         /// Active regions.
@@ -398,6 +400,7 @@ impl Measurement<'_> {
                     z0: slab.z0,
                     iso: pyramid.iso,
                     cap: input.params.cap,
+                    has_missing: volume.has_missing().into(),
                     first_task,
                     region_count: pyramid.host_regions.len() as u32,
                     has_stand_ins: fans.stand_ins.is_some().into(),

@@ -121,6 +121,42 @@ fn smooth_surfaces_are_measured_within_a_twentieth() {
     }
 }
 
+/// Half a ball: many of its triangles are next to the border of the surface, whose nearest point is no foot of a perpendicular.
+#[test]
+fn a_surface_that_ends_at_missing_samples_is_measured_within_a_tenth() {
+    let Some(engine) = device() else { return };
+    let grid = Grid::new([14; 3], [1.0, 1.0, 1.25]).expect("a grid");
+    let points = (0..14).flat_map(|z| (0..14).flat_map(move |y| (0..14).map(move |x| [x, y, z])));
+    let value = |p: [u32; 3]| -> f32 {
+        let d: [f32; 3] = std::array::from_fn(|i| (p[i] as f32 - 6.4) * grid.spacing[i]);
+        let is_known = d[0] + 0.4 * d[1] - 0.3 * d[2] > 0.6;
+        if is_known {
+            5.3 - (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt()
+        } else {
+            f32::NAN
+        }
+    };
+    let samples = isopeel_kernels::Samples::F32(points.map(value).collect());
+    let loaded = load_samples(&engine, grid, &samples, None, 0.0);
+    let pyramid = build(&engine, &loaded, Feature::None);
+    let host = HostPyramid::read(&engine, &pyramid);
+    let twin = construct::construct(&loaded.field, TwinFeature::None, loaded.iso);
+    for level in [0u8, 1] {
+        let merged = |leaf: &Leaf| if leaf.level <= level { level } else { 255 };
+        let state: Vec<u8> = host.leaves.iter().map(merged).collect();
+        let Surface {
+            regions, statistics, ..
+        } = measured(&engine, &loaded, &pyramid, &state, false);
+        let triangles = world_triangles(&loaded.field, &regions);
+        let (_, Bounds { high, .. }) = bounds(&loaded.field, 0.0, false, &host.cut(&twin, &state), &triangles);
+        let got = statistics.error.expect("asked for");
+        assert!(
+            (0.97..=1.1).contains(&(got.rms / high.rms)) && (0.97..=1.1).contains(&(got.max / high.max)),
+            "level {level}: {got:?}, {high:?}"
+        );
+    }
+}
+
 /// A volume with one sample more on every side, below all others, as capping has it.
 fn padded(field: &Field) -> Vec<f32> {
     let [nx, ny, nz] = field.grid.dims;
