@@ -44,10 +44,10 @@ const READERS: Readonly<Record<string, { readonly bytes: number; readonly read: 
 };
 
 /** @throws when the server refuses, or answers with something that is no plane of samples */
-export async function fetchSlice(base: URL, { volume, ...query }: PlaneRequest): Promise<Plane> {
+export async function fetchSlice(base: URL, { volume, ...query }: PlaneRequest, signal?: AbortSignal): Promise<Plane> {
   const url = new URL(`api/v1/volumes/${encodeURIComponent(volume)}/slices`, base);
   for (const [name, value] of Object.entries(query)) url.searchParams.set(name, String(value));
-  const response = await ask(url, {});
+  const response = await ask(url, signal === undefined ? {} : { signal });
   return readPlane(response.headers.get("isopeel-slice"), await response.arrayBuffer());
 }
 

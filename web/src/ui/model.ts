@@ -11,6 +11,7 @@ import { has, LACKING, type Role } from "../state/roles";
 import type { PageLayers, Store } from "../state/store";
 import type { Surface, SurfaceList, SurfaceStyle } from "../state/surfaceList";
 import { INITIAL_STATE, type ViewerState } from "../state/viewer";
+import { SlicesBeside } from "./slicePanel/beside";
 import type { Points } from "../transfer/model";
 import type { AxisName } from "../world/axes";
 
@@ -175,6 +176,7 @@ export class Model {
   /** Set before the page is shown. */
   uploads: UploadActions | undefined;
   jobs: JobActions | undefined;
+  readonly beside = new SlicesBeside();
   /** Frames are rendered by a GPU: there are effects on screen. */
   onGpu = false;
   /** Told of each error that is shown. */

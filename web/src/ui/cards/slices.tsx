@@ -1,16 +1,20 @@
-/** Planes of samples through the volume, with what is black and white in them. */
+/** Planes of samples through the volume, beside the picture and in it, with what is black and white in them. */
 
 import { Show } from "solid-js";
 import type { VolumeInfo } from "../../protocol/types";
 import { sampleRange, usualWindow } from "../../state/bounds";
 import type { SliceChoice } from "../../state/look";
+import { crosshairOf, moved, planesAt, type Slicing } from "../../state/slicing";
+import { sidesOf } from "../../world/axes";
 import { formatValue } from "../format";
 import { useModel } from "../model";
+import { LAYOUT_OPTIONS, SIDES } from "../slicePanel/words";
 import { Button } from "../widgets/button";
-import { Toggle } from "../widgets/choice";
+import { Choice, Select, Toggle } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { Slider } from "../widgets/slider";
 import { between } from "./clip";
+import { label } from "./features";
 
 export default function Body() {
   const { volume } = useModel();
@@ -18,25 +22,54 @@ export default function Body() {
 }
 
 function Slices(props: { readonly volume: VolumeInfo }) {
-  const { look } = useModel();
-  const isAny = () => look().slices.planes.some((index) => index !== null);
+  const { look, page } = useModel();
+  const isAny = () => page().slicing.layout !== "picture" || look().slices.planes.some((index) => index !== null);
   return (
     <>
+      <Beside volume={props.volume} />
+      <p class="note">In the picture, across the volume's own axes</p>
       <SlicePlace axis={0} name="x" volume={props.volume} />
       <SlicePlace axis={1} name="y" volume={props.volume} />
       <SlicePlace axis={2} name="z" volume={props.volume} />
-      <Show when={isAny()} fallback={<p class="note">Shows the samples themselves, across the volume's own axes</p>}>
+      <Show when={isAny()}>
         <WindowLevel volume={props.volume} />
       </Show>
     </>
   );
 }
 
+/** Slices beside the picture: the layout, the field, and on which side a patient's left is. */
+function Beside(props: { readonly volume: VolumeInfo }) {
+  const { actions, page, view } = useModel();
+  const slicing = () => page().slicing;
+  const change = (of: Partial<Slicing>) => actions.changePage({ slicing: { ...slicing(), ...of } });
+  const fields = () => [{ value: "", text: `As the surface: ${label(view()?.field ?? "")}` }, ...props.volume.fields.map(({ name }) => ({ value: name, text: label(name) }))];
+  return (
+    <>
+      <Choice label="Layout" wide value={slicing().layout} options={LAYOUT_OPTIONS} onChange={(layout) => change({ layout })} />
+      <Show when={slicing().layout !== "picture"}>
+        <Show when={props.volume.fields.length > 1}>
+          <Select label="Show" value={slicing().field ?? ""} options={fields()} onChange={(field) => change({ field: field === "" ? undefined : field })} />
+        </Show>
+        <Show when={sidesOf(props.volume.geometry.frame)["+x"]}>
+          <Choice label="Sides" wide value={slicing().leftIsLeft ? "left" : "right"} options={SIDES} onChange={(side) => change({ leftIsLeft: side === "left" })} />
+        </Show>
+      </Show>
+    </>
+  );
+}
+
+/** While there are slices beside the picture, those in it are where their crosshair is. */
 function SlicePlace(props: { readonly axis: 0 | 1 | 2; readonly name: string; readonly volume: VolumeInfo }) {
-  const { actions, look } = useModel();
-  const index = () => look().slices.planes[props.axis];
+  const { actions, look, page } = useModel();
+  const index = () => planesAt(look().slices.planes, page().slicing, props.volume.geometry.dims)[props.axis];
   const last = () => props.volume.geometry.dims[props.axis] - 1;
   const change = (value: number | null, gesture?: string) => {
+    const { slicing } = page();
+    const { dims } = props.volume.geometry;
+    if (value !== null && index() !== null && slicing.layout !== "picture") {
+      return actions.changePage({ slicing: moved(slicing, dims, props.axis, value - crosshairOf(slicing, dims)[props.axis]) });
+    }
     const planes = look().slices.planes.map((old, i) => (i === props.axis ? value : old)) as unknown as SliceChoice["planes"];
     actions.changeLook({ slices: { ...look().slices, planes } }, gesture);
   };
