@@ -81,7 +81,7 @@ test("slices have true proportions, of uneven and of oblique axes too", () => {
     for (const view of sliceViews(grid, false)) {
       const index = (i: number, j: number) => [0, 1, 2].map((axis) => (axis === view.axes[0] ? i : axis === view.axes[1] ? j : 1)) as unknown as [number, number, number];
       const apart = (a: readonly number[], b: readonly number[]) => Math.hypot(...a.map((n, axis) => n - (b[axis] ?? 0)));
-      for (const [a, b] of [[[0, 0], [2, 1]], [[1.5, 0], [0.25, 2]], [[0, 1], [2, 1]]] as const) {
+      for (const [a, b] of [[[0, 0], [2, 1]], [[1.5, 0], [0.25, 2]], [[0, 1], [2, 1]]] satisfies [[number, number], [number, number]][]) {
         expect(apart(screenOf(view, ...a), screenOf(view, ...b)), view.name).toBeCloseTo(apart(worldOf(grid, index(...a)), worldOf(grid, index(...b))), 9);
         near(indicesAt(view, ...screenOf(view, ...a)), a);
       }

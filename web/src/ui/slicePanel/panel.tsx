@@ -37,7 +37,10 @@ export default function SlicePanel() {
 
 function Panes(props: { readonly volume: VolumeInfo }) {
   const { page } = useModel();
-  const views = createMemo(() => sliceViews(props.volume.geometry, page().slicing.leftIsLeft));
+  // Others make other panes, which a drag would not survive.
+  const leftIsLeft = createMemo(() => page().slicing.leftIsLeft);
+  const geometry = createMemo(() => props.volume.geometry, undefined, { equals: (a, b) => JSON.stringify(a) === JSON.stringify(b) });
+  const views = createMemo(() => sliceViews(geometry(), leftIsLeft()));
   /** On a narrow page there is one at a time. */
   const [chosen, setChosen] = createSignal(0);
   const [hovered, setHovered] = createSignal<Triple>();
