@@ -12,7 +12,7 @@ export class Marks {
   private readonly outlining: Outlining;
   private readonly pointing: Pointing;
 
-  constructor(scene: Pick<SurfaceRenderer, "annotations">) {
+  constructor(scene: Pick<SurfaceRenderer, "annotations" | "onGpu">) {
     this.measuring = new Measuring(scene);
     this.outlining = new Outlining(scene);
     this.pointing = new Pointing(scene);

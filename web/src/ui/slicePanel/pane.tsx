@@ -112,7 +112,7 @@ export function SlicePane(props: PaneProps) {
       <Lines cross={cross()} size={size()} />
       <For each={["left", "right", "top", "bottom"] as const}>{(side, i) => <span class={`slice-side ${side}`}>{props.view.sides[i()]}</span>}</For>
       <p class="slice-name">
-        <b>{props.view.name}</b> {words()}
+        <b>{props.view.name}</b> {at()[props.view.across]} <span class="of">of {last()}</span>
         <Show when={state()?.isCurrent === false && state()?.loaded}>{(loaded) => <span class="slice-old">old: {loaded().index}</span>}</Show>
       </p>
       <Steps view={props.view} />
