@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { PNG } from "pngjs";
 import { violations } from "./accessibility.mjs";
-import { cameraAtRest, difference, frameAfter, MORE, openPage, picture, rested, saveScreenshot, skipTour, status, TIMEOUT_MS } from "./harness.mjs";
+import { cameraAtRest, difference, frameAfter, makeVolume, MORE, openPage, picture, rested, saveScreenshot, skipTour, startServer, status, TIMEOUT_MS } from "./harness.mjs";
 import { setUp } from "./setup.mjs";
 
 /** Along the second axis: the ball is in the middle of the picture. */
@@ -82,7 +82,7 @@ test("a click in a slice or on the surface moves the crosshair in all of them, a
   await page.mouse.move(...place(25, 12));
   await panel(page).getByText("25, 12, 22").waitFor();
   assert.equal(await fact(page, "depth"), "3.5");
-  assert.equal(await fact(page, "Position"), "x 25.0, y 12.0, z 22.0");
+  assert.equal(await fact(page, "x, y, z"), "25.0, 12.0, 22.0");
   await page.mouse.move(5, 5);
   await panel(page).getByText("33, 30, 22").waitFor();
   // A drag is one way to get there; its end counts.
@@ -246,4 +246,32 @@ test("a server that refuses is said, the last slices stay as old ones, and nothi
   await drawn(page);
   assert.equal(await panel(page).getByText("cannot be shown").count(), 0);
   await page.close();
+});
+
+test("while there is no connection the panel says so, and the next one brings the slices that are wanted", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
+  const volume = makeVolume();
+  const server = await startServer([volume.path]);
+  let next;
+  try {
+    const { page, faults } = await openPage(at.browser, `${server.url}/#volume=bumpy&iso=0&layout=slices&crosshair=25,23,22`);
+    await rested(page);
+    await drawn(page);
+    await server.stop();
+    await pane(page, "z").focus();
+    await pane(page, "z").press("PageUp");
+    await panel(page).getByText("No connection to the server: there are no new slices. What is marked as old is from before").waitFor();
+    await panel(page).getByText("old: 22").waitFor();
+    // As over the picture.
+    await page.locator(".banner").waitFor();
+    next = await startServer([volume.path], { port: server.port });
+    await drawn(page);
+    assert.deepEqual(await crosshair(page), [25, 23, 23]);
+    assert.equal(await panel(page).getByText("No connection").count(), 0);
+    assert.deepEqual(faults, []);
+    await page.close();
+  } finally {
+    await server.stop();
+    await next?.stop();
+    volume.remove();
+  }
 });

@@ -251,8 +251,8 @@ test("each volume keeps its crosshair, and slices in the picture stay where it w
 });
 
 test("what is said of a sample is exact", () => {
-  expect(positionWords(EVEN, [1, 2, 3], "mm")).toBe("x 11.0, y 24.0, z 39.0 mm");
-  expect(positionWords({ ...EVEN, spacing: [0.25, 1, 1], origin: [-0.25, -1, 0] }, [1, 0, 0], undefined)).toBe("x 0.00, y −1.00, z 0.00");
+  expect(positionWords(EVEN, [1, 2, 3], "mm")).toBe("11.0, 24.0, 39.0 mm");
+  expect(positionWords({ ...EVEN, spacing: [0.25, 1, 1], origin: [-0.25, -1, 0] }, [1, 0, 0], undefined)).toBe("0.00, −1.00, 0.00");
   const [field] = volume.fields;
   if (field === undefined) throw new Error("a field expected");
   expect([valueWords(-1024, field), valueWords(0.1234567, field), valueWords(NaN, field), valueWords(3, undefined)]).toEqual(["-1024 mm", "0.1234567 mm", "no value", "3"]);

@@ -67,7 +67,8 @@ export function drawSlice(canvas: HTMLCanvasElement, width: number, height: numb
   const [w, h] = [Math.max(1, Math.round(width * density)), Math.max(1, Math.round(height * density))];
   if (canvas.width !== w) canvas.width = w;
   if (canvas.height !== h) canvas.height = h;
-  const context = canvas.getContext("2d");
+  // Pixels come from the processor: a canvas of the GPU would take them over and back.
+  const context = canvas.getContext("2d", { willReadFrequently: true });
   const plane = drawing?.loaded.planes.get(drawing.field);
   if (context === null) return;
   if (drawing === undefined || plane === undefined) return context.clearRect(0, 0, w, h);

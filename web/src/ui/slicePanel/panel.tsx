@@ -75,7 +75,7 @@ function Facts(props: { readonly volume: VolumeInfo; readonly views: readonly Sl
       <dl class="rows" aria-label={props.hovered === undefined ? "At the crosshair" : "Under the pointer"}>
         <dt>{label(field())}</dt>
         <dd class="slice-value">{valueAt(index())}</dd>
-        <dt>Position</dt>
+        <dt>x, y, z</dt>
         <dd>{position(index())}</dd>
         <dt>Sample</dt>
         <dd>{index().join(", ")}</dd>

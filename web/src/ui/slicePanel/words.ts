@@ -11,12 +11,11 @@ function decimalsOf({ spacing }: PlacedGrid): number {
   return Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(Math.min(...spacing)) + 1e-9)));
 }
 
-/** `x −12.0, y 34.5, z 5.0 mm` */
+/** `−12.0, 34.5, 5.0 mm` */
 export function positionWords(grid: PlacedGrid, index: Triple, unit: string | undefined): string {
   const decimals = decimalsOf(grid);
   const number = (n: number) => n.toFixed(decimals).replace(/^-(?=0\.?0*$)/, "").replace("-", "−");
-  const [x, y, z] = worldOf(grid, index);
-  return `x ${number(x)}, y ${number(y)}, z ${number(z)} ${unit ?? ""}`.trim();
+  return `${worldOf(grid, index).map(number).join(", ")} ${unit ?? ""}`.trim();
 }
 
 /** The value of a sample in full, with its unit or the name of its label. */
