@@ -8,13 +8,17 @@ const SEGMENTS: readonly (readonly number[])[] = [
   [], [3, 0], [0, 1], [3, 1], [1, 2], [3, 0, 1, 2], [0, 2], [3, 2], [2, 3], [0, 2], [0, 1, 2, 3], [1, 2], [1, 3], [0, 1], [3, 0], [],
 ];
 
+/** More are no outline: they fill the slice, as noise does, and take seconds to draw. */
+const MAX_SEGMENTS = 200_000;
+
 /**
  * @param samples row after row; NaN is missing
- * @returns ends of segments, four numbers each: columns and rows, from the first sample
+ * @returns ends of segments, four numbers each: columns and rows, from the first sample; `undefined` if there are more than 200,000
  */
-export function contourOf(samples: ArrayLike<number>, [width, height]: readonly [number, number], iso: number): Float32Array {
+export function contourOf(samples: ArrayLike<number>, [width, height]: readonly [number, number], iso: number): Float32Array | undefined {
   const found: number[] = [];
   for (let y = 0; y + 1 < height; y += 1) {
+    if (found.length > 4 * MAX_SEGMENTS) return undefined;
     for (let x = 0; x + 1 < width; x += 1) {
       const at = y * width + x;
       const a = samples[at] ?? NaN;

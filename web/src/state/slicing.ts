@@ -104,7 +104,7 @@ export function slicingParts({ layout, at, field, leftIsLeft }: Slicing = FIRST_
   return [
     ["layout", isShown ? layout : undefined],
     ["crosshair", isShown ? at?.join(",") : undefined],
-    ["slicefield", isShown ? field : undefined],
+    ["slicefield", field],
     ["left", isShown && leftIsLeft ? "left" : undefined],
   ];
 }

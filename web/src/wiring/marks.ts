@@ -18,9 +18,9 @@ export class Marks {
     this.pointing = new Pointing(scene);
   }
 
-  show({ look, page, view, viewer }: Pick<Store, "look" | "page" | "view" | "viewer">): void {
+  show({ isEmbedded, look, page, view, viewer }: Pick<Store, "isEmbedded" | "look" | "page" | "view" | "viewer">): void {
     this.measuring.show(look.measures, page.picked, lengthUnit(viewer.volume));
     this.outlining.show(view?.interest ?? [], page);
-    this.pointing.show(page.slicing, viewer.volume);
+    if (!isEmbedded) this.pointing.show(page.slicing, viewer.volume);
   }
 }

@@ -2,12 +2,13 @@
 
 import { Show } from "solid-js";
 import type { VolumeInfo } from "../../protocol/types";
-import { sampleRange, usualWindow } from "../../state/bounds";
+import { sampleRange } from "../../state/bounds";
 import type { SliceChoice } from "../../state/look";
 import { crosshairOf, moved, planesAt, type Slicing } from "../../state/slicing";
 import { sidesOf } from "../../world/axes";
 import { formatValue } from "../format";
 import { useModel } from "../model";
+import { useShownField, useWindow } from "../slicePanel/shown";
 import { LAYOUT_OPTIONS, SIDES } from "../slicePanel/words";
 import { Button } from "../widgets/button";
 import { Choice, Select, Toggle } from "../widgets/choice";
@@ -32,30 +33,43 @@ function Slices(props: { readonly volume: VolumeInfo }) {
       <SlicePlace axis={1} name="y" volume={props.volume} />
       <SlicePlace axis={2} name="z" volume={props.volume} />
       <Show when={isAny()}>
+        <ShownField volume={props.volume} />
         <WindowLevel volume={props.volume} />
       </Show>
     </>
   );
 }
 
-/** Slices beside the picture: the layout, the field, and on which side a patient's left is. */
+/** Slices beside the picture, and on which side a patient's left is in them. */
 function Beside(props: { readonly volume: VolumeInfo }) {
-  const { actions, page, view } = useModel();
+  const { actions, page } = useModel();
   const slicing = () => page().slicing;
   const change = (of: Partial<Slicing>) => actions.changePage({ slicing: { ...slicing(), ...of } });
-  const fields = () => [{ value: "", text: `As the surface: ${label(view()?.field ?? "")}` }, ...props.volume.fields.map(({ name }) => ({ value: name, text: label(name) }))];
   return (
     <>
       <Choice label="Layout" wide value={slicing().layout} options={LAYOUT_OPTIONS} onChange={(layout) => change({ layout })} />
-      <Show when={slicing().layout !== "picture"}>
-        <Show when={props.volume.fields.length > 1}>
-          <Select label="Show" value={slicing().field ?? ""} options={fields()} onChange={(field) => change({ field: field === "" ? undefined : field })} />
-        </Show>
-        <Show when={sidesOf(props.volume.geometry.frame)["+x"]}>
-          <Choice label="Sides" wide value={slicing().leftIsLeft ? "left" : "right"} options={SIDES} onChange={(side) => change({ leftIsLeft: side === "left" })} />
-        </Show>
+      <Show when={slicing().layout !== "picture" && sidesOf(props.volume.geometry.frame)["+x"]}>
+        <div class="control">
+          <span class="label">A patient's left is</span>
+          <Choice label="A patient's left is" wide value={slicing().leftIsLeft ? "left" : "right"} options={SIDES} onChange={(side) => change({ leftIsLeft: side === "left" })} />
+        </div>
       </Show>
     </>
+  );
+}
+
+/** The field that is shown. Another one has other values: it begins with the window that is usual for it. */
+function ShownField(props: { readonly volume: VolumeInfo }) {
+  const { actions, look, page, view } = useModel();
+  const fields = () => [{ value: "", text: `As the surface: ${label(view()?.field ?? "")}` }, ...props.volume.fields.map(({ name }) => ({ value: name, text: label(name) }))];
+  const choose = (field: string) => {
+    actions.changePage({ slicing: { ...page().slicing, field: field === "" ? undefined : field } });
+    if (look().slices.window !== undefined) actions.changeLook({ slices: { ...look().slices, window: undefined } });
+  };
+  return (
+    <Show when={props.volume.fields.length > 1}>
+      <Select label="Show" value={page().slicing.field ?? ""} options={fields()} onChange={choose} />
+    </Show>
   );
 }
 
@@ -98,17 +112,18 @@ function SlicePlace(props: { readonly axis: 0 | 1 | 2; readonly name: string; re
 
 /** Width and middle of what lies between black and white, as radiologists say it. */
 function WindowLevel(props: { readonly volume: VolumeInfo }) {
-  const { actions, look, view } = useModel();
-  const range = () => sampleRange(props.volume, view()?.field);
+  const { actions, look } = useModel();
+  const field = useShownField();
+  const shown = useWindow();
+  const range = () => (props.volume.fields.some(({ name }) => name === field()) ? sampleRange(props.volume, field()) : shown());
   const size = () => range()[1] - range()[0] || 1;
-  const shown = () => look().slices.window ?? usualWindow(props.volume, view()?.field);
   const width = () => shown()[1] - shown()[0];
   const level = () => (shown()[0] + shown()[1]) / 2;
   const change = (of: { readonly width?: number; readonly level?: number }, gesture?: string) => {
     const [w, l] = [Math.max(of.width ?? width(), 1e-6 * size()), of.level ?? level()];
     actions.changeLook({ slices: { ...look().slices, window: [l - w / 2, l + w / 2] } }, gesture);
   };
-  const field = (label: string, value: number, set: (value: number) => void) => (
+  const numberField = (label: string, value: number, set: (value: number) => void) => (
     <NumberField label={label} value={Number(value.toPrecision(6))} step={size() / 100} onChange={set} />
   );
   return (
@@ -119,7 +134,7 @@ function WindowLevel(props: { readonly volume: VolumeInfo }) {
         value={width()}
         scale={between(0, size())}
         words={formatValue(width())}
-        field={field("Window", width(), (value) => change({ width: value }))}
+        field={numberField("Window", width(), (value) => change({ width: value }))}
         onChange={(value, gesture) => change({ width: value }, gesture)}
         onEnd={actions.endGesture}
       />
@@ -129,7 +144,7 @@ function WindowLevel(props: { readonly volume: VolumeInfo }) {
         value={level()}
         scale={between(...range())}
         words={formatValue(level())}
-        field={field("Level", level(), (value) => change({ level: value }))}
+        field={numberField("Level", level(), (value) => change({ level: value }))}
         onChange={(value, gesture) => change({ level: value }, gesture)}
         onEnd={actions.endGesture}
       />

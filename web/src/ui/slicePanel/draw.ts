@@ -22,7 +22,7 @@ export interface Drawing {
   readonly outlines: readonly DrawnOutline[];
 }
 
-interface DrawnOutline {
+export interface DrawnOutline {
   readonly color: string;
   /** Ends of segments, in samples along the lower and the higher axis of the plane. */
   readonly segments: Float32Array;
@@ -52,11 +52,11 @@ function holds({ comparison, values }: Mask, value: number): boolean {
   }
 }
 
-/** The outline of a surface in a slice; `undefined` while samples that it needs are not there. */
+/** The outline of a surface in a slice; none while samples that it needs are not there; `undefined` if it is too fine to be drawn. */
 export function outlineIn({ planes }: LoadedSlice, { field, iso, mask }: Outline): Float32Array | undefined {
   const plane = planes.get(field);
   const other = mask && planes.get(mask.field);
-  if (plane === undefined || (mask !== undefined && other === undefined)) return undefined;
+  if (plane === undefined || (mask !== undefined && other === undefined)) return new Float32Array();
   const samples = mask === undefined || other === undefined ? plane.samples : maskedBy(plane.samples, other.samples, (value) => holds(mask, value));
   return contourOf(samples, plane.size, iso);
 }

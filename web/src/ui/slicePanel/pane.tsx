@@ -4,52 +4,21 @@ import { createEffect, createMemo, createSignal, For, onCleanup, onMount, Show }
 import { draggedWindow } from "../../slices/window";
 import { indicesAtPixel, pixelOf, type SliceView } from "../../slices/view";
 import type { VolumeInfo } from "../../protocol/types";
-import { sampleRange, usualWindow } from "../../state/bounds";
+import { sampleRange } from "../../state/bounds";
 import { hasLabels } from "../../state/fields";
-import { crosshairOf, moved, outlinesOf, pointed, sampleNear } from "../../state/slicing";
+import { crosshairOf, moved, outlinesOf, pointed, sampleNear, type SliceState } from "../../state/slicing";
 import { useModel } from "../model";
 import type { Triple } from "../../world/places";
 import { Icon } from "../widgets/icon";
-import { drawSlice, fitOf, outlineIn, type Drawing } from "./draw";
+import { drawSlice, fitOf, outlineIn, type DrawnOutline, type Drawing } from "./draw";
 import { listenToSlice, type Place, type SliceGestures } from "./gestures";
+import { useShownField, useWindow } from "./shown";
 
 /** Of surfaces that have the colours of the look: near that of ivory, and seen on grey. */
 const OUTLINE = "#ffd36b";
 const WINDOW_GESTURE = "slice-window";
 /** Pixels between the crosshair's lines and the sample in their middle. */
 const GAP = 6;
-
-/** Values that are black and white in the slices. */
-export function useWindow(): () => readonly [number, number] {
-  const { beside, look, volume } = useModel();
-  const field = useShownField();
-  return createMemo(() => {
-    const [known, name] = [volume(), field()];
-    const chosen = look().slices.window;
-    if (chosen !== undefined) return chosen;
-    if (known?.fields.some((one) => one.name === name) === true) return usualWindow(known, name);
-    // Of an expression nothing is known here but what is shown.
-    return rangeOf(beside.slices.flatMap(({ loaded }) => loaded?.planes.get(name)?.samples ?? []));
-  });
-}
-
-/** Minimum and maximum of the samples that are there. */
-function rangeOf(planes: readonly Float32Array[]): readonly [number, number] {
-  let [low, high] = [Infinity, -Infinity];
-  for (const samples of planes) {
-    for (const value of samples) {
-      if (value < low && value !== -Infinity) low = value;
-      if (value > high && value !== Infinity) high = value;
-    }
-  }
-  return low < high ? [low, high] : [0, 1];
-}
-
-/** The field whose samples are shown. */
-export function useShownField(): () => string {
-  const { page, view } = useModel();
-  return () => page().slicing.field ?? view()?.field ?? "";
-}
 
 /** A sample by indices along a view's axes. */
 function sampleOf({ axes, across }: SliceView, [i, j]: readonly [number, number], plane: number): Triple {
@@ -85,7 +54,7 @@ export function SlicePane(props: PaneProps) {
   const cross = () => pixelOf(props.view, fit(), at()[props.view.axes[0]], at()[props.view.axes[1]]);
   const last = () => dims()[props.view.across] - 1;
   const words = () => `${at()[props.view.across]} of ${last()}`;
-  const drawing = useDrawing(props, state);
+  const { drawing, isTooFine } = useDrawing(props, state);
   let canvas: HTMLCanvasElement | undefined;
   onMount(() => canvas?.parentElement && observe(canvas.parentElement));
   createEffect(() => {
@@ -115,6 +84,9 @@ export function SlicePane(props: PaneProps) {
         <b>{props.view.name}</b> {at()[props.view.across]} <span class="of">of {last()}</span>
         <Show when={state()?.isCurrent === false && state()?.loaded}>{(loaded) => <span class="slice-old">old: {loaded().index}</span>}</Show>
       </p>
+      <Show when={isTooFine()}>
+        <p class="slice-note">An outline is too fine to be drawn here</p>
+      </Show>
       <Steps view={props.view} />
     </div>
   );
@@ -150,28 +122,25 @@ function Steps(props: { readonly view: SliceView }) {
   );
 }
 
-/** What is drawn; it changes only if that does. */
-function useDrawing(props: PaneProps, state: () => ReturnType<typeof useModel>["beside"]["slices"][number] | undefined): () => Drawing | undefined {
+/** What is drawn; it changes only if that does. Some outlines may be too fine for it. */
+function useDrawing(props: PaneProps, state: () => SliceState | undefined): { readonly drawing: () => Drawing | undefined; readonly isTooFine: () => boolean } {
   const { surfaces } = useModel();
   const field = useShownField();
   const shownWindow = useWindow();
   const wanted = createMemo(() => outlinesOf(surfaces()), undefined, { equals: (a, b) => JSON.stringify(a) === JSON.stringify(b) });
   const loaded = createMemo(() => state()?.loaded);
-  const outlines = createMemo(() => {
+  const found = createMemo(() => {
     const slice = loaded();
-    return slice === undefined
-      ? []
-      : wanted().flatMap((outline) => {
-          const segments = outlineIn(slice, outline);
-          return segments === undefined ? [] : [{ color: outline.color ?? OUTLINE, segments }];
-        });
+    return slice === undefined ? [] : wanted().map((outline) => ({ color: outline.color ?? OUTLINE, segments: outlineIn(slice, outline) }));
   });
-  return () => {
+  const outlines = createMemo(() => found().flatMap(({ color, segments }): DrawnOutline[] => (segments === undefined ? [] : [{ color, segments }])));
+  const drawing = () => {
     const slice = loaded();
     const info = props.volume.fields.find(({ name }) => name === field());
     const isSmooth = info === undefined || !hasLabels(info);
     return slice && { view: props.view, loaded: slice, field: field(), window: shownWindow(), isSmooth, outlines: outlines() };
   };
+  return { drawing, isTooFine: () => outlines().length < found().length };
 }
 
 function useGestures(props: PaneProps, size: () => readonly [number, number]): SliceGestures {

@@ -12,7 +12,8 @@ import { formatValue } from "../format";
 import { useModel } from "../model";
 import { placeOf } from "../surfaceNames";
 import { Button } from "../widgets/button";
-import { SlicePane, useShownField, useWindow } from "./pane";
+import { SlicePane } from "./pane";
+import { useShownField, useWindow } from "./shown";
 import { positionWords, problemWords, valueWords } from "./words";
 import "../style/slices.css";
 

@@ -36,10 +36,10 @@ export function problemWords(problems: readonly (string | undefined)[], isAllCur
   return problem === undefined ? "" : `The slices cannot be shown: ${problem}${before}`;
 }
 
-/** How the two sides of a patient lie, in words. */
+/** Where a patient's left is. */
 export const SIDES: readonly { readonly value: string; readonly text: string; readonly hint: string }[] = [
-  { value: "right", text: "Left on the right", hint: "As radiologists have it: seen from the patient's feet, and from the front" },
-  { value: "left", text: "Left on the left", hint: "As neurologists have it: seen from above, and from behind" },
+  { value: "right", text: "on the right", hint: "As radiologists have it: seen from the patient's feet, and from the front" },
+  { value: "left", text: "on the left", hint: "As neurologists have it: seen from above, and from behind" },
 ];
 
 export const LAYOUT_OPTIONS: readonly { readonly value: Slicing["layout"]; readonly text: string; readonly hint: string }[] = [
