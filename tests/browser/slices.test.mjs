@@ -207,6 +207,30 @@ test("each surface that is shown has its outline, in its colour, where its value
   const rows = [0, 0];
   for (let y = 0; y < masked.height; y += 1) for (let x = 0; x < masked.width; x += 1) if (masked.data[4 * (y * masked.width + x)] > 215 && masked.data[4 * (y * masked.width + x) + 1] < 70) rows[y < masked.height / 2 + 3 ? 0 : 1] += 1;
   assert.ok(rows[0] > 50 && rows[1] === 0, `${rows[0]} pixels above, ${rows[1]} below`);
+  // A surface with an opacity of 0 is seen by its outline alone.
+  await page.goto(page.url().replace("layout=slices", "layout=both").replace("tint=", "opacity=0&tint=").replace(/(s2\.hidden=1&)?s2\.tint=/, "s2.hidden=1&s2.tint="));
+  await page.waitForFunction(() => window.isopeel.status.surfaces[0].style.opacity === 0 && document.querySelector(".slice-panel").dataset.layout === "both");
+  await cameraAtRest(page);
+  await drawn(page);
+  await saveScreenshot(page, "slices-transparent");
+  await page.getByText("What is there is hidden or transparent").waitFor();
+  assert.ok(countOf(await pixels(page, "z"), red) > 20);
+  assert.equal(countOf(await picture(page), red, 120), 0);
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
+test("a clip plane cuts away the half that is nearer to the camera", { ...MORE, timeout: 2 * TIMEOUT_MS }, async () => {
+  const { page, faults } = await open("axes=1");
+  for (const card of ["View", "Clip"]) await page.getByRole("button", { name: card, exact: true }).click();
+  const plane = page.getByRole("radiogroup", { name: "Plane" });
+  for (const [side, normal] of [["−y", "0,-1,0"], ["+y", "0,1,0"]]) {
+    await page.getByRole("button", { name: `Look from ${side}` }).click();
+    await cameraAtRest(page);
+    await plane.getByText("None").click();
+    await plane.getByText("Across y").click();
+    await page.waitForFunction((normal) => location.hash.includes(`plane=${normal},`), normal);
+  }
   assert.deepEqual(faults, []);
   await page.close();
 });

@@ -10,7 +10,7 @@ import { Display, FIRST_TABLES } from "./wiring/display";
 import { embedOptions } from "./embed/origins";
 import { Embedding } from "./wiring/embedding";
 import { Enclosing } from "./wiring/enclosing";
-import { Framing } from "./wiring/framing";
+import { Framing, framingActions } from "./wiring/framing";
 import { Later } from "./wiring/later";
 import { linkState, unknownVolumeText } from "./wiring/linking";
 import { whenReleased } from "./wiring/gesture";
@@ -138,9 +138,7 @@ export class App {
         this.showDisplay();
       },
       group: (act) => this.together.act(act),
-      fit: () => this.framing.fit(),
-      home: () => this.framing.home(),
-      lookFrom: (axis) => this.framing.lookFrom(axis),
+      ...framingActions(() => this.framing),
       sumUp: () => void this.enclosing.sum(),
       useAtCentre: () => this.questions.useAtCentre(),
       retry: () => this.client.retryNow(),

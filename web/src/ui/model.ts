@@ -2,7 +2,7 @@
 
 import { createContext, createSignal, useContext, type Accessor } from "solid-js";
 import type { NamedFile, UploadPhase } from "../net/uploads";
-import type { Edit, JobInfo, Probed, SessionInfo, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
+import type { Edit, JobInfo, Probed, SessionInfo, UploadInfo, UploadList, Vec3, View, VolumeInfo } from "../protocol/types";
 import type { Enclosed } from "../state/enclosed";
 import type { GroupAct, GroupState } from "../state/group";
 import { lengthScale, type LengthScale } from "../state/lengths";
@@ -40,6 +40,8 @@ export interface Actions {
   /** As a page just opened shows the surface. */
   readonly home: () => void;
   readonly lookFrom: (axis: AxisName) => void;
+  /** The normal, or its opposite, whichever points towards the camera. */
+  readonly facing: (normal: Vec3) => Vec3;
   readonly retry: () => void;
   /** `undefined`: no longer. */
   readonly compare: (what: Compared | undefined) => void;
