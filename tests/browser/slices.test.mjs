@@ -235,6 +235,26 @@ test("a clip plane cuts away the half that is nearer to the camera", { ...MORE, 
   await page.close();
 });
 
+test("those who follow see the same slices", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
+  const context = await at.browser.newContext();
+  const leader = await openPage(context, `${at.server.url}/#volume=bumpy&iso=0&layout=both&crosshair=25,23,22`);
+  await rested(leader.page);
+  await leader.page.getByRole("button", { name: "Follow me" }).click();
+  await leader.page.getByRole("button", { name: "Start", exact: true }).click();
+  await leader.page.getByText("Nobody follows yet").waitFor();
+  const { group } = leader.messages.find(({ type }) => type === "group");
+  const follower = await openPage(context, `${at.server.url}/#follow=${group}`);
+  await drawn(follower.page);
+  await pane(leader.page, "z").focus();
+  await pane(leader.page, "z").press("PageUp");
+  await follower.page.getByRole("img", { name: /^Across z slice, 23 of/ }).waitFor();
+  assert.deepEqual(await crosshair(follower.page), [25, 23, 23]);
+  await leader.page.getByRole("button", { name: "Slices beside the picture" }).click();
+  await panel(follower.page).waitFor({ state: "detached" });
+  assert.deepEqual([...leader.faults, ...follower.faults], []);
+  await context.close();
+});
+
 test("a server that refuses is said, the last slices stay as old ones, and nothing is asked at rest", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
   const page = await at.browser.newPage({ viewport: { width: 390, height: 844 }, colorScheme: "light" });
   page.setDefaultTimeout(TIMEOUT_MS);

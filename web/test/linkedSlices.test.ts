@@ -9,6 +9,7 @@ import { DEFAULT_LOOK } from "../src/state/look";
 import { crosshairOf, fieldsOf, FIRST_SLICING, moved, nextLayout, outlinesOf, planesAt, pointed, type SliceState, type Slicing } from "../src/state/slicing";
 import { Store } from "../src/state/store";
 import { DEFAULT_STYLE } from "../src/state/surfaceList";
+import { outlineIn } from "../src/ui/slicePanel/draw";
 import { WheelSteps } from "../src/ui/slicePanel/gestures";
 import { positionWords, problemWords, valueWords } from "../src/ui/slicePanel/words";
 import { SlicePlanes, type SlicesWanted } from "../src/wiring/slicePlanes";
@@ -16,6 +17,9 @@ import { crosshairPlace } from "../src/wiring/pointing";
 import { indexAt, indexOfEven, worldOf, type PlacedGrid } from "../src/world/places";
 import { evenOf } from "../src/world/uneven";
 import { OPENING, VOLUMES } from "./fixture";
+
+const [volume, other] = VOLUMES;
+if (volume === undefined || other === undefined) throw new Error("two volumes expected");
 
 type Grid = PlacedGrid & { readonly frame: string };
 
@@ -160,6 +164,24 @@ test("contours are where edges are crossed, as the server's are", () => {
   expect([...maskedBy(Float32Array.from([1, 2, 3]), [7, 8, 7], (value) => value === 7)]).toEqual([1, NaN, 3]);
 });
 
+test("an outline is where the mask holds, whichever way it compares", () => {
+  // A step at 0.5 in each of five rows, which the mask's field numbers.
+  const of = (samples: readonly number[]): Plane => ({ ...plane(), samples: Float32Array.from(samples), size: [2, 5] });
+  const planes = new Map([["depth", of([0, 1, 0, 1, 0, 1, 0, 1, 0, 1])], ["labels", of([1, 1, 2, 2, 3, 3, 4, 4, 5, NaN])]]);
+  const rows = (mask: string | null, labels: readonly { readonly value: number; readonly stored?: string; readonly name: null; readonly color: null }[] = []) => {
+    const [outline] = outlinesOf([{ number: 0, view: { ...OPENING, iso: 0.5, mask }, style: DEFAULT_STYLE }]);
+    const info = { ...volume.fields[0]!, name: "labels", labels: [...labels] };
+    const found = outlineIn({ index: 0, planes }, outline!, [info]) ?? [];
+    return Array.from({ length: found.length / 4 }, (_, i) => Math.min(found[4 * i + 1]!, found[4 * i + 3]!));
+  };
+  expect(rows(null)).toEqual([0, 1, 2, 3]);
+  expect([rows("labels==1,3..4"), rows("labels!=1"), rows("labels>=3"), rows("labels<=2"), rows("labels>1"), rows("labels<3")]).toEqual([[2], [1, 2], [2], [0], [1, 2], [0]]);
+  // Labels by the numbers in their file.
+  expect(rows("labels==16777217..16777219", [1, 2, 3].map((value) => ({ value, stored: String(16777216 + value), name: null, color: null })))).toEqual([0, 1]);
+  // Its samples are not there yet.
+  expect(rows("other==1")).toEqual([]);
+});
+
 test("a drag with the right button changes window and level, by shares of what they are", () => {
   expect(draggedWindow([0, 100], 0, 0, 1000)).toEqual([0, 100]);
   expect(draggedWindow([0, 100], 120, 0, 1000)).toEqual([-50, 150]);
@@ -224,8 +246,6 @@ test("a link holds layout and crosshair; one of before says nothing of them", ()
   expect(() => decodeLink("volume=ball&layout=both&left=up")).toThrow("expected left or right");
 });
 
-const [volume, other] = VOLUMES;
-if (volume === undefined || other === undefined) throw new Error("two volumes expected");
 
 test("each volume keeps its crosshair, and slices in the picture stay where it was", () => {
   const store = new Store();
@@ -257,7 +277,7 @@ test("what is said of a sample is exact", () => {
   expect(positionWords({ ...EVEN, spacing: [0.25, 1, 1], origin: [-0.25, -1, 0] }, [1, 0, 0], undefined)).toBe("0.00, −1.00, 0.00");
   const [field] = volume.fields;
   if (field === undefined) throw new Error("a field expected");
-  expect([valueWords(-1024, field), valueWords(0.1234567, field), valueWords(NaN, field), valueWords(3, undefined)]).toEqual(["-1024 mm", "0.1234567 mm", "no value", "3"]);
+  expect([valueWords(-1024, field), valueWords(Math.fround(0.1), field), valueWords(Math.fround(16.000002), field), valueWords(NaN, field), valueWords(3, undefined)]).toEqual(["-1024 mm", "0.1 mm", "16.000002 mm", "no value", "3"]);
   const labels = [{ value: 3, name: "putamen", color: null }, { value: 4, stored: "16777217", name: null, color: null }];
   expect([3, 4, 5].map((value) => valueWords(value, { ...field, unit: null, labels }))).toEqual(["3 · putamen", "16777217", "5"]);
   expect(problemWords([undefined, "busy"], false, "connected", true)).toBe("The slices cannot be shown: busy. What is marked as old is from before");

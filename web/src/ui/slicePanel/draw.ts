@@ -3,6 +3,7 @@
 import { contourOf, maskedBy } from "../../slices/contours";
 import { paintSlice, type PlaneSamples } from "../../slices/paint";
 import { fitInto, pixelOf, type Fit, type SliceView } from "../../slices/view";
+import type { FieldInfo } from "../../protocol/types";
 import { listHas, type Mask } from "../../state/mask";
 import type { LoadedSlice, Outline } from "../../state/slicing";
 
@@ -52,12 +53,19 @@ function holds({ comparison, values }: Mask, value: number): boolean {
   }
 }
 
+/** The numbers in the file of labels that have others here, by which masks call them. */
+function numbersOf(field: FieldInfo | undefined): ReadonlyMap<number, number> {
+  return new Map((field?.labels ?? []).flatMap(({ value, stored }) => (stored === undefined ? [] : [[value, Number(stored)] as const])));
+}
+
 /** The outline of a surface in a slice; none while samples that it needs are not there; `undefined` if it is too fine to be drawn. */
-export function outlineIn({ planes }: LoadedSlice, { field, iso, mask }: Outline): Float32Array | undefined {
+export function outlineIn({ planes }: LoadedSlice, { field, iso, mask }: Outline, fields: readonly FieldInfo[]): Float32Array | undefined {
   const plane = planes.get(field);
   const other = mask && planes.get(mask.field);
   if (plane === undefined || (mask !== undefined && other === undefined)) return new Float32Array();
-  const samples = mask === undefined || other === undefined ? plane.samples : maskedBy(plane.samples, other.samples, (value) => holds(mask, value));
+  if (mask === undefined || other === undefined) return contourOf(plane.samples, plane.size, iso);
+  const numbers = numbersOf(fields.find(({ name }) => name === mask.field));
+  const samples = maskedBy(plane.samples, other.samples, (value) => holds(mask, numbers.get(value) ?? value));
   return contourOf(samples, plane.size, iso);
 }
 

@@ -131,7 +131,7 @@ function useDrawing(props: PaneProps, state: () => SliceState | undefined): { re
   const loaded = createMemo(() => state()?.loaded);
   const found = createMemo(() => {
     const slice = loaded();
-    return slice === undefined ? [] : wanted().map((outline) => ({ color: outline.color ?? OUTLINE, segments: outlineIn(slice, outline) }));
+    return slice === undefined ? [] : wanted().map((outline) => ({ color: outline.color ?? OUTLINE, segments: outlineIn(slice, outline, props.volume.fields) }));
   });
   const outlines = createMemo(() => found().flatMap(({ color, segments }): DrawnOutline[] => (segments === undefined ? [] : [{ color, segments }])));
   const drawing = () => {

@@ -18,11 +18,17 @@ export function positionWords(grid: PlacedGrid, index: Triple, unit: string | un
   return `${worldOf(grid, index).map(number).join(", ")} ${unit ?? ""}`.trim();
 }
 
+/** As few digits as tell a 32-bit float from all others. */
+function exact(value: number): string {
+  const digits = [6, 7, 8].find((count) => Math.fround(Number(value.toPrecision(count))) === Math.fround(value)) ?? 9;
+  return formatValue(value, digits);
+}
+
 /** The value of a sample in full, with its unit or the name of its label. */
 export function valueWords(value: number, field: FieldInfo | undefined): string {
   if (Number.isNaN(value)) return "no value";
   const label = field?.labels?.find((one) => one.value === value);
-  const text = formatValue(value, 7);
+  const text = exact(value);
   if (label !== undefined) return [label.stored ?? text, label.name].filter(Boolean).join(" · ");
   return `${text} ${field?.unit ?? ""}`.trim();
 }
