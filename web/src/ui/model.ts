@@ -40,7 +40,6 @@ export interface Actions {
   /** As a page just opened shows the surface. */
   readonly home: () => void;
   readonly lookFrom: (axis: AxisName) => void;
-  /** The normal, or its opposite, whichever points towards the camera. */
   readonly facing: (normal: Vec3) => Vec3;
   readonly retry: () => void;
   /** `undefined`: no longer. */
