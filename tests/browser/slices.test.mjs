@@ -241,8 +241,9 @@ test("those who follow see the same slices", { ...MORE, timeout: 4 * TIMEOUT_MS 
   await rested(leader.page);
   await leader.page.getByRole("button", { name: "Follow me" }).click();
   await leader.page.getByRole("button", { name: "Start", exact: true }).click();
-  await leader.page.getByText("Nobody follows yet").waitFor();
-  const { group } = leader.messages.find(({ type }) => type === "group");
+  const started = () => leader.messages.find(({ type }) => type === "group");
+  for (const began = Date.now(); started() === undefined; await leader.page.waitForTimeout(50)) assert.ok(Date.now() - began < TIMEOUT_MS, "no group");
+  const { group } = started();
   const follower = await openPage(context, `${at.server.url}/#follow=${group}`);
   await drawn(follower.page);
   await pane(leader.page, "z").focus();
