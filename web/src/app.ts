@@ -10,11 +10,11 @@ import { Display, FIRST_TABLES } from "./wiring/display";
 import { embedOptions } from "./embed/origins";
 import { Embedding } from "./wiring/embedding";
 import { Enclosing } from "./wiring/enclosing";
-import { Framing } from "./wiring/framing";
+import { Framing, framingActions } from "./wiring/framing";
 import { Later } from "./wiring/later";
 import { linkState, unknownVolumeText } from "./wiring/linking";
 import { whenReleased } from "./wiring/gesture";
-import { streamAddress } from "./net/credentials";
+import { streamAddress, streamUrl } from "./net/credentials";
 import { StreamClient } from "./net/streamClient";
 import { Marks } from "./wiring/marks";
 import { Outputs } from "./wiring/outputs";
@@ -29,12 +29,13 @@ import { storeActions } from "./wiring/storeActions";
 import { SurfaceRenderer } from "./scene/renderer";
 import { isAboutGroup } from "./state/group";
 import { lengthScale, lengthUnit } from "./state/lengths";
-import type { Link, LinkState } from "./state/link";
+import type { Link } from "./state/link";
 import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
 import { distancesOf } from "./state/distances";
 import { shownErrors } from "./state/shownErrors";
 import { isFrameDue, isWorking, showsFinal, type ViewerEvent } from "./state/viewer";
+import { SliceFollower } from "./wiring/sliceFollower";
 import { SurfaceSync } from "./wiring/surfaceSync";
 import { Together } from "./wiring/together";
 import { Model } from "./ui/model";
@@ -56,6 +57,7 @@ export class App {
   private readonly outputs: Outputs;
   private readonly comparison: Comparison;
   private readonly marks: Marks;
+  private readonly beside: SliceFollower;
   private readonly pipeline: RegionPipeline;
   private readonly enclosing: Enclosing;
   private readonly client: StreamClient;
@@ -93,6 +95,7 @@ export class App {
     this.display = new Display(this.scene, this.base, (reason) => this.model.toast(reason), this.store.isEmbedded);
     this.outputs = new Outputs(this.model, this.store, this.scene, this.base);
     this.marks = new Marks(this.scene);
+    this.beside = new SliceFollower(this.store, this.model, this.base);
     this.comparison = new Comparison(this.scene, {
       ask: () => this.synchronise(),
       onChange: (what) => this.model.showComparing(what),
@@ -135,9 +138,7 @@ export class App {
         this.showDisplay();
       },
       group: (act) => this.together.act(act),
-      fit: () => this.framing.fit(),
-      home: () => this.framing.home(),
-      lookFrom: (axis) => this.framing.lookFrom(axis),
+      ...framingActions(() => this.framing),
       sumUp: () => void this.enclosing.sum(),
       useAtCentre: () => this.questions.useAtCentre(),
       retry: () => this.client.retryNow(),
@@ -196,9 +197,7 @@ export class App {
   }
 
   private makeClient(): StreamClient {
-    const url = new URL("api/v1/stream", this.base);
-    url.protocol = this.base.protocol === "https:" ? "wss:" : "ws:";
-    return new StreamClient(() => streamAddress(url), {
+    return new StreamClient(() => streamAddress(streamUrl(this.base)), {
       onState: (state, reason) => {
         this.update({ type: "connection", state });
         this.connecting.changed(state, reason);
@@ -260,10 +259,11 @@ export class App {
   }
 
   private showDisplay(): void {
-    const { surfaces, look, view, viewer } = this.store;
+    const { surfaces, look, page: { slicing }, view, viewer } = this.store;
     if (view === undefined || viewer.volume === undefined) return;
-    const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: view.field };
+    const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: slicing.field ?? view.field, slicing };
     this.marks.show(this.store);
+    this.beside.show();
     this.display.show(look, surfaces, viewer.selected, source, shownErrors(viewer, surfaces));
   }
 
@@ -350,9 +350,7 @@ export class App {
     this.open(link.volume, link.step);
   }
 
-  private link(): LinkState | undefined {
-    return linkState(this.store, this.framing.pose);
-  }
+  private readonly link = () => linkState(this.store, this.framing.pose);
 
   private showVolumes(volumes: readonly VolumeSummary[]): void {
     this.update({ type: "volumes", volumes });

@@ -36,12 +36,14 @@ class Page {
   readonly said: string[] = [];
   readonly probes: (Probed | undefined)[] = [];
   readonly picked: number[] = [];
+  readonly pointed: Vec3[] = [];
   /** Where the surface is under the pointer. */
   under: Vec3 | undefined = [1, 2, 3];
   underSurface = 0;
   readonly questions = new Questions(this.store, (question) => this.stream.ask(question), (place) => this.pick(place), {
     showProbe: (probed) => this.probes.push(probed),
     addPoint: (blended) => this.picked.push(blended),
+    point: (position) => this.pointed.push(position),
     setInterest: (interest) => this.edit({ interest }),
     setParts: (parts) => this.edit({ parts }),
     setMeasures: (measures) => this.store.changeLook({ measures }),

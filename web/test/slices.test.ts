@@ -21,6 +21,12 @@ test("samples of a slice are read as the header says, and what is missing is not
   expect(readPlane(header({ type: "u8" }), new Uint8Array([1, 2, 3, 4, 5, 255]).buffer).samples[5]).toBe(255);
 });
 
+test("a missing value is found whatever its decimals, and so are values that are not finite", () => {
+  const body = new DataView(new ArrayBuffer(24));
+  [-1e34, 1, Infinity, NaN, -1e33, 2].forEach((value, i) => body.setFloat32(4 * i, value, true));
+  expect([...readPlane(header({ type: "f32", missing: -1e34 }), body.buffer).samples].map(Number.isNaN)).toEqual([true, false, true, true, false, false]);
+});
+
 test("a slice that is not what it says is refused", () => {
   expect(() => readPlane(header({}), new ArrayBuffer(11))).toThrow("a slice of 11 bytes, expected 3 × 2 samples of 2");
   expect(() => readPlane(header({ type: "c64" }), new ArrayBuffer(12))).toThrow("type c64, expected one of u8");

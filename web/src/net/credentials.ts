@@ -35,6 +35,13 @@ export async function hold(base: URL, token: string): Promise<SessionInfo> {
   return session;
 }
 
+/** The stream of the server at `base`. */
+export function streamUrl(base: URL): URL {
+  const url = new URL("api/v1/stream", base);
+  url.protocol = base.protocol === "https:" ? "wss:" : "ws:";
+  return url;
+}
+
 /** Where a stream is opened. A browser sends no header with it: a ticket, which is of use once, stands for the token. */
 export function streamAddress(stream: URL): string | Promise<string> {
   return held === undefined ? stream.href : withTicket(stream);

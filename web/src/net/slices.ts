@@ -27,7 +27,7 @@ export interface Plane {
 interface SliceInfo {
   readonly type: string;
   readonly dims: readonly [number, number];
-  /** Samples of this value are missing. */
+  /** Samples of this value are missing, and those that are no finite number. */
   readonly missing: number | null;
   readonly axes?: Plane["axes"];
   readonly origin: Vec3;
@@ -44,10 +44,10 @@ const READERS: Readonly<Record<string, { readonly bytes: number; readonly read: 
 };
 
 /** @throws when the server refuses, or answers with something that is no plane of samples */
-export async function fetchSlice(base: URL, { volume, ...query }: PlaneRequest): Promise<Plane> {
+export async function fetchSlice(base: URL, { volume, ...query }: PlaneRequest, signal?: AbortSignal): Promise<Plane> {
   const url = new URL(`api/v1/volumes/${encodeURIComponent(volume)}/slices`, base);
   for (const [name, value] of Object.entries(query)) url.searchParams.set(name, String(value));
-  const response = await ask(url, {});
+  const response = await ask(url, signal === undefined ? {} : { signal });
   return readPlane(response.headers.get("isopeel-slice"), await response.arrayBuffer());
 }
 
@@ -62,9 +62,11 @@ export function readPlane(header: string | null, body: ArrayBuffer): Plane {
     throw new Error(`a slice of ${body.byteLength} bytes, expected ${dims[0]} × ${dims[1]} samples of ${reader.bytes}`);
   }
   const data = new DataView(body);
+  // As a 32-bit float, which the header's decimal stands for: -1e34 is not one.
+  const hole = type === "f32" && missing !== null ? Math.fround(missing) : missing;
   const samples = Float32Array.from({ length: count }, (_, i) => {
     const value = reader.read(data, i * reader.bytes);
-    return value === missing ? NaN : value;
+    return value === hole || !Number.isFinite(value) ? NaN : value;
   });
   return { samples, size: dims, origin, right: steps[0], down: steps[1], ...(axes === undefined ? {} : { axes }) };
 }

@@ -21,6 +21,8 @@ export interface QuestionPage {
   readonly setMeasures: (measures: readonly Measure[]) => void;
   /** Points of what is being measured. */
   readonly setPicked: (points: readonly Vec3[]) => void;
+  /** The crosshair of the slices goes there. */
+  readonly point: (position: Vec3) => void;
   readonly endTool: () => void;
   /** Why a click did nothing. */
   readonly say: (text: string) => void;
@@ -100,12 +102,19 @@ export class Questions {
   }
 
   private async use(place: Place): Promise<void> {
-    const { tool } = this.store.page;
+    const { tool, slicing } = this.store.page;
+    if (tool === undefined && slicing.layout === "both" && !this.store.isEmbedded) await this.pointAt(place);
     if (tool === "pick") await this.pickValue(place);
     if (tool === "paint") await this.paintRegion(place);
     if (tool === "distance" || tool === "angle") await this.measure(place, tool);
     if (tool === "reading") await this.read(place);
     if (tool === "hide-part" || tool === "keep-part" || tool === "keep-another") await this.choosePart(place, tool);
+  }
+
+  /** A click that meets no surface moves nothing. */
+  private async pointAt(place: Place): Promise<void> {
+    const found = await this.prober.locate(place);
+    if (found !== undefined) this.page.point(found.position);
   }
 
   private async measure(place: Place, kind: "distance" | "angle"): Promise<void> {

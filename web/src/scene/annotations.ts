@@ -6,6 +6,7 @@ import { BoundingBox } from "./boundingBox";
 import { ClipHandles } from "./clipHandles";
 import { NO_CLIP, type Clip } from "./clipping";
 import { ColorScale, type ColorBar } from "./colorScale";
+import { Crosshair, type CrosshairPlace } from "./crosshair";
 import { Markers, type Marker } from "./markers";
 import { AxesCube, ScaleBar } from "./orientation";
 import { Outlines, type Outlined } from "./outlines";
@@ -42,6 +43,8 @@ export class Annotations {
   private readonly markers = new Markers();
   private readonly rulers = new Rulers();
   private readonly outlines = new Outlines();
+  private readonly crosshair = new Crosshair();
+  private isPointed = false;
   private readonly colors = new ColorScale();
   private readonly handles: ClipHandles;
   private choice = DEFAULT_ANNOTATIONS;
@@ -103,6 +106,18 @@ export class Annotations {
     this.handlers.onChange();
   }
 
+  /** A crosshair through a place of the volume, on screen, not in images; `undefined`: none. */
+  point(place: CrosshairPlace | undefined): void {
+    this.isPointed = place !== undefined;
+    if (place !== undefined) this.crosshair.place(place);
+    this.handlers.onChange();
+  }
+
+  /** Something is drawn as far as the volume goes, beyond the surface. */
+  get fillsVolume(): boolean {
+    return this.choice.box || this.isPointed;
+  }
+
   /** Says beside the picture what its colours mean; `undefined`: nothing. */
   showColors(bar: ColorBar | undefined): void {
     this.colors.show(bar);
@@ -129,6 +144,8 @@ export class Annotations {
     if (scale) this.measureAt(camera, depth);
     this.overlay.label(this.place(camera, box, 1), camera);
     if (this.outlines.object.children.length > 0) this.scene.add(this.outlines.object);
+    this.crosshair.scale = 1;
+    if (this.isPointed) this.scene.add(this.crosshair.object);
     this.handles.update(this.choice.handles && !box.isEmpty() ? clip : NO_CLIP, box, camera, this.overlay.size);
   }
 

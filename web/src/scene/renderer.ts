@@ -327,7 +327,7 @@ export class SurfaceRenderer {
 
   /** The camera's depths are those of the surfaces alone where nothing else is drawn, for the depth buffer's precision. */
   private boundCamera(): void {
-    const more = this.annotations.value.box || this.slices.object.children.length > 0;
+    const more = this.annotations.fillsVolume || this.slices.object.children.length > 0;
     const around = this.surfaces.keptBox;
     this.camera.bound(this.box, more ? around.union(this.clipBounds()) : around);
   }

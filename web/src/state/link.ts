@@ -9,6 +9,7 @@ import type { Look, Pose } from "./look";
 import { lookParts, readLook } from "./lookLink";
 import { list } from "./numbers";
 import type { Wish } from "./store";
+import { readSlicing, slicingParts, type Slicing } from "./slicing";
 import { readSurface, surfaceParts } from "./surfaceLink";
 import { MAX_SURFACES, type SurfaceList } from "./surfaceList";
 
@@ -30,6 +31,7 @@ export interface LinkState {
   readonly opening: View;
   readonly look: Look;
   readonly openingLook: Look;
+  readonly slicing?: Slicing;
   readonly pose: Pose | undefined;
 }
 
@@ -56,7 +58,7 @@ export function changedLink(state: LinkState, values: ReadonlyMap<string, string
 }
 
 /** All names of a link, with the values of those that are in this one. */
-function linkParts({ volume, step, surfaces, selected, opening, look, openingLook, pose }: LinkState): Parts {
+function linkParts({ volume, step, surfaces, selected, opening, look, openingLook, slicing, pose }: LinkState): Parts {
   const at = surfaces.findIndex(({ number }) => number === selected);
   return [
     ["v", String(VERSION)],
@@ -65,6 +67,7 @@ function linkParts({ volume, step, surfaces, selected, opening, look, openingLoo
     ...surfaces.flatMap((surface, place) => surfaceParts(surface, opening).map(([name, value]) => [prefixOf(place) + name, value] as const)),
     ["surface", at > 0 ? String(at + 1) : undefined],
     ...lookParts(look, openingLook),
+    ...slicingParts(slicing),
     ["camera", pose && list([...pose.position, ...pose.target])],
   ];
 }
@@ -95,12 +98,14 @@ export function decodeLink(hash: string): Link | undefined {
   const version = read.number("v") ?? VERSION;
   if (version !== VERSION) throw new LinkError(`This link is of version ${version}, which this page does not know. It knows ${VERSION}`);
   const camera = read.numbers("camera", 6);
+  const slicing = readSlicing(read);
   return {
     volume,
     step: Math.max(0, Math.trunc(read.number("step") ?? 0)),
     surfaces: readSurfaces(values),
     selected: Math.max(0, Math.trunc(read.number("surface") ?? 1) - 1),
     look: readLook(read),
+    ...(slicing === undefined ? {} : { slicing }),
     pose: camera && { position: camera.slice(0, 3) as unknown as Vec3, target: camera.slice(3) as unknown as Vec3 },
   };
 }

@@ -9,6 +9,7 @@ import { DEFAULT_LOOK, openingLook, type Look, type Pose } from "./look";
 import type { MeasureKind } from "./measure";
 import { PARTS_GESTURE, placesOf, type PartTool } from "./parts";
 import { ofItsField } from "./fields";
+import { FIRST_SLICING, planesAt, type Slicing } from "./slicing";
 import { added, besides, DEFAULT_STYLE, edited, limited, listOf, removed, styled, type Surface, type SurfaceList, type SurfaceStyle } from "./surfaceList";
 import { INITIAL_STATE, reduce, type ViewerEvent, type ViewerState } from "./viewer";
 
@@ -43,6 +44,8 @@ export interface PageLayers {
   /** Radius of the regions that are marked, world units; `undefined`: a share of the volume. */
   readonly brush: number | undefined;
   readonly player: Player;
+  /** Slices beside the picture. */
+  readonly slicing: Slicing;
 }
 
 /** How time steps are played. */
@@ -65,6 +68,7 @@ interface Remembered {
   readonly history: History<Work>;
   readonly step: number;
   readonly pose: Pose | undefined;
+  readonly crosshair: Slicing["at"];
 }
 
 /** What a link asks for, once the volume is open. What is not named is as the volume opens. */
@@ -75,6 +79,7 @@ export interface Wish {
   readonly look: Partial<Look>;
   readonly pose: Pose | undefined;
   readonly step?: number;
+  readonly slicing?: Slicing;
 }
 
 export class Store {
@@ -92,6 +97,7 @@ export class Store {
     outlined: undefined,
     brush: undefined,
     player: FIRST_PLAYER,
+    slicing: FIRST_SLICING,
   };
   private readonly remembered = new Map<string, Remembered>();
 
@@ -172,8 +178,18 @@ export class Store {
     // What was begun with a tool ends with it.
     const isOther = "tool" in layers && layers.tool !== this.layers.tool;
     if (isOther) this.hideOthersAgain();
+    if (layers.slicing?.layout === "picture") this.leavePlanes();
     this.layers = { ...this.layers, ...(isOther ? { picked: [] } : {}), ...layers };
     if (isOther && layers.tool === "keep-another") this.showOthers();
+  }
+
+  /** Slices in the picture stay where the crosshair was. */
+  private leavePlanes(): void {
+    const { history, viewerState: { volume } } = this;
+    if (history === undefined || volume === undefined || this.layers.slicing.layout === "picture") return;
+    const { look } = history.current;
+    const planes = planesAt(look.slices.planes, this.layers.slicing, volume.geometry.dims);
+    history.amend({ ...history.current, look: { ...look, slices: { ...look.slices, planes } } });
   }
 
   /** All parts are shown beside those that are kept, until one of them is chosen or the tool is put down. */
@@ -194,7 +210,7 @@ export class Store {
     if (volume === undefined || this.history === undefined) return;
     this.hideOthersAgain();
     this.history.end();
-    this.remembered.set(volume.id, { history: this.history, step: this.step, pose });
+    this.remembered.set(volume.id, { history: this.history, step: this.step, pose, crosshair: this.layers.slicing.at });
   }
 
   /** The step at which a volume was left. */
@@ -219,6 +235,7 @@ export class Store {
     // A radius and places of another world.
     this.changePage({ brush: undefined, picked: [], kept: [], player: { ...this.layers.player, playing: false } });
     const kept = this.remembered.get(volume.id);
+    this.changePage({ slicing: wish === undefined ? { ...this.layers.slicing, field: undefined, at: kept?.crosshair } : (wish.slicing ?? FIRST_SLICING) });
     const wished = wish && this.wished(wish, view);
     const first: Work = { surfaces: [{ number: 0, view, style: DEFAULT_STYLE }], selected: 0, look: this.openingLook, step };
     this.history = kept?.history ?? new History<Work>(wished ?? first);
@@ -277,7 +294,9 @@ export class Store {
   /** All of it at once, as one step: what a link asks for. */
   replace(wish: Omit<Wish, "pose">): void {
     const { openingView } = this;
-    if (openingView !== undefined) this.change(() => this.wished(wish, openingView));
+    if (openingView === undefined) return;
+    this.changePage({ slicing: wish.slicing ?? FIRST_SLICING });
+    this.change(() => this.wished(wish, openingView));
   }
 
   /** What another shows, in place of what is shown: no step of the history. */

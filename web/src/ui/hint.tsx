@@ -12,7 +12,7 @@ export function Hint() {
     // Another step of the volume mostly comes at once: the surface of the one before stays in sight.
     const isAnother = state.openedShare !== undefined && state.target?.volume !== state.volume?.id;
     const isEmpty = facts().levelTriangles.every((n) => n === 0);
-    if (!isEmpty && !isAnother && surfaces().every(({ style }) => !style.visible)) return "What is there is hidden: show it with its eye under Surface";
+    if (!isEmpty && !isAnother && surfaces().every(({ style }) => !style.visible || style.opacity === 0)) return "What is there is hidden or transparent: show it with its eye or its opacity under Surface";
     return isEmpty || isAnother ? hintText(state, facts().busy) : "";
   };
   return (

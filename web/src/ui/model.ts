@@ -2,7 +2,7 @@
 
 import { createContext, createSignal, useContext, type Accessor } from "solid-js";
 import type { NamedFile, UploadPhase } from "../net/uploads";
-import type { Edit, JobInfo, Probed, SessionInfo, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
+import type { Edit, JobInfo, Probed, SessionInfo, UploadInfo, UploadList, Vec3, View, VolumeInfo } from "../protocol/types";
 import type { Enclosed } from "../state/enclosed";
 import type { GroupAct, GroupState } from "../state/group";
 import { lengthScale, type LengthScale } from "../state/lengths";
@@ -11,6 +11,7 @@ import { has, LACKING, type Role } from "../state/roles";
 import type { PageLayers, Store } from "../state/store";
 import type { Surface, SurfaceList, SurfaceStyle } from "../state/surfaceList";
 import { INITIAL_STATE, type ViewerState } from "../state/viewer";
+import { SlicesBeside } from "./slicePanel/beside";
 import type { Points } from "../transfer/model";
 import type { AxisName } from "../world/axes";
 
@@ -39,6 +40,7 @@ export interface Actions {
   /** As a page just opened shows the surface. */
   readonly home: () => void;
   readonly lookFrom: (axis: AxisName) => void;
+  readonly facing: (normal: Vec3) => Vec3;
   readonly retry: () => void;
   /** `undefined`: no longer. */
   readonly compare: (what: Compared | undefined) => void;
@@ -175,6 +177,7 @@ export class Model {
   /** Set before the page is shown. */
   uploads: UploadActions | undefined;
   jobs: JobActions | undefined;
+  readonly beside = new SlicesBeside();
   /** Frames are rendered by a GPU: there are effects on screen. */
   onGpu = false;
   /** Told of each error that is shown. */

@@ -15,9 +15,11 @@ import { Toasts } from "./toasts";
 import { TopLine } from "./topLine";
 import { isTourDue } from "./tourState";
 import { DropTarget, UploadProgress } from "./uploadProgress";
+import { nextLayout } from "../state/slicing";
 import { stepCount } from "../state/timeSteps";
 
 const Help = lazy(() => import("./help"));
+const SlicePanel = lazy(() => import("./slicePanel/panel"));
 const Tour = lazy(() => import("./tour"));
 const Uploads = lazy(() => import("./uploads"));
 
@@ -48,16 +50,7 @@ function Page(props: { readonly viewport: HTMLElement }) {
   return (
     <div class="page" classList={{ "no-inspector": !model.page().inspector }}>
       <TopLine onHelp={() => setHelp(true)} onUploads={() => setUploads(true)} />
-      <main class="picture" classList={{ aiming: model.page().tool !== undefined }} data-tour="picture" aria-label="Surface">
-        {props.viewport}
-        <Legend />
-        <Hint />
-        <ProbeReadout />
-        <ConnectionBanner />
-        <UploadProgress />
-        <Notice />
-        <Toasts />
-      </main>
+      <Stage viewport={props.viewport} />
       <Inspector />
       <Announcer />
       <DropTarget />
@@ -76,7 +69,34 @@ function Page(props: { readonly viewport: HTMLElement }) {
   );
 }
 
-/** Undo and redo anywhere but in texts, which have their own; single keys only while the picture has the focus. */
+/** The picture, and slices beside it or in its place. */
+function Stage(props: { readonly viewport: HTMLElement }) {
+  const { page } = useModel();
+  const layout = () => page().slicing.layout;
+  return (
+    <div class="stage">
+      <div class="split" data-layout={layout()}>
+        <main class="picture" classList={{ aiming: page().tool !== undefined }} data-tour="picture" aria-label="Surface">
+          {props.viewport}
+          <Legend />
+          <Hint />
+          <ProbeReadout />
+          <ConnectionBanner />
+          <UploadProgress />
+          <Notice />
+          <Toasts />
+        </main>
+        <Suspense>
+          <Show when={layout() !== "picture"}>
+            <SlicePanel />
+          </Show>
+        </Suspense>
+      </div>
+    </div>
+  );
+}
+
+/** Undo and redo anywhere but in texts, which have their own; single keys only while the picture or a slice has the focus. */
 function listenToKeys({ actions, step, page, viewer }: Model, viewport: HTMLElement, onHelp: () => void): void {
   const onKey = (event: KeyboardEvent) => {
     const { target } = event;
@@ -87,13 +107,19 @@ function listenToKeys({ actions, step, page, viewer }: Model, viewport: HTMLElem
       event.preventDefault();
       return key === "y" || event.shiftKey ? actions.redo() : actions.undo();
     }
-    if (!(target instanceof Node) || !viewport.contains(target)) return;
+    if (!(target instanceof Element) || !(viewport.contains(target) || target.matches(".slice-picture"))) return;
     const count = stepCount(viewer());
     const to = { ",": step() - 1, ".": step() + 1 }[key];
     if (to !== undefined && to >= 0 && to < count) actions.goToStep(to);
     const { player } = page();
     if (key === "p" && count > 1) actions.changePage({ player: { ...player, playing: !player.playing } });
     if (key === "f") actions.fit();
+    if (key === "s") {
+      const layout = nextLayout(page().slicing);
+      actions.changePage({ slicing: { ...page().slicing, layout } });
+      // The slice that had the focus is gone.
+      if (layout === "picture") viewport.querySelector("canvas")?.focus();
+    }
     if (key === "?") onHelp();
   };
   window.addEventListener("keydown", onKey);

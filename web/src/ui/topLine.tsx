@@ -12,6 +12,8 @@ import { summaryOf } from "./words";
 export function TopLine(props: { readonly onHelp: () => void; readonly onUploads: () => void }) {
   const model = useModel();
   const { actions, history, page } = model;
+  const isSliced = () => page().slicing.layout !== "picture";
+  const toggleSlices = () => actions.changePage({ slicing: { ...page().slicing, layout: isSliced() ? "picture" : "both" } });
   return (
     <header class="top">
       <Brand />
@@ -21,6 +23,7 @@ export function TopLine(props: { readonly onHelp: () => void; readonly onUploads
         <IconButton icon="undo" label="Undo" keys="Ctrl+Z" disabled={!history().canUndo} onClick={actions.undo} />
         <IconButton icon="redo" label="Redo" keys="Ctrl+Shift+Z" disabled={!history().canRedo} onClick={actions.redo} />
         <IconButton icon="fit" label="Fit the surface into the picture" keys="F in the picture" onClick={actions.fit} />
+        <IconButton class="panel-toggle" icon="slices" label="Slices beside the picture" keys="S in the picture" pressed={isSliced()} onClick={toggleSlices} />
         <Show when={model.may("upload")}>
           <IconButton icon="upload" label="Your volumes: upload files" onClick={() => props.onUploads()} />
         </Show>

@@ -4,8 +4,10 @@ import type { StreamClient } from "../net/streamClient";
 import { Questions } from "../questions/questions";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { PARTS_GESTURE } from "../state/parts";
+import { pointed } from "../state/slicing";
 import type { Store } from "../state/store";
 import type { Model } from "../ui/model";
+import { indexAt } from "../world/places";
 
 /** @param viewport parent of the scene's canvas */
 export function makeQuestions(store: Store, model: Model, scene: SurfaceRenderer, client: StreamClient, viewport: HTMLElement): Questions {
@@ -22,6 +24,10 @@ export function makeQuestions(store: Store, model: Model, scene: SurfaceRenderer
     },
     setMeasures: (measures) => model.actions.changeLook({ measures }),
     setPicked: (picked) => model.actions.changePage({ picked }),
+    point: (position) => {
+      const { page: { slicing }, viewer: { volume } } = store;
+      if (volume !== undefined) model.actions.changePage({ slicing: pointed(slicing, volume.geometry.dims, indexAt(volume.geometry, position)) });
+    },
     endTool: () => model.actions.changePage({ tool: undefined }),
     say: (text) => model.toast(text, "brief"),
   });

@@ -1,7 +1,9 @@
 /** Where the camera looks when a surface is first shown, and where buttons send it. */
 
 import type { SurfaceRenderer } from "../scene/renderer";
+import type { Vec3 } from "../protocol/types";
 import type { Pose } from "../state/look";
+import type { Actions } from "../ui/model";
 import type { AxisName } from "../world/axes";
 
 export class Framing {
@@ -52,9 +54,26 @@ export class Framing {
     this.move(() => this.scene.view(axis));
   }
 
+  /** The normal, or its opposite, whichever points towards the camera. */
+  facing(normal: Vec3): Vec3 {
+    const { position, target } = this.scene.camera.pose;
+    const towards = normal.reduce((sum, n, axis) => sum + n * ((position[axis] ?? 0) - (target[axis] ?? 0)), 0);
+    return towards < 0 ? [-normal[0] || 0, -normal[1] || 0, -normal[2] || 0] : normal;
+  }
+
   private move(to: () => void): void {
     to();
     this.times += 1;
     this.onMove();
   }
+}
+
+/** What the page does with the camera, of which there is none until the page has been made. */
+export function framingActions(framing: () => Framing): Pick<Actions, "fit" | "home" | "lookFrom" | "facing"> {
+  return {
+    fit: () => framing().fit(),
+    home: () => framing().home(),
+    lookFrom: (axis) => framing().lookFrom(axis),
+    facing: (normal) => framing().facing(normal),
+  };
 }

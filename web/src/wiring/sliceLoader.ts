@@ -5,6 +5,7 @@ import type { VolumeInfo } from "../protocol/types";
 import type { Slice } from "../scene/slices";
 import { usualWindow } from "../state/bounds";
 import type { SliceChoice } from "../state/look";
+import { planesAt, type Slicing } from "../state/slicing";
 import { unevenOf, type Uneven } from "../world/uneven";
 
 /** Whose samples the slices show. */
@@ -12,6 +13,8 @@ export interface SliceSource {
   readonly volume: VolumeInfo;
   readonly step: number;
   readonly field: string;
+  /** Slices beside the picture, whose crosshair those in it follow. */
+  readonly slicing?: Slicing;
 }
 
 const AXES = ["x", "y", "z"] as const;
@@ -32,8 +35,9 @@ export class SliceLoader {
     private readonly get = fetchSlice,
   ) {}
 
-  show(choice: SliceChoice, source: SliceSource): void {
-    this.wanted = { choice, source };
+  show({ planes, window }: SliceChoice, source: SliceSource): void {
+    const { slicing, volume } = source;
+    this.wanted = { choice: { planes: slicing === undefined ? planes : planesAt(planes, slicing, volume.geometry.dims), window }, source };
     this.place();
     if (!this.loading) void this.load();
   }

@@ -9,6 +9,7 @@ import type { SurfaceRenderer } from "../scene/renderer";
 import { groupLink, groupNews, groupOf, isLed, type GroupAct, type GroupState } from "../state/group";
 import { decodeLink, encodeLink, type Link, type LinkState } from "../state/link";
 import { LinkError } from "../state/linkReader";
+import { FIRST_SLICING } from "../state/slicing";
 import type { Store } from "../state/store";
 import { DEFAULT_STYLE } from "../state/surfaceList";
 import type { ViewerEvent } from "../state/viewer";
@@ -143,7 +144,10 @@ export class Together {
     const surfaces = led.surfaces.map(({ surface, edit }, at) => ({ number: surface, view: viewOf(edit as View), style: { ...DEFAULT_STYLE, ...link?.surfaces[at]?.style } }));
     const selected = (surfaces[link?.selected ?? 0] ?? surfaces[0])?.number ?? 0;
     const look = link === undefined ? store.look : { ...store.openingLook, ...link.look };
-    adopt(() => store.adopt({ surfaces, selected, step: led.step, look }));
+    adopt(() => {
+      store.adopt({ surfaces, selected, step: led.step, look });
+      if (link !== undefined) store.changePage({ slicing: link.slicing ?? FIRST_SLICING });
+    });
   }
 
   private entered(message: Extract<ServerMessage, { type: "group" }>): void {

@@ -17,8 +17,7 @@ type Box = NonNullable<ClipChoice["box"]>;
 
 const AXES = ["x", "y", "z"] as const;
 type Axis = (typeof AXES)[number];
-/** What lies towards a camera at home is cut away. */
-const NORMALS: Readonly<Record<Axis, Vec3>> = { x: [-1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
+const NORMALS: Readonly<Record<Axis, Vec3>> = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
 const PLANES = [
   { value: "none", text: "None", hint: "No plane" },
   ...AXES.map((axis) => ({ value: axis, text: `Across ${axis}`, hint: `A plane across the world's ${axis} axis` })),
@@ -46,7 +45,8 @@ function Clip(props: { readonly volume: VolumeInfo }) {
   const clip = () => look().clip;
   const change = (of: Partial<ClipChoice>, gesture?: string) => actions.changeLook({ clip: { ...clip(), ...of } }, gesture);
   const choose = (axis: string) => {
-    const normal = axis in NORMALS ? NORMALS[axis as Axis] : undefined;
+    // The half that is nearer to the camera is cut away: the cut is in sight.
+    const normal = axis in NORMALS ? actions.facing(NORMALS[axis as Axis]) : undefined;
     // The middle shows at once what a plane does.
     change({ plane: normal && { normal, offset: middle(bounds(), normal) } });
   };

@@ -1,16 +1,21 @@
-/** Planes of samples through the volume, with what is black and white in them. */
+/** Planes of samples through the volume, beside the picture and in it, with what is black and white in them. */
 
 import { Show } from "solid-js";
 import type { VolumeInfo } from "../../protocol/types";
-import { sampleRange, usualWindow } from "../../state/bounds";
+import { sampleRange } from "../../state/bounds";
 import type { SliceChoice } from "../../state/look";
+import { crosshairOf, moved, planesAt, type Slicing } from "../../state/slicing";
+import { sidesOf } from "../../world/axes";
 import { formatValue } from "../format";
 import { useModel } from "../model";
+import { useShownField, useWindow } from "../slicePanel/shown";
+import { LAYOUT_OPTIONS, SIDES } from "../slicePanel/words";
 import { Button } from "../widgets/button";
-import { Toggle } from "../widgets/choice";
+import { Choice, Select, Toggle } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { Slider } from "../widgets/slider";
 import { between } from "./clip";
+import { label } from "./features";
 
 export default function Body() {
   const { volume } = useModel();
@@ -18,25 +23,67 @@ export default function Body() {
 }
 
 function Slices(props: { readonly volume: VolumeInfo }) {
-  const { look } = useModel();
-  const isAny = () => look().slices.planes.some((index) => index !== null);
+  const { look, page } = useModel();
+  const isAny = () => page().slicing.layout !== "picture" || look().slices.planes.some((index) => index !== null);
   return (
     <>
+      <Beside volume={props.volume} />
+      <p class="note">In the picture, across the volume's own axes</p>
       <SlicePlace axis={0} name="x" volume={props.volume} />
       <SlicePlace axis={1} name="y" volume={props.volume} />
       <SlicePlace axis={2} name="z" volume={props.volume} />
-      <Show when={isAny()} fallback={<p class="note">Shows the samples themselves, across the volume's own axes</p>}>
+      <Show when={isAny()}>
+        <ShownField volume={props.volume} />
         <WindowLevel volume={props.volume} />
       </Show>
     </>
   );
 }
 
+/** Slices beside the picture, and on which side a patient's left is in them. */
+function Beside(props: { readonly volume: VolumeInfo }) {
+  const { actions, page } = useModel();
+  const slicing = () => page().slicing;
+  const change = (of: Partial<Slicing>) => actions.changePage({ slicing: { ...slicing(), ...of } });
+  return (
+    <>
+      <Choice label="Layout" wide value={slicing().layout} options={LAYOUT_OPTIONS} onChange={(layout) => change({ layout })} />
+      <Show when={slicing().layout !== "picture" && sidesOf(props.volume.geometry.frame)["+x"]}>
+        <div class="control">
+          <span class="label">A patient's left is</span>
+          <Choice label="A patient's left is" wide value={slicing().leftIsLeft ? "left" : "right"} options={SIDES} onChange={(side) => change({ leftIsLeft: side === "left" })} />
+        </div>
+      </Show>
+    </>
+  );
+}
+
+/** The field that is shown. Another one has other values: it begins with the window that is usual for it. */
+function ShownField(props: { readonly volume: VolumeInfo }) {
+  const { actions, look, page, view } = useModel();
+  const fields = () => [{ value: "", text: `As the surface: ${label(view()?.field ?? "")}` }, ...props.volume.fields.map(({ name }) => ({ value: name, text: label(name) }))];
+  const choose = (field: string) => {
+    actions.changePage({ slicing: { ...page().slicing, field: field === "" ? undefined : field } });
+    if (look().slices.window !== undefined) actions.changeLook({ slices: { ...look().slices, window: undefined } });
+  };
+  return (
+    <Show when={props.volume.fields.length > 1}>
+      <Select label="Show" value={page().slicing.field ?? ""} options={fields()} onChange={choose} />
+    </Show>
+  );
+}
+
+/** While there are slices beside the picture, those in it are where their crosshair is. */
 function SlicePlace(props: { readonly axis: 0 | 1 | 2; readonly name: string; readonly volume: VolumeInfo }) {
-  const { actions, look } = useModel();
-  const index = () => look().slices.planes[props.axis];
+  const { actions, look, page } = useModel();
+  const index = () => planesAt(look().slices.planes, page().slicing, props.volume.geometry.dims)[props.axis];
   const last = () => props.volume.geometry.dims[props.axis] - 1;
   const change = (value: number | null, gesture?: string) => {
+    const { slicing } = page();
+    const { dims } = props.volume.geometry;
+    if (value !== null && index() !== null && slicing.layout !== "picture") {
+      return actions.changePage({ slicing: moved(slicing, dims, props.axis, value - crosshairOf(slicing, dims)[props.axis]) });
+    }
     const planes = look().slices.planes.map((old, i) => (i === props.axis ? value : old)) as unknown as SliceChoice["planes"];
     actions.changeLook({ slices: { ...look().slices, planes } }, gesture);
   };
@@ -65,17 +112,18 @@ function SlicePlace(props: { readonly axis: 0 | 1 | 2; readonly name: string; re
 
 /** Width and middle of what lies between black and white, as radiologists say it. */
 function WindowLevel(props: { readonly volume: VolumeInfo }) {
-  const { actions, look, view } = useModel();
-  const range = () => sampleRange(props.volume, view()?.field);
+  const { actions, look } = useModel();
+  const field = useShownField();
+  const shown = useWindow();
+  const range = () => (props.volume.fields.some(({ name }) => name === field()) ? sampleRange(props.volume, field()) : shown());
   const size = () => range()[1] - range()[0] || 1;
-  const shown = () => look().slices.window ?? usualWindow(props.volume, view()?.field);
   const width = () => shown()[1] - shown()[0];
   const level = () => (shown()[0] + shown()[1]) / 2;
   const change = (of: { readonly width?: number; readonly level?: number }, gesture?: string) => {
     const [w, l] = [Math.max(of.width ?? width(), 1e-6 * size()), of.level ?? level()];
     actions.changeLook({ slices: { ...look().slices, window: [l - w / 2, l + w / 2] } }, gesture);
   };
-  const field = (label: string, value: number, set: (value: number) => void) => (
+  const numberField = (label: string, value: number, set: (value: number) => void) => (
     <NumberField label={label} value={Number(value.toPrecision(6))} step={size() / 100} onChange={set} />
   );
   return (
@@ -86,7 +134,7 @@ function WindowLevel(props: { readonly volume: VolumeInfo }) {
         value={width()}
         scale={between(0, size())}
         words={formatValue(width())}
-        field={field("Window", width(), (value) => change({ width: value }))}
+        field={numberField("Window", width(), (value) => change({ width: value }))}
         onChange={(value, gesture) => change({ width: value }, gesture)}
         onEnd={actions.endGesture}
       />
@@ -96,7 +144,7 @@ function WindowLevel(props: { readonly volume: VolumeInfo }) {
         value={level()}
         scale={between(...range())}
         words={formatValue(level())}
-        field={field("Level", level(), (value) => change({ level: value }))}
+        field={numberField("Level", level(), (value) => change({ level: value }))}
         onChange={(value, gesture) => change({ level: value }, gesture)}
         onEnd={actions.endGesture}
       />

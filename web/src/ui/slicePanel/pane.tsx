@@ -1,0 +1,181 @@
+/** One of the slices beside the picture: samples, outlines of surfaces, the crosshair, and what is at its sides. */
+
+import { createEffect, createMemo, createSignal, For, onCleanup, onMount, Show } from "solid-js";
+import { draggedWindow } from "../../slices/window";
+import { indicesAtPixel, pixelOf, type SliceView } from "../../slices/view";
+import type { VolumeInfo } from "../../protocol/types";
+import { sampleRange } from "../../state/bounds";
+import { hasLabels } from "../../state/fields";
+import { crosshairOf, moved, outlinesOf, pointed, sampleNear, type SliceState } from "../../state/slicing";
+import { useModel } from "../model";
+import type { Triple } from "../../world/places";
+import { Icon } from "../widgets/icon";
+import { drawSlice, fitOf, outlineIn, type DrawnOutline, type Drawing } from "./draw";
+import { listenToSlice, type Place, type SliceGestures } from "./gestures";
+import { useShownField, useWindow } from "./shown";
+
+/** Of surfaces that have the colours of the look: near that of ivory, and seen on grey. */
+const OUTLINE = "#ffd36b";
+const WINDOW_GESTURE = "slice-window";
+/** Pixels between the crosshair's lines and the sample in their middle. */
+const GAP = 6;
+
+/** A sample by indices along a view's axes. */
+function sampleOf({ axes, across }: SliceView, [i, j]: readonly [number, number], plane: number): Triple {
+  const index = (axis: 0 | 1 | 2) => (axis === across ? plane : axis === axes[0] ? i : j);
+  return [index(0), index(1), index(2)];
+}
+
+interface PaneProps {
+  readonly view: SliceView;
+  readonly volume: VolumeInfo;
+  readonly isChosen: boolean;
+  readonly onHover: (index: Triple | undefined) => void;
+}
+
+/** Size of an element, pixels of the page. */
+function useSize(): readonly [() => readonly [number, number], (element: HTMLElement) => void] {
+  const [size, setSize] = createSignal<readonly [number, number]>([0, 0]);
+  const observe = (element: HTMLElement) => {
+    const observer = new ResizeObserver(() => setSize([element.clientWidth, element.clientHeight]));
+    observer.observe(element);
+    onCleanup(() => observer.disconnect());
+  };
+  return [size, observe];
+}
+
+export function SlicePane(props: PaneProps) {
+  const { beside, page } = useModel();
+  const [size, observe] = useSize();
+  const dims = () => props.volume.geometry.dims;
+  const at = () => crosshairOf(page().slicing, dims());
+  const state = () => beside.slices[props.view.across];
+  const fit = () => fitOf(props.view, ...size());
+  const cross = () => pixelOf(props.view, fit(), at()[props.view.axes[0]], at()[props.view.axes[1]]);
+  const last = () => dims()[props.view.across] - 1;
+  const words = () => `${at()[props.view.across]} of ${last()}`;
+  const { drawing, isTooFine } = useDrawing(props, state);
+  let canvas: HTMLCanvasElement | undefined;
+  onMount(() => canvas?.parentElement && observe(canvas.parentElement));
+  createEffect(() => {
+    const [[width, height], now] = [size(), drawing()];
+    // With the next frame, once for all that changes until then.
+    const frame = requestAnimationFrame(() => {
+      if (canvas !== undefined && width > 0 && height > 0) drawSlice(canvas, width, height, window.devicePixelRatio, now);
+    });
+    onCleanup(() => cancelAnimationFrame(frame));
+  });
+  const gestures = useGestures(props, () => size());
+  return (
+    <div class="slice-pane" classList={{ chosen: props.isChosen, old: state()?.isCurrent === false }}>
+      <canvas
+        ref={(element) => {
+          canvas = element;
+          listenToSlice(element, gestures);
+        }}
+        class="slice-picture"
+        tabindex={0}
+        role="img"
+        aria-label={`${props.view.name} slice, ${words()}: click or arrow keys to move the crosshair, wheel or Page Up and Page Down for other slices, right-drag for window and level`}
+      />
+      <Lines cross={cross()} size={size()} />
+      <For each={["left", "right", "top", "bottom"] as const}>{(side, i) => <span class={`slice-side ${side}`}>{props.view.sides[i()]}</span>}</For>
+      <p class="slice-name">
+        <b>{props.view.name}</b> {at()[props.view.across]} <span class="of">of {last()}</span>
+        <Show when={state()?.isCurrent === false && state()?.loaded}>{(loaded) => <span class="slice-old">old: {loaded().index}</span>}</Show>
+      </p>
+      <Show when={isTooFine()}>
+        <p class="slice-note">An outline is too fine to be drawn here</p>
+      </Show>
+      <Steps view={props.view} />
+    </div>
+  );
+}
+
+function Lines(props: { readonly cross: Place; readonly size: readonly [number, number] }) {
+  const [x, y] = [() => Math.round(props.cross[0]) + 0.5, () => Math.round(props.cross[1]) + 0.5];
+  const path = () => `M0 ${y()}H${x() - GAP}M${x() + GAP} ${y()}H${props.size[0]}M${x()} 0V${y() - GAP}M${x()} ${y() + GAP}V${props.size[1]}`;
+  return (
+    <svg class="slice-lines" aria-hidden="true">
+      <path class="edge" d={path()} />
+      <path d={path()} />
+    </svg>
+  );
+}
+
+/** For fingers, and whoever sees no wheel. */
+function Steps(props: { readonly view: SliceView }) {
+  const { actions, page, volume } = useModel();
+  const step = (by: number) => {
+    const known = volume();
+    if (known !== undefined) actions.changePage({ slicing: moved(page().slicing, known.geometry.dims, props.view.across, by * props.view.onward) });
+  };
+  return (
+    <span class="slice-steps">
+      <button type="button" aria-label={`Previous ${props.view.name.toLowerCase()} slice`} title="Previous slice · Page Down" on:click={() => step(-1)}>
+        <Icon name="chevron" />
+      </button>
+      <button type="button" class="onward" aria-label={`Next ${props.view.name.toLowerCase()} slice`} title="Next slice · Page Up" on:click={() => step(1)}>
+        <Icon name="chevron" />
+      </button>
+    </span>
+  );
+}
+
+/** What is drawn; it changes only if that does. Some outlines may be too fine for it. */
+function useDrawing(props: PaneProps, state: () => SliceState | undefined): { readonly drawing: () => Drawing | undefined; readonly isTooFine: () => boolean } {
+  const { surfaces } = useModel();
+  const field = useShownField();
+  const shownWindow = useWindow();
+  const wanted = createMemo(() => outlinesOf(surfaces()), undefined, { equals: (a, b) => JSON.stringify(a) === JSON.stringify(b) });
+  const loaded = createMemo(() => state()?.loaded);
+  const found = createMemo(() => {
+    const slice = loaded();
+    return slice === undefined ? [] : wanted().map((outline) => ({ color: outline.color ?? OUTLINE, segments: outlineIn(slice, outline, props.volume.fields) }));
+  });
+  const outlines = createMemo(() => found().flatMap(({ color, segments }): DrawnOutline[] => (segments === undefined ? [] : [{ color, segments }])));
+  const drawing = () => {
+    const slice = loaded();
+    const info = props.volume.fields.find(({ name }) => name === field());
+    const isSmooth = info === undefined || !hasLabels(info);
+    return slice && { view: props.view, loaded: slice, field: field(), window: shownWindow(), isSmooth, outlines: outlines() };
+  };
+  return { drawing, isTooFine: () => outlines().length < found().length };
+}
+
+function useGestures(props: PaneProps, size: () => readonly [number, number]): SliceGestures {
+  const { actions, look, page, volume } = useModel();
+  const field = useShownField();
+  const shownWindow = useWindow();
+  let before = shownWindow();
+  const dims = () => props.volume.geometry.dims;
+  const indexAt = ([x, y]: Place): Triple => {
+    const { view } = props;
+    return sampleNear(dims(), sampleOf(view, indicesAtPixel(view, fitOf(view, ...size()), x, y), crosshairOf(page().slicing, dims())[view.across]));
+  };
+  const move = (axis: 0 | 1 | 2, by: number) => actions.changePage({ slicing: moved(page().slicing, dims(), axis, by) });
+  return {
+    onPoint: (place) => {
+      const slicing = pointed(page().slicing, dims(), indexAt(place));
+      if (slicing !== page().slicing) actions.changePage({ slicing });
+      props.onHover(undefined);
+    },
+    onHover: (place) => props.onHover(place && indexAt(place)),
+    onWindow: (right, down) => {
+      const known = volume();
+      const [low, high] = known?.fields.some(({ name }) => name === field()) === true ? sampleRange(known, field()) : before;
+      actions.changeLook({ slices: { ...look().slices, window: draggedWindow(before, right, down, high - low || 1) } }, WINDOW_GESTURE);
+    },
+    onWindowEnd: (isOver) => {
+      before = shownWindow();
+      if (isOver) actions.endGesture();
+    },
+    onReset: () => actions.changeLook({ slices: { ...look().slices, window: undefined } }),
+    onScroll: (by) => move(props.view.across, by * props.view.onward),
+    onStep: (right, down) => {
+      const { axes, signs } = props.view;
+      if (right !== 0) move(axes[0], right * signs[0]);
+      if (down !== 0) move(axes[1], down * signs[1]);
+    },
+  };
+}
