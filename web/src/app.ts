@@ -9,7 +9,7 @@ import { Connecting } from "./wiring/connecting";
 import { Display, FIRST_TABLES } from "./wiring/display";
 import { embedOptions } from "./embed/origins";
 import { Embedding } from "./wiring/embedding";
-import { Enclosing } from "./wiring/enclosing";
+import { Summing } from "./wiring/summing";
 import { Framing } from "./wiring/framing";
 import { Later } from "./wiring/later";
 import { linkState, unknownVolumeText } from "./wiring/linking";
@@ -57,7 +57,7 @@ export class App {
   private readonly comparison: Comparison;
   private readonly marks: Marks;
   private readonly pipeline: RegionPipeline;
-  private readonly enclosing: Enclosing;
+  private readonly summing: Summing;
   private readonly client: StreamClient;
   private readonly sync: SurfaceSync;
   private readonly address = new AddressLink({
@@ -98,7 +98,7 @@ export class App {
       onChange: (what) => this.model.showComparing(what),
     });
     this.pipeline = this.makePipeline();
-    this.enclosing = new Enclosing(this.store, this.model, this.pipeline);
+    this.summing = new Summing(this.store, this.model, this.pipeline);
     this.client = this.makeClient();
     this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
@@ -138,7 +138,7 @@ export class App {
       fit: () => this.framing.fit(),
       home: () => this.framing.home(),
       lookFrom: (axis) => this.framing.lookFrom(axis),
-      sumUp: () => void this.enclosing.sum(),
+      sumUp: () => this.summing.sumSelected(),
       useAtCentre: () => this.questions.useAtCentre(),
       retry: () => this.client.retryNow(),
       compare: (what) => (what === undefined ? this.comparison.end() : this.comparison.start(what)),
@@ -388,7 +388,7 @@ export class App {
   private refresh(): void {
     this.later.done();
     this.questions.follow();
-    this.enclosing.follow();
+    this.summing.follow();
     this.comparison.advance(this.settled);
     this.showDisplay();
     this.player.follow();

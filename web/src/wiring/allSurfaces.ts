@@ -1,6 +1,7 @@
 /** All visible surfaces as one GLB, each in the colour and opacity that it has on the page. */
 
 import { extract } from "../net/rest";
+import { labelsName } from "../state/labels";
 import type { Store } from "../state/store";
 import { selectSurface } from "../state/surfaceState";
 import { linearColor } from "../transfer/model";
@@ -23,7 +24,7 @@ export async function downloadAll(model: Model, store: Store, base: URL, cap = f
       if (view === undefined) continue;
       const color = colorOf(surface, look);
       const file = await (await extract(base, target.volume, target.step, "glb", view)).arrayBuffer();
-      parts.push({ name: formatValue(surface.view.iso, 6), color: color === undefined ? undefined : linearColor(color), opacity: surface.style.opacity, file });
+      parts.push({ name: labelsName(viewer.volume, surface.view.field) ?? formatValue(surface.view.iso, 6), color: color === undefined ? undefined : linearColor(color), opacity: surface.style.opacity, file });
     }
     return joinGlb(parts);
   });

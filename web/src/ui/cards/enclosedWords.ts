@@ -10,11 +10,14 @@ function amount(value: number): string {
   return value < 10_000 ? formatValue(value, 4) : formatCount(Number(value.toPrecision(4)));
 }
 
+/** `4,310 mm³`. @param unit of lengths, where it is known */
+export const amountText = (value: number, unit: string | undefined, power: 2 | 3) => `${amount(value)} ${unitWord(unit, power)}`;
+
 /** @param unit of lengths, where it is known */
 export function enclosedRows({ area, volume }: Enclosed, unit: string | undefined): readonly Row[] {
-  const size = volume === undefined ? "none, it is open" : `${amount(Math.abs(volume))} ${unitWord(unit, 3)}`;
+  const size = volume === undefined ? "none, it is open" : amountText(Math.abs(volume), unit, 3);
   return [
-    ["Area", `${amount(area)} ${unitWord(unit, 2)}`],
+    ["Area", amountText(area, unit, 2)],
     [volume !== undefined && volume < 0 ? "Enclosed, of lower values" : "Enclosed volume", size],
   ];
 }

@@ -1,6 +1,7 @@
 /** The inspector's cards, in their order. A further card is a file and a line here. */
 
 import { lazy } from "solid-js";
+import { labelFields } from "../../state/labels";
 import type { Card } from "./card";
 import { detailCard } from "./detail";
 import { lookCard } from "./look";
@@ -19,6 +20,7 @@ export const CARDS: readonly Card[] = [
   surfaceCard,
   detailCard,
   mattersCard,
+  onDemand({ id: "labels", title: "Labels", icon: "labels", when: ({ volume }) => labelFields(volume()).length > 0, isOfSurface: true }, () => import("./labels")),
   lookCard,
   onDemand({ id: "view", title: "View", icon: "view" }, () => import("./view")),
   onDemand({ id: "clip", title: "Clip", icon: "clip" }, () => import("./clip")),
