@@ -1,23 +1,14 @@
-/** All that is known of the open volume and of the last final surface. */
+/** All that is known of the last final surface. */
 
-import type { Statistics, VolumeInfo } from "../../protocol/types";
+import type { Statistics } from "../../protocol/types";
 import { allTriangles } from "../../state/counts";
-import { lengthScale, lengthUnit, unitWord, type LengthScale } from "../../state/lengths";
+import type { LengthScale } from "../../state/lengths";
 import { formatBytes, formatCount, formatLength, formatMs, formatValue } from "../format";
 import { countWords } from "../words";
-import { useModel } from "../model";
+import { useModel, useScale } from "../model";
 import type { Card } from "./card";
 import { EnclosedSums } from "./enclosed";
 import { Rows, type Row } from "./rows";
-
-function volumeRows(volume: VolumeInfo): readonly Row[] {
-  const { dims, spacing } = volume.geometry;
-  const product = (values: readonly number[]) => values.map((v) => formatValue(v, 4)).join(" × ");
-  return [
-    ["Samples", product(dims)],
-    ["Spacing", `${product(spacing)} ${unitWord(lengthUnit(volume))}`],
-  ];
-}
 
 function surfaceRows(s: Statistics, scale: LengthScale): readonly Row[] {
   return [
@@ -56,10 +47,11 @@ function errorRows({ error, estimatedError }: Statistics, scale: LengthScale): r
 }
 
 function Body() {
-  const { viewer, volume } = useModel();
+  const { viewer } = useModel();
+  const scale = useScale();
   const rows = () => {
-    const [known, statistics] = [volume(), viewer().statistics];
-    return [...(known === undefined ? [] : volumeRows(known)), ...(statistics === undefined ? [] : surfaceRows(statistics, lengthScale(known)))];
+    const { statistics } = viewer();
+    return statistics === undefined ? [] : surfaceRows(statistics, scale());
   };
   return (
     <>

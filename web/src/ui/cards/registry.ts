@@ -30,5 +30,6 @@ export const CARDS: readonly Card[] = [
   onDemand({ id: "out", title: "Export", icon: "image" }, () => import("./out")),
   onDemand({ id: "jobs", title: "Batch jobs", icon: "jobs", when: (model) => model.hasJobs() }, () => import("./jobs")),
   onDemand({ id: "together", title: "Follow me", icon: "together", when: ({ viewer }) => viewer().groups }, () => import("./together")),
+  onDemand({ id: "data", title: "Data", icon: "data" }, () => import("./data")),
   numbersCard,
 ];
