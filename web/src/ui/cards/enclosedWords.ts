@@ -7,7 +7,7 @@ import type { Row } from "./rows";
 
 /** Four digits; large numbers in groups. */
 function amount(value: number): string {
-  return value < 10_000 ? formatValue(value, 4) : formatCount(Number(value.toPrecision(4)));
+  return value < 1000 ? formatValue(value, 4) : formatCount(Number(value.toPrecision(4)));
 }
 
 /** `4,310 mm³`. @param unit of lengths, where it is known */

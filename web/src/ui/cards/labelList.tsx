@@ -15,6 +15,8 @@ export interface LabelSwitch {
   readonly icon: IconName;
   /** While it is off. */
   readonly offIcon?: IconName;
+  /** What it is for, in few words. */
+  readonly short: string;
   readonly text: (label: LabelEntry) => string;
   readonly isOn: (label: LabelEntry) => boolean;
   readonly onClick: (label: LabelEntry) => void;

@@ -11,6 +11,7 @@ import { formatCount } from "../format";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
 import { Select, Toggle } from "../widgets/choice";
+import { Icon } from "../widgets/icon";
 import { amountText, enclosedRows } from "./enclosedWords";
 import { label as fieldText } from "./features";
 import { LabelList, type LabelSwitch } from "./labelList";
@@ -22,7 +23,16 @@ const MANY = 12;
 /** Kept while the page is open: the card may be folded in between. */
 const [chosen, setChosen] = createSignal("");
 const [sought, setSought] = createSignal("");
-const [isSmooth, setSmooth] = createSignal(true);
+const [wantsSmooth, setSmooth] = createSignal<boolean>();
+
+/** Smoothing is computed on the host, from all samples: of many only if the user asks. */
+const MAX_SMOOTHED = 2 ** 26;
+
+/** Whether surfaces around labels are smoothed. */
+function isSmooth({ volume }: ReturnType<typeof useModel>): boolean {
+  const { dims = [] } = volume()?.geometry ?? {};
+  return wantsSmooth() ?? dims.reduce((all: number, n) => all * n, 1) <= MAX_SMOOTHED;
+}
 
 export default function Body() {
   const { volume } = useModel();
@@ -50,6 +60,7 @@ function Labels(props: { readonly field: FieldInfo }) {
     const typed = labels.length === 0 ? labelByNumber(props.field, sought()) : undefined;
     return typed === undefined ? labels : [typed];
   });
+  const switches = useSwitches(() => props.field.name, all);
   const note = ({ samples }: LabelEntry) => {
     const geometry = volume()?.geometry;
     const size = samples === undefined || geometry === undefined ? undefined : samplesVolume(samples, geometry);
@@ -61,7 +72,16 @@ function Labels(props: { readonly field: FieldInfo }) {
         <Search count={found().length} of={all().length} />
       </Show>
       <Show when={found().length > 0} fallback={<p class="note">{all().length === 0 ? "The file has no table of labels: type the number of one" : "No label has this name or number"}</p>}>
-        <LabelList labels={found()} switches={useSwitches(() => props.field.name, all)()} note={note} />
+        <LabelList labels={found()} switches={switches()} note={note} />
+        <p class="note label-legend" aria-hidden="true">
+          <For each={switches()}>
+            {({ icon, short }) => (
+              <span>
+                <Icon name={icon} /> {short}
+              </span>
+            )}
+          </For>
+        </p>
       </Show>
       <Foot field={props.field.name} />
     </>
@@ -86,18 +106,21 @@ function useSwitches(field: () => string, all: () => readonly LabelEntry[]): () 
   const surface: LabelSwitch = {
     icon: "look",
     offIcon: "hidden",
+    short: "surface",
     text: ({ name }) => `Surface of ${name}`,
     isOn: ({ number }) => surfacesAround(surfaces(), field(), number).some(({ style }) => style.visible),
     onClick: (label) => showLabel(model, field(), label),
   };
   const importance: LabelSwitch = {
     icon: "matters",
+    short: "fine near it",
     text: ({ name }) => `Importance falls with the distance to ${name}`,
     isOn: ({ number }) => listHas(labelsNear(view()?.feature ?? "", field()), number),
     onClick: (label) => actions.editByOpening((now, opening) => importanceEdit(now, field(), label, all(), { opening, extent: extent() })),
   };
   const mask: LabelSwitch = {
     icon: "mask",
+    short: "restrict to it",
     text: ({ name }) => `Restrict the surface to ${name}`,
     isOn: ({ number }) => listHas(labelsKept(view()?.mask ?? null, field()), number),
     onClick: (label) => actions.editByOpening((now) => maskEdit(now, field(), label, all())),
@@ -113,7 +136,7 @@ function useSwitches(field: () => string, all: () => readonly LabelEntry[]): () 
 /** Shows or hides the surface of a label; if there is no place for a further surface, asks whether another one shall be around it too. */
 function showLabel(model: ReturnType<typeof useModel>, field: string, label: LabelEntry): void {
   const { actions, surfaces } = model;
-  const of = { field, label, smoothing: isSmooth() ? SMOOTHING : 0, max: model.viewer().maxSurfaces };
+  const of = { field, label, smoothing: isSmooth(model) ? SMOOTHING : 0, max: model.viewer().maxSurfaces };
   const found = { isFull: false };
   actions.arrangeSurfaces((list, opening) => {
     const shown = shownLabel(list, { ...of, opening });
@@ -139,7 +162,7 @@ function Foot(props: { readonly field: string }) {
   };
   return (
     <>
-      <Toggle label="Smooth surfaces" on={isSmooth()} onChange={smooth} />
+      <Toggle label="Smooth surfaces" on={isSmooth(model)} onChange={smooth} />
       <Show when={shown().length > 0}>
         <div class="label-sums" role="status">
           <Show when={shown().every(({ number }) => !known().has(number))} fallback={<Sums surfaces={shown()} />}>
@@ -175,7 +198,8 @@ function Sums(props: { readonly surfaces: readonly Surface[] }) {
           {(surface) => (
             <tr>
               <th scope="row">
-                <i class="swatch" style={{ background: surface.style.color ?? "transparent" }} /> {labelsName(volume(), surface.view.field)}
+                <i class="swatch" style={{ background: surface.style.color ?? "transparent" }} />
+                <span>{labelsName(volume(), surface.view.field)}</span>
               </th>
               <Switch>
                 <Match when={sumsOf(surface) === "summing"}>
