@@ -104,7 +104,7 @@ test("a server that takes no uploads says so when something is dropped", { timeo
     await drag(page, "a.npy", btoa("nothing"), true);
     await page.getByText("a.npy could not be uploaded: this server takes no uploads").waitFor();
     await page.getByRole("button", { name: "Your volumes: upload files" }).click();
-    await page.getByText("Nothing can be uploaded: this server takes no uploads").waitFor();
+    await page.getByText("Uploads are disabled on this server (--uploads DIR)").waitFor();
     assert.deepEqual(faults, []);
   } finally {
     await browser.close();

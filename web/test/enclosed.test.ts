@@ -186,7 +186,7 @@ describe("the page", () => {
   });
 
   test("says them with their unit, and why there is no volume", () => {
-    expect(enclosedRows(enclosedOf({ area: 1234.56, volume: 123456.7, borderEdges: 0 }), "mm")).toEqual([["Area", "1235 mm²"], ["Enclosed volume", "123,500 mm³"]]);
+    expect(enclosedRows(enclosedOf({ area: 1234.56, volume: 123456.7, borderEdges: 0 }), "mm")).toEqual([["Area", "1,235 mm²"], ["Enclosed volume", "123,500 mm³"]]);
     expect(enclosedRows(enclosedOf({ area: 0.5, volume: -27, borderEdges: 0 }), undefined)).toEqual([["Area", "0.5 world units²"], ["Enclosed, of lower values", "27 world units³"]]);
     const open = enclosedOf({ area: 12, volume: 7, borderEdges: 1204 });
     expect(enclosedRows(open, "m")).toEqual([["Area", "12 m²"], ["Enclosed volume", "none, it is open"]]);

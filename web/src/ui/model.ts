@@ -305,6 +305,11 @@ export class Model {
     return this.session()?.jobs === true;
   }
 
+  /** Whether the server takes volumes of the user; until it has said so, it may. */
+  takesUploads(): boolean {
+    return this.session()?.uploads !== false;
+  }
+
   showConnection(connection: Connection): void {
     this.set.setConnection(connection);
   }

@@ -1,6 +1,7 @@
 /** All visible surfaces as one GLB, each in the colour and opacity that it has on the page. */
 
 import { extract } from "../net/rest";
+import { volumeName } from "../state/fileNames";
 import { labelsName } from "../state/labels";
 import type { Store } from "../state/store";
 import { selectSurface } from "../state/surfaceState";
@@ -16,7 +17,7 @@ export async function downloadAll(model: Model, store: Store, base: URL, cap = f
   const { target } = viewer;
   if (target === undefined) return;
   const surfaces = store.surfaces.filter(({ style }) => style.visible);
-  await saveMade(model, `${target.volume}-surfaces.glb`, async () => {
+  await saveMade(model, `${volumeName(viewer.volume)}-surfaces.glb`, async () => {
     const { joinGlb } = await import("../net/glb");
     const parts = [];
     for (const surface of surfaces) {

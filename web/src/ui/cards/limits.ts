@@ -83,7 +83,8 @@ function wantedLimit(view: View, statistics: Statistics, { spacing, unit }: Leng
   const length = (error === undefined ? FINE_ERROR : inSpacings(error, spacing)) * spacing;
   const needed = curve?.byError === true ? trianglesFor(curve.points, length, "threshold") : undefined;
   const text = formatLength(length, { spacing, unit });
-  if (needed === undefined) return error === undefined ? undefined : { text: `${text} needs more triangles`, lift: { text: "Allow more", edit: { error } } };
+  // Without a curve the tolerance says whether the error needs more.
+  if (needed === undefined) return error === undefined && !((statistics.tolerance ?? 0) > length) ? undefined : { text: `${text} needs more triangles`, lift: { text: "Allow more", edit: { error: error ?? `${FINE_ERROR}vx` } } };
   const count = roundedUp(needed);
   if (count <= statistics.triangles) return undefined;
   const edit: Edit = { triangles: count, ...(error === undefined ? {} : { error }) };

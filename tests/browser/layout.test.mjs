@@ -1,0 +1,38 @@
+/** What long texts do in small windows. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { MORE, openPage, rested, saveScreenshot, TIMEOUT_MS } from "./harness.mjs";
+import { setUp } from "./setup.mjs";
+
+const at = setUp();
+
+test("the status of a phone on its side has one line, and a field's name the space that there is", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
+  const { page, faults } = await openPage(at.browser, at.server.url, { viewport: { width: 844, height: 390 } });
+  await rested(page);
+  const sentence = page.locator(".sentence");
+  const { height } = await sentence.boundingBox();
+  const line = await sentence.evaluate((element) => parseFloat(getComputedStyle(element).lineHeight));
+  assert.ok(height < 1.5 * line, `${height} pixels, of lines of ${line}`);
+  await saveScreenshot(page, "phone-on-its-side");
+  await page.setViewportSize({ width: 1280, height: 800 });
+  const select = await page.getByRole("combobox", { name: "Field", exact: true }).boundingBox();
+  const card = await page.getByRole("region", { name: "Surface", exact: true }).boundingBox();
+  assert.ok(select.width > 0.55 * card.width, `${select.width} of ${card.width} pixels`);
+  assert.deepEqual(faults, []);
+  await page.close();
+});
+
+test("what is typed into an expression and not right, and a server without uploads, are no errors on the console", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
+  const { page, faults } = await openPage(at.browser, at.server.url);
+  const failed = [];
+  page.on("response", (response) => response.status() >= 400 && failed.push(`${response.status()} ${response.url()}`));
+  await rested(page);
+  await page.getByRole("button", { name: "Compute a field…" }).click();
+  await page.getByRole("textbox", { name: "Expression of the field" }).fill("log(depth");
+  await page.locator(".fault-text").waitFor();
+  await page.getByRole("button", { name: "Your volumes: upload files" }).click();
+  await page.getByText("Uploads are disabled on this server (--uploads DIR)").waitFor();
+  assert.deepEqual([failed, faults], [[], []]);
+  await page.close();
+});
