@@ -1,8 +1,8 @@
-/** What long texts do in small windows. */
+/** What stays as it is: texts in small windows, the camera while the surface changes, the console while something is typed. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { MORE, openPage, rested, saveScreenshot, TIMEOUT_MS } from "./harness.mjs";
+import { cameraAtRest, MORE, openPage, rested, saveScreenshot, settled, status, TIMEOUT_MS } from "./harness.mjs";
 import { setUp } from "./setup.mjs";
 
 const at = setUp();
@@ -34,5 +34,31 @@ test("what is typed into an expression and not right, and a server without uploa
   await page.getByRole("button", { name: "Your volumes: upload files" }).click();
   await page.getByText("Uploads are disabled on this server (--uploads DIR)").waitFor();
   assert.deepEqual([failed, faults], [[], []]);
+  await page.close();
+});
+
+test("another isovalue does not move the camera, and a surface can be made invisible", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
+  // At the edge of the surface, whose neighbours are smaller and larger.
+  const { page, faults } = await openPage(at.browser, `${at.server.url}/#volume=bumpy&iso=-4&camera=25,-60,40,25,8,36`);
+  await rested(page);
+  await page.locator(".viewport canvas").first().press("ArrowLeft");
+  await cameraAtRest(page);
+  const { camera } = await status(page);
+  const field = page.getByRole("textbox", { name: "Isovalue", exact: true });
+  for (const iso of [12, 3, -15]) {
+    await field.fill(String(iso));
+    await field.press("Enter");
+    await settled(page, ({ edit, statistics }, iso) => edit.iso === iso && statistics?.triangles > 0, iso);
+    await rested(page);
+    await cameraAtRest(page);
+    const now = (await status(page)).camera;
+    for (const name of ["position", "target"]) now[name].forEach((value, axis) => assert.ok(Math.abs(value - camera[name][axis]) < 1e-3, `${name} at ${iso}: ${now[name]}, was ${camera[name]}`));
+  }
+  await page.getByRole("button", { name: "Opacity and colour" }).click();
+  const opacity = page.getByRole("textbox", { name: "Opacity of the surface, percent" });
+  await opacity.fill("0");
+  await opacity.press("Enter");
+  await page.waitForFunction(() => window.isopeel.status.surfaces[0].style.opacity === 0);
+  assert.deepEqual(faults, []);
   await page.close();
 });

@@ -185,7 +185,7 @@ describe("a link of several surfaces", () => {
     for (const [hash, wrong] of [
       ["s2.iso=high", "“s2.iso” is \"high\", expected a number"],
       ["s2.iso=1&s2.tint=red", "“s2.tint” has the colour \"red\""],
-      ["s2.iso=1&s2.opacity=0", "“s2.opacity” is 0, expected a number above 0, up to 1"],
+      ["s2.iso=1&s2.opacity=-0.1", "“s2.opacity” is -0.1, expected a number from 0 to 1"],
       ["opacity=2", "“opacity” is 2"],
       ["s2.hidden=yes", "“s2.hidden” is \"yes\", expected 0 or 1"],
       ["s2.tf=0,1,zz", "“s2.tf” has the colour"],

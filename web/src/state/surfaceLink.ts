@@ -64,7 +64,7 @@ export function readSurface(read: Reader): Wish["surfaces"][number] {
 
 function readStyle(read: Reader): Partial<SurfaceStyle> {
   const [tint, opacity, hidden] = [read.text("tint"), read.number("opacity"), read.flag("hidden")];
-  if (opacity !== undefined && !(opacity > 0 && opacity <= 1)) throw new LinkError(`This link's “${read.named("opacity")}” is ${opacity}, expected a number above 0, up to 1`);
+  if (opacity !== undefined && !(opacity >= 0 && opacity <= 1)) throw new LinkError(`This link's “${read.named("opacity")}” is ${opacity}, expected a number from 0 to 1`);
   return {
     ...(tint === undefined ? {} : { color: colorOf(read.named("tint"), tint) }),
     ...(opacity === undefined ? {} : { opacity }),

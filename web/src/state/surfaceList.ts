@@ -7,7 +7,7 @@ import { complete } from "./view";
 /** How one of the surfaces looks; the look has what is common to all. */
 export interface SurfaceStyle {
   readonly visible: boolean;
-  /** Above 0 to 1; below 1 what lies behind it shines through. */
+  /** 0 to 1; below 1 what lies behind it shines through. */
   readonly opacity: number;
   /** A colour of its own, `#rrggbb`; without one it has the colours of the look. */
   readonly color: string | undefined;

@@ -61,4 +61,4 @@ function Body() {
   );
 }
 
-export const numbersCard: Card = { id: "numbers", title: "Numbers", icon: "numbers", folded: true, isOfSurface: true, body: Body };
+export const numbersCard: Card = { id: "numbers", title: "Numbers", icon: "numbers", folded: true, isLocal: true, isOfSurface: true, body: Body };

@@ -27,9 +27,9 @@ export const CARDS: readonly Card[] = [
   onDemand({ id: "slices", title: "Slices", icon: "slices" }, () => import("./slices")),
   onDemand({ id: "measure", title: "Measure", icon: "measure" }, () => import("./measure")),
   onDemand({ id: "compare", title: "Compare", icon: "compare" }, () => import("./compare")),
-  onDemand({ id: "out", title: "Export", icon: "image" }, () => import("./out")),
-  onDemand({ id: "jobs", title: "Batch jobs", icon: "jobs", when: (model) => model.hasJobs() }, () => import("./jobs")),
-  onDemand({ id: "together", title: "Follow me", icon: "together", when: ({ viewer }) => viewer().groups }, () => import("./together")),
-  onDemand({ id: "data", title: "Data", icon: "data" }, () => import("./data")),
+  onDemand({ id: "out", isLocal: true, title: "Export", icon: "image" }, () => import("./out")),
+  onDemand({ id: "jobs", isLocal: true, title: "Batch jobs", icon: "jobs", when: (model) => model.hasJobs() }, () => import("./jobs")),
+  onDemand({ id: "together", isLocal: true, title: "Follow me", icon: "together", when: ({ viewer }) => viewer().groups }, () => import("./together")),
+  onDemand({ id: "data", isLocal: true, title: "Data", icon: "data" }, () => import("./data")),
   numbersCard,
 ];

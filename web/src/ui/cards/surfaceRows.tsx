@@ -18,12 +18,7 @@ import { label } from "./features";
 import { MaskTools } from "./maskTools";
 import { offersParts, PartTools } from "./partTools";
 
-/** Fainter is not seen; what is not to be seen can be hidden. */
-const MIN_OPACITY = 0.05;
-const OPACITY_SCALE: Scale = {
-  toValue: (t) => Math.round(100 * (MIN_OPACITY + t * (1 - MIN_OPACITY))) / 100,
-  toPosition: (opacity) => (opacity - MIN_OPACITY) / (1 - MIN_OPACITY),
-};
+const OPACITY_SCALE: Scale = { toValue: (t) => Math.round(100 * t) / 100, toPosition: (opacity) => opacity };
 
 /** The isovalue that the volume brings along is that of its main field. */
 export function broughtIsovalue(volume: VolumeInfo | undefined, field: string): number | undefined {
@@ -224,7 +219,7 @@ function Opacity(props: { readonly surface: Surface; readonly name: string }) {
       words={`${percent()} percent`}
       field={
         <>
-          <NumberField label={`Opacity of ${props.name}, percent`} value={percent()} min={100 * MIN_OPACITY} max={100} hundredPercent={100} step={5} onChange={(n) => change(n / 100)} />
+          <NumberField label={`Opacity of ${props.name}, percent`} value={percent()} min={0} max={100} hundredPercent={100} step={5} onChange={(n) => change(n / 100)} />
           <span class="unit">%</span>
         </>
       }
