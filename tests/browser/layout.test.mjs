@@ -62,3 +62,20 @@ test("another isovalue does not move the camera, and a surface can be made invis
   assert.deepEqual(faults, []);
   await page.close();
 });
+
+test("a turn is painted as finely as this machine can, and the picture at rest in full", { ...MORE, timeout: 4 * TIMEOUT_MS }, async () => {
+  const { page, faults } = await openPage(at.browser, `${at.server.url}/#volume=bumpy&error=0&opacity=0.5`, { viewport: { width: 1400, height: 900 }, deviceScaleFactor: 2 });
+  await rested(page);
+  const canvas = page.locator(".viewport canvas").first();
+  const { x, y, width, height } = await canvas.boundingBox();
+  const before = (await status(page)).framesDrawn;
+  await page.mouse.move(x + width / 2, y + height / 2);
+  await page.mouse.down();
+  for (let i = 0; i < 60; i += 1) await page.mouse.move(x + width / 2 + 150 * Math.sin(i / 5), y + height / 2);
+  await page.mouse.up();
+  await cameraAtRest(page);
+  assert.ok((await status(page)).framesDrawn > before + 2, "it has turned");
+  assert.deepEqual(await canvas.evaluate((of) => [of.width, of.height]), [2 * width, 2 * height].map(Math.floor), "at rest each pixel of the screen has one");
+  assert.deepEqual(faults, []);
+  await page.close();
+});

@@ -150,6 +150,7 @@ export class App {
 
   private makeScene(viewport: HTMLElement): SurfaceRenderer {
     return new SurfaceRenderer(viewport, FIRST_TABLES, {
+      adaptsQuality: true,
       onResident: (id) => this.pipeline.resident(id),
       onFrame: () => this.frameRendered(),
       onClip: (clip) => {
@@ -358,8 +359,7 @@ export class App {
     this.update({ type: "volumes", volumes });
     const { target } = this.store.viewer;
     if (target === undefined && !this.together.join() && !this.address.read()) {
-      const first = volumes[0];
-      if (first !== undefined) this.open(first.id, 0);
+      if (volumes[0] !== undefined) this.open(volumes[0].id, 0);
     }
     this.refresh();
   }

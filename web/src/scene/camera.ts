@@ -176,13 +176,14 @@ export class SceneCamera implements Zooming {
     return NEAREST * this.sphere.radius;
   }
 
-  /** The move of one frame; `onChange` is called while there is any. */
-  advance(): void {
+  /** The move of one frame; `onChange` is called while there is any. Returns whether it has moved. */
+  advance(): boolean {
     const now = performance.now();
     const seconds = this.moving ? Math.min((now - this.lastAdvance) / 1000, MAX_STEP_SECONDS) : 1 / 60;
     this.lastAdvance = now;
     this.moving = this.controls.update(seconds);
     this.follow();
+    return this.moving;
   }
 
   /**
