@@ -32,11 +32,11 @@ describe("a group in words and links", () => {
 
 test("the bar says who leads, whose the camera is, and how many follow", () => {
   const group = { type: "group", group: ID, you: 0, control: 0, followers: 1, asks: false, leaderAway: false, people: [{ number: 1, name: "Ann", asks: false }], isApart: false } as const;
-  expect(barText(group as never)).toBe("You lead · 1 follower");
-  expect(barText({ ...group, control: 1 } as never)).toBe("Following Ann · 1 follower");
-  expect(barText({ ...group, you: 2, people: [], followers: 3 } as never)).toBe("Following the leader · 3 followers");
-  expect(barText({ ...group, you: 2, people: [], control: 1, isApart: true } as never)).toBe("Following Follower 1, free camera · 1 follower");
-  expect(barText({ ...group, you: 1, people: [], control: 1 } as never)).toBe("You have control · 1 follower");
+  expect(barText(group)).toBe("You lead · 1 follower");
+  expect(barText({ ...group, control: 1 })).toBe("Following Ann · 1 follower");
+  expect(barText({ ...group, you: 2, people: [], followers: 3 })).toBe("Following the leader · 3 followers");
+  expect(barText({ ...group, you: 2, people: [], control: 1, isApart: true })).toBe("Following Follower 1, free camera · 1 follower");
+  expect(barText({ ...group, you: 1, people: [], control: 1 })).toBe("You have control · 1 follower");
 });
 
 describe("the group that a tab leads", () => {

@@ -45,7 +45,7 @@ export function groupOf(hash: string): string | undefined {
 }
 
 /** How many follow, in words. */
-export function followersText(followers: number): string {
+function followersText(followers: number): string {
   return followers === 0 ? "No followers yet" : followers === 1 ? "1 follower" : `${followers} followers`;
 }
 

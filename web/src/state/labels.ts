@@ -20,7 +20,7 @@ const HALFWAY = 0.5;
 /** Standard deviation, in samples, that takes the stairs of a segmentation away. */
 export const SMOOTHING = 0.8;
 /** Labels that one surface is around at most: an expression has 64 operations. */
-export const MAX_JOINED = 16;
+const MAX_JOINED = 16;
 /** As many as a condition takes. */
 const MAX_VALUES = 64;
 /** Where nothing matters any more, as a share of the volume's longest side. */

@@ -11,7 +11,7 @@ type Geometry = VolumeInfo["geometry"];
 const product = (values: readonly number[], digits = 5) => values.map((value) => formatValue(value, digits)).join(" × ");
 const list = (values: readonly number[], digits = 5) => values.map((value) => formatValue(Math.abs(value) < 1e-9 ? 0 : value, digits)).join(", ");
 
-export const samplesOf = ({ dims }: Pick<Geometry, "dims">): number => dims.reduce((all, n) => all * n, 1);
+const samplesOf = ({ dims }: Pick<Geometry, "dims">): number => dims.reduce((all, n) => all * n, 1);
 
 /** Bytes of a sample on the device. */
 const BYTES: Readonly<Record<string, number>> = { u8: 1, i8: 1, u16: 2, i16: 2, f32: 4 };

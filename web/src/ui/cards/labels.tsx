@@ -28,8 +28,10 @@ const [wantsSmooth, setSmooth] = createSignal<boolean>();
 /** Smoothing is computed on the host, from all samples: of many only if the user asks. */
 const MAX_SMOOTHED = 2 ** 26;
 
-/** Whether surfaces around labels are smoothed. */
-function isSmooth({ volume }: ReturnType<typeof useModel>): boolean {
+/** Whether surfaces around labels are smoothed: as those that there are, or as the user has chosen. */
+function isSmooth({ surfaces, volume }: ReturnType<typeof useModel>): boolean {
+  const known = surfaces().map(({ view }) => labelsAround(view.field)).find((of) => of !== undefined);
+  if (known !== undefined) return known.smoothing > 0;
   const { dims = [] } = volume()?.geometry ?? {};
   return wantsSmooth() ?? dims.reduce((all: number, n) => all * n, 1) <= MAX_SMOOTHED;
 }
