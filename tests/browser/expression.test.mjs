@@ -35,9 +35,9 @@ test("expressions are typed as field and as feature", { ...MORE, timeout: 4 * TI
   assert.equal(await card.getByRole("slider").first().isVisible(), true, "with a histogram");
   await saveScreenshot(page, "expression");
 
-  const matters = page.getByRole("region", { name: "What matters", exact: true });
+  const matters = page.getByRole("region", { name: "Importance", exact: true });
   await matters.getByText("Field", { exact: true }).click();
-  await matters.getByRole("button", { name: "Compute what matters…" }).click();
+  await matters.getByRole("button", { name: "Expression…" }).click();
   const feature = matters.getByRole("textbox", { name: "Expression of what matters" });
   await feature.fill("height ^ 2");
   await matters.getByText(/^Values from /).waitFor();

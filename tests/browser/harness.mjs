@@ -226,7 +226,7 @@ export const rested = (page) =>
 /** Chooses what decides how much is decimated: `Error`, `Triangles` or `β (paper)`. */
 export async function decideBy(page, criterion) {
   await page.locator("details.expert").evaluate((details) => (details.open = true));
-  await page.getByRole("radiogroup", { name: "Decide by" }).getByText(criterion, { exact: true }).click();
+  await page.getByRole("radiogroup", { name: "Limit by" }).getByText(criterion, { exact: true }).click();
 }
 
 /** Waits until more than `framesDrawn` frames were rendered. */

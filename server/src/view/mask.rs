@@ -85,7 +85,11 @@ impl Mask {
         };
         let named = text[..at].trim();
         // As in expressions, which masks may be a part of.
-        let field = if fields.contains(&named) { named } else { unquoted(named) };
+        let field = if fields.contains(&named) {
+            named
+        } else {
+            unquoted(named)
+        };
         if !fields.contains(&field) {
             let begin = text.len() - text.trim_start().len();
             return Err(refuse(

@@ -24,7 +24,7 @@ export function enclosedRows({ area, volume }: Enclosed, unit: string | undefine
 
 /** What the numbers are of. @param error how far the mesh is off, in words */
 export function enclosedNote({ borderEdges }: Enclosed, error: string | undefined): string {
-  const of = `Of the mesh on screen, with what is clipped or peeled away${error === undefined ? "" : `; it is ${error}`}.`;
+  const of = `Of the mesh on screen, with what is clipped or peeled away${error === undefined ? "" : `; ${error}`}.`;
   if (borderEdges === 0) return of;
   return `The surface ends at ${formatCount(borderEdges)} ${borderEdges === 1 ? "edge" : "edges"}: at the volume's faces, at missing samples, or at cracks. ${of}`;
 }

@@ -54,7 +54,7 @@ function betaLimit(view: View, budget: Edit): Limit | undefined {
   if (view.beta === undefined) return undefined;
   return {
     text: view.beta < 0 ? "Nothing is merged: β is below 0" : `β = ${formatValue(view.beta, 3)} decides`,
-    lift: { text: "Decide by triangles", edit: budget },
+    lift: { text: "Limit by triangles", edit: budget },
   };
 }
 

@@ -1,5 +1,6 @@
 /** All that is known of the last final surface. */
 
+import { Show } from "solid-js";
 import type { Statistics } from "../../protocol/types";
 import { allTriangles } from "../../state/counts";
 import type { LengthScale } from "../../state/lengths";
@@ -13,9 +14,16 @@ import { Rows, type Row } from "./rows";
 function surfaceRows(s: Statistics, scale: LengthScale): readonly Row[] {
   return [
     ["Triangles", countWords(s.triangles, allTriangles(s)).replace(" triangles", "")],
-    ...criterionRows(s, scale),
-    ...errorRows(s, scale),
     ["Vertices", formatCount(s.vertices)],
+    ...errorRows(s, scale),
+    ...criterionRows(s, scale),
+  ];
+}
+
+/** For those who know how surfaces are made. */
+function diagnosticRows(s: Statistics): readonly Row[] {
+  return [
+    ["Cut of", s.isTreeCut ? "the vertex tree" : "the octree"],
     ["Active cells", formatCount(s.activeCells)],
     ["Leaves, level 0 to 5", s.leaves.map(formatCount).join(" · ")],
     ["Lost cubes", formatCount(s.lostCubes)],
@@ -27,36 +35,41 @@ function surfaceRows(s: Statistics, scale: LengthScale): readonly Row[] {
 }
 
 /** β, or the tolerance where an error or a budget decided. */
-function criterionRows({ beta, tolerance, isTreeCut }: Statistics, scale: LengthScale): readonly Row[] {
-  const cut = ["Cut of", isTreeCut ? "the vertex tree" : "the octree"] as const;
-  if (beta !== null) return [["β applied", formatValue(beta, 3)], cut];
-  if (tolerance === null) return [cut];
-  return [["Tolerance applied", tolerance < 0 ? "nothing is merged" : formatLength(tolerance, scale, 3)], cut];
+function criterionRows({ beta, tolerance }: Statistics, scale: LengthScale): readonly Row[] {
+  if (beta !== null) return [["β applied", formatValue(beta, 3)]];
+  return tolerance === null ? [] : [["Tolerance applied", tolerance < 0 ? "nothing is merged" : formatLength(tolerance, scale, 3)]];
 }
 
 /** The measured error, else the estimate, else nothing. */
 function errorRows({ error, estimatedError }: Statistics, scale: LengthScale): readonly Row[] {
   if (error !== null) {
     return [
-      ["Error, rms", formatLength(error.rms, scale, 3)],
+      ["Error, RMS", formatLength(error.rms, scale, 3)],
       ["Error, maximum", formatLength(error.max, scale, 3)],
     ];
   }
   if (estimatedError === null) return [];
-  return [["Error, rms", `≈ ${formatLength(estimatedError.rms, scale, 3)}`]];
+  return [["Error, RMS", `≈ ${formatLength(estimatedError.rms, scale, 3)}`]];
 }
 
 function Body() {
   const { viewer } = useModel();
   const scale = useScale();
-  const rows = () => {
-    const { statistics } = viewer();
-    return statistics === undefined ? [] : surfaceRows(statistics, scale());
-  };
+  const statistics = () => viewer().statistics;
   return (
     <>
       <EnclosedSums />
-      <Rows rows={rows()} />
+      <Show when={statistics()}>
+        {(known) => (
+          <>
+            <Rows rows={surfaceRows(known(), scale())} />
+            <details class="expert">
+              <summary>Diagnostics</summary>
+              <Rows rows={diagnosticRows(known())} />
+            </details>
+          </>
+        )}
+      </Show>
     </>
   );
 }

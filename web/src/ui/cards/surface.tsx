@@ -24,7 +24,7 @@ import { broughtIsovalue, SurfaceRows } from "./surfaceRows";
 export function openingText(field: FieldInfo | undefined, iso: number): string {
   const opening = field?.openingIso;
   // A number stays beside its sign where the line breaks.
-  return opening?.iso === iso ? `Opens here: ${opening.explanation.replaceAll(" %", "\u00a0%")}` : "";
+  return opening?.iso === iso ? `Default: ${opening.explanation.replaceAll(" %", "\u00a0%")}` : "";
 }
 
 function Body() {
