@@ -10,8 +10,8 @@ const at = setUp(undefined, { demo: true });
 
 /** Opens the card, asks, and returns the rows by their names. */
 async function summedUp(page) {
-  await page.getByRole("button", { name: "Compute" }).click();
   const card = page.locator(".enclosed");
+  await card.getByRole("button", { name: "Compute" }).click();
   // A better surface that comes meanwhile is summed up again.
   await rested(page);
   await card.locator(".note").filter({ hasNotText: "Computing" }).waitFor();
@@ -38,7 +38,7 @@ test("area and volume of a ball, which end with the next edit", { ...MORE, timeo
   const field = page.getByRole("textbox", { name: "Isovalue" });
   await field.fill("-9");
   await field.press("Enter");
-  await page.getByRole("button", { name: "Compute" }).waitFor();
+  await page.locator(".enclosed").getByRole("button", { name: "Compute" }).waitFor();
   await settled(page, (now) => now.edit.iso === -9);
   const open = await summedUp(page);
   assert.equal(open.rows["Enclosed volume"], "none, it is open");

@@ -38,7 +38,7 @@ test("expressions are typed as field and as feature", { ...MORE, timeout: 4 * TI
   const matters = page.getByRole("region", { name: "Importance", exact: true });
   await matters.getByText("Field", { exact: true }).click();
   await matters.getByRole("button", { name: "Expression…" }).click();
-  const feature = matters.getByRole("textbox", { name: "Expression of what matters" });
+  const feature = matters.getByRole("textbox", { name: "Expression of the importance field" });
   await feature.fill("height ^ 2");
   await matters.getByText(/^Values from /).waitFor();
   await feature.press("Enter");

@@ -114,7 +114,7 @@ test("the error that the server measures is shown with its range, and in images"
   await page.getByRole("button", { name: "Colour by error" }).click();
   await page.locator(".scene-colors").waitFor();
   const note = await page.getByText(/^Darkest: error/).innerText();
-  const [, upper, farthest] = /error ([\d.]+) voxels and more, 2 % of the vertices, the farthest by ([\d.]+) voxels/.exec(note).map(Number);
+  const [, upper, farthest] = /error ([\d.]+) voxels and more, around 2 % of the vertices; the measured maximum is ([\d.]+) voxels/.exec(note).map(Number);
   // The smallest spacing is 1: world units are voxels.
   assert.equal(await page.locator(".scene-colors span").nth(2).innerText(), `≥ ${upper}`);
   assert.ok(upper > 0.3 * statistics.error.rms && upper <= farthest, note);

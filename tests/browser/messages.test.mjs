@@ -89,11 +89,12 @@ test("lengths have the unit that a server names beside the grid, the same everyw
   });
   await rested(page);
   await page.locator(".summary").getByText(/^error 0\.\d+ mm \(RMS\)$/).waitFor();
-  await page.locator(".scene-scale").getByText(/^\d+ mm$/).waitFor();
-  await page.getByRole("button", { name: "Numbers" }).click();
+  await page.locator(".scene-scale").getByText(/^\d+ mm at the centre$/).waitFor();
   const rows = page.locator(".card dd");
+  await page.getByRole("button", { name: "Data", exact: true }).click();
   await rows.getByText("1 × 1 × 1 mm").waitFor();
-  await page.getByRole("button", { name: "Compute" }).click();
+  await page.getByRole("button", { name: "Numbers" }).click();
+  await page.locator(".enclosed").getByRole("button", { name: "Compute" }).click();
   await rows.getByText(/^[\d,]+ mm²$/).waitFor();
   await page.getByRole("button", { name: "View", exact: true }).click();
   await page.locator(".toggle", { hasText: "Bounding box" }).locator(".toggle-track").click();

@@ -248,7 +248,7 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     }, 0.01);
     await expectChange(() => peel.press("Home"), 0.01);
     await expectChange(() => page.getByText("Wireframe").click(), 0.01);
-    await expectChange(() => page.getByText("Importance", { exact: true }).first().click(), 0.1);
+    await expectChange(() => page.getByRole("radiogroup", { name: "Colour by" }).getByText("Importance", { exact: true }).click(), 0.1);
     const now = await status(page);
     assert.equal(now.framesSent, before.framesSent);
     assert.equal(now.triangles, before.triangles);

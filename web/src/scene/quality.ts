@@ -13,7 +13,7 @@ export interface Quality {
 }
 
 export const FULL: Quality = { effects: true, layers: 1, pixels: 1 };
-/** From full to least; each is for a renderer for which the one before is too slow. */
+/** From full to coarsest; each is for a renderer for which the one before is too slow. */
 const STEPS: readonly Quality[] = [FULL, { effects: false, layers: 0.5, pixels: 1 }, { effects: false, layers: 0.25, pixels: 0.7 }, { effects: false, layers: 0.25, pixels: 0.5 }, { effects: false, layers: 0.25, pixels: 0.35 }];
 
 /** 24 frames a second: below that a turn is seen in steps. */

@@ -50,7 +50,7 @@ function Matrix(props: { readonly geometry: VolumeInfo["geometry"] }) {
   const rows = () => affineOf(props.geometry);
   const copy = () => void copyOut(model, [...rows(), ["0", "0", "0", "1"]].map((row) => row.join(" ")).join("\n"), "Matrix copied");
   return (
-    <details class="expert matrix">
+    <details class="fold matrix">
       <summary>Matrix from sample indices to the world</summary>
       <table aria-label="Matrix from sample indices to the world">
         <tbody>

@@ -63,7 +63,7 @@ function Body() {
         {(known) => (
           <>
             <Rows rows={surfaceRows(known(), scale())} />
-            <details class="expert">
+            <details class="fold">
               <summary>Diagnostics</summary>
               <Rows rows={diagnosticRows(known())} />
             </details>
