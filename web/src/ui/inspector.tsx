@@ -103,7 +103,7 @@ function CardBody(props: { readonly card: Card }) {
   const { needs, body, isLocal } = props.card;
   const isOff = () => isLocal !== true && isLed(group());
   return (
-    <fieldset class="needs" disabled={isOff()} inert={isOff()}>
+    <fieldset class="led" disabled={isOff()} inert={isOff()}>
       <Show when={needs} fallback={<Dynamic component={body} />}>
         {(role) => (
           <Needs role={role()}>
