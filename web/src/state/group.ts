@@ -61,9 +61,9 @@ export const followerName = ({ number, name }: Pick<Group["people"][number], "nu
 
 /** What is new to say of it; `undefined`: nothing. */
 export function groupNews(before: Group | undefined, now: Group): string | undefined {
-  if (before === undefined) return now.you === LEADER ? undefined : "You are following: the picture and the camera are the leader’s";
+  // Who leads, and who asks for control, is in the bar.
+  if (before === undefined) return undefined;
   if (isLed(before) && !isLed(now)) return now.you === LEADER ? "You have control again" : "You have control: the others follow you";
   if (!isLed(before) && isLed(now)) return now.you === LEADER ? "Another has control now" : "The leader has control again";
-  // Who asks for control is in the bar.
   return now.you !== LEADER && before.leaderAway && !now.leaderAway ? "The leader is back" : undefined;
 }
