@@ -10,11 +10,11 @@ const at = setUp(undefined, { demo: true });
 
 /** Opens the card, asks, and returns the rows by their names. */
 async function summedUp(page) {
-  await page.getByRole("button", { name: "Compute" }).click();
   const card = page.locator(".enclosed");
+  await card.getByRole("button", { name: "Compute" }).click();
   // A better surface that comes meanwhile is summed up again.
   await rested(page);
-  await card.locator(".note").filter({ hasNotText: "Summing up" }).waitFor();
+  await card.locator(".note").filter({ hasNotText: "Computing" }).waitFor();
   await card.getByText("Area").and(page.locator("dt")).waitFor();
   const [names, values] = await Promise.all([card.locator("dt").allInnerTexts(), card.locator("dd").allInnerTexts()]);
   return { rows: Object.fromEntries(names.map((name, i) => [name, values[i]])), note: await card.locator(".note").innerText() };
@@ -32,13 +32,13 @@ test("area and volume of a ball, which end with the next edit", { ...MORE, timeo
   const [volume, area] = [number(rows["Enclosed volume"]), number(rows.Area)];
   assert.ok(Math.abs(volume / ((4 / 3) * Math.PI * 10 ** 3) - 1) < 0.06, rows["Enclosed volume"]);
   assert.ok(area > 0.99 * 4 * Math.PI * 10 ** 2 && area < 1.2 * 4 * Math.PI * 10 ** 2, rows.Area);
-  assert.match(note, /^Of the mesh on screen, with what is clipped or peeled away; it is off by 0\.\d+ voxels rms\.$/);
+  assert.match(note, /^Of the mesh on screen, with what is clipped or peeled away; error 0\.\d+ voxels \(RMS\)\.$/);
 
   // Where the ball leaves the volume it is open.
   const field = page.getByRole("textbox", { name: "Isovalue" });
   await field.fill("-9");
   await field.press("Enter");
-  await page.getByRole("button", { name: "Compute" }).waitFor();
+  await page.locator(".enclosed").getByRole("button", { name: "Compute" }).waitFor();
   await settled(page, (now) => now.edit.iso === -9);
   const open = await summedUp(page);
   assert.equal(open.rows["Enclosed volume"], "none, it is open");

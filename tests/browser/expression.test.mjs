@@ -35,10 +35,10 @@ test("expressions are typed as field and as feature", { ...MORE, timeout: 4 * TI
   assert.equal(await card.getByRole("slider").first().isVisible(), true, "with a histogram");
   await saveScreenshot(page, "expression");
 
-  const matters = page.getByRole("region", { name: "What matters", exact: true });
+  const matters = page.getByRole("region", { name: "Importance", exact: true });
   await matters.getByText("Field", { exact: true }).click();
-  await matters.getByRole("button", { name: "Compute what matters…" }).click();
-  const feature = matters.getByRole("textbox", { name: "Expression of what matters" });
+  await matters.getByRole("button", { name: "Expression…" }).click();
+  const feature = matters.getByRole("textbox", { name: "Expression of the importance field" });
   await feature.fill("height ^ 2");
   await matters.getByText(/^Values from /).waitFor();
   await feature.press("Enter");

@@ -226,7 +226,7 @@ export const rested = (page) =>
 /** Chooses what decides how much is decimated: `Error`, `Triangles` or `β (paper)`. */
 export async function decideBy(page, criterion) {
   await page.locator("details.expert").evaluate((details) => (details.open = true));
-  await page.getByRole("radiogroup", { name: "Decide by" }).getByText(criterion, { exact: true }).click();
+  await page.getByRole("radiogroup", { name: "Limit by" }).getByText(criterion, { exact: true }).click();
 }
 
 /** Waits until more than `framesDrawn` frames were rendered. */
@@ -234,13 +234,15 @@ export async function frameAfter(page, framesDrawn) {
   await page.waitForFunction((before) => window.isopeel.status.framesDrawn > before, framesDrawn, { polling: 50 });
 }
 
-/** Waits until damping no longer moves the camera: a few animation frames without a new frame of the viewer. */
+/** Waits until damping no longer moves the camera, and the frame in full that follows a move is painted: a while without a new frame of the viewer. */
 export async function cameraAtRest(page) {
   await page.evaluate(async () => {
     let drawn = -1;
-    for (let still = 0; still < 5; ) {
+    let since = performance.now();
+    for (let still = 0; still < 5 || performance.now() - since < 300; ) {
       await new Promise(requestAnimationFrame);
       const { framesDrawn } = window.isopeel.status;
+      if (framesDrawn !== drawn) since = performance.now();
       still = framesDrawn === drawn ? still + 1 : 0;
       drawn = framesDrawn;
     }

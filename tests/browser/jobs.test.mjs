@@ -29,7 +29,12 @@ test("the view is submitted as a batch job, and what it has made is saved", { ti
     await card.getByRole("radio", { name: "GLB" }).press("ArrowRight");
     await isovalues.press("Enter");
     const row = card.getByRole("listitem");
+    // Once more is no further job.
+    await page.getByText(/^The server makes 3 files/).waitFor();
+    await isovalues.press("Enter");
+    await page.getByText("This job is submitted already").waitFor();
     await row.getByText(/^3 files, /).waitFor();
+    assert.equal(await row.count(), 1);
     await row.scrollIntoViewIfNeeded();
     await saveScreenshot(page, "jobs");
     assert.deepEqual(await violations(page), []);
@@ -37,8 +42,8 @@ test("the view is submitted as a batch job, and what it has made is saved", { ti
     const [download] = await Promise.all([page.waitForEvent("download"), row.getByRole("button", { name: "Download bumpy" }).press("Enter")]);
     assert.match(download.suggestedFilename(), /^bumpy-[0-9a-f]{8}\.zip$/);
     const zip = readFileSync(await download.path());
-    const names = [...zip.toString("latin1").matchAll(/PK\x01\x02[^]{42}(0000\d\.ply)/g)].map(([, name]) => name);
-    assert.deepEqual(names, ["00000.ply", "00001.ply", "00002.ply"]);
+    const names = [...zip.toString("latin1").matchAll(/PK\x01\x02[^]{42}(bumpy-0000[^/]+?\.ply)/g)].map(([, name]) => name);
+    assert.deepEqual(names, ["bumpy-00000-2.ply", "bumpy-00001-4.ply", "bumpy-00002-6.5.ply"]);
     assert.equal(zip.toString("latin1").split("ply\nformat binary_little_endian").length, 4);
 
     // One that takes long is cancelled, and both are deleted.

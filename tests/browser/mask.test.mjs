@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { makeVolume, MORE, openPage, rested, saveScreenshot, settled, TIMEOUT_MS } from "./harness.mjs";
+import { makeVolume, MORE, openPage, rested, saveScreenshot, settled, status, TIMEOUT_MS } from "./harness.mjs";
 import { setUp } from "./setup.mjs";
 
 const at = setUp(makeVolume);
@@ -21,7 +21,10 @@ test("a surface is shown only where another field has the values of its mask", {
   await values.fill("1,2,3");
   await values.press("Enter");
   await page.getByText("“1,2,3” is not one number").waitFor();
-  assert.equal(await values.inputValue(), half.edit.mask.split(">=")[1], "what is refused is not taken");
+  assert.equal(await values.inputValue(), "1,2,3", "what is refused stays to be mended");
+  assert.equal((await status(page)).edit.mask, half.edit.mask, "and is not taken");
+  await values.press("Escape");
+  assert.equal(await values.inputValue(), half.edit.mask.split(">=")[1]);
   await page.waitForFunction(() => decodeURIComponent(location.hash).includes("mask=height>="));
   const again = await openPage(at.browser, page.url());
   assert.equal((await rested(again.page)).triangles, half.triangles, "the link brings the mask");

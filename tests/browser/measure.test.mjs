@@ -113,8 +113,8 @@ test("the error that the server measures is shown with its range, and in images"
   await page.getByRole("button", { name: "Compare" }).click();
   await page.getByRole("button", { name: "Colour by error" }).click();
   await page.locator(".scene-colors").waitFor();
-  const note = await page.getByText(/^Darkest: off by/).innerText();
-  const [, upper, farthest] = /off by ([\d.]+) voxels and more, 2 % of the vertices, the farthest by ([\d.]+) voxels/.exec(note).map(Number);
+  const note = await page.getByText(/^Darkest: error/).innerText();
+  const [, upper, farthest] = /error ([\d.]+) voxels and more, around 2 % of the vertices; the measured maximum is ([\d.]+) voxels/.exec(note).map(Number);
   // The smallest spacing is 1: world units are voxels.
   assert.equal(await page.locator(".scene-colors span").nth(2).innerText(), `≥ ${upper}`);
   assert.ok(upper > 0.3 * statistics.error.rms && upper <= farthest, note);
@@ -203,7 +203,7 @@ test("regions of interest are outlined while the card that has them is open", { 
   const { page, faults } = await openPage(at.browser, `${at.server.url}/#volume=bumpy&iso=0&roi=40,23.5,22,6,0.9&${CAMERA}`);
   await rested(page);
   await cameraAtRest(page);
-  const card = page.getByRole("button", { name: "What matters", exact: true }).and(page.locator(".card-head"));
+  const card = page.getByRole("button", { name: "Importance", exact: true }).and(page.locator(".card-head"));
   /** Waits for the frame that follows. */
   const seenAfter = async (act) => {
     const { framesDrawn } = await status(page);

@@ -53,10 +53,10 @@ test("an error is shown with its sign while it is an estimate, and not at all wh
   });
   // The surface after which none comes that is better.
   const { generation } = await settled(page, (now) => now.statistics.isTreeCut);
-  const error = page.locator(".summary").getByText(/^off by/);
-  await error.getByText("off by ≈ 0.052 voxels rms").waitFor();
+  const error = page.locator(".summary").getByText(/^error/);
+  await error.getByText("error ≈ 0.052 voxels (RMS)").waitFor();
   connection.send({ type: "measured", surface: 0, generation, error: { rms: 0.0412, max: 0.31 }, regions: [] });
-  await error.getByText("off by 0.041 voxels rms").waitFor();
+  await error.getByText("error 0.041 voxels (RMS)").waitFor();
 
   estimatedError = null;
   await page.getByRole("slider", { name: "Isovalue" }).press("ArrowRight");
@@ -88,12 +88,13 @@ test("lengths have the unit that a server names beside the grid, the same everyw
     return [{ ...message, volume: { ...message.volume, geometry: { ...message.volume.geometry, unit: "mm" } } }];
   });
   await rested(page);
-  await page.locator(".summary").getByText(/^off by 0\.\d+ mm rms$/).waitFor();
-  await page.locator(".scene-scale").getByText(/^\d+ mm$/).waitFor();
-  await page.getByRole("button", { name: "Numbers" }).click();
+  await page.locator(".summary").getByText(/^error 0\.\d+ mm \(RMS\)$/).waitFor();
+  await page.locator(".scene-scale").getByText(/^\d+ mm at the centre$/).waitFor();
   const rows = page.locator(".card dd");
+  await page.getByRole("button", { name: "Data", exact: true }).click();
   await rows.getByText("1 × 1 × 1 mm").waitFor();
-  await page.getByRole("button", { name: "Compute" }).click();
+  await page.getByRole("button", { name: "Numbers" }).click();
+  await page.locator(".enclosed").getByRole("button", { name: "Compute" }).click();
   await rows.getByText(/^[\d,]+ mm²$/).waitFor();
   await page.getByRole("button", { name: "View", exact: true }).click();
   await page.locator(".toggle", { hasText: "Bounding box" }).locator(".toggle-track").click();

@@ -25,13 +25,13 @@ async function unfold(page) {
     if ((await head.getAttribute("aria-expanded")) === "false") await head.click();
   }
   await page.locator("details.expert").evaluate((details) => (details.open = true));
-  await page.getByRole("radiogroup", { name: "Decide by" }).waitFor();
+  await page.getByRole("radiogroup", { name: "Limit by" }).waitFor();
 }
 
 /** Looks at the page, then at what opens over it. */
 async function expectNoViolations(page, size, theme) {
   if (size === "phone") {
-    for (const card of ["Surface", "Detail", "What matters", ...FOLDED]) {
+    for (const card of ["Surface", "Detail", "Importance", ...FOLDED]) {
       await page.getByRole("button", { name: card, exact: true }).click();
       assert.deepEqual(await violations(page), [], `${theme}, ${card}`);
     }
@@ -68,7 +68,7 @@ describe("for everyone", { timeout: 6 * TIMEOUT_MS }, () => {
   test("320 pixels are wide enough: nothing but the row of cards to scroll sideways", MORE, async () => {
     const { page } = await openAt("narrow", "dark");
     await settled(page);
-    for (const card of ["Surface", "Detail", "What matters", "Look"]) {
+    for (const card of ["Surface", "Detail", "Importance", "Look"]) {
       await page.getByRole("button", { name: card, exact: true }).click();
       const wide = await page.evaluate(() => {
         const over = [...document.querySelectorAll(".page *")].filter((e) => e.getBoundingClientRect().right > innerWidth + 1 && !e.closest("svg, .sentence, .unseen, select, .card-icons"));
@@ -212,7 +212,7 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     await rested(page);
     const opened = await picture(page);
     const card = (name) => page.getByRole("button", { name, exact: true }).and(page.locator(".card-head"));
-    for (const name of ["Surface", "What matters", "Look"]) await card(name).click();
+    for (const name of ["Surface", "Importance", "Look"]) await card(name).click();
 
     await card("Clip").click();
     await page.getByRole("radiogroup", { name: "Plane" }).getByText("Across x").click();

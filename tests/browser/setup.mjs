@@ -6,7 +6,7 @@ import { makeVolume, startBrowser, startServer } from "./harness.mjs";
 /**
  * They are there before the first test of the file, and gone after the last.
  *
- * @param make writes the volume, and returns its path and how it is removed
+ * @param make writes a volume or several, and returns their `path` or `paths`, and how they are removed
  * @param options of the server
  * @returns an object that has `volume`, `server` and `browser` while tests run
  */
@@ -14,7 +14,7 @@ export function setUp(make = makeVolume, options = {}) {
   const at = {};
   before(async () => {
     at.volume = make();
-    at.server = await startServer([at.volume.path], options);
+    at.server = await startServer(at.volume.paths ?? [at.volume.path], options);
     at.browser = await startBrowser();
   });
   after(async () => {

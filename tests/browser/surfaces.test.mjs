@@ -63,7 +63,7 @@ describe("several surfaces", { ...MORE, timeout: 6 * TIMEOUT_MS }, () => {
     const before = messages.length;
     await page.getByRole("button", { name: "Select surface 1" }).click();
     await page.getByRole("button", { name: "Select surface 2" }).click();
-    await page.getByRole("radiogroup", { name: "What matters" }).getByText("Shape").click();
+    await page.getByRole("radiogroup", { name: "Importance by" }).getByText("Shape").click();
     await surfaces(page, 2);
     const edits = messages.slice(before).filter(({ type, generation }) => type === "edit" && generation === undefined);
     assert.deepEqual(edits.map(({ surface, feature }) => [surface, feature]), [[1, "none"]]);

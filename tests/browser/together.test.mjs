@@ -55,7 +55,7 @@ test("a follower sees what the leader does, and control goes there and back", { 
   await settled(leader.page);
   await unfold(leader.page);
   await button(leader.page, "Start").click();
-  await leader.page.getByText("Nobody follows yet").waitFor();
+  await leader.page.getByText("You lead · No followers yet").waitFor();
   const started = leader.messages.find(({ type }) => type === "group");
   const link = `${at.server.url}/#follow=${started.group}`;
 
@@ -65,7 +65,7 @@ test("a follower sees what the leader does, and control goes there and back", { 
   await shows(follower.page, 4).catch((error) => {
     throw new Error(`${error.message}; messages: ${follower.messages.map(({ type }) => type).join(" ")}`);
   });
-  await leader.page.getByText("1 follows").waitFor();
+  await leader.page.getByText("You lead · 1 follower").waitFor();
   assert.equal(follower.page.url(), link, "what is copied is the way to the group");
 
   // Camera and isovalue, live.
@@ -77,9 +77,23 @@ test("a follower sees what the leader does, and control goes there and back", { 
   assert.ok(!near(await sameCamera(leader.page, follower.page), before), "the leader has turned");
   assert.ok(!follower.messages.some(({ type }) => type === "edit" || type === "open"), "a follower asks for nothing of its own");
 
+  // What would change the picture is off; what is about it alone is not.
+  await follower.page.getByText("Following the leader · 1 follower").waitFor();
+  assert.ok(await follower.page.getByRole("textbox", { name: "Isovalue", exact: true }).isDisabled());
+  assert.ok(await follower.page.getByRole("combobox", { name: "Volume" }).isDisabled());
+  assert.ok(await leader.page.getByRole("textbox", { name: "Isovalue", exact: true }).isEnabled());
+  await button(follower.page, "Data").click();
+  await follower.page.getByRole("radio", { name: "Linear" }).press("Space");
+  await button(follower.page, "Data").click();
+
   // Alone, and back.
   await unfold(follower.page);
   await turn(follower.page);
+  await follower.page.getByText("Following the leader, free camera").waitFor();
+  await button(follower.page, "Follow the camera").click();
+  await sameCamera(leader.page, follower.page);
+  await button(follower.page, "Free camera").click();
+  await turn(leader.page);
   await button(follower.page, "Follow the camera").click();
   await sameCamera(leader.page, follower.page);
 
@@ -109,9 +123,9 @@ test("a follower sees what the leader does, and control goes there and back", { 
 
   // Control comes back when its holder leaves, and with it the leader's next connection is followed.
   await follower.page.close();
-  await leader.page.getByText("Nobody follows yet").waitFor();
+  await leader.page.getByText("You lead · No followers yet").waitFor();
   const other = await openPage(context, link);
-  await leader.page.getByText("1 follows").waitFor();
+  await leader.page.getByText("You lead · 1 follower").waitFor();
   await setIso(leader.page, 6);
   await Promise.all([shows(leader.page, 6), shows(other.page, 6)]);
   await leader.page.evaluate(() => window.sockets.at(-1).close());
@@ -134,7 +148,7 @@ test("a follower sees what the leader does, and control goes there and back", { 
   await setIso(leader.page, 7);
   await Promise.all([shows(leader.page, 7), shows(other.page, 7)]);
   await unfold(leader.page);
-  await leader.page.getByText("1 follows").waitFor();
+  await leader.page.getByText("You lead · 1 follower").waitFor();
   assert.ok(![...follower.messages, ...other.messages].some(({ key }) => key !== undefined), "the key is the leader's alone");
   await button(leader.page, "End").click();
   await other.page.getByText("The group has ended").waitFor();

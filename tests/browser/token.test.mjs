@@ -54,7 +54,7 @@ async function offersOnlyLooking(page, messages) {
   const why = page.getByText("You may only look: to change this takes a token for edit");
   await why.first().waitFor();
   const off = page.locator("fieldset.needs");
-  assert.ok((await off.count()) >= 3, "surface, detail, what matters");
+  assert.ok((await off.count()) >= 3, "surface, detail, importance");
   assert.equal(await off.count(), await page.locator("fieldset.needs:disabled[inert]").count());
   for (const name of ["Your volumes: upload files", "Add a surface", "Compute a field…"]) assert.equal(await page.getByRole("button", { name }).count(), 0, name);
   assert.deepEqual(await violations(page), []);

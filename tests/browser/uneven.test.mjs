@@ -19,8 +19,8 @@ test("surfaces, slices and volumes are those of the world", { ...MORE, timeout: 
   assert.ok(shown.triangles > 500, `${shown.triangles} triangles`);
   assert.equal(shown.edit.feature, "gradient-magnitude", "its derivatives are known there");
   await page.getByRole("button", { name: "Numbers" }).click();
-  await page.getByRole("button", { name: "Compute" }).click();
   const card = page.locator(".enclosed");
+  await card.getByRole("button", { name: "Compute" }).click();
   await card.getByText("Area").and(page.locator("dt")).waitFor();
   const text = await card.locator("dd").nth(1).innerText();
   const found = Number(/^[\d.,]+/.exec(text)[0].replaceAll(",", ""));

@@ -102,9 +102,9 @@ test("a server that takes no uploads says so when something is dropped", { timeo
     const { page, faults } = await openPage(browser, server.url);
     await settled(page);
     await drag(page, "a.npy", btoa("nothing"), true);
-    await page.getByText("a.npy could not be uploaded: this server takes no uploads").waitFor();
+    await page.getByText("a.npy could not be uploaded: uploads are disabled on this server").waitFor();
     await page.getByRole("button", { name: "Your volumes: upload files" }).click();
-    await page.getByText("Nothing can be uploaded: this server takes no uploads").waitFor();
+    await page.getByText("Uploads are disabled on this server (--uploads DIR)").waitFor();
     assert.deepEqual(faults, []);
   } finally {
     await browser.close();

@@ -121,7 +121,7 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
 
   test("a colour edit changes pixels and sends nothing", async () => {
     const { framesDrawn } = await status(page);
-    await page.getByRole("radiogroup", { name: "Colour by" }).getByText("Editor").click();
+    await page.getByRole("radiogroup", { name: "Colour by" }).getByText("Transfer").click();
     await frameAfter(page, framesDrawn);
     const before = await status(page);
     const old = await picture(page);
@@ -248,7 +248,7 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     }, 0.01);
     await expectChange(() => peel.press("Home"), 0.01);
     await expectChange(() => page.getByText("Wireframe").click(), 0.01);
-    await expectChange(() => page.getByText("Importance", { exact: true }).first().click(), 0.1);
+    await expectChange(() => page.getByRole("radiogroup", { name: "Colour by" }).getByText("Importance", { exact: true }).click(), 0.1);
     const now = await status(page);
     assert.equal(now.framesSent, before.framesSent);
     assert.equal(now.triangles, before.triangles);
@@ -256,8 +256,8 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
 
   test("another feature asks the server, and the camera stays", MORE, async () => {
     const before = await status(page);
-    await page.getByRole("radiogroup", { name: "What matters" }).getByText("Field", { exact: true }).click();
-    await page.getByLabel("Field that matters").selectOption("height");
+    await page.getByRole("radiogroup", { name: "Importance by" }).getByText("Field", { exact: true }).click();
+    await page.getByLabel("Importance field").selectOption("height");
     const now = await settled(page, (now, before) => now.edit.feature === "height" && now.generation > before, before.generation);
     assert.deepEqual(now.edit.featureRange, [0, 43]);
     assert.equal(now.camera.fitted, before.camera.fitted);

@@ -9,7 +9,7 @@ import { Connecting } from "./wiring/connecting";
 import { Display, FIRST_TABLES } from "./wiring/display";
 import { embedOptions } from "./embed/origins";
 import { Embedding } from "./wiring/embedding";
-import { Enclosing } from "./wiring/enclosing";
+import { Summing } from "./wiring/summing";
 import { Framing, framingActions } from "./wiring/framing";
 import { Later } from "./wiring/later";
 import { linkState, unknownVolumeText } from "./wiring/linking";
@@ -59,7 +59,7 @@ export class App {
   private readonly marks: Marks;
   private readonly beside: SliceFollower;
   private readonly pipeline: RegionPipeline;
-  private readonly enclosing: Enclosing;
+  private readonly summing: Summing;
   private readonly client: StreamClient;
   private readonly sync: SurfaceSync;
   private readonly address = new AddressLink({
@@ -101,7 +101,7 @@ export class App {
       onChange: (what) => this.model.showComparing(what),
     });
     this.pipeline = this.makePipeline();
-    this.enclosing = new Enclosing(this.store, this.model, this.pipeline);
+    this.summing = new Summing(this.store, this.model, this.pipeline);
     this.client = this.makeClient();
     this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
@@ -139,7 +139,7 @@ export class App {
       },
       group: (act) => this.together.act(act),
       ...framingActions(() => this.framing),
-      sumUp: () => void this.enclosing.sum(),
+      sumUp: () => this.summing.sumSelected(),
       useAtCentre: () => this.questions.useAtCentre(),
       retry: () => this.client.retryNow(),
       compare: (what) => (what === undefined ? this.comparison.end() : this.comparison.start(what)),
@@ -151,6 +151,7 @@ export class App {
 
   private makeScene(viewport: HTMLElement): SurfaceRenderer {
     return new SurfaceRenderer(viewport, FIRST_TABLES, {
+      adaptsQuality: true,
       onResident: (id) => this.pipeline.resident(id),
       onFrame: () => this.frameRendered(),
       onClip: (clip) => {
@@ -356,8 +357,7 @@ export class App {
     this.update({ type: "volumes", volumes });
     const { target } = this.store.viewer;
     if (target === undefined && !this.together.join() && !this.address.read()) {
-      const first = volumes[0];
-      if (first !== undefined) this.open(first.id, 0);
+      if (volumes[0] !== undefined) this.open(volumes[0].id, 0);
     }
     this.refresh();
   }
@@ -386,7 +386,7 @@ export class App {
   private refresh(): void {
     this.later.done();
     this.questions.follow();
-    this.enclosing.follow();
+    this.summing.follow();
     this.comparison.advance(this.settled);
     this.showDisplay();
     this.player.follow();

@@ -31,9 +31,9 @@ describe("distances taken together", () => {
   });
 
   test("are said in voxels", () => {
-    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: 1.2 }, [{ rms: 0.1, max: 0.7 }, { rms: 0.2, max: 0.4 }], voxels(0.5))).toBe("Darkest: off by 0.6 voxels and more, around 2 % of the vertices; the measured maximum is 1.4 voxels");
-    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: Infinity }, [{ rms: 0.1, max: 0.7 }, null], voxels(1))).toBe("Darkest: off by 0.3 voxels and more, around 2 % of the vertices");
-    expect(distanceWords({ share: 0.98, upper: 0.001, farthest: 0 }, [], voxels(1))).toBe("Darkest: off by 0.001 voxels");
+    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: 1.2 }, [{ rms: 0.1, max: 0.7 }, { rms: 0.2, max: 0.4 }], voxels(0.5))).toBe("Darkest: error 0.6 voxels and more, around 2 % of the vertices; the measured maximum is 1.4 voxels");
+    expect(distanceWords({ share: 0.98, upper: 0.3, farthest: Infinity }, [{ rms: 0.1, max: 0.7 }, null], voxels(1))).toBe("Darkest: error 0.3 voxels and more, around 2 % of the vertices");
+    expect(distanceWords({ share: 0.98, upper: 0.001, farthest: 0 }, [], voxels(1))).toBe("Darkest: error 0.001 voxels");
   });
 });
 

@@ -186,12 +186,12 @@ describe("the page", () => {
   });
 
   test("says them with their unit, and why there is no volume", () => {
-    expect(enclosedRows(enclosedOf({ area: 1234.56, volume: 123456.7, borderEdges: 0 }), "mm")).toEqual([["Area", "1235 mm²"], ["Enclosed volume", "123,500 mm³"]]);
+    expect(enclosedRows(enclosedOf({ area: 1234.56, volume: 123456.7, borderEdges: 0 }), "mm")).toEqual([["Area", "1,235 mm²"], ["Enclosed volume", "123,500 mm³"]]);
     expect(enclosedRows(enclosedOf({ area: 0.5, volume: -27, borderEdges: 0 }), undefined)).toEqual([["Area", "0.5 world units²"], ["Enclosed, of lower values", "27 world units³"]]);
     const open = enclosedOf({ area: 12, volume: 7, borderEdges: 1204 });
     expect(enclosedRows(open, "m")).toEqual([["Area", "12 m²"], ["Enclosed volume", "none, it is open"]]);
-    expect(enclosedNote(open, "off by 0.1 voxels rms")).toBe(
-      "The surface ends at 1,204 edges: at the volume's faces, at missing samples, or at cracks. Of the mesh on screen, with what is clipped or peeled away; it is off by 0.1 voxels rms.",
+    expect(enclosedNote(open, "error 0.1 voxels (RMS)")).toBe(
+      "The surface ends at 1,204 edges: at the volume's faces, at missing samples, or at cracks. Of the mesh on screen, with what is clipped or peeled away; error 0.1 voxels (RMS).",
     );
     expect(enclosedNote(enclosedOf(base), undefined)).toBe("Of the mesh on screen, with what is clipped or peeled away.");
   });
@@ -205,6 +205,6 @@ describe("the page", () => {
     expect(lengthScale({ geometry: { ...geometry, spacing: [2, 0.5, 1], unit: "mm" } })).toEqual({ spacing: 0.5, unit: "mm" });
     const scale = { spacing: 0.5, unit: "mm" };
     expect([formatLength(0.1234, scale), formatLength(0.1234, { ...scale, unit: undefined })]).toEqual(["0.12 mm", "0.25 voxels"]);
-    expect(errorWords([{ ...statistics(100), error: { rms: 0.041, max: 0.1 } }], scale)).toBe("off by 0.041 mm rms");
+    expect(errorWords([{ ...statistics(100), error: { rms: 0.041, max: 0.1 } }], scale)).toBe("error 0.041 mm (RMS)");
   });
 });

@@ -4,7 +4,7 @@ import { WebSocket, WebSocketServer, type WebSocket as Socket } from "ws";
 import { keepLeading, takeLeading } from "../src/net/leading";
 import { StreamClient } from "../src/net/streamClient";
 import type { Group, ServerMessage } from "../src/protocol/types";
-import { groupLink, groupNews, groupOf } from "../src/state/group";
+import { barText, groupLink, groupNews, groupOf } from "../src/state/group";
 import { CAPABILITIES, OPENING } from "./fixture";
 
 const ID = "0123456789abcdef0123456789abcdef";
@@ -21,14 +21,22 @@ describe("a group in words and links", () => {
     const group: Group = { type: "group", group: ID, you: 0, control: 0, followers: 1, asks: false, leaderAway: false, people: [{ number: 1, name: null, asks: false }] };
     const asked: Group = { ...group, people: [{ number: 1, name: "Ann", asks: true }] };
     expect(groupNews(undefined, group)).toBeUndefined();
-    expect(groupNews(group, asked)).toBe("Ann asks for control");
-    expect(groupNews(asked, asked)).toBeUndefined();
+    expect(groupNews(group, asked)).toBeUndefined();
     expect(groupNews(asked, { ...asked, control: 1 })).toBe("Another has control now");
     const away: Group = { ...group, you: 1, leaderAway: true };
-    expect(groupNews({ ...group, you: 1 }, away)).toBe("The leader’s connection was lost: the group waits for it");
+    expect(groupNews({ ...group, you: 1 }, away)).toBeUndefined();
     expect(groupNews(away, { ...away, leaderAway: false })).toBe("The leader is back");
     expect(groupNews({ ...group, you: 1 }, { ...group, you: 1, control: 1 })).toBe("You have control: the others follow you");
   });
+});
+
+test("the bar says who leads, whose the camera is, and how many follow", () => {
+  const group = { type: "group", group: ID, you: 0, control: 0, followers: 1, asks: false, leaderAway: false, people: [{ number: 1, name: "Ann", asks: false }], isApart: false } as const;
+  expect(barText(group)).toBe("You lead · 1 follower");
+  expect(barText({ ...group, control: 1 })).toBe("Following Ann · 1 follower");
+  expect(barText({ ...group, you: 2, people: [], followers: 3 })).toBe("Following the leader · 3 followers");
+  expect(barText({ ...group, you: 2, people: [], control: 1, isApart: true })).toBe("Following Follower 1, free camera · 1 follower");
+  expect(barText({ ...group, you: 1, people: [], control: 1 })).toBe("You have control · 1 follower");
 });
 
 describe("the group that a tab leads", () => {

@@ -4,8 +4,14 @@ import { strFromU8, unzipSync } from "fflate";
 import { afterEach, describe, expect, test, vi } from "vitest";
 import { cancelJob, fetchResults, listJobs, removeJob, submitJob } from "../src/net/jobs";
 import type { JobInfo } from "../src/protocol/types";
+import { surfaceFileName, volumeName } from "../src/state/fileNames";
 import { isovaluesOf, justFinished } from "../src/state/jobs";
+import type { Store } from "../src/state/store";
+import { INITIAL_STATE } from "../src/state/viewer";
 import { finishedText, formatDuration, jobText, submittedText } from "../src/ui/cards/jobWords";
+import type { Model } from "../src/ui/model";
+import { BatchJobs } from "../src/wiring/batchJobs";
+import { OPENING } from "./fixture";
 
 const BASE = new URL("http://host:1/below/");
 const JOB: JobInfo = {
@@ -54,9 +60,48 @@ describe("a job in words", () => {
     expect(justFinished([], [DONE])).toEqual([]);
     expect(justFinished([JOB], [DONE])).toEqual([DONE]);
     expect(justFinished([DONE], [DONE])).toEqual([]);
-    expect(finishedText(DONE)).toBe("3 files of head are ready");
-    expect(finishedText({ ...DONE, extractions: { total: 3, done: 1, failed: 0, empty: 2 } })).toBe("1 file of head is ready, 2 without a surface");
-    expect(finishedText({ ...DONE, state: "failed" })).toBe("The batch job of head has failed");
+    expect(finishedText(DONE, undefined)).toBe("3 files of head are ready");
+    expect(finishedText({ ...DONE, volume: "upload-1" }, [{ id: "upload-1", title: "Ann’s head" }])).toBe("3 files of Ann’s head are ready");
+    expect(finishedText({ ...DONE, extractions: { total: 3, done: 1, failed: 0, empty: 2 } }, [])).toBe("1 file of head is ready, 2 without a surface");
+    expect(finishedText({ ...DONE, state: "failed" }, [])).toBe("The batch job of head has failed");
+  });
+});
+
+describe("a job that is submitted from the page", () => {
+  test("is submitted once, however often Enter is pressed, and again after it has failed or is deleted", async () => {
+    const said: string[] = [];
+    let state: JobInfo["state"] = "queued";
+    let posts = 0;
+    vi.stubGlobal("fetch", (_url: URL, { method }: RequestInit) => {
+      if (method === "POST") posts += 1;
+      return Promise.resolve(Response.json(method === undefined || method === "GET" ? [{ ...JOB, state }] : { ...JOB, state }));
+    });
+    const store = { viewer: { ...INITIAL_STATE, view: OPENING, target: { volume: "head", step: 0 } } } as unknown as Store;
+    const jobs = new BatchJobs(store, { toast: (text: string) => said.push(text) } as unknown as Model, BASE);
+    await jobs.submit([7], "glb");
+    await jobs.list();
+    await jobs.submit([7], "glb");
+    expect([posts, said.at(-1)]).toEqual([1, "This job is submitted already: change isovalues, format or settings for another one"]);
+    await jobs.submit([8], "glb");
+    expect(posts).toBe(2);
+    state = "failed";
+    await jobs.list();
+    await jobs.submit([8], "glb");
+    expect(posts).toBe(3);
+    await jobs.remove(JOB);
+    await jobs.submit([8], "glb");
+    expect(posts).toBe(4);
+    vi.unstubAllGlobals();
+  });
+});
+
+describe("names of files", () => {
+  test("are those of the volume, of uploads their titles, with the isovalue or the labels", () => {
+    expect(volumeName({ id: "ct-head", title: "CT of a head" })).toBe("ct-head");
+    expect(volumeName({ id: "upload-6f1c", title: " Ann’s scan / 2.nii " })).toBe("Ann_s_scan_2.nii");
+    expect(volumeName({ id: "upload-6f1c", title: "頭部 CT" })).toBe("頭部_CT");
+    expect([volumeName(undefined), volumeName({ id: "upload-1", title: "///" })]).toEqual(["isopeel", "isopeel"]);
+    expect([surfaceFileName({ id: "ct-head", title: "" }, 517.25, undefined), surfaceFileName({ id: "ct-head", title: "" }, 0.5, "Left Hippocampus")]).toEqual(["ct-head-517.25", "ct-head-Left_Hippocampus"]);
   });
 });
 
@@ -88,22 +133,22 @@ describe("what is asked of the server", () => {
   });
 
   const result = (path: string) =>
-    path.endsWith("/1") ? Response.json({ code: "no-result" }, { status: 404 }) : new Response(path.slice(-1), { headers: { "content-disposition": `attachment; filename="${path.slice(-1)}.stl"` } });
+    path.endsWith("/1") ? Response.json({ code: "no-result" }, { status: 404 }) : new Response(path.slice(-1), { headers: { "content-disposition": `attachment; filename="0000${path.slice(-1)}-40.5.stl"` } });
 
   test("several results are one zip, without those that could not be made", async () => {
     answer(result);
-    const { name, file } = await fetchResults(BASE, { ...JOB, extractions: { total: 3, done: 2, failed: 1, empty: 0 } });
+    const { name, file } = await fetchResults(BASE, { ...JOB, extractions: { total: 3, done: 2, failed: 1, empty: 0 } }, "head");
     expect(name).toBe("head-01234567.zip");
     const found = unzipSync(new Uint8Array(await file.arrayBuffer()));
-    expect(Object.entries(found).map(([name, bytes]) => [name, strFromU8(bytes)])).toEqual([["00000.stl", "0"], ["00002.stl", "2"]]);
+    expect(Object.entries(found).map(([name, bytes]) => [name, strFromU8(bytes)])).toEqual([["head-00000-40.5.stl", "0"], ["head-00002-40.5.stl", "2"]]);
   });
 
   test("one is the file itself, none and too much are said", async () => {
     answer(result);
-    const { name, file } = await fetchResults(BASE, JOB);
-    expect([name, await file.text(), asked.length]).toEqual(["head-00000.stl", "0", 1]);
+    const { name, file } = await fetchResults(BASE, JOB, "head");
+    expect([name, await file.text(), asked.length]).toEqual(["head-00000-40.5.stl", "0", 1]);
     answer(() => Response.json({}, { status: 404 }));
-    await expect(fetchResults(BASE, JOB)).rejects.toThrow("no results");
-    await expect(fetchResults(BASE, { ...JOB, bytes: 2 ** 31 })).rejects.toThrow(`isopeel jobs fetch ${JOB.id}`);
+    await expect(fetchResults(BASE, JOB, "head")).rejects.toThrow("no results");
+    await expect(fetchResults(BASE, { ...JOB, bytes: 2 ** 31 }, "head")).rejects.toThrow(`isopeel jobs fetch ${JOB.id}`);
   });
 });

@@ -404,7 +404,7 @@ describe("the curve of the error", () => {
 
   test("is said in words", () => {
     const found = { ...statistics(100), fullTriangles: 4000 };
-    expect(shareWords(0.25, 1000, found, "0.1 voxels")).toBe("25 percent, 1,000 of 4,000 triangles, off by about 0.1 voxels");
+    expect(shareWords(0.25, 1000, found, "0.1 voxels")).toBe("25 percent, 1,000 of 4,000 triangles, error about 0.1 voxels");
     expect(shareWords(0.25, 1000, found, undefined)).toBe("25 percent, 1,000 of 4,000 triangles");
     expect(shareWords(1, NaN, undefined, undefined)).toBe("not known yet");
     expect(curveWords({ points: CURVE, full: 4000, lengths: voxels(1), share: 1, maximum: undefined })).toBe(
@@ -442,10 +442,10 @@ test("what was found is listed, as far as it is known", () => {
   expect(probeRows(probed, VOLUMES[0], voxels(0.5))).toEqual([
     ["depth", "1.235 mm"],
     ["importance", "0.31"],
-    ["value on the editor", "0.41"],
+    ["importance input", "0.41"],
     ["area of this part", "1230 world units²"],
     ["level", "2"],
-    ["off by", "≈ 0.2 voxels"],
+    ["error", "≈ 0.2 voxels"],
   ]);
   expect(probeRows({ ...probed, nearest: null }, VOLUMES[0], voxels(1))).toEqual([["depth", "1.235 mm"]]);
   expect(probeRows({ ...probed, nearest: { ...nearest, leaf: null } }, undefined, voxels(1))).toHaveLength(4);

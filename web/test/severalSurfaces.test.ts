@@ -263,9 +263,9 @@ describe("what is known of surfaces", () => {
   });
 
   test("the top line is about all of them", () => {
-    expect(summaryOf(two(), 400, false, voxels(1)).parts).toEqual(["2 surfaces", "400 of 1,600 triangles (25 %)", "off by ≈ 0.05 voxels rms", "0.04 s"]);
+    expect(summaryOf(two(), 400, false, voxels(1)).parts).toEqual(["2 surfaces", "400 of 1,600 triangles (25 %)", "error ≈ 0.05 voxels (RMS)", "0.04 s"]);
     const measured = run(two(), message({ type: "measured", ...of(0, 1), error: { rms: 0.2, max: 1 }, regions: [] }), message({ type: "measured", ...of(1, 2), error: { rms: 0, max: 0 }, regions: [] }));
-    expect(summaryOf(measured, 400, false, voxels(1)).parts[2]).toBe("off by 0.1 voxels rms");
+    expect(summaryOf(measured, 400, false, voxels(1)).parts[2]).toBe("error 0.1 voxels (RMS)");
     const store = new Store();
     open(store, "ball");
     store.addSurface(2);

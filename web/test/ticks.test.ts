@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { roundBelow, scaleBar, ticks, tickText } from "../src/scene/ticks";
+import { roundBelow, scaleBar, ticks, tickText } from "../src/world/ticks";
 
 test.each([
   [1, 1],

@@ -121,7 +121,7 @@ describe("the top line", () => {
 
   test("says the surface in words", () => {
     const { parts, activity } = summaryOf(final, 100, false, voxels(0.5));
-    expect(parts).toEqual(["100 of 400 triangles (25 %)", "off by ≈ 0.1 voxels rms"]);
+    expect(parts).toEqual(["100 of 400 triangles (25 %)", "error ≈ 0.1 voxels (RMS)"]);
     expect(activity).toBe("");
   });
 
@@ -142,8 +142,8 @@ describe("the top line", () => {
 
   test("has the error measured, estimated with its sign, or not at all", () => {
     const both = { error: { rms: 0.0412, max: 0.31 }, estimatedError: { rms: 0.0523, worstLeaf: 1 }, fullTriangles: 9 };
-    expect(errorWords([both], voxels(1))).toBe("off by 0.041 voxels rms");
-    expect(errorWords([{ ...both, error: null }], voxels(1))).toBe("off by ≈ 0.052 voxels rms");
+    expect(errorWords([both], voxels(1))).toBe("error 0.041 voxels (RMS)");
+    expect(errorWords([{ ...both, error: null }], voxels(1))).toBe("error ≈ 0.052 voxels (RMS)");
     expect(errorWords([{ ...both, error: null, estimatedError: null }], voxels(1))).toBeUndefined();
   });
 
@@ -171,9 +171,9 @@ test("a view without a surface is explained", () => {
 test("why a field opens with its isovalue is said as long as that is in force", () => {
   const depth = VOLUMES[0]!.fields[0]!;
   const { openingIso } = depth;
-  expect(openingText(depth, openingIso!.iso)).toBe("Opens here: between two classes of values");
+  expect(openingText(depth, openingIso!.iso)).toBe("Default: between two classes of values");
   const explanation = "without the background (92 % of the samples)";
-  expect(openingText({ ...depth, openingIso: { ...openingIso!, explanation } }, openingIso!.iso)).toBe("Opens here: without the background (92\u00a0% of the samples)");
+  expect(openingText({ ...depth, openingIso: { ...openingIso!, explanation } }, openingIso!.iso)).toBe("Default: without the background (92\u00a0% of the samples)");
   expect(openingText(depth, openingIso!.iso + 1)).toBe("");
   expect(openingText(undefined, 0)).toBe("");
 });
@@ -269,8 +269,10 @@ describe("the slider of detail", () => {
     // Of the view's error, or of one that is hardly seen: both are a threshold of the curve.
     expect(withCurve({ error: "0.1vx", triangles: 100 })).toEqual([{ text: "0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410, error: "0.1vx" } } }]);
     expect(withCurve({ triangles: 100 })).toEqual([{ text: "0.1 mm needs 410 triangles", lift: { text: "Use 410", edit: { triangles: 410 } } }]);
-    expect(withCurve({ triangles: 100 }, { ...curve, byError: false } as never)).toEqual([]);
-    expect(limits({ beta: 0.5 })).toEqual([{ text: "β = 0.5 decides", lift: { text: "Decide by triangles", edit: { triangles: { share: 0.25 } } } }]);
+    // Of a typed budget too, where no curve says how many.
+    expect(withCurve({ triangles: 100 }, { ...curve, byError: false } as never)).toEqual([{ text: "0.1 mm needs more triangles", lift: { text: "Allow more", edit: { error: "0.1vx" } } }]);
+    expect(limits({ triangles: 100 }, { tolerance: 0.05 })).toEqual([]);
+    expect(limits({ beta: 0.5 })).toEqual([{ text: "β = 0.5 decides", lift: { text: "Limit by triangles", edit: { triangles: { share: 0.25 } } } }]);
     const both = { error: "0.1vx", triangles: { share: 0.25 } };
     expect(limits(both, { tolerance: 0.1 })[0]).toMatchObject({ lift: { edit: { triangles: { share: 0.25 } } } });
     expect(limits(both, { tolerance: 3 })[0]).toMatchObject({ lift: { edit: { error: "0.1vx" } } });
@@ -325,18 +327,18 @@ describe("isovalues worth trying", () => {
 
   test("are the opening, Otsu's threshold and peaks", () => {
     const marks = landmarks({ ...field, openingIso: { iso: 20, reason: "whole-histogram", explanation: "two classes" } });
-    expect(marks.map(({ name }) => name)).toEqual(["opening", "Otsu", "peak 61", "peak 181"]);
+    expect(marks.map(({ name }) => name)).toEqual(["default", "Otsu threshold", "peak 61", "peak 181"]);
     const otsu = marks[1]!.iso;
     expect(otsu).toBeGreaterThan(90);
     expect(otsu).toBeLessThan(150);
-    expect(landmarks(field, 20).map(({ name }) => name).slice(0, 2)).toEqual(["opening", "threshold"]);
+    expect(landmarks(field, 20).map(({ name }) => name).slice(0, 2)).toEqual(["default", "threshold"]);
   });
 
   test("are those of the body in Hounsfield units, where the values reach", () => {
     const ct = { ...field, unit: "HU", histogram: { min: -1000, max: 2000, counts } };
     const names = (unit: string | null) => landmarks({ ...ct, unit }).map(({ name }) => name);
-    expect(names("HU")).toEqual(["opening", "lung", "skin", "vessels", "bone"]);
-    expect(names("mm").filter((name) => !name.startsWith("peak"))).toEqual(["opening", "Otsu"]);
+    expect(names("HU")).toEqual(["default", "lung", "skin", "vessels", "bone"]);
+    expect(names("mm").filter((name) => !name.startsWith("peak"))).toEqual(["default", "Otsu threshold"]);
   });
 
   test("are none where there is one value", () => {

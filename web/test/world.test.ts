@@ -1,6 +1,6 @@
 import { Matrix4, PerspectiveCamera, Vector3 } from "three";
 import { describe, expect, test } from "vitest";
-import { corners, fitDistance, worldFromGrid, worldFromIndex, type Grid } from "../src/scene/world";
+import { corners, fitDistance, worldFromGrid, verticalFov, worldFromIndex, type Grid } from "../src/scene/world";
 
 const grid: Grid = {
   origin: [10, -20, 30],
@@ -51,4 +51,11 @@ describe("fit", () => {
     }
     expect(reach).toBeCloseTo(1, 6);
   });
+});
+
+test("the smaller field of view is the same in all windows", () => {
+  const fov = 0.56;
+  const across = (aspect: number) => 2 * Math.atan(Math.tan(verticalFov(fov, aspect) / 2) * aspect);
+  expect([verticalFov(fov, 1), verticalFov(fov, 2.5)].map((n) => n.toFixed(6))).toEqual(["0.560000", "0.560000"]);
+  expect([across(0.9), across(0.4)].map((n) => n.toFixed(6))).toEqual(["0.560000", "0.560000"]);
 });

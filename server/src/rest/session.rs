@@ -61,6 +61,8 @@ pub struct SessionInfo {
     expires_seconds: Option<u64>,
     /// Whether it may have batch jobs made: the server keeps some (`--state-folder`), and the client has the role `export`.
     jobs: bool,
+    /// Whether it may upload volumes: the server takes some (`--uploads`), and the client has the role `upload`.
+    uploads: bool,
 }
 
 /// Whether the client may use the server, for what, and for how long.
@@ -79,6 +81,7 @@ pub async fn check(State(state): State<ApiState>, who: Identity) -> Response {
         roles: Role::ALL.into_iter().filter(|&role| who.may(role)).collect(),
         expires_seconds: who.expires_seconds(),
         jobs: state.jobs.is_some() && who.may(Role::Export),
+        uploads: state.uploads.is_some() && who.may(Role::Upload),
     };
     ([(header::CACHE_CONTROL, "no-store")], Json(info)).into_response()
 }

@@ -352,6 +352,18 @@ async fn edits_out_of_range_are_refused_before_any_work() {
 }
 
 #[tokio::test]
+async fn a_mistake_in_an_expression_that_is_typed_is_an_answer() {
+    let path = |typed: &str| format!("/api/v1/volumes/ramp/expression?expression=log(x{typed}");
+    let wrong = get(&path("")).await;
+    let detail = problem(wrong, StatusCode::UNPROCESSABLE_ENTITY, "bad-edit").await;
+    let typed = get(&path("&typed=true")).await;
+    assert_eq!(typed.status(), StatusCode::OK);
+    assert_eq!(typed.headers()[header::CONTENT_TYPE], "application/problem+json");
+    let answer = body(typed).await;
+    assert_eq!((&answer["detail"], &answer["status"]), (&json!(detail), &json!(422)));
+}
+
+#[tokio::test]
 async fn without_a_device_the_server_lives_and_says_what_it_cannot_do() {
     let response = get("/healthz").await;
     assert_eq!(response.status(), StatusCode::OK);

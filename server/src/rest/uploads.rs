@@ -48,7 +48,7 @@ impl ApiState {
     /// The uploads, where the server takes some.
     fn uploads(&self) -> Result<&Uploads, ApiError> {
         self.uploads.as_ref().ok_or_else(|| {
-            let message = "this server takes no uploads, expected one that was started with --uploads DIR";
+            let message = "uploads are disabled on this server, expected one that was started with --uploads DIR";
             ApiError::new(StatusCode::NOT_IMPLEMENTED, "uploads-off", message)
         })
     }

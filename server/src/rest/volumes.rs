@@ -7,6 +7,7 @@ use axum::Json;
 use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
 use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
@@ -140,6 +141,9 @@ pub struct ExpressionQuery {
     /// Time step that range and histogram are made of.
     #[serde(default)]
     step: u32,
+    /// It is being typed: a mistake is an answer, a problem document with status 200, which browsers do not log as an error.
+    #[serde(default)]
+    typed: bool,
 }
 
 /// The field that an expression over a volume's fields gives: range, histogram, and unit where that is known. What is wrong with an
@@ -151,7 +155,7 @@ pub struct ExpressionQuery {
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), ExpressionQuery),
     responses(
-        (status = 200, description = "The field", body = FieldInfo),
+        (status = 200, description = "The field; a problem document if `typed` and there is a mistake", body = FieldInfo),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),
@@ -166,12 +170,23 @@ pub async fn expression(
     who: Identity,
     id: Result<Path<String>, PathRejection>,
     query: Result<Query<ExpressionQuery>, QueryRejection>,
-) -> Result<Json<FieldInfo>, ApiError> {
+) -> Result<Response, ApiError> {
     let Path(id) = id?;
-    let Query(ExpressionQuery { expression, step }) = query?;
+    let Query(ExpressionQuery {
+        expression,
+        step,
+        typed,
+    }) = query?;
     let volume = state.volume(&who, &id, step)?;
     let described = describe_expression(&state.worker_for(&who), &volume, &expression).await;
-    Ok(Json(described.map_err(|error| state.failed_on(&who, &volume, error))?))
+    match described.map_err(|error| state.failed_on(&who, &volume, error)) {
+        Err(error) if typed && error.code() == "bad-edit" => {
+            let mut answer = error.into_response();
+            *answer.status_mut() = StatusCode::OK;
+            Ok(answer)
+        }
+        described => Ok(Json(described?).into_response()),
+    }
 }
 
 impl ApiState {

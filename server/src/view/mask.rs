@@ -52,9 +52,15 @@ impl Hash for Mask {
     }
 }
 
+/// A name without the quotation marks around it, where it has some.
+fn unquoted(name: &str) -> &str {
+    let between = |mark| name.strip_prefix(mark).and_then(|rest| rest.strip_suffix(mark));
+    between('"').or_else(|| between('`')).unwrap_or(name)
+}
+
 impl Mask {
     /// Reads `FIELD==V`, with `==`, `!=`, `<`, `<=`, `>` or `>=`. Behind `==` and `!=` there may be a range `LOW..HIGH`, both ends included, or a
-    /// list of numbers and ranges: `labels==1,4..7`. Spaces around names and numbers do not count.
+    /// list of numbers and ranges: `labels==1,4..7`. Spaces around names and numbers do not count, nor do quotation marks around a name.
     ///
     /// # Errors
     /// What was expected, and at which character.
@@ -77,7 +83,13 @@ impl Mask {
                 "expected ==, !=, <, <=, > or >= behind a field's name".into(),
             ));
         };
-        let field = text[..at].trim();
+        let named = text[..at].trim();
+        // As in expressions, which masks may be a part of.
+        let field = if fields.contains(&named) {
+            named
+        } else {
+            unquoted(named)
+        };
         if !fields.contains(&field) {
             let begin = text.len() - text.trim_start().len();
             return Err(refuse(
@@ -204,6 +216,8 @@ mod tests {
         assert_eq!(inside("p (bone)<=-0.5"), [-1]);
         assert_eq!(inside("labels==1..3, 5"), [1, 2, 3, 5]);
         assert_eq!(inside("labels!=0,2..9"), [-1, 1]);
+        assert_eq!(inside("\"labels\"==1,3"), [1, 3]);
+        assert_eq!(inside(" `p (bone)` >= 4"), [4, 5]);
         for text in ["labels==3", "labels!=3", "labels<3", "labels>3"] {
             assert!(
                 !Mask::parse(text, FIELDS).expect(text).holds(f32::NAN),

@@ -161,6 +161,8 @@ fn a_job_makes_what_extract_does_and_keeps_it() {
         let result = http::get(address, &format!("/api/v1/jobs/{id}/results/{n}"));
         assert_eq!(result.status, 200);
         assert_eq!(result.header("etag"), format!("\"{}\"", checksum(&result.body)));
+        let named = format!("attachment; filename=\"{n:05}-{}.", n + 1);
+        assert!(result.header("content-disposition").starts_with(&named), "{named}");
         assert!(result.body == extracted(address, extraction), "result {n}");
         bytes += result.body.len() as u64;
     }

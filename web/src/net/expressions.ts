@@ -8,6 +8,8 @@ export async function describeExpression(base: URL, volume: string, step: number
   const url = new URL(`api/v1/volumes/${encodeURIComponent(volume)}/expression`, base);
   url.searchParams.set("expression", expression);
   url.searchParams.set("step", String(step));
+  // Half of what is typed is a mistake, and no error of the page.
+  url.searchParams.set("typed", "true");
   const response = await ask(url, { headers: { accept: "application/json" } });
   return (await response.json()) as FieldInfo;
 }

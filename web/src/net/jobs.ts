@@ -38,11 +38,12 @@ export async function removeJob(base: URL, id: string): Promise<void> {
 }
 
 /**
- * Its results: the file itself where there is one, else a zip of them. They have the names that `isopeel jobs fetch` gives them.
+ * Its results: the file itself where there is one, else a zip of them. Files are named by the volume, their numbers and isovalues.
  *
+ * @param volume its name in files
  * @throws where there is none, or more than a page holds
  */
-export async function fetchResults(base: URL, { id, volume, extractions, bytes }: JobInfo): Promise<{ readonly name: string; readonly file: Blob }> {
+export async function fetchResults(base: URL, { id, extractions, bytes }: JobInfo, volume: string): Promise<{ readonly name: string; readonly file: Blob }> {
   if (bytes > MAX_FETCHED_BYTES) throw new Error(`the results have ${bytes} bytes, more than a page can hold: isopeel jobs fetch ${id}`);
   const files: { readonly name: string; readonly file: Blob }[] = [];
   for (let n = 0; n < extractions.total && files.length < extractions.done; n += 1) {
@@ -51,12 +52,12 @@ export async function fetchResults(base: URL, { id, volume, extractions, bytes }
     // One that failed has no result; the others have.
     if (response.status === 404) continue;
     const { headers } = await checked(url, response);
-    const ending = /\.(\w+)"/.exec(headers.get("content-disposition") ?? "")?.[1] ?? "bin";
-    files.push({ name: `${String(n).padStart(5, "0")}.${ending}`, file: await response.blob() });
+    const [, own] = /filename="([\w.+-]+)"/.exec(headers.get("content-disposition") ?? "") ?? [];
+    files.push({ name: `${volume}-${own ?? `${String(n).padStart(5, "0")}.bin`}`, file: await response.blob() });
   }
   const [first] = files;
   if (first === undefined) throw new Error("the job has no results");
-  return files.length === 1 ? { name: `${volume}-${first.name}`, file: first.file } : { name: `${volume}-${id.slice(0, 8)}.zip`, file: await zipped(files) };
+  return files.length === 1 ? first : { name: `${volume}-${id.slice(0, 8)}.zip`, file: await zipped(files) };
 }
 
 async function zipped(files: readonly { readonly name: string; readonly file: Blob }[]): Promise<Blob> {

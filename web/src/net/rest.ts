@@ -44,9 +44,9 @@ export async function ask(url: URL, request: RequestInit): Promise<Response> {
   return checked(url, await send(url, request));
 }
 
-/** @throws as `ask` */
+/** @throws as `ask`; a mistake in what is typed has a status of its own, and is a problem all the same */
 export async function checked(url: URL, response: Response): Promise<Response> {
-  if (response.ok) return response;
+  if (response.ok && response.headers.get("content-type") !== "application/problem+json") return response;
   const problem = await response.json().then(
     (body) => body as Partial<Problem>,
     (): Partial<Problem> => ({}),

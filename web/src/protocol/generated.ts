@@ -760,6 +760,8 @@ export type SessionInfo = {
   expiresSeconds: number | null,
   /** Whether it may have batch jobs made: the server keeps some (`--state-folder`), and the client has the role `export`. */
   jobs: boolean,
+  /** Whether it may upload volumes: the server takes some (`--uploads`), and the client has the role `upload`. */
+  uploads: boolean,
 };
 
 /** The shape of the surface in a file. */

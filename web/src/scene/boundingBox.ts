@@ -3,7 +3,7 @@
 import { BufferAttribute, BufferGeometry, LineSegments, Vector3, type Box3, type Camera } from "three";
 import type { Label } from "./overlay";
 import { PlainMaterial } from "./plain";
-import { ticks, tickText } from "./ticks";
+import { ticks, tickText } from "../world/ticks";
 
 const MAX_TICKS = 6;
 /** Length of a tick and distance of its number, in diagonals of the box. */

@@ -15,7 +15,7 @@ import {
   Vector4,
 } from "three";
 import { homeDirection, type CameraPose, type PoseToRestore, type Projection } from "./pose";
-import { fitDistance, type Vec3 } from "./world";
+import { fitDistance, verticalFov, type Vec3 } from "./world";
 import { focused, ZoomGestures, zoomed, type PickPoint, type PlaceInPicture, type Viewpoint, type Zooming } from "./zoom";
 
 // Only what the controls use, so that the rest of three.js can be left out.
@@ -55,6 +55,8 @@ export class SceneCamera implements Zooming {
   private projectionInUse: Projection = "perspective";
   /** World units in one unit of the controls. */
   private unit = 1;
+  /** Vertical field of view, radians. */
+  private fov = FOV;
   private moving = false;
   private lastAdvance = 0;
   private readonly gestures: ZoomGestures;
@@ -113,10 +115,13 @@ export class SceneCamera implements Zooming {
     this.onChange();
   }
 
-  /** Width over height of the picture. */
+  /** Width over height of the picture. The smaller field of view stays the same: what was in sight before a resize is so after it. */
   set aspect(aspect: number) {
-    this.perspective.aspect = aspect;
-    this.handled.aspect = aspect;
+    this.fov = verticalFov(FOV, aspect);
+    for (const camera of [this.perspective, this.handled]) {
+      camera.aspect = aspect;
+      camera.fov = (this.fov * 180) / Math.PI;
+    }
     this.handled.updateProjectionMatrix();
     this.follow();
   }
@@ -133,7 +138,7 @@ export class SceneCamera implements Zooming {
     const now = { position: controls.getPosition(new Vector3()), target: controls.getTarget(new Vector3()) };
     const at = point && new Vector3(...point).divideScalar(unit);
     const from = at === undefined ? now : focused(now, at, this.projectionInUse);
-    const height = Math.tan(FOV / 2) * from.position.distanceTo(from.target);
+    const height = Math.tan(this.fov / 2) * from.position.distanceTo(from.target);
     const beside = new Vector3(x * height * handled.aspect, y * height, 0).applyQuaternion(handled.quaternion);
     const next = zoomed(from, at ?? from.target.clone().add(beside), factor, [controls.minDistance, controls.maxDistance]);
     this.moveTo(factor > 1 ? this.keptNear(next) : next, true);
@@ -171,18 +176,20 @@ export class SceneCamera implements Zooming {
     return NEAREST * this.sphere.radius;
   }
 
-  /** The move of one frame; `onChange` is called while there is any. */
-  advance(): void {
+  /** The move of one frame; `onChange` is called while there is any. Returns whether it has moved. */
+  advance(): boolean {
     const now = performance.now();
     const seconds = this.moving ? Math.min((now - this.lastAdvance) / 1000, MAX_STEP_SECONDS) : 1 / 60;
     this.lastAdvance = now;
     this.moving = this.controls.update(seconds);
     this.follow();
+    return this.moving;
   }
 
   /**
    * What is shown: sets near and far plane closely around it, for the depth buffer's precision, and keeps the user's moves near it:
-   * the target inside of `box`, the distance between some cells and a small surface in sight.
+   * the target inside of `box`, the distance between some cells and a small surface in sight. Where the camera is now is within all bounds:
+   * another surface does not move it.
    * @param around what else is drawn, which may be larger
    */
   bound(box: Box3, around: Box3 = box): void {
@@ -192,9 +199,11 @@ export class SceneCamera implements Zooming {
     this.around = around.clone();
     this.box = box.clone();
     around.clone().union(box).getBoundingSphere(this.drawn);
-    controls.minDistance = (NEAREST * sphere.radius) / unit;
-    controls.maxDistance = (FARTHEST * sphere.radius) / unit;
-    controls.setBoundary(new Box3(box.min.clone().divideScalar(unit), box.max.clone().divideScalar(unit)));
+    const [target, position] = [controls.getTarget(new Vector3()), controls.getPosition(new Vector3())];
+    const distance = position.distanceTo(target);
+    controls.minDistance = Math.min((NEAREST * sphere.radius) / unit, distance);
+    controls.maxDistance = Math.max((FARTHEST * sphere.radius) / unit, distance);
+    controls.setBoundary(new Box3(box.min.clone().divideScalar(unit), box.max.clone().divideScalar(unit)).expandByPoint(target));
     this.follow();
   }
 
@@ -208,7 +217,7 @@ export class SceneCamera implements Zooming {
     const direction = back === undefined ? this.controls.getPosition(new Vector3()).sub(this.controls.getTarget(new Vector3())) : new Vector3(...back);
     direction.normalize();
     const center = box.getCenter(new Vector3());
-    const distance = fitDistance(points, center, direction, this.handled.up, FOV, this.handled.aspect);
+    const distance = fitDistance(points, center, direction, this.handled.up, this.fov, this.handled.aspect);
     this.lookAt(center.clone().addScaledVector(direction, FIT_MARGIN * distance), center, animate);
   }
 
@@ -257,7 +266,7 @@ export class SceneCamera implements Zooming {
       camera.near = Math.max(camera.near, camera.far / 2000);
     } else {
       // What lies behind the camera is in the picture too: `near` may be negative.
-      camera.top = position.distanceTo(target) * Math.tan(FOV / 2);
+      camera.top = position.distanceTo(target) * Math.tan(this.fov / 2);
       camera.bottom = -camera.top;
       camera.right = camera.top * this.perspective.aspect;
       camera.left = -camera.right;

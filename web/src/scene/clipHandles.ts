@@ -3,7 +3,7 @@
 import { Vector3, type Box3, type Camera } from "three";
 import type { Clip } from "./clipping";
 import { onScreen, placeAt } from "./overlay";
-import { tickText } from "./ticks";
+import { tickText } from "../world/ticks";
 
 /** What a key moves, in diagonals of the volume; with shift ten times as much. */
 const KEY_STEP = 0.005;

@@ -3,7 +3,7 @@
 import { Vector3, type Camera } from "three";
 import { sidesOf, type AxisName } from "../world/axes";
 import { upAlong } from "./pose";
-import { roundBelow, scaleBar, tickText } from "./ticks";
+import { roundBelow, scaleBar, tickText } from "../world/ticks";
 
 const SVG = "http://www.w3.org/2000/svg";
 /** Half the cube's edge, in units of a view box of 100. */

@@ -7,6 +7,7 @@ import { WebGLRenderer, type Box3 } from "three";
 import type { AxisName } from "../world/axes";
 import { Annotations } from "./annotations";
 import { SceneCamera } from "./camera";
+import { prepareCanvas } from "./canvas";
 import { CentreDepth } from "./centreDepth";
 import { Clipping, type Clip } from "./clipping";
 import { gpuDone, hasGpu } from "./gpu";
@@ -16,6 +17,7 @@ import { Painter } from "./painter";
 import { LAYERS_BY_PROCESSOR, LAYERS_ON_SCREEN } from "./peeling";
 import type { Picked } from "./picking";
 import { axisView, homeDirection } from "./pose";
+import { AdaptiveQuality, type Quality } from "./quality";
 import type { RegionMesh, RegionMeshData } from "./regionMesh";
 import { Slices, type Slice } from "./slices";
 import { takeSnapshot, type Snapshot, type SnapshotRequest } from "./snapshot";
@@ -32,6 +34,8 @@ export interface RendererHandlers {
   /** The GPU lost its memory; all region meshes are gone and have to be uploaded again. */
   readonly onContextLost: () => void;
   readonly onContextRestored: () => void;
+  /** While the camera moves, frames are painted as finely as this machine can without a jerk; else all of them in full. */
+  readonly adaptsQuality?: boolean;
   /** The user moved a handle of the clip plane or box. */
   readonly onClip?: (clip: Clip) => void;
 }
@@ -60,7 +64,7 @@ export class SurfaceRenderer {
   private frames = 0;
   private sums: ReturnType<Surfaces["levelSums"]>;
   private readonly centre: CentreDepth;
-
+  private readonly quality: AdaptiveQuality;
   /** @throws when the browser has no WebGL 2 */
   constructor(
     private readonly container: HTMLElement,
@@ -69,6 +73,7 @@ export class SurfaceRenderer {
   ) {
     this.webgl = new WebGLRenderer({ antialias: this.onGpu, alpha: true, powerPreference: "high-performance" });
     this.surfaces = new Surfaces(tables);
+    this.quality = new AdaptiveQuality(handlers.adaptsQuality === true, () => this.invalidate());
     this.box = this.surfaces.box;
     this.sums = this.surfaces.levelSums();
     this.painter = new Painter(this.webgl, this.surfaces, this.clipping, this.onGpu);
@@ -306,18 +311,12 @@ export class SurfaceRenderer {
   }
 
   private makeCanvas(): HTMLCanvasElement {
-    const canvas = this.webgl.domElement;
-    canvas.tabIndex = 0;
-    canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "Surface: drag or arrow keys to turn, right-drag or shift and arrow keys to move, wheel or + and − to zoom, F to fit");
-    this.container.append(canvas);
-    canvas.addEventListener("webglcontextlost", (event) => {
-      event.preventDefault();
+    const lost = () => {
       this.clear();
       this.handlers.onContextLost();
-    });
-    canvas.addEventListener("webglcontextrestored", () => this.handlers.onContextRestored());
-    return canvas;
+    };
+    this.container.append(this.webgl.domElement);
+    return prepareCanvas(this.webgl.domElement, { lost, restored: () => this.handlers.onContextRestored() });
   }
 
   private clipBounds(): Box3 {
@@ -355,19 +354,21 @@ export class SurfaceRenderer {
     const uploaded = this.uploads.uploadSome(this.webgl, this.camera.camera);
     for (const [id, mesh] of uploaded) this.resident.set(id, mesh);
     for (const [id] of uploaded) this.handlers.onResident(id);
-    this.camera.advance();
+    const quality = this.quality.next(this.camera.advance());
     if (this.dirty) {
       this.dirty = false;
-      this.paint();
+      this.paint(quality);
       this.frames += 1;
       this.handlers.onFrame();
     }
     if (!this.uploads.empty) this.schedule();
   }
 
-  private paint(): void {
-    const { width, height } = this.webgl.domElement;
+  private paint(quality: Quality): void {
+    const ratio = quality.pixels * Math.min(window.devicePixelRatio, 2);
+    if (ratio !== this.webgl.getPixelRatio()) this.webgl.setPixelRatio(ratio);
     const { camera, annotations } = this;
+    const { width, height } = this.webgl.domElement;
     annotations.update(camera.camera, this.clipBounds(), this.clipping.value, this.centre.depth);
     this.centre.lookSoon(annotations.value.scale);
     this.painter.paint({
@@ -376,8 +377,8 @@ export class SurfaceRenderer {
       height,
       camera: camera.camera,
       look: this.currentLook,
-      effects: this.onGpu,
-      layers: this.onGpu ? LAYERS_ON_SCREEN : LAYERS_BY_PROCESSOR,
+      effects: this.onGpu && quality.effects,
+      layers: Math.ceil(quality.layers * (this.onGpu ? LAYERS_ON_SCREEN : LAYERS_BY_PROCESSOR)),
       scale: this.webgl.getPixelRatio(),
       swipe: annotations.swipe.value,
       radius: camera.radius,
@@ -385,9 +386,8 @@ export class SurfaceRenderer {
   }
 
   private resize(): void {
-    const { clientWidth: width, clientHeight: height } = this.container;
+    const { width, height } = this.size;
     if (width === 0 || height === 0) return;
-    this.webgl.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     this.webgl.setSize(width, height);
     this.camera.aspect = width / height;
     this.annotations.resize(width, height);

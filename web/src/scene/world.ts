@@ -73,3 +73,8 @@ export function fitDistance(
   }
   return distance;
 }
+
+/** The vertical field of view in which the smaller one, of width and height, is `fov`. Radians. @param aspect width over height */
+export function verticalFov(fov: number, aspect: number): number {
+  return 2 * Math.atan(Math.tan(fov / 2) / Math.min(1, aspect));
+}

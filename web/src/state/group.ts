@@ -4,7 +4,8 @@ import type { Group, ServerMessage } from "../protocol/types";
 
 /** What the user does about the group. */
 export type GroupAct =
-  | { readonly type: "start" | "copy" | "leave" | "camera" }
+  /** `free`: the camera is the user's own; `camera`: that of who leads again. */
+  | { readonly type: "start" | "copy" | "leave" | "free" | "camera" }
   | { readonly type: "ask"; readonly asks: boolean }
   | { readonly type: "give"; readonly to: number }
   | { readonly type: "name"; readonly name: string };
@@ -44,18 +45,25 @@ export function groupOf(hash: string): string | undefined {
 }
 
 /** How many follow, in words. */
-export function followersText(followers: number): string {
-  return followers === 0 ? "Nobody follows yet" : followers === 1 ? "1 follows" : `${followers} follow`;
+function followersText(followers: number): string {
+  return followers === 0 ? "No followers yet" : followers === 1 ? "1 follower" : `${followers} followers`;
 }
 
-export const followerName = ({ number, name }: Group["people"][number]) => name ?? `Follower ${number}`;
+/** Who shows and who is shown, in one line. */
+export function barText({ you, control, followers, people, isApart }: GroupState): string {
+  const count = followersText(followers);
+  if (control === you) return you === LEADER ? `You lead · ${count}` : `You have control · ${count}`;
+  const holder = control === LEADER ? "the leader" : followerName(people.find(({ number }) => number === control) ?? { number: control, name: null });
+  return `Following ${holder}${isApart ? ", free camera" : ""} · ${count}`;
+}
+
+export const followerName = ({ number, name }: Pick<Group["people"][number], "number" | "name">) => name ?? `Follower ${number}`;
 
 /** What is new to say of it; `undefined`: nothing. */
 export function groupNews(before: Group | undefined, now: Group): string | undefined {
-  if (before === undefined) return now.you === LEADER ? undefined : "You follow now: the picture and the camera are another's";
+  // Who leads, and who asks for control, is in the bar.
+  if (before === undefined) return undefined;
   if (isLed(before) && !isLed(now)) return now.you === LEADER ? "You have control again" : "You have control: the others follow you";
   if (!isLed(before) && isLed(now)) return now.you === LEADER ? "Another has control now" : "The leader has control again";
-  if (now.you !== LEADER && before.leaderAway !== now.leaderAway) return now.leaderAway ? AWAY : "The leader is back";
-  const asked = now.people.find(({ number, asks }) => asks && before.people.every((other) => other.number !== number || !other.asks));
-  return asked && `${followerName(asked)} asks for control`;
+  return now.you !== LEADER && before.leaderAway && !now.leaderAway ? "The leader is back" : undefined;
 }

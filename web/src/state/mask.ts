@@ -29,8 +29,11 @@ export function readMask(text: string): Mask | undefined {
   const [, field, symbol, values] = /^(.*?)(==|!=|>=|<=|>|<)(.*)$/s.exec(text) ?? [];
   const comparison = COMPARISONS.find((known) => known.symbol === symbol)?.symbol;
   if (field === undefined || comparison === undefined || values === undefined) return undefined;
-  return { field: field.trim(), comparison, values: values.trim() };
+  return { field: unquoted(field.trim()), comparison, values: values.trim() };
 }
+
+/** A name in quotation marks, as expressions have it. */
+const unquoted = (name: string) => /^(["`])(.+)\1$/s.exec(name)?.[2] ?? name;
 
 export const maskText = ({ field, comparison, values }: Mask): string => `${field}${comparison}${values}`;
 

@@ -273,6 +273,14 @@ export class Store {
     });
   }
 
+  /** Several surfaces at once, as one step. `undefined`: they stay as they are. */
+  arrangeSurfaces(act: (surfaces: SurfaceList, opening: View) => SurfaceList | undefined): void {
+    this.change(({ surfaces }) => {
+      const list = this.openingView && act(surfaces, this.openingView);
+      return list === undefined ? {} : { surfaces: list };
+    });
+  }
+
   /** The last one stays. */
   removeSurface(number: number): void {
     this.change(({ surfaces, selected }) => {

@@ -32,7 +32,7 @@ export const DEFAULT_STYLE: SurfaceStyle = { visible: true, opacity: 1, color: u
 export const OWN_COLORS = ["#e08a5b", "#74b3e8", "#e3c12f", "#2a7a64"] as const;
 
 /** Of a surface around another one. */
-const OUTER_OPACITY = 0.35;
+export const OUTER_OPACITY = 0.35;
 
 /** With an edit of one of them. A budget is one for all that have one. */
 export function edited(list: SurfaceList, number: number, edit: Edit): SurfaceList {
@@ -57,7 +57,7 @@ export function styled(list: SurfaceList, number: number, style: Partial<Surface
  * mostly lie around those of higher ones and would hide them.
  */
 export function added(list: SurfaceList, like: Surface, iso: number): SurfaceList {
-  const number = freeNumbers(list)[0];
+  const number = freeNumber(list);
   if (number === undefined) return list;
   const all = [...list, { number, view: { ...like.view, iso }, style: { ...DEFAULT_STYLE, color: freeColor(list) } }];
   const isAround = ({ view }: Surface) => all.some((inner) => inner.view.field === view.field && inner.view.iso > view.iso);
@@ -107,6 +107,7 @@ export function listOf(opening: View, wanted: readonly { readonly edit: Edit; re
   return first === undefined ? list : sharing(list, first.number);
 }
 
-function freeNumbers(list: SurfaceList): readonly number[] {
-  return Array.from({ length: MAX_SURFACES }, (_, number) => number).filter((number) => list.every((surface) => surface.number !== number));
+/** Of a further surface; `undefined` where there are as many as can be. */
+export function freeNumber(list: SurfaceList): number | undefined {
+  return Array.from({ length: MAX_SURFACES }, (_, number) => number).find((number) => list.every((surface) => surface.number !== number));
 }

@@ -17,6 +17,7 @@ const KEYS: readonly (readonly [string, string])[] = [
   [", and . in the picture", "previous and next time step; P plays them"],
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo: values, colours and look"],
   ["Arrow keys on a slider, a point or a number", "move it; with Shift by more"],
+  ["Arrow keys in the list of labels", "go from label to label, and from switch to switch"],
   ["Double-click in the editor, or Insert", "add a point; Delete removes it"],
   ["Pick a value, Mark a region, Measure", "then click the surface, or Enter in the picture for its centre"],
   ["? in the picture", "this page"],

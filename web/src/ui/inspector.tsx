@@ -6,6 +6,7 @@ import { Dynamic } from "solid-js/web";
 import type { Card } from "./cards/card";
 import { CARDS } from "./cards/registry";
 import { useModel } from "./model";
+import { isLed } from "../state/group";
 import { Needs } from "./needs";
 import { useSurfaceName } from "./surfaceNames";
 import { IconButton } from "./widgets/button";
@@ -96,13 +97,21 @@ function showGrowing(section: HTMLElement): void {
   setTimeout(() => observer.disconnect(), GROWING_MS);
 }
 
+/** While another one's picture is shown, what would change it is off. */
 function CardBody(props: { readonly card: Card }) {
-  const { needs, body } = props.card;
-  if (needs === undefined) return <Dynamic component={body} />;
+  const { group } = useModel();
+  const { needs, body, isLocal } = props.card;
+  const isOff = () => isLocal !== true && isLed(group());
   return (
-    <Needs role={needs}>
-      <Dynamic component={body} />
-    </Needs>
+    <fieldset class="led" disabled={isOff()} inert={isOff()}>
+      <Show when={needs} fallback={<Dynamic component={body} />}>
+        {(role) => (
+          <Needs role={role()}>
+            <Dynamic component={body} />
+          </Needs>
+        )}
+      </Show>
+    </fieldset>
   );
 }
 

@@ -20,11 +20,15 @@ export interface Actions {
   readonly openVolume: (id: string) => void;
   readonly goToStep: (step: number, gesture?: string) => void;
   readonly edit: (edit: Edit, gesture?: string) => void;
+  /** An edit that depends on the values in force, and on those with which the volume opens. */
+  readonly editByOpening: (edit: (view: View, opening: View) => Edit) => void;
   readonly editPoints: (points: Points, gesture?: string) => void;
   readonly changeLook: (look: Partial<Look>, gesture?: string) => void;
   readonly changeStyle: (number: number, style: Partial<SurfaceStyle>, gesture?: string) => void;
   /** A surface like the selected one, at another isovalue. */
   readonly addSurface: (iso: number) => void;
+  /** Several surfaces at once; `opening`: with what the volume opens. */
+  readonly arrangeSurfaces: (act: (surfaces: SurfaceList, opening: View) => SurfaceList | undefined) => void;
   readonly removeSurface: (number: number) => void;
   /** Edits are of this one from now on. */
   readonly selectSurface: (number: number) => void;
@@ -95,6 +99,12 @@ export interface JobActions {
   remove(job: JobInfo): Promise<void>;
   /** Saves what it has made. */
   download(job: JobInfo): Promise<void>;
+}
+
+/** Area and volume of surfaces that the user has asked for, by their numbers, as they are on screen. */
+export interface SurfaceSums {
+  readonly known: Accessor<ReadonlyMap<number, Enclosed | "summing">>;
+  sum(surfaces: readonly number[]): void;
 }
 
 /** An upload that is under way. */
@@ -178,6 +188,7 @@ export class Model {
   uploads: UploadActions | undefined;
   jobs: JobActions | undefined;
   readonly beside = new SlicesBeside();
+  sums: SurfaceSums | undefined;
   /** Frames are rendered by a GPU: there are effects on screen. */
   onGpu = false;
   /** Told of each error that is shown. */
@@ -295,6 +306,11 @@ export class Model {
   /** Whether the user may have batch jobs made here. */
   hasJobs(): boolean {
     return this.session()?.jobs === true;
+  }
+
+  /** Whether the server takes volumes of the user; until it has said so, it may. */
+  takesUploads(): boolean {
+    return this.session()?.uploads !== false;
   }
 
   showConnection(connection: Connection): void {

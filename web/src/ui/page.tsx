@@ -4,6 +4,7 @@ import { createSignal, lazy, onCleanup, Show, Suspense } from "solid-js";
 import { render } from "solid-js/web";
 import { ConnectionBanner } from "./connectionBanner";
 import { EmbeddedPage } from "./embeddedPage";
+import { FollowBar } from "./followBar";
 import { Hint } from "./hint";
 import { Inspector } from "./inspector";
 import { Legend } from "./legend";
@@ -15,6 +16,7 @@ import { Toasts } from "./toasts";
 import { TopLine } from "./topLine";
 import { isTourDue } from "./tourState";
 import { DropTarget, UploadProgress } from "./uploadProgress";
+import { isLed } from "../state/group";
 import { nextLayout } from "../state/slicing";
 import { stepCount } from "../state/timeSteps";
 
@@ -61,7 +63,7 @@ function Page(props: { readonly viewport: HTMLElement }) {
         <Show when={help()}>
           <Help onClose={() => setHelp(false)} onTour={() => setTour(true)} />
         </Show>
-        <Show when={tour() && hasSurface() && !help()}>
+        <Show when={tour() && hasSurface() && !help() && !isLed(model.group())}>
           <Tour onEnd={() => setTour(false)} />
         </Show>
       </Suspense>
@@ -81,6 +83,7 @@ function Stage(props: { readonly viewport: HTMLElement }) {
           <Legend />
           <Hint />
           <ProbeReadout />
+          <FollowBar />
           <ConnectionBanner />
           <UploadProgress />
           <Notice />

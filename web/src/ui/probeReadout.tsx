@@ -16,12 +16,12 @@ export function probeRows({ values, nearest }: Probed, volume: VolumeInfo | unde
   if (nearest === null) return fields;
   const rows: Row[] = [
     ["importance", formatValue(nearest.importance, 2)],
-    ["value on the editor", formatValue(nearest.blended, 2)],
+    ["importance input", formatValue(nearest.blended, 2)],
   ];
   if (nearest.partArea !== null) rows.push(["area of this part", `${formatValue(nearest.partArea, 3)} ${unitWord(scale.unit, 2)}`]);
   if (nearest.leaf === null) return [...fields, ...rows];
   const { level, error } = nearest.leaf;
-  return [...fields, ...rows, ["level", String(level)], ["off by", `≈ ${formatLength(error, scale)}`]];
+  return [...fields, ...rows, ["level", String(level)], ["error", `≈ ${formatLength(error, scale)}`]];
 }
 
 export function ProbeReadout() {

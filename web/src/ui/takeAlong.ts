@@ -3,6 +3,8 @@
 import { extract } from "../net/rest";
 import type { View } from "../protocol/types";
 import { commandLine } from "../state/commandLine";
+import { surfaceFileName } from "../state/fileNames";
+import { labelsName } from "../state/labels";
 import { aloneView } from "../state/sharedBudget";
 import type { Store } from "../state/store";
 import type { ViewerState } from "../state/viewer";
@@ -52,7 +54,8 @@ export async function downloadMesh(model: Model, store: Store, base: URL, format
   const { target } = store.viewer;
   if (view === undefined || target === undefined) return;
   const { volume, step } = target;
-  await saveMade(model, `${volume}.${format}`, () => extract(base, volume, step, format, view));
+  const name = surfaceFileName(store.viewer.volume, view.iso, labelsName(store.viewer.volume, view.field));
+  await saveMade(model, `${name}.${format}`, () => extract(base, volume, step, format, view));
 }
 
 /** Saves what takes a while to be made, and says so. */

@@ -2,6 +2,7 @@
 
 import { For, Show } from "solid-js";
 import { ExportMenu } from "./exportMenu";
+import { isLed } from "../state/group";
 import { useModel, useScale } from "./model";
 import { StatusPopover } from "./statusPopover";
 import { toggleTheme } from "./theme";
@@ -11,7 +12,7 @@ import { summaryOf } from "./words";
 
 export function TopLine(props: { readonly onHelp: () => void; readonly onUploads: () => void }) {
   const model = useModel();
-  const { actions, history, page } = model;
+  const { actions, group, history, page } = model;
   const isSliced = () => page().slicing.layout !== "picture";
   const toggleSlices = () => actions.changePage({ slicing: { ...page().slicing, layout: isSliced() ? "picture" : "both" } });
   return (
@@ -20,8 +21,8 @@ export function TopLine(props: { readonly onHelp: () => void; readonly onUploads
       <VolumeChoice />
       <SummaryLine />
       <div class="actions" role="toolbar" aria-label="Page">
-        <IconButton icon="undo" label="Undo" keys="Ctrl+Z" disabled={!history().canUndo} onClick={actions.undo} />
-        <IconButton icon="redo" label="Redo" keys="Ctrl+Shift+Z" disabled={!history().canRedo} onClick={actions.redo} />
+        <IconButton icon="undo" label="Undo" keys="Ctrl+Z" disabled={!history().canUndo || isLed(group())} onClick={actions.undo} />
+        <IconButton icon="redo" label="Redo" keys="Ctrl+Shift+Z" disabled={!history().canRedo || isLed(group())} onClick={actions.redo} />
         <IconButton icon="fit" label="Fit the surface into the picture" keys="F in the picture" onClick={actions.fit} />
         <IconButton class="panel-toggle" icon="slices" label="Slices beside the picture" keys="S in the picture" pressed={isSliced()} onClick={toggleSlices} />
         <Show when={model.may("upload")}>
@@ -49,12 +50,12 @@ function Brand() {
 }
 
 function VolumeChoice() {
-  const { actions, viewer } = useModel();
+  const { actions, group, viewer } = useModel();
   const options = () => (viewer().volumes ?? []).map(({ id, title }) => ({ value: id, text: title }));
   return (
-    <div class="volume-choice">
+    <fieldset class="volume-choice" disabled={isLed(group())}>
       <Select label="Volume" hideLabel value={viewer().target?.volume} options={options()} onChange={actions.openVolume} />
-    </div>
+    </fieldset>
   );
 }
 

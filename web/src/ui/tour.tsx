@@ -47,7 +47,7 @@ const STEPS: readonly Step[] = [
     title: "What stays fine",
     wireframe: true,
     tries: true,
-    text: () => "Say what matters: the shape, edges in the data, another field, or a place. What matters keeps its triangles, the rest gives them up. Mark a place and see them move.",
+    text: () => "Choose what is important: the shape, edges in the data, another field, or a place. It keeps its triangles, the rest gives them up. Mark a place and see them move.",
   },
 ];
 

@@ -10,11 +10,12 @@ import { Icon } from "./widgets/icon";
 
 /** The browser's own dialog: it keeps the focus, and Escape closes it. */
 export default function Uploads(props: { readonly onClose: () => void }) {
-  const { actions, uploads } = useModel();
+  const model = useModel();
+  const { actions, uploads } = model;
   let dialog: HTMLDialogElement | undefined;
   onMount(() => dialog?.showModal());
   const close = () => dialog?.close();
-  const [list, { refetch }] = createResource(() => uploads?.list());
+  const [list, { refetch }] = createResource(() => (model.takesUploads() ? uploads?.list() : Promise.reject(new Error("Uploads are disabled on this server (--uploads DIR)"))));
   const remove = async (upload: UploadInfo) => {
     await uploads?.remove(upload);
     await refetch();
@@ -35,7 +36,7 @@ export default function Uploads(props: { readonly onClose: () => void }) {
           <Icon name="close" />
         </button>
       </div>
-      <Show when={list.error === undefined} fallback={<p role="status">Nothing can be uploaded: {messageOf(list.error)}</p>}>
+      <Show when={list.error === undefined} fallback={<p role="status">{messageOf(list.error)}</p>}>
         <p>Drop files or a folder anywhere on the page, or choose them: a NIfTI or NRRD file, a header with its samples, numbered slices, a folder of DICOM files. Only you and the server's administrators see them.</p>
         <div class="upload-buttons">
           <Chooser text="Choose files" isFolder={false} onChoose={choose} />

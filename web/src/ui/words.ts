@@ -27,15 +27,15 @@ function overallError(all: readonly ErrorsOf[]): { readonly rms: number; readonl
 
 type ErrorsOf = Pick<Statistics, "error" | "estimatedError" | "fullTriangles">;
 
-/** `off by ≈ 0.11 voxels rms`, of all surfaces together; with ≈ while some is an estimate. `undefined` where something is not known. */
+/** `error ≈ 0.11 voxels (RMS)`, of all surfaces together; with ≈ while some is an estimate. `undefined` where something is not known. */
 export function errorWords(all: readonly ErrorsOf[], scale: LengthScale): string | undefined {
   const error = overallError(all);
-  return error && `off by ${error.isEstimate ? "≈ " : ""}${formatLength(error.rms, scale)} rms`;
+  return error && `error ${error.isEstimate ? "≈ " : ""}${formatLength(error.rms, scale)} (RMS)`;
 }
 
 /** What the colours of distances mean. */
 export function distanceWords({ share, upper, farthest }: Distances, measured: readonly (Statistics["error"] | undefined)[], scale: LengthScale): string {
-  const darkest = `Darkest: off by ${formatLength(upper, scale)}`;
+  const darkest = `Darkest: error ${formatLength(upper, scale)}`;
   const max = measured.reduce<number | undefined>((max, error) => (max === undefined || error === undefined || error === null ? undefined : Math.max(max, error.max)), 0);
   const end = max === undefined || measured.length === 0 ? "" : `; the measured maximum is ${formatLength(max, scale)}`;
   return farthest <= upper ? `${darkest}${end}` : `${darkest} and more, around ${formatShare(1 - share)} of the vertices${end}`;
@@ -59,7 +59,7 @@ export interface Summary {
   readonly activity: string;
 }
 
-/** The top line: `87,501 of 454,932 triangles (19 %)`, `off by ≈ 0.11 voxels rms`, `0.2 s`; before it `2 surfaces` where there are so many. */
+/** The top line: `87,501 of 454,932 triangles (19 %)`, `error ≈ 0.11 voxels (RMS)`, `0.2 s`; before it `2 surfaces` where there are so many. */
 export function summaryOf(state: ViewerState, triangles: number, busy: boolean, scale: LengthScale): Summary {
   return { parts: surfaceParts(state, triangles, busy, scale), activity: activity(state, busy) };
 }

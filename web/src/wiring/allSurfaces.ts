@@ -1,6 +1,8 @@
 /** All visible surfaces as one GLB, each in the colour and opacity that it has on the page. */
 
 import { extract } from "../net/rest";
+import { volumeName } from "../state/fileNames";
+import { labelsName } from "../state/labels";
 import type { Store } from "../state/store";
 import { selectSurface } from "../state/surfaceState";
 import { linearColor } from "../transfer/model";
@@ -15,7 +17,7 @@ export async function downloadAll(model: Model, store: Store, base: URL, cap = f
   const { target } = viewer;
   if (target === undefined) return;
   const surfaces = store.surfaces.filter(({ style }) => style.visible);
-  await saveMade(model, `${target.volume}-surfaces.glb`, async () => {
+  await saveMade(model, `${volumeName(viewer.volume)}-surfaces.glb`, async () => {
     const { joinGlb } = await import("../net/glb");
     const parts = [];
     for (const surface of surfaces) {
@@ -23,7 +25,7 @@ export async function downloadAll(model: Model, store: Store, base: URL, cap = f
       if (view === undefined) continue;
       const color = colorOf(surface, look);
       const file = await (await extract(base, target.volume, target.step, "glb", view)).arrayBuffer();
-      parts.push({ name: formatValue(surface.view.iso, 6), color: color === undefined ? undefined : linearColor(color), opacity: surface.style.opacity, file });
+      parts.push({ name: labelsName(viewer.volume, surface.view.field) ?? formatValue(surface.view.iso, 6), color: color === undefined ? undefined : linearColor(color), opacity: surface.style.opacity, file });
     }
     return joinGlb(parts);
   });

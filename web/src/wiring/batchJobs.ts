@@ -2,6 +2,7 @@
 
 import type { JobRequest } from "../net/jobs";
 import type { JobInfo } from "../protocol/types";
+import { volumeName } from "../state/fileNames";
 import type { Store } from "../state/store";
 import { submittedText } from "../ui/cards/jobWords";
 import type { JobActions, MeshFormat, Model } from "../ui/model";
@@ -10,6 +11,8 @@ import { exportedView, saveFile } from "../ui/takeAlong";
 export class BatchJobs implements JobActions {
   /** A request that had no answer, and its key: sent again it makes no second job. */
   private unanswered: { readonly text: string; readonly key: string } | undefined;
+  /** The last one that was submitted, until it is cancelled or deleted, or has failed. */
+  private last: { readonly text: string; readonly id: string } | undefined;
 
   constructor(
     private readonly store: Store,
@@ -19,7 +22,9 @@ export class BatchJobs implements JobActions {
 
   async list(): Promise<readonly JobInfo[]> {
     const { listJobs } = await import("../net/jobs");
-    return listJobs(this.base);
+    const jobs = await listJobs(this.base);
+    if (jobs.some(({ id, state }) => id === this.last?.id && (state === "failed" || state === "cancelled"))) this.last = undefined;
+    return jobs;
   }
 
   async submit(isovalues: readonly number[], format: MeshFormat): Promise<void> {
@@ -28,6 +33,8 @@ export class BatchJobs implements JobActions {
     if (view === undefined || viewer.target === undefined) return;
     const { volume, step } = viewer.target;
     const request = { volume, extractions: isovalues.map((iso) => ({ ...view, iso, step, format })) };
+    // Enter is easily pressed twice.
+    if (this.last?.text === JSON.stringify(request)) return this.model.toast("This job is submitted already: change isovalues, format or settings for another one", "brief");
     await this.try("The job was not submitted", async () => this.model.toast(submittedText(await this.send(request)), "brief"));
   }
 
@@ -36,16 +43,21 @@ export class BatchJobs implements JobActions {
   }
 
   remove(job: JobInfo): Promise<void> {
+    if (job.id === this.last?.id) this.last = undefined;
     return this.try("The job was not deleted", async () => (await import("../net/jobs")).removeJob(this.base, job.id));
   }
 
   download(job: JobInfo): Promise<void> {
     return this.try("The results could not be fetched", async () => {
       const { fetchResults } = await import("../net/jobs");
-      const { name, file } = await fetchResults(this.base, job);
+      const { name, file } = await fetchResults(this.base, job, volumeName(this.titled(job)));
       saveFile(name, file);
       this.model.toast(`${name} is ready`, "brief");
     });
+  }
+
+  private titled({ volume }: JobInfo): { readonly id: string; readonly title: string } {
+    return this.store.viewer.volumes?.find(({ id }) => id === volume) ?? { id: volume, title: volume };
   }
 
   private async send(request: JobRequest): Promise<JobInfo> {
@@ -55,6 +67,7 @@ export class BatchJobs implements JobActions {
     this.unanswered = { text, key };
     const job = await submitJob(this.base, request, key);
     this.unanswered = undefined;
+    this.last = { text, id: job.id };
     return job;
   }
 

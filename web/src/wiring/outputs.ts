@@ -1,6 +1,7 @@
 /** What leaves the page: images, saved as files, with a word when they are ready; and what batch jobs make. */
 
 import type { SurfaceRenderer } from "../scene/renderer";
+import { volumeName } from "../state/fileNames";
 import type { Store } from "../state/store";
 import type { ImageRequest, Model } from "../ui/model";
 import { saveFile } from "../ui/takeAlong";
@@ -43,7 +44,7 @@ export class Outputs {
   }
 
   private async save(ending: string, make: () => Promise<Made>, signal?: AbortSignal): Promise<void> {
-    const name = `${this.store.viewer.volume?.id ?? "isopeel"}.${ending}`;
+    const name = `${volumeName(this.store.viewer.volume)}.${ending}`;
     try {
       const { blob, note } = await make();
       saveFile(name, blob);

@@ -7,10 +7,12 @@ import type { Actions } from "../ui/model";
 type Names =
   | "goToStep"
   | "edit"
+  | "editByOpening"
   | "editPoints"
   | "changeLook"
   | "changeStyle"
   | "addSurface"
+  | "arrangeSurfaces"
   | "removeSurface"
   | "selectSurface"
   | "endGesture"
@@ -28,10 +30,12 @@ export function storeActions(store: Store, change: (act: () => void) => void, ma
   return {
     goToStep: (step, gesture) => changeShown(() => store.goTo(step, gesture)),
     edit: (edit, gesture) => editShown(() => store.edit(edit, gesture)),
+    editByOpening: (edit) => editShown(() => store.view && store.opening && store.edit(edit(store.view, store.opening))),
     editPoints: (points, gesture) => editShown(() => store.edit({ transferFunction: toWire(points) }, gesture)),
     changeLook: (look, gesture) => change(() => store.changeLook(look, gesture)),
     changeStyle: (number, style, gesture) => change(() => store.changeStyle(number, style, gesture)),
     addSurface: (iso) => editShown(() => store.addSurface(iso)),
+    arrangeSurfaces: (act) => editShown(() => store.arrangeSurfaces(act)),
     removeSurface: (number) => editShown(() => store.removeSurface(number)),
     selectSurface: (number) => change(() => store.select(number)),
     endGesture: () => change(() => store.endGesture()),

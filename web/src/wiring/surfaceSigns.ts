@@ -2,6 +2,7 @@
 
 import type { SurfaceSign } from "../image/compose";
 import { SHADINGS } from "../scene/look";
+import { labelsName } from "../state/labels";
 import type { Look } from "../state/look";
 import { shownErrors } from "../state/shownErrors";
 import type { Store } from "../state/store";
@@ -19,5 +20,5 @@ export function colorOf({ style }: Pick<Surface, "style">, { colorBy, material }
 export function signOf({ style, view }: Surface, { look, surfaces, viewer }: Pick<Store, "look" | "surfaces" | "viewer">): SurfaceSign {
   const bar = style.color === undefined ? colorBarOf(look, view, shownErrors(viewer, surfaces), undefined) : undefined;
   const unit = viewer.volume?.fields.find(({ name }) => name === view.field)?.unit ?? "";
-  return { stops: bar?.stops ?? [style.color ?? SHADINGS[look.material].color], opacity: style.opacity, text: `${view.field} ${formatValue(view.iso)} ${unit}`.trim() };
+  return { stops: bar?.stops ?? [style.color ?? SHADINGS[look.material].color], opacity: style.opacity, text: labelsName(viewer.volume, view.field) ?? `${view.field} ${formatValue(view.iso)} ${unit}`.trim() };
 }

@@ -64,7 +64,7 @@ export class Together {
 
   /** Whether the user may change what is shown; else it is said why not. */
   mayChange(): boolean {
-    if (this.follows) this.around.model.toast("You follow somebody: ask for control, or leave, to change what is shown", "brief");
+    if (this.follows) this.around.model.toast("You are following: ask for control, or leave, to change what is shown", "brief");
     return !this.follows;
   }
 
@@ -94,6 +94,8 @@ export class Together {
         this.name = act.name.trim() === "" ? undefined : act.name.trim();
         if (this.group !== undefined) client.join(this.group.group, this.name);
         return;
+      case "free":
+        return this.lookAround();
       case "camera":
         this.change({ isApart: false });
         this.look();

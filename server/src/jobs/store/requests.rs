@@ -47,7 +47,7 @@ pub struct NewJob {
 }
 
 /// A result, as the store knows it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResultInfo {
     /// Its length.
     pub bytes: u64,
@@ -55,6 +55,8 @@ pub struct ResultInfo {
     pub checksum: Checksum,
     /// Its format.
     pub format: Format,
+    /// The isovalue of its surface, where it was asked for.
+    pub iso: Option<f32>,
 }
 
 impl Store {
@@ -385,11 +387,15 @@ fn result(
     };
     let (request, state, bytes, checksum, detail): (String, String, u64, Option<Checksum>, String) = found;
     Ok(match (state.as_str(), checksum) {
-        ("done", Some(checksum)) => Ok(ResultInfo {
-            bytes,
-            checksum,
-            format: file_request(&request)?.options.format,
-        }),
+        ("done", Some(checksum)) => {
+            let request = file_request(&request)?;
+            Ok(ResultInfo {
+                bytes,
+                checksum,
+                format: request.options.format,
+                iso: request.edit.iso,
+            })
+        }
         ("failed", _) => Err(Some(format!("failed: {detail}"))),
         ("empty", _) => Err(Some(format!("is empty: {detail}"))),
         _ => Err(Some("is not made yet".to_owned())),

@@ -69,7 +69,7 @@ pub(super) async fn result(
     };
     let [from, to] = range.unwrap_or([0, found.bytes]);
     let body = Body::from_stream(jobs.read(&id, extraction, from..to).await?);
-    let name = format!("attachment; filename=\"{extraction}.{}\"", found.format.extension());
+    let name = format!("attachment; filename=\"{}\"", file_name(extraction, &found));
     let answer = Response::builder()
         .header(header::CONTENT_TYPE, found.format.content_type())
         .header(header::CONTENT_LENGTH, to - from)
@@ -85,6 +85,12 @@ pub(super) async fn result(
             .header(header::CONTENT_RANGE, content_range(range, found.bytes)),
     };
     answer.body(body).map_err(ApiError::internal)
+}
+
+/// `00002-517.5.glb`: number of the extraction, and its isovalue.
+fn file_name(extraction: u32, found: &ResultInfo) -> String {
+    let iso = found.iso.map(|iso| format!("-{iso}")).unwrap_or_default();
+    format!("{extraction:05}{iso}.{}", found.format.extension())
 }
 
 fn etag(found: &ResultInfo) -> String {

@@ -16,6 +16,8 @@ export interface Card {
   readonly when?: (model: Model) => boolean;
   /** All of it is of use to those alone who have this role. */
   readonly needs?: Role;
+  /** It changes nothing that is shown: of use to those too who follow another. */
+  readonly isLocal?: boolean;
   /** It is about the selected surface, and says so where there are several. */
   readonly isOfSurface?: boolean;
   readonly body: Component;

@@ -109,11 +109,11 @@ export function allWords(surfaces: number): string {
   return surfaces === 2 ? "both" : `all ${surfaces}`;
 }
 
-/** `19 percent, 87,501 of 454,932 triangles, off by about 0.11 voxels`; `expected`: the error. */
+/** `19 percent, 87,501 of 454,932 triangles, error about 0.11 voxels`; `expected`: the error. */
 export function shareWords(share: number, shown: number, statistics: Statistics | undefined, expected: string | undefined): string {
   if (statistics === undefined) return "not known yet";
   const triangles = `${formatShare(share).replace(" %", " percent")}, ${formatCount(shown)} of ${formatCount(allTriangles(statistics))} triangles`;
-  return expected === undefined ? triangles : `${triangles}, off by about ${expected}`;
+  return expected === undefined ? triangles : `${triangles}, error about ${expected}`;
 }
 
 function Limits(props: { readonly view: View }) {

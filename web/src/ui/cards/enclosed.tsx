@@ -29,7 +29,7 @@ export function EnclosedSums() {
         }
       >
         <Match when={enclosed() === "summing"}>
-          <p class="note">Summing up</p>
+          <p class="note">Computing</p>
         </Match>
         <Match when={sums()}>{(of) => <Sums of={of()} />}</Match>
       </Switch>

@@ -63,9 +63,9 @@ function Criteria(props: { readonly view: View }) {
   const unit = () => lengthUnit(volume());
   return (
     <>
-      <Row label="Decide by">
+      <Row label="Limit by">
         <Choice<Criterion>
-          label="Decide by"
+          label="Limit by"
           value={by()}
           options={[
             { value: "triangles", text: "Triangles", hint: "The smallest error with at most so many triangles" },

@@ -44,8 +44,9 @@ export function submittedText({ extractions, estimate }: JobInfo): string {
 }
 
 /** What is said when it has ended. */
-export function finishedText({ volume, state, extractions }: JobInfo): string {
+export function finishedText({ volume: id, state, extractions }: JobInfo, volumes: readonly { readonly id: string; readonly title: string }[] | undefined): string {
   const { done, empty } = extractions;
+  const volume = volumes?.find((known) => known.id === id)?.title ?? id;
   if (state === "done") return `${files(done)} of ${volume} ${done === 1 ? "is" : "are"} ready${withoutSurface(empty)}`;
   return `The batch job of ${volume} ${state === "failed" ? "has failed" : "was cancelled"}`;
 }

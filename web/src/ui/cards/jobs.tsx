@@ -80,7 +80,9 @@ function Submit(props: { readonly onSubmit: (isovalues: readonly number[]) => Pr
 }
 
 function Row(props: { readonly job: JobInfo; readonly onCancel: () => void; readonly onDelete: () => void; readonly onDownload: () => void }) {
-  const of = () => `${props.job.volume}, ${new Date(1000 * props.job.submitted).toLocaleString()}`;
+  const { viewer } = useModel();
+  const title = () => viewer().volumes?.find(({ id }) => id === props.job.volume)?.title ?? props.job.volume;
+  const of = () => `${title()}, ${new Date(1000 * props.job.submitted).toLocaleString()}`;
   const { extractions } = props.job;
   return (
     <li>
@@ -114,7 +116,7 @@ function Row(props: { readonly job: JobInfo; readonly onCancel: () => void; read
 
 /** The list, asked for again and again while the card is unfolded and the page is seen. */
 function useList(actions: () => JobActions) {
-  const { say } = useModel();
+  const { say, viewer } = useModel();
   // Rows stay where their jobs change, and buttons keep the focus.
   const [list, setList] = createStore<{ jobs: readonly JobInfo[]; error: string | undefined }>({ jobs: [], error: undefined });
   let timer: ReturnType<typeof setTimeout> | undefined;
@@ -128,7 +130,7 @@ function useList(actions: () => JobActions) {
   const read = async () => {
     try {
       const jobs = await actions().list();
-      for (const job of justFinished(known, jobs)) say(finishedText(job));
+      for (const job of justFinished(known, jobs)) say(finishedText(job, viewer().volumes));
       known = jobs;
       setList("jobs", reconcile([...structuredClone(jobs)], { key: "id" }));
       setList("error", undefined);

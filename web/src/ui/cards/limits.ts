@@ -54,7 +54,7 @@ function betaLimit(view: View, budget: Edit): Limit | undefined {
   if (view.beta === undefined) return undefined;
   return {
     text: view.beta < 0 ? "Nothing is merged: β is below 0" : `β = ${formatValue(view.beta, 3)} decides`,
-    lift: { text: "Decide by triangles", edit: budget },
+    lift: { text: "Limit by triangles", edit: budget },
   };
 }
 
@@ -83,7 +83,8 @@ function wantedLimit(view: View, statistics: Statistics, { spacing, unit }: Leng
   const length = (error === undefined ? FINE_ERROR : inSpacings(error, spacing)) * spacing;
   const needed = curve?.byError === true ? trianglesFor(curve.points, length, "threshold") : undefined;
   const text = formatLength(length, { spacing, unit });
-  if (needed === undefined) return error === undefined ? undefined : { text: `${text} needs more triangles`, lift: { text: "Allow more", edit: { error } } };
+  // Without a curve the tolerance says whether the error needs more.
+  if (needed === undefined) return error === undefined && !((statistics.tolerance ?? 0) > length) ? undefined : { text: `${text} needs more triangles`, lift: { text: "Allow more", edit: { error: error ?? `${FINE_ERROR}vx` } } };
   const count = roundedUp(needed);
   if (count <= statistics.triangles) return undefined;
   const edit: Edit = { triangles: count, ...(error === undefined ? {} : { error }) };

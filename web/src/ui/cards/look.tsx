@@ -15,9 +15,9 @@ import { Peel } from "./peel";
 
 const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonly hint: string }[] = [
   { value: "material", text: "Material", hint: "Single colour" },
-  { value: "transfer", text: "Editor", hint: "The colours of the points under What matters" },
-  { value: "feature", text: "Value", hint: "What the editor is over: shape and feature, blended" },
-  { value: "field", text: "Field", hint: "The field under What matters, in its units" },
+  { value: "transfer", text: "Transfer", hint: "The colours of the transfer function under Importance" },
+  { value: "feature", text: "Input", hint: "The input of the transfer function: shape and field, blended" },
+  { value: "field", text: "Field", hint: "The field under Importance, in its units" },
   { value: "importance", text: "Importance", hint: "How much each part matters" },
   { value: "level", text: "Level", hint: "How large the cubes are that triangles stand for" },
   { value: "error", text: "Error", hint: "How far each vertex is from the isosurface, measured" },

@@ -131,9 +131,9 @@ function Features(props: { readonly volume: VolumeInfo; readonly view: View }) {
   const chooseKind = (kind: Kind) => choose(kind === "shape" ? NO_FEATURE : kind === "edges" ? GRADIENT : (bestOther(props.volume, props.view.field) ?? NO_FEATURE));
   return (
     <div class="control row">
-      <Choice<Kind> label="What matters" value={kindOf(props.view)} options={kinds()} onChange={chooseKind} />
+      <Choice<Kind> label="Importance by" value={kindOf(props.view)} options={kinds()} onChange={chooseKind} />
       <Show when={kindOf(props.view) === "field"}>
-        <Select label="Field that matters" hideLabel value={props.view.feature} options={[...new Set([...others(), props.view.feature])].map((name) => ({ value: name, text: label(name) }))} onChange={choose} />
+        <Select label="Importance field" hideLabel value={props.view.feature} options={[...new Set([...others(), props.view.feature])].map((name) => ({ value: name, text: label(name) }))} onChange={choose} />
       </Show>
       <Show when={kindOf(props.view) === "edges"}>
         <span class="note" title={`α: ${alphaText(props.view.alpha, props.view.feature)}`}>
@@ -154,11 +154,11 @@ function Computed(props: { readonly expression: string | undefined }) {
       when={editing()}
       fallback={
         <Button quiet class="compute" onClick={() => setEditing(true)}>
-          {props.expression === undefined ? "Compute what matters…" : "Change the expression…"}
+          {props.expression === undefined ? "Expression…" : "Change the expression…"}
         </Button>
       }
     >
-      <ExpressionEditor label="Expression of what matters" value={props.expression ?? ""} onUse={use} onClose={() => setEditing(false)} />
+      <ExpressionEditor label="Expression of the importance field" value={props.expression ?? ""} onUse={use} onClose={() => setEditing(false)} />
     </Show>
   );
 }
@@ -208,4 +208,4 @@ function Range(props: { readonly view: View; readonly info: DerivedInfo | undefi
   );
 }
 
-export const mattersCard: Card = { id: "matters", title: "What matters", icon: "matters", isOfSurface: true, needs: "edit", body: Body };
+export const mattersCard: Card = { id: "matters", title: "Importance", icon: "matters", isOfSurface: true, needs: "edit", body: Body };

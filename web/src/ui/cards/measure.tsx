@@ -1,6 +1,7 @@
 /** Distances, angles and readings at points that are picked on the surface. */
 
 import { For, Show } from "solid-js";
+import { volumeName } from "../../state/fileNames";
 import { unitWord } from "../../state/lengths";
 import { MAX_MEASURES, measuresCsv, POINTS, type MeasureKind } from "../../state/measure";
 import { useModel, useScale } from "../model";
@@ -46,7 +47,7 @@ function List() {
   const measures = () => look().measures;
   const save = () => {
     const now = volume();
-    if (now !== undefined) saveFile(`${now.id}-measurements.csv`, new Blob([measuresCsv(measures(), now)], { type: "text/csv" }));
+    if (now !== undefined) saveFile(`${volumeName(now)}-measurements.csv`, new Blob([measuresCsv(measures(), now)], { type: "text/csv" }));
   };
   return (
     <>

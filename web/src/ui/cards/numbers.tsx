@@ -1,30 +1,29 @@
-/** All that is known of the open volume and of the last final surface. */
+/** All that is known of the last final surface. */
 
-import type { Statistics, VolumeInfo } from "../../protocol/types";
+import { Show } from "solid-js";
+import type { Statistics } from "../../protocol/types";
 import { allTriangles } from "../../state/counts";
-import { lengthScale, lengthUnit, unitWord, type LengthScale } from "../../state/lengths";
+import type { LengthScale } from "../../state/lengths";
 import { formatBytes, formatCount, formatLength, formatMs, formatValue } from "../format";
 import { countWords } from "../words";
-import { useModel } from "../model";
+import { useModel, useScale } from "../model";
 import type { Card } from "./card";
 import { EnclosedSums } from "./enclosed";
 import { Rows, type Row } from "./rows";
 
-function volumeRows(volume: VolumeInfo): readonly Row[] {
-  const { dims, spacing } = volume.geometry;
-  const product = (values: readonly number[]) => values.map((v) => formatValue(v, 4)).join(" × ");
-  return [
-    ["Samples", product(dims)],
-    ["Spacing", `${product(spacing)} ${unitWord(lengthUnit(volume))}`],
-  ];
-}
-
 function surfaceRows(s: Statistics, scale: LengthScale): readonly Row[] {
   return [
     ["Triangles", countWords(s.triangles, allTriangles(s)).replace(" triangles", "")],
-    ...criterionRows(s, scale),
-    ...errorRows(s, scale),
     ["Vertices", formatCount(s.vertices)],
+    ...errorRows(s, scale),
+    ...criterionRows(s, scale),
+  ];
+}
+
+/** For those who know how surfaces are made. */
+function diagnosticRows(s: Statistics): readonly Row[] {
+  return [
+    ["Cut of", s.isTreeCut ? "the vertex tree" : "the octree"],
     ["Active cells", formatCount(s.activeCells)],
     ["Leaves, level 0 to 5", s.leaves.map(formatCount).join(" · ")],
     ["Lost cubes", formatCount(s.lostCubes)],
@@ -36,37 +35,43 @@ function surfaceRows(s: Statistics, scale: LengthScale): readonly Row[] {
 }
 
 /** β, or the tolerance where an error or a budget decided. */
-function criterionRows({ beta, tolerance, isTreeCut }: Statistics, scale: LengthScale): readonly Row[] {
-  const cut = ["Cut of", isTreeCut ? "the vertex tree" : "the octree"] as const;
-  if (beta !== null) return [["β applied", formatValue(beta, 3)], cut];
-  if (tolerance === null) return [cut];
-  return [["Tolerance applied", tolerance < 0 ? "nothing is merged" : formatLength(tolerance, scale, 3)], cut];
+function criterionRows({ beta, tolerance }: Statistics, scale: LengthScale): readonly Row[] {
+  if (beta !== null) return [["β applied", formatValue(beta, 3)]];
+  return tolerance === null ? [] : [["Tolerance applied", tolerance < 0 ? "nothing is merged" : formatLength(tolerance, scale, 3)]];
 }
 
 /** The measured error, else the estimate, else nothing. */
 function errorRows({ error, estimatedError }: Statistics, scale: LengthScale): readonly Row[] {
   if (error !== null) {
     return [
-      ["Error, rms", formatLength(error.rms, scale, 3)],
+      ["Error, RMS", formatLength(error.rms, scale, 3)],
       ["Error, maximum", formatLength(error.max, scale, 3)],
     ];
   }
   if (estimatedError === null) return [];
-  return [["Error, rms", `≈ ${formatLength(estimatedError.rms, scale, 3)}`]];
+  return [["Error, RMS", `≈ ${formatLength(estimatedError.rms, scale, 3)}`]];
 }
 
 function Body() {
-  const { viewer, volume } = useModel();
-  const rows = () => {
-    const [known, statistics] = [volume(), viewer().statistics];
-    return [...(known === undefined ? [] : volumeRows(known)), ...(statistics === undefined ? [] : surfaceRows(statistics, lengthScale(known)))];
-  };
+  const { viewer } = useModel();
+  const scale = useScale();
+  const statistics = () => viewer().statistics;
   return (
     <>
       <EnclosedSums />
-      <Rows rows={rows()} />
+      <Show when={statistics()}>
+        {(known) => (
+          <>
+            <Rows rows={surfaceRows(known(), scale())} />
+            <details class="fold">
+              <summary>Diagnostics</summary>
+              <Rows rows={diagnosticRows(known())} />
+            </details>
+          </>
+        )}
+      </Show>
     </>
   );
 }
 
-export const numbersCard: Card = { id: "numbers", title: "Numbers", icon: "numbers", folded: true, isOfSurface: true, body: Body };
+export const numbersCard: Card = { id: "numbers", title: "Numbers", icon: "numbers", folded: true, isLocal: true, isOfSurface: true, body: Body };

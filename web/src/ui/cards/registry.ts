@@ -1,6 +1,7 @@
 /** The inspector's cards, in their order. A further card is a file and a line here. */
 
 import { lazy } from "solid-js";
+import { labelFields } from "../../state/labels";
 import type { Card } from "./card";
 import { detailCard } from "./detail";
 import { lookCard } from "./look";
@@ -19,14 +20,16 @@ export const CARDS: readonly Card[] = [
   surfaceCard,
   detailCard,
   mattersCard,
+  onDemand({ id: "labels", title: "Labels", icon: "labels", when: ({ volume }) => labelFields(volume()).length > 0, isOfSurface: true }, () => import("./labels")),
   lookCard,
   onDemand({ id: "view", title: "View", icon: "view" }, () => import("./view")),
   onDemand({ id: "clip", title: "Clip", icon: "clip" }, () => import("./clip")),
   onDemand({ id: "slices", title: "Slices", icon: "slices" }, () => import("./slices")),
   onDemand({ id: "measure", title: "Measure", icon: "measure" }, () => import("./measure")),
   onDemand({ id: "compare", title: "Compare", icon: "compare" }, () => import("./compare")),
-  onDemand({ id: "out", title: "Export", icon: "image" }, () => import("./out")),
-  onDemand({ id: "jobs", title: "Batch jobs", icon: "jobs", when: (model) => model.hasJobs() }, () => import("./jobs")),
-  onDemand({ id: "together", title: "Follow me", icon: "together", when: ({ viewer }) => viewer().groups }, () => import("./together")),
+  onDemand({ id: "out", isLocal: true, title: "Export", icon: "image" }, () => import("./out")),
+  onDemand({ id: "jobs", isLocal: true, title: "Batch jobs", icon: "jobs", when: (model) => model.hasJobs() }, () => import("./jobs")),
+  onDemand({ id: "together", isLocal: true, title: "Follow me", icon: "together", when: ({ viewer }) => viewer().groups }, () => import("./together")),
+  onDemand({ id: "data", isLocal: true, title: "Data", icon: "data" }, () => import("./data")),
   numbersCard,
 ];

@@ -3,6 +3,7 @@
 import { createMemo, createSignal, For, Show, type JSX } from "solid-js";
 import type { FieldInfo } from "../../protocol/types";
 import { fieldEdit } from "../../state/fields";
+import { labelsName } from "../../state/labels";
 import { unitsOf } from "../../state/typedNumber";
 import { useDescribed } from "../expressions";
 import { digitsBetween, formatValue } from "../format";
@@ -23,7 +24,7 @@ import { broughtIsovalue, SurfaceRows } from "./surfaceRows";
 export function openingText(field: FieldInfo | undefined, iso: number): string {
   const opening = field?.openingIso;
   // A number stays beside its sign where the line breaks.
-  return opening?.iso === iso ? `Opens here: ${opening.explanation.replaceAll(" %", "\u00a0%")}` : "";
+  return opening?.iso === iso ? `Default: ${opening.explanation.replaceAll(" %", "\u00a0%")}` : "";
 }
 
 function Body() {
@@ -47,7 +48,7 @@ function Body() {
   const use = (info: FieldInfo) => {
     actions.edit({ field: info.name, iso: info.openingIso?.iso ?? view()?.iso ?? 0 });
   };
-  const options = () => [...fields().map(({ name }) => name), ...(expression() === undefined ? [] : [expression() ?? ""])].map((name) => ({ value: name, text: label(name) }));
+  const options = () => [...fields().map(({ name }) => name), ...(expression() === undefined ? [] : [expression() ?? ""])].map((name) => ({ value: name, text: labelsName(volume(), name) ?? label(name) }));
   return (
     <>
     <Show when={field()}>

@@ -1,6 +1,7 @@
 /** The list of surfaces, how the selected one looks, which of its parts are shown, and the button for a further one. */
 
 import { createSignal, Index, Show, type JSX } from "solid-js";
+import { labelsName } from "../../state/labels";
 import { freeColor, MAX_SURFACES, type Surface } from "../../state/surfaceList";
 import { surfacesOf, type SurfaceState } from "../../state/surfaceState";
 import { unitsOf } from "../../state/typedNumber";
@@ -118,6 +119,8 @@ function Row(props: { readonly surface: Surface; readonly place: number; readonl
   const range = () => ends()[1] - ends()[0];
   const triangles = () => (facts().levelTrianglesBySurface[number()] ?? []).reduce((sum, n) => sum + n, 0);
   const words = () => rowText(surfacesOf(viewer()).get(number()), triangles());
+  const labelled = () => labelsName(volume(), props.surface.view.field);
+  const fieldName = () => labelled() ?? label(props.surface.view.field);
   const colors = () => {
     const { color } = style();
     return color === undefined ? {} : { background: color, color: inkOn(color), "border-color": color };
@@ -131,10 +134,12 @@ function Row(props: { readonly surface: Surface; readonly place: number; readonl
       <button type="button" class="surface-disc" style={colors()} aria-label={`Select ${name()}`} aria-pressed={props.isSelected} title="The cards are about the selected surface" on:click={() => actions.selectSurface(number())}>
         {props.place + 1}
       </button>
-      <NumberField label={`Isovalue of ${name()}`} value={props.surface.view.iso} digits={digitsBetween(...ends()) + 1} step={range() / 256 || 1} units={unitsOf(field()?.unit)} disabled={!model.may("edit")} onChange={change} />
-      <span class="unit">{field()?.unit ?? ""}</span>
-      <span class="note clipped" title={`${label(props.surface.view.field)}, ${formatCount(triangles())} triangles`}>
-        <Show when={(volume()?.fields.length ?? 1) > 1}>{label(props.surface.view.field)} · </Show>
+      <Show when={labelled() === undefined} fallback={<span class="clipped">{labelled()}</span>}>
+        <NumberField label={`Isovalue of ${name()}`} value={props.surface.view.iso} digits={digitsBetween(...ends()) + 1} step={range() / 256 || 1} units={unitsOf(field()?.unit)} disabled={!model.may("edit")} onChange={change} />
+        <span class="unit">{field()?.unit ?? ""}</span>
+      </Show>
+      <span class="note clipped" title={`${fieldName()}, ${formatCount(triangles())} triangles`}>
+        <Show when={(volume()?.fields.length ?? 1) > 1 && labelled() === undefined}>{label(props.surface.view.field)} · </Show>
         {words()}
       </span>
       <IconButton

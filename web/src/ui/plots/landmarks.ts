@@ -59,9 +59,9 @@ function isHounsfield({ unit, openingIso }: FieldInfo): boolean {
 function thresholds({ openingIso }: FieldInfo, brought: number | undefined): readonly Landmark[] {
   const found: Landmark[] = [];
   const add = (mark: Landmark) => found.push(mark);
-  if (brought !== undefined) add({ name: "opening", iso: brought, why: "The volume opens here" });
+  if (brought !== undefined) add({ name: "default", iso: brought, why: "The volume opens here" });
   if (openingIso !== undefined && openingIso.reason !== "no-surface") {
-    const name = openingIso.reason === "bone" ? "bone" : brought === undefined ? "opening" : "threshold";
+    const name = openingIso.reason === "bone" ? "bone" : brought === undefined ? "default" : "threshold";
     add({ name, iso: openingIso.iso, why: `Chosen from the values: ${openingIso.explanation}` });
   }
   return found;
@@ -70,7 +70,7 @@ function thresholds({ openingIso }: FieldInfo, brought: number | undefined): rea
 /** Between two classes of values; none where there is one. */
 function otsu(histogram: Histogram, width: number): readonly Landmark[] {
   const threshold = otsuThreshold(histogram);
-  return threshold === undefined ? [] : [{ name: "Otsu", iso: readable(threshold, width), why: "Separates the values into two classes (Otsu's threshold)" }];
+  return threshold === undefined ? [] : [{ name: "Otsu threshold", iso: readable(threshold, width), why: "Separates the values into two classes (Otsu's threshold)" }];
 }
 
 /**

@@ -1,4 +1,4 @@
-/** A field for a text that is checked. The value changes on Enter or when the field loses focus; Escape restores it. What is not taken is said. */
+/** A field for a text that is checked. The value changes on Enter or when the field loses focus; Escape restores it. What is not taken is said, and stays to be mended. */
 
 import { createEffect, createSignal, on } from "solid-js";
 import { useModel } from "../model";
@@ -14,19 +14,21 @@ interface TextFieldProps {
 
 export function TextField(props: TextFieldProps) {
   const { say } = useModel();
+  /** It is said once, and again if Enter is pressed. */
+  let said = "";
   const [text, setText] = createSignal(props.value);
   const show = () => setText(props.value);
   createEffect(on(() => props.value, show, { defer: true }));
-  const commit = () => {
+  const commit = (isAsked: boolean) => {
     const typed = text().trim();
     if (typed === props.value) return;
     const refused = props.refused(typed);
-    say(refused);
+    if (isAsked || said !== typed) say(refused);
+    said = typed;
     if (refused === undefined) props.onChange(typed);
-    else show();
   };
   const onKeyDown = (event: KeyboardEvent) => {
-    if (event.key === "Enter") commit();
+    if (event.key === "Enter") commit(true);
     if (event.key !== "Escape" || text() === props.value) return;
     event.stopPropagation();
     show();
@@ -44,8 +46,8 @@ export function TextField(props: TextFieldProps) {
       placeholder={props.placeholder}
       value={text()}
       on:input={(event) => setText(event.currentTarget.value)}
-      on:change={commit}
-      on:blur={commit}
+      on:change={() => commit(false)}
+      on:blur={() => commit(false)}
       on:keydown={onKeyDown}
     />
   );

@@ -220,7 +220,7 @@ pub fn place_grid(
     let (geometry, notice) = match place_known(geometry, &spaced) {
         Some(placed) => placed,
         None => {
-            let notice = format!("positions count samples, as the file's are on no even grid: {why}");
+            let notice = format!("uneven grid: coordinates are sample indices, {why}");
             (counted(geometry, &spaced), notice)
         }
     };
