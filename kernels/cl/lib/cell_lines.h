@@ -13,7 +13,8 @@
 // (1 - a, a), alternating like a checkerboard. The distance of a mesh with one vertex a cell is nearly periodic in cells, so that two suffice,
 // with a = 1/4; squares of distances that grow along the face, as at the border of a surface, have the right mean with Gauss's a = 0.211. ACROSS
 // is between: both are right within a twentieth. The other lines have no area and count for the maximum alone: beside the edge at the cell's low
-// corner, in the volume's last cells beside all four, where the interpolant has its kinks and thin spikes of the surface are.
+// corner, where the interpolant has its kinks and thin spikes of the surface are; in the volume's last cells beside all four, and where samples
+// are missing in all cells.
 #define LINES_OF_AXIS 6u
 #define INNER_LINES 2u
 #define INSET 0.0625f

@@ -175,7 +175,7 @@ fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
     let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
     (count > 0).then(|| {
         let length = cleaned.largest_move;
-        format!("{count} vertices were moved by up to {length:.3e} {unit} so that no triangles intersect, after the error was measured")
+        format!("{count} vertices were moved by up to {length:.3e} {unit} where triangles intersected, after the error was measured")
     })
 }
 

@@ -69,9 +69,9 @@ pub struct Shape {
     pub is_closed: bool,
     /// The volume that a closed surface encloses, in cubes of the file's unit.
     pub volume: Option<f64>,
-    /// Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured.
+    /// Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured and neither `clean` nor `cap` asks for the count.
     pub self_intersections: Option<u64>,
-    /// What it cost that there are none, or none at the caps of a capped surface. Null: neither was asked for.
+    /// What the repair cost, of the whole surface (`clean`) or at its caps (`cap`). Null: neither was asked for.
     pub cleaned: Option<Cleaned>,
 }
 

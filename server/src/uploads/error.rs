@@ -39,7 +39,7 @@ pub enum UploadError {
     OverQuota {
         /// Of the files.
         wanted: u64,
-        /// Of the user's other uploads, as they were declared.
+        /// Of the user's other uploads: as declared, or as unpacked if that is more.
         used: u64,
         /// What a user may have.
         quota: u64,

@@ -1,7 +1,7 @@
 //! Files become volumes, as those of a path on the command line would.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::time::SystemTime;
 
 use super::error::UploadError;
@@ -52,7 +52,7 @@ impl Uploads {
     fn read(&self, upload: &Upload) -> Result<(), UploadError> {
         let missing = |error| UploadError::of_write(error, 0);
         upload.contents.seal().map_err(missing)?;
-        upload.status().unpacked = self.unpacked(upload)?;
+        self.count_unpacked(upload)?;
         let datasets = self.datasets(upload)?;
         write_record(&upload.folder, &upload.record(true)).map_err(missing)?;
         // Not if it was deleted meanwhile: what is in the list then is removed with it.
@@ -64,13 +64,35 @@ impl Uploads {
         Ok(())
     }
 
-    /// By how much what is in compressed files is more than these, where their owner may have as much.
-    fn unpacked(&self, upload: &Upload) -> Result<u64, UploadError> {
+    /// Lets what is in compressed files count in the quota.
+    fn count_unpacked(&self, upload: &Upload) -> Result<(), UploadError> {
+        loop {
+            let more = self.unpacked(upload)?;
+            let _creating = self.0.creating.lock().unwrap_or_else(PoisonError::into_inner);
+            // Another upload may have been made meanwhile, which was promised its bytes: then there is less.
+            let needed = self
+                .used_by_others(upload)
+                .saturating_add(upload.total)
+                .saturating_add(more);
+            if more == 0 || needed <= self.0.limits.quota_bytes {
+                upload.status().unpacked = more;
+                return Ok(());
+            }
+        }
+    }
+
+    /// Bytes of the owner's other uploads that count in the quota.
+    fn used_by_others(&self, upload: &Upload) -> u64 {
         let all: Vec<_> = self.all().values().cloned().collect();
-        let own = all
+        let others = all
             .iter()
             .filter(|one| one.owner == upload.owner && one.id != upload.id);
-        let (used, quota) = (counted(&own.collect::<Vec<_>>()), self.0.limits.quota_bytes);
+        counted(&others.collect::<Vec<_>>())
+    }
+
+    /// By how much what is in compressed files is more than these, where their owner may have as much.
+    fn unpacked(&self, upload: &Upload) -> Result<u64, UploadError> {
+        let (used, quota) = (self.used_by_others(upload), self.0.limits.quota_bytes);
         let mut left = quota.saturating_sub(used).saturating_sub(upload.total);
         let mut more = 0;
         for file in upload.contents.files() {

@@ -71,9 +71,9 @@ pub struct UploadInfo {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct UploadList {
-    /// Bytes that a user may have, and those that whoever asks has declared.
+    /// Bytes that a user may have.
     pub quota_bytes: u64,
-    /// Of them.
+    /// Bytes of the user's uploads that count: as declared, or as unpacked if that is more.
     pub used_bytes: u64,
     /// The latest first; an administrator's has those of all users.
     pub uploads: Vec<UploadInfo>,

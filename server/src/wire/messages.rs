@@ -100,6 +100,9 @@ pub enum ClientMessage {
         /// The group that was led on another connection.
         #[serde(default)]
         resume: Option<Resume>,
+        /// As those of `open`, for connections without one.
+        #[serde(default)]
+        codings: Vec<String>,
     },
     /// Follow a group.
     Join {
@@ -108,6 +111,9 @@ pub enum ClientMessage {
         /// What to be called in it.
         #[serde(default)]
         name: Option<String>,
+        /// As those of `open`, for connections without one.
+        #[serde(default)]
+        codings: Vec<String>,
     },
     /// Ask for signs of life.
     Heartbeat {},

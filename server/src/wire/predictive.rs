@@ -1,11 +1,11 @@
-//! The coding `predictive` of chunks, for slow lines: about two thirds of the bytes of meshoptimizer's codecs, for about ten times their time.
+//! The coding `predictive` of chunks, for slow lines: about 60 % of the bytes of meshoptimizer's codecs, for about ten times their time.
 //! Normative: `PROTOCOL.md`, section 4.1.
 //!
 //! A traversal covers the mesh triangle after triangle, as Edgebreaker does (J. Rossignac, 1999). Behind each edge of its boundary it codes whether there
 //! is a triangle, and which third vertex that has. A new one is predicted: its position by a parallelogram and the normals so far, its
 //! features by those of the edge, and at the end its normal by those of its triangles. What differs goes to a range coder.
 //!
-//! The encoder takes a chunk of the other coding, so that this one is made of what is kept for all viewers. [`Walk`] is encoder and decoder: of a
+//! The encoder takes a chunk of the coding `meshopt`, so that this one is made of what is kept for all viewers. [`Walk`] is encoder and decoder: of a
 //! [`Known`] mesh it codes what is there, else it makes the mesh from what is read.
 
 mod boundary;

@@ -125,7 +125,10 @@ fn what_is_repaired_is_said() {
     };
     assert_eq!(opened(&both(0.2)).0, "");
     let (notice, geometry) = opened(&both(7.0));
-    assert_eq!(notice, "sform and qform put samples up to 7 apart: sform is taken");
+    assert_eq!(
+        notice,
+        "sform and qform put samples up to 7 apart, in the file's unit: sform is taken, check the orientation"
+    );
     assert_eq!(geometry.origin, [0.0; 3]);
     // Distances below 0, and none.
     let (notice, geometry) = opened(&|h| {

@@ -76,7 +76,7 @@ fn a_file_without_a_volume_says_what_it_holds() {
 fn uneven_grids_say_so() {
     let notice = open("netcdf_offset64.nc").unwrap().notices.text().unwrap();
     assert!(
-        notice.contains("positions count samples") && notice.contains("\"depth\" is not even"),
+        notice.contains("coordinates are sample indices") && notice.contains("\"depth\" is not even"),
         "{notice}"
     );
     assert!(

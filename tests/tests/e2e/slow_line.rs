@@ -95,6 +95,31 @@ async fn a_slow_line_shows_a_coarser_cut_soon_and_the_same_surface_in_the_end() 
     check_codings(&mut slow, &mut fast).await;
 }
 
+#[tokio::test]
+async fn a_follower_on_a_slow_line_has_the_coding_that_takes_less() {
+    let Some(address) = server::shared() else { return };
+    let mut leader = Viewer::open(address, demo::ID).await;
+    let view = json!({"iso": demo::ISO, "alpha": 0.5, "triangles": 100_000});
+    leader.edit_and_rest(view).await;
+    leader.send(json!({"type": "lead"})).await;
+    let group = loop {
+        if let Frame::Group(group) = leader.next().await {
+            break group["group"].clone();
+        }
+    };
+    let mut slow = Viewer::connect_on(slow_line(address).await, address).await;
+    slow.send(json!({"type": "join", "group": group, "codings": ["predictive"]}))
+        .await;
+    slow.until_done().await;
+    // The line is known by now.
+    leader.edit_and_rest(json!({"alpha": 0.8})).await;
+    slow.until_done().await;
+    let coded = slow.shown.values().filter(|chunk| chunk.is_predictive).count();
+    assert!(2 * coded > slow.shown.len(), "{coded} of {} chunks", slow.shown.len());
+    // Who leads ends the group.
+    leader.close().await;
+}
+
 /// The slow line has the coding that takes less, and errors in the order of its vertices.
 async fn check_codings(slow: &mut Viewer, fast: &mut Viewer) {
     let bytes = |viewer: &Viewer| viewer.shown.values().map(|chunk| chunk.frame_bytes).sum::<usize>();

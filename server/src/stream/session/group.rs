@@ -42,9 +42,18 @@ impl<B: Backend> Session<B> {
             ClientMessage::Lead { .. } | ClientMessage::AskControl { .. } if !self.who.may(Role::Edit) => {
                 self.refuse_edit()
             }
-            ClientMessage::Lead { resume: None } => self.on_lead(),
-            ClientMessage::Lead { resume: Some(resume) } => self.on_resume(resume),
-            ClientMessage::Join { group, name } => self.on_join(&group, name),
+            ClientMessage::Lead { resume: None, .. } => self.on_lead(),
+            ClientMessage::Lead {
+                resume: Some(resume),
+                codings,
+            } => {
+                self.take_codings(&codings);
+                self.on_resume(resume);
+            }
+            ClientMessage::Join { group, name, codings } => {
+                self.take_codings(&codings);
+                self.on_join(&group, name);
+            }
             ClientMessage::Leave {} => self.leave("you have left it"),
             ClientMessage::Pose(pose) => self.on_pose(pose),
             ClientMessage::AskControl { asks } => match &self.member {
@@ -58,6 +67,13 @@ impl<B: Backend> Session<B> {
                 }
             }
             _ => {}
+        }
+    }
+
+    /// Those of a connection that shows what another one opened; without any, what was asked for before stays.
+    fn take_codings(&mut self, codings: &[String]) {
+        if !codings.is_empty() {
+            self.coding = Coding::asked_for(codings);
         }
     }
 

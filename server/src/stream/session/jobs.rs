@@ -453,8 +453,8 @@ impl<B: Backend> Session<B> {
             made_triangles: generation.made_triangles,
             fresh_triangles: self.fresh_triangles(),
             triangles: self.pace.changing(job == NextJob::First),
-            bytes: self.uncoded_bytes(self.pace.bytes()),
-            line_bytes: self.uncoded_bytes(self.line.bytes_within(self.pace.line_time()).max(self.pace.bytes())),
+            bytes: self.meshopt_bytes(self.pace.bytes()),
+            line_bytes: self.meshopt_bytes(self.line.bytes_within(self.pace.line_time()).max(self.pace.bytes())),
         };
         let refine = async move {
             if let Some(others) = others_first {
@@ -473,8 +473,9 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Bytes of chunks in the coding of every client that the line takes in the time in which it takes these.
-    fn uncoded_bytes(&self, bytes: u64) -> u64 {
+    /// Bytes of chunks in the coding `meshopt` that the line takes in the time in which it takes these; of a coarse cut on a line that is not very slow,
+    /// which is sent in that coding, half as many more.
+    fn meshopt_bytes(&self, bytes: u64) -> u64 {
         match self.line_coding(MIN_FAST_LINE) {
             Coding::Meshopt => bytes,
             Coding::Predictive => bytes.saturating_mul(3) / 2,

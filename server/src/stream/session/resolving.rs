@@ -265,6 +265,7 @@ impl<B: Backend> Session<B> {
                 for (surface, edits) in new {
                     self.apply_all(surface, edits);
                 }
+                self.lead_or_follow();
             }
         }
     }

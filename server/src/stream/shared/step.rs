@@ -125,16 +125,16 @@ impl SharedStep {
     ) -> Result<Bytes, EncodeError> {
         let region = &self.regions[region];
         let chunk = match coding {
-            Coding::Meshopt => self.plain_chunk(region, prefix, kept),
+            Coding::Meshopt => self.meshopt_chunk(region, prefix, kept),
             Coding::Predictive => (region.predictive)
-                .get_or_init(|| region.encode_predictive(&self.plain_chunk(region, prefix, kept)?))
+                .get_or_init(|| region.encode_predictive(&self.meshopt_chunk(region, prefix, kept)?))
                 .clone(),
         };
         chunk.map(|chunk| with_prefix(&chunk, prefix))
     }
 
     /// The chunk in the coding of every client; it may name another prefix.
-    fn plain_chunk(&self, region: &SharedRegion, prefix: PrefixId, kept: &impl Chunks) -> Result<Bytes, EncodeError> {
+    fn meshopt_chunk(&self, region: &SharedRegion, prefix: PrefixId, kept: &impl Chunks) -> Result<Bytes, EncodeError> {
         let mut was_there = true;
         let chunk = region.chunk.get_or_init(|| {
             let key = self.key_of(region);
@@ -198,7 +198,7 @@ impl SharedRegion {
         }
     }
 
-    /// Whether somebody has needed its chunk in this coding before.
+    /// Whether its chunk in this coding is encoded.
     pub(in crate::stream) fn is_encoded(&self, coding: Coding) -> bool {
         let chunk = match coding {
             Coding::Meshopt => &self.chunk,

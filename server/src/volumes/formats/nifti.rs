@@ -357,7 +357,7 @@ impl Header {
         let distance = by_sform.farthest_from(&by_qform);
         if distance > 0.5 * smallest {
             notices.add(format!(
-                "sform and qform put samples up to {} apart: sform is taken",
+                "sform and qform put samples up to {} apart, in the file's unit: sform is taken, check the orientation",
                 distance as f32
             ));
         }

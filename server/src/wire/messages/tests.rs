@@ -27,6 +27,14 @@ fn messages_parse_as_in_the_protocol_page() {
             codings: vec!["later".into(), "predictive".into()],
         }
     );
+    assert_eq!(
+        parse(r#"{"type":"join","group":"5f","codings":["predictive"]}"#),
+        ClientMessage::Join {
+            group: "5f".into(),
+            name: None,
+            codings: vec!["predictive".into()],
+        }
+    );
     assert_eq!(parse(r#"{"type":"cancel"}"#), ClientMessage::Cancel {});
     assert_eq!(parse(r#"{"type":"step","step":7}"#), ClientMessage::Step { step: 7 });
     assert_eq!(

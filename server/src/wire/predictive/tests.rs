@@ -3,7 +3,7 @@ use proptest::prelude::*;
 
 use super::super::chunk::{Coding, DecodedChunk, HEADER_BYTES, PrefixId, WireVertex};
 use super::super::decode::decode;
-use super::super::encode::encode as encode_plain;
+use super::super::encode::encode as encode_meshopt;
 use super::{encode, order};
 
 /// A triangle's level and corners, the lowest corner first.
@@ -33,7 +33,7 @@ fn triangles(chunk: &DecodedChunk) -> Vec<Corners> {
 
 /// Whether the chunk has the same triangles when it is coded anew. Returns its bytes before and after.
 fn comes_back(region: &Region) -> (usize, usize) {
-    let plain = encode_plain(region, PrefixId::cut(1, 9, 2)).expect("a valid region");
+    let plain = encode_meshopt(region, PrefixId::cut(1, 9, 2)).expect("a valid region");
     let coded = encode(&plain).expect("encodes");
     let (before, after) = (decode(&plain).expect("decodes"), decode(&coded).expect("decodes"));
     assert_eq!(after.header.coding, Coding::Predictive);
@@ -120,13 +120,13 @@ fn bytes_are_golden() {
 
 #[test]
 fn what_has_no_surface_stays() {
-    let gone = encode_plain(&Region::default(), PrefixId::cut(0, 1, 0)).expect("encodes");
+    let gone = encode_meshopt(&Region::default(), PrefixId::cut(0, 1, 0)).expect("encodes");
     assert_eq!(encode(&gone).expect("stays"), gone);
 }
 
 #[test]
 fn no_prefix_of_a_chunk_is_one() {
-    let plain = encode_plain(&sheet(3), PrefixId::cut(0, 1, 0)).expect("encodes");
+    let plain = encode_meshopt(&sheet(3), PrefixId::cut(0, 1, 0)).expect("encodes");
     let coded = encode(&plain).expect("encodes");
     for length in 0..coded.len() {
         assert!(decode(&coded[..length]).is_err(), "{length} bytes");
@@ -160,7 +160,7 @@ proptest! {
 
     #[test]
     fn damaged_chunks_do_no_harm(at in HEADER_BYTES..400, value in any::<u8>(), counts in any::<Option<[u8; 2]>>()) {
-        let plain = encode_plain(&sheet(6), PrefixId::cut(0, 1, 0)).expect("encodes");
+        let plain = encode_meshopt(&sheet(6), PrefixId::cut(0, 1, 0)).expect("encodes");
         let mut coded = encode(&plain).expect("encodes").to_vec();
         if let Some(byte) = coded.get_mut(at) {
             *byte = value;

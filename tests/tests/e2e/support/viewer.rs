@@ -32,7 +32,7 @@ pub struct Viewer {
     pending: Option<Pending>,
     /// Bytes that the last `opening` stated since `open` was sent.
     read_bytes: u64,
-    /// Whether the last `open` asked for other codings of chunks.
+    /// Whether the last `open` or `join` asked for other codings of chunks.
     asks_for_codings: bool,
     /// Whether regions that have not changed may be sent again.
     pub may_repeat: bool,
@@ -169,7 +169,7 @@ impl Viewer {
 
     /// Sends a control message.
     pub async fn send(&mut self, message: Value) {
-        if message["type"] == "open" {
+        if message["type"] == "open" || message["type"] == "join" {
             self.asks_for_codings = message["codings"].is_array();
         }
         self.send_raw(Message::text(message.to_string())).await;

@@ -220,7 +220,7 @@ pub fn place_grid(
     let (geometry, notice) = match place_known(geometry, &spaced) {
         Some(placed) => placed,
         None => {
-            let notice = format!("uneven grid: coordinates are sample indices, {why}");
+            let notice = format!("coordinates are sample indices, as the file's grid is not used: {why}");
             (counted(geometry, &spaced), notice)
         }
     };
