@@ -284,6 +284,15 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     await tour.getByText("2 of 3").waitFor();
     await saveScreenshot(page, "tour");
     assert.deepEqual(await violations(page), []);
+    // The help takes its place, without the edges that it draws, and it goes on where it was.
+    const hasEdges = (expected) => page.waitForFunction((is) => location.hash.includes("wire=") === is, expected);
+    await hasEdges(true);
+    await page.getByRole("button", { name: "Help" }).click();
+    await tour.waitFor({ state: "hidden" });
+    await hasEdges(false);
+    await page.keyboard.press("Escape");
+    await tour.getByText("2 of 3").waitFor();
+    await hasEdges(true);
     await tour.getByRole("button", { name: "Skip" }).click();
     await tour.waitFor({ state: "hidden" });
     await page.reload();

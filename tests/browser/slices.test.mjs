@@ -250,6 +250,14 @@ test("those who follow see the same slices", { ...MORE, timeout: 4 * TIMEOUT_MS 
   await pane(leader.page, "z").press("PageUp");
   await follower.page.getByRole("img", { name: /^Across z slice, 23 of/ }).waitFor();
   assert.deepEqual(await crosshair(follower.page), [25, 23, 23]);
+  // A follower cannot move the crosshair or hide the slices.
+  await pane(follower.page, "z").focus();
+  await pane(follower.page, "z").press("PageUp");
+  await pane(follower.page, "z").press("s");
+  await pane(follower.page, "z").click({ position: { x: 20, y: 20 } });
+  assert.deepEqual(await crosshair(follower.page), [25, 23, 23]);
+  assert.equal(await panel(follower.page).getByRole("button", { name: "Next across z slice" }).isDisabled(), true);
+  assert.equal(await follower.page.getByRole("button", { name: "Slices beside the picture" }).getAttribute("aria-disabled"), "true");
   await leader.page.getByRole("button", { name: "Slices beside the picture" }).click();
   await panel(follower.page).waitFor({ state: "detached" });
   assert.deepEqual([...leader.faults, ...follower.faults], []);

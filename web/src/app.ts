@@ -133,6 +133,7 @@ export class App {
       },
       ...storeActions(store, (act) => this.change(act), () => this.together.mayChange(), () => this.model.mayEdit()),
       changePage: (layers) => {
+        if (layers.slicing !== undefined && !this.together.mayChange()) return;
         this.change(() => store.changePage(layers));
         this.player.follow();
         this.showDisplay();

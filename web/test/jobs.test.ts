@@ -72,9 +72,10 @@ describe("a job that is submitted from the page", () => {
     const said: string[] = [];
     let state: JobInfo["state"] = "queued";
     let posts = 0;
+    let isListed = true;
     vi.stubGlobal("fetch", (_url: URL, { method }: RequestInit) => {
       if (method === "POST") posts += 1;
-      return Promise.resolve(Response.json(method === undefined || method === "GET" ? [{ ...JOB, state }] : { ...JOB, state }));
+      return Promise.resolve(Response.json(method === undefined || method === "GET" ? (isListed ? [{ ...JOB, state }] : []) : { ...JOB, state }));
     });
     const store = { viewer: { ...INITIAL_STATE, view: OPENING, target: { volume: "head", step: 0 } } } as unknown as Store;
     const jobs = new BatchJobs(store, { toast: (text: string) => said.push(text) } as unknown as Model, BASE);
@@ -91,6 +92,11 @@ describe("a job that is submitted from the page", () => {
     await jobs.remove(JOB);
     await jobs.submit([8], "glb");
     expect(posts).toBe(4);
+    // Deleted by another page, or by the server.
+    isListed = false;
+    await jobs.list();
+    await jobs.submit([8], "glb");
+    expect(posts).toBe(5);
     vi.unstubAllGlobals();
   });
 });

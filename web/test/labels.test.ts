@@ -160,6 +160,9 @@ describe("surfaces around labels", () => {
       [2, "smooth(0.8,seg==17)", true],
     ]);
     expect(smoothedLabels(joined, 0).map(({ view }) => view.field)).toEqual([OPENING.field, 'if("seg"==7,1,0)', 'if("seg"==17||"seg"==18,1,0)']);
+    const ranges = [{ ...joined[1]!, view: { ...OPENING, field: "smooth(0.8,seg==1,4..7)" } }];
+    expect(smoothedLabels(ranges, 0)).toEqual(ranges);
+    expect(smoothedLabels(ranges, 1.5)[0]!.view.field).toBe("smooth(1.5,seg==1,4..7)");
     let full = joined;
     for (let number = 20; number < 60; number += 1) full = joinedLabel(full, of(number)) ?? full;
     expect(labelsAround(full[2]!.view.field)!.values.split(",")).toHaveLength(16);

@@ -249,11 +249,11 @@ test("a link holds layout and crosshair; one of before says nothing of them", ()
 
 test("each volume keeps its crosshair, and slices in the picture stay where it was", () => {
   const store = new Store();
-  const open = (one: typeof volume) => {
+  const open = (one: typeof volume, wish?: Parameters<Store["opened"]>[1]) => {
     store.leave(undefined);
     store.dispatch({ type: "open", target: { volume: one.id, step: 0 } });
     store.dispatch({ type: "message", message: { type: "opened", volume: one, step: 0, edit: OPENING, device: "", capabilities: {} } as never });
-    store.opened(true, undefined);
+    store.opened(true, wish);
   };
   open(volume);
   store.changeLook({ slices: { planes: [1, null, null] } });
@@ -263,6 +263,16 @@ test("each volume keeps its crosshair, and slices in the picture stay where it w
   open(volume);
   expect(store.page.slicing).toEqual({ ...FIRST_SLICING, layout: "both", at: [7, 8, 9] });
   expect(store.look.slices.planes).toEqual([1, null, null]);
+  // A link without slices does not change the work on the volume before.
+  open(other, { surfaces: [{ edit: {}, style: {} }], selected: 0, look: {}, pose: undefined });
+  expect(store.page.slicing).toEqual(FIRST_SLICING);
+  open(volume);
+  expect(store.look.slices.planes).toEqual([1, null, null]);
+  // Nor does what the one in control shows.
+  store.changePage({ slicing: { ...store.page.slicing, layout: "both" } });
+  store.adopt(store.work!, FIRST_SLICING);
+  expect([store.page.slicing, store.look.slices.planes]).toEqual([FIRST_SLICING, [1, null, null]]);
+  store.changePage({ slicing: { ...FIRST_SLICING, layout: "both", at: [7, 8, 9] } });
   store.changePage({ slicing: { ...store.page.slicing, layout: "picture" } });
   expect(store.look.slices.planes).toEqual([7, null, null]);
   // Another link has another layout.

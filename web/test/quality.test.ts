@@ -61,3 +61,19 @@ test("where it is off all frames are painted in full", () => {
   expect(turn(new AdaptiveQuality(false, () => expect.unreachable()), 20, 300)).toEqual(FULL);
   vi.advanceTimersByTime(1000);
 });
+
+test("a display that limits the rate of frames gets all back by trials, which are rarer after each that fails", () => {
+  const quality = new AdaptiveQuality(true, () => undefined);
+  turn(quality, 4, 100);
+  expect(turn(quality, 1, 20).layers).toBe(0.5);
+  expect(turn(quality, 210, 20)).toEqual(FULL);
+  // Full quality is too slow: back, and the next trial waits for twice as long.
+  expect(turn(quality, 3, 100).layers).toBe(0.5);
+  expect(turn(quality, 390, 20).layers).toBe(0.5);
+  expect(turn(quality, 20, 20)).toEqual(FULL);
+  // After one that held for as long, the wait is the first one again.
+  turn(quality, 410, 20);
+  expect(turn(quality, 3, 100).layers).toBe(0.5);
+  expect(turn(quality, 210, 20)).toEqual(FULL);
+  vi.advanceTimersByTime(1000);
+});

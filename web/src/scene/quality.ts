@@ -25,6 +25,10 @@ const VERY_SLOW_MS = 125;
 /** Frames that decide else: one alone may have waited for something. */
 const SLOW_FRAMES = 3;
 const FAST_FRAMES = 40;
+/** A display may limit the rate of frames, so that none is fast: the step above is tried after so long without slow ones. */
+const TRIAL_MS = 4000;
+/** After each trial that fails, the next one waits twice as long, up to this. */
+const MAX_TRIAL_MS = 64_000;
 /** The camera rests if it has not moved for so long: a hand that pauses would else see each pause. */
 export const REST_MS = 180;
 
@@ -34,6 +38,11 @@ export class AdaptiveQuality {
   private moved: number | undefined;
   private slow = 0;
   private fast = 0;
+  /** How long frames have not been slow. */
+  private steadyMs = 0;
+  private trialMs = TRIAL_MS;
+  /** The step was raised, and has not held for long yet. */
+  private isTrial = false;
   private timer: ReturnType<typeof setTimeout> | undefined;
 
   /**
@@ -70,15 +79,29 @@ export class AdaptiveQuality {
   }
 
   private judge(frameMs: number): void {
-    if (frameMs > VERY_SLOW_MS) return this.go(this.step + 2);
+    if (frameMs > VERY_SLOW_MS) return this.lower(2);
     this.slow = frameMs > SLOW_MS ? this.slow + 1 : 0;
     this.fast = frameMs < FAST_MS ? this.fast + 1 : 0;
-    if (this.slow >= SLOW_FRAMES) this.go(this.step + 1);
-    else if (this.fast >= FAST_FRAMES) this.go(this.step - 1);
+    this.steadyMs = frameMs > SLOW_MS ? 0 : this.steadyMs + frameMs;
+    if (this.slow >= SLOW_FRAMES) this.lower(1);
+    else if (this.fast >= FAST_FRAMES || this.steadyMs >= this.trialMs) this.raise();
+  }
+
+  private lower(steps: number): void {
+    if (this.isTrial) this.trialMs = Math.min(MAX_TRIAL_MS, 2 * this.trialMs);
+    this.isTrial = false;
+    this.go(this.step + steps);
+  }
+
+  private raise(): void {
+    // The step that was tried last has held.
+    if (this.isTrial) this.trialMs = TRIAL_MS;
+    this.isTrial = this.step > 0;
+    this.go(this.step - 1);
   }
 
   private go(step: number): void {
     this.step = Math.min(STEPS.length - 1, Math.max(0, step));
-    [this.slow, this.fast] = [0, 0];
+    [this.slow, this.fast, this.steadyMs] = [0, 0, 0];
   }
 }

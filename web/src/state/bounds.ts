@@ -48,6 +48,23 @@ export function usualWindow(volume: VolumeInfo, field: string | undefined): read
   return last > first ? [whole[0] + first * bin, last === counts.length - 1 ? whole[1] : whole[0] + (last + 1) * bin] : whole;
 }
 
+/** What lies between black and white: the usual window of the volume's own fields; of an expression only the samples of `planes` are known. */
+export function openingWindow(volume: VolumeInfo | undefined, field: string, planes: () => readonly Float32Array[]): readonly [number, number] {
+  return volume?.fields.some(({ name }) => name === field) === true ? usualWindow(volume, field) : rangeOf(planes());
+}
+
+/** Minimum and maximum of the finite samples. */
+function rangeOf(planes: readonly Float32Array[]): readonly [number, number] {
+  let [low, high] = [Infinity, -Infinity];
+  for (const samples of planes) {
+    for (const value of samples) {
+      if (value < low && value !== -Infinity) low = value;
+      if (value > high && value !== Infinity) high = value;
+    }
+  }
+  return low < high ? [low, high] : [0, 1];
+}
+
 /** The first bin up to which there are more than so many samples. */
 function binPast(counts: readonly number[], tail: number): number {
   let sum = 0;

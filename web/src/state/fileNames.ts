@@ -2,7 +2,7 @@
 
 import { digits } from "./numbers";
 
-/** Ids of volumes that users bring: nobody can tell them apart. */
+/** Ids of volumes that users bring: they tell a reader nothing. */
 const UPLOADED = /^upload-/;
 const MAX_CHARS = 80;
 

@@ -4,7 +4,7 @@ import type { Group, ServerMessage } from "../protocol/types";
 
 /** What the user does about the group. */
 export type GroupAct =
-  /** `free`: the camera is the user's own; `camera`: that of who leads again. */
+  /** `free`: the camera is the user's own; `camera`: that of the one in control again. */
   | { readonly type: "start" | "copy" | "leave" | "free" | "camera" }
   | { readonly type: "ask"; readonly asks: boolean }
   | { readonly type: "give"; readonly to: number }
@@ -12,11 +12,11 @@ export type GroupAct =
 
 /** The group that the page is in. */
 export interface GroupState extends Group {
-  /** The user turns the camera alone: it follows nobody. */
+  /** The user turns the camera alone: it does not follow that of the one in control. */
   readonly isApart: boolean;
 }
 
-/** Number of who has started it. */
+/** Number of the member that has started it. */
 export const LEADER = 0;
 
 const NAME = "follow";
@@ -61,7 +61,7 @@ export const followerName = ({ number, name }: Pick<Group["people"][number], "nu
 
 /** What is new to say of it; `undefined`: nothing. */
 export function groupNews(before: Group | undefined, now: Group): string | undefined {
-  // Who leads, and who asks for control, is in the bar.
+  // The bar names the one in control, and followers that ask for it.
   if (before === undefined) return undefined;
   if (isLed(before) && !isLed(now)) return now.you === LEADER ? "You have control again" : "You have control: the others follow you";
   if (!isLed(before) && isLed(now)) return now.you === LEADER ? "Another has control now" : "The leader has control again";

@@ -255,11 +255,12 @@ export function joinedLabel(surfaces: SurfaceList, { field, label }: Pick<LabelS
   return surfaces.map((surface) => (surface === last ? { ...surface, view: { ...surface.view, field: joined }, style: { ...surface.style, visible: true } } : surface));
 }
 
-/** The list with all surfaces around labels smoothed, or none. */
+/** The list with all surfaces around labels smoothed, or none but those around ranges, which a condition of `if` does not take. */
 export function smoothedLabels(surfaces: SurfaceList, smoothing: number): SurfaceList {
   return surfaces.map((surface) => {
     const of = labelsAround(surface.view.field);
-    return of === undefined ? surface : { ...surface, view: { ...surface.view, field: around({ ...of, smoothing }) } };
+    const isLeft = of === undefined || (smoothing === 0 && of.values.includes(".."));
+    return isLeft ? surface : { ...surface, view: { ...surface.view, field: around({ ...of, smoothing }) } };
   });
 }
 

@@ -235,7 +235,9 @@ export class Store {
     // A radius and places of another world.
     this.changePage({ brush: undefined, picked: [], kept: [], player: { ...this.layers.player, playing: false } });
     const kept = this.remembered.get(volume.id);
-    this.changePage({ slicing: wish === undefined ? { ...this.layers.slicing, field: undefined, at: kept?.crosshair } : (wish.slicing ?? FIRST_SLICING) });
+    // Not `changePage`: the history is still that of the volume before.
+    const slicing = wish === undefined ? { ...this.layers.slicing, field: undefined, at: kept?.crosshair } : (wish.slicing ?? FIRST_SLICING);
+    this.layers = { ...this.layers, slicing };
     const wished = wish && this.wished(wish, view);
     const first: Work = { surfaces: [{ number: 0, view, style: DEFAULT_STYLE }], selected: 0, look: this.openingLook, step };
     this.history = kept?.history ?? new History<Work>(wished ?? first);
@@ -307,12 +309,13 @@ export class Store {
     this.change(() => this.wished(wish, openingView));
   }
 
-  /** What another shows, in place of what is shown: no step of the history. */
-  adopt(work: Work): void {
+  /** What the one in control shows, in place of what is shown: no step of the history. Without `slicing` the slices stay. */
+  adopt(work: Work, slicing = this.layers.slicing): void {
     const { history } = this;
     if (history === undefined) return;
     history.end();
     history.amend(work);
+    this.layers = { ...this.layers, slicing };
     this.arrange();
   }
 

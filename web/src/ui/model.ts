@@ -62,7 +62,7 @@ export interface Actions {
   readonly group: (act: GroupAct) => void;
 }
 
-/** What is compared: edits with what was before, or the decimated surface with the full one. */
+/** What is compared: edits with what was before, the decimated surface with the full one, or the surface with importance and without. */
 export type Compared = "edit" | "full" | "importance";
 
 /** What an image shows besides the surface. */

@@ -99,11 +99,14 @@ function Stage(props: { readonly viewport: HTMLElement }) {
   );
 }
 
+/** Types of inputs that hold a text. */
+const TEXTS: readonly string[] = ["text", "search"];
+
 /** Undo and redo anywhere but in texts, which have their own; single keys only while the picture or a slice has the focus. */
-function listenToKeys({ actions, step, page, viewer }: Model, viewport: HTMLElement, onHelp: () => void): void {
+function listenToKeys({ actions, group, step, page, viewer }: Model, viewport: HTMLElement, onHelp: () => void): void {
   const onKey = (event: KeyboardEvent) => {
     const { target } = event;
-    if (event.altKey || (target instanceof HTMLInputElement && target.type === "text")) return;
+    if (event.altKey || (target instanceof HTMLInputElement && TEXTS.includes(target.type))) return;
     const key = event.key.toLowerCase();
     if (event.ctrlKey || event.metaKey) {
       if (key !== "z" && key !== "y") return;
@@ -117,7 +120,7 @@ function listenToKeys({ actions, step, page, viewer }: Model, viewport: HTMLElem
     const { player } = page();
     if (key === "p" && count > 1) actions.changePage({ player: { ...player, playing: !player.playing } });
     if (key === "f") actions.fit();
-    if (key === "s") {
+    if (key === "s" && !isLed(group())) {
       const layout = nextLayout(page().slicing);
       actions.changePage({ slicing: { ...page().slicing, layout } });
       // The slice that had the focus is gone.

@@ -24,7 +24,7 @@ export function TopLine(props: { readonly onHelp: () => void; readonly onUploads
         <IconButton icon="undo" label="Undo" keys="Ctrl+Z" disabled={!history().canUndo || isLed(group())} onClick={actions.undo} />
         <IconButton icon="redo" label="Redo" keys="Ctrl+Shift+Z" disabled={!history().canRedo || isLed(group())} onClick={actions.redo} />
         <IconButton icon="fit" label="Fit the surface into the picture" keys="F in the picture" onClick={actions.fit} />
-        <IconButton class="panel-toggle" icon="slices" label="Slices beside the picture" keys="S in the picture" pressed={isSliced()} onClick={toggleSlices} />
+        <IconButton class="panel-toggle" icon="slices" label="Slices beside the picture" pressed={isSliced()} disabled={isLed(group())} onClick={toggleSlices} />
         <Show when={model.may("upload")}>
           <IconButton icon="upload" label="Your volumes: upload files" onClick={() => props.onUploads()} />
         </Show>

@@ -3,7 +3,7 @@
 import { createEffect, createSignal, onCleanup, onMount, Show, untrack } from "solid-js";
 import { formatCount, formatShare } from "./format";
 import { useModel, type Model } from "./model";
-import { endTour } from "./tourState";
+import { endTour, hasTried, setStep, setTried, step } from "./tourState";
 import { Button } from "./widgets/button";
 import { Toggle } from "./widgets/choice";
 
@@ -77,24 +77,35 @@ function place(at: string, card: HTMLElement | undefined): { readonly left: numb
   return { left: target.left - WIDTH - GAP, top: inside(target.top, height, window.innerHeight) };
 }
 
+/** Draws edges while a step is about them, and after a part was marked; else they are as before when the tour goes away. */
+function useWireframe({ actions, look }: Model, isWanted: () => boolean): void {
+  const had = look().wireframe;
+  createEffect(() => {
+    const wireframe = had || hasTried() || isWanted();
+    if (untrack(look).wireframe !== wireframe) actions.changeLook({ wireframe });
+  });
+  onCleanup(() => {
+    if (!had && !hasTried() && look().wireframe) actions.changeLook({ wireframe: false });
+  });
+}
+
 export default function Tour(props: { readonly onEnd: () => void }) {
   const model = useModel();
-  const [step, setStep] = createSignal(0);
   const [corner, setCorner] = createSignal({ left: 0, top: 0 });
   let card: HTMLElement | undefined;
   const now = () => STEPS[step()] ?? STEPS[0];
-  const hadWireframe = model.look().wireframe;
-  const [hasTried, setTried] = createSignal(false);
-  createEffect(() => {
-    const wireframe = hadWireframe || hasTried() || now()?.wireframe === true;
-    if (untrack(model.look).wireframe !== wireframe) model.actions.changeLook({ wireframe });
-  });
+  useWireframe(model, () => now()?.wireframe === true);
   const end = () => {
     endTour();
-    model.actions.changePage({ tool: undefined });
-    if (!hadWireframe && !hasTried()) model.actions.changeLook({ wireframe: false });
+    if (model.comparing() === "importance") model.actions.compare(undefined);
     props.onEnd();
+    setStep(0);
+    setTried(false);
   };
+  // The help, or following, takes the tour's place for a while.
+  onCleanup(() => {
+    if (hasTried() && model.page().tool === "paint") model.actions.changePage({ tool: undefined });
+  });
   const mark = () => {
     setTried(true);
     markCentre(model);
@@ -102,6 +113,7 @@ export default function Tour(props: { readonly onEnd: () => void }) {
   const settle = () => setCorner(place(now()?.at ?? "", card));
   createEffect(settle);
   onMount(() => {
+    if (hasTried() && model.page().tool === undefined) model.actions.changePage({ tool: "paint" });
     window.addEventListener("resize", settle);
     onCleanup(() => window.removeEventListener("resize", settle));
   });

@@ -1,4 +1,6 @@
-/** Whether this browser has seen the tour. */
+/** Whether this browser has seen the tour, and where the tour is: it is away while the help is open or the user follows. */
+
+import { createSignal } from "solid-js";
 
 const KEY = "isopeel.tour";
 
@@ -18,3 +20,8 @@ export function endTour(): void {
     // Storage may be forbidden.
   }
 }
+
+/** Number of the step. */
+export const [step, setStep] = createSignal(0);
+/** Whether the user has marked a part. */
+export const [hasTried, setTried] = createSignal(false);

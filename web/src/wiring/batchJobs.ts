@@ -4,14 +4,14 @@ import type { JobRequest } from "../net/jobs";
 import type { JobInfo } from "../protocol/types";
 import { volumeName } from "../state/fileNames";
 import type { Store } from "../state/store";
-import { submittedText } from "../ui/cards/jobWords";
+import { submittedText, titleOf } from "../ui/cards/jobWords";
 import type { JobActions, MeshFormat, Model } from "../ui/model";
 import { exportedView, saveFile } from "../ui/takeAlong";
 
 export class BatchJobs implements JobActions {
   /** A request that had no answer, and its key: sent again it makes no second job. */
   private unanswered: { readonly text: string; readonly key: string } | undefined;
-  /** The last one that was submitted, until it is cancelled or deleted, or has failed. */
+  /** The last one that was submitted, until it is cancelled or deleted, has failed, or is no longer listed. */
   private last: { readonly text: string; readonly id: string } | undefined;
 
   constructor(
@@ -22,8 +22,11 @@ export class BatchJobs implements JobActions {
 
   async list(): Promise<readonly JobInfo[]> {
     const { listJobs } = await import("../net/jobs");
+    const { last } = this;
     const jobs = await listJobs(this.base);
-    if (jobs.some(({ id, state }) => id === this.last?.id && (state === "failed" || state === "cancelled"))) this.last = undefined;
+    const state = jobs.find(({ id }) => id === last?.id)?.state;
+    // One that is submitted meanwhile may not be listed yet.
+    if (this.last === last && (state === undefined || state === "failed" || state === "cancelled")) this.last = undefined;
     return jobs;
   }
 
@@ -50,14 +53,10 @@ export class BatchJobs implements JobActions {
   download(job: JobInfo): Promise<void> {
     return this.try("The results could not be fetched", async () => {
       const { fetchResults } = await import("../net/jobs");
-      const { name, file } = await fetchResults(this.base, job, volumeName(this.titled(job)));
+      const { name, file } = await fetchResults(this.base, job, volumeName({ id: job.volume, title: titleOf(this.store.viewer.volumes, job.volume) }));
       saveFile(name, file);
       this.model.toast(`${name} is ready`, "brief");
     });
-  }
-
-  private titled({ volume }: JobInfo): { readonly id: string; readonly title: string } {
-    return this.store.viewer.volumes?.find(({ id }) => id === volume) ?? { id: volume, title: volume };
   }
 
   private async send(request: JobRequest): Promise<JobInfo> {

@@ -34,7 +34,7 @@ export class Comparison {
     private readonly handlers: ComparisonHandlers,
   ) {}
 
-  /** Keeps what is shown now to compare edits with it, or fetches the full surface to compare with. */
+  /** Keeps what is shown now to compare it with edits or with the same budget without importance, or fetches the full surface to compare with. */
   start(kind: Compared): void {
     if (this.scene.regionCount === 0) return;
     this.end();

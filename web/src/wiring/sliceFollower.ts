@@ -17,7 +17,7 @@ export class SliceFollower {
     model.beside.retry = () => this.planes.retry();
   }
 
-  /** Costs nothing where all is as before. */
+  /** Asks for nothing if all is as before. */
   show(): void {
     const { isEmbedded, page: { slicing }, surfaces, view, viewer } = this.store;
     const { connection, target, volume } = viewer;

@@ -3,7 +3,7 @@
 import { fetchSlice, type Plane } from "../net/slices";
 import type { VolumeInfo } from "../protocol/types";
 import type { Slice } from "../scene/slices";
-import { usualWindow } from "../state/bounds";
+import { openingWindow } from "../state/bounds";
 import type { SliceChoice } from "../state/look";
 import { planesAt, type Slicing } from "../state/slicing";
 import { unevenOf, type Uneven } from "../world/uneven";
@@ -73,9 +73,7 @@ export class SliceLoader {
     if (this.wanted === undefined) return;
     const { choice, source } = this.wanted;
     const planes = sourceOf(this.loaded) === sourceOf(keyOf(this.wanted)) ? this.planes : [];
-    const isListed = source.volume.fields.some(({ name }) => name === source.field);
-    // Of an expression nothing is known here but what is shown.
-    const [black, white] = choice.window ?? (isListed ? usualWindow(source.volume, source.field) : rangeOf(planes));
+    const [black, white] = choice.window ?? openingWindow(source.volume, source.field, () => planes.map(({ samples }) => samples));
     const state = [black, white, ...planes];
     if (state.length === this.shown.length && state.every((value, i) => value === this.shown[i])) return;
     // Without planes the window does not matter.
@@ -100,13 +98,6 @@ const sourceOf = (key: string) => key.slice(0, key.indexOf("\n"));
 function linesOf({ axes }: Plane, uneven: Uneven | undefined): Pick<Slice, "lines"> {
   const along = (name: "x" | "y" | "z" | undefined) => (name === undefined ? null : uneven?.[AXES.indexOf(name)] ?? null);
   return uneven === undefined || axes === undefined ? {} : { lines: [along(axes[0]), along(axes[1])] };
-}
-
-/** Minimum and maximum of the samples that are there. */
-function rangeOf(planes: readonly Plane[]): readonly [number, number] {
-  let [low, high] = [Infinity, -Infinity];
-  for (const { samples } of planes) for (const value of samples) if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
-  return low < high ? [low, high] : [0, 1];
 }
 
 /** Those that there are: a link may ask for others. */

@@ -82,7 +82,7 @@ export class Together {
       case "start":
         return client.say({ type: "lead", resume: null });
       case "copy":
-        if (this.group !== undefined) void copyOut(model, groupLink(window.location.href, this.group.group), "Link copied: whoever may use this server and opens it follows");
+        if (this.group !== undefined) void copyOut(model, groupLink(window.location.href, this.group.group), "Link copied: anyone with access to this server who opens it follows");
         return;
       case "leave":
         return client.say({ type: "leave" });
@@ -146,10 +146,7 @@ export class Together {
     const surfaces = led.surfaces.map(({ surface, edit }, at) => ({ number: surface, view: viewOf(edit as View), style: { ...DEFAULT_STYLE, ...link?.surfaces[at]?.style } }));
     const selected = (surfaces[link?.selected ?? 0] ?? surfaces[0])?.number ?? 0;
     const look = link === undefined ? store.look : { ...store.openingLook, ...link.look };
-    adopt(() => {
-      store.adopt({ surfaces, selected, step: led.step, look });
-      if (link !== undefined) store.changePage({ slicing: link.slicing ?? FIRST_SLICING });
-    });
+    adopt(() => store.adopt({ surfaces, selected, step: led.step, look }, link && (link.slicing ?? FIRST_SLICING)));
   }
 
   private entered(message: Extract<ServerMessage, { type: "group" }>): void {

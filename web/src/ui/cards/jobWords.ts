@@ -3,6 +3,11 @@
 import type { JobInfo } from "../../protocol/types";
 import { formatBytes, formatCount } from "../format";
 
+type Titles = readonly { readonly id: string; readonly title: string }[] | undefined;
+
+/** The title of a volume; its id if the server no longer has it. */
+export const titleOf = (volumes: Titles, id: string) => volumes?.find((volume) => volume.id === id)?.title ?? id;
+
 const files = (count: number) => (count === 1 ? "1 file" : `${formatCount(count)} files`);
 /** Extractions whose surfaces have no triangles. */
 const withoutSurface = (count: number) => (count > 0 ? `, ${formatCount(count)} without a surface` : "");
@@ -44,9 +49,9 @@ export function submittedText({ extractions, estimate }: JobInfo): string {
 }
 
 /** What is said when it has ended. */
-export function finishedText({ volume: id, state, extractions }: JobInfo, volumes: readonly { readonly id: string; readonly title: string }[] | undefined): string {
+export function finishedText({ volume: id, state, extractions }: JobInfo, volumes: Titles): string {
   const { done, empty } = extractions;
-  const volume = volumes?.find((known) => known.id === id)?.title ?? id;
+  const volume = titleOf(volumes, id);
   if (state === "done") return `${files(done)} of ${volume} ${done === 1 ? "is" : "are"} ready${withoutSurface(empty)}`;
   return `The batch job of ${volume} ${state === "failed" ? "has failed" : "was cancelled"}`;
 }

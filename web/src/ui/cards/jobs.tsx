@@ -10,7 +10,7 @@ import { useModel, type JobActions, type MeshFormat } from "../model";
 import { Button } from "../widgets/button";
 import { Choice } from "../widgets/choice";
 import { TextRow } from "../widgets/textRow";
-import { finishedText, jobText } from "./jobWords";
+import { finishedText, jobText, titleOf } from "./jobWords";
 import "../style/jobs.css";
 
 /** How often the server is asked while something is made, and while nothing is. */
@@ -81,7 +81,7 @@ function Submit(props: { readonly onSubmit: (isovalues: readonly number[]) => Pr
 
 function Row(props: { readonly job: JobInfo; readonly onCancel: () => void; readonly onDelete: () => void; readonly onDownload: () => void }) {
   const { viewer } = useModel();
-  const title = () => viewer().volumes?.find(({ id }) => id === props.job.volume)?.title ?? props.job.volume;
+  const title = () => titleOf(viewer().volumes, props.job.volume);
   const of = () => `${title()}, ${new Date(1000 * props.job.submitted).toLocaleString()}`;
   const { extractions } = props.job;
   return (

@@ -7,6 +7,7 @@ import { importanceEdit, isAround, joinedLabel, labelByNumber, labelFields, labe
 import { lengthUnit } from "../../state/lengths";
 import { listHas } from "../../state/mask";
 import type { Surface } from "../../state/surfaceList";
+import { selectSurface } from "../../state/surfaceState";
 import { formatCount } from "../format";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
@@ -151,13 +152,19 @@ function showLabel(model: ReturnType<typeof useModel>, field: string, label: Lab
   else model.ask(`${full}. Show ${label.name} in the last one too, in its colour?`, [{ text: "Show", act: () => actions.arrangeSurfaces((list) => joinedLabel(list, of)) }]);
 }
 
+/** Whether a surface is on screen as it is going to stay, so that it can be summed up. */
+function useReady(): (surface: Surface) => boolean {
+  const { facts, viewer } = useModel();
+  return ({ number }) => !facts().busy && selectSurface(viewer(), number).shown !== undefined;
+}
+
 /** Smoothing, and area and volume of the surfaces that are shown. */
 function Foot(props: { readonly field: string }) {
   const model = useModel();
-  const { actions, facts, surfaces, viewer } = model;
+  const { actions, surfaces } = model;
+  const isReady = useReady();
   const shown = () => surfaces().filter(({ view, style }) => style.visible && labelsAround(view.field)?.field === props.field);
   const known = () => model.sums?.known() ?? new Map<number, never>();
-  const isDue = () => facts().busy || viewer().shown === undefined;
   const smooth = (on: boolean) => {
     setSmooth(on);
     actions.arrangeSurfaces((list) => (list.some(isAround) ? smoothedLabels(list, on ? SMOOTHING : 0) : undefined));
@@ -170,7 +177,7 @@ function Foot(props: { readonly field: string }) {
           <Show when={shown().every(({ number }) => !known().has(number))} fallback={<Sums surfaces={shown()} />}>
             <div class="control row">
               <span class="label">Area and volume</span>
-              <Button disabled={isDue()} onClick={() => model.sums?.sum(shown().map(({ number }) => number))}>
+              <Button disabled={!shown().some(isReady)} onClick={() => model.sums?.sum(shown().map(({ number }) => number))}>
                 Compute
               </Button>
             </div>
@@ -184,6 +191,7 @@ function Foot(props: { readonly field: string }) {
 function Sums(props: { readonly surfaces: readonly Surface[] }) {
   const model = useModel();
   const { volume } = model;
+  const isReady = useReady();
   const sumsOf = ({ number }: Surface) => model.sums?.known().get(number);
   const columns = (sums: Enclosed) => enclosedRows(sums, lengthUnit(volume())).map(([, text]) => text).reverse();
   return (
@@ -209,7 +217,7 @@ function Sums(props: { readonly surfaces: readonly Surface[] }) {
                 </Match>
                 <Match when={sumsOf(surface) === undefined}>
                   <td colspan={2}>
-                    <Button quiet onClick={() => model.sums?.sum([surface.number])}>
+                    <Button quiet disabled={!isReady(surface)} onClick={() => model.sums?.sum([surface.number])}>
                       Compute
                     </Button>
                   </td>

@@ -1,7 +1,7 @@
 /** A group: others join by a link and are shown what one of them does. */
 
 import { createSignal, For, Match, Show, Switch } from "solid-js";
-import { followerName, LEADER, type GroupState } from "../../state/group";
+import { followerName, isLed, LEADER, type GroupState } from "../../state/group";
 import { useModel } from "../model";
 import { Needs } from "../needs";
 import { Button } from "../widgets/button";
@@ -38,7 +38,7 @@ function Start() {
 function Leading(props: { readonly group: GroupState }) {
   return (
     <>
-      <p class="note">Anyone with access to this server can join by the link. Who asks can be given control</p>
+      <p class="note">Anyone with access to this server can join by the link. You can give control to a follower that asks for it</p>
       <People group={props.group} />
     </>
   );
@@ -66,14 +66,16 @@ function People(props: { readonly group: GroupState }) {
 
 /** A name for the leader. */
 function Following() {
-  const { actions } = useModel();
+  const { actions, group } = useModel();
   const change = (chosen: string) => {
     setName(chosen);
     actions.group({ type: "name", name: chosen });
   };
   return (
     <>
-      <p class="note">You see what the leader shows: controls are off until you have control or leave</p>
+      <Show when={isLed(group())}>
+        <p class="note">You see what the one in control shows: controls are off until you have control or leave</p>
+      </Show>
       <TextRow label="Your name, for the leader" value={name()} maxLength={40} placeholder="none" onChange={change} />
     </>
   );

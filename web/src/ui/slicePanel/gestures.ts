@@ -44,33 +44,40 @@ export class WheelSteps {
 }
 
 export function listenToSlice(element: HTMLElement, does: SliceGestures): void {
-  let drag: { readonly button: number; readonly from: Place } | undefined;
+  let drag: { readonly pointer: number; readonly button: number; readonly from: Place } | undefined;
   const wheel = new WheelSteps();
   const placeOf = ({ clientX, clientY }: MouseEvent): Place => {
     const { left, top } = element.getBoundingClientRect();
     return [clientX - left, clientY - top];
   };
+  const isOther = ({ pointerId }: PointerEvent) => drag !== undefined && drag.pointer !== pointerId;
   const end = () => {
     if (drag?.button === 2) does.onWindowEnd(true);
     drag = undefined;
   };
+  const endOf = (event: PointerEvent) => {
+    if (!isOther(event)) end();
+  };
   element.addEventListener("pointerdown", (event) => {
     if (!event.isPrimary || (event.button !== 0 && event.button !== 2)) return;
+    // The end of the drag before may have been missed.
+    end();
     // On a Mac the right button is Control and the left one.
     const button = event.ctrlKey ? 2 : event.button;
-    drag = { button, from: placeOf(event) };
+    drag = { pointer: event.pointerId, button, from: placeOf(event) };
     element.setPointerCapture(event.pointerId);
     if (button === 0) does.onPoint(drag.from);
     else does.onWindowEnd(false);
   });
   element.addEventListener("pointermove", (event) => {
+    if (isOther(event)) return;
     const place = placeOf(event);
     if (drag === undefined && event.pointerType !== "touch") does.onHover(place);
     if (drag?.button === 0) does.onPoint(place);
     if (drag?.button === 2) does.onWindow(place[0] - drag.from[0], place[1] - drag.from[1]);
   });
-  element.addEventListener("pointerup", end);
-  element.addEventListener("pointercancel", end);
+  element.addEventListener("pointerup", endOf);
+  element.addEventListener("pointercancel", endOf);
   element.addEventListener("pointerleave", () => does.onHover(undefined));
   element.addEventListener("contextmenu", (event) => event.preventDefault());
   element.addEventListener("dblclick", () => does.onReset());

@@ -6,6 +6,7 @@ import { indicesAtPixel, pixelOf, type SliceView } from "../../slices/view";
 import type { VolumeInfo } from "../../protocol/types";
 import { sampleRange } from "../../state/bounds";
 import { hasLabels } from "../../state/fields";
+import { isLed } from "../../state/group";
 import { crosshairOf, moved, outlinesOf, pointed, sampleNear, type SliceState } from "../../state/slicing";
 import { useModel } from "../model";
 import type { Triple } from "../../world/places";
@@ -103,19 +104,19 @@ function Lines(props: { readonly cross: Place; readonly size: readonly [number, 
   );
 }
 
-/** For fingers, and whoever sees no wheel. */
+/** For touch screens, and for users without a wheel. */
 function Steps(props: { readonly view: SliceView }) {
-  const { actions, page, volume } = useModel();
+  const { actions, group, page, volume } = useModel();
   const step = (by: number) => {
     const known = volume();
     if (known !== undefined) actions.changePage({ slicing: moved(page().slicing, known.geometry.dims, props.view.across, by * props.view.onward) });
   };
   return (
     <span class="slice-steps">
-      <button type="button" aria-label={`Previous ${props.view.name.toLowerCase()} slice`} title="Previous slice · Page Down" on:click={() => step(-1)}>
+      <button type="button" disabled={isLed(group())} aria-label={`Previous ${props.view.name.toLowerCase()} slice`} title="Previous slice · Page Down" on:click={() => step(-1)}>
         <Icon name="chevron" />
       </button>
-      <button type="button" class="onward" aria-label={`Next ${props.view.name.toLowerCase()} slice`} title="Next slice · Page Up" on:click={() => step(1)}>
+      <button type="button" class="onward" disabled={isLed(group())} aria-label={`Next ${props.view.name.toLowerCase()} slice`} title="Next slice · Page Up" on:click={() => step(1)}>
         <Icon name="chevron" />
       </button>
     </span>
@@ -144,7 +145,7 @@ function useDrawing(props: PaneProps, state: () => SliceState | undefined): { re
 }
 
 function useGestures(props: PaneProps, size: () => readonly [number, number]): SliceGestures {
-  const { actions, look, page, volume } = useModel();
+  const { actions, group, look, page, volume } = useModel();
   const field = useShownField();
   const shownWindow = useWindow();
   let before = shownWindow();
@@ -153,15 +154,23 @@ function useGestures(props: PaneProps, size: () => readonly [number, number]): S
     const { view } = props;
     return sampleNear(dims(), sampleOf(view, indicesAtPixel(view, fitOf(view, ...size()), x, y), crosshairOf(page().slicing, dims())[view.across]));
   };
-  const move = (axis: 0 | 1 | 2, by: number) => actions.changePage({ slicing: moved(page().slicing, dims(), axis, by) });
+  const isOff = () => isLed(group());
+  const move = (axis: 0 | 1 | 2, by: number) => {
+    if (isOff()) return;
+    actions.changePage({ slicing: moved(page().slicing, dims(), axis, by) });
+    // The pointer is over a sample of another slice now.
+    props.onHover(undefined);
+  };
   return {
     onPoint: (place) => {
+      if (isOff()) return;
       const slicing = pointed(page().slicing, dims(), indexAt(place));
       if (slicing !== page().slicing) actions.changePage({ slicing });
       props.onHover(undefined);
     },
     onHover: (place) => props.onHover(place && indexAt(place)),
     onWindow: (right, down) => {
+      if (isOff()) return;
       const known = volume();
       const [low, high] = known?.fields.some(({ name }) => name === field()) === true ? sampleRange(known, field()) : before;
       actions.changeLook({ slices: { ...look().slices, window: draggedWindow(before, right, down, high - low || 1) } }, WINDOW_GESTURE);
@@ -170,7 +179,9 @@ function useGestures(props: PaneProps, size: () => readonly [number, number]): S
       before = shownWindow();
       if (isOver) actions.endGesture();
     },
-    onReset: () => actions.changeLook({ slices: { ...look().slices, window: undefined } }),
+    onReset: () => {
+      if (!isOff()) actions.changeLook({ slices: { ...look().slices, window: undefined } });
+    },
     onScroll: (by) => move(props.view.across, by * props.view.onward),
     onStep: (right, down) => {
       const { axes, signs } = props.view;
