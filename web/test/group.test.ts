@@ -101,7 +101,7 @@ describe("a client that follows", () => {
     client = makeClient();
     client.join(ID, undefined);
     client.start();
-    await vi.waitFor(() => expect(said).toEqual([{ type: "join", name: null, group: ID }]));
+    await vi.waitFor(() => expect(said).toEqual([{ type: "join", name: null, group: ID, codings: ["predictive"] }]));
   });
 
   function makeClient(): StreamClient {
@@ -165,7 +165,7 @@ describe("a client that follows", () => {
 
   test("who leads does so again on a new connection, after what it shows, and nobody else has the key", async () => {
     const key = "k".repeat(32);
-    const resume = { type: "lead", resume: { group: ID, key } };
+    const resume = { type: "lead", resume: { group: ID, key }, codings: ["predictive"] };
     const leads = { ...group, you: 0, key };
     say(leads);
     await vi.waitFor(() => expect(heard).toEqual([{ ...group, you: 0 }]));
@@ -208,7 +208,7 @@ describe("a client that follows", () => {
     client.start();
     await vi.waitFor(() => expect(said.at(-1)?.type).toBe("open"), 5000);
     say(opened);
-    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "lead", resume: leading }));
+    await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "lead", resume: leading, codings: ["predictive"] }));
     client.say({ type: "leave" });
     expect(client.leads).toBeUndefined();
     await vi.waitFor(() => expect(said.at(-1)).toEqual({ type: "leave" }));

@@ -3,11 +3,26 @@
  * time, so that a copy of the tab has nothing of it. Storage may be closed to the page: then a reload ends the group.
  */
 
+import { ASKED_CODINGS } from "../protocol/chunk";
+import type { ClientMessage } from "../protocol/generated";
+
 /** A group, and what it is led again with; known to nobody else. */
 export interface Leading {
   readonly group: string;
   readonly key: string;
 }
+
+/** A group that is followed, and the follower's name in it. */
+export interface Joined {
+  readonly group: string;
+  readonly name?: string;
+}
+
+/** The message that joins a group. */
+export const joining = (joined: Joined): ClientMessage => ({ type: "join", name: null, ...joined, codings: [...ASKED_CODINGS] });
+
+/** The message that leads a group again. */
+export const leadingAgain = (resume: Leading): ClientMessage => ({ type: "lead", resume, codings: [...ASKED_CODINGS] });
 
 const KEY = "isopeel-leads";
 /** The server waits half as long for who leads; a tab that is opened again later leads nothing. */

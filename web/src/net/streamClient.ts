@@ -8,7 +8,7 @@ import { ASKED_CODINGS } from "../protocol/chunk";
 import { parseServerMessage } from "../protocol/messages";
 import type { Capabilities, ClientMessage, Edit, GroupMessage, Question, ServerMessage, StreamMessage, View } from "../protocol/types";
 import { Connection, type ConnectionState } from "./connection";
-import type { Leading } from "./leading";
+import { joining, leadingAgain, type Joined, type Leading } from "./leading";
 import { Throttle } from "./throttle";
 
 /** 20 edits a second are smooth under a dragged slider; the server would merge more of them anyway. */
@@ -56,7 +56,7 @@ export class StreamClient {
   private isShown = false;
   private asked = 0;
   /** The group to follow, also on a new connection. */
-  private joined: { readonly group: string; readonly name?: string } | undefined;
+  private joined: Joined | undefined;
   /** The group that is led from here, and what it is led again with on a new connection. */
   private leading: Leading | undefined;
   /** Another member of a group has control, or is going to: what is shown is theirs, and nothing of it is asked for here. */
@@ -221,7 +221,7 @@ export class StreamClient {
     this.isLed = true;
     this.throttle.cancel();
     for (const surface of this.surfaces.values()) surface.unsent = undefined;
-    this.send({ type: "join", name: null, ...this.joined });
+    this.send(joining(this.joined));
   }
 
   /** Something about the group. */
@@ -234,7 +234,7 @@ export class StreamClient {
     this.opened = false;
     if (this.joined !== undefined) {
       this.isLed = true;
-      this.send({ type: "join", name: null, ...this.joined });
+      this.send(joining(this.joined));
       return;
     }
     // Another shows what is to be opened.
@@ -244,7 +244,7 @@ export class StreamClient {
 
   /** Whether a group is led from here; then it is, on this connection too. */
   private leadAgain(): boolean {
-    return this.leading !== undefined && this.send({ type: "lead", resume: this.leading });
+    return this.leading !== undefined && this.send(leadingAgain(this.leading));
   }
 
   private receive(text: string): void {

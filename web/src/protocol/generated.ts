@@ -126,11 +126,15 @@ export type ClientMessage = { "type": "open",
 } | { "type": "lead",
   /** The group that was led on another connection. */
   resume: Resume | null,
+  /** As those of `open`, for connections without one. */
+  codings: Array<string>,
 } | { "type": "join",
   /** Its id. */
   group: string,
   /** What to be called in it. */
   name: string | null,
+  /** As those of `open`, for connections without one. */
+  codings: Array<string>,
 } | { "type": "heartbeat",
 } | { "type": "leave",
 } | { "type": "pose" } & Pose | { "type": "ask-control",
@@ -774,9 +778,9 @@ export type Shape = {
   isClosed: boolean,
   /** The volume that a closed surface encloses, in cubes of the file's unit. */
   volume: number | null,
-  /** Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured. */
+  /** Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured and neither `clean` nor `cap` asks for the count. */
   selfIntersections: number | null,
-  /** What it cost that there are none, or none at the caps of a capped surface. Null: neither was asked for. */
+  /** What the repair cost, of the whole surface (`clean`) or at its caps (`cap`). Null: neither was asked for. */
   cleaned: Cleaned | null,
 };
 
@@ -938,9 +942,9 @@ export type UploadInfo = {
 
 /** What `GET uploads` answers. */
 export type UploadList = {
-  /** Bytes that a user may have, and those that whoever asks has declared. */
+  /** Bytes that a user may have. */
   quotaBytes: number,
-  /** Of them. */
+  /** Bytes of the user's uploads that count: as declared, or as unpacked if that is more. */
   usedBytes: number,
   /** The latest first; an administrator's has those of all users. */
   uploads: Array<UploadInfo>,

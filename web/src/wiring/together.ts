@@ -80,7 +80,7 @@ export class Together {
     const { client, model } = this.around;
     switch (act.type) {
       case "start":
-        return client.say({ type: "lead", resume: null });
+        return client.say({ type: "lead", resume: null, codings: [] });
       case "copy":
         if (this.group !== undefined) void copyOut(model, groupLink(window.location.href, this.group.group), "Link copied: anyone with access to this server who opens it follows");
         return;
