@@ -45,7 +45,10 @@ async function openTamperedPage() {
       for (const data of held.splice(0)) socket.send(data);
     };
     line.hold = () => (open = false);
-    socket.connectToServer().onMessage((data) => {
+    const server = socket.connectToServer();
+    // Chunks are read here in the coding of every client.
+    socket.onMessage((data) => server.send(typeof data === "string" ? data.replace(/"codings":\[[^\]]*\]/, '"codings":[]') : data));
+    server.onMessage((data) => {
       if (typeof data === "string") return JSON.parse(data).type === "annotated" ? pass(data) : socket.send(data);
       const region = data.subarray(20, 32).toString("hex");
       if (data[13] === 0) {

@@ -52,7 +52,7 @@ pub(super) struct Line {
     /// Bytes a second, the latest last.
     rates: VecDeque<f64>,
     round_trip: Option<Duration>,
-    /// When bytes were confirmed, or when a frame was sent while no pong was awaited.
+    /// When bytes were confirmed, or when the first of those that are not were sent.
     progress: Instant,
 }
 
@@ -120,8 +120,7 @@ impl Line {
     /// The writer takes a frame. Returns what the ping behind it carries, if one is due.
     pub(super) fn took(&mut self, bytes: usize) -> Option<u32> {
         let now = Instant::now();
-        // What was sent since the last pong is less than a ping's share: a pause says nothing about the line.
-        if self.pings.is_empty() {
+        if self.sent == self.confirmed {
             self.progress = now;
         }
         self.sent += bytes as u64;
