@@ -61,11 +61,16 @@ describe("viewer", { timeout: 4 * TIMEOUT_MS }, () => {
     await page.goto(`${at.server.url}/#v=1&volume=${volume}&triangles=1500&alpha=0&tf=0,0,000000;1,0,000000&color=importance&map=ylor&roi=${region}`);
     await page.reload();
     const before = await rested(page);
-    const { data } = await picture(page);
     let [red, pale] = [0, 0];
-    for (let i = 0; i < data.length; i += 4) {
-      if (data[i] > 2 * data[i + 1] && data[i] > 100) red += 1;
-      if (data[i] > 100 && data[i + 1] > 0.85 * data[i] && data[i + 2] < 0.9 * data[i]) pale += 1;
+    // On a busy machine the frame with the region's colour comes after the surface.
+    const limit = Date.now() + 10_000;
+    while (Math.min(red, pale) <= 2000 && Date.now() < limit) {
+      const { data } = await picture(page);
+      [red, pale] = [0, 0];
+      for (let i = 0; i < data.length; i += 4) {
+        if (data[i] > 2 * data[i + 1] && data[i] > 100) red += 1;
+        if (data[i] > 100 && data[i + 1] > 0.85 * data[i] && data[i + 2] < 0.9 * data[i]) pale += 1;
+      }
     }
     assert.ok(Math.min(red, pale) > 2000, `${red} red pixels, ${pale} pale ones`);
 
