@@ -88,7 +88,7 @@ pub enum Compress {
     /// As little as the format asks for.
     #[default]
     None,
-    /// Arrays of a VTP as blocks of zlib; the text of a 3MF by deflate, to a fifth of its bytes.
+    /// Arrays of a VTP as blocks of zlib; the text of a 3MF by deflate, to a third of its bytes.
     Zlib,
     /// A GLB with meshoptimizer's codecs and numbers of fewer bits, for pages on the web. Blender does not read it.
     Meshopt,
