@@ -1,5 +1,7 @@
 //! The measured error of any cut's dual mesh, region by region, against brute force.
 
+use std::ops::RangeInclusive;
+
 use super::recipes::{Pattern, recipes_of, surfaces};
 use super::*;
 use isopeel_kernels::{SampleType, SurfaceError, Tuning};
@@ -89,6 +91,27 @@ fn any_cut_states_what_brute_force_finds() {
     });
 }
 
+/// Compares cuts that merge all cubes below a level: what is stated ÷ what the twin finds.
+fn check_merged(engine: &Engine, loaded: &Loaded, levels: &[u8], rms: RangeInclusive<f32>, max: RangeInclusive<f32>) {
+    let pyramid = build(engine, loaded, Feature::None);
+    let host = HostPyramid::read(engine, &pyramid);
+    let twin = construct::construct(&loaded.field, TwinFeature::None, loaded.iso);
+    for &level in levels {
+        let merged = |leaf: &Leaf| if leaf.level <= level { level } else { 255 };
+        let state: Vec<u8> = host.leaves.iter().map(merged).collect();
+        let Surface {
+            regions, statistics, ..
+        } = measured(engine, loaded, &pyramid, &state, false);
+        let triangles = world_triangles(&loaded.field, &regions);
+        let (_, Bounds { high, .. }) = bounds(&loaded.field, loaded.iso, false, &host.cut(&twin, &state), &triangles);
+        let got = statistics.error.expect("asked for");
+        assert!(
+            rms.contains(&(got.rms / high.rms)) && max.contains(&(got.max / high.max)),
+            "level {level}: {got:?}, {high:?}"
+        );
+    }
+}
+
 /// A ball with a bump, and of it cuts that merge more and more.
 #[test]
 fn smooth_surfaces_are_measured_within_a_twentieth() {
@@ -102,23 +125,7 @@ fn smooth_surfaces_are_measured_within_a_twentieth() {
     let samples = points.map(|p| 11.2 - radius(p)).collect();
     let samples = isopeel_kernels::Samples::F32(samples);
     let loaded = load_samples(&engine, grid, &samples, None, 0.0);
-    let pyramid = build(&engine, &loaded, Feature::None);
-    let host = HostPyramid::read(&engine, &pyramid);
-    let twin = construct::construct(&loaded.field, TwinFeature::None, loaded.iso);
-    for level in [0u8, 1, 2] {
-        let merged = |leaf: &Leaf| if leaf.level <= level { level } else { 255 };
-        let state: Vec<u8> = host.leaves.iter().map(merged).collect();
-        let Surface {
-            regions, statistics, ..
-        } = measured(&engine, &loaded, &pyramid, &state, false);
-        let triangles = world_triangles(&loaded.field, &regions);
-        let (_, Bounds { high, .. }) = bounds(&loaded.field, 0.0, false, &host.cut(&twin, &state), &triangles);
-        let got = statistics.error.expect("asked for");
-        assert!(
-            (0.98..=1.03).contains(&(got.rms / high.rms)) && (0.95..=1.05).contains(&(got.max / high.max)),
-            "level {level}: {got:?}, {high:?}"
-        );
-    }
+    check_merged(&engine, &loaded, &[0, 1, 2], 0.98..=1.03, 0.95..=1.05);
 }
 
 /// Half a ball: many of its triangles are next to the border of the surface, whose nearest point is no foot of a perpendicular.
@@ -138,23 +145,7 @@ fn a_surface_that_ends_at_missing_samples_is_measured_within_a_tenth() {
     };
     let samples = isopeel_kernels::Samples::F32(points.map(value).collect());
     let loaded = load_samples(&engine, grid, &samples, None, 0.0);
-    let pyramid = build(&engine, &loaded, Feature::None);
-    let host = HostPyramid::read(&engine, &pyramid);
-    let twin = construct::construct(&loaded.field, TwinFeature::None, loaded.iso);
-    for level in [0u8, 1] {
-        let merged = |leaf: &Leaf| if leaf.level <= level { level } else { 255 };
-        let state: Vec<u8> = host.leaves.iter().map(merged).collect();
-        let Surface {
-            regions, statistics, ..
-        } = measured(&engine, &loaded, &pyramid, &state, false);
-        let triangles = world_triangles(&loaded.field, &regions);
-        let (_, Bounds { high, .. }) = bounds(&loaded.field, 0.0, false, &host.cut(&twin, &state), &triangles);
-        let got = statistics.error.expect("asked for");
-        assert!(
-            (0.97..=1.1).contains(&(got.rms / high.rms)) && (0.97..=1.1).contains(&(got.max / high.max)),
-            "level {level}: {got:?}, {high:?}"
-        );
-    }
+    check_merged(&engine, &loaded, &[0, 1], 0.97..=1.1, 0.97..=1.1);
 }
 
 /// A volume with one sample more on every side, below all others, as capping has it.
