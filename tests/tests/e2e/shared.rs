@@ -82,6 +82,10 @@ async fn eight_viewers_of_one_view_are_as_much_work_as_one() {
     let later = look(server.address).await;
     let twice = made(server.address);
     assert_eq!([twice[0], twice[2]], [once[0], once[2]], "{twice:?}, {once:?}");
+    assert!(
+        twice[1] <= 2.0 * once[1] && twice[3] <= 2.0 * once[3],
+        "{twice:?}, {once:?}"
+    );
     assert!(later.chunks == alone.chunks, "other bytes");
     drop(server);
 
