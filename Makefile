@@ -21,7 +21,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	dependencies lint test-compose test-clients dist test-dist test-kubernetes test-slurm test-web test-rust load soak test-volumes fuzz fuzz-targets fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
+	dependencies lint test-compose test-podman test-apptainer test-clients dist test-dist test-kubernetes test-slurm test-web test-rust load soak test-volumes fuzz fuzz-targets fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -197,13 +197,21 @@ fuzz-targets: prerequisites-build target/tools/cargo-fuzz-$(CARGO_FUZZ_VERSION) 
 containers: ## both images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes a quarter of an hour
 	tests/scripts/containers.sh
 
-test-compose: ## the CPU image by docker/compose.yaml: what is kept, any user, TLS; needs Docker with Compose 2, and takes a quarter of an hour
-	docker build --file docker/Dockerfile --target cpu --tag isopeel:cpu .
+test-compose: ## the CPU image by docker/compose.yaml: what is kept, any user, the end under load, TLS; needs Docker with Compose 2
 	tests/scripts/compose.sh
 
-dist: web-client ## what a release has, in target/dist: tarball and Debian package against an old glibc, licences, bill of materials, checksums
+VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
+ARCHIVE ?= target/dist/isopeel-$(VERSION)-cpu-amd64.oci.tar
+test-podman: ## the OCI archive of `make dist` (ARCHIVE) by rootless Podman; as a user
+	tests/scripts/podman.sh $(ARCHIVE)
+
+test-apptainer: ## the same by Apptainer and docker/isopeel.def, in a root of Debian sid; as root, or after it made the root once
+	tests/scripts/apptainer.sh $(ARCHIVE)
+
+dist: web-client ## what a release has, in target/dist: tarball and Debian package against an old glibc, licences, bill of materials, OCI archives, checksums; as root
 	packaging/dist.sh build
 	packaging/dist.sh pack
+	packaging/dist.sh images
 
 test-dist: ## the files of `make dist` in roots of Debian 11, 12 and 13; as root, or after it made the roots once
 	packaging/dist.sh try bullseye bookworm trixie

@@ -1,23 +1,27 @@
 #!/bin/bash
-# What a release consists of, in target/dist: a tarball and a Debian package for x86-64, their symbols, licences, a bill of materials and checksums.
+# What a release consists of, in target/dist: of each architecture a tarball, a Debian package, symbols and images of containers; licences, a bill of
+# materials and checksums.
 #
-#   packaging/dist.sh build         compiles the binary against an old glibc
-#   packaging/dist.sh pack          makes the files of it
-#   packaging/dist.sh try SUITE...  installs and runs both in roots of these Debian releases; as root, or after it made the roots once
+#   packaging/dist.sh build         compiles the binaries against an old glibc
+#   packaging/dist.sh pack          makes the files of them
+#   packaging/dist.sh images        makes OCI archives of them, by the targets cpu and gpu of docker/Dockerfile; as root
+#   packaging/dist.sh try SUITE...  installs and runs tarball and package in roots of these Debian releases; as root, or after it made the roots once
 #
-# `build` needs Rust and the web client in web/dist, and gets zig and cargo-zigbuild from PyPI. `pack` needs binutils, dpkg-deb and xz, and writes
-# the same bytes for the same binary and commit. `try` uses tests/scripts/fresh-debian.sh.
+# ARCHITECTURES is "amd64" unless it is set, as to "amd64 arm64"; arm64 is compiled on this machine, for which Rust has to have its target. `build` needs
+# Rust and the web client in web/dist, and gets zig and cargo-zigbuild from PyPI. `pack` needs binutils of each architecture, dpkg-deb and xz, `images`
+# buildah, and qemu-user-static for another architecture than this machine's. All write the same bytes for the same commit, compilers and base image:
+# BASE_IMAGE, that of the Dockerfile unless it is set. `try` uses tests/scripts/fresh-debian.sh.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
 cd "$(dirname "$0")/.."
 # The oldest glibc that is supported: that of Debian 11.
 glibc=2.31
-target=x86_64-unknown-linux-gnu
+read -ra architectures <<<"${ARCHITECTURES:-amd64}"
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
-name=isopeel-$version-x86_64-linux
 dist=$PWD/target/dist
-binary=$PWD/target/$target/release/isopeel
+# Where the Dockerfile takes them from.
+binaries=$PWD/target/dist-binaries
 SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct)}
 export SOURCE_DATE_EPOCH
 
@@ -26,31 +30,46 @@ fail() {
     exit 1
 }
 
+# What `uname -m` prints, by Debian's name of an architecture.
+machine_of() {
+    case $1 in
+    amd64) echo x86_64 ;;
+    arm64) echo aarch64 ;;
+    *) fail "the architecture is $1, expected amd64 or arm64" ;;
+    esac
+}
+# tool ARCHITECTURE NAME: a program of binutils
+tool() { echo "$(machine_of "$1")-linux-gnu-$2"; }
+name_of() { echo "isopeel-$version-$(machine_of "$1")-linux"; }
+
 build() {
-    local tools=$PWD/target/dist-venv
+    local architecture tools=$PWD/target/dist-venv
     if [ ! -x "$tools/bin/cargo-zigbuild" ]; then
         python3 -m venv "$tools"
         "$tools/bin/pip" --quiet install --requirement packaging/requirements.txt
     fi
-    # Paths of this machine would differ from those of another one.
-    RUSTFLAGS="--remap-path-prefix=$PWD=/isopeel --remap-path-prefix=${CARGO_HOME:-$HOME/.cargo}=/cargo" \
-        PATH=$tools/bin:$PATH cargo zigbuild --locked --release --package isopeel --target "$target.$glibc"
+    for architecture in "${architectures[@]}"; do
+        # Paths of this machine would differ from those of another one.
+        RUSTFLAGS="--remap-path-prefix=$PWD=/isopeel --remap-path-prefix=${CARGO_HOME:-$HOME/.cargo}=/cargo" \
+            PATH=$tools/bin:$PATH cargo zigbuild --locked --release --package isopeel --target "$(machine_of "$architecture")-unknown-linux-gnu.$glibc"
+    done
 }
 
 ## What of the system the binary needs
 
-# Symbols of newer versions than Debian 11 has, and libraries that are not on each machine.
+# check_binary ARCHITECTURE FILE: no symbols of newer versions than Debian 11 has, and no libraries that are not on each machine.
 check_binary() {
-    local newest libraries
-    newest=$(objdump --dynamic-syms "$1" | grep --only-matching 'GLIBC_[0-9.]*' | sort --version-sort --unique | tail -n 1)
+    local newest libraries objdump
+    objdump=$(tool "$1" objdump)
+    newest=$("$objdump" --dynamic-syms "$2" | grep --only-matching 'GLIBC_[0-9.]*' | sort --version-sort --unique | tail -n 1)
     [ "$(printf '%s\n' "GLIBC_$glibc" "$newest" | sort --version-sort | tail -n 1)" = "GLIBC_$glibc" ] ||
-        fail "$1 needs $newest, expected GLIBC_$glibc or older"
-    if objdump --dynamic-syms "$1" | grep --quiet 'GLIBCXX_\|CXXABI_'; then
-        fail "$1 needs libstdc++, expected none"
+        fail "$2 needs $newest, expected GLIBC_$glibc or older"
+    if "$objdump" --dynamic-syms "$2" | grep --quiet 'GLIBCXX_\|CXXABI_'; then
+        fail "$2 needs libstdc++, expected none"
     fi
-    libraries=$(objdump --private-headers "$1" | sed -n 's/^ *NEEDED *//p' | grep --invert-match --line-regexp 'lib\(c\|m\|dl\|rt\|pthread\|util\)\.so\.[0-9]*\|ld-linux-x86-64\.so\.2' || true)
-    [ -z "$libraries" ] || fail "$1 needs $libraries, expected those of glibc alone"
-    echo "needs at most $newest, and no library but glibc"
+    libraries=$("$objdump" --private-headers "$2" | sed -n 's/^ *NEEDED *//p' | grep --invert-match --line-regexp 'lib\(c\|m\|dl\|rt\|pthread\|util\)\.so\.[0-9]*\|ld-linux-[a-z0-9-]*\.so\.[12]' || true)
+    [ -z "$libraries" ] || fail "$2 needs $libraries, expected those of glibc alone"
+    echo "$1: needs at most $newest, and no library but glibc"
 }
 
 ## The files
@@ -60,7 +79,7 @@ tar_of() {
     tar --create --sort=name --mtime="@$SOURCE_DATE_EPOCH" --owner=0 --group=0 --numeric-owner --format=gnu --directory "$1" "${@:2}"
 }
 
-# unpacked FOLDER: what is in the tarball, and in /usr/share/doc of the package.
+# documents FOLDER: what is in the tarball, and in /usr/share/doc of the package.
 documents() {
     cp README.md CHANGELOG.md LICENSE-MIT LICENSE-APACHE "$work/THIRD-PARTY.txt" "$1"
 }
@@ -72,46 +91,102 @@ check_unit() {
     tail --lines=1 "$work/unit"
 }
 
+# make_package ARCHITECTURE
 make_package() {
-    local root=$work/deb
-    install -D --mode=755 "$work/isopeel" "$root/usr/bin/isopeel"
+    local root=$work/$1/deb program
+    # Completions and manual are of the binary that this machine runs, if it is there.
+    program=$binaries/$(dpkg --print-architecture)/isopeel
+    [ -x "$program" ] || program=$binaries/$1/isopeel
+    install -D --mode=755 "$binaries/$1/isopeel" "$root/usr/bin/isopeel"
     install -D --mode=644 packaging/isopeel.service "$root/lib/systemd/system/isopeel.service"
     install -D --mode=644 packaging/isopeel.toml "$root/etc/isopeel/isopeel.toml"
     install --directory "$root/usr/share/doc/isopeel" "$root/DEBIAN" "$root/usr/share/bash-completion/completions" "$root/usr/share/man/man1"
     documents "$root/usr/share/doc/isopeel"
     cp LICENSE-MIT "$root/usr/share/doc/isopeel/copyright"
-    "$work/isopeel" completions bash >"$root/usr/share/bash-completion/completions/isopeel"
-    "$work/isopeel" manual "$root/usr/share/man/man1"
+    "$program" completions bash >"$root/usr/share/bash-completion/completions/isopeel"
+    "$program" manual "$root/usr/share/man/man1"
     gzip --no-name --best "$root/usr/share/man/man1/"*
     echo /etc/isopeel/isopeel.toml >"$root/DEBIAN/conffiles"
-    sed "s/@VERSION@/$version/; s/@GLIBC@/$glibc/; s/@SIZE@/$(du --summarize --apparent-size --block-size=1K "$root" | cut -f1)/" packaging/control >"$root/DEBIAN/control"
+    sed "s/@VERSION@/$version/; s/@GLIBC@/$glibc/; s/@ARCHITECTURE@/$1/; s/@SIZE@/$(du --summarize --apparent-size --block-size=1K "$root" | cut -f1)/" \
+        packaging/control >"$root/DEBIAN/control"
     install --mode=755 packaging/postinst packaging/prerm packaging/postrm "$root/DEBIAN"
     chmod -R u=rwX,go=rX "$root"
-    dpkg-deb --root-owner-group -Zxz --build "$root" "$dist/isopeel_${version}_amd64.deb" >/dev/null
+    dpkg-deb --root-owner-group -Zxz --build "$root" "$dist/isopeel_${version}_$1.deb" >/dev/null
+}
+
+# strip_binary ARCHITECTURE: what is compiled, without symbols, which stay beside
+strip_binary() {
+    local binary objcopy
+    binary=$PWD/target/$(machine_of "$1")-unknown-linux-gnu/release/isopeel
+    objcopy=$(tool "$1" objcopy)
+    [ -x "$binary" ] || fail "$binary is not there: packaging/dist.sh build"
+    mkdir -p "$binaries/$1" "$work/$1"
+    "$objcopy" --only-keep-debug "$binary" "$work/$1/isopeel.debug"
+    "$objcopy" --strip-all --add-gnu-debuglink="$work/$1/isopeel.debug" "$binary" "$binaries/$1/isopeel"
+    check_binary "$1" "$binaries/$1/isopeel"
+}
+
+# pack_for ARCHITECTURE
+pack_for() {
+    local name
+    name=$(name_of "$1")
+    mkdir "$work/$1/$name"
+    install --mode=755 "$binaries/$1/isopeel" "$work/$1/$name/isopeel"
+    documents "$work/$1/$name"
+    cp packaging/isopeel.service packaging/isopeel.toml docker/isopeel.slurm docker/isopeel-batch.slurm "$work/$1/$name"
+    chmod -R u=rwX,go=rX "$work/$1/$name"
+    tar_of "$work/$1" "$name" | gzip --no-name --best >"$dist/$name.tar.gz"
+    tar_of "$work/$1" isopeel.debug | xz --threads=1 -1 >"$dist/$name-symbols.tar.xz"
+    make_package "$1"
+}
+
+write_sums() {
+    (cd "$dist" && rm -f SHA256SUMS && sha256sum -- * >"$work/sums" && mv "$work/sums" SHA256SUMS)
+    ls -l "$dist"
 }
 
 pack() {
-    [ -x "$binary" ] || fail "$binary is not there: packaging/dist.sh build"
-    work=$(mktemp -d)
-    trap 'rm -rf "$work"' EXIT
-    rm -rf "$dist"
-    mkdir -p "$dist" "$work/$name"
-    objcopy --only-keep-debug "$binary" "$work/isopeel.debug"
-    objcopy --strip-all --add-gnu-debuglink="$work/isopeel.debug" "$binary" "$work/isopeel"
-    check_binary "$work/isopeel"
+    local architecture
+    rm -rf "$dist" "$binaries"
+    mkdir -p "$dist"
+    for architecture in "${architectures[@]}"; do strip_binary "$architecture"; done
     check_unit
     packaging/third_party.py "$work"
     cp "$work/isopeel.cdx.json" "$dist/isopeel-$version.cdx.json"
+    for architecture in "${architectures[@]}"; do pack_for "$architecture"; done
+    write_sums
+}
 
-    install --mode=755 "$work/isopeel" "$work/$name/isopeel"
-    documents "$work/$name"
-    cp packaging/isopeel.service packaging/isopeel.toml docker/isopeel.slurm docker/isopeel-batch.slurm "$work/$name"
-    chmod -R u=rwX,go=rX "$work/$name"
-    tar_of "$work" "$name" | gzip --no-name --best >"$dist/$name.tar.gz"
-    tar_of "$work" isopeel.debug | xz --threads=1 -1 >"$dist/$name-symbols.tar.xz"
-    make_package
-    (cd "$dist" && sha256sum -- * >"$work/sums" && mv "$work/sums" SHA256SUMS)
-    ls -l "$dist"
+## Images
+
+# image_of ARCHITECTURE TARGET: dist/isopeel-VERSION-TARGET-ARCHITECTURE.oci.tar
+image_of() {
+    local tag=localhost/isopeel:$version-$2-$1 base digest
+    base=${BASE_IMAGE:-$(sed -n 's/^ARG BASE_IMAGE=//p' docker/Dockerfile)}
+    # One that this machine has made has no other name.
+    digest=${base##*@}
+    [ "$digest" != "$base" ] || digest=$(buildah inspect --type image --format '{{.FromImageDigest}}' "$base")
+    buildah build --isolation chroot --no-cache --platform "linux/$1" --timestamp "$SOURCE_DATE_EPOCH" --target "$2" --tag "$tag" \
+        --build-arg BINARY=packed --build-arg BASE_IMAGE="$base" \
+        --label org.opencontainers.image.revision="$(git rev-parse HEAD)" \
+        --label org.opencontainers.image.created="$(date --utc --date="@$SOURCE_DATE_EPOCH" +%Y-%m-%dT%H:%M:%SZ)" \
+        --label org.opencontainers.image.base.digest="$digest" \
+        --file docker/Dockerfile . >"$work/log" 2>&1 || { tail -n 40 "$work/log" >&2 && fail "could not build the image $2 for $1"; }
+    # As a folder first: the archive's own bytes are to depend on its content alone.
+    mkdir "$work/oci"
+    buildah push --quiet "$tag" "oci:$work/oci:$version-$2" >/dev/null
+    tar_of "$work/oci" . >"$dist/isopeel-$version-$2-$1.oci.tar"
+    rm -r "$work/oci"
+}
+
+images() {
+    local architecture target
+    command -v buildah >/dev/null || fail "needs buildah: apt-get install buildah"
+    for architecture in "${architectures[@]}"; do
+        [ -x "$binaries/$architecture/isopeel" ] || fail "$binaries/$architecture/isopeel is not there: packaging/dist.sh pack"
+        for target in cpu gpu; do image_of "$architecture" "$target"; done
+    done
+    write_sums
 }
 
 ## Trying them
@@ -158,14 +233,18 @@ try() {
     }' >"$dist/ball.nrrd"
     for suite; do
         tests/scripts/fresh-debian.sh run "$suite" ocl-icd-libopencl1,pocl-opencl-icd,curl \
-            bash -c "$(declare -f in_root); in_root \"\$@\"" in_root "$dist" "$name" "$dist/ball.nrrd" "$version"
+            bash -c "$(declare -f in_root); in_root \"\$@\"" in_root "$dist" "$(name_of amd64)" "$dist/ball.nrrd" "$version"
     done
     rm "$dist/ball.nrrd"
 }
 
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
 case ${1:-} in
 build) build ;;
 pack) pack ;;
+images) images ;;
 try) shift && try "$@" ;;
-*) sed -n '2,9s/^# \{0,1\}//p' "$0" && exit 2 ;;
+*) sed -n '2,10s/^# \{0,1\}//p' "$0" && exit 2 ;;
 esac

@@ -21,12 +21,14 @@ ROOT = Path(__file__).resolve().parents[1]
 # Licences that a package states in its README alone.
 STATED = {"combine-errors": "MIT"}
 TEXTS = re.compile(r"^(licen[cs]e|copying|notice|copyright|unlicense)", re.IGNORECASE)
-TARGET = "x86_64-unknown-linux-gnu"
+TARGETS = ["x86_64-unknown-linux-gnu", "aarch64-unknown-linux-gnu"]
 
 
 def crates():
     """The crates that the binary links, without those of builds and tests alone: (name, version, licence, folder)."""
-    command = ["cargo", "metadata", "--locked", "--format-version", "1", "--filter-platform", TARGET]
+    command = ["cargo", "metadata", "--locked", "--format-version", "1"]
+    for target in TARGETS:
+        command += ["--filter-platform", target]
     found = json.loads(subprocess.run(command, cwd=ROOT, check=True, capture_output=True).stdout)
     packages = {package["id"]: package for package in found["packages"]}
     nodes = {node["id"]: node for node in found["resolve"]["nodes"]}

@@ -1,8 +1,13 @@
 #!/bin/bash
-# Runs the image isopeel:cpu by docker/compose.yaml with a real engine: state is kept, any user may run it, TLS is as docker/README.md says.
+# Builds and runs the image isopeel:cpu by docker/compose.yaml with a real engine: state is kept, any user may run it, no request breaks at the end, TLS is as
+# docker/README.md says.
 #
-#   docker build -f docker/Dockerfile --target cpu -t isopeel:cpu .
 #   tests/scripts/compose.sh
+#
+# BASE_IMAGE replaces the Dockerfile's base image, and the binary is then that of `make dist`; so it needs neither a registry of images nor a compiler:
+#
+#   tests/scripts/base-images.sh debian && podman push localhost/isopeel-debian docker-daemon:isopeel-debian:latest
+#   BASE_IMAGE=isopeel-debian tests/scripts/compose.sh
 #
 # Needs Docker with Compose 2, curl, jq and openssl. COMPOSE is the command, "docker compose" by default. An engine without a bridge gives its
 # containers the host's network. Removes the containers and volumes of its own project at the end, and no others.
@@ -12,7 +17,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 read -ra compose <<<"${COMPOSE:-docker compose}"
 export ISOPEEL_PORT=${ISOPEEL_PORT:-18490}
-unset ISOPEEL_DATA ISOPEEL_USER ISOPEEL_ADDRESS ISOPEEL_PUBLIC_URL ISOPEEL_CERTIFICATE ISOPEEL_KEY ISOPEEL_TOKEN
+unset ISOPEEL_DRAIN ISOPEEL_DATA ISOPEEL_USER ISOPEEL_ADDRESS ISOPEEL_PUBLIC_URL ISOPEEL_CERTIFICATE ISOPEEL_KEY ISOPEEL_TOKEN
 work=$(mktemp -d)
 chmod 755 "$work"
 files=(-f docker/compose.yaml)
@@ -32,6 +37,7 @@ trap 'run down --volumes --timeout 5 >/dev/null 2>&1; rm -rf "$work"' EXIT
     echo "  cpu:"
     echo "    command: serve --listen 0.0.0.0:$ISOPEEL_PORT"
     echo "    environment: {HEALTH_PORT: '$ISOPEEL_PORT'}"
+    [ -z "${BASE_IMAGE:-}" ] || echo "    build: {network: host, args: {BASE_IMAGE: '$BASE_IMAGE', BINARY: packed}}"
     if docker network inspect bridge >/dev/null 2>&1; then
         echo "    ports: !override ['127.0.0.1:$ISOPEEL_PORT:$ISOPEEL_PORT']"
     else
@@ -70,6 +76,16 @@ new_token() { run exec --no-TTY cpu isopeel token create --user ann --role view 
 
 url=http://127.0.0.1:$ISOPEEL_PORT
 files+=(-f "$work/test.yaml")
+echo "=== build"
+run build --quiet cpu >"$work/answer" 2>&1 || fail "does not build: $(cat "$work/answer")"
+# As to a machine without a registry.
+docker save isopeel:cpu >"$work/image.tar" && docker load --quiet <"$work/image.tar" >/dev/null && rm "$work/image.tar"
+docker image inspect isopeel:cpu >"$work/image"
+echo "base image $(jq --raw-output '.[0].Config.Labels."org.opencontainers.image.base.name"' "$work/image"), $(jq '.[0].Size / 1e6 | round' "$work/image") MB"
+for label in title description licenses version base.name; do
+    jq --exit-status ".[0].Config.Labels.\"org.opencontainers.image.$label\" // \"\" | length > 0" "$work/image" >/dev/null || fail "no label $label"
+done
+
 echo "=== as it is shipped"
 run up --detach --quiet-pull cpu 2>/dev/null || fail "does not start"
 echo "ready after $(ready "$url/readyz") s without compiled kernels"
@@ -102,14 +118,55 @@ run stop 2>/dev/null
 [ "$(docker inspect --format '{{.State.ExitCode}}' "$(run ps --all --quiet cpu)")" = 0 ] || fail "SIGTERM did not end it with success"
 run down --volumes 2>/dev/null
 
-echo "=== as any user"
+echo "=== the end under load"
+# Four clients that ask as a balancer does: for what is ready only.
+client() {
+    while [ "$(curl --silent --output /dev/null --write-out '%{http_code}' "$url/readyz")" = 200 ]; do
+        curl --silent --output /dev/null --write-out '%{http_code}\n' "${user[@]}" \
+            --json "{\"volume\": \"mni152\", \"iso\": $((80 + RANDOM % 40)), \"triangles\": 20000, \"format\": \"stl\"}" "$url/api/v1/extract" || echo broken
+    done
+}
+ISOPEEL_DRAIN=8 run up --detach cpu 2>/dev/null || fail "does not start"
+ready "$url/readyz" >/dev/null
+token=$(new_token)
+user=(--header "Authorization: Bearer $token")
+sleep 6
+# Compiles what is left to compile.
+answer 200 "${user[@]}" --json '{"volume": "mni152", "iso": 90, "triangles": 20000, "format": "stl"}' "$url/api/v1/extract"
+clients=()
+for n in 1 2 3 4; do
+    client >"$work/client-$n" &
+    clients+=($!)
+done
+sleep 4
+before=$(cat "$work"/client-? | wc -l)
+start=$EPOCHREALTIME
+run stop 2>/dev/null
+seconds=$(echo "$start $EPOCHREALTIME" | awk '{ printf "%.1f", $2 - $1 }')
+wait "${clients[@]}"
+all=$(cat "$work"/client-? | wc -l) broken=$(cat "$work"/client-? | grep --count --invert-match '^200$' || true)
+echo "ended after $seconds s, $((all - before)) of $all requests after SIGTERM, $broken broken"
+[ "$broken" = 0 ] || fail "requests broke: $(cat "$work"/client-? | sort | uniq -c)"
+[ "$all" -gt "$before" ] || fail "nothing was asked for after SIGTERM"
+awk "BEGIN { exit !($seconds <= 10) }" || fail "took longer than 10 s"
+run down --volumes 2>/dev/null
+
+echo "=== as any user, with volumes of a folder"
+mkdir "$work/scans"
+awk 'BEGIN { printf "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: ascii\n\n"; for (i = 0; i < 512; i++) print i % 200 }' >"$work/scans/ramp.nrrd"
+export ISOPEEL_DATA=$work/scans
+sed -i "s|command: .*|command: serve --listen 0.0.0.0:$ISOPEEL_PORT /data|" "$work/test.yaml"
 ISOPEEL_USER=1234567 run up --detach cpu 2>/dev/null || fail "does not start as another user"
 echo "ready after $(ready "$url/readyz") s"
 token=$(ISOPEEL_USER=1234567 new_token)
 [ -n "$token" ] || fail "no token as another user"
+sleep 6
+answer 200 --header "Authorization: Bearer $token" "$url/api/v1/volumes/ramp"
 ISOPEEL_USER=1234567 run exec --no-TTY cpu sh -c 'test "$(id -u)" = 1234567 && ls kernels/pocl >/dev/null && test "$(stat -c %a state)" = 700' ||
     fail "kernels and state are not kept by another user"
 run down --volumes 2>/dev/null
+unset ISOPEEL_DATA
+sed -i 's| /data$||' "$work/test.yaml"
 
 echo "=== with TLS"
 if "${compose[@]}" -f docker/compose.yaml -f docker/compose.tls.yaml config >"$work/answer" 2>&1 || ! grep --quiet "required variable ISOPEEL_.* is missing a value: set it to" "$work/answer"; then

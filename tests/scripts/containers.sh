@@ -6,12 +6,11 @@
 #
 # Needs root, Debian, and network (Debian, crates.io, npm). Rust and Node are this machine's own, copied into images that only
 # build. What this machine needs to reach the network (certificates, ~/.npmrc, ~/.cargo/config.toml) is mounted while they build
-# and stays out of the images. DEBIAN_MIRROR replaces the usual one; ISOPEEL_LOG is where the builds' output goes.
+# and stays out of the images. Bases are those of tests/scripts/base-images.sh. ISOPEEL_LOG is where the builds' output goes.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
 cd "$(dirname "$0")/../.."
-mirror=${DEBIAN_MIRROR:-http://deb.debian.org/debian}
 log=${ISOPEEL_LOG:-target/containers.log}
 mkdir -p "$(dirname "$log")"
 
@@ -31,37 +30,8 @@ done
 work=$(mktemp -d /var/tmp/isopeel-containers.XXXXXX)
 trap 'rm -rf "$work"' EXIT
 
-# image NAME BASE: reads a script that is run with $root, the file system of the new image
-image() {
-    local container root
-    container=$(buildah from "$2")
-    root=$(buildah mount "$container")
-    export root container
-    bash -eu -o pipefail >>"$log" 2>&1 || fail "could not make the image $1"
-    buildah umount "$container" >/dev/null
-    buildah commit --quiet --rm "$container" "localhost/isopeel-$1" >/dev/null
-}
-
 say "base images"
-: >"$log"
-export mirror
-image debian scratch <<'SCRIPT'
-mmdebstrap --variant=minbase --include=ca-certificates bookworm "$root" "$mirror"
-SCRIPT
-image rust localhost/isopeel-debian <<'SCRIPT'
-buildah run --isolation chroot "$container" sh -c \
-    'apt-get update && apt-get install --yes --no-install-recommends build-essential' </dev/null
-mkdir -p "$root/opt/rust" "$root/usr/local/cargo"
-tar -C "$(rustc --print sysroot)" --exclude=./share --exclude=./lib/rustlib/src -cf - . | tar -C "$root/opt/rust" -xf -
-buildah config --env CARGO_HOME=/usr/local/cargo --env PATH=/opt/rust/bin:/usr/sbin:/usr/bin:/sbin:/bin "$container"
-SCRIPT
-image node localhost/isopeel-debian <<'SCRIPT'
-mkdir -p "$root/usr/local/lib/node_modules"
-cp "$(command -v node)" "$root/usr/local/bin/node"
-cp -a "$(dirname "$(dirname "$(realpath "$(command -v npm)")")")" "$root/usr/local/lib/node_modules/npm"
-ln -s ../lib/node_modules/npm/bin/npm-cli.js "$root/usr/local/bin/npm"
-buildah config --env NODE_EXTRA_CA_CERTS=/etc/ssl/certs/ca-certificates.crt "$container"
-SCRIPT
+tests/scripts/base-images.sh debian rust node >"$log" 2>&1 || fail "could not make the base images"
 
 mounts=(--volume "$(realpath /etc/ssl/certs/ca-certificates.crt):/etc/ssl/certs/ca-certificates.crt:ro")
 [ -e ~/.npmrc ] && mounts+=(--volume "$HOME/.npmrc:/root/.npmrc:ro")

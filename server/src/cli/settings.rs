@@ -376,6 +376,22 @@ mod tests {
     }
 
     #[test]
+    fn the_configuration_of_the_package_is_understood_with_all_that_it_suggests() {
+        let text = include_str!("../../../packaging/isopeel.toml");
+        let is_suggestion = |line: &str| line.split_once(" = ").is_some_and(|(key, _)| !key.contains(' '));
+        let lines = text.lines().map(|line| match line.strip_prefix("# ") {
+            Some(suggested) if is_suggestion(suggested) => suggested,
+            _ => line,
+        });
+        let text = lines.collect::<Vec<_>>().join("\n");
+        let args = format!("{:?}", served(&text, "isopeel serve").expect("arguments"));
+        assert!(
+            args.contains("audit.jsonl") && args.contains("127.0.0.1:9417"),
+            "{args}"
+        );
+    }
+
+    #[test]
     fn the_file_is_named_by_the_last_option_or_the_variable() {
         let variable = || Some(OsString::from("v.toml"));
         for (line, variable, expected) in [

@@ -13,6 +13,7 @@ mod bytes;
 mod command_line;
 mod crowd;
 mod documentation;
+mod documented;
 mod drivers;
 mod edits;
 mod expected_cuts;
