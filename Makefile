@@ -194,7 +194,7 @@ TARGETS ?=
 fuzz-targets: prerequisites-build target/tools/cargo-fuzz-$(CARGO_FUZZ_VERSION) web-client ## each reader for ten minutes (MINUTES), or some of them (TARGETS), by libFuzzer, which looks for new paths; keeps what it found
 	PATH="$(CURDIR)/target/tools/bin:$$PATH" tests/scripts/fuzz-targets.sh $(MINUTES) $(TARGETS)
 
-containers: ## both images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes a quarter of an hour
+containers: ## all images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes an hour on two cores
 	tests/scripts/containers.sh
 
 test-compose: ## the CPU image by docker/compose.yaml: what is kept, any user, the end under load, TLS; needs Docker with Compose 2

@@ -198,7 +198,7 @@ in_root() {
     cd "$(mktemp -d)"
     tar --extract --gzip --file "$1/$2.tar.gz"
     "./$2/isopeel" --version
-    dpkg --install "$1/isopeel_$4_amd64.deb" >/dev/null
+    apt-get install --yes --quiet=2 "$1/isopeel_$4_amd64.deb" >/dev/null
     [ "$(command -v isopeel)" = /usr/bin/isopeel ]
     # PoCL 1.6 of Debian 11 compiles for few processors.
     if ! "./$2/isopeel" extract - --iso 100 --format stl -o tarball.stl <"$3" 2>log; then

@@ -35,9 +35,9 @@ image() {
 debian() {
     local excluded=() folder
     for folder in doc man info locale; do excluded+=(--dpkgopt="path-exclude=/usr/share/$folder/*"); done
-    # A mirror may be a snapshot, older than its lists are valid.
-    SOURCE_DATE_EPOCH=0 mmdebstrap --variant=minbase --architectures="$architecture" --include=ca-certificates --aptopt='Acquire::Check-Valid-Until "false"' \
-        "${excluded[@]}" "$1" "$3" "$mirror"
+    # usrmerge has done its work, and needs the whole of Perl. A mirror may be a snapshot, older than its lists are valid.
+    SOURCE_DATE_EPOCH=0 mmdebstrap --variant=minbase --architectures="$architecture" --include=ca-certificates,usr-is-merged --aptopt='Acquire::Check-Valid-Until "false"' \
+        "${excluded[@]}" --customize-hook='chroot "$1" apt-get purge --yes usrmerge perl "libperl5*" "perl-modules-*" "lib*-perl"' "$1" "$3" "$mirror"
 }
 
 rust() {

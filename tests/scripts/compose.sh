@@ -82,6 +82,20 @@ run build --quiet cpu >"$work/answer" 2>&1 || fail "does not build: $(cat "$work
 docker save isopeel:cpu >"$work/image.tar" && docker load --quiet <"$work/image.tar" >/dev/null && rm "$work/image.tar"
 docker image inspect isopeel:cpu >"$work/image"
 echo "base image $(jq --raw-output '.[0].Config.Labels."org.opencontainers.image.base.name"' "$work/image"), $(jq '.[0].Size / 1e6 | round' "$work/image") MB"
+layers() { docker image inspect "$1" | jq --raw-output '.[0].RootFS.Layers[]'; }
+if [ -n "${BASE_IMAGE:-}" ]; then
+    # As a change of the source would: another binary.
+    binary=target/dist-binaries/$(dpkg --print-architecture)/isopeel
+    cp "$binary" "$work/isopeel"
+    docker tag isopeel:cpu "$project"
+    echo >>"$binary"
+    run build --quiet cpu >"$work/answer" 2>&1 || fail "does not build: $(cat "$work/answer")"
+    cp "$work/isopeel" "$binary"
+    anew=$(comm -13 <(layers "$project" | sort) <(layers isopeel:cpu | sort) | wc -l)
+    echo "after a change of the binary: $anew layer anew, $(docker history --human=false --format '{{.Size}} {{.CreatedBy}}' isopeel:cpu | awk '/bin.isopeel/ { printf "%.0f", $1 / 1e6 }') MB"
+    [ "$anew" = 1 ] || fail "$anew layers were made anew, expected 1"
+    docker tag "$project" isopeel:cpu && docker rmi "$project" >/dev/null
+fi
 for label in title description licenses version base.name; do
     jq --exit-status ".[0].Config.Labels.\"org.opencontainers.image.$label\" // \"\" | length > 0" "$work/image" >/dev/null || fail "no label $label"
 done
@@ -161,7 +175,7 @@ echo "ready after $(ready "$url/readyz") s"
 token=$(ISOPEEL_USER=1234567 new_token)
 [ -n "$token" ] || fail "no token as another user"
 sleep 6
-answer 200 --header "Authorization: Bearer $token" "$url/api/v1/volumes/ramp"
+answer 200 --header "Authorization: Bearer $token" "$url/api/v1/volumes/data"
 ISOPEEL_USER=1234567 run exec --no-TTY cpu sh -c 'test "$(id -u)" = 1234567 && ls kernels/pocl >/dev/null && test "$(stat -c %a state)" = 700' ||
     fail "kernels and state are not kept by another user"
 run down --volumes 2>/dev/null

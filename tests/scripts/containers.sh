@@ -1,5 +1,5 @@
 #!/bin/bash
-# Builds both images, without a container engine's daemon and without pulling anything, and runs the CPU one as docker/README.md
+# Builds all images, without a container engine's daemon and without pulling anything, and runs the CPU one as docker/README.md
 # says: read-only, as its own user, without capabilities. The browser tests then use it in place of the binary.
 #
 #   sudo tests/scripts/containers.sh [TEST ...]     names of tests in tests/browser; without any all of them
@@ -31,17 +31,17 @@ work=$(mktemp -d /var/tmp/isopeel-containers.XXXXXX)
 trap 'rm -rf "$work"' EXIT
 
 say "base images"
-tests/scripts/base-images.sh debian rust node >"$log" 2>&1 || fail "could not make the base images"
+tests/scripts/base-images.sh debian trixie rust node >"$log" 2>&1 || fail "could not make the base images"
 
 mounts=(--volume "$(realpath /etc/ssl/certs/ca-certificates.crt):/etc/ssl/certs/ca-certificates.crt:ro")
 [ -e ~/.npmrc ] && mounts+=(--volume "$HOME/.npmrc:/root/.npmrc:ro")
 [ -e ~/.cargo/config.toml ] && mounts+=(--volume "$HOME/.cargo/config.toml:/usr/local/cargo/config.toml:ro")
 
-# build TARGET TAG
+# build TARGET TAG [BASE]
 build() {
     local start=$SECONDS
     buildah build --isolation chroot --layers "${mounts[@]}" --target "$1" --tag "localhost/$2" \
-        --build-arg BASE_IMAGE=localhost/isopeel-debian --build-arg RUST_IMAGE=localhost/isopeel-rust \
+        --build-arg BASE_IMAGE="localhost/isopeel-${3:-debian}" --build-arg RUST_IMAGE=localhost/isopeel-rust \
         --build-arg NODE_IMAGE=localhost/isopeel-node --file docker/Dockerfile . >>"$log" 2>&1 || fail "could not build $1"
     printf '%s: %s, %d s\n' "$2" "$(podman image inspect --format '{{.Size}}' "localhost/$2" | numfmt --to=si --suffix=B)" $((SECONDS - start))
 }
@@ -49,6 +49,16 @@ build() {
 say "images"
 build cpu isopeel:cpu
 build gpu isopeel
+build mesa isopeel:mesa trixie
+build intel isopeel:intel
+
+say "without a device each says so"
+for image in isopeel isopeel:mesa isopeel:intel; do
+    if podman run --rm --runtime runc --network host --ulimit nofile=4096:4096 --ulimit nproc=4096:4096 "localhost/$image" devices >"$work/said" 2>&1 ||
+        ! grep --quiet 'no OpenCL device' "$work/said"; then
+        cat "$work/said" >&2 && fail "$image does not say that there is no OpenCL device"
+    fi
+done
 
 say "the CPU image, read-only, not root, without capabilities"
 # Takes the place of the binary: the tests' volumes are in /tmp or the fixtures. Its folder is the only place that it writes to: PoCL keeps compiled

@@ -11,6 +11,7 @@ import argparse
 import shutil
 import subprocess
 import sys
+import tempfile
 import venv
 from pathlib import Path
 
@@ -75,6 +76,27 @@ def check(name, objects):
     return wrong
 
 
+def check_readme():
+    """Runs the lines of docker/README.md that make objects, as far as kubectl does without a cluster. Returns what is wrong."""
+    if not shutil.which("kubectl"):
+        print("the lines of docker/README.md: not run, kubectl is not installed")
+        return []
+    lines = (ROOT / "docker" / "README.md").read_text().splitlines()
+    lines = [line.strip() for line in lines if line.startswith("    kubectl") and " create " in line and " exec " not in line]
+    wrong = [] if len(lines) == 2 else [f"docker/README.md has {len(lines)} lines that create objects, expected a namespace and a secret"]
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "token").write_text("a token")
+        for line in lines:
+            made = subprocess.run([*line.split(), "--dry-run=client", "--output=yaml"], cwd=folder, capture_output=True, text=True)
+            if made.returncode != 0 or ("secret" in line and "token: YSB0b2tlbg==" not in made.stdout):
+                wrong.append(f"{line}: {made.stderr}{made.stdout}")
+    secret = next((line.split()[line.split().index("generic") + 1] for line in lines if " generic " in line), None)
+    if secret not in (FOLDER / "base" / "statefulset.yaml").read_text():
+        wrong.append(f"docker/README.md makes the secret {secret}, which the pod does not name")
+    print(f"{len(lines)} lines of docker/README.md that create objects: without a cluster")
+    return wrong
+
+
 def main():
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     command = renderer()
@@ -98,6 +120,9 @@ def main():
             failed = True
             print(f"{name}: {wrong}", file=sys.stderr)
         print(f"{name}: {', '.join(item['kind'] for item in objects)}: Kubernetes {', '.join(VERSIONS)}")
+    for wrong in check_readme():
+        failed = True
+        print(wrong, file=sys.stderr)
     sys.exit(failed)
 
 

@@ -29,6 +29,7 @@ use How::{By, Not, Run, Serve};
 
 const COMPOSE: &str = "tests/scripts/compose.sh";
 const DIST: &str = "packaging/dist.sh";
+const KUBERNETES: &str = "tests/scripts/kubernetes.py";
 const DRIVERS: &str = "tests/scripts/drivers.sh";
 const NO_CLUSTER: &str = "no cluster of Kubernetes is at hand";
 const OTHER_GPU: &str = "no GPU of AMD or Intel is at hand";
@@ -99,9 +100,9 @@ const COMMANDS: &[(&str, &[(&str, How)])] = &[
         ("tar xzf isopeel-0.2.0-x86_64-linux.tar.gz", By(DIST, "tar --extract --gzip")),
         ("sudo install isopeel-0.2.0-x86_64-linux/isopeel /usr/local/bin/", By(DIST, "\"./$2/isopeel\" extract")),
         ("sudo apt-get install ocl-icd-libopencl1 pocl-opencl-icd", By(DIST, "ocl-icd-libopencl1,pocl-opencl-icd")),
-        ("sudo apt-get install ./isopeel_0.2.0_amd64.deb", By(DIST, "apt-get install")),
+        ("sudo apt-get install ./isopeel_0.2.0_amd64.deb", By(DIST, "apt-get install --yes")),
         ("sudoedit /etc/isopeel/isopeel.toml", By("server/src/cli/settings.rs", "packaging/isopeel.toml")),
-        ("sudo systemctl enable --now isopeel", Not("nothing starts systemd in a root")),
+        ("sudo systemctl enable --now isopeel", By("tests/scripts/service.sh", "systemctl enable --now isopeel")),
         ("docker save isopeel:cpu | xz >isopeel-cpu.tar.xz", By(COMPOSE, "docker save")),
     ]),
     ("docs/reliability.md", &[
@@ -154,10 +155,10 @@ const COMMANDS: &[(&str, &[(&str, How)])] = &[
         ("docker compose -f docker/compose.yaml -f docker/compose.tls.yaml up", By(COMPOSE, "-f docker/compose.tls.yaml")),
         ("docker build -f docker/Dockerfile --target intel -t isopeel:intel .", By("tests/scripts/containers.sh", "intel")),
         ("docker run --init -v isopeel:/var/lib/isopeel --device /dev/dri --group-add \"$(stat --format %g /dev/dri/renderD128)\" -p 127.0.0.1:8417:8417 isopeel:intel", Not(OTHER_GPU)),
-        ("kubectl create namespace isopeel", Not(NO_CLUSTER)),
+        ("kubectl create namespace isopeel", By(KUBERNETES, "def check_readme")),
         ("openssl rand -hex 32 | tr -d '\\n' >token", Run),
-        ("kubectl --namespace isopeel create secret generic isopeel-token --from-file=token", By("tests/scripts/kubernetes.py", "--from-file=token")),
-        ("kubectl apply -k docker/kubernetes/base", By("tests/scripts/kubernetes.py", "kustomize")),
+        ("kubectl --namespace isopeel create secret generic isopeel-token --from-file=token", By(KUBERNETES, "def check_readme")),
+        ("kubectl apply -k docker/kubernetes/base", By(KUBERNETES, "kustomize")),
         ("kubectl --namespace isopeel port-forward service/isopeel 8417", Not(NO_CLUSTER)),
         ("kubectl --namespace isopeel exec isopeel-0 -- isopeel token create --user ann --role edit --expires 30d", Not(NO_CLUSTER)),
     ]),
@@ -281,6 +282,31 @@ fn each_command_of_the_documentation_is_in_the_list_and_run_by_what_it_names() {
         none.len(),
         none.join("\n")
     );
+}
+
+#[test]
+fn pages_and_images_name_this_version() {
+    let version = env!("CARGO_PKG_VERSION");
+    for (file, words) in [
+        (
+            "docker/Dockerfile",
+            format!("org.opencontainers.image.version=\"{version}\""),
+        ),
+        (
+            "docker/kubernetes/base/kustomization.yaml",
+            format!("newTag: {version}-cpu"),
+        ),
+        (
+            "docker/kubernetes/gpu/kustomization.yaml",
+            format!("newTag: {version}-gpu"),
+        ),
+        ("docs/releases.md", format!("isopeel-{version}-x86_64-linux.tar.gz")),
+        ("docs/releases.md", format!("isopeel_{version}_amd64.deb")),
+        ("CHANGELOG.md", format!("## [{version}]")),
+    ] {
+        let text = std::fs::read_to_string(repository().join(file)).expect("a file");
+        assert!(text.contains(&words), "{file} has no {words}");
+    }
 }
 
 /// A folder with the files that the pages name.

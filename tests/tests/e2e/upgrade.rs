@@ -1,5 +1,6 @@
-//! What version 0.1 has left is used on: tests/fixtures/state-0.1 is a state folder that it made, with a token and a finished job. Clients of
-//! another version of the stream are told so.
+//! What version 0.1 has left is used on: tests/fixtures/state-0.1 is a state folder that it made, with a token and a finished job, and uploads-0.1 has
+//! an upload that is a volume and one of which 100 bytes had come, with records as it wrote them. Clients of another version of the stream are told so.
+//! Links of 0.1: web/test/oldLinks.test.ts.
 
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::Path;
@@ -10,6 +11,9 @@ use crate::support::{http, process, server};
 const TOKEN: &str = "isop_f40e25572447_UytP0kRwla19BouDTzJhwJcJpx43_yOrLLdnaw9du8o";
 
 const JOB: &str = "3d6bdd0e873ebf05ce669e5fff2f0ab8";
+
+const UPLOAD: &str = "aaaa13394c25f54cd9aa8611477df58a";
+const HALF: &str = "bbbb31e193ac08b1e79f6709fecfa1a0";
 
 /// Copies a folder for this user alone, as a server wants it.
 fn copy(from: &Path, to: &Path) {
@@ -58,6 +62,33 @@ fn a_state_folder_of_0_1_keeps_its_tokens_jobs_and_results() {
             result.status
         );
     }
+}
+
+#[test]
+fn an_uploads_folder_of_0_1_keeps_volumes_and_what_has_come() {
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/uploads-0.1");
+    let folder = tempfile::tempdir().expect("a folder");
+    let uploads = folder.path().join("uploads");
+    copy(&fixture, &uploads);
+    // Uploads expire within a week: these are of today.
+    let now = std::time::SystemTime::UNIX_EPOCH.elapsed().expect("a clock").as_secs();
+    for upload in std::fs::read_dir(&uploads).expect("a folder") {
+        let record = upload.expect("an entry").path().join("upload.json");
+        let text = std::fs::read_to_string(&record).expect("a record");
+        assert!(!text.contains("unpacked"), "0.1 has no such name: {text}");
+        std::fs::write(&record, text.replace("1795839630", &now.to_string())).expect("a record");
+    }
+    let Some(server) = process::start(&[], &["--uploads", uploads.to_str().expect("UTF-8")]) else {
+        return;
+    };
+    let ready = http::get(server.address, &format!("/api/v1/volumes/upload-{UPLOAD}"));
+    assert_eq!(ready.status, 200, "{}", String::from_utf8_lossy(&ready.body));
+    let half = http::get(server.address, &format!("/api/v1/uploads/{HALF}")).json();
+    assert_eq!(
+        (&half["state"], &half["receivedBytes"]),
+        (&"receiving".into(), &100.into()),
+        "{half}"
+    );
 }
 
 #[test]
