@@ -21,7 +21,7 @@ WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path
 NPM_CI := npm ci --no-audit --no-fund --loglevel=error
 
 .PHONY: help run build test prerequisites-build prerequisites-run prerequisites-test generated release web-client \
-	dependencies lint test-compose test-podman test-apptainer test-clients dist test-dist test-kubernetes test-slurm test-web test-rust load soak test-volumes fuzz fuzz-targets fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
+	dependencies lint test-compose test-podman test-apptainer test-systemd test-clients dist test-dist test-kubernetes test-slurm test-web test-rust load soak test-volumes fuzz fuzz-targets fixtures test-formats containers test-oclgrind test-pocl-6 test-drivers test-gpu test-browser test-browsers test-service test-glb bench bench-browser screenshot \
 	pictures gallery clean
 
 help: ## what can be made
@@ -205,7 +205,7 @@ ARCHIVE ?= target/dist/isopeel-$(VERSION)-cpu-amd64.oci.tar
 test-podman: ## the OCI archive of `make dist` (ARCHIVE) by rootless Podman; as a user
 	tests/scripts/podman.sh $(ARCHIVE)
 
-test-apptainer: ## the same by Apptainer and docker/isopeel.def, in a root of Debian sid; as root, or after it made the root once
+test-apptainer: ## the same by Apptainer and docker/isopeel.def, in a root of Debian sid; as root
 	tests/scripts/apptainer.sh $(ARCHIVE)
 
 dist: web-client ## what a release has, in target/dist: tarball and Debian package against an old glibc, licences, bill of materials, OCI archives, checksums; as root
@@ -215,6 +215,10 @@ dist: web-client ## what a release has, in target/dist: tarball and Debian packa
 
 test-dist: ## the files of `make dist` in roots of Debian 11, 12 and 13; as root, or after it made the roots once
 	packaging/dist.sh try bullseye bookworm trixie
+
+PACKAGE ?= target/dist/isopeel_$(VERSION)_amd64.deb
+test-systemd: ## the Debian package of `make dist` (PACKAGE) in a root of Debian 12 that systemd boots; as root
+	tests/scripts/service.sh $(PACKAGE)
 
 test-kubernetes: ## docker/kubernetes rendered by kustomize or kubectl, and validated by schemas from PyPI
 	tests/scripts/kubernetes.py
