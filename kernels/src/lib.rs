@@ -35,6 +35,7 @@ mod feature;
 mod generated;
 pub mod interest;
 pub mod layout;
+mod mask;
 mod pace;
 pub mod params;
 mod program;
@@ -71,6 +72,7 @@ pub use engine::{
 pub use error::{Error, Result};
 pub use expression::Expression;
 pub use feature::{DerivedFeature, Feature, Histogram, VectorFeature};
+pub use mask::ValueSet;
 pub use interest::{Interest, InterestShape};
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use program::{CompilerCheck, Gate};

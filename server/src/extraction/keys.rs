@@ -66,26 +66,52 @@ impl VolumeKey {
 }
 
 impl VolumeKey {
-    /// The expression with the keys of its fields, of a field that is computed on the device. One that is padded, masked or
-    /// smoothed is computed on the host.
-    pub(super) fn computed(&self, volume: &VolumeStep) -> Option<(FieldExpression, Vec<Self>)> {
-        if self.padded || self.mask.is_some() {
+    /// How a field is made that is made on the device, and the keys of the fields that it is made of. One that is padded or smoothed is made on
+    /// the host.
+    pub(super) fn recipe(&self, volume: &VolumeStep) -> Option<(Recipe, Vec<Self>)> {
+        if self.padded {
             return None;
+        }
+        if self.mask.is_some() {
+            let (mask, labels) = self.mask_of(volume).ok()??;
+            let keys = [&self.field, &mask.field].map(|name| Self::new(volume, name, false));
+            return Some((Recipe::Mask(mask, labels), keys.to_vec()));
         }
         let found = volume.dataset().expression(&self.field)?;
         if found.smoothing.is_some() {
             return None;
         }
         let keys = found.fields.iter().map(|name| Self::new(volume, name, false)).collect();
-        Some((found, keys))
+        Some((Recipe::Expression(found), keys))
     }
 }
 
-/// Keys with those of the fields that computed ones among them are made of, each once, before what is made of them.
-pub(super) fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey]) -> Vec<VolumeKey> {
+/// How a field is made from others on the device.
+pub(super) enum Recipe {
+    /// By an expression.
+    Expression(FieldExpression),
+    /// From a field and the one of the mask, whose description this is: what is outside is missing.
+    Mask(Mask, Field),
+}
+
+/// Where fields are masked.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Masking {
+    /// On the device, which has the field and the labels too.
+    OnDevice,
+    /// On the host, while both are read.
+    OnHost,
+}
+
+/// Keys with those of the fields that others among them are made of on the device, each once, before what is made of them.
+pub(super) fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey], masking: Masking) -> Vec<VolumeKey> {
     let mut all: Vec<VolumeKey> = Vec::new();
     for key in keys {
-        let inputs = key.computed(volume).map_or_else(Vec::new, |(_, inputs)| inputs);
+        let inputs = match key.recipe(volume) {
+            Some((Recipe::Mask(..), _)) if masking == Masking::OnHost => Vec::new(),
+            Some((_, inputs)) => with_inputs(volume, &inputs, masking),
+            None => Vec::new(),
+        };
         for key in inputs.into_iter().chain([key.clone()]) {
             if !all.contains(&key) {
                 all.push(key);
