@@ -72,8 +72,8 @@ pub use engine::{
 pub use error::{Error, Result};
 pub use expression::Expression;
 pub use feature::{DerivedFeature, Feature, Histogram, VectorFeature};
-pub use mask::ValueSet;
 pub use interest::{Interest, InterestShape};
+pub use mask::ValueSet;
 pub use params::{CutParams, Isovalue, Level, MAX_LEVEL, Mesher, Topology};
 pub use program::{CompilerCheck, Gate};
 pub use pyramid::Pyramid;

@@ -106,7 +106,13 @@ mod tests {
             is_complement: true,
             ..inside.clone()
         };
-        for (value, is_in) in [(1.0, true), (2.0, false), (3.0, true), (f32::INFINITY, true), (-0.0, false)] {
+        for (value, is_in) in [
+            (1.0, true),
+            (2.0, false),
+            (3.0, true),
+            (f32::INFINITY, true),
+            (-0.0, false),
+        ] {
             assert_eq!((inside.holds(value), outside.holds(value)), (is_in, !is_in), "{value}");
         }
         assert!(!inside.holds(f32::NAN) && !outside.holds(f32::NAN));

@@ -370,7 +370,11 @@ impl<'a> Check<'a> {
         let found = self.engine.download(&field, 0..DIMS[2])?;
         let own = samples(self.sample_type);
         let (expected, _) = own.clone().masked(None, |i| inside.holds(own.get(i)));
-        exact("a masked field's samples", found.as_bytes() == expected.as_bytes(), true)
+        exact(
+            "a masked field's samples",
+            found.as_bytes() == expected.as_bytes(),
+            true,
+        )
     }
 
     fn distance_field(&mut self) -> Result<(), Finding> {

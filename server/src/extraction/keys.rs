@@ -168,3 +168,43 @@ impl HistogramKey {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::{Masking, VolumeKey, view_keys, with_inputs};
+    use crate::view::{Edit, View};
+    use crate::volumes::{VolumeStep, testing};
+
+    /// What is loaded for an edit, in this order: a `+` is before the name of a masked field.
+    fn loaded(edit: &str, masking: Masking) -> Vec<String> {
+        let dataset = testing::dataset("head", [9; 3], &["density", "heat", "labels"]);
+        let volume = VolumeStep::new(Arc::new(dataset), 0).expect("a step");
+        let edit: Edit = serde_json::from_str(edit).expect("an edit");
+        let fields = ["density", "heat", "labels"];
+        let view = View::plain(&fields).apply(&edit, &fields).expect("a good edit");
+        let name = |key: &VolumeKey| format!("{}{}", if key.mask.is_some() { "+" } else { "" }, key.field);
+        with_inputs(&volume, &view_keys(&volume, &view), masking)
+            .iter()
+            .map(name)
+            .collect()
+    }
+
+    #[test]
+    fn what_a_masked_field_is_made_of_comes_first() {
+        let masked = r#"{"mask":"labels==1","feature":"heat"}"#;
+        assert_eq!(
+            loaded(masked, Masking::OnDevice),
+            ["density", "labels", "+density", "heat"]
+        );
+        assert_eq!(loaded(masked, Masking::OnHost), ["+density", "heat"]);
+        let computed = r#"{"field":"density+heat","mask":"labels==1","feature":"none"}"#;
+        assert_eq!(
+            loaded(computed, Masking::OnDevice),
+            ["density", "heat", "density+heat", "labels", "+density+heat"]
+        );
+        let capped = r#"{"mask":"labels==1","cap":true,"feature":"none"}"#;
+        assert_eq!(loaded(capped, Masking::OnDevice), ["+density"]);
+    }
+}

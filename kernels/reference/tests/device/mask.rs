@@ -34,7 +34,11 @@ fn values_inside(labels: &Field, random: &mut Random) -> ValueSet {
         [a.min(b), a.max(b)]
     });
     let ranges: Vec<[f32; 2]> = ranges.collect();
-    let open = [[ranges[0][0]; 2], [f32::NEG_INFINITY, ranges[1][0]], [ranges[2][1], f32::INFINITY]];
+    let open = [
+        [ranges[0][0]; 2],
+        [f32::NEG_INFINITY, ranges[1][0]],
+        [ranges[2][1], f32::INFINITY],
+    ];
     ValueSet {
         ranges: [ranges, open.to_vec()][(random.next() % 2) as usize][..1 + (random.next() % 3) as usize].to_vec(),
         is_complement: random.next().is_multiple_of(2),
@@ -71,7 +75,10 @@ fn masked_fields_are_the_hosts() {
         total.set([total.get()[0] + count, total.get()[1] + all]);
     });
     let [count, all] = total.get();
-    assert!((all / 10..all - all / 10).contains(&count), "{count} of {all} samples are inside");
+    assert!(
+        (all / 10..all - all / 10).contains(&count),
+        "{count} of {all} samples are inside"
+    );
 }
 
 #[test]
@@ -88,7 +95,9 @@ fn masked_fields_are_the_same_in_slabs() {
     };
     let [field, labels] = [&recipe, &of_labels].map(|recipe| load_in(&mut engine, recipe, true));
     let inside = values_inside(&labels.field, &mut Random(3));
-    let masked = engine.mask(&field.volume, &labels.volume, &inside, &Never).expect("mask");
+    let masked = engine
+        .mask(&field.volume, &labels.volume, &inside, &Never)
+        .expect("mask");
     assert!(slab_count(&masked) > 1);
     let [count, all] = check(&engine, &recipe, &labels, &field.volume, &inside);
     assert!(0 < count && count < all);
