@@ -31,8 +31,8 @@ image() {
     buildah commit --quiet --timestamp 0 --rm "$container" "localhost/isopeel-$name$suffix" >/dev/null
 }
 
-# debian SUITE CONTAINER ROOT
-debian() {
+# make_debian SUITE CONTAINER ROOT
+make_debian() {
     local excluded=() folder
     for folder in doc man info locale; do excluded+=(--dpkgopt="path-exclude=/usr/share/$folder/*"); done
     # usrmerge has done its work, and needs the whole of Perl. A mirror may be a snapshot, older than its lists are valid.
@@ -40,14 +40,14 @@ debian() {
         "${excluded[@]}" --customize-hook='chroot "$1" apt-get purge --yes usrmerge perl "libperl5*" "perl-modules-*" "lib*-perl"' "$1" "$3" "$mirror"
 }
 
-rust() {
+make_rust() {
     buildah run --isolation chroot "$1" sh -c 'apt-get update && apt-get install --yes --no-install-recommends build-essential' </dev/null
     mkdir -p "$2/opt/rust" "$2/usr/local/cargo"
     tar -C "$(rustc --print sysroot)" --exclude=./share --exclude=./lib/rustlib/src -cf - . | tar -C "$2/opt/rust" -xf -
     buildah config --env CARGO_HOME=/usr/local/cargo --env PATH=/opt/rust/bin:/usr/sbin:/usr/bin:/sbin:/bin "$1"
 }
 
-node() {
+make_node() {
     mkdir -p "$2/usr/local/lib/node_modules"
     cp "$(command -v node)" "$2/usr/local/bin/node"
     cp -a "$(dirname "$(dirname "$(realpath "$(command -v npm)")")")" "$2/usr/local/lib/node_modules/npm"
@@ -57,10 +57,10 @@ node() {
 
 for name; do
     case $name in
-    debian) image debian scratch debian bookworm ;;
-    trixie) image trixie scratch debian trixie ;;
-    rust) image rust localhost/isopeel-debian rust ;;
-    node) image node localhost/isopeel-debian node ;;
+    debian) image debian scratch make_debian bookworm ;;
+    trixie) image trixie scratch make_debian trixie ;;
+    rust) image rust localhost/isopeel-debian make_rust ;;
+    node) image node localhost/isopeel-debian make_node ;;
     *) echo "base-images.sh: the image is $name, expected debian, trixie, rust or node" >&2 && exit 2 ;;
     esac
 done
