@@ -9,8 +9,8 @@
 #
 # ARCHITECTURES is "amd64" unless it is set, as to "amd64 arm64"; arm64 is compiled on this machine, for which Rust has to have its target. `build` needs
 # Rust and the web client in web/dist, and gets zig and cargo-zigbuild from PyPI. `pack` needs binutils of each architecture, dpkg-deb and xz, `images`
-# buildah, and qemu-user-static for another architecture than this machine's. All write the same bytes for the same commit, compilers and base image:
-# BASE_IMAGE, that of the Dockerfile unless it is set. `try` uses tests/scripts/fresh-debian.sh.
+# buildah, and qemu-user-static for another architecture than this machine's. All but the symbols have the same bytes for the same commit, compilers and
+# base image: BASE_IMAGE, that of the Dockerfile unless it is set. `try` uses tests/scripts/fresh-debian.sh.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 
@@ -122,7 +122,8 @@ strip_binary() {
     [ -x "$binary" ] || fail "$binary is not there: packaging/dist.sh build"
     mkdir -p "$binaries/$1" "$work/$1"
     "$objcopy" --only-keep-debug "$binary" "$work/$1/isopeel.debug"
-    "$objcopy" --strip-all --add-gnu-debuglink="$work/$1/isopeel.debug" "$binary" "$binaries/$1/isopeel"
+    # No link to the symbols, which has their checksum: they have paths of this machine, of what is compiled from C.
+    "$objcopy" --strip-all "$binary" "$binaries/$1/isopeel"
     check_binary "$1" "$binaries/$1/isopeel"
 }
 
