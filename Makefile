@@ -234,6 +234,8 @@ test-formats: build-tests ## readers and exports beside independent programs, fr
 	FIXTURES="$(CURDIR)/target/fixtures" cargo test --locked --package isopeel --test volumes fixtures
 	tests/scripts/exports.py "$(TESTED_BINARY)"
 	tests/scripts/export_table.py "$(TESTED_BINARY)"
+	tests/scripts/simulate.py --small --steps 2
+	for set in target/simulations/hurricane.nc target/simulations/fluid/fluid.pvd; do "$(TESTED_BINARY)" info "$$set" >/dev/null; done
 
 test-oclgrind: ## the kernels under oclgrind: out-of-bounds accesses and races
 	tests/scripts/oclgrind.sh

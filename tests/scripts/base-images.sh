@@ -5,7 +5,7 @@
 #   base-images.sh NAME...     debian, rust, node, trixie: localhost/isopeel-NAME, for buildah and podman
 #
 # ARCHITECTURE is that of debian and trixie, as Debian calls it; by default this machine's. Another one's name ends in it: localhost/isopeel-debian-arm64, and
-# needs qemu-user-static. Like Debian's slim images these have no documentation. Needs root, buildah, mmdebstrap and network (Debian). DEBIAN_MIRROR replaces
+# needs qemu-user-static and arch-test. Like Debian's slim images these have no documentation. Needs root, buildah, mmdebstrap and network (Debian). DEBIAN_MIRROR replaces
 # the usual one.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail

@@ -227,22 +227,29 @@ def write_vti(path, fields, spacing):
     path.write_bytes(head.encode() + b"".join(blocks) + b"\n</AppendedData></VTKFile>\n")
 
 
-def main():
+def read_arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="*", metavar="SET", help="hurricane or fluid; by default both")
     parser.add_argument("--steps", type=int, default=24)
     parser.add_argument("--small", action="store_true")
     arguments = parser.parse_args()
-    makers = {"hurricane": hurricane, "fluid": fluid}
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    for name in arguments.sets or makers:
-        if name not in makers:
+    for name in arguments.sets:
+        if name not in MAKERS:
             parser.error(f"{name!r}, expected hurricane or fluid")
-        makers[name](arguments.steps, arguments.small)
+    return arguments
 
 
+def main(arguments):
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for name in arguments.sets or MAKERS:
+        MAKERS[name](arguments.steps, arguments.small)
+
+
+MAKERS = {"hurricane": hurricane, "fluid": fluid}
+# Before packages are installed: --help needs none.
+arguments = read_arguments()
 enter_environment()
 import netCDF4  # noqa: E402
 import numpy as np  # noqa: E402
 
-main()
+main(arguments)
