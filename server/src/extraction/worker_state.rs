@@ -352,13 +352,13 @@ impl WorkerState {
         })
     }
 
-    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree where that is built.
+    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree where that is built. `None` if no triangle is left of it.
     pub(super) fn measure(
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
         turn: &mut Turn<'_, Self>,
-    ) -> Result<Measurement, JobError> {
+    ) -> Result<Option<Measurement>, JobError> {
         self.with_pyramid(volume, view, Nodes::OfTheView, turn, |on, view, cancel| {
             let is_tree_cut = view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             let of_tree = if is_tree_cut {
@@ -375,10 +375,12 @@ impl WorkerState {
             };
             let in_world = |error| super::MeasuredError::in_world(error, on.smallest);
             let regions = measured.regions.into_iter();
-            Ok(Measurement {
-                whole: in_world(measured.whole),
-                regions: regions.map(|(region, error)| (region, in_world(error))).collect(),
-            })
+            Ok(in_world(measured.whole).map(|whole| Measurement {
+                whole,
+                regions: regions
+                    .filter_map(|(region, error)| Some((region, in_world(error)?)))
+                    .collect(),
+            }))
         })
     }
 
