@@ -208,6 +208,7 @@ test-podman: ## the OCI archive of `make dist` (ARCHIVE) by rootless Podman; as 
 test-apptainer: ## the same by Apptainer and docker/isopeel.def, in a root of Debian sid; as root
 	tests/scripts/apptainer.sh $(ARCHIVE)
 
+export ARCHITECTURES ?= amd64
 dist: web-client ## what a release has, in target/dist: tarball and Debian package against an old glibc, licences, bill of materials, OCI archives, checksums; as root
 	packaging/dist.sh build
 	packaging/dist.sh pack
