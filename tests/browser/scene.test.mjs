@@ -267,7 +267,7 @@ describe("look", { timeout: 2 * TIMEOUT_MS }, () => {
     assert.equal(new Set(Object.values(seen)).size, 4, JSON.stringify(seen));
     near(await at({ material: "unlit" }), [0xd9, 0xd9, 0xd9, 255], 2, "unlit");
     near(await at({ colorMode: "level" }), [0xa3, 0x26, 0x0f, 255], 2, "level 0");
-    await page.evaluate(() => window.bench.scene.setAlpha(0));
+    await page.evaluate(() => window.bench.scene.colors.setAlpha(0));
     // The table goes from red at the south pole to blue at the north pole.
     const [red, , blue] = await at({ colorMode: "transfer" });
     assert.ok(red > 60 && blue > 100 && red < 250 && blue < 250, `${red} ${blue}`);
@@ -629,7 +629,7 @@ describe("picking, slices, values", { timeout: 2 * TIMEOUT_MS }, () => {
       const { scene, addSphere, COLOR_MAPS, colorTable } = window.bench;
       const id = await addSphere({ radius: 10 });
       scene.setLook({ material: "unlit", occlusion: false, colorMode: "value" });
-      scene.setValueColors(2, 4, colorTable(COLOR_MAPS.viridis));
+      scene.colors.setValueColors(2, 4, colorTable(COLOR_MAPS.viridis));
       scene.setValues(id, new Float32Array(97 * 49).fill(3));
       scene.home(false);
     });

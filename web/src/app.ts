@@ -27,6 +27,7 @@ import { FileUploads } from "./wiring/uploading";
 import { Stepping } from "./wiring/stepping";
 import { storeActions } from "./wiring/storeActions";
 import { SurfaceRenderer } from "./scene/renderer";
+import { withRanges } from "./state/featureRanges";
 import { isAboutGroup } from "./state/group";
 import { lengthScale, lengthUnit } from "./state/lengths";
 import type { Link } from "./state/link";
@@ -266,7 +267,7 @@ export class App {
     const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: slicing.field ?? view.field, slicing };
     this.marks.show(this.store);
     this.beside.show();
-    this.display.show(look, surfaces, viewer.selected, source, shownErrors(viewer, surfaces));
+    this.display.show(look, withRanges(viewer, surfaces), viewer.selected, source, shownErrors(viewer, surfaces));
   }
 
   private receive(message: StreamMessage): void {
@@ -353,7 +354,6 @@ export class App {
   }
 
   private readonly link = () => linkState(this.store, this.framing.pose);
-
   private showVolumes(volumes: readonly VolumeSummary[]): void {
     this.update({ type: "volumes", volumes });
     const { target } = this.store.viewer;

@@ -104,7 +104,7 @@ function drawScaleBar(context: Context, write: Write, { text, pixels }: { text: 
 }
 
 /** On the right, high values above. */
-function drawColorBar(context: Context, write: Write, { stops, texts, title }: ColorBar, scale: number, width: number, height: number): void {
+function drawColorBar(context: Context, write: Write, { stops, texts, lines = [], title }: ColorBar, scale: number, width: number, height: number): void {
   const [barWidth, barHeight] = [COLOR_BAR.width * scale, Math.min(COLOR_BAR.height * scale, height / 2)];
   const [left, top] = [width - MARGIN * scale - barWidth, (height - barHeight) / 2];
   const rows = Math.ceil(barHeight);
@@ -121,6 +121,14 @@ function drawColorBar(context: Context, write: Write, { stops, texts, title }: C
     const share = texts.length > 1 ? i / (texts.length - 1) : 0;
     write(text, left - 6 * scale, top + (1 - share) * barHeight);
   });
+  for (const { at, text } of lines) {
+    const y = top + (1 - at) * barHeight;
+    context.beginPath();
+    context.moveTo(left - 3 * scale, y);
+    context.lineTo(left + barWidth, y);
+    context.stroke();
+    write(text, left - 6 * scale, y);
+  }
   write(title, left + barWidth, top - 20 * scale);
 }
 

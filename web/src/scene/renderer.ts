@@ -21,6 +21,7 @@ import { AdaptiveQuality, type Quality } from "./quality";
 import type { RegionMesh, RegionMeshData } from "./regionMesh";
 import { Slices, type Slice } from "./slices";
 import { takeSnapshot, type Snapshot, type SnapshotRequest } from "./snapshot";
+import { SurfaceColors } from "./surfaceColors";
 import { Surfaces } from "./surfaces";
 import type { SwipeTexts } from "./swipe";
 import { UploadQueue } from "./uploads";
@@ -47,6 +48,8 @@ export class SurfaceRenderer {
   readonly camera: SceneCamera;
   /** Axes cube, scale bar, bounding box, markers: `show`, `unit`, `frame`, `mark`. */
   readonly annotations: Annotations;
+  /** What the colours of the surfaces stand for. */
+  readonly colors: SurfaceColors;
   private readonly webgl: WebGLRenderer;
   private readonly surfaces: Surfaces;
   private readonly clipping = new Clipping();
@@ -73,6 +76,7 @@ export class SurfaceRenderer {
   ) {
     this.webgl = new WebGLRenderer({ antialias: this.onGpu, alpha: true, powerPreference: "high-performance" });
     this.surfaces = new Surfaces(tables);
+    this.colors = new SurfaceColors(this.surfaces, () => this.invalidate());
     this.quality = new AdaptiveQuality(handlers.adaptsQuality === true, () => this.invalidate());
     this.box = this.surfaces.box;
     this.sums = this.surfaces.levelSums();
@@ -190,19 +194,6 @@ export class SurfaceRenderer {
     this.invalidate();
   }
 
-  setAlpha(alpha: number, surface = 0): void {
-    // Set after every edit; where α is the same, the frame would be too.
-    if (this.surfaces.of(surface).alpha === alpha) return;
-    this.surfaces.of(surface).alpha = alpha;
-    this.invalidate();
-  }
-
-  /** RGBA bytes over the blended feature. */
-  setTransfer(table: Uint8Array<ArrayBuffer>, surface = 0, regions: Parameters<Surfaces["setTransfer"]>[2] = []): void {
-    this.surfaces.setTransfer(table, surface, regions);
-    this.invalidate();
-  }
-
   setEdgeColor(color: string): void {
     this.surfaces.edgeColor = color;
     this.invalidate();
@@ -234,12 +225,6 @@ export class SurfaceRenderer {
    */
   setValues(id: number, values: Float32Array<ArrayBuffer>): void {
     this.surfaces.get(id)?.setValues(values);
-    this.invalidate();
-  }
-
-  /** What colour mode `value` shows: values from `low` to `high` in the colours of a table, RGBA bytes. */
-  setValueColors(low: number, high: number, table: Uint8Array<ArrayBuffer>): void {
-    this.surfaces.setValueColors(low, high, table);
     this.invalidate();
   }
 

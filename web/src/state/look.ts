@@ -14,6 +14,8 @@ export const MAPS = [
   "batlow", "viridis", "cividis", "magma", "inferno", "plasma", "cubehelix", "greys", "ylor", "ylorrd", "ylgnbu", "vik", "rdbu", "puor",
 ] as const;
 export const MATERIALS = ["ivory", "clay", "tissue", "metal"] as const;
+/** The most isolines: more are no lines any more. */
+export const MAX_ISOLINES = 24;
 export const BACKGROUNDS = ["page", "black", "white"] as const;
 
 /** What is cut away. World units. */
@@ -36,8 +38,14 @@ export interface SliceChoice {
 
 export interface Look {
   readonly colorBy: ColorBy;
-  /** Of blended value and importance. */
+  /** Of the field, the blended value and the importance. */
   readonly map: (typeof MAPS)[number];
+  /** Values of the field that have the first and the last colour; without it the range over which it counts as importance. */
+  readonly colorRange?: readonly [number, number] | undefined;
+  /** The field's colours are logarithmic. */
+  readonly logColors: boolean;
+  /** About how many isolines of the field are drawn on the surface. */
+  readonly isolines: number;
   readonly material: (typeof MATERIALS)[number];
   /** Each triangle has one light. */
   readonly flat: boolean;
@@ -66,6 +74,8 @@ export const NO_SLICES: SliceChoice = { planes: [null, null, null] };
 export const DEFAULT_LOOK: Look = {
   colorBy: "material",
   map: "batlow",
+  logColors: false,
+  isolines: 0,
   material: "ivory",
   flat: false,
   wireframe: false,

@@ -2,7 +2,7 @@
 
 import type { Vec3 } from "../protocol/types";
 import { LinkError, toNumber, type Reader } from "./linkReader";
-import { BACKGROUNDS, COLOR_BY, levelOf, MAPS, MATERIALS, NO_CLIP, NO_SLICES, type ClipChoice, type Look, type SliceChoice } from "./look";
+import { BACKGROUNDS, COLOR_BY, levelOf, MAPS, MATERIALS, MAX_ISOLINES, NO_CLIP, NO_SLICES, type ClipChoice, type Look, type SliceChoice } from "./look";
 import { MAX_MEASURES, measureText, readMeasure } from "./measure";
 import { digits, list } from "./numbers";
 
@@ -13,6 +13,7 @@ const SWITCHES = {
   occlusion: "occlusion",
   silhouettes: "silhouettes",
   orthographic: "orthographic",
+  logColors: "log",
   axes: "axes",
   scale: "scale",
   box: "bounds",
@@ -30,6 +31,8 @@ export function lookParts(look: Look, opening: Look): (readonly [string, string 
   return [
     ["color", differing("colorBy")],
     ["map", differing("map")],
+    ["colors", look.colorRange && list(look.colorRange)],
+    ["isolines", look.isolines === 0 ? undefined : String(look.isolines)],
     ["material", differing("material")],
     ...switches,
     ["peel", level === undefined ? undefined : String(level)],
@@ -49,6 +52,8 @@ export function readLook(read: Reader): Partial<Look> {
   const found = {
     colorBy: oneOf(read, "color", COLOR_BY),
     map: oneOf(read, "map", MAPS),
+    colorRange: readRange(read),
+    isolines: readCount(read),
     material: oneOf(read, "material", MATERIALS),
     background: oneOf(read, "background", BACKGROUNDS),
     finestLevel: level === undefined ? undefined : levelOf(level),
@@ -66,6 +71,19 @@ function oneOf<T extends string>(read: Reader, name: string, known: readonly T[]
   const found = known.find((one) => one === text);
   if (found === undefined) throw new LinkError(`This link's “${name}” is ${JSON.stringify(text)}, expected one of ${known.join(", ")}`);
   return found;
+}
+
+function readRange(read: Reader): Look["colorRange"] {
+  const [low, high] = read.numbers("colors", 2) ?? [];
+  if (low === undefined || high === undefined) return undefined;
+  if (!(low < high)) throw new LinkError(`This link's “colors” is ${low},${high}, expected a range from a lower to a higher value`);
+  return [low, high];
+}
+
+function readCount(read: Reader): number | undefined {
+  const count = read.number("isolines");
+  if (count !== undefined && !(Number.isInteger(count) && count >= 0 && count <= MAX_ISOLINES)) throw new LinkError(`This link's “isolines” is ${count}, expected a whole number up to ${MAX_ISOLINES}`);
+  return count;
 }
 
 function readClip(read: Reader): ClipChoice | undefined {

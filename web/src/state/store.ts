@@ -249,7 +249,11 @@ export class Store {
 
   /** An edit of the user. Edits of one `gesture` (a slider being dragged) are one step of the history until `endGesture`. */
   edit(edit: Edit, gesture?: string): void {
-    this.change(({ surfaces, selected }) => ({ surfaces: edited(surfaces, selected, edit) }), gesture);
+    this.change(({ surfaces, selected, look }) => {
+      const isOther = edit.feature !== undefined && edit.feature !== this.view?.feature && look.colorRange !== undefined;
+      // A range of colours is one of the field's values.
+      return { surfaces: edited(surfaces, selected, edit), ...(isOther ? { look: { ...look, colorRange: undefined } } : {}) };
+    }, gesture);
   }
 
   changeLook(look: Partial<Look>, gesture?: string): void {

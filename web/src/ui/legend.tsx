@@ -1,13 +1,16 @@
 /** What the colours of levels mean, and why those of the error are not there yet. */
 
-import { For, Show } from "solid-js";
+import { For, lazy, Show, Suspense } from "solid-js";
 import { awaitedErrors } from "../state/shownErrors";
 import { LEVEL_COLORS } from "../transfer/lut";
 import { formatCount } from "./format";
 import { useModel } from "./model";
 import { awaitedWords } from "./words";
 
-export function Legend() {
+const FieldLegend = lazy(() => import("./fieldLegend"));
+
+/** @param editable the range of a field's colours can be changed */
+export function Legend(props: { readonly editable?: boolean }) {
   const { look, surfaces, viewer } = useModel();
   const awaited = () => (look().colorBy === "error" ? awaitedWords(awaitedErrors(viewer(), surfaces())) : "");
   return (
@@ -15,6 +18,11 @@ export function Legend() {
       <Show when={look().colorBy === "level"}>
         <Levels />
       </Show>
+      <Suspense>
+        <Show when={props.editable === true && look().colorBy === "field"}>
+          <FieldLegend />
+        </Show>
+      </Suspense>
       <Show when={awaited()}>{(text) => <p class="display-legend">{text()}</p>}</Show>
     </>
   );

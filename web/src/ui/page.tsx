@@ -80,7 +80,7 @@ function Stage(props: { readonly viewport: HTMLElement }) {
       <div class="split" data-layout={layout()}>
         <main class="picture" classList={{ aiming: page().tool !== undefined }} data-tour="picture" aria-label="Surface">
           {props.viewport}
-          <Legend />
+          <Legend editable />
           <Hint />
           <ProbeReadout />
           <FollowBar />

@@ -4,11 +4,12 @@ import { colorBarOf } from "./display";
 import { signOf } from "./surfaceSigns";
 import type { ImageParts } from "../image/compose";
 import type { SurfaceRenderer } from "../scene/renderer";
+import { withRanges } from "../state/featureRanges";
 import { lengthUnit } from "../state/lengths";
 import { shownErrors } from "../state/shownErrors";
 import type { Store } from "../state/store";
 import { coloredByLook } from "../state/surfaceList";
-import type { ImageRequest } from "../ui/model";
+import type { ImageRequest } from "../ui/actions";
 import { theme } from "../ui/theme";
 
 /** Of the page's surroundings in images: the middle of what the page shows. */
@@ -62,7 +63,8 @@ export async function makeTurn(
 }
 
 function parts(scene: SurfaceRenderer, store: Store, request: ImageRequest): ImageParts {
-  const { look, surfaces, viewer } = store;
+  const { look, viewer } = store;
+  const surfaces = withRanges(viewer, store.surfaces);
   const page = theme();
   const colored = request.colorBar ? coloredByLook(surfaces, viewer.selected) : undefined;
   const colors = colored && colorBarOf(look, colored.view, shownErrors(viewer, surfaces), lengthUnit(viewer.volume), viewer.volume);

@@ -11,6 +11,7 @@ import { Choice, Toggle } from "../widgets/choice";
 import { awaitedWords, distanceWords } from "../words";
 import type { Card } from "./card";
 import { NO_FEATURE } from "./features";
+import { FieldColors } from "./fieldColorRows";
 import { Peel } from "./peel";
 
 const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonly hint: string }[] = [
@@ -48,6 +49,9 @@ function Body() {
       </div>
       <Show when={mapped()}>
         <Maps />
+      </Show>
+      <Show when={look().colorBy === "field"}>
+        <FieldColors />
       </Show>
       <Show when={look().colorBy === "error"}>
         <ErrorNote />

@@ -3,7 +3,8 @@
 import { createSignal, For, Show } from "solid-js";
 import { formatPercent } from "../format";
 import { FORMATS } from "../exportMenu";
-import { useModel, type ImageRequest } from "../model";
+import type { ImageRequest } from "../actions";
+import { useModel } from "../model";
 import { useSurfaceName, useVisibleCount } from "../surfaceNames";
 import { Needs } from "../needs";
 import { Button } from "../widgets/button";
