@@ -29,7 +29,7 @@ import { storeActions } from "./wiring/storeActions";
 import { SurfaceRenderer } from "./scene/renderer";
 import { withRanges } from "./state/featureRanges";
 import { isAboutGroup } from "./state/group";
-import { lengthScale, lengthUnit } from "./state/lengths";
+import { lengthScale } from "./state/lengths";
 import type { Link } from "./state/link";
 import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
@@ -322,7 +322,7 @@ export class App {
     if (another) this.pipeline.clear();
     this.framing.expect(another, store.opened(another, wish));
     scene.setGrid(volume.geometry);
-    this.display.measureIn(lengthUnit(volume));
+    this.display.place(volume);
     if ((wish?.surfaces.length ?? 0) > store.surfaces.length) this.model.toast(fewerText(store.surfaces.length), "lasting");
     this.sync.opened(store.surfaces);
     this.synchronise();

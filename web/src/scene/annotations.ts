@@ -2,6 +2,7 @@
 
 import type { Box3, OrthographicCamera, PerspectiveCamera, Scene } from "three";
 import type { AxisName } from "../world/axes";
+import type { PhysicalAxis } from "../world/physicalAxes";
 import { BoundingBox } from "./boundingBox";
 import { ClipHandles } from "./clipHandles";
 import { NO_CLIP, type Clip } from "./clipping";
@@ -75,6 +76,18 @@ export class Annotations {
   set unit(unit: string) {
     this.bar.unit = unit;
     this.bounding.unit = unit;
+    this.handlers.onChange();
+  }
+
+  /** What positions along the world's axes are: the ticks of the box are at round ones. */
+  set physicalAxes(axes: readonly (PhysicalAxis | undefined)[]) {
+    this.bounding.axes = axes;
+    this.handlers.onChange();
+  }
+
+  /** How many times higher the world is shown than it is: the scale bar says so. */
+  set exaggeration(factor: number) {
+    this.bar.exaggeration = factor;
     this.handlers.onChange();
   }
 

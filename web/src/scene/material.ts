@@ -13,6 +13,7 @@ import {
   ReplaceStencilOp,
   ShaderMaterial,
   Vector2,
+  Vector3,
   Vector4,
   type IUniform,
   type Material,
@@ -40,6 +41,8 @@ export type Pass =
 /** Uniforms that all surfaces share. */
 export class SharedUniforms {
   readonly worldFromGrid: IUniform<Matrix3> = { value: new Matrix3() };
+  /** From normals in the world to those that the camera's matrix turns into those of the world as it is shown. */
+  readonly normalScale: IUniform<Vector3> = { value: new Vector3(1, 1, 1) };
   /** Clipping planes in view space; what is on their negative side is cut away. */
   readonly clipPlanes: IUniform<Vector4[]> = { value: [] };
   /** Values of vertices that have the first and the last colour. */
@@ -242,7 +245,7 @@ export class SurfaceMaterials {
   }
 
   private make(fragmentShader: string, uniforms: Record<string, IUniform>, flags: Partial<ShaderMaterial>): ShaderMaterial {
-    const { worldFromGrid, clipPlanes, valueRange } = this.shared;
+    const { worldFromGrid, normalScale, clipPlanes, valueRange } = this.shared;
     return Object.assign(
       new ShaderMaterial({
         glslVersion: GLSL3,
@@ -250,7 +253,7 @@ export class SurfaceMaterials {
         fragmentShader,
         defines: { PLANES: this.planes },
         // Not cloned, so that all materials share the values.
-        uniforms: { alpha: this.alphaUniform, worldFromGrid, clipPlanes, valueRange, ...uniforms },
+        uniforms: { alpha: this.alphaUniform, worldFromGrid, normalScale, clipPlanes, valueRange, ...uniforms },
       }),
       flags,
     );

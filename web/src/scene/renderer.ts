@@ -194,6 +194,13 @@ export class SurfaceRenderer {
     this.invalidate();
   }
 
+  /** How many times higher the world is shown than it is. */
+  set exaggeration(factor: number) {
+    this.camera.exaggeration = factor;
+    this.surfaces.shared.normalScale.value.set(1, 1, factor ** -2);
+    this.annotations.exaggeration = factor;
+  }
+
   setEdgeColor(color: string): void {
     this.surfaces.edgeColor = color;
     this.invalidate();

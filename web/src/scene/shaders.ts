@@ -25,6 +25,7 @@ export const NO_VALUE = -1e30;
 export const VERTEX = /* glsl */ `
 uniform float alpha;
 uniform mat3 worldFromGrid;
+uniform vec3 normalScale;  // of the world as it is shown
 // All 16-bit words of a vertex are one signed attribute array; these three are unsigned.
 in float packedNormal; // two signed bytes, octahedral, x low
 in vec2 features;      // s and normalised feature, over 65535
@@ -55,7 +56,7 @@ void main() {
   worldPosition = (modelMatrix * vec4(position, 1.0)).xyz;
 #endif
   viewPosition = p.xyz;
-  viewNormal = mat3(viewMatrix) * (worldFromGrid * unpackNormal(unsignedWords(vec2(packedNormal)).x));
+  viewNormal = normalize(mat3(viewMatrix) * (normalScale * (worldFromGrid * unpackNormal(unsignedWords(vec2(packedNormal)).x))));
 #ifdef VALUE
   shown = value < ${0.5 * NO_VALUE} ? -1.0 : max((value - valueRange.x) / (valueRange.y - valueRange.x), 0.0);
 #else

@@ -16,6 +16,8 @@ export const MAPS = [
 export const MATERIALS = ["ivory", "clay", "tissue", "metal"] as const;
 /** The most isolines: more are no lines any more. */
 export const MAX_ISOLINES = 24;
+/** Factors by which the world can be shown higher. */
+export const EXAGGERATIONS = { min: 0.1, max: 1000 } as const;
 export const BACKGROUNDS = ["page", "black", "white"] as const;
 
 /** What is cut away. World units. */
@@ -58,6 +60,8 @@ export interface Look {
   /** Dark lines where the depth jumps. */
   readonly silhouettes: boolean;
   readonly orthographic: boolean;
+  /** How many times higher the world is shown than it is. What is measured stays true. */
+  readonly exaggeration: number;
   /** What is drawn beside the surface. */
   readonly axes: boolean;
   readonly scale: boolean;
@@ -84,6 +88,7 @@ export const DEFAULT_LOOK: Look = {
   occlusion: true,
   silhouettes: false,
   orthographic: false,
+  exaggeration: 1,
   axes: true,
   scale: true,
   box: false,

@@ -2,7 +2,7 @@
 
 import type { Vec3 } from "../protocol/types";
 import { LinkError, toNumber, type Reader } from "./linkReader";
-import { BACKGROUNDS, COLOR_BY, levelOf, MAPS, MATERIALS, MAX_ISOLINES, NO_CLIP, NO_SLICES, type ClipChoice, type Look, type SliceChoice } from "./look";
+import { BACKGROUNDS, COLOR_BY, EXAGGERATIONS, levelOf, MAPS, MATERIALS, MAX_ISOLINES, NO_CLIP, NO_SLICES, type ClipChoice, type Look, type SliceChoice } from "./look";
 import { MAX_MEASURES, measureText, readMeasure } from "./measure";
 import { digits, list } from "./numbers";
 
@@ -35,6 +35,7 @@ export function lookParts(look: Look, opening: Look): (readonly [string, string 
     ["isolines", look.isolines === 0 ? undefined : String(look.isolines)],
     ["material", differing("material")],
     ...switches,
+    ["heights", look.exaggeration === 1 ? undefined : digits(look.exaggeration)],
     ["peel", level === undefined ? undefined : String(level)],
     ["background", differing("background")],
     ["plane", clip.plane && list([...clip.plane.normal, clip.plane.offset])],
@@ -52,6 +53,7 @@ export function readLook(read: Reader): Partial<Look> {
   const found = {
     colorBy: oneOf(read, "color", COLOR_BY),
     map: oneOf(read, "map", MAPS),
+    exaggeration: readExaggeration(read),
     colorRange: readRange(read),
     isolines: readCount(read),
     material: oneOf(read, "material", MATERIALS),
@@ -78,6 +80,13 @@ function readRange(read: Reader): Look["colorRange"] {
   if (low === undefined || high === undefined) return undefined;
   if (!(low < high)) throw new LinkError(`This link's “colors” is ${low},${high}, expected a range from a lower to a higher value`);
   return [low, high];
+}
+
+function readExaggeration(read: Reader): number | undefined {
+  const factor = read.number("heights");
+  const { min, max } = EXAGGERATIONS;
+  if (factor !== undefined && !(factor >= min && factor <= max)) throw new LinkError(`This link's “heights” is ${factor}, expected a factor from ${min} to ${max}`);
+  return factor;
 }
 
 function readCount(read: Reader): number | undefined {

@@ -7,13 +7,14 @@ import type { ColorBar } from "../scene/colorScale";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { SliceLoader, type SliceSource } from "./sliceLoader";
 import type { Distances } from "../state/distances";
-import { unitWord } from "../state/lengths";
+import { lengthUnit, unitWord } from "../state/lengths";
 import type { ColorBy, Look } from "../state/look";
 import { coloredByLook, type Surface, type SurfaceList } from "../state/surfaceList";
 import { LEVEL_COLORS, mappedLut, rampLut, transferLut } from "../transfer/lut";
 import { IDENTITY } from "../transfer/model";
 import { fieldBarOf, fieldScaleOf, linePlaces, type FieldScale } from "../ui/cards/fieldColors";
 import { formatValue } from "../ui/format";
+import { physicalAxes } from "../world/physicalAxes";
 
 type Points = TransferFunction["points"];
 
@@ -121,10 +122,11 @@ export class Display {
     this.slices.show(look.slices, source);
   }
 
-  /** The unit of lengths in the picture, where it is known. */
-  measureIn(unit: string | undefined): void {
-    this.unit = unit;
-    this.scene.annotations.unit = unit ?? "";
+  /** The volume that is shown: unit and axes of its world. */
+  place(volume: VolumeInfo): void {
+    this.unit = lengthUnit(volume);
+    this.scene.annotations.unit = this.unit ?? "";
+    this.scene.annotations.physicalAxes = physicalAxes(volume.geometry, volume.axes);
   }
 
   private showLook(look: Look, before: Look | undefined): void {
@@ -134,6 +136,7 @@ export class Display {
     scene.setLook({ colorMode, material, flat, wireframe, background, occlusion, silhouettes });
     scene.setFinestLevel(look.finestLevel);
     scene.annotations.show({ axes: look.axes, scale: look.scale, box: look.box });
+    if (look.exaggeration !== (before?.exaggeration ?? 1)) scene.exaggeration = look.exaggeration;
     if (look.clip !== before?.clip) scene.setClip(look.clip);
     const projection = look.orthographic ? "orthographic" : "perspective";
     if (scene.camera.projection !== projection) scene.camera.projection = projection;
