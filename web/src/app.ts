@@ -22,9 +22,8 @@ import type { StreamMessage, VolumeSummary } from "./protocol/types";
 import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
 import { statusOf } from "./wiring/status";
-import { Player } from "./wiring/player";
 import { FileUploads } from "./wiring/uploading";
-import { Stepping } from "./wiring/stepping";
+import { Timeline } from "./wiring/timeline";
 import { storeActions } from "./wiring/storeActions";
 import { SurfaceRenderer } from "./scene/renderer";
 import { withRanges } from "./state/featureRanges";
@@ -74,12 +73,7 @@ export class App {
   private readonly together: Together;
   /** Where the page is a picture in another one. */
   private readonly embedding: Embedding | undefined;
-  private readonly stepping = new Stepping(this.store, (volume, step) => this.open(volume, step));
-  private readonly player = new Player(this.store, {
-    isShown: () => this.settled && !this.store.viewer.opening,
-    go: (step) => this.change(() => this.store.goTo(step, "play")),
-    onStop: () => this.change(() => this.store.endGesture()),
-  });
+  private readonly timeline: Timeline;
   private readonly later = new Later(REFRESH_DELAY_MS, () => this.refresh());
   /** What a link asks for of the volume that is being opened. */
   private wish: Link | undefined;
@@ -107,7 +101,7 @@ export class App {
     this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
     this.model.onGpu = this.scene.onGpu;
-    if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) this.player.slow();
+    this.timeline = this.makeTimeline();
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes), () => this.embedding?.refused());
     this.uploads = new FileUploads(this.store, this.model, this.base, () => this.connecting.loadVolumes());
     const { store, model, scene, framing, pipeline, client } = this;
@@ -129,18 +123,19 @@ export class App {
     return new Model(store, {
       openVolume: (id) => {
         if (!this.together.mayChange()) return;
-        this.stepping.cancel();
+        this.timeline.stepping.cancel();
         this.open(id, store.stepOf(id));
       },
       ...storeActions(store, (act) => this.change(act), () => this.together.mayChange(), () => this.model.mayEdit()),
       changePage: (layers) => {
         if (layers.slicing !== undefined && !this.together.mayChange()) return;
         this.change(() => store.changePage(layers));
-        this.player.follow();
+        this.timeline.follow();
         this.showDisplay();
       },
       group: (act) => this.together.act(act),
       ...framingActions(() => this.framing),
+      measureOverTime: (run) => this.together.mayChange() && this.timeline.measure(run),
       sumUp: () => this.summing.sumSelected(),
       useAtCentre: () => this.questions.useAtCentre(),
       retry: () => this.client.retryNow(),
@@ -199,6 +194,12 @@ export class App {
     return new Together({ store, model, scene, framing, client, ...does }, viewport);
   }
 
+  private makeTimeline(): Timeline {
+    const { model, pipeline, questions, store } = this;
+    const [change, open] = [(act: () => void) => this.change(act), (volume: string, step: number) => this.open(volume, step)];
+    return new Timeline({ store, model, pipeline, questions, isSettled: () => this.settled, change, open });
+  }
+
   private makeClient(): StreamClient {
     return new StreamClient(() => streamAddress(streamUrl(this.base)), {
       onState: (state, reason) => {
@@ -246,7 +247,7 @@ export class App {
     if (after !== before) this.showDisplay();
     this.questions.follow();
     if (after?.surfaces !== before?.surfaces) this.synchronise();
-    if (after !== undefined && after.step !== before?.step) this.stepping.want(after.step);
+    if (after !== undefined && after.step !== before?.step) this.timeline.stepping.want(after.step);
     // Cards are about another surface.
     if (after?.selected !== before?.selected) this.refresh();
     this.model.showWork(this.store);
@@ -303,7 +304,7 @@ export class App {
         this.model.clearErrors();
         break;
       case "error":
-        this.player.stop();
+        this.timeline.player.stop();
         if (message.code === "volume-removed") this.uploads.leaveRemoved();
         else this.model.toast(errorText(message, this.store.surfaces));
         break;
@@ -390,7 +391,7 @@ export class App {
     this.summing.follow();
     this.comparison.advance(this.settled);
     this.showDisplay();
-    this.player.follow();
+    this.timeline.follow();
     this.connecting.watch(this.store.viewer.watches);
     this.embedding?.follow(this.settled);
     const { levelTriangles, levelTrianglesBySurface } = this.scene;

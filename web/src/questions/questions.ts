@@ -65,6 +65,11 @@ export class Questions {
     if (this.viewport !== undefined) void this.use(centreOf(this.viewport));
   }
 
+  /** What the server knows of a place of the world. */
+  probeAt(position: Vec3, surface: number): Promise<Probed | undefined> {
+    return this.prober.at({ position, surface });
+  }
+
   /** State or surface changed. */
   follow(): void {
     this.asker.follow();

@@ -327,6 +327,11 @@ export class Store {
     this.history?.end();
   }
 
+  /** As before the gesture of this name, if it is under way. */
+  cancelGesture(name: string): void {
+    if (this.history?.cancel(name) === true) this.arrange();
+  }
+
   undo(): void {
     if (this.history?.undo() === true) this.arrange();
   }

@@ -30,6 +30,8 @@ export interface Actions {
   readonly endGesture: () => void;
   /** Area and enclosed volume of the selected surface as it is on screen. */
   readonly sumUp: () => void;
+  /** Goes through all time steps and measures the selected surface in each; `false`: stops it. */
+  readonly measureOverTime: (run: boolean) => void;
   /** The tool in hand, at the centre of the picture. */
   readonly useAtCentre: () => void;
   readonly changePage: (layers: Partial<PageLayers>) => void;

@@ -10,6 +10,7 @@ import type { Look } from "../state/look";
 import { has, LACKING, type Role } from "../state/roles";
 import type { PageLayers, Store } from "../state/store";
 import type { Surface, SurfaceList } from "../state/surfaceList";
+import type { TimeCurves } from "../state/timeCurves";
 import { INITIAL_STATE, type ViewerState } from "../state/viewer";
 import type { Actions, Compared, MeshFormat } from "./actions";
 import { SlicesBeside } from "./slicePanel/beside";
@@ -139,6 +140,8 @@ export class Model {
   private readonly session: Accessor<SessionInfo | undefined>;
   /** The group that the page is in. */
   readonly group: Accessor<GroupState | undefined>;
+  /** What was measured over time; `undefined` until the user asks. */
+  readonly curves: Accessor<TimeCurves | undefined>;
   private readonly set;
 
   constructor(
@@ -172,10 +175,12 @@ export class Model {
     const [comparing, setComparing] = createSignal<Compared | "waiting">();
     const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
     [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
+    const [curves, setCurves] = createSignal<TimeCurves>();
+    this.curves = curves;
     const [group, setGroup] = createSignal<GroupState | undefined>(undefined, same);
     const [session, setSession] = createSignal<SessionInfo | undefined>(undefined, same);
     [this.group, this.session] = [group, session];
-    this.set = { setGroup, setSession, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+    this.set = { setCurves, setGroup, setSession, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
   }
 
   /** What the user has changed is shown at once. */
@@ -222,6 +227,10 @@ export class Model {
 
   showEnclosed(enclosed: Enclosed | "summing" | undefined): void {
     this.set.setEnclosed(enclosed);
+  }
+
+  showCurves(curves: TimeCurves): void {
+    this.set.setCurves(curves);
   }
 
   showGroup(group: GroupState | undefined): void {
