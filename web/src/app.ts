@@ -25,6 +25,7 @@ import { statusOf } from "./wiring/status";
 import { FileUploads } from "./wiring/uploading";
 import { Timeline } from "./wiring/timeline";
 import { storeActions } from "./wiring/storeActions";
+import { Storyteller } from "./wiring/storyteller";
 import { SurfaceRenderer } from "./scene/renderer";
 import { withRanges } from "./state/featureRanges";
 import { isAboutGroup } from "./state/group";
@@ -70,6 +71,7 @@ export class App {
   private readonly questions: Questions;
   private readonly connecting: Connecting;
   private readonly uploads: FileUploads;
+  private readonly storyteller: Storyteller;
   private readonly together: Together;
   /** Where the page is a picture in another one. */
   private readonly embedding: Embedding | undefined;
@@ -101,11 +103,12 @@ export class App {
     this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
     this.model.onGpu = this.scene.onGpu;
-    this.timeline = this.makeTimeline();
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes), () => this.embedding?.refused());
     this.uploads = new FileUploads(this.store, this.model, this.base, () => this.connecting.loadVolumes());
     const { store, model, scene, framing, pipeline, client } = this;
     const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link), base, reconnect: () => client.reconnect() };
+    this.storyteller = new Storyteller(around);
+    this.timeline = new Timeline({ ...around, pipeline, questions: this.questions, change: (act) => this.change(act), open: (volume, step) => this.open(volume, step) });
     this.together = this.makeTogether(viewport);
     if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
     showPage(root, this.model, viewport, this.store.isEmbedded);
@@ -134,6 +137,7 @@ export class App {
         this.showDisplay();
       },
       group: (act) => this.together.act(act),
+      story: (act) => act.type !== "add" && !this.together.mayChange() ? undefined : this.storyteller.act(act),
       ...framingActions(() => this.framing),
       measureOverTime: (run) => this.together.mayChange() && this.timeline.measure(run),
       sumUp: () => this.summing.sumSelected(),
@@ -192,12 +196,6 @@ export class App {
     const alone = () => this.showVolumes(store.viewer.volumes ?? []);
     const does = { link: () => this.link(), dispatch: (event: ViewerEvent) => this.update(event), adopt: (act: () => void) => this.change(act), alone };
     return new Together({ store, model, scene, framing, client, ...does }, viewport);
-  }
-
-  private makeTimeline(): Timeline {
-    const { model, pipeline, questions, store } = this;
-    const [change, open] = [(act: () => void) => this.change(act), (volume: string, step: number) => this.open(volume, step)];
-    return new Timeline({ store, model, pipeline, questions, isSettled: () => this.settled, change, open });
   }
 
   private makeClient(): StreamClient {

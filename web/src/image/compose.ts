@@ -37,10 +37,10 @@ const COLOR_BAR = { width: 14, height: 200 };
 const SWATCH = { width: 22, height: 12, line: 20 };
 
 export function composeImage(snapshot: Snapshot, parts: ImageParts): Promise<Blob> {
-  return compose(snapshot, parts).convertToBlob({ type: "image/png" });
+  return drawImage(snapshot, parts).convertToBlob({ type: "image/png" });
 }
 
-function compose({ width, height, pixels, labels, unitsPerPixel }: Snapshot, parts: ImageParts): OffscreenCanvas {
+export function drawImage({ width, height, pixels, labels, unitsPerPixel }: Snapshot, parts: ImageParts): OffscreenCanvas {
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");
   if (context === null) throw new Error("the browser gives no canvas to draw the image on");

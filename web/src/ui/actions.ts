@@ -59,7 +59,17 @@ export interface Actions {
   /** All visible surfaces as one GLB. */
   readonly downloadAll: (cap?: boolean) => void;
   readonly group: (act: GroupAct) => void;
+  readonly story: (act: StoryAct) => void;
 }
+
+/** What is done with bookmarks, besides changing their list. */
+export type StoryAct =
+  /** Of what is shown. */
+  | { readonly type: "add" }
+  | { readonly type: "show"; readonly index: number }
+  | { readonly type: "play"; readonly from?: number }
+  | { readonly type: "record"; readonly request: ImageRequest }
+  | { readonly type: "stop" };
 
 /** What is compared: edits with what was before, the decimated surface with the full one, or the surface with importance and without. */
 export type Compared = "edit" | "full" | "importance";

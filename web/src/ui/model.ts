@@ -72,6 +72,12 @@ export interface Answer {
   readonly act: () => void;
 }
 
+/** A bookmark that is shown in its turn. */
+interface Told {
+  readonly index: number;
+  readonly text: string;
+}
+
 /** A message to the user: an error, what was done, or a question. */
 export interface Toast {
   readonly text: string;
@@ -140,6 +146,8 @@ export class Model {
   private readonly session: Accessor<SessionInfo | undefined>;
   /** The group that the page is in. */
   readonly group: Accessor<GroupState | undefined>;
+  /** The bookmark that a story shows; `undefined` while none is played. */
+  readonly telling: Accessor<Told | undefined>;
   /** What was measured over time; `undefined` until the user asks. */
   readonly curves: Accessor<TimeCurves | undefined>;
   private readonly set;
@@ -175,12 +183,14 @@ export class Model {
     const [comparing, setComparing] = createSignal<Compared | "waiting">();
     const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
     [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
+    const [telling, setTelling] = createSignal<Told>();
+    this.telling = telling;
     const [curves, setCurves] = createSignal<TimeCurves>();
     this.curves = curves;
     const [group, setGroup] = createSignal<GroupState | undefined>(undefined, same);
     const [session, setSession] = createSignal<SessionInfo | undefined>(undefined, same);
     [this.group, this.session] = [group, session];
-    this.set = { setCurves, setGroup, setSession, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+    this.set = { setTelling, setCurves, setGroup, setSession, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
   }
 
   /** What the user has changed is shown at once. */
@@ -227,6 +237,10 @@ export class Model {
 
   showEnclosed(enclosed: Enclosed | "summing" | undefined): void {
     this.set.setEnclosed(enclosed);
+  }
+
+  showTelling(told: Told | undefined): void {
+    this.set.setTelling(told);
   }
 
   showCurves(curves: TimeCurves): void {

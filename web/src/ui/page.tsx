@@ -12,6 +12,7 @@ import { Announcer } from "./announcer";
 import { ModelContext, useModel, type Model } from "./model";
 import { Notice } from "./notice";
 import { ProbeReadout } from "./probeReadout";
+import { Telling } from "./telling";
 import { Toasts } from "./toasts";
 import { TopLine } from "./topLine";
 import { isTourDue } from "./tourState";
@@ -87,6 +88,7 @@ function Stage(props: { readonly viewport: HTMLElement }) {
           <ConnectionBanner />
           <UploadProgress />
           <Notice />
+          <Telling />
           <Toasts />
         </main>
         <Suspense>

@@ -32,7 +32,7 @@ const WITHOUT_BAR = "without a scale bar, as lengths differ by more than 5 % ove
 export async function makeImage(scene: SurfaceRenderer, store: Store, request: ImageRequest): Promise<Made> {
   const { composeImage } = await import("../image/compose");
   const snapshot = scene.snapshot({ scale: request.scale, transparent: true });
-  const blob = await composeImage(snapshot, parts(scene, store, request));
+  const blob = await composeImage(snapshot, imageParts(scene, store, request));
   return { blob, note: request.scaleBar && snapshot.unitsPerPixel === undefined ? WITHOUT_BAR : undefined };
 }
 
@@ -55,14 +55,15 @@ export async function makeTurn(
   }, {
     frames,
     from: scene.camera.pose,
-    parts: parts(scene, store, request),
+    parts: imageParts(scene, store, request),
     onProgress,
     signal,
   });
   return { blob, note: request.scaleBar && withoutBar > 0 ? `${withoutBar} of ${frames} ${WITHOUT_BAR}` : undefined };
 }
 
-function parts(scene: SurfaceRenderer, store: Store, request: ImageRequest): ImageParts {
+/** What is composed with a picture. */
+export function imageParts(scene: SurfaceRenderer, store: Store, request: ImageRequest): ImageParts {
   const { look, viewer } = store;
   const surfaces = withRanges(viewer, store.surfaces);
   const page = theme();

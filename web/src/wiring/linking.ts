@@ -6,10 +6,10 @@ import type { Store } from "../state/store";
 
 /** `undefined` until a volume is open that a link could name. */
 export function linkState(store: Store, pose: Pose | undefined): LinkState | undefined {
-  const { surfaces, opening, look, openingLook, page: { slicing }, viewer, step } = store;
+  const { surfaces, opening, look, openingLook, page: { slicing, story }, viewer, step } = store;
   const { selected, volume, target } = viewer;
   if (opening === undefined || volume === undefined || target?.volume !== volume.id) return undefined;
-  return { volume: volume.id, step, surfaces, selected, opening, look, openingLook, slicing, pose };
+  return { volume: volume.id, step, surfaces, selected, opening, look, openingLook, slicing, story, pose };
 }
 
 /** `shown`: what is open instead, by its id. */

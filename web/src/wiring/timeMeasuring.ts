@@ -19,7 +19,7 @@ export interface TimeMeasuringHandlers {
 }
 
 /** What the selected surface is made of. */
-export function surfaceKey({ view, viewer }: Pick<Store, "view" | "viewer">): string {
+function surfaceKey({ view, viewer }: Pick<Store, "view" | "viewer">): string {
   return JSON.stringify([viewer.volume?.id, { ...view, transferFunction: view?.transferFunction.points.map(({ x, importance }) => [x, importance]) }]);
 }
 
