@@ -32,6 +32,8 @@ const MARGIN = 16;
 const TEXT = 13;
 /** Of the edge around texts. */
 const EDGE = 3;
+/** Opacity of texts at places behind the surface. */
+const FAINT = 0.45;
 const FONT = 'system-ui, "Segoe UI", "Noto Sans", "DejaVu Sans", sans-serif';
 const COLOR_BAR = { width: 14, height: 200 };
 const SWATCH = { width: 22, height: 12, line: 20 };
@@ -61,7 +63,11 @@ export function drawImage({ width, height, pixels, labels, unitsPerPixel }: Snap
   context.textAlign = "center";
   context.lineJoin = "round";
   const write = writer(context, parts.background ?? opposite(ink), scale);
-  for (const { text, x, y } of labels) write(text, x, y);
+  for (const { text, x, y, isBehind } of labels) {
+    context.globalAlpha = isBehind ? FAINT : 1;
+    write(text, x, y);
+  }
+  context.globalAlpha = 1;
   if (parts.scaleBar !== undefined && unitsPerPixel !== undefined) drawScaleBar(context, write, parts.scaleBar(unitsPerPixel), scale, height);
   if (parts.colorBar !== undefined) drawColorBar(context, write, parts.colorBar, scale, width, height);
   if (parts.isovalues !== undefined) drawIsovalues(context, write, parts.isovalues, scale);

@@ -8,6 +8,7 @@ import { ClipHandles } from "./clipHandles";
 import { NO_CLIP, type Clip } from "./clipping";
 import { ColorScale, type ColorBar } from "./colorScale";
 import { Crosshair, type CrosshairPlace } from "./crosshair";
+import { isBehind } from "./hiddenPlaces";
 import { Markers, type Marker } from "./markers";
 import { AxesCube, ScaleBar } from "./orientation";
 import { Outlines, type Outlined } from "./outlines";
@@ -160,6 +161,16 @@ export class Annotations {
     this.crosshair.scale = 1;
     if (this.isPointed) this.scene.add(this.crosshair.object);
     this.handles.update(this.choice.handles && !box.isEmpty() ? clip : NO_CLIP, box, camera, this.overlay.size);
+  }
+
+  /** Texts stand at places that may be behind the surface. */
+  get hasPlaces(): boolean {
+    return this.overlay.hasPlaces;
+  }
+
+  /** Makes texts fainter whose places are behind the surface. @param depths see `isBehind` */
+  fade(camera: PerspectiveCamera | OrthographicCamera, depths: readonly number[]): void {
+    this.overlay.fade(({ at }) => isBehind(at, camera, depths));
   }
 
   /** Shows the scale at a depth. */

@@ -111,6 +111,18 @@ export class Painter {
     return this.picking.depthsNow(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
   }
 
+  /** How far surfaces are over the whole picture; see `Picking.map`. */
+  depthMap(camera: PerspectiveCamera | OrthographicCamera): Promise<number[]> {
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
+    return this.picking.map(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
+  }
+
+  /** The same, at once: for images. */
+  depthMapNow(camera: PerspectiveCamera | OrthographicCamera): number[] {
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
+    return this.picking.mapNow(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
+  }
+
   private drawAllPlaces(eye: PerspectiveCamera | OrthographicCamera): void {
     this.drawPlaces([...this.surfaces.visible(true), ...this.surfaces.visible(false)], "now", eye);
   }

@@ -11,6 +11,7 @@ import { prepareCanvas } from "./canvas";
 import { CentreDepth } from "./centreDepth";
 import { Clipping, type Clip } from "./clipping";
 import { gpuDone, hasGpu } from "./gpu";
+import { HiddenPlaces } from "./hiddenPlaces";
 import { DEFAULT_LOOK, type Look, type SurfaceStyle } from "./look";
 import type { ColorTables } from "./material";
 import { Painter } from "./painter";
@@ -67,6 +68,10 @@ export class SurfaceRenderer {
   private frames = 0;
   private sums: ReturnType<Surfaces["levelSums"]>;
   private readonly centre: CentreDepth;
+  private readonly hidden = new HiddenPlaces(async () => {
+    const depths = await this.painter.depthMap(this.camera.camera);
+    this.annotations.fade(this.camera.camera, depths);
+  });
   private readonly quality: AdaptiveQuality;
   /** @throws when the browser has no WebGL 2 */
   constructor(
@@ -363,6 +368,7 @@ export class SurfaceRenderer {
     const { width, height } = this.webgl.domElement;
     annotations.update(camera.camera, this.clipBounds(), this.clipping.value, this.centre.depth);
     this.centre.lookSoon(annotations.value.scale);
+    this.hidden.lookSoon(annotations.hasPlaces);
     this.painter.paint({
       target: null,
       width,
