@@ -12,7 +12,7 @@ import { Embedding } from "./wiring/embedding";
 import { Summing } from "./wiring/summing";
 import { Framing, framingActions } from "./wiring/framing";
 import { Later } from "./wiring/later";
-import { linkState, unknownVolumeText } from "./wiring/linking";
+import { firstLink, linkState, unknownVolumeText } from "./wiring/linking";
 import { whenReleased } from "./wiring/gesture";
 import { streamAddress, streamUrl } from "./net/credentials";
 import { StreamClient } from "./net/streamClient";
@@ -231,6 +231,7 @@ export class App {
   private open(volume: string, step: number): void {
     const { store } = this;
     if (volume !== store.viewer.volume?.id) store.leave(this.scene.regionCount > 0 ? this.scene.camera.pose : undefined);
+    this.wish ??= firstLink(store, volume);
     this.update({ type: "open", target: { volume, step } });
     this.client.open(volume, step);
     if (this.client.ready) for (const { number } of store.surfaces) this.update({ type: "sent", surface: number, at: performance.now() });

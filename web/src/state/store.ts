@@ -219,6 +219,11 @@ export class Store {
     this.remembered.set(volume.id, { history: this.history, step: this.step, pose, crosshair: this.layers.slicing.at });
   }
 
+  /** Whether there is work of a volume, open or left. */
+  knows(volume: string): boolean {
+    return this.viewerState.volume?.id === volume || this.remembered.has(volume);
+  }
+
   /** The step at which a volume was left. */
   stepOf(volume: string): number {
     return this.remembered.get(volume)?.step ?? 0;

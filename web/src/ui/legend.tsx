@@ -5,13 +5,16 @@ import { awaitedErrors } from "../state/shownErrors";
 import { LEVEL_COLORS } from "../transfer/lut";
 import { formatCount } from "./format";
 import { useModel } from "./model";
+import { Button } from "./widgets/button";
 import { awaitedWords } from "./words";
 
 const FieldLegend = lazy(() => import("./fieldLegend"));
 
 /** @param editable the range of a field's colours can be changed */
 export function Legend(props: { readonly editable?: boolean }) {
-  const { look, surfaces, viewer } = useModel();
+  const model = useModel();
+  const { actions, comparing, look, surfaces, viewer } = model;
+  const may = (role: "edit") => model.may(role);
   const awaited = () => (look().colorBy === "error" ? awaitedWords(awaitedErrors(viewer(), surfaces())) : "");
   return (
     <>
@@ -23,6 +26,13 @@ export function Legend(props: { readonly editable?: boolean }) {
           <FieldLegend />
         </Show>
       </Suspense>
+      <Show when={props.editable === true && look().colorBy === "importance" && may("edit")}>
+        <div class="without-importance">
+          <Button pressed={comparing() === "importance"} onClick={() => actions.compare(comparing() === "importance" ? undefined : "importance")}>
+            Same budget without importance
+          </Button>
+        </div>
+      </Show>
       <Show when={awaited()}>{(text) => <p class="display-legend">{text()}</p>}</Show>
     </>
   );
