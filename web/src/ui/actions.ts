@@ -83,6 +83,8 @@ export interface ImageRequest {
   readonly scaleBar: boolean;
   /** Colour and isovalue of each visible surface, where there are several. */
   readonly isovalues: boolean;
+  /** Slices that are shown beside the picture. */
+  readonly slices: boolean;
   /** May be empty. */
   readonly caption: string;
 }

@@ -24,7 +24,7 @@ export class Outputs {
   saveImage(request: ImageRequest): void {
     void this.save("png", async () => {
       const { makeImage } = await import("./imageMaker");
-      return makeImage(this.scene, this.store, request);
+      return makeImage(this.scene, this.store, request, this.model.beside.slices);
     });
   }
 

@@ -11,7 +11,7 @@ import { Icon } from "../widgets/icon";
 import "../style/story.css";
 
 /** Images of a video have the size of the picture, and what is in them. */
-const VIDEO = { scale: 1, transparent: false, colorBar: true, scaleBar: true, isovalues: true, caption: "" };
+const VIDEO = { scale: 1, transparent: false, colorBar: true, scaleBar: true, isovalues: true, slices: false, caption: "" };
 
 export default function Body() {
   const model = useModel();
