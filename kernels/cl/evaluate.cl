@@ -4,44 +4,26 @@
 // Fields that the expression does not have stand for the first one, and are not read.
 
 #include "lib/precision.h"
+#include "lib/any_samples.h"
 #include "lib/args.h"
 #include "lib/constants.h"
 #include "lib/device.h"
 #include "lib/layout.h"
 #include "lib/operations.h"
 
-// LANES samples from `at` on. What lies behind the last sample is the last one.
-#define LOAD_KIND(kind)                                                                                                \
-    {                                                                                                                  \
-        __global const kind *all = (__global const kind *)samples;                                                    \
-        if (at + LANES <= end) return LOAD_SAMPLES(all + at);                                                          \
-        for (uint i = 0; i < LANES; i++) last[i] = (float)all[min(at + i, end - 1)];                                   \
-        return LOAD_LANES(last);                                                                                       \
-    }
-INLINED real load_kind(__global const void *samples, uint type, ulong at, ulong end) {
-    float last[LANES];
-    switch (type) {
-        case TYPE_U8: LOAD_KIND(uchar)
-        case TYPE_I8: LOAD_KIND(char)
-        case TYPE_U16: LOAD_KIND(ushort)
-        case TYPE_I16: LOAD_KIND(short)
-        default: LOAD_KIND(float)
-    }
-}
-
 #define LOAD_FIELD(i)                                                                                                  \
     if (i < args.fields) {                                                                                             \
-        const real v = load_kind(field_##i, args.type_##i, at, end);                                                   \
+        const real v = load_any(field_##i, args.type_##i, at, end);                                                   \
         field[i] = PICK(v == args.missing_##i, NAN, v);                                                                \
         known = known & (field[i] == field[i]);                                                                        \
     }
 
-// `count` samples from the one of number EVALUATE_BLOCK * `first` on.
+// `count` samples from the one of number LAUNCH_BLOCK * `first` on.
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
 void evaluate(const EvaluateArgs args, __global const uint2 *operations, __global const void *field_0, __global const void *field_1,
               __global const void *field_2, __global const void *field_3, __global const void *field_4, __global const void *field_5,
               __global const void *field_6, __global const void *field_7, __global float *out) {
-    const ulong begin = (ulong)args.first * EVALUATE_BLOCK, end = begin + args.count, at = begin + (ulong)get_global_id(0) * LANES;
+    const ulong begin = (ulong)args.first * LAUNCH_BLOCK, end = begin + args.count, at = begin + (ulong)get_global_id(0) * LANES;
     if (at >= end) return;
     real field[EXPRESSION_FIELDS], results[EXPRESSION_OPERATIONS], value = 0.0f;
     integer known = value == value;

@@ -80,8 +80,8 @@ constants! {
     EXPRESSION_FIELDS: u32 = 8;
     /// Maximum operations of an expression.
     EXPRESSION_OPERATIONS: u32 = 64;
-    /// Launches of `evaluate` begin at multiples of this number of samples.
-    EVALUATE_BLOCK: u32 = 1024;
+    /// Launches of `evaluate` and `mask` begin at multiples of this number of samples.
+    LAUNCH_BLOCK: u32 = 1024;
     /// Operation of `evaluate`: a number.
     OPERATION_NUMBER: u32 = 0;
     /// Operation of `evaluate`: the sample of a field.

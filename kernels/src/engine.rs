@@ -13,6 +13,7 @@ mod distance_field;
 mod evaluate;
 pub(crate) mod fit;
 mod generate;
+mod mask;
 mod measure;
 pub(crate) mod peel;
 pub(crate) mod query;

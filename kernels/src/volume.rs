@@ -150,59 +150,6 @@ impl Samples {
         };
         (samples, grown)
     }
-
-    /// The samples with those outside a mask missing, and the value that then counts as missing: the given one, where there is one, else
-    /// NaN, or an integer that no sample has, for which the type is widened where it holds none. `is_inside`: of a sample's index.
-    pub fn masked(self, missing: Option<f32>, is_inside: impl Fn(usize) -> bool) -> (Self, Option<f32>) {
-        let (samples, missing) = match missing {
-            Some(value) => (self, value),
-            None => self.with_free_value(),
-        };
-        // Each cast is exact: the type holds the value.
-        let masked = match samples {
-            Self::U8(v) => Self::U8(masked(v, missing as u8, is_inside)),
-            Self::I8(v) => Self::I8(masked(v, missing as i8, is_inside)),
-            Self::U16(v) => Self::U16(masked(v, missing as u16, is_inside)),
-            Self::I16(v) => Self::I16(masked(v, missing as i16, is_inside)),
-            Self::F32(v) => Self::F32(masked(v, missing, is_inside)),
-        };
-        (masked, Some(missing).filter(|value| !value.is_nan()))
-    }
-
-    /// The samples in a type that has a value which none of them has, and that value.
-    fn with_free_value(self) -> (Self, f32) {
-        let values = || (0..self.len()).map(|i| self.get(i));
-        let low = values().fold(f32::INFINITY, f32::min) - 1.0;
-        let high = values().fold(f32::NEG_INFINITY, f32::max) + 1.0;
-        let ends = match &self {
-            Self::U8(_) => [0.0, f32::from(u8::MAX)],
-            Self::I8(_) => [f32::from(i8::MIN), f32::from(i8::MAX)],
-            Self::U16(_) => [0.0, f32::from(u16::MAX)],
-            Self::I16(_) => [f32::from(i16::MIN), f32::from(i16::MAX)],
-            Self::F32(_) => return (self, f32::NAN),
-        };
-        let free = [low, high]
-            .into_iter()
-            .find(|value| (ends[0]..=ends[1]).contains(value));
-        if let Some(value) = free {
-            return (self, value);
-        }
-        match self {
-            Self::U8(v) => (Self::I16(v.into_iter().map(Into::into).collect()), -1.0),
-            Self::I8(v) => (Self::I16(v.into_iter().map(Into::into).collect()), -129.0),
-            wide => (Self::F32((0..wide.len()).map(|i| wide.get(i)).collect()), f32::NAN),
-        }
-    }
-}
-
-/// Samples with those outside replaced by `value`.
-fn masked<T: Copy>(mut samples: Vec<T>, value: T, is_inside: impl Fn(usize) -> bool) -> Vec<T> {
-    for (i, sample) in samples.iter_mut().enumerate() {
-        if !is_inside(i) {
-            *sample = value;
-        }
-    }
-    samples
 }
 
 /// Puts one `value` around a box of samples on every side.
@@ -410,48 +357,6 @@ mod tests {
             pad(Samples::F32(vec![f32::NAN, f32::NAN]), None),
             (SampleType::F32, -1.0)
         );
-    }
-
-    #[test]
-    fn what_is_outside_a_mask_is_missing() {
-        let mask = |samples: Samples, missing| {
-            let (masked, missing) = samples.masked(missing, |i| i == 1);
-            (masked.sample_type(), masked.get(0), masked.get(1), missing)
-        };
-        assert_eq!(
-            mask(Samples::U8(vec![7, 9]), None),
-            (SampleType::U8, 6.0, 9.0, Some(6.0))
-        );
-        assert_eq!(
-            mask(Samples::U8(vec![0, 9]), None),
-            (SampleType::U8, 10.0, 9.0, Some(10.0))
-        );
-        assert_eq!(
-            mask(Samples::U8(vec![0, 255]), None),
-            (SampleType::I16, -1.0, 255.0, Some(-1.0))
-        );
-        assert_eq!(
-            mask(Samples::I8(vec![-128, 127]), None),
-            (SampleType::I16, -129.0, 127.0, Some(-129.0))
-        );
-        assert_eq!(
-            mask(Samples::I16(vec![3, 5]), Some(-9.0)),
-            (SampleType::I16, -9.0, 5.0, Some(-9.0))
-        );
-        for wide in [
-            Samples::U16(vec![0, 65535]),
-            Samples::I16(vec![-32768, 32767]),
-            Samples::F32(vec![2.0, 5.0]),
-        ] {
-            let kept = wide.get(1);
-            let (masked, missing) = wide.masked(None, |i| i == 1);
-            assert!(
-                matches!(masked, Samples::F32(_))
-                    && masked.get(0).is_nan()
-                    && masked.get(1) == kept
-                    && missing.is_none()
-            );
-        }
     }
 
     #[test]

@@ -332,7 +332,7 @@ typedef struct {
 
 // Arguments of `evaluate`.
 typedef struct {
-    uint first; // First sample of this launch, in blocks of EVALUATE_BLOCK.
+    uint first; // First sample of this launch, in blocks of LAUNCH_BLOCK.
     uint count; // Samples of this launch.
     uint operations; // Operations of the expression.
     uint fields; // Fields of the expression.
@@ -353,6 +353,19 @@ typedef struct {
     float missing_6; // Of the seventh one.
     float missing_7; // Of the eighth one.
 } EvaluateArgs;
+
+// Arguments of `mask`.
+typedef struct {
+    uint first; // First sample of this launch, in blocks of LAUNCH_BLOCK.
+    uint count; // Samples of this launch.
+    uint samples_type; // Sample type of the field, `TYPE_U8` to `TYPE_F32`.
+    uint labels_type; // Of the labels.
+    uint out_type; // Of the result.
+    uint ranges; // Ranges of labels.
+    uint is_complement; // Whether labels in no range are inside, 1 or 0.
+    float missing_label; // Labels equal to this are missing.
+    float missing; // Value of the samples outside.
+} MaskArgs;
 
 // Arguments of `distance_field_before` and `distance_field_after`.
 typedef struct {

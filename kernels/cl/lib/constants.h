@@ -42,8 +42,8 @@
 #define EXPRESSION_FIELDS 8u
 // Maximum operations of an expression.
 #define EXPRESSION_OPERATIONS 64u
-// Launches of `evaluate` begin at multiples of this number of samples.
-#define EVALUATE_BLOCK 1024u
+// Launches of `evaluate` and `mask` begin at multiples of this number of samples.
+#define LAUNCH_BLOCK 1024u
 // Operation of `evaluate`: a number.
 #define OPERATION_NUMBER 0u
 // Operation of `evaluate`: the sample of a field.

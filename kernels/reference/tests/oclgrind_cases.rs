@@ -7,7 +7,7 @@ use isopeel_kernels::expression::{Binary, Comparison, Op};
 use isopeel_kernels::testing::device;
 use isopeel_kernels::{
     ChosenParts, CutParams, DerivedFeature, Engine, Expression, Feature, Grid, Interest, InterestShape, Isovalue,
-    Level, Mesher, Never, PartFilter, Pyramid, RectilinearGrid, Samples, TreeGoal, VectorFeature, Volume,
+    Level, Mesher, Never, PartFilter, Pyramid, RectilinearGrid, Samples, TreeGoal, ValueSet, VectorFeature, Volume,
 };
 
 const DIMS: [u32; 3] = [36, 5, 4];
@@ -99,6 +99,7 @@ fn derived_features_run() {
         derive(&engine, &volume, feature);
     }
     evaluate(&engine, [&volume, &y]);
+    mask(&engine, [&volume, &y]);
     distances(&engine, &y);
 }
 
@@ -142,6 +143,20 @@ fn evaluate(engine: &Engine, [x, y]: [&Volume; 2]) {
     let at = |i: usize| 4.0 * (f32::from(values(DERIVED_DIMS)[i]) + f32::from(of_values(DERIVED_DIMS, signed)[i]));
     let is_as_expected = |i: usize| planes.get(i) == at(i) || planes.get(i).is_nan();
     assert!((0..planes.len()).all(is_as_expected) && planes.get(3) == at(3));
+}
+
+/// `mask`, of samples of one type by labels of another.
+fn mask(engine: &Engine, [field, labels]: [&Volume; 2]) {
+    let inside = ValueSet {
+        ranges: vec![[-5.0, 0.0], [20.0, 40.0]],
+        is_complement: false,
+    };
+    let masked = engine.mask(field, labels, &inside, &Never).expect("mask");
+    let planes = engine.download(&masked, 0..1).expect("download");
+    let (values, labels) = (values(DERIVED_DIMS), of_values(DERIVED_DIMS, signed));
+    let count = (0..planes.len()).filter(|&i| inside.holds(f32::from(labels[i])));
+    let of_inside = count.map(|i| planes.get(i) == f32::from(values[i])).collect::<Vec<_>>();
+    assert!(!of_inside.is_empty() && of_inside.len() < planes.len() && of_inside.iter().all(|is_same| *is_same));
 }
 
 /// `distance_field`, from where a field is below 0, or missing there.

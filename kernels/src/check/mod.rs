@@ -7,7 +7,7 @@
 use crate::expression::{Binary, Comparison, Expression, Op};
 use crate::{
     CutParams, DerivedFeature, DistanceOf, Engine, Error, Feature, Isovalue, Level, Mesher, Never, PartFilter, Pyramid,
-    RectilinearGrid, SampleType, ShownCut, TreeGoal, VertexTree, Volume,
+    RectilinearGrid, SampleType, ShownCut, TreeGoal, ValueSet, VertexTree, Volume,
 };
 
 mod answers;
@@ -78,6 +78,7 @@ pub const STEPS: &[Step] = &[
     step("march", Scope::Rest, |check| check.march()),
     step("distance", Scope::Rest, |check| check.distance()),
     step("evaluate", Scope::Rest, |check| check.evaluate()),
+    step("mask", Scope::Rest, |check| check.mask()),
     step("distance_field", Scope::Rest, |check| check.distance_field()),
 ];
 
@@ -358,6 +359,22 @@ impl<'a> Check<'a> {
         let field = self.engine.evaluate(&doubled, &[self.volume()], &Never)?;
         let found = self.engine.download(&field, 0..DIMS[2])?;
         exact("an expression's values", found == samples(SampleType::F32), true)
+    }
+
+    fn mask(&mut self) -> Result<(), Finding> {
+        let inside = ValueSet {
+            ranges: vec![[f32::NEG_INFINITY, 1.0]],
+            is_complement: true,
+        };
+        let field = self.engine.mask(self.volume(), self.volume(), &inside, &Never)?;
+        let found = self.engine.download(&field, 0..DIMS[2])?;
+        let own = samples(self.sample_type);
+        let (expected, _) = own.clone().masked(None, |i| inside.holds(own.get(i)));
+        exact(
+            "a masked field's samples",
+            found.as_bytes() == expected.as_bytes(),
+            true,
+        )
     }
 
     fn distance_field(&mut self) -> Result<(), Finding> {

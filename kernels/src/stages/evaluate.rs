@@ -16,7 +16,7 @@ pub const STAGE: &str = "evaluate";
 kernel_args! {
     /// Arguments of `evaluate`.
     EvaluateArgs {
-        /// First sample of this launch, in blocks of EVALUATE_BLOCK.
+        /// First sample of this launch, in blocks of LAUNCH_BLOCK.
         first: u32,
         /// Samples of this launch.
         count: u32,
@@ -60,7 +60,7 @@ kernel_args! {
 }
 
 /// Samples of a block, with which launches begin.
-const BLOCK: u64 = constants::EVALUATE_BLOCK as u64;
+pub(super) const BLOCK: u64 = constants::LAUNCH_BLOCK as u64;
 
 /// Blocks of the first launch, which tells what the expression costs.
 const FIRST_BLOCKS: u64 = 64;

@@ -53,6 +53,7 @@ stages! {
     curve
     distance: samples
     evaluate
+    mask
     distance_field
 }
 

@@ -6,7 +6,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
 use super::grids::padded_grid;
-use super::keys::{VolumeKey, view_keys};
+use super::keys::{Masking, VolumeKey, view_keys, with_inputs};
 use super::open_steps::Held;
 use super::turns::{Caller, Length};
 use super::worker::DeviceWorker;
@@ -37,7 +37,9 @@ impl DeviceWorker {
         }
         let mut keys: Vec<VolumeKey> = Vec::new();
         for view in views {
-            for key in view_keys(volume, view) {
+            // What the device makes of others takes it no time.
+            let all = with_inputs(volume, &view_keys(volume, view), Masking::OnDevice);
+            for key in all.into_iter().filter(|key| key.recipe(volume).is_none()) {
                 if !keys.contains(&key) {
                     keys.push(key);
                 }

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 use isopeel_kernels::{Cancel, DeviceKind, Error, Volume};
 
 use super::WorkError;
-use super::keys::VolumeKey;
+use super::keys::{Recipe, VolumeKey};
+use super::loader::values_inside;
 use super::turns::{Aside, Turn};
 use super::user_time::Payer;
 use super::worker_state::{JobError, WorkerState};
@@ -14,7 +15,8 @@ use crate::view::EditError;
 use crate::volumes::{ReadProgress, VolumeStep};
 
 impl WorkerState {
-    /// Makes a field resident that is computed from others. Other jobs run between its launches, which are sized by their time. It ends if
+    /// Makes a field resident that is computed from others. False if the host has to mask one: its fields are not resident because there
+    /// was no space for them, or the device is not proven yet. Other jobs run between its launches, which are sized by their time. It ends if
     /// `progress` is cancelled, because no caller waits for the field any more, and when it has taken as much of the device's time as a request or
     /// its user may.
     pub(super) fn compute(
@@ -24,10 +26,14 @@ impl WorkerState {
         progress: &ReadProgress,
         payer: Option<&Payer>,
         turn: &mut Turn<'_, Self>,
-    ) -> Result<(), JobError> {
-        let Some((found, inputs)) = key.computed(volume).filter(|_| !self.is_resident(key)) else {
-            return Ok(());
+    ) -> Result<bool, JobError> {
+        let Some((recipe, inputs)) = key.recipe(volume).filter(|_| !self.is_resident(key)) else {
+            return Ok(true);
         };
+        let is_mask = matches!(recipe, Recipe::Mask(..));
+        if is_mask && !inputs.iter().all(|input| self.is_resident(input)) {
+            return Ok(false);
+        }
         if progress.is_cancelled() {
             return Err(WorkError::Cancelled.into());
         }
@@ -37,7 +43,7 @@ impl WorkerState {
         // Held, so that none of them goes.
         let fields = inputs.iter().map(resident).collect::<Result<Vec<_>, _>>()?;
         let fields: Vec<&Volume> = fields.iter().map(|field| &**field).collect();
-        let bytes = self.make_space(volume, key, found.is_distance)?;
+        let bytes = self.make_space(volume, key, &recipe)?;
         let engine = Rc::clone(self.engine());
         let take_times = || engine.take_times().unwrap_or_default();
         let world = volume.dataset().smallest_length() as f32;
@@ -49,10 +55,15 @@ impl WorkerState {
                 progress,
                 is_over: &is_over,
             };
-            if found.is_distance {
-                engine.distance_field(&found.expression, &fields, world, cancel)
-            } else {
-                engine.evaluate(&found.expression, &fields, cancel).map(Some)
+            match &recipe {
+                Recipe::Mask(mask, labels) => {
+                    let inside = values_inside(mask, labels);
+                    engine.mask(fields[0], fields[1], &inside, cancel).map(Some)
+                }
+                Recipe::Expression(found) if found.is_distance => {
+                    engine.distance_field(&found.expression, &fields, world, cancel)
+                }
+                Recipe::Expression(found) => engine.evaluate(&found.expression, &fields, cancel).map(Some),
             }
         });
         let time = aside.own_time(start);
@@ -60,6 +71,8 @@ impl WorkerState {
             payer.take(time, Instant::now());
         }
         let computed = match computed {
+            // The host masks until the device's check has come to this stage.
+            Err(Error::NotYet(_)) if is_mask => return Ok(false),
             Err(Error::Cancelled) if limit.is_over(time) => return Err(limit.error(payer).into()),
             computed => computed?,
         };
@@ -73,14 +86,15 @@ impl WorkerState {
         );
         self.computed.insert(key.clone());
         self.add_volume(key.clone(), bytes, Rc::new(computed));
-        Ok(())
+        Ok(true)
     }
 
     /// Makes space for a field that is to be computed; returns its bytes.
-    fn make_space(&mut self, volume: &VolumeStep, key: &VolumeKey, is_distance: bool) -> Result<u64, JobError> {
+    fn make_space(&mut self, volume: &VolumeStep, key: &VolumeKey, recipe: &Recipe) -> Result<u64, JobError> {
         let bytes = self.bytes_of(volume, std::slice::from_ref(key))?;
         let bytes: u64 = bytes.iter().map(|(_, bytes)| bytes).sum();
         // Distances are made in two fields in turns.
+        let is_distance = matches!(recipe, Recipe::Expression(found) if found.is_distance);
         let held = if is_distance { 2 * bytes } else { bytes };
         self.evict_for(held + self.upload_bytes());
         if self.engine().device().kind == DeviceKind::Cpu {

@@ -97,8 +97,8 @@ impl Extractor {
             .await
     }
 
-    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one. `None`: of the marching-cubes mesher
-    /// nothing is measured.
+    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one. `None`: of the marching-cubes mesher,
+    /// and where no triangle is left, nothing is measured.
     ///
     /// # Errors
     /// As [`Extractor::refine`].
@@ -122,7 +122,7 @@ impl Extractor {
         if view.mesher != MesherName::Dual {
             return Ok(None);
         }
-        Ok(Some(self.worker.measure_for(caller, volume, view, token).await?))
+        self.worker.measure_for(caller, volume, view, token).await
     }
 
     /// The final surface of a view for an export.

@@ -66,26 +66,52 @@ impl VolumeKey {
 }
 
 impl VolumeKey {
-    /// The expression with the keys of its fields, of a field that is computed on the device. One that is padded, masked or
-    /// smoothed is computed on the host.
-    pub(super) fn computed(&self, volume: &VolumeStep) -> Option<(FieldExpression, Vec<Self>)> {
-        if self.padded || self.mask.is_some() {
+    /// How a field is made that is made on the device, and the keys of the fields that it is made of. One that is padded or smoothed is made on
+    /// the host.
+    pub(super) fn recipe(&self, volume: &VolumeStep) -> Option<(Recipe, Vec<Self>)> {
+        if self.padded {
             return None;
+        }
+        if self.mask.is_some() {
+            let (mask, labels) = self.mask_of(volume).ok()??;
+            let keys = [&self.field, &mask.field].map(|name| Self::new(volume, name, false));
+            return Some((Recipe::Mask(mask, labels), keys.to_vec()));
         }
         let found = volume.dataset().expression(&self.field)?;
         if found.smoothing.is_some() {
             return None;
         }
         let keys = found.fields.iter().map(|name| Self::new(volume, name, false)).collect();
-        Some((found, keys))
+        Some((Recipe::Expression(found), keys))
     }
 }
 
-/// Keys with those of the fields that computed ones among them are made of, each once, before what is made of them.
-pub(super) fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey]) -> Vec<VolumeKey> {
+/// How a field is made from others on the device.
+pub(super) enum Recipe {
+    /// By an expression.
+    Expression(FieldExpression),
+    /// From a field and the one of the mask, whose description this is: what is outside is missing.
+    Mask(Mask, Field),
+}
+
+/// Where fields are masked.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Masking {
+    /// On the device, which has the field and the labels too.
+    OnDevice,
+    /// On the host, while both are read.
+    OnHost,
+}
+
+/// Keys with those of the fields that others among them are made of on the device, each once, before what is made of them.
+pub(super) fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey], masking: Masking) -> Vec<VolumeKey> {
     let mut all: Vec<VolumeKey> = Vec::new();
     for key in keys {
-        let inputs = key.computed(volume).map_or_else(Vec::new, |(_, inputs)| inputs);
+        let inputs = match key.recipe(volume) {
+            Some((Recipe::Mask(..), _)) if masking == Masking::OnHost => Vec::new(),
+            Some((_, inputs)) => with_inputs(volume, &inputs, masking),
+            None => Vec::new(),
+        };
         for key in inputs.into_iter().chain([key.clone()]) {
             if !all.contains(&key) {
                 all.push(key);
@@ -140,5 +166,45 @@ impl HistogramKey {
             volume: VolumeKey::new(volume, name, false),
             computed,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::{Masking, VolumeKey, view_keys, with_inputs};
+    use crate::view::{Edit, View};
+    use crate::volumes::{VolumeStep, testing};
+
+    /// What is loaded for an edit, in this order: a `+` is before the name of a masked field.
+    fn loaded(edit: &str, masking: Masking) -> Vec<String> {
+        let dataset = testing::dataset("head", [9; 3], &["density", "heat", "labels"]);
+        let volume = VolumeStep::new(Arc::new(dataset), 0).expect("a step");
+        let edit: Edit = serde_json::from_str(edit).expect("an edit");
+        let fields = ["density", "heat", "labels"];
+        let view = View::plain(&fields).apply(&edit, &fields).expect("a good edit");
+        let name = |key: &VolumeKey| format!("{}{}", if key.mask.is_some() { "+" } else { "" }, key.field);
+        with_inputs(&volume, &view_keys(&volume, &view), masking)
+            .iter()
+            .map(name)
+            .collect()
+    }
+
+    #[test]
+    fn what_a_masked_field_is_made_of_comes_first() {
+        let masked = r#"{"mask":"labels==1","feature":"heat"}"#;
+        assert_eq!(
+            loaded(masked, Masking::OnDevice),
+            ["density", "labels", "+density", "heat"]
+        );
+        assert_eq!(loaded(masked, Masking::OnHost), ["+density", "heat"]);
+        let computed = r#"{"field":"density+heat","mask":"labels==1","feature":"none"}"#;
+        assert_eq!(
+            loaded(computed, Masking::OnDevice),
+            ["density", "heat", "density+heat", "labels", "+density+heat"]
+        );
+        let capped = r#"{"mask":"labels==1","cap":true,"feature":"none"}"#;
+        assert_eq!(loaded(capped, Masking::OnDevice), ["+density"]);
     }
 }

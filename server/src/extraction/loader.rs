@@ -3,7 +3,7 @@
 use std::pin::Pin;
 use std::sync::Arc;
 
-use isopeel_kernels::{DeviceKind, RectilinearGrid, Samples};
+use isopeel_kernels::{DeviceKind, RectilinearGrid, Samples, ValueSet};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
@@ -114,12 +114,9 @@ impl DeviceWorker {
         if self.on_device(move |state| Ok(state.is_resident(&asked))).await? {
             return Ok(());
         }
-        if key.computed(volume).is_some() {
-            return match purpose {
-                Purpose::Now => self.compute(volume, key, progress).await,
-                // Its fields may be read ahead; it takes no time itself.
-                Purpose::Ahead { .. } => Ok(()),
-            };
+        let is_made = matches!(purpose, Purpose::Now) && key.recipe(volume).is_some();
+        if is_made && self.compute(volume, key.clone(), Arc::clone(&progress)).await? {
+            return Ok(());
         }
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
@@ -188,13 +185,13 @@ impl DeviceWorker {
     }
 
     /// Computes a field on the device from others, which are loaded if they are not resident. The callers that wait for it have pinned them; it
-    /// ends a while after the last of them is gone, when `progress` is cancelled.
+    /// ends a while after the last of them is gone, when `progress` is cancelled. False if the host has to mask it.
     fn compute<'a>(
         &'a self,
         volume: &'a VolumeStep,
         key: VolumeKey,
         progress: Arc<ReadProgress>,
-    ) -> Pin<Box<dyn Future<Output = Result<(), WorkError>> + Send + 'a>> {
+    ) -> Pin<Box<dyn Future<Output = Result<bool, WorkError>> + Send + 'a>> {
         // Boxed because the future is recursive: loading loads.
         Box::pin(async move {
             let (never, payer) = (CancellationToken::new(), self.payer.clone());
@@ -372,11 +369,16 @@ fn read_samples(
     Ok(send(samples, missing)?)
 }
 
+/// The values inside a mask as they are on the device. `labels`: the mask's field, which was read.
+pub(super) fn values_inside(mask: &Mask, labels: &Field) -> ValueSet {
+    let ranks = labels.source.ranks();
+    mask.by_ranks(|number| Some(ranks.as_ref()?.position(number))).values()
+}
+
 /// Of each sample whether it is inside a mask. `labels`: the mask's field.
 fn samples_inside(mask: &Mask, labels: &Field, step: u32) -> Result<Vec<bool>, WorkError> {
     let values = labels.source.load(step)?;
-    let ranks = labels.source.ranks();
-    let mask = mask.by_ranks(|number| Some(ranks.as_ref()?.position(number)));
-    let is_inside = |value| Some(value) != labels.missing && mask.holds(value);
+    let inside = values_inside(mask, labels);
+    let is_inside = |value| Some(value) != labels.missing && inside.holds(value);
     Ok((0..values.len()).map(|i| is_inside(values.get(i))).collect())
 }

@@ -41,15 +41,16 @@ pub(super) fn in_world(length: f32, smallest: f64) -> f32 {
 }
 
 impl MeasuredError {
-    /// In world units, from the device's multiples of the smallest spacing.
-    pub(super) fn in_world(SurfaceError { rms, max }: SurfaceError, smallest: f64) -> Self {
+    /// In world units, from the device's multiples of the smallest spacing. `None` if no triangle is left of the surface, which then has no distance
+    /// from anything.
+    pub(super) fn in_world(SurfaceError { rms, max }: SurfaceError, smallest: f64) -> Option<Self> {
         let [rms, max] = [rms, max].map(|length| in_world(length, smallest));
-        Self { rms, max }
+        (rms.is_finite() && max.is_finite()).then_some(Self { rms, max })
     }
 }
 
 impl EstimatedError {
-    /// As [`MeasuredError::in_world`].
+    /// In world units, as [`MeasuredError::in_world`].
     fn in_world(ErrorEstimate { rms, worst_leaf }: ErrorEstimate, smallest: f64) -> Self {
         let [rms, worst_leaf] = [rms, worst_leaf].map(|length| in_world(length, smallest));
         Self { rms, worst_leaf }
@@ -261,7 +262,7 @@ impl ExtractionStatistics {
             feature_range: view.feature_range.filter(|_| view.feature != FeatureName::None),
             gave_way: view.gave_way(smallest),
             is_tree_cut: view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut),
-            error: kernels.error.map(|error| MeasuredError::in_world(error, smallest)),
+            error: kernels.error.and_then(|error| MeasuredError::in_world(error, smallest)),
             estimated_error: Some(EstimatedError::in_world(kernels.estimate, smallest)),
             full_triangles: kernels.full_triangles,
             mesher_triangles: kernels.mesher_triangles,

@@ -359,7 +359,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one; for whom that is, and how it shares the device.
+    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one, if a triangle is left of it; for whom that is, and how it
+    /// shares the device.
     /// `token` as in [`DeviceWorker::extract`].
     ///
     /// # Errors
@@ -370,7 +371,7 @@ impl DeviceWorker {
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
-    ) -> Result<Measurement, WorkError> {
+    ) -> Result<Option<Measurement>, WorkError> {
         let view = view.clone();
         self.with_volumes(volume, token, caller, length, move |state, volume, turn| {
             state.measure(volume, &mut view.clone(), turn)

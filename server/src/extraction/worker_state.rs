@@ -17,7 +17,7 @@ use super::feature_fields::FeatureFields;
 use super::grids::padded_grid;
 use super::host_memory::HostMemory;
 use super::identity::{EngineId, PyramidKey};
-use super::keys::{HistogramKey, VolumeKey, view_keys, with_inputs};
+use super::keys::{HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::pins::Pins;
@@ -352,13 +352,13 @@ impl WorkerState {
         })
     }
 
-    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree where that is built.
+    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree where that is built. `None` if no triangle is left of it.
     pub(super) fn measure(
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
         turn: &mut Turn<'_, Self>,
-    ) -> Result<Measurement, JobError> {
+    ) -> Result<Option<Measurement>, JobError> {
         self.with_pyramid(volume, view, Nodes::OfTheView, turn, |on, view, cancel| {
             let is_tree_cut = view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             let of_tree = if is_tree_cut {
@@ -375,10 +375,12 @@ impl WorkerState {
             };
             let in_world = |error| super::MeasuredError::in_world(error, on.smallest);
             let regions = measured.regions.into_iter();
-            Ok(Measurement {
-                whole: in_world(measured.whole),
-                regions: regions.map(|(region, error)| (region, in_world(error))).collect(),
-            })
+            Ok(in_world(measured.whole).map(|whole| Measurement {
+                whole,
+                regions: regions
+                    .filter_map(|(region, error)| Some((region, in_world(error)?)))
+                    .collect(),
+            }))
         })
     }
 
@@ -499,19 +501,25 @@ impl WorkerState {
     /// Says which fields a job needs; or before any file is read, that they cannot be resident together.
     fn not_resident(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> JobError {
         // With what those are made of that are computed: all of it is pinned together until it is.
-        let needed = match self.bytes_of(volume, &with_inputs(volume, keys)) {
-            Ok(needed) => needed,
-            Err(error) => return error.into(),
+        let needed = |masking| {
+            let needed = self.bytes_of(volume, &with_inputs(volume, keys, masking))?;
+            let bytes: u64 = needed.iter().map(|(_, bytes)| bytes).sum();
+            Ok::<_, WorkError>((needed, bytes))
         };
-        let needed_bytes = needed.iter().map(|(_, bytes)| bytes).sum();
         let budget = self.volumes.budget();
-        if needed_bytes > budget {
-            return JobError::Failed(WorkError::TooLarge {
+        // Masked on the host, fields are on the device alone.
+        let found = match needed(Masking::OnDevice) {
+            Ok((_, bytes)) if bytes > budget => needed(Masking::OnHost),
+            found => found,
+        };
+        match found {
+            Ok((_, needed_bytes)) if needed_bytes > budget => JobError::Failed(WorkError::TooLarge {
                 needed_bytes,
                 limit_bytes: budget,
-            });
+            }),
+            Ok((needed, _)) => JobError::NotResident { needed, budget },
+            Err(error) => error.into(),
         }
-        JobError::NotResident { needed, budget }
     }
 
     /// The fields with their bytes on the device.

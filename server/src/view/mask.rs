@@ -2,6 +2,7 @@
 
 use std::hash::{Hash, Hasher};
 
+use isopeel_kernels::ValueSet;
 use serde::{Deserialize, Deserializer};
 
 use super::error::{EditError, quoted};
@@ -148,18 +149,18 @@ impl Mask {
         mask
     }
 
-    /// Whether a value of the field is inside; no number is not.
-    pub fn holds(&self, value: f32) -> bool {
+    /// The values of the field that are inside.
+    pub fn values(&self) -> ValueSet {
         let first = self.ranges[0][0];
-        let is_in = || self.ranges.iter().any(|&[low, high]| low <= value && value <= high);
-        match self.operator {
-            Operator::Is => is_in(),
-            Operator::IsNot => !value.is_nan() && !is_in(),
-            Operator::AtLeast => value >= first,
-            Operator::AtMost => value <= first,
-            Operator::Above => value > first,
-            Operator::Below => value < first,
-        }
+        let (ranges, is_complement) = match self.operator {
+            Operator::Is => (self.ranges.clone(), false),
+            Operator::IsNot => (self.ranges.clone(), true),
+            Operator::AtLeast => (vec![[first, f32::INFINITY]], false),
+            Operator::AtMost => (vec![[f32::NEG_INFINITY, first]], false),
+            Operator::Above => (vec![[f32::NEG_INFINITY, first]], true),
+            Operator::Below => (vec![[first, f32::INFINITY]], true),
+        };
+        ValueSet { ranges, is_complement }
     }
 }
 
@@ -195,7 +196,7 @@ mod tests {
         let rank = |number: i128| Some((number - 16_777_210) as f32);
         let mask = Mask::parse("labels==16777217,16777219..16777221", &["labels"]).expect("a mask");
         let mask = mask.by_ranks(rank);
-        let inside: Vec<i32> = (0..14).filter(|&value| mask.holds(value as f32)).collect();
+        let inside: Vec<i32> = (0..14).filter(|&value| mask.values().holds(value as f32)).collect();
         assert_eq!(inside, [7, 9, 10, 11]);
     }
 
@@ -203,7 +204,7 @@ mod tests {
 
     fn inside(text: &str) -> Vec<i32> {
         let mask = Mask::parse(text, FIELDS).expect(text);
-        (-1..6).filter(|&v| mask.holds(v as f32)).collect()
+        (-1..6).filter(|&v| mask.values().holds(v as f32)).collect()
     }
 
     #[test]
@@ -220,7 +221,7 @@ mod tests {
         assert_eq!(inside(" `p (bone)` >= 4"), [4, 5]);
         for text in ["labels==3", "labels!=3", "labels<3", "labels>3"] {
             assert!(
-                !Mask::parse(text, FIELDS).expect(text).holds(f32::NAN),
+                !Mask::parse(text, FIELDS).expect(text).values().holds(f32::NAN),
                 "missing samples are outside"
             );
         }

@@ -20,6 +20,7 @@ mod host_pyramid;
 mod host_tree;
 mod interest;
 mod march;
+mod mask;
 mod minmax;
 mod probe;
 mod recipes;

@@ -9,7 +9,7 @@ use isopeel_reference::construct;
 
 /// Loads in one slab, or with a limit that one layer of regions and the planes around it just keep. Only the load is
 /// limited: a pyramid of noise is larger than its volume.
-fn load_in(engine: &mut Device, recipe: &Recipe, several: bool) -> Loaded {
+pub(super) fn load_in(engine: &mut Device, recipe: &Recipe, several: bool) -> Loaded {
     let [x, y, _] = recipe.dims.map(u64::from);
     let before = several.then(|| limit_allocations(engine, x * y * 4 * u64::from(LAYER_PLANES)));
     let loaded = load(engine, recipe);

@@ -19,6 +19,9 @@ use crate::support::viewer::{Frame, Viewer};
 const REST_LIMIT: Duration = Duration::from_secs(90);
 /// After so long without a frame a question is asked again, which something may have dropped.
 const SILENCE: Duration = Duration::from_secs(15);
+
+/// The same after answers to questions before it.
+const QUIET: Duration = Duration::from_secs(2);
 /// Bytes that the network takes on a slow line.
 const RECEIVE_BUFFER: u32 = 4096;
 /// Edges that are named if a surface is not closed.
@@ -74,7 +77,7 @@ pub struct Failed {
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     generation: u32,
-    /// The first prefix, where it is not final and all of its regions were sent: its level, and what was shown.
+    /// The first prefix, where it is above level 0 and all of its regions were sent: its level, and what was shown.
     pub first: Option<(u8, Regions)>,
     /// The first, and the better one.
     pub finals: Vec<Final>,
@@ -95,11 +98,11 @@ pub struct Seat {
     /// `bad-edit` so far, and how many were expected.
     bad_edits: usize,
     pub expected_bad_edits: usize,
-    /// Questions since the last rest that were not answered, or dropped, except the one that waits for rest.
+    /// Questions that were neither answered nor refused; some of them may have been dropped.
     questions: usize,
-    /// Whether that one was answered, whether it has to be asked again, and chunks that are still to come.
+    /// Whether the last one, which waits for rest, was answered, whether others were since it was asked, and chunks that are still to come.
     is_answered: bool,
-    asks_again: bool,
+    were_others_answered: bool,
     chunks_to_come: usize,
     /// Errors that no `superseded` has followed yet.
     errors: Vec<Failed>,
@@ -139,7 +142,7 @@ impl Seat {
             expected_bad_edits: 0,
             questions: 0,
             is_answered: false,
-            asks_again: false,
+            were_others_answered: false,
             chunks_to_come: 0,
             errors: Vec::new(),
             group: None,
@@ -196,7 +199,7 @@ impl Seat {
     }
 
     pub async fn send(&mut self, message: Value) {
-        let is_question = matches!(message["type"].as_str(), Some("probe" | "distribution" | "curve"));
+        let is_question = matches!(message["type"].as_str(), Some("probe" | "distribution" | "curve" | "annotate"));
         self.questions += usize::from(is_question);
         self.viewer.send(message).await;
     }
@@ -256,7 +259,8 @@ impl Seat {
                 self.errors
                     .retain(|error| error.surface.is_some_and(|surface| surface != of.surface));
                 let is_new = of.generation > self.outcomes[usize::from(of.surface)].generation;
-                self.is_whole_first = is_new && of.unchanged == 0 && !of.is_final;
+                // A coarse cut of the tree is at level 0, and has as many triangles as the line takes soon.
+                self.is_whole_first = is_new && of.unchanged == 0 && of.level > 0 && !of.is_final;
                 self.outcome(of.surface, of.generation);
             }
             Frame::Committed { surface, level, .. } => {
@@ -300,7 +304,7 @@ impl Seat {
             } => self.take_error(code, surface, suggested_triangles),
             Frame::Answer { kind, answer, .. } if kind == "annotated" => {
                 self.chunks_to_come = answer["regions"].as_u64().expect("a count") as usize;
-                self.is_answered = true;
+                self.take_answer();
             }
             Frame::Answer { .. } => self.questions = self.questions.saturating_sub(1),
             Frame::Errors { .. } => self.chunks_to_come = self.chunks_to_come.saturating_sub(1),
@@ -343,8 +347,7 @@ impl Seat {
 
     fn take_error(&mut self, code: String, surface: Option<u8>, suggested_triangles: Option<u64>) {
         match code.as_str() {
-            // It does not say which question is meant: it may be one of those before.
-            "no-surface" | "unknown-surface" => return self.take_refusal(),
+            "no-surface" | "unknown-surface" => return self.take_answer(),
             "volume-removed" => return self.is_removed = true,
             "bad-edit" => return self.bad_edits += 1,
             _ => {}
@@ -356,11 +359,13 @@ impl Seat {
         });
     }
 
-    /// A question is about a surface of which nothing is shown.
-    fn take_refusal(&mut self) {
-        match self.questions.checked_sub(1) {
-            Some(others) => (self.questions, self.asks_again) = (others, true),
-            None => self.is_answered = true,
+    /// A question was answered, or is about a surface of which nothing is shown. A refusal does not say which question is meant: it is the one that
+    /// waits for rest if there is no other.
+    fn take_answer(&mut self) {
+        self.questions = self.questions.saturating_sub(1);
+        match self.questions {
+            0 => self.is_answered = true,
+            _ => self.were_others_answered = true,
         }
     }
 
@@ -408,19 +413,20 @@ impl Seat {
     pub async fn wait_for_rest(&mut self, surface: u8) -> Result<(), Difference> {
         let limit = Instant::now() + REST_LIMIT;
         let question = json!({"type": "annotate", "surface": surface, "annotation": "error"});
-        self.is_answered = false;
-        self.viewer.send(question.clone()).await;
+        (self.is_answered, self.were_others_answered) = (false, false);
+        self.send(question.clone()).await;
         while !self.is_answered || self.chunks_to_come > 0 {
             if Instant::now() > limit {
                 let detail = format!("no rest after {REST_LIMIT:?}: {:?}", self.states());
                 return Err(Difference::new("hang", detail));
             }
-            let is_silent = !self.read_until(Instant::now() + SILENCE).await;
-            if is_silent || std::mem::take(&mut self.asks_again) {
-                self.viewer.send(question.clone()).await;
+            // Those that are missing then were dropped.
+            let silence = if self.were_others_answered { QUIET } else { SILENCE };
+            if !self.read_until(Instant::now() + silence).await {
+                (self.questions, self.were_others_answered) = (0, false);
+                self.send(question.clone()).await;
             }
         }
-        self.questions = 0;
         Ok(())
     }
 
