@@ -11,7 +11,7 @@ import { embedOptions } from "./embed/origins";
 import { Embedding } from "./wiring/embedding";
 import { Summing } from "./wiring/summing";
 import { Framing, framingActions } from "./wiring/framing";
-import { Later } from "./wiring/later";
+import { Later, once } from "./wiring/later";
 import { firstLink, linkState, unknownVolumeText } from "./wiring/linking";
 import { whenReleased } from "./wiring/gesture";
 import { streamAddress, streamUrl } from "./net/credentials";
@@ -25,12 +25,12 @@ import { statusOf } from "./wiring/status";
 import { FileUploads } from "./wiring/uploading";
 import { Timeline } from "./wiring/timeline";
 import { storeActions } from "./wiring/storeActions";
-import { Storyteller } from "./wiring/storyteller";
+import type { Storyteller } from "./wiring/storyteller";
 import { SurfaceRenderer } from "./scene/renderer";
 import { withRanges } from "./state/featureRanges";
 import { isAboutGroup } from "./state/group";
 import { lengthScale } from "./state/lengths";
-import type { Link } from "./state/link";
+import { decodeLink, encodeLink, type Link } from "./state/link";
 import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
 import { distancesOf } from "./state/distances";
@@ -71,7 +71,7 @@ export class App {
   private readonly questions: Questions;
   private readonly connecting: Connecting;
   private readonly uploads: FileUploads;
-  private readonly storyteller: Storyteller;
+  private readonly storyteller: () => Promise<Storyteller>;
   private readonly together: Together;
   /** Where the page is a picture in another one. */
   private readonly embedding: Embedding | undefined;
@@ -102,12 +102,12 @@ export class App {
     this.client = this.makeClient();
     this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
-    this.model.onGpu = this.scene.onGpu;
+    [this.model.onGpu, this.model.ranged] = [this.scene.onGpu, withRanges];
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes), () => this.embedding?.refused());
     this.uploads = new FileUploads(this.store, this.model, this.base, () => this.connecting.loadVolumes());
     const { store, model, scene, framing, pipeline, client } = this;
     const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link), base, reconnect: () => client.reconnect() };
-    this.storyteller = new Storyteller(around);
+    this.storyteller = once(async () => new (await import("./wiring/storyteller")).Storyteller({ ...around, decode: decodeLink, encode: encodeLink }));
     this.timeline = new Timeline({ ...around, pipeline, questions: this.questions, change: (act) => this.change(act), open: (volume, step) => this.open(volume, step) });
     this.together = this.makeTogether(viewport);
     if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
@@ -137,7 +137,7 @@ export class App {
         this.showDisplay();
       },
       group: (act) => this.together.act(act),
-      story: (act) => act.type !== "add" && !this.together.mayChange() ? undefined : this.storyteller.act(act),
+      story: (act) => act.type !== "add" && !this.together.mayChange() ? undefined : void this.storyteller().then((teller) => teller.act(act)),
       ...framingActions(() => this.framing),
       measureOverTime: (run) => this.together.mayChange() && this.timeline.measure(run),
       sumUp: () => this.summing.sumSelected(),

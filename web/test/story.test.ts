@@ -1,7 +1,8 @@
 import { describe, expect, test } from "vitest";
 import { decodeLink, encodeLink } from "../src/state/link";
 import { DEFAULT_LOOK } from "../src/state/look";
-import { isInLink, moved, poseBetween, readingSeconds, readStoryText, storyText, withText, type Story } from "../src/state/story";
+import { isInLink, moved, readStoryText, storyText, withText, type Story } from "../src/state/story";
+import { poseBetween, readingSeconds } from "../src/state/storyMoves";
 import { readStoryFile, storyFile } from "../src/state/storyFile";
 import { DEFAULT_STYLE } from "../src/state/surfaceList";
 import { OPENING } from "./fixture";
@@ -13,7 +14,7 @@ const STORY: Story = [
 
 describe("a story as a file", () => {
   test("is read as it was saved", () => {
-    expect(readStoryFile(storyFile(STORY))).toEqual(STORY);
+    expect(readStoryFile(storyFile(STORY), decodeLink)).toEqual(STORY);
     expect(JSON.parse(storyFile(STORY))).toMatchObject({ format: "isopeel-story", version: 1 });
   });
 
@@ -27,12 +28,12 @@ describe("a story as a file", () => {
     ['{"format":"isopeel-story","version":1,"bookmarks":[{"text":"a"}]}', "Bookmark 1 has the state missing"],
     ['{"format":"isopeel-story","version":1,"bookmarks":[{"text":"a","state":"iso=3"}]}', "Bookmark 1 cannot be shown: it names no volume"],
     ['{"format":"isopeel-story","version":1,"bookmarks":[{"text":"a","state":"volume=a&iso=x"}]}', "Bookmark 1 cannot be shown: This link's “iso” is \"x\", expected a number"],
-  ])("says what is wrong with %s", (text, reason) => expect(() => readStoryFile(text)).toThrow(reason));
+  ])("says what is wrong with %s", (text, reason) => expect(() => readStoryFile(text, decodeLink)).toThrow(reason));
 
   test("is bounded", () => {
     const many = Array.from({ length: 101 }, () => STORY[0]!);
-    expect(() => readStoryFile(storyFile(many))).toThrow("The story has 101 bookmarks, expected 100 at most");
-    expect(() => readStoryFile(storyFile([{ text: "a".repeat(301), state: "volume=a" }]))).toThrow("expected one of 300 characters at most");
+    expect(() => readStoryFile(storyFile(many), decodeLink)).toThrow("The story has 101 bookmarks, expected 100 at most");
+    expect(() => readStoryFile(storyFile([{ text: "a".repeat(301), state: "volume=a" }]), decodeLink)).toThrow("expected one of 300 characters at most");
   });
 });
 

@@ -1,7 +1,5 @@
 /** A story as a file: JSON with a version. Pure. */
 
-import { decodeLink } from "./link";
-import { LinkError } from "./linkReader";
 import { checked, shown, StoryError, type Story } from "./story";
 
 /** Larger files are none of ours. */
@@ -14,8 +12,11 @@ export function storyFile(story: Story): string {
   return `${JSON.stringify({ format: FORMAT, version: VERSION, bookmarks: story }, null, 2)}\n`;
 }
 
-/** @throws StoryError naming what was found, and what is expected */
-export function readStoryFile(text: string): Story {
+/**
+ * @param decode reads the state of a bookmark, and throws where there is something wrong
+ * @throws StoryError naming what was found, and what is expected
+ */
+export function readStoryFile(text: string, decode: (state: string) => unknown): Story {
   let file: unknown;
   try {
     file = JSON.parse(text);
@@ -27,15 +28,16 @@ export function readStoryFile(text: string): Story {
   if (version !== VERSION) throw new StoryError(`The story has version ${shown(version)}, which this page does not know. It knows ${VERSION}`);
   if (!Array.isArray(bookmarks)) throw new StoryError(`The story's “bookmarks” is ${shown(bookmarks)}, expected a list`);
   const story = checked(bookmarks);
-  story.forEach(({ state }, i) => checkState(`Bookmark ${i + 1}`, state));
+  story.forEach(({ state }, i) => checkState(`Bookmark ${i + 1}`, state, decode));
   return story;
 }
 
-function checkState(where: string, state: string): void {
+function checkState(where: string, state: string, decode: (state: string) => unknown): void {
+  let found: unknown;
   try {
-    if (decodeLink(state) === undefined) throw new LinkError("it names no volume");
+    found = decode(state);
   } catch (error) {
-    if (!(error instanceof LinkError)) throw error;
-    throw new StoryError(`${where} cannot be shown: ${error.message}`);
+    throw new StoryError(`${where} cannot be shown: ${error instanceof Error ? error.message : String(error)}`);
   }
+  if (found === undefined) throw new StoryError(`${where} cannot be shown: it names no volume`);
 }

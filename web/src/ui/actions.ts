@@ -66,6 +66,7 @@ export interface Actions {
 export type StoryAct =
   /** Of what is shown. */
   | { readonly type: "add" }
+  | { readonly type: "open"; readonly file: File }
   | { readonly type: "show"; readonly index: number }
   | { readonly type: "play"; readonly from?: number }
   | { readonly type: "record"; readonly request: ImageRequest }

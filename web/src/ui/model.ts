@@ -130,6 +130,8 @@ export class Model {
   jobs: JobActions | undefined;
   readonly beside = new SlicesBeside();
   sums: SurfaceSums | undefined;
+  /** Surfaces with the ranges of features that the server has chosen. Set before the page is shown. */
+  ranged = (_: ViewerState, surfaces: SurfaceList): SurfaceList => surfaces;
   /** Frames are rendered by a GPU: there are effects on screen. */
   onGpu = false;
   /** Told of each error that is shown. */

@@ -12,7 +12,6 @@ import { Announcer } from "./announcer";
 import { ModelContext, useModel, type Model } from "./model";
 import { Notice } from "./notice";
 import { ProbeReadout } from "./probeReadout";
-import { Telling } from "./telling";
 import { Toasts } from "./toasts";
 import { TopLine } from "./topLine";
 import { isTourDue } from "./tourState";
@@ -23,6 +22,7 @@ import { stepCount } from "../state/timeSteps";
 
 const Help = lazy(() => import("./help"));
 const SlicePanel = lazy(() => import("./slicePanel/panel"));
+const Telling = lazy(() => import("./telling"));
 const Tour = lazy(() => import("./tour"));
 const Uploads = lazy(() => import("./uploads"));
 
@@ -74,7 +74,7 @@ function Page(props: { readonly viewport: HTMLElement }) {
 
 /** The picture, and slices beside it or in its place. */
 function Stage(props: { readonly viewport: HTMLElement }) {
-  const { page } = useModel();
+  const { page, telling } = useModel();
   const layout = () => page().slicing.layout;
   return (
     <div class="stage">
@@ -88,7 +88,11 @@ function Stage(props: { readonly viewport: HTMLElement }) {
           <ConnectionBanner />
           <UploadProgress />
           <Notice />
-          <Telling />
+          <Suspense>
+            <Show when={telling()}>
+              <Telling />
+            </Show>
+          </Suspense>
           <Toasts />
         </main>
         <Suspense>

@@ -5,7 +5,7 @@ import { useModel } from "./model";
 import { Button } from "./widgets/button";
 import "./style/telling.css";
 
-export function Telling() {
+export default function Telling() {
   const { actions, page, telling } = useModel();
   return (
     <Show when={telling()}>

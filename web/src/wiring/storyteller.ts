@@ -1,11 +1,12 @@
-/** Bookmarks of what is shown, and the story that they are: played with a moving camera, or recorded as a video. */
+/** Bookmarks of what is shown, and the story that they are: played with a moving camera, or recorded as a video. Loaded when there is something to do. */
 
 import type { SurfaceRenderer } from "../scene/renderer";
-import { decodeLink, encodeLink, type Link, type LinkState } from "../state/link";
-import { LinkError } from "../state/linkReader";
+import type { Link, LinkState } from "../state/link";
 import type { Pose } from "../state/look";
 import type { Store } from "../state/store";
-import { MAX_BOOKMARKS, poseBetween, readingSeconds, type Bookmark } from "../state/story";
+import { MAX_BOOKMARKS, StoryError, type Bookmark } from "../state/story";
+import { MAX_FILE_BYTES, readStoryFile } from "../state/storyFile";
+import { poseBetween, readingSeconds } from "../state/storyMoves";
 import type { ImageRequest, StoryAct } from "../ui/actions";
 import type { Model } from "../ui/model";
 import { saveFile } from "../ui/takeAlong";
@@ -23,6 +24,9 @@ export interface StorytellerParts {
   /** The state now; `undefined` while there is none to link to. */
   readonly link: () => LinkState | undefined;
   readonly follow: (link: Link) => void;
+  /** Of an address, and back. */
+  readonly decode: (state: string) => Link | undefined;
+  readonly encode: (state: LinkState) => string;
   /** All that was asked for is on screen. */
   readonly isSettled: () => boolean;
 }
@@ -42,18 +46,33 @@ export class Storyteller {
   readonly act = (act: StoryAct): void => {
     if (act.type === "add") this.add();
     else if (act.type === "stop") this.running?.abort();
+    else if (act.type === "open") void this.open(act.file);
     else if (act.type === "show") void this.show(act.index);
     else if (act.type === "play") void this.tell(act.from ?? 0, this.screen());
     else void this.record(act.request);
   };
 
   private add(): void {
-    const { link, model, store } = this.parts;
+    const { encode, link, model, store } = this.parts;
     const state = link();
     const { story } = store.page;
     if (state === undefined) return;
     if (story.length >= MAX_BOOKMARKS) return model.toast(`There are ${MAX_BOOKMARKS} bookmarks, and no more are taken: delete some`, "brief");
-    model.actions.changePage({ story: [...story, { text: "", state: encodeLink({ ...state, story: undefined }) }] });
+    model.actions.changePage({ story: [...story, { text: "", state: encode({ ...state, story: undefined }) }] });
+  }
+
+  /** A file in place of the bookmarks that there are. */
+  private async open(file: File): Promise<void> {
+    const { decode, model, store } = this.parts;
+    try {
+      if (file.size > MAX_FILE_BYTES) throw new StoryError(`The file has ${file.size} bytes, expected a story of ${MAX_FILE_BYTES} at most`);
+      const story = readStoryFile(await file.text(), decode);
+      const before = store.page.story;
+      model.actions.changePage({ story });
+      if (before.length > 0) model.ask(`${file.name} takes the place of ${before.length} bookmarks`, [{ text: "Undo", act: () => model.actions.changePage({ story: before }) }]);
+    } catch (error) {
+      model.toast(error instanceof StoryError ? `${file.name}: ${error.message}` : `${file.name} cannot be read: ${error instanceof Error ? error.message : String(error)}`);
+    }
   }
 
   private async show(index: number): Promise<void> {
@@ -87,7 +106,7 @@ export class Storyteller {
       await act(running.signal);
       return true;
     } catch (error) {
-      if (!running.signal.aborted) model.toast(error instanceof LinkError ? error.message : `The story has ended: ${error instanceof Error ? error.message : String(error)}`);
+      if (!running.signal.aborted) model.toast(`The story has ended: ${error instanceof Error ? error.message : String(error)}`);
       return false;
     } finally {
       if (this.running === running) {
@@ -99,8 +118,8 @@ export class Storyteller {
 
   /** To the state of a bookmark; the camera moves there. */
   private async turnTo({ state, text }: Bookmark, medium: Medium, signal: AbortSignal, seconds: number): Promise<void> {
-    const { follow, scene, store } = this.parts;
-    const link = decodeLink(state);
+    const { decode, follow, scene, store } = this.parts;
+    const link = decode(state);
     if (link === undefined) return;
     const from = scene.camera.pose;
     const isSame = store.viewer.volume?.id === link.volume;

@@ -1,4 +1,4 @@
-/** Goes through all time steps once and measures the surface in each: the same as the user would do by hand. */
+/** Goes through all time steps once and measures the surface in each: the same as the user would do by hand. Loaded when it is asked for. */
 
 import type { Probed, Vec3 } from "../protocol/types";
 import { enclosedOf, type Enclosed } from "../state/enclosed";

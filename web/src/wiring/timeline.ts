@@ -9,7 +9,8 @@ import { unevenOf } from "../world/uneven";
 import { axesOf } from "./enclosing";
 import { Player } from "./player";
 import { Stepping } from "./stepping";
-import { TimeMeasuring } from "./timeMeasuring";
+import { once } from "./later";
+import type { TimeMeasuring } from "./timeMeasuring";
 
 /** Steps that are gone through to measure are no step of the history. */
 const GESTURE = "measure-time";
@@ -27,7 +28,8 @@ export interface TimelineParts {
 export class Timeline {
   readonly stepping: Stepping;
   readonly player: Player;
-  private readonly measuring: TimeMeasuring;
+  private readonly makeMeasuring: () => Promise<TimeMeasuring>;
+  private measuring: TimeMeasuring | undefined;
 
   constructor(parts: TimelineParts) {
     const { store, model, change, isSettled } = parts;
@@ -38,7 +40,7 @@ export class Timeline {
       go: (step) => change(() => store.goTo(step, "play")),
       onStop: () => change(() => store.endGesture()),
     });
-    this.measuring = new TimeMeasuring(store, {
+    this.makeMeasuring = once(async () => new (await import("./timeMeasuring")).TimeMeasuring(store, {
       isShown,
       go: (step) => change(() => store.goTo(step, GESTURE)),
       back: () => change(() => store.cancelGesture(GESTURE)),
@@ -50,18 +52,21 @@ export class Timeline {
       probe: (position) => parts.questions.probeAt(position, store.viewer.selected),
       show: (curves) => model.showCurves(curves),
       fail: (reason) => model.toast(reason),
-    });
+    }));
     if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) this.player.slow();
   }
 
   follow(): void {
     this.player.follow();
-    this.measuring.follow();
+    this.measuring?.follow();
   }
 
   readonly measure: Actions["measureOverTime"] = (run) => {
-    if (!run) return this.measuring.stop();
+    if (!run) return this.measuring?.stop();
     this.player.stop();
-    this.measuring.start();
+    void this.makeMeasuring().then((measuring) => {
+      this.measuring = measuring;
+      measuring.start();
+    });
   };
 }

@@ -2,7 +2,6 @@
 
 import { Show } from "solid-js";
 import { MAX_ISOLINES } from "../../state/look";
-import { withRanges } from "../../state/featureRanges";
 import { coloredByLook } from "../../state/surfaceList";
 import { formatValue } from "../format";
 import { useModel } from "../model";
@@ -16,11 +15,11 @@ import { fieldScaleOf, logProblem } from "./fieldColors";
 const FIRST_ISOLINES = 8;
 
 function useColored() {
-  const { selected, surfaces, viewer } = useModel();
-  return () => coloredByLook(withRanges(viewer(), surfaces()), selected()?.number ?? 0);
+  const { ranged, selected, surfaces, viewer } = useModel();
+  return () => coloredByLook(ranged(viewer(), surfaces()), selected()?.number ?? 0);
 }
 
-export function FieldColors() {
+export default function FieldColors() {
   const { actions, look } = useModel();
   const colored = useColored();
   const lines = () => {

@@ -1,6 +1,6 @@
 /** How the surface is shown: changes nothing on the server. */
 
-import { For, Show } from "solid-js";
+import { For, lazy, Show, Suspense } from "solid-js";
 import { COLOR_MAPS } from "../../colors/maps";
 import { MAPS, MATERIALS, type ColorBy, type Look } from "../../state/look";
 import { awaitedErrors, errorsOf, shownErrors } from "../../state/shownErrors";
@@ -11,7 +11,6 @@ import { Choice, Toggle } from "../widgets/choice";
 import { awaitedWords, distanceWords } from "../words";
 import type { Card } from "./card";
 import { NO_FEATURE } from "./features";
-import { FieldColors } from "./fieldColorRows";
 import { Peel } from "./peel";
 
 const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonly hint: string }[] = [
@@ -23,6 +22,8 @@ const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonl
   { value: "level", text: "Level", hint: "How large the cubes are that triangles stand for" },
   { value: "error", text: "Error", hint: "How far each vertex is from the isosurface, measured" },
 ];
+
+const FieldColors = lazy(() => import("./fieldColorRows"));
 
 const BACKGROUNDS: readonly { readonly value: Look["background"]; readonly text: string }[] = [
   { value: "page", text: "Page" },
@@ -51,7 +52,9 @@ function Body() {
         <Maps />
       </Show>
       <Show when={look().colorBy === "field"}>
-        <FieldColors />
+        <Suspense>
+          <FieldColors />
+        </Suspense>
       </Show>
       <Show when={look().colorBy === "error"}>
         <ErrorNote />

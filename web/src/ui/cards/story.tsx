@@ -2,9 +2,9 @@
 
 import { For, Show } from "solid-js";
 import { volumeName } from "../../state/fileNames";
-import { isInLink, MAX_SENTENCE, moved, StoryError, withText } from "../../state/story";
-import { MAX_FILE_BYTES, readStoryFile, storyFile } from "../../state/storyFile";
-import { useModel, type Model } from "../model";
+import { isInLink, MAX_SENTENCE, moved, withText } from "../../state/story";
+import { storyFile } from "../../state/storyFile";
+import { useModel } from "../model";
 import { saveFile } from "../takeAlong";
 import { Button } from "../widgets/button";
 import { Icon } from "../widgets/icon";
@@ -83,6 +83,12 @@ function Files() {
   const model = useModel();
   const { page, volume } = model;
   let input: HTMLInputElement | undefined;
+  const open = (from: HTMLInputElement) => {
+    const [file] = from.files ?? [];
+    if (file !== undefined) model.actions.story({ type: "open", file });
+    // The same file may be opened again.
+    from.value = "";
+  };
   const save = () => saveFile(`${volumeName(volume())}-story.json`, new Blob([storyFile(page().story)], { type: "application/json" }));
   return (
     <>
@@ -94,29 +100,11 @@ function Files() {
           </Button>
           <Button onClick={() => input?.click()}>Open story…</Button>
         </span>
-        <input ref={(element) => (input = element)} class="unseen" type="file" accept=".json,application/json" tabindex="-1" aria-label="File of a story" on:change={(event) => void open(model, event.currentTarget)} />
+        <input ref={(element) => (input = element)} class="unseen" type="file" accept=".json,application/json" tabindex="-1" aria-label="File of a story" on:change={(event) => open(event.currentTarget)} />
       </div>
       <Show when={!isInLink(page().story)}>
         <p class="note">Too long for the link: save it as a file</p>
       </Show>
     </>
   );
-}
-
-async function open(model: Model, input: HTMLInputElement): Promise<void> {
-  const [file] = input.files ?? [];
-  if (file === undefined) return;
-  try {
-    if (file.size > MAX_FILE_BYTES) throw new StoryError(`The file has ${file.size} bytes, expected a story of ${MAX_FILE_BYTES} at most`);
-    const story = readStoryFile(await file.text());
-    const before = model.page().story;
-    model.actions.changePage({ story });
-    const restore = { text: "Undo", act: () => model.actions.changePage({ story: before }) };
-    if (before.length > 0) model.ask(`${file.name} takes the place of ${before.length} bookmarks`, [restore]);
-  } catch (error) {
-    model.toast(error instanceof StoryError ? `${file.name}: ${error.message}` : `${file.name} cannot be read: ${error instanceof Error ? error.message : String(error)}`);
-  } finally {
-    // The same file may be opened again.
-    input.value = "";
-  }
 }
