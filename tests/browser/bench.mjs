@@ -133,7 +133,7 @@ async function measure(page, scenario) {
 const server = await startServer([], { demo: true });
 let page;
 try {
-  page = await openQuietPage(server.url, { width: 1100, height: 760, script: `(${observe})()` });
+  page = await openQuietPage(`${server.url}/#v=1&volume=mni152`, { width: 1100, height: 760, script: `(${observe})()` });
   await settled(page);
   await page.evaluate(() => (document.querySelector("details.expert").open = true));
   for (const scenario of SCENARIOS) {

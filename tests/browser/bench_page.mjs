@@ -56,7 +56,7 @@ async function firstFrame(browser) {
     const times = [];
     for (let load = 0; load <= ROUNDS; load += 1) {
       const page = await context.newPage();
-      await page.goto(server.url);
+      await page.goto(`${server.url}/#v=1&volume=mni152`);
       const handle = await page.waitForFunction(() => (window.isopeel?.status.generation === undefined ? false : performance.now()));
       if (load > 0) times.push(await handle.jsonValue());
       await settled(page);
@@ -140,7 +140,7 @@ async function orbits(browser, folder) {
   const server = await startServer([volume]);
   const plain = await servePlain(mesh);
   try {
-    const { page } = await openPage(browser, server.url, { viewport: VIEWPORT });
+    const { page } = await openPage(browser, `${server.url}/#v=1&volume=mni152`, { viewport: VIEWPORT });
     const { statistics, edit } = await rested(page);
     const view = ["--iso", `${edit.iso}`, "--triangles", `${statistics.triangles}`];
     execFileSync(BINARY, ["extract", volume, ...view, "--output", mesh], { stdio: "ignore" });
@@ -182,7 +182,7 @@ async function heapOf(session) {
 async function heaps(browser) {
   const server = await startServer([], { demo: true });
   try {
-    const { page } = await openPage(browser, server.url, { viewport: VIEWPORT });
+    const { page } = await openPage(browser, `${server.url}/#v=1&volume=mni152`, { viewport: VIEWPORT });
     const session = await page.context().newCDPSession(page);
     let { generation } = await settled(page);
     const at = {};

@@ -253,7 +253,7 @@ export async function cameraAtRest(page) {
 export async function picture(page) {
   await page.evaluate(() => {
     const sheet = new CSSStyleSheet();
-    sheet.replaceSync(".banner, .toasts, .notice, .hint, .display-legend, .tour, .scene-overlay { visibility: hidden !important }");
+    sheet.replaceSync(".banner, .toasts, .notice, .hint, .display-legend, .tour, .scene-overlay, .field-legend { visibility: hidden !important }");
     document.adoptedStyleSheets = [sheet];
   });
   const pixels = await page.locator(".viewport canvas").screenshot();

@@ -267,7 +267,7 @@ describe("look", { timeout: 2 * TIMEOUT_MS }, () => {
     assert.equal(new Set(Object.values(seen)).size, 4, JSON.stringify(seen));
     near(await at({ material: "unlit" }), [0xd9, 0xd9, 0xd9, 255], 2, "unlit");
     near(await at({ colorMode: "level" }), [0xa3, 0x26, 0x0f, 255], 2, "level 0");
-    await page.evaluate(() => window.bench.scene.setAlpha(0));
+    await page.evaluate(() => window.bench.scene.colors.setAlpha(0));
     // The table goes from red at the south pole to blue at the north pole.
     const [red, , blue] = await at({ colorMode: "transfer" });
     assert.ok(red > 60 && blue > 100 && red < 250 && blue < 250, `${red} ${blue}`);
@@ -514,6 +514,39 @@ describe("orientation", { timeout: 2 * TIMEOUT_MS }, () => {
     assert.ok(closer < Number(length) / 4, `${closer}`);
   });
 
+  test("a world that is shown higher stays the world: places, poses and light are right, and the scale bar says it", async () => {
+    const found = await page.evaluate(async () => {
+      const { scene, addSphere, still } = window.bench;
+      await addSphere({ radius: 15 });
+      scene.camera.projection = "orthographic";
+      scene.exaggeration = 2;
+      scene.view("+x", false);
+      await still();
+      const { width, height, pixels } = scene.snapshot({ scale: 1, transparent: true });
+      const rows = [];
+      const columns = [];
+      for (let i = 0; i < width * height; i += 1) if (pixels[4 * i + 3] > 128) rows.push(Math.floor(i / width)), columns.push(i % width);
+      const extent = (list) => list.reduce((max, n) => Math.max(max, n), 0) - list.reduce((min, n) => Math.min(min, n), 1e9) + 1;
+      const places = await Promise.all([[200, 150], [210, 60], [180, 220]].map(async ([x, y]) => (await scene.pick(x, y)).position));
+      const light = [];
+      for (const flat of [false, true]) {
+        scene.setLook({ flat });
+        light.push([...scene.snapshot({ scale: 1, transparent: true }).pixels]);
+      }
+      const apart = light[0].map((value, i) => Math.abs(value - light[1][i])).sort((a, b) => a - b);
+      const { position, target } = scene.camera.pose;
+      scene.camera.restore({ position, target });
+      await still();
+      return { share: extent(rows) / extent(columns), places, p98: apart[Math.floor(0.98 * apart.length)], target, restored: scene.camera.pose.position.map((n, i) => n - position[i]) };
+    });
+    assert.ok(Math.abs(found.share - 2) < 0.03, `twice as high as wide: ${found.share}`);
+    for (const place of found.places) assert.ok(Math.abs(Math.hypot(...place) - 15) < 0.15, `on the sphere: ${place}`);
+    // The triangles' own normals are right whatever the vertices say.
+    assert.ok(found.p98 < 12, `light of smooth and flat triangles is ${found.p98} apart`);
+    for (const n of [...found.target, ...found.restored]) assert.ok(Math.abs(n) < 1e-4, `${n}`);
+    assert.match(await page.locator(".scene-scale").innerText(), /· heights × 2$/);
+  });
+
   test("the box has ticks at round coordinates", MORE, async () => {
     await page.evaluate(async () => {
       const { scene, addSphere } = window.bench;
@@ -629,7 +662,7 @@ describe("picking, slices, values", { timeout: 2 * TIMEOUT_MS }, () => {
       const { scene, addSphere, COLOR_MAPS, colorTable } = window.bench;
       const id = await addSphere({ radius: 10 });
       scene.setLook({ material: "unlit", occlusion: false, colorMode: "value" });
-      scene.setValueColors(2, 4, colorTable(COLOR_MAPS.viridis));
+      scene.colors.setValueColors(2, 4, colorTable(COLOR_MAPS.viridis));
       scene.setValues(id, new Float32Array(97 * 49).fill(3));
       scene.home(false);
     });

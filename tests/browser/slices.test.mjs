@@ -1,6 +1,7 @@
 /** Slices beside the picture: one crosshair in all of them, window and level, outlines, links, and what is said if the server does not answer. */
 
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { PNG } from "pngjs";
 import { violations } from "./accessibility.mjs";
@@ -328,3 +329,71 @@ test("while there is no connection the panel says so, and the next one brings th
     volume.remove();
   }
 });
+
+test("Control with the wheel and keys zoom a slice, a click there is where it is seen, and a double click shows all of it", { timeout: 4 * TIMEOUT_MS }, async () => {
+  const { page, faults } = await open("layout=both");
+  await drawn(page);
+  const across = pane(page, "z");
+  const box = await across.boundingBox();
+  const before = await pixels(page, "z");
+  const place = [0.35 * box.width, 0.4 * box.height];
+  await page.mouse.move(box.x + place[0], box.y + place[1]);
+  const sample = async () => (await fact(page, "Sample")).split(", ").map(Number);
+  const under = await sample();
+  await page.keyboard.down("Control");
+  for (let i = 0; i < 4; i += 1) await page.mouse.wheel(0, -100);
+  await page.keyboard.up("Control");
+  await page.locator(".slice-zoom").getByText(/^× [45]/).waitFor();
+  await drawn(page);
+  assert.ok(difference(before, await pixels(page, "z")) > 0.05, "it is larger");
+  await page.mouse.move(box.x + place[0] + 1, box.y + place[1]);
+  // To the next sample at most, at whose border the pointer may be.
+  (await sample()).forEach((index, axis) => assert.ok(Math.abs(index - under[axis]) <= 1, "what is under the pointer stays there"));
+  await page.mouse.click(box.x + place[0], box.y + place[1]);
+  await drawn(page);
+  await saveScreenshot(page, "slices-zoomed");
+  await across.focus();
+  await page.keyboard.press("-");
+  await page.keyboard.press("0");
+  assert.equal(await page.locator(".slice-zoom").getByText(/^×/).count(), 0);
+  await page.keyboard.press("+");
+  await page.locator(".slice-zoom").getByText("× 1.3").waitFor();
+  await across.dblclick();
+  await page.locator(".slice-zoom").getByText(/^×/).waitFor({ state: "detached" });
+  assert.deepEqual(faults, []);
+  await page.context().close();
+});
+
+test("a saved image has the slices beside the picture, or alone where the surface is hidden", { timeout: 4 * TIMEOUT_MS }, async () => {
+  const { page, faults } = await open("layout=both");
+  await drawn(page);
+  const saved = async () => {
+    const download = page.waitForEvent("download");
+    await page.getByRole("button", { name: "Save PNG" }).click();
+    return PNG.sync.read(readFileSync(await (await download).path()));
+  };
+  await page.getByRole("button", { name: "Export", exact: true }).click();
+  const { width, height } = await page.locator(".viewport canvas").first().boundingBox();
+  const both = await saved();
+  const side = Math.floor((2 * height) / 3);
+  assert.deepEqual([both.width, both.height], [2 * width + side, 2 * height]);
+  // The outline of the surface is in the column of slices, three times.
+  const column = (row) => countOf({ data: cut(both, 2 * width, row * side, side, side) }, [0xff, 0xd3, 0x6b], 60);
+  for (const row of [0, 1, 2]) assert.ok(column(row) > 200, `${column(row)} pixels of the outline in slice ${row}`);
+  await page.getByRole("switch", { name: "Slices" }).press("Space");
+  assert.equal((await saved()).width, 2 * width);
+  await page.getByRole("switch", { name: "Slices" }).press("Space");
+  await page.locator(".viewport canvas").first().focus();
+  await page.keyboard.press("s");
+  await drawn(page);
+  const alone = await saved();
+  assert.equal(alone.width, 3 * alone.height);
+  assert.deepEqual(faults, []);
+  await page.context().close();
+});
+
+/** A part of an image. */
+function cut({ data, width }, left, top, w, h) {
+  const rows = Array.from({ length: h }, (_, row) => data.subarray(4 * ((top + row) * width + left), 4 * ((top + row) * width + left + w)));
+  return Buffer.concat(rows);
+}

@@ -11,8 +11,8 @@ import { embedOptions } from "./embed/origins";
 import { Embedding } from "./wiring/embedding";
 import { Summing } from "./wiring/summing";
 import { Framing, framingActions } from "./wiring/framing";
-import { Later } from "./wiring/later";
-import { linkState, unknownVolumeText } from "./wiring/linking";
+import { Later, once } from "./wiring/later";
+import { firstLink, linkState, unknownVolumeText } from "./wiring/linking";
 import { whenReleased } from "./wiring/gesture";
 import { streamAddress, streamUrl } from "./net/credentials";
 import { StreamClient } from "./net/streamClient";
@@ -22,14 +22,15 @@ import type { StreamMessage, VolumeSummary } from "./protocol/types";
 import type { Questions } from "./questions/questions";
 import { RegionPipeline } from "./regions/pipeline";
 import { statusOf } from "./wiring/status";
-import { Player } from "./wiring/player";
 import { FileUploads } from "./wiring/uploading";
-import { Stepping } from "./wiring/stepping";
+import { Timeline } from "./wiring/timeline";
 import { storeActions } from "./wiring/storeActions";
+import type { Storyteller } from "./wiring/storyteller";
 import { SurfaceRenderer } from "./scene/renderer";
+import { withRanges } from "./state/featureRanges";
 import { isAboutGroup } from "./state/group";
-import { lengthScale, lengthUnit } from "./state/lengths";
-import type { Link } from "./state/link";
+import { lengthScale } from "./state/lengths";
+import { decodeLink, encodeLink, type Link } from "./state/link";
 import { Store } from "./state/store";
 import { isAboutQuestion } from "./state/answers";
 import { distancesOf } from "./state/distances";
@@ -70,15 +71,11 @@ export class App {
   private readonly questions: Questions;
   private readonly connecting: Connecting;
   private readonly uploads: FileUploads;
+  private readonly storyteller: () => Promise<Storyteller>;
   private readonly together: Together;
   /** Where the page is a picture in another one. */
   private readonly embedding: Embedding | undefined;
-  private readonly stepping = new Stepping(this.store, (volume, step) => this.open(volume, step));
-  private readonly player = new Player(this.store, {
-    isShown: () => this.settled && !this.store.viewer.opening,
-    go: (step) => this.change(() => this.store.goTo(step, "play")),
-    onStop: () => this.change(() => this.store.endGesture()),
-  });
+  private readonly timeline: Timeline;
   private readonly later = new Later(REFRESH_DELAY_MS, () => this.refresh());
   /** What a link asks for of the volume that is being opened. */
   private wish: Link | undefined;
@@ -105,12 +102,13 @@ export class App {
     this.client = this.makeClient();
     this.sync = new SurfaceSync(this.client, this.pipeline, (view) => this.comparison.wanted(view));
     this.questions = makeQuestions(this.store, this.model, this.scene, this.client, viewport);
-    this.model.onGpu = this.scene.onGpu;
-    if (window.matchMedia("(prefers-reduced-motion: reduce)").matches) this.player.slow();
+    [this.model.onGpu, this.model.ranged] = [this.scene.onGpu, withRanges];
     this.connecting = new Connecting(this.model, this.base, (volumes) => this.showVolumes(volumes), () => this.embedding?.refused());
     this.uploads = new FileUploads(this.store, this.model, this.base, () => this.connecting.loadVolumes());
     const { store, model, scene, framing, pipeline, client } = this;
     const around = { store, model, scene, framing, isSettled: () => this.settled, link: () => this.link(), follow: (link: Link) => this.follow(link), base, reconnect: () => client.reconnect() };
+    this.storyteller = once(async () => new (await import("./wiring/storyteller")).Storyteller({ ...around, decode: decodeLink, encode: encodeLink }));
+    this.timeline = new Timeline({ ...around, pipeline, questions: this.questions, change: (act) => this.change(act), open: (volume, step) => this.open(volume, step) });
     this.together = this.makeTogether(viewport);
     if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
     showPage(root, this.model, viewport, this.store.isEmbedded);
@@ -128,18 +126,20 @@ export class App {
     return new Model(store, {
       openVolume: (id) => {
         if (!this.together.mayChange()) return;
-        this.stepping.cancel();
+        this.timeline.stepping.cancel();
         this.open(id, store.stepOf(id));
       },
       ...storeActions(store, (act) => this.change(act), () => this.together.mayChange(), () => this.model.mayEdit()),
       changePage: (layers) => {
         if (layers.slicing !== undefined && !this.together.mayChange()) return;
         this.change(() => store.changePage(layers));
-        this.player.follow();
+        this.timeline.follow();
         this.showDisplay();
       },
       group: (act) => this.together.act(act),
+      story: (act) => act.type !== "add" && !this.together.mayChange() ? undefined : void this.storyteller().then((teller) => teller.act(act)),
       ...framingActions(() => this.framing),
+      measureOverTime: (run) => this.together.mayChange() && this.timeline.measure(run),
       sumUp: () => this.summing.sumSelected(),
       useAtCentre: () => this.questions.useAtCentre(),
       retry: () => this.client.retryNow(),
@@ -231,6 +231,7 @@ export class App {
   private open(volume: string, step: number): void {
     const { store } = this;
     if (volume !== store.viewer.volume?.id) store.leave(this.scene.regionCount > 0 ? this.scene.camera.pose : undefined);
+    this.wish ??= firstLink(store, volume);
     this.update({ type: "open", target: { volume, step } });
     this.client.open(volume, step);
     if (this.client.ready) for (const { number } of store.surfaces) this.update({ type: "sent", surface: number, at: performance.now() });
@@ -245,7 +246,7 @@ export class App {
     if (after !== before) this.showDisplay();
     this.questions.follow();
     if (after?.surfaces !== before?.surfaces) this.synchronise();
-    if (after !== undefined && after.step !== before?.step) this.stepping.want(after.step);
+    if (after !== undefined && after.step !== before?.step) this.timeline.stepping.want(after.step);
     // Cards are about another surface.
     if (after?.selected !== before?.selected) this.refresh();
     this.model.showWork(this.store);
@@ -266,7 +267,7 @@ export class App {
     const source = { volume: viewer.volume, step: viewer.target?.step ?? 0, field: slicing.field ?? view.field, slicing };
     this.marks.show(this.store);
     this.beside.show();
-    this.display.show(look, surfaces, viewer.selected, source, shownErrors(viewer, surfaces));
+    this.display.show(look, withRanges(viewer, surfaces), viewer.selected, source, shownErrors(viewer, surfaces));
   }
 
   private receive(message: StreamMessage): void {
@@ -302,7 +303,7 @@ export class App {
         this.model.clearErrors();
         break;
       case "error":
-        this.player.stop();
+        this.timeline.player.stop();
         if (message.code === "volume-removed") this.uploads.leaveRemoved();
         else this.model.toast(errorText(message, this.store.surfaces));
         break;
@@ -321,7 +322,7 @@ export class App {
     if (another) this.pipeline.clear();
     this.framing.expect(another, store.opened(another, wish));
     scene.setGrid(volume.geometry);
-    this.display.measureIn(lengthUnit(volume));
+    this.display.place(volume);
     if ((wish?.surfaces.length ?? 0) > store.surfaces.length) this.model.toast(fewerText(store.surfaces.length), "lasting");
     this.sync.opened(store.surfaces);
     this.synchronise();
@@ -353,7 +354,6 @@ export class App {
   }
 
   private readonly link = () => linkState(this.store, this.framing.pose);
-
   private showVolumes(volumes: readonly VolumeSummary[]): void {
     this.update({ type: "volumes", volumes });
     const { target } = this.store.viewer;
@@ -390,7 +390,7 @@ export class App {
     this.summing.follow();
     this.comparison.advance(this.settled);
     this.showDisplay();
-    this.player.follow();
+    this.timeline.follow();
     this.connecting.watch(this.store.viewer.watches);
     this.embedding?.follow(this.settled);
     const { levelTriangles, levelTrianglesBySurface } = this.scene;

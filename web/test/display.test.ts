@@ -21,9 +21,12 @@ function displayOf() {
     setClip: () => undefined,
     setSlices: () => undefined,
     setSurfaceStyle: () => undefined,
-    setAlpha: () => undefined,
-    setTransfer: () => undefined,
-    setValueColors: (_low: number, high: number) => ranges.push(high),
+    colors: {
+      setAlpha: () => undefined,
+      setTransfer: () => undefined,
+      setField: () => undefined,
+      setValueColors: (_low: number, high: number) => ranges.push(high),
+    },
   };
   const display = new Display(scene as unknown as SurfaceRenderer, new URL("http://127.0.0.1/"), () => undefined);
   const show = (look: Look, distances?: typeof DISTANCES) => display.show(look, SURFACES, 0, { volume: VOLUMES[0]!, step: 0, field: "depth" }, distances);

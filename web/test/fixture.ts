@@ -360,6 +360,7 @@ export function statistics(triangles: number): Statistics {
     tolerance: 0.1,
     maxError: null,
     topology: "preserve",
+    featureRange: null,
     gaveWay: [],
     isTreeCut: true,
     error: null,

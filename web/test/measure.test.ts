@@ -3,7 +3,7 @@ import type { SurfaceRenderer } from "../src/scene/renderer";
 import { decodeLink, encodeLink, type LinkState } from "../src/state/link";
 import { DEFAULT_LOOK } from "../src/state/look";
 import { DEFAULT_STYLE } from "../src/state/surfaceList";
-import { amountOf, MAX_MEASURES, measuresCsv, readMeasure, type Measure } from "../src/state/measure";
+import { amountOf, MAX_MEASURES, measuresCsv, measureText, readMeasure, type Measure } from "../src/state/measure";
 import { amountWords, measureWords } from "../src/ui/cards/measureWords";
 import { Measuring } from "../src/wiring/measuring";
 import { OPENING, VOLUMES, voxels } from "./fixture";
@@ -45,7 +45,7 @@ describe("a link", () => {
   });
 
   test.each([
-    ["x,1,2,3", /“measure” begins with "x", expected d, a or r/],
+    ["x,1,2,3", /“measure” begins with "x", expected d, a, r or l/],
     ["d,1,2,3", /“measure” has 3 numbers, expected 6/],
     ["d,1,2,3,4,5,6,7", /has 7 numbers, expected 6/],
     ["a,1,2,3,4,5,6,7,8,no", /is "no", expected a number/],
@@ -82,4 +82,12 @@ test("the scene shows what is measured and what is begun; what is as before cost
   measuring.show([], [], undefined);
   expect(marks).toEqual([5, 7, 0]);
   expect(texts).toEqual([["1 · 5 at 1.5,2,0", "2 · 45° at 0,0,0"], ["1 · 5 at 1.5,2,0", "2 · 45° at 0,0,0", " at 8,8,8"], []]);
+});
+
+test("labels keep what parts measurements in a link", () => {
+  const label = { kind: "label", points: [[1, 2, 3]], text: "A, b; c ~ ü" } as const;
+  expect(readMeasure(measureText(label))).toEqual(label);
+  expect(measureText(label)).not.toMatch(/[; ]/);
+  expect(() => readMeasure("l,1,2,3,%E0%A4%A")).toThrow("which was cut off or changed");
+  expect(readMeasure("l,1,2,3")).toEqual({ ...label, text: "" });
 });

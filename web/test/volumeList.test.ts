@@ -6,7 +6,8 @@ import { afterEach, describe, expect, test, vi } from "vitest";
 import { listVolumes } from "../src/net/rest";
 import type { VolumeSummary } from "../src/protocol/types";
 import { Store } from "../src/state/store";
-import { Model, type Actions } from "../src/ui/model";
+import type { Actions } from "../src/ui/actions";
+import { Model } from "../src/ui/model";
 import { Connecting } from "../src/wiring/connecting";
 import { VOLUMES } from "./fixture";
 

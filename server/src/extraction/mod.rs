@@ -82,7 +82,7 @@ pub use slices::Slice;
 pub use statistics::{Cleaned, EstimatedError, ExtractionStatistics, MeasuredError, Shape};
 pub use user_time::USER_TIME_PERIOD;
 pub use volume_info::{
-    DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo, describe,
-    describe_expression,
+    AxisInfo, DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo,
+    describe, describe_expression,
 };
 pub use worker::{DeviceWorker, QUEUED_JOBS};

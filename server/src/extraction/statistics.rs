@@ -7,7 +7,7 @@ use isopeel_kernels::{ErrorEstimate, SurfaceError, Topology};
 use serde::{Deserialize, Serialize};
 
 use crate::view::quality::{GuardName, MesherName, TopologyName};
-use crate::view::{Outward, View};
+use crate::view::{FeatureName, Outward, View};
 
 /// Tolerance of a surface in which nothing was merged: below any error.
 const NOTHING_MERGED: f32 = -1.0;
@@ -113,6 +113,8 @@ pub struct ExtractionStatistics {
     pub max_error: Option<f32>,
     /// What holds of the topology.
     pub topology: TopologyName,
+    /// Values of the feature that count as 0 and 1: as given, or its own range. Null: no feature.
+    pub feature_range: Option<[f32; 2]>,
     /// Guards that were `auto` and gave way to the budget, in this order: first the error, then the topology.
     pub gave_way: Vec<GuardName>,
     /// Whether this is a cut of the vertex tree, or else of the octree.
@@ -257,6 +259,7 @@ impl ExtractionStatistics {
                 Topology::Preserve => TopologyName::Preserve,
                 Topology::Free => TopologyName::Free,
             },
+            feature_range: view.feature_range.filter(|_| view.feature != FeatureName::None),
             gave_way: view.gave_way(smallest),
             is_tree_cut: view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut),
             error: kernels.error.and_then(|error| MeasuredError::in_world(error, smallest)),

@@ -12,7 +12,7 @@ use super::{DeviceWorker, WorkError};
 use crate::math::UnevenAxes;
 use crate::view::{Edit, FeatureName, FieldExpression, OpeningIso, VectorName};
 use crate::volumes::vectors::vectors;
-use crate::volumes::{Dataset, Field, LengthUnit, MAX_LABELS, TimeAxis, VolumeStep};
+use crate::volumes::{AxisScale, Dataset, Field, LengthUnit, MAX_LABELS, TimeAxis, VolumeStep};
 
 /// A volume: what the editor needs to know of one time step.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -29,6 +29,10 @@ pub struct VolumeInfo {
     pub steps: u32,
     /// The time step that ranges and histograms speak of.
     pub step: u32,
+    /// What positions along the axes x, y and z are, null where the file does not say it; absent where it says it of none.
+    #[cfg_attr(test, ts(optional))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axes: Option<[Option<AxisInfo>; 3]>,
     /// When the steps are, where the file says it and there are several.
     pub times: Option<TimesInfo>,
     /// Fields, the main one first.
@@ -69,6 +73,41 @@ pub struct GeometryInfo {
     pub frame: &'static str,
     /// Unit of lengths in the world, such as `mm`, where the file says it.
     pub unit: Option<&'static str>,
+}
+
+/// What positions along an axis are.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(rename_all = "camelCase")]
+pub struct AxisInfo {
+    /// Name in the file.
+    pub name: String,
+    /// Unit of the positions, as the file says it.
+    pub unit: Option<String>,
+    /// What they are: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`.
+    pub kind: &'static str,
+    /// Position of each sample, where the world's coordinates count samples; null: the world's coordinate along the axis is the position.
+    pub positions: Option<Vec<f64>>,
+    /// Positions grow downwards: where `positions` is null they are the world's coordinates times −1.
+    pub points_down: bool,
+}
+
+impl AxisInfo {
+    fn of(axis: &AxisScale) -> Self {
+        Self {
+            name: axis.name.clone(),
+            unit: axis.unit.clone(),
+            kind: axis.kind.name(),
+            positions: axis.positions.clone(),
+            points_down: axis.points_down,
+        }
+    }
+
+    /// Of all axes of a volume.
+    pub fn all(dataset: &Dataset) -> Option<[Option<Self>; 3]> {
+        let axes = dataset.axes.as_deref()?;
+        Some([0, 1, 2].map(|axis| axes[axis].as_ref().map(Self::of)))
+    }
 }
 
 /// When the time steps are.
@@ -428,6 +467,7 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
         id: dataset.id.clone(),
         title: dataset.title.clone(),
         geometry: GeometryInfo::of(dataset),
+        axes: AxisInfo::all(dataset),
         steps: dataset.steps,
         step: volume.step(),
         times: dataset.times.as_ref().map(|times| TimesInfo::new(times, volume.step())),

@@ -47,6 +47,7 @@ fn catalog() -> Catalog {
         geometry: Geometry::of_index([2; 3]),
         steps: 2,
         uneven: None,
+        axes: None,
         times: None,
         revision: 0,
         rewrites: Vec::new(),

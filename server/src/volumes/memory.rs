@@ -73,6 +73,7 @@ pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>)
         geometry,
         steps: count,
         uneven: None,
+        axes: None,
         times: None,
         fields: vec![Field {
             name: "value".into(),

@@ -18,6 +18,7 @@
 //! - [`TimeAxis`]: when the steps are. [`InputIdentity`]: what the files of steps are, to find changes.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
+mod axis_scales;
 mod beneath;
 pub mod catalog;
 mod codec;
@@ -58,6 +59,7 @@ pub mod watch;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+pub use axis_scales::{AxisKind, AxisScale, AxisScales};
 pub use beneath::follow_links;
 pub use catalog::{Catalog, SharedCatalog, Unreadable, open_each, open_path};
 pub use demo::demo;
@@ -95,6 +97,8 @@ pub struct Dataset {
     pub steps: u32,
     /// Where samples are along the axes that are not even, whose mean distances the grid has.
     pub uneven: Option<Arc<UnevenAxes>>,
+    /// What positions along its axes are, where the file says it.
+    pub axes: Option<Arc<AxisScales>>,
     /// When they are, where the file says it and there are several.
     pub times: Option<TimeAxis>,
     /// Fields, the main one first; at least one.
@@ -509,6 +513,8 @@ pub struct OpenedFile {
     pub steps: u32,
     /// Where samples are along the axes that are not even, whose mean distances the grid has.
     pub uneven: Option<Arc<UnevenAxes>>,
+    /// What positions along its axes are, where it says it.
+    pub axes: Option<Arc<AxisScales>>,
     /// When they are, where the file says it and there are several.
     pub times: Option<TimeAxis>,
     /// Its fields, the main one first; at least one.

@@ -116,6 +116,7 @@ pub(super) fn join_steps(
     Ok(OpenedFile {
         steps,
         uneven: None,
+        axes: None,
         times: times.filter(|_| steps > 1),
         fields: fields.collect(),
         ..first

@@ -222,6 +222,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         geometry: first.geometry,
         steps: first.steps,
         uneven: first.uneven.clone(),
+        axes: first.axes.clone(),
         times: first.times.clone(),
         notices,
         fields,

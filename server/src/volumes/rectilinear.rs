@@ -421,6 +421,7 @@ mod tests {
             geometry: geometry_of(&positions),
             steps: 1,
             uneven: None,
+            axes: None,
             times: None,
             fields: Vec::new(),
             notices: Notices::default(),

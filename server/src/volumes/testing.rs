@@ -42,6 +42,7 @@ pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
         geometry: Geometry::of_index(dims),
         steps: 1,
         uneven: None,
+        axes: None,
         times: None,
         revision: 0,
         rewrites: Vec::new(),

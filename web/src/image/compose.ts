@@ -32,15 +32,17 @@ const MARGIN = 16;
 const TEXT = 13;
 /** Of the edge around texts. */
 const EDGE = 3;
+/** Opacity of texts at places behind the surface. */
+const FAINT = 0.45;
 const FONT = 'system-ui, "Segoe UI", "Noto Sans", "DejaVu Sans", sans-serif';
 const COLOR_BAR = { width: 14, height: 200 };
 const SWATCH = { width: 22, height: 12, line: 20 };
 
 export function composeImage(snapshot: Snapshot, parts: ImageParts): Promise<Blob> {
-  return compose(snapshot, parts).convertToBlob({ type: "image/png" });
+  return drawImage(snapshot, parts).convertToBlob({ type: "image/png" });
 }
 
-function compose({ width, height, pixels, labels, unitsPerPixel }: Snapshot, parts: ImageParts): OffscreenCanvas {
+export function drawImage({ width, height, pixels, labels, unitsPerPixel }: Snapshot, parts: ImageParts): OffscreenCanvas {
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");
   if (context === null) throw new Error("the browser gives no canvas to draw the image on");
@@ -61,7 +63,11 @@ function compose({ width, height, pixels, labels, unitsPerPixel }: Snapshot, par
   context.textAlign = "center";
   context.lineJoin = "round";
   const write = writer(context, parts.background ?? opposite(ink), scale);
-  for (const { text, x, y } of labels) write(text, x, y);
+  for (const { text, x, y, isBehind } of labels) {
+    context.globalAlpha = isBehind ? FAINT : 1;
+    write(text, x, y);
+  }
+  context.globalAlpha = 1;
   if (parts.scaleBar !== undefined && unitsPerPixel !== undefined) drawScaleBar(context, write, parts.scaleBar(unitsPerPixel), scale, height);
   if (parts.colorBar !== undefined) drawColorBar(context, write, parts.colorBar, scale, width, height);
   if (parts.isovalues !== undefined) drawIsovalues(context, write, parts.isovalues, scale);
@@ -104,7 +110,7 @@ function drawScaleBar(context: Context, write: Write, { text, pixels }: { text: 
 }
 
 /** On the right, high values above. */
-function drawColorBar(context: Context, write: Write, { stops, texts, title }: ColorBar, scale: number, width: number, height: number): void {
+function drawColorBar(context: Context, write: Write, { stops, texts, lines = [], title }: ColorBar, scale: number, width: number, height: number): void {
   const [barWidth, barHeight] = [COLOR_BAR.width * scale, Math.min(COLOR_BAR.height * scale, height / 2)];
   const [left, top] = [width - MARGIN * scale - barWidth, (height - barHeight) / 2];
   const rows = Math.ceil(barHeight);
@@ -121,6 +127,14 @@ function drawColorBar(context: Context, write: Write, { stops, texts, title }: C
     const share = texts.length > 1 ? i / (texts.length - 1) : 0;
     write(text, left - 6 * scale, top + (1 - share) * barHeight);
   });
+  for (const { at, text } of lines) {
+    const y = top + (1 - at) * barHeight;
+    context.beginPath();
+    context.moveTo(left - 3 * scale, y);
+    context.lineTo(left + barWidth, y);
+    context.stroke();
+    write(text, left - 6 * scale, y);
+  }
   write(title, left + barWidth, top - 20 * scale);
 }
 

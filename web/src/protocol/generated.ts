@@ -18,6 +18,20 @@ export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10
 /** What a surface is annotated with. */
 export type Annotation = "error" | "error-around";
 
+/** What positions along an axis are. */
+export type AxisInfo = {
+  /** Name in the file. */
+  name: string,
+  /** Unit of the positions, as the file says it. */
+  unit: string | null,
+  /** What they are: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`. */
+  kind: string,
+  /** Position of each sample, where the world's coordinates count samples; null: the world's coordinate along the axis is the position. */
+  positions: Array<number> | null,
+  /** Positions grow downwards: where `positions` is null they are the world's coordinates times −1. */
+  pointsDown: boolean,
+};
+
 /** A box along the axes of the world. */
 export type Box = {
   /** Minimum along each axis. */
@@ -818,6 +832,8 @@ export type Statistics = {
   maxError: number | null,
   /** What holds of the topology. */
   topology: TopologyName,
+  /** Values of the feature that count as 0 and 1: as given, or its own range. Null: no feature. */
+  featureRange: [number, number] | null,
   /** Guards that were `auto` and gave way to the budget, in this order: first the error, then the topology. */
   gaveWay: Array<GuardName>,
   /** Whether this is a cut of the vertex tree, or else of the octree. */
@@ -973,6 +989,8 @@ export type VolumeInfo = {
   steps: number,
   /** The time step that ranges and histograms speak of. */
   step: number,
+  /** What positions along the axes x, y and z are, null where the file does not say it; absent where it says it of none. */
+  axes?: [AxisInfo | null, AxisInfo | null, AxisInfo | null],
   /** When the steps are, where the file says it and there are several. */
   times: Times | null,
   /** Fields, the main one first. */

@@ -78,6 +78,16 @@ export class Prober {
     }
   }
 
+  /** What is known of a place, which need not be on the surface. */
+  async at(found: Found): Promise<Probed | undefined> {
+    this.clicked += 1;
+    try {
+      return await this.ask(found);
+    } finally {
+      this.clicked -= 1;
+    }
+  }
+
   private ask({ position, surface }: Found): Promise<Probed | undefined> {
     // One question is under way at a time: the server answers the newest alone.
     this.waiting?.(undefined);

@@ -65,6 +65,11 @@ export class Questions {
     if (this.viewport !== undefined) void this.use(centreOf(this.viewport));
   }
 
+  /** What the server knows of a place of the world. */
+  probeAt(position: Vec3, surface: number): Promise<Probed | undefined> {
+    return this.prober.at({ position, surface });
+  }
+
   /** State or surface changed. */
   follow(): void {
     this.asker.follow();
@@ -108,6 +113,7 @@ export class Questions {
     if (tool === "paint") await this.paintRegion(place);
     if (tool === "distance" || tool === "angle") await this.measure(place, tool);
     if (tool === "reading") await this.read(place);
+    if (tool === "label") await this.label(place);
     if (tool === "hide-part" || tool === "keep-part" || tool === "keep-another") await this.choosePart(place, tool);
   }
 
@@ -135,6 +141,15 @@ export class Questions {
     const fields = this.store.viewer.volume?.fields ?? [];
     const values = fields.map(({ name }) => probed.values.find(({ field }) => field === name)?.value ?? null);
     this.addMeasure({ kind: "reading", points: [shortened(probed.position)], values });
+  }
+
+  /** Its text is changed in the list. */
+  private async label(place: Place): Promise<void> {
+    const found = await this.prober.locate(place);
+    if (found === undefined) return this.page.say(NOTHING_THERE);
+    if (this.store.page.tool !== "label") return;
+    const count = this.store.look.measures.filter(({ kind }) => kind === "label").length;
+    this.addMeasure({ kind: "label", points: [shortened(found.position)], text: `Label ${count + 1}` });
   }
 
   private addMeasure(measure: Measure): void {

@@ -2,11 +2,13 @@
 
 import type { Box3, OrthographicCamera, PerspectiveCamera, Scene } from "three";
 import type { AxisName } from "../world/axes";
+import type { PhysicalAxis } from "../world/physicalAxes";
 import { BoundingBox } from "./boundingBox";
 import { ClipHandles } from "./clipHandles";
 import { NO_CLIP, type Clip } from "./clipping";
 import { ColorScale, type ColorBar } from "./colorScale";
 import { Crosshair, type CrosshairPlace } from "./crosshair";
+import { isBehind } from "./hiddenPlaces";
 import { Markers, type Marker } from "./markers";
 import { AxesCube, ScaleBar } from "./orientation";
 import { Outlines, type Outlined } from "./outlines";
@@ -75,6 +77,18 @@ export class Annotations {
   set unit(unit: string) {
     this.bar.unit = unit;
     this.bounding.unit = unit;
+    this.handlers.onChange();
+  }
+
+  /** What positions along the world's axes are: the ticks of the box are at round ones. */
+  set physicalAxes(axes: readonly (PhysicalAxis | undefined)[]) {
+    this.bounding.axes = axes;
+    this.handlers.onChange();
+  }
+
+  /** How many times higher the world is shown than it is: the scale bar says so. */
+  set exaggeration(factor: number) {
+    this.bar.exaggeration = factor;
     this.handlers.onChange();
   }
 
@@ -147,6 +161,16 @@ export class Annotations {
     this.crosshair.scale = 1;
     if (this.isPointed) this.scene.add(this.crosshair.object);
     this.handles.update(this.choice.handles && !box.isEmpty() ? clip : NO_CLIP, box, camera, this.overlay.size);
+  }
+
+  /** Texts stand at places that may be behind the surface. */
+  get hasPlaces(): boolean {
+    return this.overlay.hasPlaces;
+  }
+
+  /** Makes texts fainter whose places are behind the surface. @param depths see `isBehind` */
+  fade(camera: PerspectiveCamera | OrthographicCamera, depths: readonly number[]): void {
+    this.overlay.fade(({ at }) => isBehind(at, camera, depths));
   }
 
   /** Shows the scale at a depth. */

@@ -3,18 +3,23 @@
 import { BufferAttribute, BufferGeometry, LineSegments, Vector3, type Box3, type Camera } from "three";
 import type { Label } from "./overlay";
 import { PlainMaterial } from "./plain";
+import type { PhysicalAxis, PlacedTick } from "../world/physicalAxes";
 import { ticks, tickText } from "../world/ticks";
 
 const MAX_TICKS = 6;
 /** Length of a tick and distance of its number, in diagonals of the box. */
 const TICK = 0.012;
 const NUMBER = 0.035;
+/** Numbers stand this far apart, in halves of the picture. */
+const NEAREST_NUMBERS = 0.045;
 const AXES = ["x", "y", "z"] as const;
 
 export class BoundingBox {
   readonly object: LineSegments<BufferGeometry, PlainMaterial>;
   /** The world's unit. */
   unit = "";
+  /** What positions along the world's axes are, where that is known. */
+  axes: readonly (PhysicalAxis | undefined)[] = [];
   private labels: Label[] = [];
 
   constructor() {
@@ -45,16 +50,27 @@ export class BoundingBox {
     const edge = tickedEdge(axis, box, camera);
     if (edge === undefined) return;
     const size = box.getSize(new Vector3()).length();
-    const values = ticks(box.min.getComponent(axis), box.max.getComponent(axis), MAX_TICKS);
-    const step = values.length > 1 ? (values[1] ?? 0) - (values[0] ?? 0) : box.max.getComponent(axis) - box.min.getComponent(axis);
-    for (const value of values) {
-      const at = edge.at.clone().setComponent(axis, value);
+    let last: Vector3 | undefined;
+    for (const { at: coordinate, text } of this.ticksOf(axis, box.min.getComponent(axis), box.max.getComponent(axis))) {
+      const at = edge.at.clone().setComponent(axis, coordinate);
       lines.push(at, at.clone().addScaledVector(edge.outward, TICK * size));
-      this.labels.push({ text: tickText(value, step), at: at.clone().addScaledVector(edge.outward, NUMBER * size) });
+      const seen = at.clone().project(camera);
+      // Positions may be uneven: a number over another one is left out.
+      if (last !== undefined && Math.abs(seen.x - last.x) < NEAREST_NUMBERS && Math.abs(seen.y - last.y) < NEAREST_NUMBERS) continue;
+      last = seen;
+      this.labels.push({ text, at: at.clone().addScaledVector(edge.outward, NUMBER * size) });
     }
     const middle = edge.at.clone().setComponent(axis, (box.min.getComponent(axis) + box.max.getComponent(axis)) / 2);
-    const name = this.unit === "" ? AXES[axis] : `${AXES[axis]} (${this.unit})`;
+    const name = this.axes[axis]?.title ?? (this.unit === "" ? AXES[axis] : `${AXES[axis]} (${this.unit})`);
     this.labels.push({ text: name, at: middle.addScaledVector(edge.outward, 2.4 * NUMBER * size) });
+  }
+
+  private ticksOf(axis: 0 | 1 | 2, low: number, high: number): readonly PlacedTick[] {
+    const known = this.axes[axis];
+    if (known !== undefined) return known.ticks(low, high, MAX_TICKS);
+    const values = ticks(low, high, MAX_TICKS);
+    const step = values.length > 1 ? (values[1] ?? 0) - (values[0] ?? 0) : high - low;
+    return values.map((value) => ({ at: value, text: tickText(value, step) }));
   }
 }
 

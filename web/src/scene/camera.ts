@@ -15,6 +15,7 @@ import {
   Vector4,
 } from "three";
 import { homeDirection, type CameraPose, type PoseToRestore, type Projection } from "./pose";
+import { Stretch } from "./stretch";
 import { fitDistance, verticalFov, type Vec3 } from "./world";
 import { focused, ZoomGestures, zoomed, type PickPoint, type PlaceInPicture, type Viewpoint, type Zooming } from "./zoom";
 
@@ -53,6 +54,7 @@ export class SceneCamera implements Zooming {
   private around = new Box3();
   private box = new Box3();
   private projectionInUse: Projection = "perspective";
+  private stretch = new Stretch(1);
   /** World units in one unit of the controls. */
   private unit = 1;
   /** Vertical field of view, radians. */
@@ -97,7 +99,22 @@ export class SceneCamera implements Zooming {
   /** A plain object that `restore` takes; while the camera moves, where it is now. */
   get pose(): CameraPose {
     const target = this.controls.getTarget(new Vector3(), false).multiplyScalar(this.unit);
-    return { position: this.perspective.position.toArray(), target: target.toArray(), projection: this.projectionInUse };
+    return { position: this.perspective.position.toArray(), target: this.stretch.undo(target).toArray(), projection: this.projectionInUse };
+  }
+
+  /**
+   * How many times higher the world is shown than it is. Poses, points and boxes stay those of the world: the camera's matrices have the factor, so that all that
+   * is drawn has it. What is moved and turned here is in the world as it is shown.
+   */
+  set exaggeration(factor: number) {
+    if (factor === this.stretch.factor) return;
+    const { position, target } = this.pose;
+    const [from, at] = [new Vector3(...position), new Vector3(...target)];
+    // The camera looks from the same direction at the same place.
+    const away = this.stretch.apply(from).sub(this.stretch.apply(at.clone()));
+    this.stretch = new Stretch(factor);
+    this.bound(this.box, this.around);
+    this.lookAt(this.stretch.undo(this.stretch.apply(at.clone()).add(away)), at, false);
   }
 
   restore({ position, target, projection = this.projectionInUse }: PoseToRestore, animate = false): void {
@@ -129,14 +146,14 @@ export class SceneCamera implements Zooming {
   /** A camera at a pose, for an image. */
   at({ position, target, projection }: CameraPose): PerspectiveCamera | OrthographicCamera {
     const camera = projection === "perspective" ? this.perspective.clone() : this.orthographic.clone();
-    this.place(camera, new Vector3(...position), new Vector3(...target));
+    this.place(camera, this.stretch.apply(new Vector3(...position)), this.stretch.apply(new Vector3(...target)));
     return camera;
   }
 
   zoomTowards(point: Vec3 | undefined, [x, y]: PlaceInPicture, factor: number): void {
     const { controls, unit, handled } = this;
     const now = { position: controls.getPosition(new Vector3()), target: controls.getTarget(new Vector3()) };
-    const at = point && new Vector3(...point).divideScalar(unit);
+    const at = point && this.stretch.apply(new Vector3(...point)).divideScalar(unit);
     const from = at === undefined ? now : focused(now, at, this.projectionInUse);
     const height = Math.tan(this.fov / 2) * from.position.distanceTo(from.target);
     const beside = new Vector3(x * height * handled.aspect, y * height, 0).applyQuaternion(handled.quaternion);
@@ -147,21 +164,21 @@ export class SceneCamera implements Zooming {
   /** With its target in the box of what is shown. */
   private keptNear({ position, target }: Viewpoint): Viewpoint {
     if (this.box.isEmpty()) return { position, target };
-    const inside = this.box.clampPoint(target.clone().multiplyScalar(this.unit), new Vector3()).divideScalar(this.unit);
+    const inside = this.stretch.box(this.box).clampPoint(target.clone().multiplyScalar(this.unit), new Vector3()).divideScalar(this.unit);
     return { position: position.clone().sub(target).add(inside), target: inside };
   }
 
   focus(point: Vec3): void {
     const { controls, unit } = this;
     const now = { position: controls.getPosition(new Vector3()), target: controls.getTarget(new Vector3()) };
-    this.moveTo(focused(now, new Vector3(...point).divideScalar(unit), this.projectionInUse), false);
+    this.moveTo(focused(now, this.stretch.apply(new Vector3(...point)).divideScalar(unit), this.projectionInUse), false);
   }
 
   /** In units of the controls. */
   private moveTo({ position, target }: Viewpoint, animate: boolean): void {
-    const { controls, unit, box } = this;
+    const { controls } = this;
     // The target of a place beside the surface may lie outside of it; what moves the camera next would put it back.
-    controls.setBoundary(new Box3(box.min.clone().divideScalar(unit), box.max.clone().divideScalar(unit)).expandByPoint(target));
+    controls.setBoundary(this.boundary().expandByPoint(target));
     void controls.setLookAt(...position.toArray(), ...target.toArray(), animate);
     this.onChange();
   }
@@ -195,16 +212,22 @@ export class SceneCamera implements Zooming {
   bound(box: Box3, around: Box3 = box): void {
     if (box.isEmpty()) return;
     const { controls, unit, sphere } = this;
-    box.getBoundingSphere(sphere);
+    this.stretch.box(box).getBoundingSphere(sphere);
     this.around = around.clone();
     this.box = box.clone();
-    around.clone().union(box).getBoundingSphere(this.drawn);
+    this.stretch.box(around.clone().union(box)).getBoundingSphere(this.drawn);
     const [target, position] = [controls.getTarget(new Vector3()), controls.getPosition(new Vector3())];
     const distance = position.distanceTo(target);
     controls.minDistance = Math.min((NEAREST * sphere.radius) / unit, distance);
     controls.maxDistance = Math.max((FARTHEST * sphere.radius) / unit, distance);
-    controls.setBoundary(new Box3(box.min.clone().divideScalar(unit), box.max.clone().divideScalar(unit)).expandByPoint(target));
+    controls.setBoundary(this.boundary().expandByPoint(target));
     this.follow();
+  }
+
+  /** Of targets, in units of the controls. */
+  private boundary(): Box3 {
+    const { min, max } = this.stretch.box(this.box);
+    return new Box3(min.divideScalar(this.unit), max.divideScalar(this.unit));
   }
 
   /**
@@ -212,13 +235,14 @@ export class SceneCamera implements Zooming {
    * @param back from the target to the camera; without one the direction stays
    */
   fit(box: Box3, points: readonly Vector3[], back?: Vec3, animate = false): void {
-    this.measureIn(box.getSize(new Vector3()).length() / 2);
+    const { stretch } = this;
+    this.measureIn(stretch.box(box).getSize(new Vector3()).length() / 2);
     this.bound(box, this.around);
     const direction = back === undefined ? this.controls.getPosition(new Vector3()).sub(this.controls.getTarget(new Vector3())) : new Vector3(...back);
     direction.normalize();
-    const center = box.getCenter(new Vector3());
-    const distance = fitDistance(points, center, direction, this.handled.up, this.fov, this.handled.aspect);
-    this.lookAt(center.clone().addScaledVector(direction, FIT_MARGIN * distance), center, animate);
+    const center = stretch.box(box).getCenter(new Vector3());
+    const distance = fitDistance(points.map((point) => stretch.apply(point.clone())), center, direction, this.handled.up, this.fov, this.handled.aspect);
+    this.lookAt(stretch.undo(center.clone().addScaledVector(direction, FIT_MARGIN * distance)), stretch.undo(center), animate);
   }
 
   /** Changes the unit of the controls; the camera stays. */
@@ -233,7 +257,7 @@ export class SceneCamera implements Zooming {
   }
 
   private lookAt(position: Vector3, target: Vector3, animate: boolean): void {
-    const inUnits = (v: Vector3) => v.clone().divideScalar(this.unit).toArray();
+    const inUnits = (v: Vector3) => this.stretch.apply(v.clone()).divideScalar(this.unit).toArray();
     void this.controls.setLookAt(...inUnits(position), ...inUnits(target), animate);
     if (!animate) {
       this.controls.update(0);
@@ -254,8 +278,9 @@ export class SceneCamera implements Zooming {
     for (const camera of [this.perspective, this.orthographic]) this.place(camera, position, target);
   }
 
-  /** Puts a camera somewhere, its near and far plane closely around what is shown. */
+  /** Puts a camera somewhere in the world as it is shown, its near and far plane closely around what is shown. */
   private place(camera: PerspectiveCamera | OrthographicCamera, position: Vector3, target: Vector3): void {
+    camera.matrixWorldAutoUpdate = true;
     camera.position.copy(position);
     camera.lookAt(target);
     const { center, radius } = this.drawn;
@@ -273,6 +298,17 @@ export class SceneCamera implements Zooming {
     }
     camera.updateProjectionMatrix();
     camera.updateMatrixWorld();
+    this.stretchView(camera);
+  }
+
+  /** Has the camera's matrices lead from the world to the picture, and its position be one of the world. */
+  private stretchView(camera: PerspectiveCamera | OrthographicCamera): void {
+    const { factor } = this.stretch;
+    camera.matrixWorldAutoUpdate = factor === 1;
+    if (factor === 1) return;
+    camera.matrixWorldInverse.multiply(new Matrix4().makeScale(1, 1, factor));
+    camera.matrixWorld.premultiply(new Matrix4().makeScale(1, 1, 1 / factor));
+    this.stretch.undo(camera.position);
   }
 
   private keyDown(event: KeyboardEvent): void {

@@ -18,10 +18,10 @@ export class CentreDepth {
     private readonly onFound: () => void,
   ) {}
 
-  /** World units; to the target if there is no surface. While the camera moves, to the place that was found last. */
+  /** As the camera sees it; to the target if there is no surface. While the camera moves, to the place that was found last. */
   get depth(): number {
-    const { position, forward, target } = this.line();
-    return Math.max((this.found ?? target).clone().sub(position).dot(forward), 1e-3 * this.camera.nearest);
+    const place = this.found?.clone() ?? new Vector3(...this.camera.pose.target);
+    return Math.max(-place.applyMatrix4(this.camera.camera.matrixWorldInverse).z, 1e-3 * this.camera.nearest);
   }
 
   /** Looks for it when the picture is still: it costs as much as a frame of few pixels. */
@@ -31,15 +31,9 @@ export class CentreDepth {
   }
 
   private async look(): Promise<void> {
-    const { position, forward } = this.line();
+    const toWorld = this.camera.camera.matrixWorld.clone();
     const { centre } = await this.painter.depths(this.camera.camera);
-    this.found = centre === undefined ? undefined : position.addScaledVector(forward, centre);
+    this.found = centre === undefined ? undefined : new Vector3(0, 0, -centre).applyMatrix4(toWorld);
     this.onFound();
-  }
-
-  private line(): { readonly position: Vector3; readonly forward: Vector3; readonly target: Vector3 } {
-    const { pose } = this.camera;
-    const [position, target] = [new Vector3(...pose.position), new Vector3(...pose.target)];
-    return { position, target, forward: target.clone().sub(position).normalize() };
   }
 }

@@ -5,6 +5,8 @@ export interface ColorBar {
   readonly stops: readonly string[];
   /** Texts at its ends, lowest first, and between them, equidistant. */
   readonly texts: readonly string[];
+  /** Isolines, from 0 at the lowest colour to 1 at the highest; a text may be empty. */
+  readonly lines?: readonly { readonly at: number; readonly text: string }[];
   /** What the values are, with their unit. */
   readonly title: string;
 }
@@ -30,6 +32,14 @@ export class ColorScale {
         const span = document.createElement("span");
         span.textContent = text;
         return span;
+      }),
+    );
+    this.bar.replaceChildren(
+      ...(bar.lines ?? []).map(({ at, text }) => {
+        const line = document.createElement("em");
+        line.style.bottom = `${(100 * at).toFixed(2)}%`;
+        line.textContent = text;
+        return line;
       }),
     );
     this.bar.style.background = `linear-gradient(to top, ${bar.stops.join(", ")})`;

@@ -1,7 +1,7 @@
 /** How the surface looks: materials as a table of parameters, and what the user chooses. Pure. */
 
-/** What colour shows: one colour a surface, the transfer function, the level, the importance, or a value of each vertex. */
-type ColorMode = "material" | "transfer" | "level" | "importance" | "value";
+/** What colour shows: one colour a surface, the transfer function, a field on a scale, the level, the importance, or a value of each vertex. */
+type ColorMode = "material" | "transfer" | "field" | "level" | "importance" | "value";
 
 export type MaterialName = "ivory" | "clay" | "tissue" | "metal" | "unlit";
 

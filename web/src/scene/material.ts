@@ -13,6 +13,7 @@ import {
   ReplaceStencilOp,
   ShaderMaterial,
   Vector2,
+  Vector3,
   Vector4,
   type IUniform,
   type Material,
@@ -21,7 +22,7 @@ import {
 import { regionTexture, type ColoredRegion } from "./coloredRegions";
 import { linearFromSrgb, lookUp } from "./colorTable";
 import { DEFAULT_LOOK, DEFAULT_STYLE, SHADINGS, type Look, type SurfaceStyle } from "./look";
-import { MASK_FRAGMENT, NO_VALUE, NORMAL_FRAGMENT, PICK_FRAGMENT, surfaceFragment, VERTEX, WIRE_FRAGMENT, type ProgramVariant } from "./shaders";
+import { MASK_FRAGMENT, MAX_ISOLINES, NO_VALUE, NORMAL_FRAGMENT, PICK_FRAGMENT, surfaceFragment, VERTEX, WIRE_FRAGMENT, type ProgramVariant } from "./shaders";
 
 /** What a pass draws of a surface. */
 export type Pass =
@@ -40,6 +41,8 @@ export type Pass =
 /** Uniforms that all surfaces share. */
 export class SharedUniforms {
   readonly worldFromGrid: IUniform<Matrix3> = { value: new Matrix3() };
+  /** From normals in the world to those that the camera's matrix turns into those of the world as it is shown. */
+  readonly normalScale: IUniform<Vector3> = { value: new Vector3(1, 1, 1) };
   /** Clipping planes in view space; what is on their negative side is cut away. */
   readonly clipPlanes: IUniform<Vector4[]> = { value: [] };
   /** Values of vertices that have the first and the last colour. */
@@ -47,6 +50,8 @@ export class SharedUniforms {
   /** Depths between which a layer lies. */
   readonly nearer: IUniform<Texture | null> = { value: null };
   readonly opaque: IUniform<Texture | null> = { value: null };
+  /** Half the width of isolines, pixels. */
+  readonly isolineWidth: IUniform<number> = { value: 0.6 };
   readonly wireColor: IUniform<Color> = { value: new Color() };
 }
 
@@ -66,6 +71,23 @@ export interface ColorTables {
   readonly levels: readonly string[];
 }
 
+/** How the vertices' feature is coloured in colour mode `field`. */
+export interface FieldColors {
+  /** Values at which the feature is 0 and 1. */
+  readonly known: readonly [number, number];
+  /** Values of the first and the last colour. */
+  readonly range: readonly [number, number];
+  readonly log: boolean;
+  /** Where isolines are between the first colour and the last, 0 to 1. */
+  readonly lines: readonly number[];
+}
+
+/** As the shaders need them. */
+function scaleOf({ known: [from, to], range: [low, high], log }: FieldColors): Vector4 {
+  if (log) return new Vector4(from, to - from, Math.log2(low), 1 / Math.log2(high / low));
+  return new Vector4((to - from) / (high - low), (from - low) / (high - low), 0, 0);
+}
+
 /** Materials of one surface. */
 export class SurfaceMaterials {
   private look = DEFAULT_LOOK;
@@ -82,6 +104,10 @@ export class SurfaceMaterials {
   private readonly colors: IUniform<DataTexture>;
   private readonly regions: IUniform<DataTexture> = { value: regionTexture([]) };
   private hasRegions = false;
+  private readonly scale: IUniform<Vector4> = { value: new Vector4(1, 0, 0, 0) };
+  private isLog = false;
+  private readonly isolines: IUniform<Float32Array> = { value: new Float32Array(MAX_ISOLINES) };
+  private readonly isolineCount: IUniform<number> = { value: 0 };
 
   constructor(
     /** Its number. */
@@ -113,11 +139,12 @@ export class SurfaceMaterials {
     const { colorMode } = this;
     const colored = pass === "opaque" || pass === "peel";
     const regions = this.hasRegions && colorMode === "transfer";
-    const source = colorMode === "material" || colorMode === "level" ? "tint" : colorMode === "value" ? "value" : "table";
-    const kind = colored ? [material, source, flat, colorMode === "level", regions] : [];
+    const { source } = this;
+    const isolines = colorMode === "field" && this.isolineCount.value > 0;
+    const kind = colored ? [material, source, flat, colorMode === "level", regions, isolines] : [];
     return this.cached([pass, this.planes, ...kind].join(), () => {
       if (!colored) return this.mask(pass);
-      const variant = { shading: SHADINGS[material], source, flat, peel: pass === "peel", regions } as const;
+      const variant = { shading: SHADINGS[material], source, flat, peel: pass === "peel", regions, isolines } as const;
       if (colorMode !== "level") return this.colored(variant, this.tint);
       return this.levels.map((color) => this.colored(variant, { value: new Color(color) }));
     });
@@ -164,6 +191,15 @@ export class SurfaceMaterials {
     this.regions.value = regionTexture(regions);
   }
 
+  /** What the colours of colour mode `field` stand for. */
+  set field(colors: FieldColors) {
+    this.scale.value.copy(scaleOf(colors));
+    this.isLog = colors.log;
+    const lines = colors.lines.slice(0, MAX_ISOLINES);
+    this.isolines.value.set(lines);
+    this.isolineCount.value = lines.length;
+  }
+
   /** RGBA over the value of a vertex, 0 to 1. */
   set values(bytes: Uint8Array<ArrayBuffer>) {
     this.valueTable = bytes;
@@ -180,8 +216,9 @@ export class SurfaceMaterials {
   }
 
   private colored(variant: ProgramVariant, tint: IUniform<Color>): ShaderMaterial {
-    const { nearer, opaque } = this.shared;
-    const uniforms = { colors: this.colors, regions: this.regions, tint, nearer, opaque, opacity: this.opacity };
+    const { nearer, opaque, isolineWidth } = this.shared;
+    const { scale, isolines, isolineCount } = this;
+    const uniforms = { colors: this.colors, regions: this.regions, tint, nearer, opaque, opacity: this.opacity, scale, isolines, isolineCount, isolineWidth };
     // The offset avoids depth fighting with the edges. A layer's depth is compared with that of the layer before, without any.
     const flags = variant.peel ? {} : { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
     const material = this.make(surfaceFragment(variant), uniforms, { side: DoubleSide, ...flags });
@@ -208,7 +245,7 @@ export class SurfaceMaterials {
   }
 
   private make(fragmentShader: string, uniforms: Record<string, IUniform>, flags: Partial<ShaderMaterial>): ShaderMaterial {
-    const { worldFromGrid, clipPlanes, valueRange } = this.shared;
+    const { worldFromGrid, normalScale, clipPlanes, valueRange } = this.shared;
     return Object.assign(
       new ShaderMaterial({
         glslVersion: GLSL3,
@@ -216,10 +253,16 @@ export class SurfaceMaterials {
         fragmentShader,
         defines: { PLANES: this.planes },
         // Not cloned, so that all materials share the values.
-        uniforms: { alpha: this.alphaUniform, worldFromGrid, clipPlanes, valueRange, ...uniforms },
+        uniforms: { alpha: this.alphaUniform, worldFromGrid, normalScale, clipPlanes, valueRange, ...uniforms },
       }),
       flags,
     );
+  }
+
+  private get source(): ProgramVariant["source"] {
+    const { colorMode } = this;
+    if (colorMode === "field") return this.isLog ? "logScale" : "scale";
+    return colorMode === "material" || colorMode === "level" ? "tint" : colorMode === "value" ? "value" : "table";
   }
 
   /** A surface with a colour of its own shows that. */
@@ -230,7 +273,7 @@ export class SurfaceMaterials {
   private recolor(): void {
     const { material } = this.look;
     this.tint.value.set(this.surfaceStyle.color ?? SHADINGS[material].color);
-    const bytes = { material: undefined, level: undefined, transfer: this.transferTable, importance: lookUp(this.transferTable, this.ramp), value: this.valueTable }[this.colorMode];
+    const bytes = { material: undefined, level: undefined, transfer: this.transferTable, field: this.transferTable, importance: lookUp(this.transferTable, this.ramp), value: this.valueTable }[this.colorMode];
     if (bytes === undefined) return;
     this.colors.value.dispose();
     this.colors.value = row(linearFromSrgb(bytes));

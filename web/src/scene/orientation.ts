@@ -102,6 +102,7 @@ export class ScaleBar {
   private readonly text = document.createElement("span");
   private readonly bar = document.createElement("i");
   private units = "";
+  private heights = "";
 
   constructor() {
     this.element.className = "scene-scale";
@@ -113,17 +114,23 @@ export class ScaleBar {
     this.units = unit;
   }
 
+  /** How many times higher the world is shown than it is: then the bar is one of horizontal lengths. */
+  set exaggeration(factor: number) {
+    this.heights = factor === 1 ? "" : `· heights × ${Number(factor.toPrecision(4))}`;
+  }
+
   /** @param where it holds; empty: everywhere */
   update(unitsPerPixel: number, where: string): void {
     const { text: length, pixels } = barOf(unitsPerPixel, this.units);
-    const text = `${length} ${where}`.trim();
+    const text = [length, where, this.heights].filter(Boolean).join(" ");
     if (this.text.textContent !== text) this.text.textContent = text;
     this.bar.style.width = `${pixels.toFixed(1)}px`;
   }
 
   /** The bar for a picture with this scale. */
   in(unitsPerPixel: number, widest: number): { readonly text: string; readonly pixels: number } {
-    return barOf(unitsPerPixel, this.units, widest);
+    const { text, pixels } = barOf(unitsPerPixel, this.units, widest);
+    return { text: `${text} ${this.heights}`.trim(), pixels };
   }
 }
 

@@ -9,6 +9,8 @@ export interface Label {
   readonly at: Vector3;
   /** Pixels of the page by which it stands above. */
   readonly raised?: number;
+  /** Is it on the surface? Then it is fainter while something is before it. */
+  readonly isOnSurface?: boolean;
 }
 
 /** Pixels from the upper left corner; `undefined` behind the camera. */
@@ -30,6 +32,7 @@ export class Overlay {
   private readonly texts = document.createElement("div");
   private width = 1;
   private height = 1;
+  private shown: readonly Label[] = [];
 
   constructor(container: HTMLElement) {
     this.element.className = "scene-overlay";
@@ -48,8 +51,19 @@ export class Overlay {
     this.height = height;
   }
 
+  /** Some of what is shown may be behind the surface. */
+  get hasPlaces(): boolean {
+    return this.shown.some(({ isOnSurface }) => isOnSurface);
+  }
+
+  /** Makes those fainter that are behind the surface. */
+  fade(isHidden: (label: Label) => boolean): void {
+    this.shown.forEach((label, i) => this.texts.children[i]?.classList.toggle("behind", label.isOnSurface === true && isHidden(label)));
+  }
+
   /** Shows these labels, and none besides. */
   label(labels: readonly Label[], camera: Camera): void {
+    this.shown = labels;
     while (this.texts.childElementCount > labels.length) this.texts.lastElementChild?.remove();
     while (this.texts.childElementCount < labels.length) this.texts.append(document.createElement("span"));
     labels.forEach(({ text, at, raised }, i) => {

@@ -24,6 +24,8 @@ import { Picking, type Picked } from "./picking";
 import type { MiddleDepths } from "./scale";
 import type { Side, Surfaces } from "./surfaces";
 
+/** Half the width of isolines, pixels of the page. */
+const ISOLINE = 0.6;
 /** Samples a pixel of the picture in between, where a GPU renders. */
 const SAMPLES = 4;
 
@@ -74,6 +76,7 @@ export class Painter {
     const { webgl } = this;
     const { swipe, width, height } = request;
     this.surfaces.shared.clipPlanes.value = this.clipping.inView(request.camera);
+    this.surfaces.shared.isolineWidth.value = ISOLINE * request.scale;
     if (swipe === undefined) {
       this.paintSide("now", request);
       return;
@@ -106,6 +109,18 @@ export class Painter {
   depthsNow(camera: PerspectiveCamera | OrthographicCamera): MiddleDepths {
     this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
     return this.picking.depthsNow(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
+  }
+
+  /** How far surfaces are over the whole picture; see `Picking.map`. */
+  depthMap(camera: PerspectiveCamera | OrthographicCamera): Promise<number[]> {
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
+    return this.picking.map(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
+  }
+
+  /** The same, at once: for images. */
+  depthMapNow(camera: PerspectiveCamera | OrthographicCamera): number[] {
+    this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
+    return this.picking.mapNow(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
   }
 
   private drawAllPlaces(eye: PerspectiveCamera | OrthographicCamera): void {

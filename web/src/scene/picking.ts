@@ -1,6 +1,7 @@
 /** What lies under a pixel, and how far away the middle of the picture is: pixels are rendered with the surface's place instead of its colour. */
 
 import { FloatType, NearestFilter, RGBAFormat, PerspectiveCamera, Vector3, WebGLRenderTarget, type OrthographicCamera, type WebGLRenderer } from "three";
+import { ACROSS } from "./hiddenPlaces";
 import { middleDepths, type MiddleDepths } from "./scale";
 import type { Vec3 } from "./world";
 
@@ -12,7 +13,7 @@ export interface Picked {
 }
 
 /** Rows of a picture so large that one of its pixels is a point. */
-const ACROSS = 8192;
+const POINTS = 8192;
 /** Points along each side of the middle third. */
 const MIDDLE = 25;
 
@@ -27,6 +28,7 @@ function pixels(size: number): WebGLRenderTarget {
 export class Picking {
   private readonly target = pixels(1);
   private readonly middle = pixels(MIDDLE);
+  private readonly whole = pixels(ACROSS);
 
   /**
    * @param x share of the width from the left
@@ -42,7 +44,7 @@ export class Picking {
   ): Promise<Picked | undefined> {
     const eye = camera.clone();
     const aspect = eye instanceof PerspectiveCamera ? eye.aspect : eye.right / eye.top;
-    eye.setViewOffset(ACROSS * aspect, ACROSS, Math.floor(x * ACROSS * aspect), Math.floor(y * ACROSS), 1, 1);
+    eye.setViewOffset(POINTS * aspect, POINTS, Math.floor(x * POINTS * aspect), Math.floor(y * POINTS), 1, 1);
     render(webgl, this.target, eye, draw);
     const found = new Float32Array(4);
     await webgl.readRenderTargetPixelsAsync(this.target, 0, 0, 1, 1, found);
@@ -59,7 +61,23 @@ export class Picking {
     return middleDepths(depthsOf(found));
   }
 
-  /** The same, at once: for images. */
+  /** How far surfaces are at points over the whole picture, rows from below; 0 where there is none. */
+  async map(webgl: WebGLRenderer, camera: Camera, draw: Draw): Promise<number[]> {
+    render(webgl, this.whole, camera.clone(), draw);
+    const found = new Float32Array(4 * ACROSS * ACROSS);
+    await webgl.readRenderTargetPixelsAsync(this.whole, 0, 0, ACROSS, ACROSS, found);
+    return depthsOf(found);
+  }
+
+  /** As `map`, at once: for images. */
+  mapNow(webgl: WebGLRenderer, camera: Camera, draw: Draw): number[] {
+    render(webgl, this.whole, camera.clone(), draw);
+    const found = new Float32Array(4 * ACROSS * ACROSS);
+    webgl.readRenderTargetPixels(this.whole, 0, 0, ACROSS, ACROSS, found);
+    return depthsOf(found);
+  }
+
+  /** As `depths`, at once: for images. */
   depthsNow(webgl: WebGLRenderer, camera: Camera, draw: Draw): MiddleDepths {
     render(webgl, this.middle, middleThird(camera), draw);
     const found = new Float32Array(4 * MIDDLE * MIDDLE);

@@ -40,11 +40,24 @@ export interface RegionMeshData {
 
 const WORDS_PER_VERTEX = 6;
 
+/** Of the last word of each vertex, which is unsigned. */
+function spanOf(words: Int16Array): readonly [number, number] {
+  let [low, high] = [65535, 0];
+  for (let i = WORDS_PER_VERTEX - 1; i < words.length; i += WORDS_PER_VERTEX) {
+    const word = (words[i] ?? 0) & 65535;
+    low = Math.min(low, word);
+    high = Math.max(high, word);
+  }
+  return [low / 65535, high / 65535];
+}
+
 export class RegionMesh {
   readonly levelTriangles: readonly number[];
   readonly bounds: RegionMeshData["bounds"];
   readonly surface: number;
   readonly vertexCount: number;
+  /** The minimum and the maximum of the feature of its vertices, 0 to 1. */
+  readonly featureSpan: readonly [number, number];
   readonly bytes: number;
   private readonly geometry: BufferGeometry;
   private readonly mesh: Mesh;
@@ -58,6 +71,7 @@ export class RegionMesh {
     this.bounds = moved?.bounds ?? data.bounds;
     this.surface = data.surface;
     this.vertexCount = data.vertices.length / WORDS_PER_VERTEX;
+    this.featureSpan = spanOf(data.vertices);
     this.bytes = data.vertices.byteLength + data.indices.byteLength + (moved?.positions.byteLength ?? 0);
 
     const words = new InterleavedBuffer(data.vertices, WORDS_PER_VERTEX);

@@ -11,6 +11,7 @@ import { prepareCanvas } from "./canvas";
 import { CentreDepth } from "./centreDepth";
 import { Clipping, type Clip } from "./clipping";
 import { gpuDone, hasGpu } from "./gpu";
+import { HiddenPlaces } from "./hiddenPlaces";
 import { DEFAULT_LOOK, type Look, type SurfaceStyle } from "./look";
 import type { ColorTables } from "./material";
 import { Painter } from "./painter";
@@ -21,6 +22,7 @@ import { AdaptiveQuality, type Quality } from "./quality";
 import type { RegionMesh, RegionMeshData } from "./regionMesh";
 import { Slices, type Slice } from "./slices";
 import { takeSnapshot, type Snapshot, type SnapshotRequest } from "./snapshot";
+import { SurfaceColors } from "./surfaceColors";
 import { Surfaces } from "./surfaces";
 import type { SwipeTexts } from "./swipe";
 import { UploadQueue } from "./uploads";
@@ -47,6 +49,8 @@ export class SurfaceRenderer {
   readonly camera: SceneCamera;
   /** Axes cube, scale bar, bounding box, markers: `show`, `unit`, `frame`, `mark`. */
   readonly annotations: Annotations;
+  /** What the colours of the surfaces stand for. */
+  readonly colors: SurfaceColors;
   private readonly webgl: WebGLRenderer;
   private readonly surfaces: Surfaces;
   private readonly clipping = new Clipping();
@@ -64,6 +68,10 @@ export class SurfaceRenderer {
   private frames = 0;
   private sums: ReturnType<Surfaces["levelSums"]>;
   private readonly centre: CentreDepth;
+  private readonly hidden = new HiddenPlaces(async () => {
+    const depths = await this.painter.depthMap(this.camera.camera);
+    this.annotations.fade(this.camera.camera, depths);
+  });
   private readonly quality: AdaptiveQuality;
   /** @throws when the browser has no WebGL 2 */
   constructor(
@@ -73,6 +81,7 @@ export class SurfaceRenderer {
   ) {
     this.webgl = new WebGLRenderer({ antialias: this.onGpu, alpha: true, powerPreference: "high-performance" });
     this.surfaces = new Surfaces(tables);
+    this.colors = new SurfaceColors(this.surfaces, () => this.invalidate());
     this.quality = new AdaptiveQuality(handlers.adaptsQuality === true, () => this.invalidate());
     this.box = this.surfaces.box;
     this.sums = this.surfaces.levelSums();
@@ -190,17 +199,11 @@ export class SurfaceRenderer {
     this.invalidate();
   }
 
-  setAlpha(alpha: number, surface = 0): void {
-    // Set after every edit; where α is the same, the frame would be too.
-    if (this.surfaces.of(surface).alpha === alpha) return;
-    this.surfaces.of(surface).alpha = alpha;
-    this.invalidate();
-  }
-
-  /** RGBA bytes over the blended feature. */
-  setTransfer(table: Uint8Array<ArrayBuffer>, surface = 0, regions: Parameters<Surfaces["setTransfer"]>[2] = []): void {
-    this.surfaces.setTransfer(table, surface, regions);
-    this.invalidate();
+  /** How many times higher the world is shown than it is. */
+  set exaggeration(factor: number) {
+    this.camera.exaggeration = factor;
+    this.surfaces.shared.normalScale.value.set(1, 1, factor ** -2);
+    this.annotations.exaggeration = factor;
   }
 
   setEdgeColor(color: string): void {
@@ -234,12 +237,6 @@ export class SurfaceRenderer {
    */
   setValues(id: number, values: Float32Array<ArrayBuffer>): void {
     this.surfaces.get(id)?.setValues(values);
-    this.invalidate();
-  }
-
-  /** What colour mode `value` shows: values from `low` to `high` in the colours of a table, RGBA bytes. */
-  setValueColors(low: number, high: number, table: Uint8Array<ArrayBuffer>): void {
-    this.surfaces.setValueColors(low, high, table);
     this.invalidate();
   }
 
@@ -371,6 +368,7 @@ export class SurfaceRenderer {
     const { width, height } = this.webgl.domElement;
     annotations.update(camera.camera, this.clipBounds(), this.clipping.value, this.centre.depth);
     this.centre.lookSoon(annotations.value.scale);
+    this.hidden.lookSoon(annotations.hasPlaces);
     this.painter.paint({
       target: null,
       width,

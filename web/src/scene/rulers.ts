@@ -91,7 +91,7 @@ export class Rulers {
   }
 
   get labels(): Label[] {
-    return this.shown.filter(({ text }) => text !== "").map(({ text, at, raised }) => ({ text, at: new Vector3(...at), raised }));
+    return this.shown.filter(({ text }) => text !== "").map(({ text, at, raised }) => ({ text, at: new Vector3(...at), raised, isOnSurface: true }));
   }
 
   private layer(order: number, style: string, width: number, isHidden: boolean): Mesh {

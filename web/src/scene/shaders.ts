@@ -5,14 +5,19 @@ import type { Shading } from "./look";
 /** What a program does; each combination is compiled once, when it is first used. */
 export interface ProgramVariant {
   readonly shading: Shading;
-  /** Colour from a table over the blended feature, one for all, or from a table over the value of each vertex. */
-  readonly source: "table" | "tint" | "value";
+  /** Colour from a table over the blended feature, over it on a scale, one for all, or from a table over the value of each vertex. */
+  readonly source: "table" | "scale" | "logScale" | "tint" | "value";
   readonly flat: boolean;
   /** Draws the nearest fragments behind those of the layer before, translucent. */
   readonly peel: boolean;
   /** Regions have colours of their own. */
   readonly regions: boolean;
+  /** There are isolines; only where colours are on a scale. */
+  readonly isolines: boolean;
 }
+
+/** As many isolines as a program can draw. */
+export const MAX_ISOLINES = 24;
 
 /** What a mesh has whose vertices have no values. */
 export const NO_VALUE = -1e30;
@@ -20,6 +25,7 @@ export const NO_VALUE = -1e30;
 export const VERTEX = /* glsl */ `
 uniform float alpha;
 uniform mat3 worldFromGrid;
+uniform vec3 normalScale;  // of the world as it is shown
 // All 16-bit words of a vertex are one signed attribute array; these three are unsigned.
 in float packedNormal; // two signed bytes, octahedral, x low
 in vec2 features;      // s and normalised feature, over 65535
@@ -50,7 +56,7 @@ void main() {
   worldPosition = (modelMatrix * vec4(position, 1.0)).xyz;
 #endif
   viewPosition = p.xyz;
-  viewNormal = mat3(viewMatrix) * (worldFromGrid * unpackNormal(unsignedWords(vec2(packedNormal)).x));
+  viewNormal = normalize(mat3(viewMatrix) * (normalScale * (worldFromGrid * unpackNormal(unsignedWords(vec2(packedNormal)).x))));
 #ifdef VALUE
   shown = value < ${0.5 * NO_VALUE} ? -1.0 : max((value - valueRange.x) / (valueRange.y - valueRange.x), 0.0);
 #else
@@ -83,11 +89,14 @@ vec3 toSrgb(vec3 light) {
 `;
 
 /** Fragments of a surface. The table holds linear light and is fetched without a filter: a filtered fetch from sRGB costs as much as the whole lighting. */
-export function surfaceFragment({ shading, source, flat, peel, regions }: ProgramVariant): string {
+export function surfaceFragment({ shading, source, flat, peel, regions, isolines }: ProgramVariant): string {
+  const isScaled = source === "scale" || source === "logScale";
   return /* glsl */ `
 uniform highp sampler2D colors; // linear light over what is looked up
 uniform vec3 tint;
 ${peel ? "uniform highp sampler2D nearer;\nuniform highp sampler2D opaque;\nuniform float opacity;" : ""}
+${isScaled ? "uniform vec4 scale;" : ""}
+${isolines ? `uniform float isolines[${MAX_ISOLINES}];\nuniform int isolineCount;\nuniform float isolineWidth;` : ""}
 in vec3 viewNormal;
 in vec3 viewPosition;
 in float shown;
@@ -99,7 +108,10 @@ ${OUTPUT}
 void main() {
   clipAway(viewPosition);
   ${peel ? PEELED : ""}
+  ${isScaled ? (source === "logScale" ? LOG_SCALE : "float place = shown * scale.x + scale.y;") : "float place = shown;"}
   ${source === "tint" ? "vec3 base = tint;" : LOOK_UP}
+  ${source === "logScale" ? "if (value <= 0.0) base = vec3(0.3);" : ""}
+  ${isolines ? ISOLINES : ""}
   ${regions ? IN_REGIONS : ""}
   ${source === "value" ? "if (shown < -0.5) base = vec3(0.3);" : ""}
   vec3 v = isOrthographic ? vec3(0.0, 0.0, 1.0) : normalize(-viewPosition);
@@ -118,8 +130,20 @@ const PEELED = /* glsl */ `
 
 /** The centres of the first and last entry are 0 and 1. */
 const LOOK_UP = /* glsl */ `
-  int entry = int(clamp(shown, 0.0, 1.0) * float(textureSize(colors, 0).x - 1) + 0.5);
+  int entry = int(clamp(place, 0.0, 1.0) * float(textureSize(colors, 0).x - 1) + 0.5);
   vec3 base = texelFetch(colors, ivec2(entry, 0), 0).rgb;`;
+
+/** Values are `scale.x + scale.y * shown`; the logarithm of the first colour's is `scale.z`, and `scale.w` is one over the length of the range. */
+const LOG_SCALE = /* glsl */ `
+  float value = scale.x + scale.y * shown;
+  float place = (log2(max(value, 1e-37)) - scale.z) * scale.w;`;
+
+/** Lines of one width on screen, dark on light colours and light on dark ones. */
+const ISOLINES = /* glsl */ `
+  float apart = 1e9;
+  for (int i = 0; i < isolineCount; i += 1) apart = min(apart, abs(place - isolines[i]));
+  float line = clamp(0.5 + isolineWidth - apart / max(fwidth(place), 1e-7), 0.0, 1.0);
+  base = mix(base, dot(base, vec3(0.2126, 0.7152, 0.0722)) > 0.18 ? vec3(0.0) : vec3(0.9), 0.8 * line);`;
 
 /** The most important region, if it is more important than what the table has here (`regionTexture`). */
 const IN_REGIONS = /* glsl */ `

@@ -1,6 +1,7 @@
 /** A picture of the scene as pixels, at any size: for images, not for the screen. */
 
 import { WebGLRenderTarget, type WebGLRenderer } from "three";
+import { isBehind } from "./hiddenPlaces";
 import { onScreen } from "./overlay";
 import type { Annotations } from "./annotations";
 import type { SceneCamera } from "./camera";
@@ -26,7 +27,7 @@ export interface Snapshot {
   /** RGBA, not premultiplied, rows from the top. */
   readonly pixels: Uint8ClampedArray<ArrayBuffer>;
   /** Texts that belong to the picture, in its pixels. */
-  readonly labels: readonly { readonly text: string; readonly x: number; readonly y: number }[];
+  readonly labels: readonly { readonly text: string; readonly x: number; readonly y: number; readonly isBehind: boolean }[];
   /** World units of one of its pixels, right to within a twentieth over its middle third; `undefined` if that has surfaces at too different depths. */
   readonly unitsPerPixel: number | undefined;
 }
@@ -72,9 +73,10 @@ export function takeSnapshot(scene: SnapshotScene, { scale, transparent, pose }:
     const unitsPerPixel = depth === undefined ? undefined : heightAt(camera, depth) / height;
     const raw = new Uint8Array(4 * width * height);
     webgl.readRenderTargetPixels(target, 0, 0, width, height, raw);
-    const places = labels.flatMap(({ text, at, raised = 0 }) => {
+    const depths = labels.some(({ isOnSurface }) => isOnSurface) ? painter.depthMapNow(camera) : [];
+    const places = labels.flatMap(({ text, at, raised = 0, isOnSurface }) => {
       const place = onScreen(at, camera, width, height);
-      return place === undefined ? [] : [{ text, x: place.x, y: place.y - raised * scale }];
+      return place === undefined ? [] : [{ text, x: place.x, y: place.y - raised * scale, isBehind: isOnSurface === true && isBehind(at, camera, depths) }];
     });
     return { width, height, pixels: upright(raw, width, height), labels: places, unitsPerPixel };
   } finally {

@@ -3,7 +3,7 @@
 import { Box3, Group, type Vector3 } from "three";
 import type { ColoredRegion } from "./coloredRegions";
 import { MAX_SURFACES, DEFAULT_LOOK, type Look, type SurfaceStyle } from "./look";
-import { SharedUniforms, SurfaceMaterials, type ColorTables, type Pass } from "./material";
+import { SharedUniforms, SurfaceMaterials, type ColorTables, type FieldColors, type Pass } from "./material";
 import { srgb } from "./plain";
 import type { RegionMesh } from "./regionMesh";
 import { unevenOf, type Uneven } from "../world/uneven";
@@ -136,6 +136,19 @@ export class Surfaces {
     materials.coloredRegions = regions;
     // Other programs, where there were none.
     this.applyDisplayToAll();
+  }
+
+  /** What the colours of colour mode `field` stand for. */
+  setField(colors: FieldColors, surface: number): void {
+    this.of(surface).field = colors;
+    this.applyDisplayToAll();
+  }
+
+  /** The minimum and the maximum of the feature of a surface's vertices, 0 to 1; `undefined` if it has none. */
+  featureSpan(surface: number): readonly [number, number] | undefined {
+    const spans = [...this.shown.values()].filter((mesh) => mesh.surface === surface && mesh.vertexCount > 0).map(({ featureSpan }) => featureSpan);
+    if (spans.length === 0) return undefined;
+    return spans.reduce(([low, high], [from, to]) => [Math.min(low, from), Math.max(high, to)]);
   }
 
   /** Colours of the vertices' values. */

@@ -33,8 +33,12 @@ export function fieldEdit(volume: VolumeInfo, view: Pick<View, "feature" | "iso"
 }
 
 /** An edit of a link that somebody wrote by hand, with another field and no isovalue: that of the field before means nothing there. */
-export function ofItsField(edit: Edit, opening: View, volume: VolumeInfo | undefined): Edit {
+export function ofItsField(wanted: Edit, opening: View, volume: VolumeInfo | undefined): Edit {
+  // A range is one of its feature.
+  const isOther = wanted.feature !== undefined && wanted.feature !== "none" && wanted.feature !== opening.feature && wanted.featureRange === undefined;
+  const free = isOther ? { featureRange: undefined } : {};
+  const edit = { ...free, ...wanted };
   const { field, iso, feature = opening.feature } = edit;
   if (volume === undefined || field === undefined || field === opening.field || iso !== undefined) return edit;
-  return { ...fieldEdit(volume, { feature, iso: opening.iso }, field), ...edit };
+  return { ...free, ...fieldEdit(volume, { feature, iso: opening.iso }, field), ...wanted };
 }

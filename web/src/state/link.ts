@@ -10,6 +10,7 @@ import { lookParts, readLook } from "./lookLink";
 import { list } from "./numbers";
 import type { Wish } from "./store";
 import { readSlicing, slicingParts, type Slicing } from "./slicing";
+import { readStoryText, storyText, type Story } from "./story";
 import { readSurface, surfaceParts } from "./surfaceLink";
 import { MAX_SURFACES, type SurfaceList } from "./surfaceList";
 
@@ -32,6 +33,7 @@ export interface LinkState {
   readonly look: Look;
   readonly openingLook: Look;
   readonly slicing?: Slicing;
+  readonly story?: Story | undefined;
   readonly pose: Pose | undefined;
 }
 
@@ -58,7 +60,7 @@ export function changedLink(state: LinkState, values: ReadonlyMap<string, string
 }
 
 /** All names of a link, with the values of those that are in this one. */
-function linkParts({ volume, step, surfaces, selected, opening, look, openingLook, slicing, pose }: LinkState): Parts {
+function linkParts({ volume, step, surfaces, selected, opening, look, openingLook, slicing, story = [], pose }: LinkState): Parts {
   const at = surfaces.findIndex(({ number }) => number === selected);
   return [
     ["v", String(VERSION)],
@@ -68,6 +70,7 @@ function linkParts({ volume, step, surfaces, selected, opening, look, openingLoo
     ["surface", at > 0 ? String(at + 1) : undefined],
     ...lookParts(look, openingLook),
     ...slicingParts(slicing),
+    ["story", storyText(story)],
     ["camera", pose && list([...pose.position, ...pose.target])],
   ];
 }
@@ -99,6 +102,7 @@ export function decodeLink(hash: string): Link | undefined {
   if (version !== VERSION) throw new LinkError(`This link is of version ${version}, which this page does not know. It knows ${VERSION}`);
   const camera = read.numbers("camera", 6);
   const slicing = readSlicing(read);
+  const story = read.text("story");
   return {
     volume,
     step: Math.max(0, Math.trunc(read.number("step") ?? 0)),
@@ -106,6 +110,7 @@ export function decodeLink(hash: string): Link | undefined {
     selected: Math.max(0, Math.trunc(read.number("surface") ?? 1) - 1),
     look: readLook(read),
     ...(slicing === undefined ? {} : { slicing }),
+    ...(story === undefined ? {} : { story: readStoryText(story) }),
     pose: camera && { position: camera.slice(0, 3) as unknown as Vec3, target: camera.slice(3) as unknown as Vec3 },
   };
 }

@@ -14,6 +14,10 @@ export const MAPS = [
   "batlow", "viridis", "cividis", "magma", "inferno", "plasma", "cubehelix", "greys", "ylor", "ylorrd", "ylgnbu", "vik", "rdbu", "puor",
 ] as const;
 export const MATERIALS = ["ivory", "clay", "tissue", "metal"] as const;
+/** The most isolines: more are no lines any more. */
+export const MAX_ISOLINES = 24;
+/** Factors by which the world can be shown higher. */
+export const EXAGGERATIONS = { min: 0.1, max: 1000 } as const;
 export const BACKGROUNDS = ["page", "black", "white"] as const;
 
 /** What is cut away. World units. */
@@ -36,8 +40,14 @@ export interface SliceChoice {
 
 export interface Look {
   readonly colorBy: ColorBy;
-  /** Of blended value and importance. */
+  /** Of the field, the blended value and the importance. */
   readonly map: (typeof MAPS)[number];
+  /** Values of the field that have the first and the last colour; without it the range over which it counts as importance. */
+  readonly colorRange?: readonly [number, number] | undefined;
+  /** The field's colours are logarithmic. */
+  readonly logColors: boolean;
+  /** About how many isolines of the field are drawn on the surface. */
+  readonly isolines: number;
   readonly material: (typeof MATERIALS)[number];
   /** Each triangle has one light. */
   readonly flat: boolean;
@@ -50,6 +60,8 @@ export interface Look {
   /** Dark lines where the depth jumps. */
   readonly silhouettes: boolean;
   readonly orthographic: boolean;
+  /** How many times higher the world is shown than it is. What is measured stays true. */
+  readonly exaggeration: number;
   /** What is drawn beside the surface. */
   readonly axes: boolean;
   readonly scale: boolean;
@@ -66,6 +78,8 @@ export const NO_SLICES: SliceChoice = { planes: [null, null, null] };
 export const DEFAULT_LOOK: Look = {
   colorBy: "material",
   map: "batlow",
+  logColors: false,
+  isolines: 0,
   material: "ivory",
   flat: false,
   wireframe: false,
@@ -74,6 +88,7 @@ export const DEFAULT_LOOK: Look = {
   occlusion: true,
   silhouettes: false,
   orthographic: false,
+  exaggeration: 1,
   axes: true,
   scale: true,
   box: false,

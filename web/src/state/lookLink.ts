@@ -2,7 +2,7 @@
 
 import type { Vec3 } from "../protocol/types";
 import { LinkError, toNumber, type Reader } from "./linkReader";
-import { BACKGROUNDS, COLOR_BY, levelOf, MAPS, MATERIALS, NO_CLIP, NO_SLICES, type ClipChoice, type Look, type SliceChoice } from "./look";
+import { BACKGROUNDS, COLOR_BY, EXAGGERATIONS, levelOf, MAPS, MATERIALS, MAX_ISOLINES, NO_CLIP, NO_SLICES, type ClipChoice, type Look, type SliceChoice } from "./look";
 import { MAX_MEASURES, measureText, readMeasure } from "./measure";
 import { digits, list } from "./numbers";
 
@@ -13,6 +13,7 @@ const SWITCHES = {
   occlusion: "occlusion",
   silhouettes: "silhouettes",
   orthographic: "orthographic",
+  logColors: "log",
   axes: "axes",
   scale: "scale",
   box: "bounds",
@@ -30,8 +31,11 @@ export function lookParts(look: Look, opening: Look): (readonly [string, string 
   return [
     ["color", differing("colorBy")],
     ["map", differing("map")],
+    ["colors", look.colorRange && list(look.colorRange)],
+    ["isolines", look.isolines === 0 ? undefined : String(look.isolines)],
     ["material", differing("material")],
     ...switches,
+    ["heights", look.exaggeration === 1 ? undefined : digits(look.exaggeration)],
     ["peel", level === undefined ? undefined : String(level)],
     ["background", differing("background")],
     ["plane", clip.plane && list([...clip.plane.normal, clip.plane.offset])],
@@ -49,6 +53,9 @@ export function readLook(read: Reader): Partial<Look> {
   const found = {
     colorBy: oneOf(read, "color", COLOR_BY),
     map: oneOf(read, "map", MAPS),
+    exaggeration: readExaggeration(read),
+    colorRange: readRange(read),
+    isolines: readCount(read),
     material: oneOf(read, "material", MATERIALS),
     background: oneOf(read, "background", BACKGROUNDS),
     finestLevel: level === undefined ? undefined : levelOf(level),
@@ -66,6 +73,26 @@ function oneOf<T extends string>(read: Reader, name: string, known: readonly T[]
   const found = known.find((one) => one === text);
   if (found === undefined) throw new LinkError(`This link's “${name}” is ${JSON.stringify(text)}, expected one of ${known.join(", ")}`);
   return found;
+}
+
+function readRange(read: Reader): Look["colorRange"] {
+  const [low, high] = read.numbers("colors", 2) ?? [];
+  if (low === undefined || high === undefined) return undefined;
+  if (!(low < high)) throw new LinkError(`This link's “colors” is ${low},${high}, expected a range from a lower to a higher value`);
+  return [low, high];
+}
+
+function readExaggeration(read: Reader): number | undefined {
+  const factor = read.number("heights");
+  const { min, max } = EXAGGERATIONS;
+  if (factor !== undefined && !(factor >= min && factor <= max)) throw new LinkError(`This link's “heights” is ${factor}, expected a factor from ${min} to ${max}`);
+  return factor;
+}
+
+function readCount(read: Reader): number | undefined {
+  const count = read.number("isolines");
+  if (count !== undefined && !(Number.isInteger(count) && count >= 0 && count <= MAX_ISOLINES)) throw new LinkError(`This link's “isolines” is ${count}, expected a whole number up to ${MAX_ISOLINES}`);
+  return count;
 }
 
 function readClip(read: Reader): ClipChoice | undefined {

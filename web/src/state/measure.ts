@@ -1,4 +1,4 @@
-/** What is measured on the surface: distances, angles, and readings of the fields at a place. Pure. */
+/** What is measured on the surface: distances, angles, readings of the fields at a place; and places with a name. Pure. */
 
 import type { Vec3, VolumeInfo } from "../protocol/types";
 import { lengthUnit, unitWord } from "./lengths";
@@ -11,14 +11,17 @@ export type Measure =
   /** At the second point. */
   | { readonly kind: "angle"; readonly points: readonly [Vec3, Vec3, Vec3] }
   /** Values of the volume's fields, in their order, as they were read; `null` where there is none. */
-  | { readonly kind: "reading"; readonly points: readonly [Vec3]; readonly values: readonly (number | null)[] };
+  | { readonly kind: "reading"; readonly points: readonly [Vec3]; readonly values: readonly (number | null)[] }
+  | { readonly kind: "label"; readonly points: readonly [Vec3]; readonly text: string };
 
 export type MeasureKind = Measure["kind"];
 
 /** More would hide the surface, and make links longer than programs take. */
 export const MAX_MEASURES = 32;
 /** Points that are picked for each. */
-export const POINTS: Readonly<Record<MeasureKind, number>> = { distance: 2, angle: 3, reading: 1 };
+export const POINTS: Readonly<Record<MeasureKind, number>> = { distance: 2, angle: 3, reading: 1, label: 1 };
+/** Of the name of a place. */
+export const MAX_LABEL = 80;
 
 const minus = (a: Vec3, b: Vec3): Vec3 => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 const dot = (a: Vec3, b: Vec3) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -35,7 +38,7 @@ export function measureOf(kind: "distance" | "angle", [a, b, c]: readonly Vec3[]
   return c && { kind, points: [a, b, c] };
 }
 
-/** World units, or degrees; NaN for a reading, and for an angle without two sides. */
+/** World units, or degrees; NaN for a reading or a label, and for an angle without two sides. */
 export function amountOf(measure: Measure): number {
   switch (measure.kind) {
     case "distance":
@@ -49,30 +52,42 @@ export function amountOf(measure: Measure): number {
       return (180 / Math.PI) * Math.atan2(Math.hypot(...cross), dot(u, v));
     }
     case "reading":
+    case "label":
       return NaN;
   }
 }
 
 /** Kinds in a link. */
-const LETTERS = { distance: "d", angle: "a", reading: "r" } as const;
+const LETTERS = { distance: "d", angle: "a", reading: "r", label: "l" } as const;
 
 export function measureText(measure: Measure): string {
   const numbers = list(measure.points.flat());
   const values = measure.kind === "reading" ? measure.values.map((value) => `,${value === null ? "" : digits(value)}`).join("") : "";
-  return `${LETTERS[measure.kind]},${numbers}${values}`;
+  // Without what parts measurements.
+  const text = measure.kind === "label" ? `,${encodeURIComponent(measure.text)}` : "";
+  return `${LETTERS[measure.kind]},${numbers}${values}${text}`;
 }
 
 /** @throws LinkError naming what was wrong */
 export function readMeasure(text: string): Measure {
   const [letter, ...rest] = text.split(",");
   const kind = (Object.keys(LETTERS) as MeasureKind[]).find((name) => LETTERS[name] === letter);
-  if (kind === undefined) throw new LinkError(`This link's “measure” begins with ${JSON.stringify(letter)}, expected d, a or r`);
+  if (kind === undefined) throw new LinkError(`This link's “measure” begins with ${JSON.stringify(letter)}, expected d, a, r or l`);
   const count = 3 * POINTS[kind];
-  const numbers = toNumbers("measure", rest.slice(0, kind === "reading" ? count : undefined).join(), [count]);
+  const numbers = toNumbers("measure", rest.slice(0, kind === "reading" || kind === "label" ? count : undefined).join(), [count]);
   const points = Array.from({ length: POINTS[kind] }, (_, i) => numbers.slice(3 * i, 3 * i + 3) as unknown as Vec3);
-  if (kind !== "reading") return { kind, points } as unknown as Measure;
   const [at = [0, 0, 0] as const] = points;
+  if (kind === "label") return { kind, points: [at], text: labelOf(rest[count] ?? "") };
+  if (kind !== "reading") return { kind, points } as unknown as Measure;
   return { kind, points: [at], values: rest.slice(count).map((value) => (value === "" ? null : toNumber("measure", value))) };
+}
+
+function labelOf(text: string): string {
+  try {
+    return decodeURIComponent(text).slice(0, MAX_LABEL);
+  } catch {
+    throw new LinkError(`This link's “measure” has the label ${JSON.stringify(text.slice(0, 40))}, which was cut off or changed`);
+  }
 }
 
 /** A table for spreadsheets, after RFC 4180: a line for each, with its points and what was read there. */
@@ -83,10 +98,10 @@ export function measuresCsv(measures: readonly Measure[], volume: Pick<VolumeInf
   const names = fields.map(({ name, unit }) => (unit === null || unit === "" ? name : `${name} (${unit})`));
   const rows = measures.map((measure, i) => {
     const amount = amountOf(measure);
-    const unit = { distance: unitWord(lengthUnit(volume)), angle: "degrees", reading: "" }[measure.kind];
+    const unit = { distance: unitWord(lengthUnit(volume)), angle: "degrees", reading: "", label: "" }[measure.kind];
     const points = measure.points.flat().map(digits);
     const values = measure.kind === "reading" ? measure.values.map((value) => (value === null ? "" : digits(value))) : [];
-    return [id, String(i + 1), measure.kind, Number.isNaN(amount) ? "" : digits(amount), unit, ...points, ...new Array<string>(9 - points.length).fill(""), ...fields.map((_, field) => values[field] ?? "")];
+    return [id, String(i + 1), measure.kind, measure.kind === "label" ? measure.text : Number.isNaN(amount) ? "" : digits(amount), unit, ...points, ...new Array<string>(9 - points.length).fill(""), ...fields.map((_, field) => values[field] ?? "")];
   });
   return [["volume", "number", "kind", "amount", "unit", ...coordinates, ...names], ...rows].map((row) => `${row.map(quoted).join(",")}\r\n`).join("");
 }

@@ -10,6 +10,7 @@ import type { MeasureKind } from "./measure";
 import { PARTS_GESTURE, placesOf, type PartTool } from "./parts";
 import { ofItsField } from "./fields";
 import { FIRST_SLICING, planesAt, type Slicing } from "./slicing";
+import type { Story } from "./story";
 import { added, besides, DEFAULT_STYLE, edited, limited, listOf, removed, styled, type Surface, type SurfaceList, type SurfaceStyle } from "./surfaceList";
 import { INITIAL_STATE, reduce, type ViewerEvent, type ViewerState } from "./viewer";
 
@@ -46,6 +47,8 @@ export interface PageLayers {
   readonly player: Player;
   /** Slices beside the picture. */
   readonly slicing: Slicing;
+  /** Bookmarks, of all volumes. */
+  readonly story: Story;
 }
 
 /** How time steps are played. */
@@ -80,6 +83,8 @@ export interface Wish {
   readonly pose: Pose | undefined;
   readonly step?: number;
   readonly slicing?: Slicing;
+  /** Without one the bookmarks stay. */
+  readonly story?: Story;
 }
 
 export class Store {
@@ -98,6 +103,7 @@ export class Store {
     brush: undefined,
     player: FIRST_PLAYER,
     slicing: FIRST_SLICING,
+    story: [],
   };
   private readonly remembered = new Map<string, Remembered>();
 
@@ -213,6 +219,11 @@ export class Store {
     this.remembered.set(volume.id, { history: this.history, step: this.step, pose, crosshair: this.layers.slicing.at });
   }
 
+  /** Whether there is work of a volume, open or left. */
+  knows(volume: string): boolean {
+    return this.viewerState.volume?.id === volume || this.remembered.has(volume);
+  }
+
   /** The step at which a volume was left. */
   stepOf(volume: string): number {
     return this.remembered.get(volume)?.step ?? 0;
@@ -237,7 +248,7 @@ export class Store {
     const kept = this.remembered.get(volume.id);
     // Not `changePage`: the history is still that of the volume before.
     const slicing = wish === undefined ? { ...this.layers.slicing, field: undefined, at: kept?.crosshair } : (wish.slicing ?? FIRST_SLICING);
-    this.layers = { ...this.layers, slicing };
+    this.layers = { ...this.layers, slicing, story: wish?.story ?? this.layers.story };
     const wished = wish && this.wished(wish, view);
     const first: Work = { surfaces: [{ number: 0, view, style: DEFAULT_STYLE }], selected: 0, look: this.openingLook, step };
     this.history = kept?.history ?? new History<Work>(wished ?? first);
@@ -249,7 +260,11 @@ export class Store {
 
   /** An edit of the user. Edits of one `gesture` (a slider being dragged) are one step of the history until `endGesture`. */
   edit(edit: Edit, gesture?: string): void {
-    this.change(({ surfaces, selected }) => ({ surfaces: edited(surfaces, selected, edit) }), gesture);
+    this.change(({ surfaces, selected, look }) => {
+      const isOther = edit.feature !== undefined && edit.feature !== this.view?.feature && look.colorRange !== undefined;
+      // A range of colours is one of the field's values.
+      return { surfaces: edited(surfaces, selected, edit), ...(isOther ? { look: { ...look, colorRange: undefined } } : {}) };
+    }, gesture);
   }
 
   changeLook(look: Partial<Look>, gesture?: string): void {
@@ -305,7 +320,7 @@ export class Store {
   replace(wish: Omit<Wish, "pose">): void {
     const { openingView } = this;
     if (openingView === undefined) return;
-    this.changePage({ slicing: wish.slicing ?? FIRST_SLICING });
+    this.changePage({ slicing: wish.slicing ?? FIRST_SLICING, story: wish.story ?? this.layers.story });
     this.change(() => this.wished(wish, openingView));
   }
 
@@ -321,6 +336,11 @@ export class Store {
 
   endGesture(): void {
     this.history?.end();
+  }
+
+  /** As before the gesture of this name, if it is under way. */
+  cancelGesture(name: string): void {
+    if (this.history?.cancel(name) === true) this.arrange();
   }
 
   undo(): void {

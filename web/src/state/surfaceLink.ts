@@ -17,23 +17,25 @@ export function surfaceParts({ view, style }: Surface, opening: View): readonly 
   return [
     // Always: another step opens with another isovalue.
     ["iso", digits(view.iso)],
-    ...editParts(difference(opening, view)),
+    ...editParts(difference(opening, view), view),
     ["tint", color?.slice(1)],
     ["opacity", opacity === DEFAULT_STYLE.opacity ? undefined : digits(opacity)],
     ["hidden", visible ? undefined : "1"],
   ];
 }
 
-function editParts(edit: Edit): readonly Part[] {
+function editParts(edit: Edit, view: View): readonly Part[] {
   const { triangles } = edit;
   const share = typeof triangles === "object" ? triangles : undefined;
+  const range = edit.feature === undefined || edit.feature === "none" ? edit.featureRange : view.featureRange;
   const number = (value: number | null | undefined) => (value === undefined || value === null ? undefined : digits(value));
   const distance = (value: number | string | undefined) => (typeof value === "number" ? digits(value) : value);
   return [
     ["field", edit.field],
     ["mask", edit.mask ?? undefined],
     ["feature", edit.feature],
-    ["range", edit.featureRange && list(edit.featureRange)],
+    // Always that of another feature, though it be the same.
+    ["range", range && list(range)],
     ["alpha", number(edit.alpha)],
     ["beta", number(edit.beta)],
     ["error", distance(edit.error)],

@@ -3,7 +3,8 @@
 import { DropdownMenu } from "@kobalte/core/dropdown-menu";
 import { For, Show } from "solid-js";
 import { LACKING } from "../state/roles";
-import { useModel, type MeshFormat } from "./model";
+import type { MeshFormat } from "./actions";
+import { useModel } from "./model";
 import { useSurfaceName, useVisibleCount } from "./surfaceNames";
 import { Icon } from "./widgets/icon";
 

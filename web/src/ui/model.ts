@@ -2,81 +2,18 @@
 
 import { createContext, createSignal, useContext, type Accessor } from "solid-js";
 import type { NamedFile, UploadPhase } from "../net/uploads";
-import type { Edit, JobInfo, Probed, SessionInfo, UploadInfo, UploadList, Vec3, View, VolumeInfo } from "../protocol/types";
+import type { JobInfo, Probed, SessionInfo, UploadInfo, UploadList, View, VolumeInfo } from "../protocol/types";
 import type { Enclosed } from "../state/enclosed";
-import type { GroupAct, GroupState } from "../state/group";
+import type { GroupState } from "../state/group";
 import { lengthScale, type LengthScale } from "../state/lengths";
 import type { Look } from "../state/look";
 import { has, LACKING, type Role } from "../state/roles";
 import type { PageLayers, Store } from "../state/store";
-import type { Surface, SurfaceList, SurfaceStyle } from "../state/surfaceList";
+import type { Surface, SurfaceList } from "../state/surfaceList";
+import type { TimeCurves } from "../state/timeCurves";
 import { INITIAL_STATE, type ViewerState } from "../state/viewer";
+import type { Actions, Compared, MeshFormat } from "./actions";
 import { SlicesBeside } from "./slicePanel/beside";
-import type { Points } from "../transfer/model";
-import type { AxisName } from "../world/axes";
-
-/** What the user can do. A `gesture` names what a drag changes: all of it is one step of the history. */
-export interface Actions {
-  readonly openVolume: (id: string) => void;
-  readonly goToStep: (step: number, gesture?: string) => void;
-  readonly edit: (edit: Edit, gesture?: string) => void;
-  /** An edit that depends on the values in force, and on those with which the volume opens. */
-  readonly editByOpening: (edit: (view: View, opening: View) => Edit) => void;
-  readonly editPoints: (points: Points, gesture?: string) => void;
-  readonly changeLook: (look: Partial<Look>, gesture?: string) => void;
-  readonly changeStyle: (number: number, style: Partial<SurfaceStyle>, gesture?: string) => void;
-  /** A surface like the selected one, at another isovalue. */
-  readonly addSurface: (iso: number) => void;
-  /** Several surfaces at once; `opening`: with what the volume opens. */
-  readonly arrangeSurfaces: (act: (surfaces: SurfaceList, opening: View) => SurfaceList | undefined) => void;
-  readonly removeSurface: (number: number) => void;
-  /** Edits are of this one from now on. */
-  readonly selectSurface: (number: number) => void;
-  readonly endGesture: () => void;
-  /** Area and enclosed volume of the selected surface as it is on screen. */
-  readonly sumUp: () => void;
-  /** The tool in hand, at the centre of the picture. */
-  readonly useAtCentre: () => void;
-  readonly changePage: (layers: Partial<PageLayers>) => void;
-  readonly undo: () => void;
-  readonly redo: () => void;
-  readonly fit: () => void;
-  /** As a page just opened shows the surface. */
-  readonly home: () => void;
-  readonly lookFrom: (axis: AxisName) => void;
-  readonly facing: (normal: Vec3) => Vec3;
-  readonly retry: () => void;
-  /** `undefined`: no longer. */
-  readonly compare: (what: Compared | undefined) => void;
-  readonly saveImage: (request: ImageRequest) => void;
-  /** So many images around the surface; another call while it runs ends it. */
-  readonly saveTurn: (request: ImageRequest, frames: number) => void;
-  /** The address of the state that is shown. */
-  readonly address: () => string;
-  readonly copyLink: () => void;
-  /** Of the selected surface; `cap`: closed where it leaves the volume. */
-  readonly copyCommand: (cap?: boolean) => void;
-  readonly download: (format: MeshFormat, cap?: boolean) => void;
-  /** All visible surfaces as one GLB. */
-  readonly downloadAll: (cap?: boolean) => void;
-  readonly group: (act: GroupAct) => void;
-}
-
-/** What is compared: edits with what was before, the decimated surface with the full one, or the surface with importance and without. */
-export type Compared = "edit" | "full" | "importance";
-
-/** What an image shows besides the surface. */
-export interface ImageRequest {
-  /** Pixels of the image for one on the page. */
-  readonly scale: number;
-  readonly transparent: boolean;
-  readonly colorBar: boolean;
-  readonly scaleBar: boolean;
-  /** Colour and isovalue of each visible surface, where there are several. */
-  readonly isovalues: boolean;
-  /** May be empty. */
-  readonly caption: string;
-}
 
 /** What can be done with volumes that the user brings. */
 export interface UploadActions {
@@ -117,8 +54,6 @@ export interface Uploading {
   readonly total: number;
 }
 
-export type MeshFormat = "glb" | "ply" | "stl" | "vtp";
-
 /** Facts about what is on screen. */
 export interface SurfaceFacts {
   /** Triangles of each level, finest first, of all surfaces, and of each by its number. */
@@ -135,6 +70,12 @@ type Stay = "brief" | "lasting";
 export interface Answer {
   readonly text: string;
   readonly act: () => void;
+}
+
+/** A bookmark that is shown in its turn. */
+interface Told {
+  readonly index: number;
+  readonly text: string;
 }
 
 /** A message to the user: an error, what was done, or a question. */
@@ -189,6 +130,8 @@ export class Model {
   jobs: JobActions | undefined;
   readonly beside = new SlicesBeside();
   sums: SurfaceSums | undefined;
+  /** Surfaces with the ranges of features that the server has chosen. Set before the page is shown. */
+  ranged = (_: ViewerState, surfaces: SurfaceList): SurfaceList => surfaces;
   /** Frames are rendered by a GPU: there are effects on screen. */
   onGpu = false;
   /** Told of each error that is shown. */
@@ -205,6 +148,10 @@ export class Model {
   private readonly session: Accessor<SessionInfo | undefined>;
   /** The group that the page is in. */
   readonly group: Accessor<GroupState | undefined>;
+  /** The bookmark that a story shows; `undefined` while none is played. */
+  readonly telling: Accessor<Told | undefined>;
+  /** What was measured over time; `undefined` until the user asks. */
+  readonly curves: Accessor<TimeCurves | undefined>;
   private readonly set;
 
   constructor(
@@ -238,10 +185,14 @@ export class Model {
     const [comparing, setComparing] = createSignal<Compared | "waiting">();
     const [enclosed, setEnclosed] = createSignal<Enclosed | "summing">();
     [this.turning, this.comparing, this.enclosed] = [turning, comparing, enclosed];
+    const [telling, setTelling] = createSignal<Told>();
+    this.telling = telling;
+    const [curves, setCurves] = createSignal<TimeCurves>();
+    this.curves = curves;
     const [group, setGroup] = createSignal<GroupState | undefined>(undefined, same);
     const [session, setSession] = createSignal<SessionInfo | undefined>(undefined, same);
     [this.group, this.session] = [group, session];
-    this.set = { setGroup, setSession, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
+    this.set = { setTelling, setCurves, setGroup, setSession, setUploading, setStep, setSurfaces, setSelected, showProbe, setPicked, setBrush, setExtent, setTurning, setComparing, setEnclosed, setViewer, setFacts, setVolume, setView, setLook, setPage, setHistory, setToasts, setConnection };
   }
 
   /** What the user has changed is shown at once. */
@@ -288,6 +239,14 @@ export class Model {
 
   showEnclosed(enclosed: Enclosed | "summing" | undefined): void {
     this.set.setEnclosed(enclosed);
+  }
+
+  showTelling(told: Told | undefined): void {
+    this.set.setTelling(told);
+  }
+
+  showCurves(curves: TimeCurves): void {
+    this.set.setCurves(curves);
   }
 
   showGroup(group: GroupState | undefined): void {

@@ -22,6 +22,7 @@ import { stepCount } from "../state/timeSteps";
 
 const Help = lazy(() => import("./help"));
 const SlicePanel = lazy(() => import("./slicePanel/panel"));
+const Telling = lazy(() => import("./telling"));
 const Tour = lazy(() => import("./tour"));
 const Uploads = lazy(() => import("./uploads"));
 
@@ -73,20 +74,25 @@ function Page(props: { readonly viewport: HTMLElement }) {
 
 /** The picture, and slices beside it or in its place. */
 function Stage(props: { readonly viewport: HTMLElement }) {
-  const { page } = useModel();
+  const { page, telling } = useModel();
   const layout = () => page().slicing.layout;
   return (
     <div class="stage">
       <div class="split" data-layout={layout()}>
         <main class="picture" classList={{ aiming: page().tool !== undefined }} data-tour="picture" aria-label="Surface">
           {props.viewport}
-          <Legend />
+          <Legend editable />
           <Hint />
           <ProbeReadout />
           <FollowBar />
           <ConnectionBanner />
           <UploadProgress />
           <Notice />
+          <Suspense>
+            <Show when={telling()}>
+              <Telling />
+            </Show>
+          </Suspense>
           <Toasts />
         </main>
         <Suspense>

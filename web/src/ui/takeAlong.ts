@@ -8,7 +8,8 @@ import { labelsName } from "../state/labels";
 import { aloneView } from "../state/sharedBudget";
 import type { Store } from "../state/store";
 import type { ViewerState } from "../state/viewer";
-import type { MeshFormat, Model } from "./model";
+import type { MeshFormat } from "./actions";
+import type { Model } from "./model";
 import { surfaceName } from "./surfaceNames";
 
 /** Hands a file to the browser to be saved. */

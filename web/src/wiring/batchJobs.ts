@@ -5,7 +5,8 @@ import type { JobInfo } from "../protocol/types";
 import { volumeName } from "../state/fileNames";
 import type { Store } from "../state/store";
 import { submittedText, titleOf } from "../ui/cards/jobWords";
-import type { JobActions, MeshFormat, Model } from "../ui/model";
+import type { MeshFormat } from "../ui/actions";
+import type { JobActions, Model } from "../ui/model";
 import { exportedView, saveFile } from "../ui/takeAlong";
 
 export class BatchJobs implements JobActions {

@@ -4,7 +4,7 @@ import type { Edit, View } from "../protocol/types";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { complete } from "../state/view";
 import { formatCount } from "../ui/format";
-import type { Compared } from "../ui/model";
+import type { Compared } from "../ui/actions";
 
 export interface ComparisonHandlers {
   /** `wanted` says otherwise than before. */

@@ -7,13 +7,14 @@ import type { ColorBar } from "../scene/colorScale";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { SliceLoader, type SliceSource } from "./sliceLoader";
 import type { Distances } from "../state/distances";
-import { unitWord } from "../state/lengths";
+import { lengthUnit, unitWord } from "../state/lengths";
 import type { ColorBy, Look } from "../state/look";
 import { coloredByLook, type Surface, type SurfaceList } from "../state/surfaceList";
 import { LEVEL_COLORS, mappedLut, rampLut, transferLut } from "../transfer/lut";
 import { IDENTITY } from "../transfer/model";
-import { featureInfo, label, NO_FEATURE } from "../ui/cards/features";
+import { fieldBarOf, fieldScaleOf, linePlaces, type FieldScale } from "../ui/cards/fieldColors";
 import { formatValue } from "../ui/format";
+import { physicalAxes } from "../world/physicalAxes";
 
 type Points = TransferFunction["points"];
 
@@ -21,21 +22,25 @@ type Points = TransferFunction["points"];
 const FIELD_COLORS = 257;
 
 /** What the scene looks up. */
-const MODES = { material: "material", transfer: "transfer", feature: "transfer", field: "transfer", importance: "transfer", level: "level", error: "value" } as const;
+const MODES = { material: "material", transfer: "transfer", feature: "transfer", field: "field", importance: "transfer", level: "level", error: "value" } as const;
 
 /** Colours of a scene that nothing is known of yet. */
 export const FIRST_TABLES = { transfer: transferLut(IDENTITY), importance: rampLut(COLOR_MAPS.batlow), levels: LEVEL_COLORS };
 
 /** What the colours mean; `undefined` where there is nothing to say of them, or the distances are not known yet. */
 export function colorBarOf(
-  { colorBy, map }: Look,
+  look: Look,
   view: View | undefined,
   distances: Distances | undefined,
   unit: string | undefined,
   volume?: VolumeInfo,
 ): ColorBar | undefined {
+  const { colorBy, map } = look;
   if (colorBy === "error") return distances && distanceBar(distances, unit);
-  if (colorBy === "field") return view && fieldBar(view, COLOR_MAPS[map], volume);
+  if (colorBy === "field") {
+    const scale = view && fieldScaleOf(look, view);
+    return view && scale && { ...fieldBarOf(scale, view, volume), stops: COLOR_MAPS[map] };
+  }
   const points = view?.transferFunction.points;
   const ends = { texts: ["0", "0.5", "1"] };
   if (colorBy === "feature") return { ...ends, stops: COLOR_MAPS[map], title: "Blended value" };
@@ -45,16 +50,6 @@ export function colorBarOf(
   // Steps, with a number in the middle of each.
   const texts = LEVEL_COLORS.flatMap((_, level) => ["", String(level)]);
   return { stops: LEVEL_COLORS.flatMap((color) => new Array<string>(16).fill(color)), texts: [...texts, ""], title: "Level" };
-}
-
-/** The field that matters; nothing where there is none, or its range is not known yet. */
-function fieldBar(view: View, stops: readonly string[], volume: VolumeInfo | undefined): ColorBar | undefined {
-  const { feature, featureRange } = view;
-  if (feature === NO_FEATURE || featureRange === undefined) return undefined;
-  const [low, high] = featureRange;
-  const unit = volume && featureInfo(volume, view)?.unit;
-  const title = unit === null || unit === undefined ? label(feature) : `${label(feature)}, in ${unit}`;
-  return { stops, texts: [low, (low + high) / 2, high].map((value) => formatValue(value)), title };
 }
 
 function distanceBar({ upper }: Distances, unit: string | undefined): ColorBar {
@@ -78,6 +73,11 @@ function regionsOf({ colorBy, map }: Look, interest: View["interest"]): readonly
   return interest.map(({ sphere, box, importance }) => ({ ball: sphere, box, importance, color: colorAt(COLOR_MAPS[map], importance) }));
 }
 
+/** Colours of a field stand for other values. */
+function isRescaled(look: Look, before: Look): boolean {
+  return look.colorRange !== before.colorRange || look.logColors !== before.logColors || look.isolines !== before.isolines;
+}
+
 export class Display {
   /** What is asked for, and what is shown of it. */
   private wanted: Look | undefined;
@@ -89,6 +89,8 @@ export class Display {
   private readonly shown = new Map<number, Surface>();
   /** What the colour bar says: control points, the field that matters and its range, the volume. */
   private bar: readonly unknown[] | undefined;
+  /** Scales of the fields of surfaces, as text. */
+  private readonly fields = new Map<number, string>();
   private readonly slices: SliceLoader;
   private unit: string | undefined;
 
@@ -110,19 +112,21 @@ export class Display {
     const before = this.look;
     const look = this.lookFor(wanted, distances !== undefined);
     if (look !== before) this.showLook(look, before);
-    const isRecolored = look.colorBy !== before?.colorBy || look.map !== before.map || distances?.upper !== this.distances?.upper;
+    const isRecolored = look.colorBy !== before?.colorBy || look.map !== before.map || isRescaled(look, before) || distances?.upper !== this.distances?.upper;
     [this.wanted, this.look, this.distances] = [wanted, look, distances];
-    for (const surface of surfaces) this.showSurface(look, surface, isRecolored);
+    const legend = coloredByLook(surfaces, selected)?.view;
+    for (const surface of surfaces) this.showSurface(look, surface, isRecolored, legend);
     this.hideOthers(surfaces);
-    if (distances !== undefined && isRecolored) this.scene.setValueColors(0, distances.upper, colorTable(DISTANCE_COLORS));
-    this.showColorBar(look, coloredByLook(surfaces, selected)?.view, source.volume, isRecolored);
+    if (distances !== undefined && isRecolored) this.scene.colors.setValueColors(0, distances.upper, colorTable(DISTANCE_COLORS));
+    this.showColorBar(look, legend, source.volume, isRecolored);
     this.slices.show(look.slices, source);
   }
 
-  /** The unit of lengths in the picture, where it is known. */
-  measureIn(unit: string | undefined): void {
-    this.unit = unit;
-    this.scene.annotations.unit = unit ?? "";
+  /** The volume that is shown: unit and axes of its world. */
+  place(volume: VolumeInfo): void {
+    this.unit = lengthUnit(volume);
+    this.scene.annotations.unit = this.unit ?? "";
+    this.scene.annotations.physicalAxes = physicalAxes(volume.geometry, volume.axes);
   }
 
   private showLook(look: Look, before: Look | undefined): void {
@@ -132,6 +136,7 @@ export class Display {
     scene.setLook({ colorMode, material, flat, wireframe, background, occlusion, silhouettes });
     scene.setFinestLevel(look.finestLevel);
     scene.annotations.show({ axes: look.axes, scale: look.scale, box: look.box });
+    if (look.exaggeration !== (before?.exaggeration ?? 1)) scene.exaggeration = look.exaggeration;
     if (look.clip !== before?.clip) scene.setClip(look.clip);
     const projection = look.orthographic ? "orthographic" : "perspective";
     if (scene.camera.projection !== projection) scene.camera.projection = projection;
@@ -144,16 +149,26 @@ export class Display {
     return wanted.colorBy === "error" && !isMeasured ? { ...wanted, colorBy: this.otherColors } : wanted;
   }
 
-  private showSurface(look: Look, surface: Surface, isRecolored: boolean): void {
+  private showSurface(look: Look, surface: Surface, isRecolored: boolean, legend: View | undefined): void {
     const { number, view, style } = surface;
     const before = this.shown.get(number);
     this.shown.set(number, surface);
     const { points } = view.transferFunction;
+    const field = fieldScaleOf(look, view, legend);
+    if (look.colorBy === "field" && field !== undefined) this.showField(number, field);
     const isChanged = points !== before?.view.transferFunction.points || view.interest !== before.view.interest;
-    if (isRecolored || isChanged) this.scene.setTransfer(tableOf(look, points), number, regionsOf(look, view.interest));
+    if (isRecolored || isChanged) this.scene.colors.setTransfer(tableOf(look, points), number, regionsOf(look, view.interest));
     if (style !== before?.style) this.scene.setSurfaceStyle(number, style);
     // The field alone, whatever its weight against the shape.
-    this.scene.setAlpha(look.colorBy === "field" ? 1 : view.alpha, number);
+    this.scene.colors.setAlpha(look.colorBy === "field" ? 1 : view.alpha, number);
+  }
+
+  private showField(number: number, scale: FieldScale): void {
+    const lines = linePlaces(scale);
+    const asText = JSON.stringify([scale, lines]);
+    if (this.fields.get(number) === asText) return;
+    this.fields.set(number, asText);
+    this.scene.colors.setField({ ...scale, lines }, number);
   }
 
   /** What was removed is not seen any more, though its meshes are there until the server has removed it too. */
@@ -169,8 +184,8 @@ export class Display {
     const decides = view && [view.transferFunction.points, view.feature, view.featureRange, volume?.id];
     if (!isRecolored && decides?.length === this.bar?.length && (decides ?? []).every((value, i) => value === this.bar?.[i])) return;
     this.bar = decides;
-    // The editor shows its own colours, where there is one, and the page has a list of the levels.
-    const isSaid = look.colorBy === "level" || (look.colorBy === "transfer" && !this.isEmbedded);
+    // The editor shows its own colours, where there is one, and the page has a list of the levels and a legend of the field.
+    const isSaid = look.colorBy === "level" || ((look.colorBy === "transfer" || look.colorBy === "field") && !this.isEmbedded);
     this.scene.annotations.showColors(!isSaid && view !== undefined ? colorBarOf(look, view, this.distances, this.unit, volume) : undefined);
   }
 }

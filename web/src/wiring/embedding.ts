@@ -142,6 +142,6 @@ export class Embedding {
     const { scene, store } = this.parts;
     if (scene.regionCount === 0) throw new RequestError("there is no surface to take a picture of yet: wait for the event “settled”");
     const { makeImage } = await import("./imageMaker");
-    return (await makeImage(scene, store, request)).blob;
+    return (await makeImage(scene, store, { ...request, slices: false })).blob;
   }
 }

@@ -3,7 +3,7 @@
 import type { SurfaceRenderer } from "../scene/renderer";
 import type { Vec3 } from "../protocol/types";
 import type { Pose } from "../state/look";
-import type { Actions } from "../ui/model";
+import type { Actions } from "../ui/actions";
 import type { AxisName } from "../world/axes";
 
 export class Framing {
@@ -54,6 +54,10 @@ export class Framing {
     this.move(() => this.scene.view(axis));
   }
 
+  featureSpan(number: number): readonly [number, number] | undefined {
+    return this.scene.colors.featureSpan(number);
+  }
+
   /** The normal, or its opposite, whichever points towards the camera. */
   facing(normal: Vec3): Vec3 {
     const { position, target } = this.scene.camera.pose;
@@ -69,11 +73,12 @@ export class Framing {
 }
 
 /** What the page does with the camera, of which there is none until the page has been made. */
-export function framingActions(framing: () => Framing): Pick<Actions, "fit" | "home" | "lookFrom" | "facing"> {
+export function framingActions(framing: () => Framing): Pick<Actions, "fit" | "home" | "lookFrom" | "facing" | "featureSpan"> {
   return {
     fit: () => framing().fit(),
     home: () => framing().home(),
     lookFrom: (axis) => framing().lookFrom(axis),
+    featureSpan: (number) => framing().featureSpan(number),
     facing: (normal) => framing().facing(normal),
   };
 }

@@ -4,11 +4,13 @@ import { colorBarOf } from "./display";
 import { signOf } from "./surfaceSigns";
 import type { ImageParts } from "../image/compose";
 import type { SurfaceRenderer } from "../scene/renderer";
+import { withRanges } from "../state/featureRanges";
 import { lengthUnit } from "../state/lengths";
 import { shownErrors } from "../state/shownErrors";
+import type { SliceState } from "../state/slicing";
 import type { Store } from "../state/store";
 import { coloredByLook } from "../state/surfaceList";
-import type { ImageRequest } from "../ui/model";
+import type { ImageRequest } from "../ui/actions";
 import { theme } from "../ui/theme";
 
 /** Of the page's surroundings in images: the middle of what the page shows. */
@@ -28,11 +30,30 @@ export interface Made {
 const WITHOUT_BAR = "without a scale bar, as lengths differ by more than 5 % over its middle: an orthographic view has one";
 
 /** A PNG of what is seen. */
-export async function makeImage(scene: SurfaceRenderer, store: Store, request: ImageRequest): Promise<Made> {
+export async function makeImage(scene: SurfaceRenderer, store: Store, request: ImageRequest, slices: readonly SliceState[] = []): Promise<Made> {
+  const { layout } = store.page.slicing;
+  if (request.slices && layout !== "picture") return makeImageWithSlices(scene, store, request, slices);
   const { composeImage } = await import("../image/compose");
   const snapshot = scene.snapshot({ scale: request.scale, transparent: true });
-  const blob = await composeImage(snapshot, parts(scene, store, request));
+  const blob = await composeImage(snapshot, imageParts(scene, store, request));
   return { blob, note: request.scaleBar && snapshot.unitsPerPixel === undefined ? WITHOUT_BAR : undefined };
+}
+
+/** Side of a slice in an image of slices alone, pixels of the page. */
+const SLICE_SIDE = 420;
+
+/** The picture with its slices on the right, or these alone if the surface is hidden. */
+async function makeImageWithSlices(scene: SurfaceRenderer, store: Store, request: ImageRequest, slices: readonly SliceState[]): Promise<Made> {
+  const [{ drawImage }, { placeBeside }, { slicePictures }] = await Promise.all([import("../image/compose"), import("../image/beside"), import("./sliceImages")]);
+  const { scale } = request;
+  if (store.page.slicing.layout === "slices") {
+    const canvas = placeBeside(undefined, slicePictures(store, slices, SLICE_SIDE, scale), SLICE_SIDE * scale, scale);
+    return { blob: await canvas.convertToBlob({ type: "image/png" }), note: undefined };
+  }
+  const snapshot = scene.snapshot({ scale, transparent: true });
+  const side = Math.floor(snapshot.height / 3);
+  const canvas = placeBeside(drawImage(snapshot, imageParts(scene, store, request)), slicePictures(store, slices, side / scale, scale), side, scale);
+  return { blob: await canvas.convertToBlob({ type: "image/png" }), note: request.scaleBar && snapshot.unitsPerPixel === undefined ? WITHOUT_BAR : undefined };
 }
 
 /** A turn around the surface as numbered PNGs in a zip. */
@@ -54,15 +75,17 @@ export async function makeTurn(
   }, {
     frames,
     from: scene.camera.pose,
-    parts: parts(scene, store, request),
+    parts: imageParts(scene, store, request),
     onProgress,
     signal,
   });
   return { blob, note: request.scaleBar && withoutBar > 0 ? `${withoutBar} of ${frames} ${WITHOUT_BAR}` : undefined };
 }
 
-function parts(scene: SurfaceRenderer, store: Store, request: ImageRequest): ImageParts {
-  const { look, surfaces, viewer } = store;
+/** What is composed with a picture. */
+export function imageParts(scene: SurfaceRenderer, store: Store, request: ImageRequest): ImageParts {
+  const { look, viewer } = store;
+  const surfaces = withRanges(viewer, store.surfaces);
   const page = theme();
   const colored = request.colorBar ? coloredByLook(surfaces, viewer.selected) : undefined;
   const colors = colored && colorBarOf(look, colored.view, shownErrors(viewer, surfaces), lengthUnit(viewer.volume), viewer.volume);

@@ -1,4 +1,4 @@
-/** What is done once for many events, a while after the first of them. */
+/** What is done once: for many events, a while after the first of them; or when it is first needed. */
 export class Later {
   private timer: ReturnType<typeof setTimeout> | undefined;
 
@@ -16,4 +16,10 @@ export class Later {
     clearTimeout(this.timer);
     this.timer = undefined;
   }
+}
+
+/** Calls it when it is first asked for, and gives the same to all who ask. */
+export function once<T>(make: () => T): () => T {
+  let made: { readonly value: T } | undefined;
+  return () => (made ??= { value: make() }).value;
 }

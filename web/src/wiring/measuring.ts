@@ -10,7 +10,7 @@ const COLOR = "#10161d";
 const middle = (a: Vec3, b: Vec3): Vec3 => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2];
 
 /** Pixels by which texts stand beside their places: those of angles below, so that another one above can be read too. */
-const RAISED = { distance: 16, angle: -18, reading: 16 } as const;
+const RAISED = { distance: 16, angle: -18, reading: 16, label: 16 } as const;
 
 /** Where its text stands: at the middle of a distance, at the corner of an angle. */
 function placeOf({ kind, points }: Measure): Vec3 {
@@ -37,7 +37,7 @@ export class Measuring {
     const { annotations } = this.scene;
     annotations.mark([...measures.flatMap(({ points }) => [...points]), ...picked].map((position) => ({ position, color: COLOR })));
     annotations.measure([
-      ...measures.map((measure, i) => ({ points: measure.points, text: `${i + 1} · ${amountWords(measure, unit)}`, at: placeOf(measure), raised: RAISED[measure.kind] })),
+      ...measures.map((measure, i) => ({ points: measure.points, text: measure.kind === "label" ? measure.text : `${i + 1} · ${amountWords(measure, unit)}`, at: placeOf(measure), raised: RAISED[measure.kind] })),
       ...picked.slice(1, 2).map((point, i) => ({ points: [picked[i] ?? point, point], text: "", at: point, raised: 0 })),
     ]);
   }

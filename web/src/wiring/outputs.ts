@@ -3,7 +3,8 @@
 import type { SurfaceRenderer } from "../scene/renderer";
 import { volumeName } from "../state/fileNames";
 import type { Store } from "../state/store";
-import type { ImageRequest, Model } from "../ui/model";
+import type { ImageRequest } from "../ui/actions";
+import type { Model } from "../ui/model";
 import { saveFile } from "../ui/takeAlong";
 import { BatchJobs } from "./batchJobs";
 import type { Made } from "./imageMaker";
@@ -23,7 +24,7 @@ export class Outputs {
   saveImage(request: ImageRequest): void {
     void this.save("png", async () => {
       const { makeImage } = await import("./imageMaker");
-      return makeImage(this.scene, this.store, request);
+      return makeImage(this.scene, this.store, request, this.model.beside.slices);
     });
   }
 

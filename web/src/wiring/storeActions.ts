@@ -2,7 +2,7 @@
 
 import type { Store } from "../state/store";
 import { toWire } from "../transfer/model";
-import type { Actions } from "../ui/model";
+import type { Actions } from "../ui/actions";
 
 type Names =
   | "goToStep"

@@ -2,6 +2,7 @@
 
 import type { SurfaceSign } from "../image/compose";
 import { SHADINGS } from "../scene/look";
+import { withRange } from "../state/featureRanges";
 import { labelsName } from "../state/labels";
 import type { Look } from "../state/look";
 import { shownErrors } from "../state/shownErrors";
@@ -17,8 +18,8 @@ export function colorOf({ style }: Pick<Surface, "style">, { colorBy, material }
 }
 
 /** The colours of a surface as they are seen, and its isovalue: `T1 90`, with the unit where the field has one. */
-export function signOf({ style, view }: Surface, { look, surfaces, viewer }: Pick<Store, "look" | "surfaces" | "viewer">): SurfaceSign {
-  const bar = style.color === undefined ? colorBarOf(look, view, shownErrors(viewer, surfaces), undefined) : undefined;
+export function signOf({ number, style, view }: Surface, { look, surfaces, viewer }: Pick<Store, "look" | "surfaces" | "viewer">): SurfaceSign {
+  const bar = style.color === undefined ? colorBarOf(look, withRange(viewer, { number, view }), shownErrors(viewer, surfaces), undefined) : undefined;
   const unit = viewer.volume?.fields.find(({ name }) => name === view.field)?.unit ?? "";
   return { stops: bar?.stops ?? [style.color ?? SHADINGS[look.material].color], opacity: style.opacity, text: labelsName(viewer.volume, view.field) ?? `${view.field} ${formatValue(view.iso)} ${unit}`.trim() };
 }

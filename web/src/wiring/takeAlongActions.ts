@@ -1,7 +1,8 @@
 /** What the page's buttons do that take something along: its link, a command line, meshes. */
 
 import type { Store } from "../state/store";
-import type { Actions, Model } from "../ui/model";
+import type { Actions } from "../ui/actions";
+import type { Model } from "../ui/model";
 import { copyCommand, copyOut, downloadMesh } from "../ui/takeAlong";
 import { downloadAll } from "./allSurfaces";
 

@@ -81,6 +81,7 @@ pub(super) fn open(location: &FileLocation, bytes: &Bytes<'_>) -> Result<OpenedF
         geometry,
         steps,
         uneven: None,
+        axes: None,
         times: None,
         fields: channels.fields(&samples, 1, &like),
         notices,

@@ -287,6 +287,7 @@ pub fn opened(
         geometry,
         steps: samples.steps,
         uneven: None,
+        axes: None,
         times: None,
         fields: vec![field(header.stem(), samples, &stored_type, missing, unit)],
         notices: Notices::default(),

@@ -72,6 +72,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         geometry,
         steps,
         uneven: None,
+        axes: None,
         times,
         fields,
         notices,

@@ -101,6 +101,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         geometry,
         steps,
         uneven: None,
+        axes: None,
         times: None,
         fields: Channels::numbered(&like.name, 1).fields(&samples, 0, &like),
         notices,

@@ -87,6 +87,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         geometry,
         steps: shape.steps,
         uneven: None,
+        axes: None,
         times: header.times(shape.steps),
         fields,
         notices,

@@ -62,6 +62,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         geometry,
         steps: first.steps,
         uneven: None,
+        axes: None,
         times: None,
         fields,
         notices: Notices::default(),

@@ -58,6 +58,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         geometry,
         steps: axes.steps,
         uneven: None,
+        axes: None,
         times: header.times(&axes),
         fields,
         notices,

@@ -311,7 +311,7 @@ fn error_of(value: &Value) -> [f64; 2] {
 #[track_caller]
 fn assert_statistics(statistics: &Value) {
     let names = statistics.as_object().expect("statistics are an object");
-    let expected = "mesher beta tolerance maxError topology gaveWay isTreeCut estimatedError error fullTriangles mesherTriangles removedParts \
+    let expected = "mesher beta tolerance maxError topology featureRange gaveWay isTreeCut estimatedError error fullTriangles mesherTriangles removedParts \
                     removedTriangles unmatchedPositions activeCells leaves triangles vertices lostCubes unpatchedVertices stagesMs wallMs deviceBytes volumeBytes device";
     for name in expected.split_whitespace() {
         assert!(names.contains_key(name), "statistics without {name}: {statistics}");

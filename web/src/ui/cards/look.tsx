@@ -1,6 +1,6 @@
 /** How the surface is shown: changes nothing on the server. */
 
-import { For, Show } from "solid-js";
+import { For, lazy, Show, Suspense } from "solid-js";
 import { COLOR_MAPS } from "../../colors/maps";
 import { MAPS, MATERIALS, type ColorBy, type Look } from "../../state/look";
 import { awaitedErrors, errorsOf, shownErrors } from "../../state/shownErrors";
@@ -22,6 +22,8 @@ const COLORS: readonly { readonly value: ColorBy; readonly text: string; readonl
   { value: "level", text: "Level", hint: "How large the cubes are that triangles stand for" },
   { value: "error", text: "Error", hint: "How far each vertex is from the isosurface, measured" },
 ];
+
+const FieldColors = lazy(() => import("./fieldColorRows"));
 
 const BACKGROUNDS: readonly { readonly value: Look["background"]; readonly text: string }[] = [
   { value: "page", text: "Page" },
@@ -48,6 +50,11 @@ function Body() {
       </div>
       <Show when={mapped()}>
         <Maps />
+      </Show>
+      <Show when={look().colorBy === "field"}>
+        <Suspense>
+          <FieldColors />
+        </Suspense>
       </Show>
       <Show when={look().colorBy === "error"}>
         <ErrorNote />

@@ -3,7 +3,7 @@
 import { For, Show } from "solid-js";
 import { volumeName } from "../../state/fileNames";
 import { unitWord } from "../../state/lengths";
-import { MAX_MEASURES, measuresCsv, POINTS, type MeasureKind } from "../../state/measure";
+import { MAX_LABEL, MAX_MEASURES, measuresCsv, POINTS, type MeasureKind } from "../../state/measure";
 import { useModel, useScale } from "../model";
 import { saveFile } from "../takeAlong";
 import { Button } from "../widgets/button";
@@ -15,6 +15,7 @@ const TOOLS: readonly { readonly tool: MeasureKind; readonly text: string }[] = 
   { tool: "distance", text: "Distance" },
   { tool: "angle", text: "Angle" },
   { tool: "reading", text: "Values" },
+  { tool: "label", text: "Label" },
 ];
 
 /** What to click, point by point. */
@@ -22,6 +23,7 @@ const STEPS: Readonly<Record<MeasureKind, readonly string[]>> = {
   distance: ["Click one end on the surface", "Click the other end"],
   angle: ["Click the end of one side", "Click the corner", "Click the end of the other side"],
   reading: ["Click the place whose values you want"],
+  label: ["Click the place that gets a label"],
 };
 
 export default function Body() {
@@ -45,6 +47,7 @@ function List() {
   const { actions, look, volume } = useModel();
   const scale = useScale();
   const measures = () => look().measures;
+  const rename = (at: number, text: string) => actions.changeLook({ measures: measures().map((one, i) => (i === at && one.kind === "label" ? { ...one, text } : one)) });
   const save = () => {
     const now = volume();
     if (now !== undefined) saveFile(`${volumeName(now)}-measurements.csv`, new Blob([measuresCsv(measures(), now)], { type: "text/csv" }));
@@ -55,9 +58,9 @@ function List() {
         <For each={measures()}>
           {(measure, index) => (
             <li>
-              <span>
-                {index() + 1} · {measureWords(measure, volume(), scale())}
-              </span>
+              <Show when={measure.kind === "label"} fallback={<span>{index() + 1} · {measureWords(measure, volume(), scale())}</span>}>
+                <input class="text" type="text" aria-label={`Text of label ${index() + 1}`} maxlength={MAX_LABEL} value={measureWords(measure, volume(), scale())} on:change={(event) => rename(index(), event.currentTarget.value)} />
+              </Show>
               <button type="button" class="icon-button" aria-label={`Remove measurement ${index() + 1}`} on:click={() => actions.changeLook({ measures: measures().toSpliced(index(), 1) })}>
                 <Icon name="close" />
               </button>

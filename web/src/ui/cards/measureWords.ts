@@ -8,6 +8,7 @@ import { formatValue } from "../format";
 /** `34.2`, `34.2 mm` where the unit is known, `41.3°`, `1.24`: as short as beside a line. */
 export function amountWords(measure: Measure, unit: string | undefined): string {
   if (measure.kind === "reading") return measure.values.map((value) => (value === null ? "–" : formatValue(value, 4))).join(" · ");
+  if (measure.kind === "label") return measure.text;
   const amount = amountOf(measure);
   if (Number.isNaN(amount)) return "no angle";
   if (measure.kind === "angle") return `${formatValue(amount, 4)}°`;
@@ -21,6 +22,8 @@ export function measureWords(measure: Measure, volume: Pick<VolumeInfo, "fields"
       return `Distance ${amountWords(measure, unit)}, ${formatValue(amountOf(measure) / spacing, 3)} voxels`;
     case "angle":
       return `Angle ${amountWords(measure, unit)}`;
+    case "label":
+      return measure.text;
     case "reading": {
       const parts = measure.values.map((value, field) => {
         const { name = "value", unit = null } = volume?.fields[field] ?? {};

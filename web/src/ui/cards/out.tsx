@@ -3,7 +3,8 @@
 import { createSignal, For, Show } from "solid-js";
 import { formatPercent } from "../format";
 import { FORMATS } from "../exportMenu";
-import { useModel, type ImageRequest } from "../model";
+import type { ImageRequest } from "../actions";
+import { useModel } from "../model";
 import { useSurfaceName, useVisibleCount } from "../surfaceNames";
 import { Needs } from "../needs";
 import { Button } from "../widgets/button";
@@ -17,12 +18,12 @@ const MOST_FRAMES = 720;
 const FRAMES = 60;
 
 /** Kept while the page is open: the card may be folded in between. */
-const [request, setRequest] = createSignal<ImageRequest>({ scale: 2, transparent: false, colorBar: true, scaleBar: true, isovalues: true, caption: "" });
+const [request, setRequest] = createSignal<ImageRequest>({ scale: 2, transparent: false, colorBar: true, scaleBar: true, isovalues: true, slices: true, caption: "" });
 const [frames, setFrames] = createSignal(FRAMES);
 const [wantsCap, setCap] = createSignal(false);
 
 export default function Body() {
-  const { actions, look, view } = useModel();
+  const { actions, look, page, view } = useModel();
   /** The paper's mesher knows no caps. */
   const canCap = () => view()?.mesher === "dual";
   const cap = () => canCap() && wantsCap();
@@ -40,6 +41,9 @@ export default function Body() {
         <Toggle label="Scale bar" on={request().scaleBar} onChange={(scaleBar) => change({ scaleBar })} />
         <Show when={visible() > 1}>
           <Toggle label="Isovalues" on={request().isovalues} onChange={(isovalues) => change({ isovalues })} />
+        </Show>
+        <Show when={page().slicing.layout !== "picture"}>
+          <Toggle label="Slices" on={request().slices} onChange={(slices) => change({ slices })} />
         </Show>
         <Show when={look().colorBy !== "material"}>
           <Toggle label="Colour bar" on={request().colorBar} onChange={(colorBar) => change({ colorBar })} />

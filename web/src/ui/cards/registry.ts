@@ -27,6 +27,7 @@ export const CARDS: readonly Card[] = [
   onDemand({ id: "slices", title: "Slices", icon: "slices" }, () => import("./slices")),
   onDemand({ id: "measure", title: "Measure", icon: "measure" }, () => import("./measure")),
   onDemand({ id: "compare", title: "Compare", icon: "compare" }, () => import("./compare")),
+  onDemand({ id: "story", isLocal: true, title: "Story", icon: "story" }, () => import("./story")),
   onDemand({ id: "out", isLocal: true, title: "Export", icon: "image" }, () => import("./out")),
   onDemand({ id: "jobs", isLocal: true, title: "Batch jobs", icon: "jobs", when: (model) => model.hasJobs() }, () => import("./jobs")),
   onDemand({ id: "together", isLocal: true, title: "Follow me", icon: "together", when: ({ viewer }) => viewer().groups }, () => import("./together")),

@@ -1,6 +1,6 @@
 /** Which time step of the volume is shown, and a player through all of them. */
 
-import { createUniqueId, Show } from "solid-js";
+import { createUniqueId, lazy, Show, Suspense } from "solid-js";
 import type { Card } from "./card";
 import { useModel } from "../model";
 import { IconButton } from "../widgets/button";
@@ -8,10 +8,23 @@ import { Select } from "../widgets/choice";
 import { NumberField } from "../widgets/numberField";
 import { nextStep, stepCount, stepLabel, stepWords } from "../../state/timeSteps";
 
+const TimeCurves = lazy(() => import("./timeCurves"));
+
 /** Steps in a second. */
 const SPEEDS = [0.5, 1, 2, 5, 10, 25] as const;
 
 function Body() {
+  return (
+    <>
+      <Steps />
+      <Suspense>
+        <TimeCurves />
+      </Suspense>
+    </>
+  );
+}
+
+function Steps() {
   const { actions, viewer, page, step } = useModel();
   const id = createUniqueId();
   const count = () => stepCount(viewer());

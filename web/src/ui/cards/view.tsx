@@ -1,10 +1,12 @@
 /** From where the surface is seen, and what is drawn beside it. */
 
-import { createMemo, For } from "solid-js";
+import { createMemo, For, Show } from "solid-js";
+import { EXAGGERATIONS } from "../../state/look";
 import { sidesOf, type AxisName } from "../../world/axes";
 import { useModel } from "../model";
 import { Button } from "../widgets/button";
 import { Choice, Toggle } from "../widgets/choice";
+import { NumberField } from "../widgets/numberField";
 
 const PROJECTIONS = [
   { value: "perspective", text: "Perspective", hint: "Perspective projection" },
@@ -50,6 +52,15 @@ export default function Body() {
         options={PROJECTIONS}
         onChange={(projection) => actions.changeLook({ orthographic: projection === "orthographic" })}
       />
+      <div class="control row">
+        <span class="label" title="How many times higher things are shown than they are">Vertical exaggeration</span>
+        <span class="inline">
+          <NumberField label="Vertical exaggeration" {...EXAGGERATIONS} value={look().exaggeration} onChange={(exaggeration) => actions.changeLook({ exaggeration })} />×
+        </span>
+      </div>
+      <Show when={look().exaggeration !== 1}>
+        <p class="note">Lengths, areas and volumes that are measured stay the true ones</p>
+      </Show>
       <div class="switches">
         <Toggle label="Bounding box" on={look().box} onChange={(box) => actions.changeLook({ box })} />
         <Toggle label="Scale bar" on={look().scale} onChange={(scale) => actions.changeLook({ scale })} />

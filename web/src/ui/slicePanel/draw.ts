@@ -12,6 +12,8 @@ const MARGIN = 15;
 /** A processor paints: larger pictures are drawn with fewer pixels. */
 const MAX_PIXELS = 1.5e6;
 const LINE = 1.6;
+/** Of surfaces that have the colours of the look: near that of ivory, and seen on grey. */
+export const OUTLINE = "#ffd36b";
 
 export interface Drawing {
   readonly view: SliceView;
@@ -69,8 +71,8 @@ export function outlineIn({ planes }: LoadedSlice, { field, iso, mask }: Outline
   return contourOf(samples, plane.size, iso);
 }
 
-/** @param scale pixels of the canvas for one of the page */
-export function drawSlice(canvas: HTMLCanvasElement, width: number, height: number, scale: number, drawing: Drawing | undefined): void {
+/** @param scale pixels of the canvas for one of the page  @param onPage where the slice is, pixels of the page */
+export function drawSlice(canvas: HTMLCanvasElement, width: number, height: number, scale: number, drawing: Drawing | undefined, onPage: Fit): void {
   const density = Math.min(scale, Math.sqrt(MAX_PIXELS / (width * height)));
   const [w, h] = [Math.max(1, Math.round(width * density)), Math.max(1, Math.round(height * density))];
   if (canvas.width !== w) canvas.width = w;
@@ -80,7 +82,6 @@ export function drawSlice(canvas: HTMLCanvasElement, width: number, height: numb
   const plane = drawing?.loaded.planes.get(drawing.field);
   if (context === null) return;
   if (drawing === undefined || plane === undefined) return context.clearRect(0, 0, w, h);
-  const onPage = fitOf(drawing.view, width, height);
   const fit = { scale: onPage.scale * density, left: onPage.left * density, top: onPage.top * density };
   const image = context.createImageData(w, h);
   paintSlice({ width: w, height: h, pixels: image.data }, drawing.view, plane satisfies PlaneSamples, fit, drawing.window, drawing.isSmooth);

@@ -13,6 +13,10 @@ export interface SliceGestures {
   /** A drag with the right button begins, or is over. */
   readonly onWindowEnd: (isOver: boolean) => void;
   readonly onReset: () => void;
+  /** Larger by a factor around a place; `undefined`: around the crosshair. */
+  readonly onZoom: (place: Place | undefined, by: number) => void;
+  /** Two fingers move it by so many pixels. */
+  readonly onPan: (right: number, down: number) => void;
   /** So many slices onward. */
   readonly onScroll: (by: number) => void;
   /** So many samples to the right and down. */
@@ -26,6 +30,49 @@ const FAST = 10;
 
 const ARROWS: Readonly<Record<string, Place>> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const PAGES: Readonly<Record<string, number>> = { PageUp: 1, PageDown: -1 };
+
+/** What a turn of the wheel with Control, or two fingers on a touchpad, makes larger: by a pixel, and by a line. */
+const ZOOM_A_PIXEL = 0.004;
+const ZOOM_A_LINE = 0.12;
+const ZOOM_KEYS: Readonly<Record<string, number>> = { "+": 1.25, "=": 1.25, "-": 0.8, _: 0.8, "0": 0 };
+
+export function wheelZoom({ deltaY, deltaMode }: Pick<WheelEvent, "deltaY" | "deltaMode">): number {
+  return Math.exp(-deltaY * (deltaMode === 0 ? ZOOM_A_PIXEL : ZOOM_A_LINE));
+}
+
+/** Two fingers: how far they move apart, and where to. */
+class Pinch {
+  private readonly fingers = new Map<number, Place>();
+
+  get isUnderWay(): boolean {
+    return this.fingers.size > 1;
+  }
+
+  put(pointer: number, place: Place): void {
+    this.fingers.set(pointer, place);
+  }
+
+  lift(pointer: number): void {
+    this.fingers.delete(pointer);
+  }
+
+  /** A finger moves; whether it is one of two. */
+  move(pointer: number, place: Place, does: Pick<SliceGestures, "onPan" | "onZoom">): boolean {
+    if (!this.fingers.has(pointer)) return false;
+    const before = this.state();
+    this.fingers.set(pointer, place);
+    const after = this.state();
+    if (before === undefined || after === undefined) return false;
+    does.onPan(after.middle[0] - before.middle[0], after.middle[1] - before.middle[1]);
+    does.onZoom(after.middle, after.apart / before.apart);
+    return true;
+  }
+
+  private state(): { readonly middle: Place; readonly apart: number } | undefined {
+    const [a, b] = [...this.fingers.values()];
+    return a && b && { middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], apart: Math.max(1, Math.hypot(a[0] - b[0], a[1] - b[1])) };
+  }
+}
 
 /** Collects turns of a wheel until they are whole slices. */
 export class WheelSteps {
@@ -46,6 +93,7 @@ export class WheelSteps {
 export function listenToSlice(element: HTMLElement, does: SliceGestures): void {
   let drag: { readonly pointer: number; readonly button: number; readonly from: Place } | undefined;
   const wheel = new WheelSteps();
+  const pinch = new Pinch();
   const placeOf = ({ clientX, clientY }: MouseEvent): Place => {
     const { left, top } = element.getBoundingClientRect();
     return [clientX - left, clientY - top];
@@ -56,9 +104,12 @@ export function listenToSlice(element: HTMLElement, does: SliceGestures): void {
     drag = undefined;
   };
   const endOf = (event: PointerEvent) => {
+    pinch.lift(event.pointerId);
     if (!isOther(event)) end();
   };
   element.addEventListener("pointerdown", (event) => {
+    if (event.pointerType === "touch") pinch.put(event.pointerId, placeOf(event));
+    if (pinch.isUnderWay) return end();
     if (!event.isPrimary || (event.button !== 0 && event.button !== 2)) return;
     // The end of the drag before may have been missed.
     end();
@@ -70,6 +121,7 @@ export function listenToSlice(element: HTMLElement, does: SliceGestures): void {
     else does.onWindowEnd(false);
   });
   element.addEventListener("pointermove", (event) => {
+    if (pinch.move(event.pointerId, placeOf(event), does)) return;
     if (isOther(event)) return;
     const place = placeOf(event);
     if (drag === undefined && event.pointerType !== "touch") does.onHover(place);
@@ -83,6 +135,7 @@ export function listenToSlice(element: HTMLElement, does: SliceGestures): void {
   element.addEventListener("dblclick", () => does.onReset());
   element.addEventListener("wheel", (event) => {
     event.preventDefault();
+    if (event.ctrlKey) return does.onZoom(placeOf(event), wheelZoom(event));
     const by = wheel.take(event);
     if (by !== 0) does.onScroll(by);
   }, { passive: false });
@@ -91,6 +144,11 @@ export function listenToSlice(element: HTMLElement, does: SliceGestures): void {
 
 function listenToKey(event: KeyboardEvent, does: SliceGestures): void {
   if (event.altKey || event.ctrlKey || event.metaKey) return;
+  const zoom = ZOOM_KEYS[event.key];
+  if (zoom !== undefined) {
+    event.preventDefault();
+    return does.onZoom(undefined, zoom);
+  }
   const by = event.shiftKey ? FAST : 1;
   const [arrow, page] = [ARROWS[event.key], PAGES[event.key]];
   if (arrow === undefined && page === undefined) return;

@@ -1,8 +1,9 @@
 /** One of the slices beside the picture: samples, outlines of surfaces, the crosshair, and what is at its sides. */
 
-import { createEffect, createMemo, createSignal, For, onCleanup, onMount, Show } from "solid-js";
+import { createEffect, createMemo, createSignal, For, on, onCleanup, onMount, Show } from "solid-js";
 import { draggedWindow } from "../../slices/window";
-import { indicesAtPixel, pixelOf, type SliceView } from "../../slices/view";
+import { indicesAtPixel, pixelOf, type Fit, type SliceView } from "../../slices/view";
+import { keptInSight, panned, zoomedAt, zoomedFit, type SliceZoom } from "../../slices/zoom";
 import type { VolumeInfo } from "../../protocol/types";
 import { sampleRange } from "../../state/bounds";
 import { hasLabels } from "../../state/fields";
@@ -11,12 +12,10 @@ import { crosshairOf, moved, outlinesOf, pointed, sampleNear, type SliceState } 
 import { useModel } from "../model";
 import type { Triple } from "../../world/places";
 import { Icon } from "../widgets/icon";
-import { drawSlice, fitOf, outlineIn, type DrawnOutline, type Drawing } from "./draw";
+import { drawSlice, fitOf, OUTLINE, outlineIn, type DrawnOutline, type Drawing } from "./draw";
 import { listenToSlice, type Place, type SliceGestures } from "./gestures";
 import { useShownField, useWindow } from "./shown";
 
-/** Of surfaces that have the colours of the look: near that of ivory, and seen on grey. */
-const OUTLINE = "#ffd36b";
 const WINDOW_GESTURE = "slice-window";
 /** Pixels between the crosshair's lines and the sample in their middle. */
 const GAP = 6;
@@ -51,7 +50,7 @@ export function SlicePane(props: PaneProps) {
   const dims = () => props.volume.geometry.dims;
   const at = () => crosshairOf(page().slicing, dims());
   const state = () => beside.slices[props.view.across];
-  const fit = () => fitOf(props.view, ...size());
+  const { fit, zoom, does: zoomDoes } = useZoom(props, size, at);
   const cross = () => pixelOf(props.view, fit(), at()[props.view.axes[0]], at()[props.view.axes[1]]);
   const last = () => dims()[props.view.across] - 1;
   const words = () => `${at()[props.view.across]} of ${last()}`;
@@ -59,14 +58,18 @@ export function SlicePane(props: PaneProps) {
   let canvas: HTMLCanvasElement | undefined;
   onMount(() => canvas?.parentElement && observe(canvas.parentElement));
   createEffect(() => {
-    const [[width, height], now] = [size(), drawing()];
+    const [[width, height], now, place] = [size(), drawing(), fit()];
     // With the next frame, once for all that changes until then.
     const frame = requestAnimationFrame(() => {
-      if (canvas !== undefined && width > 0 && height > 0) drawSlice(canvas, width, height, window.devicePixelRatio, now);
+      if (canvas !== undefined && width > 0 && height > 0) drawSlice(canvas, width, height, window.devicePixelRatio, now, place);
     });
     onCleanup(() => cancelAnimationFrame(frame));
   });
-  const gestures = useGestures(props, () => size());
+  const gestures = { ...useGestures(props, fit, () => {
+    const isZoomed = zoom() !== undefined;
+    if (isZoomed) zoomDoes.onZoom(undefined, 0);
+    return isZoomed;
+  }), ...zoomDoes };
   return (
     <div class="slice-pane" classList={{ chosen: props.isChosen, old: state()?.isCurrent === false }}>
       <canvas
@@ -77,12 +80,13 @@ export function SlicePane(props: PaneProps) {
         class="slice-picture"
         tabindex={0}
         role="img"
-        aria-label={`${props.view.name} slice, ${words()}: click or arrow keys to move the crosshair, wheel or Page Up and Page Down for other slices, right-drag for window and level`}
+        aria-label={`${props.view.name} slice, ${words()}: click or arrow keys to move the crosshair, wheel or Page Up and Page Down for other slices, Control with the wheel or plus and minus to zoom, right-drag for window and level`}
       />
       <Lines cross={cross()} size={size()} />
       <For each={["left", "right", "top", "bottom"] as const}>{(side, i) => <span class={`slice-side ${side}`}>{props.view.sides[i()]}</span>}</For>
       <p class="slice-name">
         <b>{props.view.name}</b> {at()[props.view.across]} <span class="of">of {last()}</span>
+        <Show when={zoom()}>{(of) => <span class="slice-zoom">× {Number(of().factor.toPrecision(2))}</span>}</Show>
         <Show when={state()?.isCurrent === false && state()?.loaded}>{(loaded) => <span class="slice-old">old: {loaded().index}</span>}</Show>
       </p>
       <Show when={isTooFine()}>
@@ -144,7 +148,22 @@ function useDrawing(props: PaneProps, state: () => SliceState | undefined): { re
   return { drawing, isTooFine: () => outlines().length < found().length };
 }
 
-function useGestures(props: PaneProps, size: () => readonly [number, number]): SliceGestures {
+/** A part of the slice, larger; the crosshair stays in sight. */
+function useZoom(props: PaneProps, size: () => readonly [number, number], at: () => Triple) {
+  const [zoom, setZoom] = createSignal<SliceZoom>();
+  const whole = () => fitOf(props.view, ...size());
+  const fit = createMemo(() => zoomedFit(whole(), size(), zoom()));
+  const crosshair = () => [at()[props.view.axes[0]], at()[props.view.axes[1]]] as const;
+  createEffect(on(at, () => setZoom(keptInSight(props.view, whole(), size(), zoom(), ...crosshair())), { defer: true }));
+  const does: Pick<SliceGestures, "onPan" | "onZoom"> = {
+    onZoom: (place, by) => setZoom(zoomedAt(whole(), size(), zoom(), place ?? pixelOf(props.view, fit(), ...crosshair()), by)),
+    onPan: (right, down) => setZoom(panned(whole(), zoom(), [right, down])),
+  };
+  return { fit, zoom, does };
+}
+
+/** @param endZoom shows the whole slice; whether a part was shown */
+function useGestures(props: PaneProps, fit: () => Fit, endZoom: () => boolean): Omit<SliceGestures, "onPan" | "onZoom"> {
   const { actions, group, look, page, volume } = useModel();
   const field = useShownField();
   const shownWindow = useWindow();
@@ -152,7 +171,7 @@ function useGestures(props: PaneProps, size: () => readonly [number, number]): S
   const dims = () => props.volume.geometry.dims;
   const indexAt = ([x, y]: Place): Triple => {
     const { view } = props;
-    return sampleNear(dims(), sampleOf(view, indicesAtPixel(view, fitOf(view, ...size()), x, y), crosshairOf(page().slicing, dims())[view.across]));
+    return sampleNear(dims(), sampleOf(view, indicesAtPixel(view, fit(), x, y), crosshairOf(page().slicing, dims())[view.across]));
   };
   const isOff = () => isLed(group());
   const move = (axis: 0 | 1 | 2, by: number) => {
@@ -180,6 +199,7 @@ function useGestures(props: PaneProps, size: () => readonly [number, number]): S
       if (isOver) actions.endGesture();
     },
     onReset: () => {
+      if (endZoom()) return;
       if (!isOff()) actions.changeLook({ slices: { ...look().slices, window: undefined } });
     },
     onScroll: (by) => move(props.view.across, by * props.view.onward),

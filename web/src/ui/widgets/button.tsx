@@ -9,13 +9,15 @@ export function Button(props: {
   readonly onClick: () => void;
   readonly quiet?: boolean;
   readonly disabled?: boolean;
+  /** It is on or off. */
+  readonly pressed?: boolean;
   readonly class?: string;
   /** For those who do not see what stands around it; begins with its words. */
   readonly label?: string;
   readonly children: JSX.Element;
 }) {
   return (
-    <button type="button" aria-label={props.label} class={`button ${props.class ?? ""}`} classList={{ quiet: props.quiet ?? false }} disabled={props.disabled ?? false} on:click={() => props.onClick()}>
+    <button type="button" aria-label={props.label} aria-pressed={props.pressed} class={`button ${props.class ?? ""}`} classList={{ quiet: props.quiet ?? false }} disabled={props.disabled ?? false} on:click={() => props.onClick()}>
       {props.children}
     </button>
   );

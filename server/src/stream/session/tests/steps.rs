@@ -47,6 +47,7 @@ async fn steps_come_coarse_first_and_end_with_the_statistics() {
         "isTreeCut",
         "error",
         "estimatedError",
+        "featureRange",
         "fullTriangles",
         "mesherTriangles",
         "removedParts",

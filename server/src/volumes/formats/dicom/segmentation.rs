@@ -89,6 +89,7 @@ pub(super) fn open(
         },
         steps: 1,
         uneven: None,
+        axes: None,
         times: None,
         fields: vec![field],
         notices,

@@ -202,6 +202,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
         geometry,
         steps,
         uneven: None,
+        axes: None,
         times,
         fields: vec![field],
         notices,

@@ -208,6 +208,7 @@ fn open_scale(store: &Arc<Store>, info: &Info, scale: &Scale, name: &str) -> Res
         geometry,
         steps: 1,
         uneven: None,
+        axes: None,
         times: None,
         fields: (0..).zip(names).map(field).collect(),
         notices,

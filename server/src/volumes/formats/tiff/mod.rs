@@ -297,6 +297,7 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
         geometry,
         steps: stack.frames,
         uneven: None,
+        axes: None,
         times,
         fields: fields.collect(),
         notices,

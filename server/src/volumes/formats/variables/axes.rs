@@ -2,9 +2,10 @@
 
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 use super::super::super::rectilinear::{self, Positions};
-use super::super::super::{Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
+use super::super::super::{AxisScale, AxisScales, Geometry, LengthUnit, OpenedFile, ReadError, TimeAxis};
 use super::super::header::{self, GridFields};
 use super::super::named_axes::{self, AxisFacts, AxisRoles, Role};
 use super::file::{Variable, VariableFile};
@@ -143,11 +144,16 @@ pub struct Placed {
     pub notices: Vec<String>,
     /// Along x, y and z, where there are all; see [`Placed::finish`].
     positions: Option<[Positions; 3]>,
+    /// What the positions are.
+    axes: AxisScales,
 }
 
 impl Placed {
     /// A file whose samples lie so, on an even grid.
-    pub fn finish(self, path: &Path, file: OpenedFile) -> Result<OpenedFile, ReadError> {
+    pub fn finish(self, path: &Path, mut file: OpenedFile) -> Result<OpenedFile, ReadError> {
+        file.axes = Some(self.axes)
+            .filter(|axes| axes.iter().any(Option::is_some))
+            .map(Arc::new);
         let file = match &self.positions {
             Some(positions) => rectilinear::on_even_grid(path, file, positions)
                 .map_err(|why| ReadError::new(path, "positions", why))?,
@@ -208,6 +214,7 @@ pub fn place_grid(
             geometry: checked(path, geometry)?,
             notices,
             positions: None,
+            axes: [None, None, None],
         });
     }
     let why = match place(geometry, &spaced).and_then(|placed| even_grid(path, placed, &spaced)) {
@@ -217,11 +224,11 @@ pub fn place_grid(
         }
         Err(why) => why,
     };
-    let (geometry, notice) = match place_known(geometry, &spaced) {
-        Some(placed) => placed,
+    let (geometry, notice, axes) = match place_known(geometry, &spaced) {
+        Some((geometry, notice)) => (geometry, notice, axes_of(&spaced, geometry.unit, false)),
         None => {
             let notice = format!("coordinates are sample indices, as the file's grid is not used: {why}");
-            (counted(geometry, &spaced), notice)
+            (counted(geometry, &spaced), notice, axes_of(&spaced, None, true))
         }
     };
     notices.push(notice);
@@ -229,6 +236,23 @@ pub fn place_grid(
         geometry: checked(path, geometry)?,
         notices,
         positions: None,
+        axes,
+    })
+}
+
+/// What positions along the axes are. `is_counted`: the world's coordinates count samples. `unit`: that of the world, where it has one.
+fn axes_of(scales: &[Option<Result<Scale, String>>; 3], unit: Option<LengthUnit>, is_counted: bool) -> AxisScales {
+    [0, 1, 2].map(|axis| {
+        let scale = scales[axis].as_ref()?.as_ref().ok()?;
+        let sign = if scale.points_down { -1.0 } else { 1.0 };
+        let values = || scale.positions.values().iter().map(|value| sign * value).collect();
+        Some(AxisScale {
+            name: last_name(scale.positions.name()).to_owned(),
+            unit: unit.map(|unit| unit.symbol().to_owned()).or_else(|| scale.unit.clone()),
+            kind: scale.kind,
+            positions: is_counted.then(values),
+            points_down: scale.points_down,
+        })
     })
 }
 
@@ -311,6 +335,7 @@ fn even_grid(path: &Path, geometry: Geometry, axes: &[Option<Result<Scale, Strin
         geometry,
         notices: Vec::new(),
         positions: Some(positions),
+        axes: axes_of(axes, geometry.unit, false),
     })
 }
 
@@ -457,6 +482,7 @@ fn checked(path: &Path, geometry: Geometry) -> Result<Geometry, ReadError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::volumes::AxisKind;
 
     fn along(name: &str, unit: Option<&str>, step: f64) -> Option<Result<Scale, String>> {
         let positions = Positions::new(name, vec![1.0, 1.0 + step]).expect("positions");
@@ -464,6 +490,8 @@ mod tests {
         Some(Ok(Scale {
             positions,
             unit,
+            kind: AxisKind::Other,
+            points_down: false,
             notices: Vec::new(),
         }))
     }
@@ -502,6 +530,37 @@ mod tests {
             ([2.0, 0.5, 0.01], Some(LengthUnit::Kilometre))
         );
         assert_eq!(geometry.direction[1], [0.0, -1.0, 0.0]);
+    }
+
+    #[test]
+    fn positions_are_listed_where_coordinates_count_samples() {
+        let mut scales = [
+            along("lon", Some("degrees_east"), 2.0),
+            along("lat", None, 1.0),
+            along("z", Some("m"), -10.0),
+        ];
+        if let Some(Ok(depth)) = &mut scales[2] {
+            (depth.points_down, depth.kind) = (true, AxisKind::Depth);
+        }
+        let counted = axes_of(&scales, None, true);
+        let lon = counted[0].as_ref().expect("longitudes");
+        assert_eq!(
+            (lon.positions.as_deref(), lon.unit.as_deref()),
+            (Some(&[1.0, 3.0][..]), Some("degrees_east"))
+        );
+        // The file's own, which grow downwards.
+        let depth = counted[2].as_ref().expect("depths");
+        assert_eq!(
+            (depth.positions.as_deref(), depth.kind),
+            (Some(&[-1.0, 9.0][..]), AxisKind::Depth)
+        );
+        let placed = axes_of(&scales, Some(LengthUnit::Kilometre), false);
+        let depth = placed[2].as_ref().expect("depths");
+        assert_eq!(
+            (depth.positions.as_deref(), depth.unit.as_deref(), depth.points_down),
+            (None, Some("km"), true)
+        );
+        assert_eq!(axes_of(&[None, None, None], None, true), [None, None, None]);
     }
 
     #[test]

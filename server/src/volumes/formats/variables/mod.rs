@@ -72,6 +72,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         geometry: placed.geometry,
         steps: layout.steps,
         uneven: None,
+        axes: None,
         times,
         fields,
         notices: Notices::default(),

@@ -1,6 +1,7 @@
 //! Positions along an axis: their values, whether they go on across a full turn, and whether they point down.
 
 use super::super::super::rectilinear::Positions;
+use super::super::super::{AxisKind, LengthUnit};
 use super::super::named_axes;
 use super::file::{Variable, VariableFile};
 
@@ -16,6 +17,10 @@ pub(super) fn last_name(path: &str) -> &str {
 pub(super) struct Scale {
     pub(super) positions: Positions,
     pub(super) unit: Option<String>,
+    /// What they are.
+    pub(super) kind: AxisKind,
+    /// The file's positions grow downwards: `positions` are theirs times −1.
+    pub(super) points_down: bool,
     /// What was repaired or guessed.
     pub(super) notices: Vec<String>,
 }
@@ -55,12 +60,50 @@ impl Scale {
             values.iter_mut().for_each(|value| *value = -*value);
         }
         notices.extend(notice);
+        let kind = kind_of(
+            scale.text("units").unwrap_or_default(),
+            scale.text("standard_name").unwrap_or_default(),
+            last_name(&scale.path),
+            is_down && is_vertical,
+        );
         Ok(Self {
             positions: Positions::new(name, values)?,
             unit: scale.text("units").map(str::to_owned),
+            kind,
+            points_down: is_down,
             notices,
         })
     }
+}
+
+/// What positions are, by the attributes of CF and their units. `is_below`: they grow downwards, on the Earth.
+fn kind_of(units: &str, standard_name: &str, name: &str, is_below: bool) -> AxisKind {
+    let (units, name) = (units.to_lowercase(), name.to_lowercase());
+    let is_north = matches!(
+        units.as_str(),
+        "degrees_north" | "degree_north" | "degrees_n" | "degree_n" | "degreesn" | "degreen"
+    );
+    let is_degrees = units.starts_with("deg") || units.is_empty();
+    if is_north || standard_name == "latitude" || (is_degrees && name.starts_with("lat")) {
+        return AxisKind::Latitude;
+    }
+    if is_east(&units) || standard_name == "longitude" || (is_degrees && name.starts_with("lon")) {
+        return AxisKind::Longitude;
+    }
+    if named_axes::is_pressure(&units) {
+        return AxisKind::Pressure;
+    }
+    let is_depth = standard_name == "depth" || standard_name.starts_with("depth_below_") || name.starts_with("depth");
+    if is_depth || (is_below && LengthUnit::parse(&units).is_some()) {
+        return AxisKind::Depth;
+    }
+    if ["height", "altitude"]
+        .iter()
+        .any(|known| standard_name.starts_with(known) || name.starts_with(known))
+    {
+        return AxisKind::Height;
+    }
+    AxisKind::Other
 }
 
 /// A full turn in the unit of positions around the Earth; `None` of other positions.
@@ -70,11 +113,18 @@ fn full_turn(scale: &Variable) -> Option<f64> {
     let standard_name = scale.text("standard_name").unwrap_or_default();
     let is_longitude = standard_name.contains("longitude") || name.contains("lon");
     match units.as_str() {
-        "degrees_east" | "degree_east" | "degrees_e" | "degree_e" | "degreese" | "degreee" => Some(360.0),
+        east if is_east(east) => Some(360.0),
         "degrees" | "degree" | "deg" | "" if is_longitude => Some(360.0),
         "radians" | "radian" | "rad" if is_longitude => Some(std::f64::consts::TAU),
         _ => None,
     }
+}
+
+fn is_east(units: &str) -> bool {
+    matches!(
+        units,
+        "degrees_east" | "degree_east" | "degrees_e" | "degree_e" | "degreese" | "degreee"
+    )
 }
 
 /// Adds or takes full turns if neighbours are more than half a turn apart. Returns whether it changed any.
@@ -133,6 +183,28 @@ fn is_named_pressure(name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn positions_are_named_by_units_standard_names_and_names() {
+        for (units, standard_name, name, is_below, kind) in [
+            ("degrees_east", "", "XAX_SUBSET", false, AxisKind::Longitude),
+            ("degrees_north", "", "y", false, AxisKind::Latitude),
+            ("degrees", "longitude", "x", false, AxisKind::Longitude),
+            ("", "", "lat", false, AxisKind::Latitude),
+            ("METERS", "", "ZAXLEVIT19", true, AxisKind::Depth),
+            ("m", "depth", "lev", false, AxisKind::Depth),
+            ("m", "height", "z", false, AxisKind::Height),
+            ("hPa", "air_pressure", "plev", true, AxisKind::Pressure),
+            ("m", "", "z", false, AxisKind::Other),
+            ("m", "", "length", false, AxisKind::Other),
+        ] {
+            assert_eq!(
+                kind_of(units, standard_name, name, is_below),
+                kind,
+                "{units} {standard_name} {name}"
+            );
+        }
+    }
 
     #[test]
     fn positions_go_on_across_a_full_turn() {

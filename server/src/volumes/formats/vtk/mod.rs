@@ -177,6 +177,7 @@ fn opened<P>(
         geometry,
         steps: 1,
         uneven: None,
+        axes: None,
         times: None,
         fields: Vec::new(),
         notices,

@@ -79,6 +79,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         geometry,
         steps: 1,
         uneven: None,
+        axes: None,
         times: None,
         fields,
         notices: Notices::default(),

@@ -295,6 +295,7 @@ fn open_samples(
         geometry,
         steps,
         uneven: None,
+        axes: None,
         times: None,
         fields,
         notices: Notices::default(),

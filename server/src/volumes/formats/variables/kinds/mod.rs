@@ -141,6 +141,7 @@ fn volume(
         geometry,
         steps: first.layout.steps,
         uneven: None,
+        axes: None,
         times: None,
         fields,
         notices: Notices::default(),
