@@ -74,6 +74,7 @@ impl NoiseDevice {
             geometry: Geometry::of_index([33; 3]),
             steps: 1,
             uneven: None,
+            axes: None,
             times: None,
             revision: 0,
             rewrites: Vec::new(),

@@ -527,7 +527,7 @@ describe("orientation", { timeout: 2 * TIMEOUT_MS }, () => {
       const columns = [];
       for (let i = 0; i < width * height; i += 1) if (pixels[4 * i + 3] > 128) rows.push(Math.floor(i / width)), columns.push(i % width);
       const extent = (list) => list.reduce((max, n) => Math.max(max, n), 0) - list.reduce((min, n) => Math.min(min, n), 1e9) + 1;
-      const places = await Promise.all([[200, 150], [210, 60], [180, 220]].map(async ([x, y]) => (await scene.pick(x, y)).position));
+      const positions = await Promise.all([[200, 150], [210, 60], [180, 220]].map(async ([x, y]) => (await scene.pick(x, y)).position));
       const light = [];
       for (const flat of [false, true]) {
         scene.setLook({ flat });
@@ -537,10 +537,10 @@ describe("orientation", { timeout: 2 * TIMEOUT_MS }, () => {
       const { position, target } = scene.camera.pose;
       scene.camera.restore({ position, target });
       await still();
-      return { share: extent(rows) / extent(columns), places, p98: apart[Math.floor(0.98 * apart.length)], target, restored: scene.camera.pose.position.map((n, i) => n - position[i]) };
+      return { share: extent(rows) / extent(columns), positions, p98: apart[Math.floor(0.98 * apart.length)], target, restored: scene.camera.pose.position.map((n, i) => n - position[i]) };
     });
     assert.ok(Math.abs(found.share - 2) < 0.03, `twice as high as wide: ${found.share}`);
-    for (const place of found.places) assert.ok(Math.abs(Math.hypot(...place) - 15) < 0.15, `on the sphere: ${place}`);
+    for (const at of found.positions) assert.ok(Math.abs(Math.hypot(...at) - 15) < 0.15, `on the sphere: ${at}`);
     // The triangles' own normals are right whatever the vertices say.
     assert.ok(found.p98 < 12, `light of smooth and flat triangles is ${found.p98} apart`);
     for (const n of [...found.target, ...found.restored]) assert.ok(Math.abs(n) < 1e-4, `${n}`);

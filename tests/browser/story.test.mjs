@@ -78,13 +78,13 @@ test("a story is played with a moving camera, and recorded", { timeout: 3 * TIME
   await page.locator(".telling").getByText("Smaller").waitFor();
   await settled(page, (now) => now.edit.iso === 6);
   await saveScreenshot(page, "story-telling");
-  // On its way between the two places.
+  // On its way between the two bookmarks.
   const ways = new Set();
   for (let i = 0; i < 100 && (await page.locator(".telling").count()) > 0; i += 1) {
     ways.add(JSON.stringify((await status(page)).camera.position));
     await new Promise((done) => setTimeout(done, 50));
   }
-  assert.ok(ways.size > 4, `${ways.size} places of the camera`);
+  assert.ok(ways.size > 4, `${ways.size} positions of the camera`);
   await page.locator(".telling").waitFor({ state: "detached" });
   assert.deepEqual((await status(page)).camera.position.map(Math.round), [-10, 23, 60]);
 

@@ -16,7 +16,7 @@ LAYERS = {
         constants error shared_slice sources tables
         buffer cancel device interest layout pace transfer
         params rectilinear tuning volume
-        expression feature program surface synthetic
+        expression feature mask program surface synthetic
         context pyramid
         tree
         stages

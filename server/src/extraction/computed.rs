@@ -6,8 +6,7 @@ use std::time::{Duration, Instant};
 use isopeel_kernels::{Cancel, DeviceKind, Error, Volume};
 
 use super::WorkError;
-use super::keys::{Recipe, VolumeKey};
-use super::loader::values_inside;
+use super::keys::{Recipe, VolumeKey, values_inside};
 use super::turns::{Aside, Turn};
 use super::user_time::Payer;
 use super::worker_state::{JobError, WorkerState};

@@ -1,6 +1,6 @@
 //! Keys of resident volumes and histograms.
 
-use isopeel_kernels::DerivedFeature;
+use isopeel_kernels::{DerivedFeature, ValueSet};
 
 use super::WorkError;
 use crate::view::{EditError, FeatureName, FieldExpression, Mask, View};
@@ -101,6 +101,12 @@ pub(super) enum Masking {
     OnDevice,
     /// On the host, while both are read.
     OnHost,
+}
+
+/// The values inside a mask as they are on the device. `labels`: the mask's field, which was read.
+pub(super) fn values_inside(mask: &Mask, labels: &Field) -> ValueSet {
+    let ranks = labels.source.ranks();
+    mask.by_ranks(|number| Some(ranks.as_ref()?.position(number))).values()
 }
 
 /// Keys with those of the fields that others among them are made of on the device, each once, before what is made of them.

@@ -3,7 +3,7 @@
 use std::pin::Pin;
 use std::sync::Arc;
 
-use isopeel_kernels::{DeviceKind, RectilinearGrid, Samples, ValueSet};
+use isopeel_kernels::{DeviceKind, RectilinearGrid, Samples};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
@@ -11,7 +11,7 @@ use super::WorkError;
 use super::computed::nothing_inside;
 use super::grids::padded_grid;
 use super::host_memory::HostMemory;
-use super::keys::VolumeKey;
+use super::keys::{VolumeKey, values_inside};
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
@@ -367,12 +367,6 @@ fn read_samples(
         samples
     };
     Ok(send(samples, missing)?)
-}
-
-/// The values inside a mask as they are on the device. `labels`: the mask's field, which was read.
-pub(super) fn values_inside(mask: &Mask, labels: &Field) -> ValueSet {
-    let ranks = labels.source.ranks();
-    mask.by_ranks(|number| Some(ranks.as_ref()?.position(number))).values()
 }
 
 /// Of each sample whether it is inside a mask. `labels`: the mask's field.

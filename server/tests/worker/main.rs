@@ -85,6 +85,7 @@ fn dataset(fields: Vec<Field>) -> Arc<Dataset> {
         geometry: Geometry::of_index([SIDE as u32; 3]),
         steps: 2,
         uneven: None,
+        axes: None,
         times: None,
         revision: 0,
         rewrites: Vec::new(),

@@ -199,7 +199,10 @@ impl Seat {
     }
 
     pub async fn send(&mut self, message: Value) {
-        let is_question = matches!(message["type"].as_str(), Some("probe" | "distribution" | "curve" | "annotate"));
+        let is_question = matches!(
+            message["type"].as_str(),
+            Some("probe" | "distribution" | "curve" | "annotate")
+        );
         self.questions += usize::from(is_question);
         self.viewer.send(message).await;
     }
