@@ -77,7 +77,7 @@ impl WorkerState {
             let builds_tree = on.builds_tree_soon();
             let tree_first = view.is_by_error() && on.cuts_tree(view, step);
             let expected = match view.budget {
-                _ if tree_first => Some(view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE)),
+                _ if tree_first => Some(view.max_triangles(full).unwrap_or(full / EXPECTED_SHARE).min(full)),
                 Some(Budget::Triangles(budget)) if view.fitted.is_none() => Some(budget.of(full)),
                 _ => None,
             };
@@ -91,6 +91,8 @@ impl WorkerState {
                 && let Some(expected) = expected
                 && let Some(prefix) = tree_steps::next_prefix(step, on.regions(), expected)
                 && let Some(surface) = on.tree_prefix(view, prefix, cancel)?
+                // Else it would be no step towards the final surface: parts that are removed leave few triangles of any cut.
+                && surface.statistics.triangles > step.made_triangles
             {
                 return Ok(on.tree_prefix_refinement(surface, view, on.own_time(start)));
             }

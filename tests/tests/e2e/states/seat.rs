@@ -18,8 +18,7 @@ use crate::support::viewer::{Frame, Viewer};
 /// Longest wait until a viewer rests.
 const REST_LIMIT: Duration = Duration::from_secs(90);
 /// After so long without a frame a question is asked again, which something may have dropped.
-const SILENCE: Duration = Duration::from_secs(15);
-
+const SILENCE: Duration = Duration::from_secs(5);
 /// The same after answers to questions before it.
 const QUIET: Duration = Duration::from_secs(2);
 /// Bytes that the network takes on a slow line.
@@ -186,12 +185,12 @@ impl Seat {
 
     /// Waits until it is told that the volume was removed.
     pub async fn wait_until_removed(&mut self) -> Result<(), Difference> {
-        let limit = Instant::now() + SILENCE;
+        let limit = Instant::now() + REST_LIMIT;
         while !self.is_removed {
             if !self.read_until(limit).await {
                 return Err(Difference::new(
                     "removed",
-                    format!("no `volume-removed` after {SILENCE:?}"),
+                    format!("no `volume-removed` after {REST_LIMIT:?}"),
                 ));
             }
         }
@@ -420,7 +419,8 @@ impl Seat {
         self.send(question.clone()).await;
         while !self.is_answered || self.chunks_to_come > 0 {
             if Instant::now() > limit {
-                let detail = format!("no rest after {REST_LIMIT:?}: {:?}", self.states());
+                let (states, frames) = (self.states(), self.last_frames());
+                let detail = format!("no rest after {REST_LIMIT:?}: {states:?}\n{frames}");
                 return Err(Difference::new("hang", detail));
             }
             // Those that are missing then were dropped.
