@@ -236,7 +236,7 @@ async fn stated_errors_are_bounds_from_above() {
     let dataset = opened("uneven.vtr");
     let crossings = contour();
     for rest in [
-        r#""beta": 0.6, "maxError": "none""#,
+        r#""beta": 0.4, "maxError": "none""#,
         r#""triangles": {"share": 0.2}"#,
         r#""error": 0.3"#,
     ] {
