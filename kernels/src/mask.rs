@@ -20,8 +20,8 @@ impl ValueSet {
 }
 
 impl Samples {
-    /// The samples with those outside a mask missing, and the value that then counts as missing: the given one, where there is one, else
-    /// NaN, or an integer that no sample has, for which the type is widened where it holds none. `is_inside`: of a sample's index.
+    /// The samples with those outside a mask missing, and the value that then counts as missing: the given one, if there is one, else
+    /// NaN, or an integer that no sample has, for which the type is widened if it has none. `is_inside`: of a sample's index.
     pub fn masked(self, missing: Option<f32>, is_inside: impl Fn(usize) -> bool) -> (Self, Option<f32>) {
         let (samples, missing) = match missing {
             Some(value) => (self, value),

@@ -330,7 +330,7 @@ test("while there is no connection the panel says so, and the next one brings th
   }
 });
 
-test("Control with the wheel and keys zoom a slice, a click there is where it is seen, and a double click shows all of it", { timeout: 4 * TIMEOUT_MS }, async () => {
+test("Control with the wheel and keys zoom a slice, a click there picks the sample that is seen, and a double click shows all of it", { timeout: 4 * TIMEOUT_MS }, async () => {
   const { page, faults } = await open("layout=both");
   await drawn(page);
   const across = pane(page, "z");

@@ -1,5 +1,6 @@
 //! Fields that an expression over resident ones gives.
 
+use crate::buffer::Buffer;
 use crate::stages::evaluate::{self, Input};
 use crate::volume::{Slab, slab_planes};
 use crate::{Cancel, Engine, Error, Expression, Result, SampleType, Volume};
@@ -41,29 +42,45 @@ impl Engine {
             ));
         }
         let (encoded, mut pace) = (expression.encoded(), evaluate::pace(&self.cx));
-        let plane = grid.dims[0] as usize * grid.dims[1] as usize;
-        let mut slabs = Vec::new();
-        // Fields of one grid have the same slabs.
-        for (number, Slab { layers, .. }) in first.slabs.iter().enumerate() {
-            let planes = slab_planes(&grid, layers);
-            let count = planes.len() * plane;
-            let samples = self.cx.buffer(evaluate::STAGE, count * SampleType::F32.bytes())?;
+        self.slabs_like(first, SampleType::F32, evaluate::STAGE, |number, out, samples| {
             // Fields that the expression does not have stand for the first one.
-            let inputs = std::array::from_fn(|i| {
-                let field = fields.get(i).unwrap_or(first);
-                Input {
-                    samples: &field.slabs[number].samples,
-                    sample_type: field.sample_type,
-                    missing: field.missing,
-                }
-            });
-            evaluate::run(&self.cx, &encoded, inputs, &samples, count as u64, &mut pace, cancel)?;
-            slabs.push(Slab {
+            let inputs = std::array::from_fn(|i| fields.get(i).unwrap_or(first).input(number));
+            evaluate::run(&self.cx, &encoded, inputs, out, samples, &mut pace, cancel)
+        })
+    }
+
+    /// Slabs like those of a volume, as all fields of its grid have them. `fill` fills the samples of one, of that number and with so many samples.
+    pub(super) fn slabs_like(
+        &self,
+        volume: &Volume,
+        sample_type: SampleType,
+        stage: &'static str,
+        mut fill: impl FnMut(usize, &Buffer<u8>, u64) -> Result<()>,
+    ) -> Result<Vec<Slab>> {
+        let grid = &volume.grid;
+        let plane = grid.dims[0] as usize * grid.dims[1] as usize;
+        let slabs = volume.slabs.iter().enumerate().map(|(number, Slab { layers, .. })| {
+            let planes = slab_planes(grid, layers);
+            let count = planes.len() * plane;
+            let samples = self.cx.buffer(stage, count * sample_type.bytes())?;
+            fill(number, &samples, count as u64)?;
+            Ok(Slab {
                 samples,
                 z0: planes.start,
                 layers: layers.clone(),
-            });
+            })
+        });
+        slabs.collect()
+    }
+}
+
+impl Volume {
+    /// What a stage takes of a slab.
+    pub(super) fn input(&self, slab: usize) -> Input<'_> {
+        Input {
+            samples: &self.slabs[slab].samples,
+            sample_type: self.sample_type,
+            missing: self.missing,
         }
-        Ok(slabs)
     }
 }

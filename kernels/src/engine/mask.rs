@@ -1,15 +1,12 @@
 //! Fields of which only what is inside a mask counts.
 
-use crate::stages::evaluate::{self, Input};
+use crate::stages::evaluate;
+use crate::stages::histogram::TABLE_EXTENTS;
 use crate::stages::mask::{self, Outside};
-use crate::volume::{Slab, slab_planes};
 use crate::{Cancel, Engine, Error, Result, ValueSet, Volume};
 
-/// Extents of bricks that are read at a time.
-const TABLE_EXTENTS: usize = 1 << 20;
-
 impl Engine {
-    /// The field with its samples missing where `labels` has a value that is not `inside`, or none. Its type is wider where the field's own has
+    /// The field with its samples missing where `labels` has a value that is not `inside`, or none. Its type is wider than the field's own if that has
     /// no value for missing samples.
     ///
     /// # Errors
@@ -25,22 +22,10 @@ impl Engine {
         }
         let outside = self.outside_of(field)?;
         let mut pace = evaluate::pace(&self.cx);
-        let plane = grid.dims[0] as usize * grid.dims[1] as usize;
-        let mut slabs = Vec::new();
-        // Fields of one grid have the same slabs.
-        for (own, of_labels) in field.slabs.iter().zip(&labels.slabs) {
-            let planes = slab_planes(&grid, &own.layers);
-            let count = planes.len() * plane;
-            let samples = self.cx.buffer(mask::STAGE, count * outside.sample_type.bytes())?;
-            let inputs = [&input(field, own), &input(labels, of_labels)];
-            let out = (&samples, count as u64);
-            mask::run(&self.cx, inside, inputs, outside, out, &mut pace, cancel)?;
-            slabs.push(Slab {
-                samples,
-                z0: planes.start,
-                layers: own.layers.clone(),
-            });
-        }
+        let slabs = self.slabs_like(field, outside.sample_type, mask::STAGE, |number, out, samples| {
+            let inputs = [field, labels].map(|volume| volume.input(number));
+            mask::run(&self.cx, inside, inputs, outside, (out, samples), &mut pace, cancel)
+        })?;
         let missing = Some(outside.value).filter(|value| !value.is_nan());
         self.resident(
             grid,
@@ -70,13 +55,5 @@ impl Engine {
         }
         let (sample_type, value) = field.sample_type.with_free_value(extent);
         Ok(Outside { sample_type, value })
-    }
-}
-
-fn input<'a>(field: &Volume, slab: &'a Slab) -> Input<'a> {
-    Input {
-        samples: &slab.samples,
-        sample_type: field.sample_type,
-        missing: field.missing,
     }
 }

@@ -60,7 +60,7 @@ kernel_args! {
 }
 
 /// Samples of a block, with which launches begin.
-pub(super) const BLOCK: u64 = constants::LAUNCH_BLOCK as u64;
+const BLOCK: u64 = constants::LAUNCH_BLOCK as u64;
 
 /// Blocks of the first launch, which tells what the expression costs.
 const FIRST_BLOCKS: u64 = 64;
@@ -79,7 +79,29 @@ pub fn pace(cx: &Context) -> Pace {
     Pace::new(FIRST_BLOCKS.min(max_blocks), 1, max_blocks)
 }
 
-/// A field of an expression.
+/// Launches over `samples` samples, which `pace` sizes. `launch` takes the first block, samples and work-groups of one.
+pub(super) fn in_blocks(
+    cx: &Context,
+    stage: &'static str,
+    samples: u64,
+    pace: &mut Pace,
+    cancel: &dyn Cancel,
+    launch: impl Fn(u32, u32, usize) -> Result<()>,
+) -> Result<()> {
+    let mut done = 0;
+    while done < samples {
+        let count = (pace.units() * BLOCK).min(samples - done);
+        let groups = count.div_ceil((BRICK_GROUP * cx.tuning.lanes) as u64) as usize;
+        cx.paced(stage, pace, count.div_ceil(BLOCK), || {
+            launch((done / BLOCK) as u32, count as u32, groups)
+        })?;
+        done += count;
+        cx.pause(stage, cancel)?;
+    }
+    Ok(())
+}
+
+/// A field of an expression, or of a mask.
 pub struct Input<'a> {
     pub samples: &'a Buffer<u8>,
     pub sample_type: SampleType,
@@ -102,12 +124,10 @@ pub fn run(
     let kernel = cx.kernel(SampleType::F32, "evaluate")?;
     let types = inputs.each_ref().map(|input| type_number(input.sample_type));
     let missing = inputs.each_ref().map(|input| input.missing);
-    let mut done = 0;
-    while done < samples {
-        let count = (pace.units() * BLOCK).min(samples - done);
+    in_blocks(cx, STAGE, samples, pace, cancel, |first, count, groups| {
         let args = EvaluateArgs {
-            first: (done / BLOCK) as u32,
-            count: count as u32,
+            first,
+            count,
             operations: expression.operations.len() as u32,
             fields: expression.fields,
             type_0: types[0],
@@ -130,12 +150,6 @@ pub fn run(
         let mut all: Vec<&dyn Arg> = vec![&args, &operations];
         all.extend(inputs.iter().map(|input| input.samples as &dyn Arg));
         all.push(out);
-        let groups = count.div_ceil((BRICK_GROUP * cx.tuning.lanes) as u64) as usize;
-        cx.paced(STAGE, pace, count.div_ceil(BLOCK), || {
-            cx.launch(STAGE, &kernel, groups, BRICK_GROUP, &all)
-        })?;
-        done += count;
-        cx.pause(STAGE, cancel)?;
-    }
-    Ok(())
+        cx.launch(STAGE, &kernel, groups, BRICK_GROUP, &all)
+    })
 }

@@ -69,7 +69,7 @@ const COUNTED_SAMPLES: u64 = 1 << 27;
 const DERIVED_PLANES: u32 = 8;
 
 /// Extents of bricks that are read back at once.
-const TABLE_EXTENTS: usize = 1 << 20;
+pub(crate) const TABLE_EXTENTS: usize = 1 << 20;
 
 /// A histogram that is being made.
 #[derive(Clone, Debug)]

@@ -3,9 +3,9 @@
 use super::BRICK_GROUP;
 use super::args::kernel_args;
 use super::construct::type_number;
-use super::evaluate::{BLOCK, Input};
+use super::evaluate::{Input, in_blocks};
 use crate::buffer::Buffer;
-use crate::context::Context;
+use crate::context::{Arg, Context};
 use crate::mask::ValueSet;
 use crate::pace::Pace;
 use crate::{Cancel, Result, SampleType};
@@ -46,11 +46,11 @@ pub struct Outside {
     pub value: f32,
 }
 
-/// Fills `out`, which holds `count` samples, in launches that `pace` sizes.
+/// Fills `out`, which holds `samples` samples, in launches that `pace` sizes.
 pub fn run(
     cx: &Context,
     inside: &ValueSet,
-    [field, labels]: [&Input<'_>; 2],
+    [field, labels]: [Input<'_>; 2],
     outside: Outside,
     (out, samples): (&Buffer<u8>, u64),
     pace: &mut Pace,
@@ -58,12 +58,10 @@ pub fn run(
 ) -> Result<()> {
     let ranges = cx.upload(STAGE, &inside.ranges)?;
     let kernel = cx.kernel(SampleType::F32, "mask")?;
-    let mut done = 0;
-    while done < samples {
-        let count = (pace.units() * BLOCK).min(samples - done);
+    in_blocks(cx, STAGE, samples, pace, cancel, |first, count, groups| {
         let args = MaskArgs {
-            first: (done / BLOCK) as u32,
-            count: count as u32,
+            first,
+            count,
             samples_type: type_number(field.sample_type),
             labels_type: type_number(labels.sample_type),
             out_type: type_number(outside.sample_type),
@@ -72,18 +70,7 @@ pub fn run(
             missing_label: labels.missing,
             missing: outside.value,
         };
-        let groups = count.div_ceil((BRICK_GROUP * cx.tuning.lanes) as u64) as usize;
-        cx.paced(STAGE, pace, count.div_ceil(BLOCK), || {
-            cx.launch(
-                STAGE,
-                &kernel,
-                groups,
-                BRICK_GROUP,
-                &[&args, field.samples, labels.samples, &ranges, out],
-            )
-        })?;
-        done += count;
-        cx.pause(STAGE, cancel)?;
-    }
-    Ok(())
+        let all: [&dyn Arg; 5] = [&args, field.samples, labels.samples, &ranges, out];
+        cx.launch(STAGE, &kernel, groups, BRICK_GROUP, &all)
+    })
 }

@@ -352,7 +352,7 @@ impl WorkerState {
         })
     }
 
-    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree where that is built. `None` if no triangle is left of it.
+    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree if that is built. `None` if no triangle is left of it.
     pub(super) fn measure(
         &mut self,
         volume: &VolumeStep,

@@ -42,7 +42,7 @@ pub struct AxisScale {
     pub kind: AxisKind,
     /// Position of each sample. `None`: the world's coordinate along the axis is the position.
     pub positions: Option<Vec<f64>>,
-    /// Where there are no `positions`: the position is the world's coordinate times −1.
+    /// Without `positions`: the position is the world's coordinate times −1.
     pub points_down: bool,
 }
 

@@ -148,7 +148,7 @@ const COMMANDS: &[(&str, &[(&str, How)])] = &[
     ]),
     ("docker/README.md", &[
         ("docker compose -f docker/compose.yaml up --build", By(COMPOSE, "up --detach")),
-        ("docker compose -f docker/compose.yaml --profile gpu up --build gpu", Not("no GPU is at hand where there is an engine")),
+        ("docker compose -f docker/compose.yaml --profile gpu up --build gpu", Not("needs a machine with a GPU and Docker")),
         ("ISOPEEL_DATA=~/scans docker compose -f docker/compose.yaml up", By(COMPOSE, "ISOPEEL_DATA=")),
         ("docker compose -f docker/compose.yaml exec cpu isopeel token create --user ann --role edit --role export", By(COMPOSE, "isopeel token create --user ann")),
         ("openssl rand -hex 32 >token", By(COMPOSE, "openssl rand -hex 32")),

@@ -99,7 +99,7 @@ async fn a_slow_line_shows_a_coarser_cut_soon_and_the_same_surface_in_the_end() 
 async fn a_follower_on_a_slow_line_has_the_coding_that_takes_less() {
     let Some(address) = server::shared() else { return };
     let mut leader = Viewer::open(address, demo::ID).await;
-    // No view of another test: what is made for one viewer comes to the next in one step.
+    // A view of its own: a surface that one viewer has comes to the next one in one step.
     let view = json!({"iso": demo::ISO + 5.0, "alpha": 0.5, "triangles": 90_000});
     leader.edit_and_rest(view).await;
     leader.send(json!({"type": "lead"})).await;

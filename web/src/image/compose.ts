@@ -39,8 +39,10 @@ const COLOR_BAR = { width: 14, height: 200 };
 const SWATCH = { width: 22, height: 12, line: 20 };
 
 export function composeImage(snapshot: Snapshot, parts: ImageParts): Promise<Blob> {
-  return drawImage(snapshot, parts).convertToBlob({ type: "image/png" });
+  return toPng(drawImage(snapshot, parts));
 }
+
+export const toPng = (picture: OffscreenCanvas): Promise<Blob> => picture.convertToBlob({ type: "image/png" });
 
 export function drawImage({ width, height, pixels, labels, unitsPerPixel }: Snapshot, parts: ImageParts): OffscreenCanvas {
   const canvas = new OffscreenCanvas(width, height);

@@ -18,7 +18,7 @@ export class BoundingBox {
   readonly object: LineSegments<BufferGeometry, PlainMaterial>;
   /** The world's unit. */
   unit = "";
-  /** What positions along the world's axes are, where that is known. */
+  /** Positions along the world's axes that the file describes: longitudes, depths. */
   axes: readonly (PhysicalAxis | undefined)[] = [];
   private labels: Label[] = [];
 

@@ -3,14 +3,14 @@
 import { Vector3 } from "three";
 import type { SceneCamera } from "./camera";
 import type { Painter } from "./painter";
+import { WhenStill } from "./whenStill";
 
-/** The picture is still if no frame was rendered for this time. */
 const STILL_MS = 200;
 
 export class CentreDepth {
   /** On the line of sight, when it was last looked for. */
   private found: Vector3 | undefined;
-  private timer: ReturnType<typeof setTimeout> | undefined;
+  private readonly whenStill = new WhenStill(STILL_MS, () => this.look());
 
   constructor(
     private readonly camera: SceneCamera,
@@ -24,10 +24,9 @@ export class CentreDepth {
     return Math.max(-place.applyMatrix4(this.camera.camera.matrixWorldInverse).z, 1e-3 * this.camera.nearest);
   }
 
-  /** Looks for it when the picture is still: it costs as much as a frame of few pixels. */
+  /** Looks for it when the picture is still. */
   lookSoon(isShown: boolean): void {
-    clearTimeout(this.timer);
-    if (isShown && this.camera.projection === "perspective") this.timer = setTimeout(() => void this.look(), STILL_MS);
+    this.whenStill.lookSoon(isShown && this.camera.projection === "perspective");
   }
 
   private async look(): Promise<void> {

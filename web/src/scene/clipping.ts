@@ -147,6 +147,6 @@ export class Clipping {
 /** Whether the camera looks at a plane from the side that is cut away. */
 function facesCamera(plane: Plane, camera: PerspectiveCamera | OrthographicCamera): boolean {
   if (camera instanceof PerspectiveCamera) return plane.distanceToPoint(camera.position) < 0;
-  // Not `getWorldDirection`, which would make the camera's matrices anew.
+  // Not `getWorldDirection`, which would update the camera's matrices.
   return plane.normal.dot(new Vector3().setFromMatrixColumn(camera.matrixWorld, 2)) < 0;
 }

@@ -1,4 +1,4 @@
-/** Which places of the world are behind a surface, as it is seen: their texts are fainter. It is looked for when the picture is still. */
+/** Which places of the world are behind a surface, as it is seen: their texts are fainter. Pure. */
 
 import { Vector3, type OrthographicCamera, type PerspectiveCamera } from "three";
 
@@ -8,10 +8,10 @@ type Camera = PerspectiveCamera | OrthographicCamera;
 export const ACROSS = 256;
 /** A place on the surface is not behind it, though the surface is seen in points: as a share of its depth. */
 const TOLERANCE = 0.01;
-/** The picture is still if no frame was rendered for this time. */
-const STILL_MS = 220;
+/** It is looked for if no frame was rendered for this time. */
+export const HIDDEN_MS = 220;
 
-/** @param depths of `ACROSS`² points, rows from below, 0 where no surface is */
+/** Whether a place is behind a surface. @param depths of `ACROSS`² points, rows from below, 0 where no surface is */
 export function isBehind(place: Vector3, camera: Camera, depths: readonly number[]): boolean {
   const depth = -place.clone().applyMatrix4(camera.matrixWorldInverse).z;
   const { x, y } = place.clone().project(camera);
@@ -26,17 +26,4 @@ export function isBehind(place: Vector3, camera: Camera, depths: readonly number
     }
   }
   return farthest < depth - TOLERANCE * Math.abs(depth);
-}
-
-export class HiddenPlaces {
-  private timer: ReturnType<typeof setTimeout> | undefined;
-
-  /** @param look finds which are hidden */
-  constructor(private readonly look: () => Promise<void>) {}
-
-  /** @param isWanted there is something that may be hidden */
-  lookSoon(isWanted: boolean): void {
-    clearTimeout(this.timer);
-    if (isWanted) this.timer = setTimeout(() => void this.look(), STILL_MS);
-  }
 }

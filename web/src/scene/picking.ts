@@ -61,7 +61,7 @@ export class Picking {
     return middleDepths(depthsOf(found));
   }
 
-  /** How far surfaces are at points over the whole picture, rows from below; 0 where there is none. */
+  /** Depths of the nearest surface at points over the whole picture, rows from below; 0 if there is none. */
   async map(webgl: WebGLRenderer, camera: Camera, draw: Draw): Promise<number[]> {
     render(webgl, this.whole, camera.clone(), draw);
     const found = new Float32Array(4 * ACROSS * ACROSS);

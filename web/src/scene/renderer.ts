@@ -11,7 +11,7 @@ import { prepareCanvas } from "./canvas";
 import { CentreDepth } from "./centreDepth";
 import { Clipping, type Clip } from "./clipping";
 import { gpuDone, hasGpu } from "./gpu";
-import { HiddenPlaces } from "./hiddenPlaces";
+import { HIDDEN_MS } from "./hiddenPlaces";
 import { DEFAULT_LOOK, type Look, type SurfaceStyle } from "./look";
 import type { ColorTables } from "./material";
 import { Painter } from "./painter";
@@ -26,6 +26,7 @@ import { SurfaceColors } from "./surfaceColors";
 import { Surfaces } from "./surfaces";
 import type { SwipeTexts } from "./swipe";
 import { UploadQueue } from "./uploads";
+import { WhenStill } from "./whenStill";
 import type { Grid, Vec3 } from "./world";
 
 export interface RendererHandlers {
@@ -68,7 +69,7 @@ export class SurfaceRenderer {
   private frames = 0;
   private sums: ReturnType<Surfaces["levelSums"]>;
   private readonly centre: CentreDepth;
-  private readonly hidden = new HiddenPlaces(async () => {
+  private readonly labelsWhenStill = new WhenStill(HIDDEN_MS, async () => {
     const depths = await this.painter.depthMap(this.camera.camera);
     this.annotations.fade(this.camera.camera, depths);
   });
@@ -368,7 +369,7 @@ export class SurfaceRenderer {
     const { width, height } = this.webgl.domElement;
     annotations.update(camera.camera, this.clipBounds(), this.clipping.value, this.centre.depth);
     this.centre.lookSoon(annotations.value.scale);
-    this.hidden.lookSoon(annotations.hasPlaces);
+    this.labelsWhenStill.lookSoon(annotations.hasPlaces);
     this.painter.paint({
       target: null,
       width,

@@ -5,7 +5,7 @@ import type { Box3, Vector3 } from "three";
 export class Stretch {
   constructor(readonly factor: number) {}
 
-  /** Changes a place of the world to where it is shown, and returns it. */
+  /** Changes a position of the world to the one at which it is shown, and returns it. */
   apply(place: Vector3): Vector3 {
     return place.setZ(place.z * this.factor);
   }

@@ -32,7 +32,7 @@ export function zoomedAt(whole: Fit, size: Pair, zoom: SliceZoom | undefined, [x
   return { factor, center: [(x - now.left) / now.scale - (x - size[0] / 2) / scale, (y - now.top) / now.scale - (y - size[1] / 2) / scale] };
 }
 
-/** Moved by so many pixels. */
+/** Moved by a number of pixels. */
 export function panned(whole: Fit, zoom: SliceZoom | undefined, [right, down]: Pair): SliceZoom | undefined {
   if (zoom === undefined) return undefined;
   const scale = whole.scale * zoom.factor;

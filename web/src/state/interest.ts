@@ -1,6 +1,7 @@
 /** Regions of interest that are painted on the surface: spheres of which near ones become one. Pure. */
 
 import type { Vec3, View } from "../protocol/types";
+import { lengthOf, minus } from "./vectors";
 
 export type Interest = View["interest"];
 type Region = Interest[number];
@@ -13,7 +14,7 @@ const IMPORTANCE = 0.95;
 /** Balls are merged where the one around both has at most this many times the space of the two. */
 const GROWS_BY = 1.3;
 
-const distance = (a: Vec3, b: Vec3) => Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+const distance = (a: Vec3, b: Vec3) => lengthOf(minus(a, b));
 
 /** The smallest ball around two. */
 function around(a: Ball, b: Ball): Ball {

@@ -1,9 +1,11 @@
 /** What is measured on the surface: distances, angles, readings of the fields at a place; and places with a name. Pure. */
 
 import type { Vec3, VolumeInfo } from "../protocol/types";
+import { csvText } from "./csv";
 import { lengthUnit, unitWord } from "./lengths";
 import { LinkError, toNumber, toNumbers } from "./linkReader";
 import { digits, list } from "./numbers";
+import { dot, lengthOf, minus } from "./vectors";
 
 /** World units. */
 export type Measure =
@@ -23,9 +25,6 @@ export const POINTS: Readonly<Record<MeasureKind, number>> = { distance: 2, angl
 /** Of the name of a place. */
 export const MAX_LABEL = 80;
 
-const minus = (a: Vec3, b: Vec3): Vec3 => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-const dot = (a: Vec3, b: Vec3) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-
 /** As many digits as the scene's single precision has: more would only lengthen links. */
 export function shortened(position: Vec3): Vec3 {
   return position.map((n) => Number(n.toPrecision(6))) as unknown as Vec3;
@@ -42,7 +41,7 @@ export function measureOf(kind: "distance" | "angle", [a, b, c]: readonly Vec3[]
 export function amountOf(measure: Measure): number {
   switch (measure.kind) {
     case "distance":
-      return Math.hypot(...minus(...measure.points));
+      return lengthOf(minus(...measure.points));
     case "angle": {
       const [a, corner, b] = measure.points;
       const [u, v] = [minus(a, corner), minus(b, corner)];
@@ -90,10 +89,9 @@ function labelOf(text: string): string {
   }
 }
 
-/** A table for spreadsheets, after RFC 4180: a line for each, with its points and what was read there. */
+/** A table for spreadsheets: a line for each, with its points and what was read there. */
 export function measuresCsv(measures: readonly Measure[], volume: Pick<VolumeInfo, "fields" | "geometry" | "id">): string {
   const { id, fields } = volume;
-  const quoted = (text: string) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const coordinates = [1, 2, 3].flatMap((point) => [`x${point}`, `y${point}`, `z${point}`]);
   const names = fields.map(({ name, unit }) => (unit === null || unit === "" ? name : `${name} (${unit})`));
   const rows = measures.map((measure, i) => {
@@ -103,5 +101,5 @@ export function measuresCsv(measures: readonly Measure[], volume: Pick<VolumeInf
     const values = measure.kind === "reading" ? measure.values.map((value) => (value === null ? "" : digits(value))) : [];
     return [id, String(i + 1), measure.kind, measure.kind === "label" ? measure.text : Number.isNaN(amount) ? "" : digits(amount), unit, ...points, ...new Array<string>(9 - points.length).fill(""), ...fields.map((_, field) => values[field] ?? "")];
   });
-  return [["volume", "number", "kind", "amount", "unit", ...coordinates, ...names], ...rows].map((row) => `${row.map(quoted).join(",")}\r\n`).join("");
+  return csvText([["volume", "number", "kind", "amount", "unit", ...coordinates, ...names], ...rows]);
 }

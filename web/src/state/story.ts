@@ -23,7 +23,7 @@ export class StoryError extends Error {
 /** Without what parts bookmarks. */
 const escaped = (text: string) => encodeURIComponent(text).replaceAll("~", "%7E");
 
-/** The story in a link: `undefined` where there is none, or it is too long. */
+/** The story in a link: `undefined` if it has no bookmarks, or is too long. */
 export function storyText(story: Story): string | undefined {
   if (story.length === 0) return undefined;
   const text = story.map((bookmark) => `${escaped(bookmark.text)}~${escaped(bookmark.state)}`).join("~~");

@@ -13,7 +13,7 @@ export function storyFile(story: Story): string {
 }
 
 /**
- * @param decode reads the state of a bookmark, and throws where there is something wrong
+ * @param decode reads the state of a bookmark, and throws if it is wrong
  * @throws StoryError naming what was found, and what is expected
  */
 export function readStoryFile(text: string, decode: (state: string) => unknown): Story {

@@ -2,6 +2,7 @@
 
 import type { Vec3 } from "../protocol/types";
 import type { Pose } from "./look";
+import { lengthOf, minus } from "./vectors";
 
 /** Seconds in which a sentence is read: some three words in a second. */
 export function readingSeconds(text: string): number {
@@ -9,8 +10,6 @@ export function readingSeconds(text: string): number {
   return Math.min(12, Math.max(2.5, 1 + words / 3));
 }
 
-const minus = (a: Vec3, b: Vec3): Vec3 => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-const length = (v: Vec3) => Math.hypot(...v);
 const mix = (a: number, b: number, t: number) => a + (b - a) * t;
 const mixed = (a: Vec3, b: Vec3, t: number): Vec3 => [mix(a[0], b[0], t), mix(a[1], b[1], t), mix(a[2], b[2], t)];
 
@@ -19,7 +18,7 @@ export function poseBetween(from: Pose, to: Pose, t: number): Pose {
   const eased = t * t * (3 - 2 * t);
   const target = mixed(from.target, to.target, eased);
   const [a, b] = [minus(from.position, from.target), minus(to.position, to.target)];
-  const [la, lb] = [length(a), length(b)];
+  const [la, lb] = [lengthOf(a), lengthOf(b)];
   if (!(la > 0) || !(lb > 0)) return t < 1 ? from : to;
   // By equal factors in equal times.
   const distance = la * (lb / la) ** eased;

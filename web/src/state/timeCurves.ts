@@ -1,6 +1,7 @@
 /** What was measured of a surface in every time step: area, volume, and the values at points. Pure. */
 
 import type { Vec3, VolumeInfo } from "../protocol/types";
+import { csvText } from "./csv";
 import type { Enclosed } from "./enclosed";
 import { lengthUnit, unitWord } from "./lengths";
 import { digits } from "./numbers";
@@ -31,7 +32,7 @@ export interface TimeCurves {
 /** One line over the steps. */
 export interface Curve {
   readonly title: string;
-  /** Of each row; a gap where there is none. */
+  /** Of each row; `undefined` is a gap. */
   readonly values: readonly (number | undefined)[];
 }
 
@@ -51,7 +52,7 @@ export function curvesOf({ field, points, rows }: TimeCurves, volume: VolumeInfo
   return all.filter(({ values }) => values.some((value) => value !== undefined));
 }
 
-/** Where a step lies between the first and the last one, 0 to 1: by its time where that is known. */
+/** Positions of the rows' steps between the first step and the last one, 0 to 1: by time if times are known. */
 export function placesOfSteps({ count, rows }: TimeCurves, times: VolumeInfo["times"] | undefined): readonly number[] {
   const time = (step: number) => times?.values?.[step] ?? step;
   const [first, last] = [time(0), time(count - 1)];
@@ -59,9 +60,8 @@ export function placesOfSteps({ count, rows }: TimeCurves, times: VolumeInfo["ti
   return rows.map(({ step }) => (isKnown ? (time(step) - first) / (last - first) : step / Math.max(1, count - 1)));
 }
 
-/** A table for spreadsheets, after RFC 4180: a line for each step. @param label of a step, for people */
+/** A table for spreadsheets: a line for each step. @param label of a step, for people */
 export function timeCurvesCsv(curves: TimeCurves, volume: VolumeInfo, label: (step: number) => string | undefined): string {
-  const quoted = (text: string) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const unit = lengthUnit(volume);
   const number = (value: number | undefined) => (value === undefined ? "" : digits(value));
   const names = curves.points.map((point, i) => `${curves.field} at point ${i + 1} (${point.map(digits).join(" ")})`);
@@ -75,5 +75,5 @@ export function timeCurvesCsv(curves: TimeCurves, volume: VolumeInfo, label: (st
     String(sums?.borderEdges ?? 0),
     ...curves.points.map((_, i) => number(values[i])),
   ]);
-  return [head, ...rows].map((row) => `${row.map(quoted).join(",")}\r\n`).join("");
+  return csvText([head, ...rows]);
 }

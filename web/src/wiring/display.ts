@@ -184,7 +184,7 @@ export class Display {
     const decides = view && [view.transferFunction.points, view.feature, view.featureRange, volume?.id];
     if (!isRecolored && decides?.length === this.bar?.length && (decides ?? []).every((value, i) => value === this.bar?.[i])) return;
     this.bar = decides;
-    // The editor shows its own colours, where there is one, and the page has a list of the levels and a legend of the field.
+    // The editor, if there is one, shows its own colours, and the page has a list of the levels and a legend of the field.
     const isSaid = look.colorBy === "level" || ((look.colorBy === "transfer" || look.colorBy === "field") && !this.isEmbedded);
     this.scene.annotations.showColors(!isSaid && view !== undefined ? colorBarOf(look, view, this.distances, this.unit, volume) : undefined);
   }

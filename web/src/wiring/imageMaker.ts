@@ -17,6 +17,8 @@ import { theme } from "../ui/theme";
 const BACKDROPS = { page: { dark: "#171b21", light: "#f4f6f8" }, black: { dark: "#000000", light: "#000000" }, white: { dark: "#ffffff", light: "#ffffff" } } as const;
 /** Of texts and lines. */
 const INKS = { dark: "#e8ebef", light: "#18202a" } as const;
+/** Side of a slice in an image of slices alone, pixels of the page. */
+const SLICE_SIDE = 420;
 /** The scale bar is no wider than this share of the picture. */
 const WIDEST_BAR = 0.2;
 
@@ -31,29 +33,24 @@ const WITHOUT_BAR = "without a scale bar, as lengths differ by more than 5 % ove
 
 /** A PNG of what is seen. */
 export async function makeImage(scene: SurfaceRenderer, store: Store, request: ImageRequest, slices: readonly SliceState[] = []): Promise<Made> {
-  const { layout } = store.page.slicing;
-  if (request.slices && layout !== "picture") return makeImageWithSlices(scene, store, request, slices);
-  const { composeImage } = await import("../image/compose");
-  const snapshot = scene.snapshot({ scale: request.scale, transparent: true });
-  const blob = await composeImage(snapshot, imageParts(scene, store, request));
-  return { blob, note: request.scaleBar && snapshot.unitsPerPixel === undefined ? WITHOUT_BAR : undefined };
-}
-
-/** Side of a slice in an image of slices alone, pixels of the page. */
-const SLICE_SIDE = 420;
-
-/** The picture with its slices on the right, or these alone if the surface is hidden. */
-async function makeImageWithSlices(scene: SurfaceRenderer, store: Store, request: ImageRequest, slices: readonly SliceState[]): Promise<Made> {
-  const [{ drawImage }, { placeBeside }, { slicePictures }] = await Promise.all([import("../image/compose"), import("../image/beside"), import("./sliceImages")]);
+  const layout = request.slices ? store.page.slicing.layout : "picture";
   const { scale } = request;
-  if (store.page.slicing.layout === "slices") {
-    const canvas = placeBeside(undefined, slicePictures(store, slices, SLICE_SIDE, scale), SLICE_SIDE * scale, scale);
-    return { blob: await canvas.convertToBlob({ type: "image/png" }), note: undefined };
+  const { drawImage, toPng } = await import("../image/compose");
+  const beside = layout === "picture" ? undefined : await loadSlices();
+  if (layout === "slices" && beside !== undefined) {
+    return { blob: await toPng(beside.place(undefined, beside.pictures(store, slices, SLICE_SIDE, scale), SLICE_SIDE * scale, scale)), note: undefined };
   }
   const snapshot = scene.snapshot({ scale, transparent: true });
+  const picture = drawImage(snapshot, imageParts(scene, store, request));
+  // On the right of the picture.
   const side = Math.floor(snapshot.height / 3);
-  const canvas = placeBeside(drawImage(snapshot, imageParts(scene, store, request)), slicePictures(store, slices, side / scale, scale), side, scale);
-  return { blob: await canvas.convertToBlob({ type: "image/png" }), note: request.scaleBar && snapshot.unitsPerPixel === undefined ? WITHOUT_BAR : undefined };
+  const image = beside === undefined ? picture : beside.place(picture, beside.pictures(store, slices, side / scale, scale), side, scale);
+  return { blob: await toPng(image), note: request.scaleBar && snapshot.unitsPerPixel === undefined ? WITHOUT_BAR : undefined };
+}
+
+async function loadSlices() {
+  const [{ placeBeside }, { slicePictures }] = await Promise.all([import("../image/beside"), import("./sliceImages")]);
+  return { place: placeBeside, pictures: slicePictures };
 }
 
 /** A turn around the surface as numbered PNGs in a zip. */

@@ -1,4 +1,4 @@
-/** The slices beside the picture as parts of an image: drawn anew, the whole of each, in the image's size. */
+/** The slices beside the picture as parts of an image: the whole of each, drawn in the image's size. */
 
 import type { SlicePicture } from "../image/beside";
 import { pixelOf, sliceViews, type SliceView } from "../slices/view";

@@ -15,7 +15,7 @@ export interface SliceGestures {
   readonly onReset: () => void;
   /** Larger by a factor around a place; `undefined`: around the crosshair. */
   readonly onZoom: (place: Place | undefined, by: number) => void;
-  /** Two fingers move it by so many pixels. */
+  /** Two fingers move it by a number of pixels. */
   readonly onPan: (right: number, down: number) => void;
   /** So many slices onward. */
   readonly onScroll: (by: number) => void;

@@ -240,7 +240,7 @@ pub fn place_grid(
     })
 }
 
-/// What positions along the axes are. `is_counted`: the world's coordinates count samples. `unit`: that of the world, where it has one.
+/// What positions along the axes are. `is_counted`: the world's coordinates count samples. `unit`: that of the world, if it has one.
 fn axes_of(scales: &[Option<Result<Scale, String>>; 3], unit: Option<LengthUnit>, is_counted: bool) -> AxisScales {
     [0, 1, 2].map(|axis| {
         let scale = scales[axis].as_ref()?.as_ref().ok()?;
