@@ -108,8 +108,10 @@ impl<B: Backend> Session<B> {
         if opened.phase != OpeningPhase::Open {
             return self.come_into_force(surface, view, named, self.edits, true);
         }
-        let pending = opened.surface_mut(surface).and_then(|session| session.pending.as_mut());
-        if let Some(pending) = pending.filter(|pending| !pending.queue.is_empty()) {
+        let mut pending = opened.surface_mut(surface).and_then(|session| session.pending.as_mut());
+        // What waits comes into force with this edit, the budget that it has named too.
+        let named = named.or(pending.as_ref().and_then(|pending| pending.named));
+        if let Some(pending) = pending.as_mut().filter(|pending| !pending.queue.is_empty()) {
             if pending.queue.len() < MAX_KEPT_EDITS {
                 pending.queue.push(kept);
             } else {
@@ -333,7 +335,6 @@ impl OpenVolume {
         let is_still_open =
             |before: &&PendingView| before.view.feature_range.is_none() && feature(&before.view) == feature(&view);
         let at = before.filter(is_still_open).map_or(at, |before| before.at.clone());
-        let named = named.or(before.and_then(|before| before.named));
         let is_made = kept.as_ref().is_none_or(|kept| kept.is_made);
         let mut edits = before.map_or_else(Vec::new, |before| before.edits.clone());
         let is_first = before.is_none();

@@ -102,6 +102,8 @@ pub struct Seat {
     /// Whether the last one, which waits for rest, was answered, whether others were since it was asked, and chunks that are still to come.
     is_answered: bool,
     were_others_answered: bool,
+    /// Questions that were dropped, unless their answers are late.
+    doubtful: usize,
     chunks_to_come: usize,
     /// Errors that no `superseded` has followed yet.
     errors: Vec<Failed>,
@@ -142,6 +144,7 @@ impl Seat {
             questions: 0,
             is_answered: false,
             were_others_answered: false,
+            doubtful: 0,
             chunks_to_come: 0,
             errors: Vec::new(),
             group: None,
@@ -349,6 +352,12 @@ impl Seat {
 
     fn take_error(&mut self, code: String, surface: Option<u8>, suggested_triangles: Option<u64>) {
         match code.as_str() {
+            // It may be the late answer to another one: it is asked again.
+            "no-surface" if self.questions == 1 && self.doubtful > 0 => {
+                self.doubtful -= 1;
+                self.were_others_answered = true;
+                return;
+            }
             "no-surface" | "unknown-surface" => return self.take_answer(),
             "volume-removed" => return self.is_removed = true,
             "bad-edit" => return self.bad_edits += 1,
@@ -415,7 +424,7 @@ impl Seat {
     pub async fn wait_for_rest(&mut self, surface: u8) -> Result<(), Difference> {
         let limit = Instant::now() + REST_LIMIT;
         let question = json!({"type": "annotate", "surface": surface, "annotation": "error"});
-        (self.is_answered, self.were_others_answered) = (false, false);
+        (self.is_answered, self.were_others_answered, self.doubtful) = (false, false, 0);
         self.send(question.clone()).await;
         while !self.is_answered || self.chunks_to_come > 0 {
             if Instant::now() > limit {
@@ -426,6 +435,7 @@ impl Seat {
             // Those that are missing then were dropped.
             let silence = if self.were_others_answered { QUIET } else { SILENCE };
             if !self.read_until(Instant::now() + silence).await {
+                self.doubtful += self.questions.saturating_sub(1);
                 (self.questions, self.were_others_answered) = (0, false);
                 self.send(question.clone()).await;
             }

@@ -399,6 +399,21 @@ async fn others_keep_a_budget_that_its_surface_gives_up_before_it_is_in_force() 
 }
 
 #[tokio::test]
+async fn a_budget_counts_when_a_later_edit_leaves_nothing_to_resolve() {
+    let mut viewer = showing(&Common::new(0)).await;
+    viewer
+        .say(r#"{"type":"edit","surface":1,"iso":20,"mask":"density>0","triangles":77}"#)
+        .await;
+    let _mask = resolution(&mut viewer).await;
+    viewer.say(r#"{"type":"edit","surface":1,"mask":null}"#).await;
+    viewer.count(6000).await;
+    viewer.step().await.answer(Answer::last(2, shapes(&[2])).of_full(6000));
+    let job = viewer.step().await;
+    let budget = job.view.budget.expect("a budget");
+    assert!(matches!(budget, Budget::Triangles(TriangleBudget::AtMost(1..77))), "{budget:?}");
+}
+
+#[tokio::test]
 async fn the_budget_of_the_latest_edit_counts_whichever_comes_into_force_first() {
     let mut viewer = showing(&Common::new(0)).await;
     let first = naming_a_budget(&mut viewer).await;
