@@ -105,6 +105,8 @@ pub(super) fn join_steps(
     for (location, file) in files {
         check(&location, &file, &first)?;
         first.notices.extend(file.notices);
+        // What positions are is left open where steps do not agree.
+        first.axes.take_if(|axes| file.axes.as_ref() != Some(axes));
         for (source, field) in sources.iter_mut().zip(file.fields) {
             source.push(field.source);
         }
@@ -115,8 +117,6 @@ pub(super) fn join_steps(
     });
     Ok(OpenedFile {
         steps,
-        uneven: None,
-        axes: None,
         times: times.filter(|_| steps > 1),
         fields: fields.collect(),
         ..first

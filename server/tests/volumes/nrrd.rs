@@ -55,6 +55,16 @@ fn nrrd_skips_lines_and_bytes() {
 }
 
 #[test]
+fn the_oldest_nrrd_is_read_and_a_place_that_is_not_known_is_0() {
+    let text = "NRRD00.01\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nspace dimension: 3\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n\
+                space origin: (nan,2,nan)\nencoding: raw\n\n12345678";
+    let file = open("a.nrrd", text.into()).unwrap();
+    assert_eq!(file.geometry.origin, [0.0, 2.0, 0.0]);
+    let notices = file.notices.text().unwrap();
+    assert!(notices.contains("place of the first sample is missing in [NaN, 2.0, NaN]"), "{notices}");
+}
+
+#[test]
 fn nrrd_time_may_run_fastest() {
     let v = Volume::new([2, 3, 2], 2, ('u', 1), false);
     let mut file = b"NRRD0004\ntype: uchar\ndimension: 4\nsizes: 2 2 3 2\nkinds: list domain domain domain\n\

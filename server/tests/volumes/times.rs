@@ -57,6 +57,25 @@ fn files_of_a_collection_are_steps_in_the_order_of_their_times() {
     assert_eq!((whole.steps, whole.fields.len()), (3, 1));
 }
 
+#[test]
+fn steps_of_uneven_files_are_as_uneven() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut volume = Volume::new([2, 2, 4], 1, ('f', 4), false);
+    (volume.origin, volume.spacing) = ([0.0; 3], [1.0; 3]);
+    let even = String::from_utf8(write_vtk::vtr(&volume)).unwrap();
+    let uneven = even.replace("0\n1\n2\n3\n", "0\n1\n2\n200\n");
+    assert_ne!(uneven, even);
+    for step in 0..2 {
+        put(folder.path(), &format!("a_{step:03}.vtr"), &uneven);
+    }
+    let one = open_dataset(&folder.path().join("a_000.vtr")).unwrap();
+    let series = open_dataset(folder.path()).unwrap();
+    assert_eq!(series.steps, 2);
+    assert!(one.uneven.is_some(), "{:?}", one.notices.text());
+    assert_eq!(series.uneven, one.uneven);
+    assert_eq!(series.axes, one.axes);
+}
+
 /// As `level`, but so many samples farther along x.
 fn beside(samples: f64, value: i64) -> Volume {
     let mut volume = level(value);

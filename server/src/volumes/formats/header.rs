@@ -81,6 +81,16 @@ pub fn split_axes(axes: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
     (spacing, direction)
 }
 
+/// The place of the first sample: what is not known of it is 0, with a notice.
+pub fn known_origin(origin: [f64; 3], notices: &mut Notices) -> [f64; 3] {
+    if origin.iter().any(|at| at.is_nan()) {
+        notices.add(format!(
+            "the place of the first sample is missing in {origin:?}: it is taken to be 0"
+        ));
+    }
+    origin.map(|at| if at.is_nan() { 0.0 } else { at })
+}
+
 /// Distances of samples and directions of their axes. A distance that is not known is as another one, one below 0 turns its axis; both with
 /// a notice.
 pub fn signed_distances(

@@ -124,7 +124,7 @@ pub const FORMATS: [Format; 17] = [
     Format {
         endings: &[".nrrd", ".nhdr"],
         open: nrrd::open,
-        is_content: |head| head.starts_with(b"NRRD000"),
+        is_content: |head| head.starts_with(b"NRRD00"),
         is_volume: |_| true,
         has_parts: false,
     },

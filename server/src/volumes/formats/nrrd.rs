@@ -109,7 +109,8 @@ impl<'a> Header<'a> {
             let line = line.strip_suffix(b"\n").unwrap_or(line);
             let line = line.strip_suffix(b"\r").unwrap_or(line);
             if number == 0 {
-                if !matches!(line, [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5']) {
+                // The first version had another name.
+                if !matches!(line, b"NRRD00.01" | [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5']) {
                     return Err(header.error("magic", "expected NRRD0001 to NRRD0005 on the first line"));
                 }
                 continue;
@@ -330,7 +331,7 @@ impl<'a> Header<'a> {
         let origin = match self.get("space origin") {
             None => [0.0; 3],
             Some(text) => match vectors(text).as_deref() {
-                Some([Some(v)]) => three(path, "space origin", v)?,
+                Some([Some(v)]) => header::known_origin(three(path, "space origin", v)?, notices),
                 _ => return Err(self.error("space origin", malformed(text))),
             },
         };
