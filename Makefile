@@ -176,12 +176,22 @@ EXPRESSIONS ?= 100000
 # Random sequences of edits, for so many seconds; STATES_SEED draws the same ones again.
 STATES_SECONDS ?= 3600
 STATES_SEED ?=
+EXAMPLES ?= 100
 FUZZ_FOLDER := $(or $(wildcard /dev/shm),$(TMPDIR),/tmp)
 fuzz: prerequisites-test web-client ## kernels against their twins on random volumes (TIMES), many expressions (EXPRESSIONS), readers on changed files (MUTATIONS a format), a server on as many changed frames and requests, and on random sequences of edits (STATES_SECONDS); takes hours
 	TMPDIR=$(FUZZ_FOLDER) ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel --test volumes -- changed noise --nocapture
 	ISOPEEL_MUTATIONS=$(MUTATIONS) cargo test --locked --package isopeel-tests --test e2e -- mutated:: --nocapture
 	ISOPEEL_STATES_SECONDS=$(STATES_SECONDS) ISOPEEL_STATES_SEED=$(STATES_SEED) cargo test --locked --package isopeel-tests --test e2e -- states:: --nocapture
 	ISOPEEL_TEST_TIMES=$(TIMES) ISOPEEL_EXPRESSIONS=$(EXPRESSIONS) cargo test --locked --package isopeel-reference --test device
+	$(MAKE) fuzz-api
+
+target/api-venv/bin/schemathesis: tests/scripts/api-requirements.txt
+	python3 -m venv target/api-venv
+	target/api-venv/bin/pip --quiet install --requirement tests/scripts/api-requirements.txt
+	@touch $@
+
+fuzz-api: prerequisites-test release target/api-venv/bin/schemathesis ## requests that schemathesis generates from server/openapi.json, of each role of a token: EXAMPLES of each operation
+	target/api-venv/bin/python tests/scripts/api.py $(BINARY) $(EXAMPLES)
 
 # With coverage, from small valid files. cargo-fuzz needs a nightly compiler for the sanitizer alone.
 CARGO_FUZZ_VERSION := 0.13.2

@@ -64,6 +64,9 @@ if [ -n "$library" ]; then
     export OCL_ICD_VENDORS=$scratch/vendors
 fi
 
+# Intel's runtime runs kernels on the thread that waits for them, and has 3 MB of private variables on its stack.
+export RUST_MIN_STACK=$((16 << 20))
+
 ## Steps
 
 # count NAME COMMAND...: a step that passes or fails as a whole.

@@ -46,6 +46,7 @@ pub struct FileOptions {
     /// Names of fields, and expressions over fields, whose values are attributes of the vertices, in their own units; in GLB, PLY and VTP, at most
     /// 16.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 16)]
     pub field_values: Vec<String>,
     /// The surface around labels of a segmentation instead of one at an isovalue, by numbers or names: `7`, `3,Hippocampus`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -67,6 +68,7 @@ pub struct FileOptions {
     /// Several surfaces in one GLB, 3MF, OBJ or precomputed, each with what differs from the request: `[{"iso":300,"color":"#d2b48c","opacity":0.4},
     /// {"iso":900}]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 64)]
     pub surfaces: Vec<SurfaceOptions>,
 }
 

@@ -55,18 +55,23 @@ pub struct VolumeInfo {
 #[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Geometry"))]
 pub struct GeometryInfo {
     /// Samples along x (fastest), y, z.
+    #[schema(min_items = 3, max_items = 3)]
     pub dims: [u32; 3],
     /// World units between samples; along an uneven axis their mean.
+    #[schema(min_items = 3, max_items = 3)]
     pub spacing: [f64; 3],
     /// Of each sample along the axes x, y, z that are not even, ascending, world units from the first one; null for an even axis. Absent
     /// where all are even. Distances, areas and errors of surfaces are then bounds from above: those in a grid whose cells are all as
     /// large as the largest along each axis.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(min_items = 3, max_items = 3)]
     pub positions: Option<[Option<Vec<f64>>; 3]>,
     /// World position of sample (0, 0, 0).
+    #[schema(min_items = 3, max_items = 3)]
     pub origin: [f64; 3],
     /// Unit vectors of the axes x, y, z in the world.
+    #[schema(min_items = 3, max_items = 3)]
     pub direction: [[f64; 3]; 3],
     /// Directions of the world's axes: `LPS` (of a patient: left, back, head), `RAS` (right, front, head), `world` where the file
     /// does not say, `index` where positions count samples.
@@ -167,6 +172,7 @@ pub struct FieldInfo {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub labels: Option<Vec<LabelInfo>>,
     /// Least and greatest value.
+    #[schema(min_items = 2, max_items = 2)]
     pub range: [f32; 2],
     /// Distribution of the values.
     pub histogram: HistogramInfo,
@@ -217,6 +223,7 @@ pub struct DerivedInfo {
     /// Minimum and maximum, where they are known.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(min_items = 2, max_items = 2)]
     pub range: Option<[f32; 2]>,
     /// Distribution of the values, where it is known.
     #[cfg_attr(test, ts(optional))]

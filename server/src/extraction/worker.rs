@@ -50,6 +50,9 @@ const ANSWER_AGE: Duration = Duration::from_secs(1);
 /// How often it is looked whether the thread has ended.
 const END_INTERVAL: Duration = Duration::from_millis(5);
 
+/// Of the device's thread. Drivers for CPUs run kernels on it, some of which have 3 MB of private variables with Intel's runtime.
+const STACK_BYTES: usize = 16 << 20;
+
 /// Handle to the thread that owns the device. Clones are cheap; the last one ends the thread and waits for it.
 #[derive(Clone)]
 pub struct DeviceWorker {
@@ -136,6 +139,7 @@ impl DeviceWorker {
         };
         let thread = std::thread::Builder::new()
             .name("isopeel-device".into())
+            .stack_size(STACK_BYTES)
             .spawn(move || thread.run(choose, waiting))?;
         Ok(Self {
             shared: Arc::new(Shared {

@@ -13,6 +13,7 @@ pub struct JobRequest {
     /// Id of the volume, as `GET /api/v1/volumes` lists it.
     pub volume: String,
     /// 1 to 10,000 files.
+    #[schema(min_items = 1, max_items = 10_000)]
     pub extractions: Vec<FileRequest>,
 }
 

@@ -26,11 +26,11 @@ pub struct EmbedInfo {
 pub struct EmbedTokenRequest {
     /// `view`, or `edit` too.
     #[serde(default = "only_look")]
-    #[schema(default = json!(["view"]))]
+    #[schema(default = json!(["view"]), min_items = 1)]
     roles: Vec<Role>,
     /// 10 to 3600.
     #[serde(default = "default_seconds")]
-    #[schema(default = 600)]
+    #[schema(default = 600, minimum = 10, maximum = 3600)]
     seconds: u64,
 }
 
@@ -81,6 +81,7 @@ pub async fn show(State(state): State<ApiState>) -> Json<EmbedInfo> {
         (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
         (status = 403, description = "`forbidden`: the token is not for that, or is such a one itself; `foreign-origin`", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "`no-auth`: this server asks for no token", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
         (status = 429, description = "`too-many-embed-tokens`: too many have not ended", body = Problem, content_type = "application/problem+json"),
     ),
 )]

@@ -32,6 +32,7 @@ pub struct SessionRequest {
         (status = 400, description = "`bad-json`", body = Problem, content_type = "application/problem+json"),
         (status = 401, description = "`unauthorized`: another token", body = Problem, content_type = "application/problem+json"),
         (status = 403, description = "`foreign-origin`: a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub async fn begin(

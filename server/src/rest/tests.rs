@@ -1,5 +1,6 @@
 //! Requests that need no device, through the whole router.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use axum::Extension;
@@ -465,12 +466,19 @@ fn openapi_is_complete() {
         let path = reference.as_str().unwrap().trim_start_matches('#');
         assert!(openapi.pointer(path).is_some(), "{reference} is not there");
     }
-    let mut names = Vec::new();
-    all_named(&openapi["paths"], "operationId", &mut names);
-    let mut once: Vec<&str> = names.iter().map(|name| name.as_str().unwrap()).collect();
-    once.sort_unstable();
-    once.dedup();
+    let paths = openapi["paths"].as_object().unwrap();
+    let operations = || paths.values().flat_map(|item| item.as_object().unwrap().values());
+    let names: Vec<&str> = operations()
+        .map(|operation| operation["operationId"].as_str().unwrap())
+        .collect();
+    let once: HashSet<&str> = names.iter().copied().collect();
     assert_eq!(once.len(), names.len(), "{names:?}");
+    let mut links = Vec::new();
+    operations().for_each(|operation| all_named(&operation["responses"], "operationId", &mut links));
+    assert!(links.len() > 5, "{links:?}");
+    for link in links {
+        assert!(once.contains(link.as_str().unwrap()), "{link} is not there");
+    }
     assert_eq!(openapi["components"]["securitySchemes"]["token"]["scheme"], "bearer");
     for (path, item) in openapi["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {

@@ -64,7 +64,19 @@ impl ApiState {
     request_body = UploadRequest,
     params(("idempotency-key" = Option<String>, Header, description = "1 to 255 visible ASCII characters: the same files with the same key make one upload")),
     responses(
-        (status = 201, description = "Bytes may be sent", body = UploadInfo, headers(("location" = String, description = "Its path"))),
+        (
+            status = 201,
+            description = "Bytes may be sent",
+            body = UploadInfo,
+            headers(("location" = String, description = "Its path")),
+            links(
+                ("show_upload" = (operation_id = "show_upload", parameters(("id" = "$response.body#/id")))),
+                ("show_upload_offset" = (operation_id = "show_upload_offset", parameters(("id" = "$response.body#/id")))),
+                ("send_upload_part" = (operation_id = "send_upload_part", parameters(("id" = "$response.body#/id")))),
+                ("finish_upload" = (operation_id = "finish_upload", parameters(("id" = "$response.body#/id")))),
+                ("remove_upload" = (operation_id = "remove_upload", parameters(("id" = "$response.body#/id")))),
+            ),
+        ),
         (status = 200, description = "The upload that this key and these files made before", body = UploadInfo),
         (status = 400, description = "`bad-json`, or `bad-request`: a malformed key", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "`key-reused`: the key belongs to other files", body = Problem, content_type = "application/problem+json"),

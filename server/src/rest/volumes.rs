@@ -155,7 +155,7 @@ pub struct ExpressionQuery {
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), ExpressionQuery),
     responses(
-        (status = 200, description = "The field; a problem document if `typed` and there is a mistake", body = FieldInfo),
+        (status = 200, description = "The field; a problem document if `typed` and there is a mistake", content((FieldInfo = "application/json"), (Problem = "application/problem+json"))),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "`too-large` for the host's memory", body = Problem, content_type = "application/problem+json"),

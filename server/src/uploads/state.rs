@@ -10,6 +10,7 @@ use super::names::DeclaredFile;
 #[serde(deny_unknown_fields)]
 pub struct UploadRequest {
     /// 1 to 20,000 files, whose bytes are sent one after the other in this order.
+    #[schema(min_items = 1, max_items = 20_000)]
     pub files: Vec<DeclaredFile>,
 }
 

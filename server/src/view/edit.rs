@@ -36,6 +36,7 @@ pub struct Edit {
     pub feature: Option<String>,
     /// Feature values that become 0 and 1, in the feature's units; the feature's own range when never given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_items = 2, max_items = 2)]
     pub feature_range: Option<[f32; 2]>,
     /// Weight of the feature against smoothness, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -98,6 +99,7 @@ pub struct Edit {
     pub transfer_function: Option<TransferFunctionJson>,
     /// Regions of interest, at most 64: where importance is raised. They take the place of those before.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(max_items = 64)]
     pub interest: Option<Vec<InterestJson>>,
 }
 

@@ -30,6 +30,7 @@ pub struct InterestJson {
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct SphereJson {
     /// Its centre.
+    #[schema(min_items = 3, max_items = 3)]
     pub center: [f64; 3],
     /// Above 0.
     pub radius: f64,
@@ -41,8 +42,10 @@ pub struct SphereJson {
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct BoxJson {
     /// Minimum along each axis.
+    #[schema(min_items = 3, max_items = 3)]
     pub min: [f64; 3],
     /// Maximum along each axis, above the minimum.
+    #[schema(min_items = 3, max_items = 3)]
     pub max: [f64; 3],
 }
 

@@ -11,6 +11,7 @@ use super::error::EditError;
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct TransferFunctionJson {
     /// Control points, 1 to 64.
+    #[schema(min_items = 1, max_items = 64)]
     pub points: Vec<PointJson>,
 }
 

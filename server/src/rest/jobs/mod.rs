@@ -54,7 +54,18 @@ impl ApiState {
     request_body = JobRequest,
     params(("idempotency-key" = Option<String>, Header, description = "1 to 255 visible ASCII characters: the same request with the same key makes one job")),
     responses(
-        (status = 201, description = "It is queued", body = JobInfo, headers(("location" = String, description = "Its path"))),
+        (
+            status = 201,
+            description = "It is queued",
+            body = JobInfo,
+            headers(("location" = String, description = "Its path")),
+            links(
+                ("show_job" = (operation_id = "show_job", parameters(("id" = "$response.body#/id")))),
+                ("show_job_results" = (operation_id = "show_job_results", parameters(("id" = "$response.body#/id")))),
+                ("cancel_job" = (operation_id = "cancel_job", parameters(("id" = "$response.body#/id")))),
+                ("remove_job" = (operation_id = "remove_job", parameters(("id" = "$response.body#/id")))),
+            ),
+        ),
         (status = 200, description = "The job that this key and request made before", body = JobInfo),
         (status = 400, description = "`bad-json`, or `bad-request`: a malformed key", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume` or `unknown-step`", body = Problem, content_type = "application/problem+json"),

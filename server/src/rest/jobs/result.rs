@@ -44,6 +44,7 @@ pub const DIGEST_HEADER: HeaderName = HeaderName::from_static("repr-digest");
         ),
         (status = 206, description = "A part of it", body = File, content_type = "application/octet-stream"),
         (status = 304, description = "The client has it: `If-None-Match`"),
+        (status = 400, description = "`bad-request`: no number of an extraction", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-job`, or `no-result`: it is not made yet, failed, or its surface is empty", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "`bad-range`: beyond the end of the file", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "`jobs-off`", body = Problem, content_type = "application/problem+json"),

@@ -157,7 +157,6 @@ impl Viewer {
 
     /// Reads up to `opened`; what it holds.
     pub async fn until_opened(&mut self) -> Frame {
-        self.read_bytes = 0;
         loop {
             match self.next().await {
                 Frame::Opening { .. } => {}
@@ -171,6 +170,7 @@ impl Viewer {
     pub async fn send(&mut self, message: Value) {
         if message["type"] == "open" || message["type"] == "join" {
             self.asks_for_codings = message["codings"].is_array();
+            self.read_bytes = 0;
         }
         self.send_raw(Message::text(message.to_string())).await;
     }
