@@ -31,6 +31,21 @@ fn nifti_round_trips() {
     }
 }
 
+#[test]
+fn half_a_turn_is_exact() {
+    let v = Volume::new(DIMS, 1, ('u', 1), false);
+    let half = 0.5f32.sqrt();
+    let turned = write::nifti(&v, |h| {
+        h.i16(252, 1);
+        h.i16(254, 0);
+        [half, half, 0.0].iter().enumerate().for_each(|(i, q)| h.f32(256 + 4 * i, *q));
+    });
+    let axes = ras(open("a.nii", turned).unwrap()).geometry.direction;
+    let expected = [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]];
+    let differences = axes.iter().flatten().zip(expected.iter().flatten());
+    assert!(differences.into_iter().all(|(a, b): (&f64, &f64)| (a - b).abs() < 1e-12), "{axes:?}");
+}
+
 /// Intent 1002 says that values are labels; nothing else in the header does.
 #[test]
 fn nifti_intent_declares_labels() {

@@ -1,6 +1,6 @@
 //! NRRD and MetaImage: round trips, axes, channels.
 
-use isopeel::volumes::read_file;
+use isopeel::volumes::{Frame, LengthUnit, read_file};
 use isopeel_kernels::SampleType;
 
 use crate::formats::{DIMS, all, memory, open, same, same_placed, values};
@@ -62,6 +62,49 @@ fn the_oldest_nrrd_is_read_and_a_place_that_is_not_known_is_0() {
     assert_eq!(file.geometry.origin, [0.0, 2.0, 0.0]);
     let notices = file.notices.text().unwrap();
     assert!(notices.contains("place of the first sample is missing in [NaN, 2.0, NaN]"), "{notices}");
+}
+
+#[test]
+fn a_space_with_time_has_its_steps_at_its_times() {
+    let text = "NRRD0005\ntype: uchar\ndimension: 4\nsizes: 2 2 2 2\nspace: left-posterior-superior-time\nkinds: space space space time\n\
+                space directions: (2,0,0,0) (0,1,0,0) (0,0,1,0) (0,0,0,0.5)\nspace origin: (1,2,3,4)\n\
+                space units: \"mm\" \"mm\" \"mm\" \"s\"\nencoding: raw\n\n0123456789abcdef";
+    let file = open("a.nrrd", text.into()).unwrap();
+    let geometry = &file.geometry;
+    assert_eq!((geometry.spacing, geometry.origin), ([2.0, 1.0, 1.0], [1.0, 2.0, 3.0]));
+    assert_eq!((geometry.frame, file.steps), (Frame::Lps, 2));
+    let times = file.times.and_then(|times| times.labels()).unwrap();
+    assert_eq!(times, ["4 s", "4.5 s"]);
+    let turned = text.replace("(0,1,0,0)", "(0,1,0,1)");
+    assert_eq!(open("a.nrrd", turned.into()).unwrap_err().field, "space directions");
+}
+
+#[test]
+fn centers_are_words_in_any_case() {
+    for word in ["cell", "Cell"] {
+        let text = format!(
+            "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\naxis mins: 0 0 0\naxis maxs: 2 4 6\n\
+             centers: {word} {word} {word}\nencoding: raw\n\n12345678"
+        );
+        let geometry = open("a.nrrd", text.into()).unwrap().geometry;
+        assert_eq!((geometry.spacing, geometry.origin), ([1.0, 2.0, 3.0], [0.5, 1.0, 1.5]));
+    }
+}
+
+#[test]
+fn metaimage_has_the_unit_and_the_lengths_of_rows_that_it_says() {
+    let text = |unit: &str, row: &str| {
+        format!(
+            "ObjectType = Image\nNDims = 3\nDimSize = 2 2 2\nElementSpacing = 1 2 3\nTransformMatrix = {row} 0 1 0 0 0 1\n\
+             AnatomicalOrientation = LPS\nDistanceUnits = {unit}\nElementType = MET_UCHAR\nElementDataFile = LOCAL\n12345678"
+        )
+    };
+    let read = |unit, row| open("a.mha", text(unit, row).into_bytes()).unwrap();
+    assert_eq!(read("um", "1 0 0").geometry.unit, Some(LengthUnit::Micrometre));
+    assert_eq!(read("?", "1 0 0").geometry.unit, Some(LengthUnit::Millimetre));
+    let file = read("mm", "2 0 0");
+    assert_eq!(file.geometry.spacing, [2.0, 2.0, 3.0]);
+    assert!(file.notices.text().unwrap().contains("[2.0, 1.0, 1.0]"));
 }
 
 #[test]

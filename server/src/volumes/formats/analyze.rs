@@ -139,11 +139,11 @@ fn origin(bytes: &Bytes<'_>, dims: [u32; 3], spacing: [f64; 3]) -> [f64; 3] {
 
 /// SPM's factor, or how its calibrated values lie between the minimum and the maximum.
 fn scale(bytes: &Bytes<'_>, notices: &mut Notices) -> Option<[f64; 2]> {
-    let [factor] = bytes.f32s::<1>(112);
+    let [factor, intercept] = bytes.f32s::<2>(112);
     let [cal_max, cal_min] = bytes.f32s::<2>(124);
     let (maximum, minimum) = (f64::from(bytes.i32(140)), f64::from(bytes.i32(144)));
     let scale = if factor.is_finite() && factor != 0.0 {
-        [factor, 0.0]
+        [factor, if intercept.is_finite() { intercept } else { 0.0 }]
     } else if cal_max > cal_min && maximum > minimum {
         let slope = (cal_max - cal_min) / (maximum - minimum);
         [slope, cal_min - slope * minimum]

@@ -54,6 +54,12 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         geometry.frame = Frame::Lps;
         geometry.unit = Some(LengthUnit::Millimetre);
     }
+    if let Some(unit) = header.get(&["DistanceUnits"]).filter(|unit| !unit.starts_with('?')) {
+        geometry.unit = LengthUnit::parse(unit);
+        if geometry.unit.is_none() {
+            notices.add(format!("DistanceUnits is {unit:?}, which is no unit of lengths: distances have none"));
+        }
+    }
 
     header.tell_of_intensities(&mut notices);
     let samples = header
@@ -271,10 +277,19 @@ impl<'a> Header<'a> {
             Some(m) => std::array::from_fn(|axis| std::array::from_fn(|i| m[axis * dimension + i])),
             None => Geometry::IDENTITY,
         };
-        // The rows should be unit vectors; if they are not, their length means nothing.
-        let (_, direction) = header::split_axes(axes);
+        // The rows should be unit vectors. Those of ITK are multiplied by the spacing whatever their length.
+        let (lengths, direction) = header::split_axes(axes);
         let first = |v: &[f64]| [v[0], v[1], v[2]];
         let (distances, direction) = header::signed_distances(first(&spacing), direction, notices);
+        let is_unit = lengths.iter().all(|length| (length - 1.0).abs() < 1e-4);
+        let distances = if is_unit {
+            distances
+        } else {
+            notices.add(format!(
+                "the rows of TransformMatrix have lengths {lengths:?}, expected 1: distances of samples are multiplied by them"
+            ));
+            std::array::from_fn(|axis| distances[axis] * lengths[axis])
+        };
         let geometry = header::geometry(
             path,
             &FIELDS,

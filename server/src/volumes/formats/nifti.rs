@@ -387,7 +387,9 @@ impl Header {
             let why = format!("({b}, {c}, {d}) is longer than 1, expected a part of a unit quaternion");
             return Err(ReadError::new(path, names.direction, why));
         }
-        let direction = self.rotation(rest.max(0.0).sqrt());
+        // And half a turn is one: what is left then is rounding.
+        let a = if rest < 1e-7 { 0.0 } else { rest.sqrt() };
+        let direction = self.rotation(a);
         let origin = self.quaternion_offset;
         ras(header::geometry(path, &names, dims, pixdim, origin, direction))
     }

@@ -315,7 +315,7 @@ impl<'a> Header<'a> {
             let mut chosen = [[0.0; 3]; 3];
             for (out, &axis) in chosen.iter_mut().zip(&axes.space) {
                 *out = match all.get(axis) {
-                    Some(Some(v)) => three(path, "space directions", v)?,
+                    Some(Some(v)) => three(path, "space directions", in_space(v))?,
                     _ => return Err(self.error("space directions", format!("no vector for axis {axis}, expected one"))),
                 };
             }
@@ -331,7 +331,7 @@ impl<'a> Header<'a> {
         let origin = match self.get("space origin") {
             None => [0.0; 3],
             Some(text) => match vectors(text).as_deref() {
-                Some([Some(v)]) => header::known_origin(three(path, "space origin", v)?, notices),
+                Some([Some(v)]) => header::known_origin(three(path, "space origin", at_a_time(v))?, notices),
                 _ => return Err(self.error("space origin", malformed(text))),
             },
         };
@@ -366,7 +366,8 @@ impl<'a> Header<'a> {
             .get("centers")
             .map_or_else(Vec::new, |text| text.split_whitespace().collect());
         axes.space
-            .map(|axis| if words.get(axis) == Some(&"cell") { 0.5 } else { 0.0 })
+            .map(|axis| words.get(axis).is_some_and(|word| word.eq_ignore_ascii_case("cell")))
+            .map(|is_cell| if is_cell { 0.5 } else { 0.0 })
     }
 
     /// Distances by `axis mins` and `axis maxs`.
@@ -382,6 +383,16 @@ impl<'a> Header<'a> {
     /// When the steps are, where the time axis has a distance: `spacings`, `axis mins` and `units`.
     fn times(&self, axes: &Axes) -> Option<TimeAxis> {
         let axis = axes.time?;
+        // Of a world with time its vectors have it last.
+        let last = |text: &str, at: usize| match vectors(text)?.get(at) {
+            Some(Some(vector)) if vector.len() == 4 => Some(vector[3]),
+            _ => None,
+        };
+        if let Some(between) = self.get("space directions").and_then(|text| last(text, axis)) {
+            let start = self.get("space origin").and_then(|text| last(text, 0)).unwrap_or(0.0);
+            let unit = self.get("space units").and_then(|text| quoted(text).nth(3));
+            return TimeAxis::even(start, between, axes.steps, unit.unwrap_or_default());
+        }
         let number = |name: &str| -> Option<f64> { self.get(name)?.split_whitespace().nth(axis)?.parse().ok() };
         let unit = self
             .get("units")
@@ -438,6 +449,22 @@ fn named_units<'a>(units: Vec<&'a str>, notices: &mut Notices) -> Vec<&'a str> {
             named
         }
         _ => units,
+    }
+}
+
+/// An axis in space of a world that may have time as well.
+fn in_space(vector: &[f64]) -> &[f64] {
+    match vector {
+        [space @ .., 0.0] if space.len() == 3 => space,
+        _ => vector,
+    }
+}
+
+/// A place of a world that may have time as well.
+fn at_a_time(place: &[f64]) -> &[f64] {
+    match place {
+        [space @ .., _] if space.len() == 3 => space,
+        _ => place,
     }
 }
 

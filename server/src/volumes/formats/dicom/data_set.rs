@@ -42,6 +42,7 @@ tags! {
     PHOTOMETRIC = 0x0028_0004, "PhotometricInterpretation";
     PLANAR = 0x0028_0006, "PlanarConfiguration";
     FRAMES = 0x0028_0008, "NumberOfFrames";
+    FRAME_INCREMENT = 0x0028_0009, "FrameIncrementPointer";
     ROWS = 0x0028_0010, "Rows";
     COLUMNS = 0x0028_0011, "Columns";
     PIXEL_SPACING = 0x0028_0030, "PixelSpacing";
@@ -61,6 +62,16 @@ tags! {
     MODALITY_TABLE = 0x0028_3000, "ModalityLUTSequence";
     PIXEL_MEASURES = 0x0028_9110, "PixelMeasuresSequence";
     VALUE_TRANSFORMATION = 0x0028_9145, "PixelValueTransformationSequence";
+    ENERGY_WINDOWS = 0x0054_0010, "EnergyWindowVector";
+    DETECTOR_NUMBERS = 0x0054_0020, "DetectorVector";
+    DETECTORS = 0x0054_0022, "DetectorInformationSequence";
+    PHASES = 0x0054_0030, "PhaseVector";
+    ROTATIONS = 0x0054_0050, "RotationVector";
+    INTERVALS = 0x0054_0060, "RRIntervalVector";
+    TIME_SLOTS = 0x0054_0070, "TimeSlotVector";
+    SLICES = 0x0054_0080, "SliceVector";
+    ANGULAR_VIEWS = 0x0054_0090, "AngularViewVector";
+    TIME_SLICES = 0x0054_0100, "TimeSliceVector";
     UNITS = 0x0054_1001, "Units";
     SEGMENTATION_TYPE = 0x0062_0001, "SegmentationType";
     SEGMENTS = 0x0062_0002, "SegmentSequence";
@@ -103,6 +114,7 @@ pub fn is_sequence(tag: Tag) -> bool {
             | PLANE_POSITION
             | PLANE_ORIENTATION
             | PIXEL_MEASURES
+            | DETECTORS
             | SEGMENTS
             | SEGMENT_IDENTIFICATION
             | VALUE_TRANSFORMATION

@@ -1,7 +1,8 @@
-//! FileLabel, time and scale of each image of a file: of one image, of frames at even distances, or of frames that each
+//! Place, time and scale of each image of a file: of one image, of frames at even distances, or of frames that each
 //! say their own (functional groups of enhanced images, part 3, C.7.6.16).
 
 use super::data_set::{DataSet, Fault, Tag, tag};
+use super::increments::Increments;
 
 /// One image.
 #[derive(Clone)]
@@ -82,20 +83,33 @@ fn classic(set: &DataSet, count: u32) -> Result<Vec<Image>, Fault> {
         let plane = plane(set, set, set)?;
         return Ok(plane.map(|plane| image(0, plane)).into_iter().collect());
     }
-    let (Some(first), Some(offsets)) = (first_plane(set)?, offsets(set, count)?) else {
+    let increments = Increments::of(set, count)?;
+    let (Some(first), Some(offsets)) = (first_plane(set)?, offsets(set, &increments, count)?) else {
         return Ok(Vec::new());
     };
     let normal = cross(first.axes[0], first.axes[1]);
-    let planes = offsets.into_iter().map(|offset| Plane {
+    let plane = |offset: f64| Plane {
         position: std::array::from_fn(|i| first.position[i] + offset * normal[i]),
         ..first
+    };
+    let time = |frame: u32| increments.times.as_ref().map(|times| times[frame as usize]);
+    let images = (0..).zip(offsets).map(|(frame, offset)| {
+        let mut image = image(frame, plane(offset));
+        image.times[0] = time(frame).or(image.times[0]);
+        image
     });
-    Ok((0..).zip(planes).map(|(frame, plane)| image(frame, plane)).collect())
+    Ok(images.collect())
 }
 
 /// The first of frames at even distances. Without position and orientation the axes are the file's own.
 fn first_plane(set: &DataSet) -> Result<Option<Plane>, Fault> {
     if let Some(plane) = plane(set, set, set)? {
+        return Ok(Some(plane));
+    }
+    // Nuclear medicine says it of the detector.
+    if let Some(detector) = set.items(tag::DETECTORS).first()
+        && let Some(plane) = plane(detector, detector, set)?
+    {
         return Ok(Some(plane));
     }
     let spacing = set.array::<2>(tag::PIXEL_SPACING)?;
@@ -108,7 +122,7 @@ fn first_plane(set: &DataSet) -> Result<Option<Plane>, Fault> {
 }
 
 /// Distances of frames from the first one, along the normal.
-fn offsets(set: &DataSet, count: u32) -> Result<Option<Vec<f64>>, Fault> {
+fn offsets(set: &DataSet, increments: &Increments, count: u32) -> Result<Option<Vec<f64>>, Fault> {
     if let Some(offsets) = set.numbers(tag::FRAME_OFFSETS)? {
         if offsets.len() != count as usize {
             let why = format!("{} numbers, expected one for each of {count} frames", offsets.len());
@@ -118,7 +132,12 @@ fn offsets(set: &DataSet, count: u32) -> Result<Option<Vec<f64>>, Fault> {
         return Ok(Some(offsets.iter().map(|offset| offset - offsets[0]).collect()));
     }
     let spacing = set.number(tag::SPACING_BETWEEN_SLICES)?;
-    Ok(spacing.map(|spacing| (0..count).map(|frame| f64::from(frame) * spacing).collect()))
+    let slice = |frame: u32| match &increments.slices {
+        Some(slices) => slices[frame as usize] - slices[0],
+        None if increments.times.is_some() => 0.0,
+        None => f64::from(frame),
+    };
+    Ok(spacing.map(|spacing| (0..count).map(|frame| slice(frame) * spacing).collect()))
 }
 
 /// A frame that functional groups describe: its own ones, else those that all frames share.

@@ -16,6 +16,7 @@ mod elements;
 mod frames;
 mod grid;
 mod image;
+mod increments;
 mod label;
 mod samples;
 mod segmentation;
