@@ -38,12 +38,20 @@ fn half_a_turn_is_exact() {
     let turned = write::nifti(&v, |h| {
         h.i16(252, 1);
         h.i16(254, 0);
-        [half, half, 0.0].iter().enumerate().for_each(|(i, q)| h.f32(256 + 4 * i, *q));
+        [half, half, 0.0]
+            .iter()
+            .enumerate()
+            .for_each(|(i, q)| h.f32(256 + 4 * i, *q));
     });
     let axes = ras(open("a.nii", turned).unwrap()).geometry.direction;
     let expected = [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]];
     let differences = axes.iter().flatten().zip(expected.iter().flatten());
-    assert!(differences.into_iter().all(|(a, b): (&f64, &f64)| (a - b).abs() < 1e-12), "{axes:?}");
+    assert!(
+        differences
+            .into_iter()
+            .all(|(a, b): (&f64, &f64)| (a - b).abs() < 1e-12),
+        "{axes:?}"
+    );
 }
 
 /// Intent 1002 says that values are labels; nothing else in the header does.

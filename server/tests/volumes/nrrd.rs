@@ -61,7 +61,10 @@ fn the_oldest_nrrd_is_read_and_a_place_that_is_not_known_is_0() {
     let file = open("a.nrrd", text.into()).unwrap();
     assert_eq!(file.geometry.origin, [0.0, 2.0, 0.0]);
     let notices = file.notices.text().unwrap();
-    assert!(notices.contains("place of the first sample is missing in [NaN, 2.0, NaN]"), "{notices}");
+    assert!(
+        notices.contains("place of the first sample is missing in [NaN, 2.0, NaN]"),
+        "{notices}"
+    );
 }
 
 #[test]

@@ -21,7 +21,7 @@ fn what_is_not_read_is_named() {
         ),
         (
             "bfloat16",
-            "floats of 2 bytes with an exponent of 8 bits and a mantissa of 7, expected half floats of IEEE 754 (5 and 10)",
+            "floats in 16 bits with an exponent of 8 bits and a mantissa of 7, expected those of IEEE 754 (5 and 10) with their bias and byte order",
         ),
         ("records", "compound samples, expected one number a sample"),
         (
@@ -30,7 +30,7 @@ fn what_is_not_read_is_named() {
         ),
         ("blosc", "filter 32001"),
         ("assembled/virtual", "a virtual dataset, which is not read"),
-        ("none", "expected one of /bfloat16 (floats of 2 bytes"),
+        ("none", "expected one of /bfloat16 (floats in 16 bits"),
     ] {
         let error = open(&format!("hdf5_refused.h5:/{part}")).unwrap_err();
         assert!(
@@ -65,7 +65,7 @@ fn a_file_without_a_volume_says_what_it_holds() {
     for part in [
         "no variable is a volume",
         "/flat (5 x 7 i16)",
-        "/bfloat16 (floats of 2 bytes",
+        "/bfloat16 (floats in 16 bits",
         "/assembled/ (",
     ] {
         assert!(error.contains(part), "{part}: {error}");

@@ -57,7 +57,9 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     if let Some(unit) = header.get(&["DistanceUnits"]).filter(|unit| !unit.starts_with('?')) {
         geometry.unit = LengthUnit::parse(unit);
         if geometry.unit.is_none() {
-            notices.add(format!("DistanceUnits is {unit:?}, which is no unit of lengths: distances have none"));
+            notices.add(format!(
+                "DistanceUnits is {unit:?}, which is no unit of lengths: distances have none"
+            ));
         }
     }
 

@@ -110,7 +110,10 @@ impl<'a> Header<'a> {
             let line = line.strip_suffix(b"\r").unwrap_or(line);
             if number == 0 {
                 // The first version had another name.
-                if !matches!(line, b"NRRD00.01" | [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5']) {
+                if !matches!(
+                    line,
+                    b"NRRD00.01" | [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5']
+                ) {
                     return Err(header.error("magic", "expected NRRD0001 to NRRD0005 on the first line"));
                 }
                 continue;

@@ -410,7 +410,10 @@ async fn a_budget_counts_when_a_later_edit_leaves_nothing_to_resolve() {
     viewer.step().await.answer(Answer::last(2, shapes(&[2])).of_full(6000));
     let job = viewer.step().await;
     let budget = job.view.budget.expect("a budget");
-    assert!(matches!(budget, Budget::Triangles(TriangleBudget::AtMost(1..77))), "{budget:?}");
+    assert!(
+        matches!(budget, Budget::Triangles(TriangleBudget::AtMost(1..77))),
+        "{budget:?}"
+    );
 }
 
 #[tokio::test]

@@ -4,7 +4,7 @@
 use super::data_set::{DataSet, Fault, Tag, name, tag};
 
 /// Slice and time of each frame, as numbers that count. `None`: frames do not differ in it.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Increments {
     pub slices: Option<Vec<f64>>,
     pub times: Option<Vec<f64>>,
@@ -46,7 +46,10 @@ impl Increments {
         for tag in TIMES {
             let times = differing(tag)?;
             if times.is_some() && found.times.is_some() {
-                return Err(Fault::of(tag, "frames differ in it and in another time, expected one of them"));
+                return Err(Fault::of(
+                    tag,
+                    "frames differ in it and in another time, expected one of them",
+                ));
             }
             found.times = found.times.or(times);
         }

@@ -192,6 +192,20 @@ impl Directory<'_> {
         Ok(self.numbers(tag)?.first().copied().unwrap_or(default))
     }
 
+    /// Where the one whole number of a tag is in the file, and in how many bytes; `None` where it has none, or several.
+    pub fn place_of(&self, tag: u16) -> Option<(u64, usize)> {
+        let index = self.entries.iter().position(|entry| entry.tag == tag)?;
+        let entry = &self.entries[index];
+        let [count_bytes, entry_bytes, value_at] = if self.file.header.is_big {
+            [8, 20, 12]
+        } else {
+            [2, 12, 8]
+        };
+        let bytes = bytes_of(entry.kind) as usize;
+        let is_there = entry.count == 1 && matches!(entry.kind, 3 | 4);
+        is_there.then_some((self.offset + count_bytes + entry_bytes * index as u64 + value_at, bytes))
+    }
+
     /// A quotient of two numbers.
     pub fn rational(&self, tag: u16) -> Result<Option<f64>, String> {
         let endian = self.file.header.endian;

@@ -32,7 +32,48 @@ pub struct Page {
     pub is_planar: bool,
     /// Whether 0 is shown white. The samples stay as they are; the library turns them.
     pub is_white_zero: bool,
+    /// What is decoded in its place, if the library cannot decode it as it is.
+    pub whole: Option<WholeTiles>,
     pub header: Header,
+}
+
+/// A page that is as wide as its tiles: of tiles in LZW that reach beyond the page the library finds no end
+/// (<https://github.com/image-rs/image-tiff/issues/395>).
+#[derive(Clone, Copy, Debug)]
+pub struct WholeTiles {
+    width: u32,
+    /// Where the file says how wide it is, and in how many bytes.
+    place: (u64, usize),
+}
+
+impl WholeTiles {
+    fn of(directory: &Directory<'_>, width: u32, compression: u64) -> Result<Option<Self>, String> {
+        let across = directory.number(tag::TILE_WIDTH, 0)?;
+        let is_planar = directory.number(tag::PLANAR_CONFIGURATION, 1)? == 2;
+        let Some(place) = directory.place_of(tag::IMAGE_WIDTH) else {
+            return Ok(None);
+        };
+        if compression != 5 || across == 0 || is_planar {
+            return Ok(None);
+        }
+        let whole = u64::from(width).div_ceil(across).saturating_mul(across);
+        let fits = whole != u64::from(width) && whole < 1 << (8 * place.1).min(31);
+        Ok(fits.then_some(Self {
+            width: whole as u32,
+            place,
+        }))
+    }
+
+    /// The rows of a page of which these are wider ones.
+    fn crop(self, image: &Image, samples: Vec<u8>) -> Vec<u8> {
+        let wide = samples.len() / image.height as usize;
+        let row = wide / self.width as usize * image.width as usize;
+        samples
+            .chunks_exact(wide.max(1))
+            .flat_map(|wide| &wide[..row])
+            .copied()
+            .collect()
+    }
 }
 
 impl Image {
@@ -85,6 +126,7 @@ impl Page {
             plain: chunks.begin().filter(|_| is_plain),
             is_planar: directory.number(tag::PLANAR_CONFIGURATION, 1)? == 2,
             is_white_zero: directory.number(tag::PHOTOMETRIC, 1)? == 0,
+            whole: WholeTiles::of(directory, image.width, compression)?,
             header,
         }))
     }
@@ -103,13 +145,17 @@ impl Page {
         let expected = self.image.describe();
         let mut decoder = Decoder::new(BufReader::new(OnePage::new(self, blob))).map_err(|e| e.to_string())?;
         let mut limits = Limits::default();
-        limits.decoding_buffer_size = bytes as usize;
+        let wide = self.whole.map_or(1, |whole| whole.width.div_ceil(self.image.width));
+        limits.decoding_buffer_size = (bytes as usize).saturating_mul(wide as usize);
         limits.intermediate_buffer_size = usize::try_from(blob.len()).unwrap_or(usize::MAX);
         decoder = decoder.with_limits(limits);
         let mut samples = DecodingResult::U8(Vec::new());
         let decoded = decoder.read_image_to_buffer(&mut samples);
         decoded.map_err(|e| format!("{e}, expected {expected}"))?;
         let mut samples = samples.as_buffer(0).as_bytes().to_vec();
+        if let Some(whole) = self.whole {
+            samples = whole.crop(&self.image, samples);
+        }
         let colours = bytes / u64::from(self.image.samples) * 3;
         if samples.len() as u64 != bytes && !(self.image.is_rgb && samples.len() as u64 == colours) {
             return Err(format!("{} bytes, expected {bytes}: {expected}", samples.len()));
@@ -321,6 +367,8 @@ fn ratio(compression: u64) -> Result<u64, String> {
 /// The file as if a page were its first and only one that is read: the library reads the first one without the others.
 struct OnePage<'a> {
     head: Vec<u8>,
+    /// Bytes that take the place of the file's.
+    other: Option<(u64, Vec<u8>)>,
     file: BlobReader<'a>,
     at: u64,
 }
@@ -340,10 +388,24 @@ impl<'a> OnePage<'a> {
         let mut head = mark.to_vec();
         head.extend(version.iter().flat_map(|&n| bytes(u64::from(n), 2)));
         head.extend(bytes(page.directory, offset));
+        let width = |whole: WholeTiles| (whole.place.0, bytes(u64::from(whole.width), whole.place.1));
         Self {
             head,
+            other: page.whole.map(width),
             file: blob.reader(0),
             at: 0,
+        }
+    }
+}
+
+impl OnePage<'_> {
+    fn replace_in(&self, read: &mut [u8]) {
+        let Some((begin, bytes)) = &self.other else { return };
+        for (at, byte) in (*begin..).zip(bytes) {
+            let place = at.checked_sub(self.at).and_then(|at| read.get_mut(at as usize));
+            if let Some(place) = place {
+                *place = *byte;
+            }
         }
     }
 }
@@ -356,7 +418,9 @@ impl Read for OnePage<'_> {
             .unwrap_or_default();
         let n = if inside.is_empty() {
             self.file.seek(SeekFrom::Start(self.at))?;
-            self.file.read(buffer)?
+            let n = self.file.read(buffer)?;
+            self.replace_in(&mut buffer[..n]);
+            n
         } else {
             let n = inside.len().min(buffer.len());
             buffer[..n].copy_from_slice(&inside[..n]);

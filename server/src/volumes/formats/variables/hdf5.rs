@@ -337,6 +337,15 @@ fn stored_type(
     kind: &Datatype,
     encoded: impl FnOnce() -> hdf5_reader::error::Result<Vec<u8>>,
 ) -> Result<(StoredType, Endian), String> {
+    // Names of numbers are not kept.
+    let (kind, begin) = match kind {
+        Datatype::Enum { base, .. } => (&**base, NUMBER_HEADER_BYTES),
+        kind => (kind, 0),
+    };
+    let encoded = || -> Result<Vec<u8>, String> {
+        let whole = encoded().map_err(|e| explain(&e))?;
+        Ok(whole.get(begin..).unwrap_or_default().to_vec())
+    };
     let (stored, order) = match kind {
         Datatype::FixedPoint {
             size,
@@ -354,17 +363,19 @@ fn stored_type(
                 (8, true) => StoredType::I64,
                 _ => return Err(format!("integers of {size} bytes, expected 1, 2, 4 or 8")),
             };
+            check_bits(&encoded()?, *size)?;
             (stored, byte_order)
         }
-        Datatype::FloatingPoint { size: 2, byte_order } => {
-            check_half(&encoded().map_err(|e| explain(&e))?)?;
-            (StoredType::F16, byte_order)
+        Datatype::FloatingPoint { size, byte_order } => {
+            let (stored, layout) = match size {
+                2 => (StoredType::F16, &HALF),
+                4 => (StoredType::F32, &SINGLE),
+                8 => (StoredType::F64, &DOUBLE),
+                _ => return Err(format!("floats of {size} bytes, expected 2, 4 or 8")),
+            };
+            check_float(&encoded()?, layout)?;
+            (stored, byte_order)
         }
-        Datatype::FloatingPoint { size: 4, byte_order } => (StoredType::F32, byte_order),
-        Datatype::FloatingPoint { size: 8, byte_order } => (StoredType::F64, byte_order),
-        Datatype::FloatingPoint { size, .. } => return Err(format!("floats of {size} bytes, expected 2, 4 or 8")),
-        // Names of numbers are not kept.
-        Datatype::Enum { base, .. } => return stored_type(base, encoded),
         other => {
             let name = match other {
                 Datatype::Compound { .. } => "compound samples",
@@ -383,23 +394,51 @@ fn stored_type(
     Ok((stored, endian))
 }
 
-/// Whether 16 bits are a half float of IEEE. Others are as wide: bfloat16 has the exponent of a float.
+/// Of a number's type as in the file: its class and version, 24 bits of flags, 4 bytes of size.
+const NUMBER_HEADER_BYTES: usize = 8;
+
+/// What follows in the types of IEEE's floats: 2 bytes each for the first bit and the count of bits, 1 each for where the exponent is and its
+/// bits, where the mantissa is and its bits, 4 for the exponent's bias.
+type FloatLayout = [u8; 12];
+const HALF: FloatLayout = [0, 0, 16, 0, 10, 5, 0, 10, 15, 0, 0, 0];
+const SINGLE: FloatLayout = [0, 0, 32, 0, 23, 8, 0, 23, 127, 0, 0, 0];
+const DOUBLE: FloatLayout = [0, 0, 64, 0, 52, 11, 0, 52, 0xff, 3, 0, 0];
+
+/// Whether all bits of an integer are its number, or those above it are 0 and it has no sign.
 ///
-/// `encoded`: the type as in the file, its class and version, 24 bits of flags (byte order and how the mantissa is normalized, then where the
-/// sign is), 4 bytes of size, 2 each for the first bit and the count of bits, 1 each for where the exponent is and its bits, where the mantissa
-/// is and its bits, 4 for the exponent's bias.
-fn check_half(encoded: &[u8]) -> Result<(), String> {
-    const IEEE: [u8; 12] = [0, 0, 16, 0, 10, 5, 0, 10, 15, 0, 0, 0];
-    let [_, flags, sign, _, _, _, _, _, properties @ ..] = encoded else {
-        return Err("a type that is cut off, expected half floats of IEEE 754".into());
+/// `encoded`: the type as in the file; its flags have byte order, padding below and above, sign, and the first bit and the count of bits follow.
+fn check_bits(encoded: &[u8], bytes: u8) -> Result<(), String> {
+    let [_, flags, _, _, _, _, _, _, a, b, c, d, ..] = *encoded else {
+        return Err("a type that is cut off, expected integers".into());
     };
+    let (first, count) = (u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
+    let is_whole = count == 8 * u16::from(bytes);
+    let is_below_zeros = flags & 0b1100 == 0;
+    if first == 0 && (is_whole || is_below_zeros) {
+        return Ok(());
+    }
+    Err(format!(
+        "integers of {count} bits from bit {first} of {bytes} bytes on, expected all bits, or those of an unsigned number from bit 0 on"
+    ))
+}
+
+/// Whether a float is laid out as one of IEEE. Others are as wide: bfloat16 has the exponent of a float.
+///
+/// `encoded`: the type as in the file; its flags have byte order and how the mantissa is normalized, then where the sign is.
+fn check_float(encoded: &[u8], layout: &FloatLayout) -> Result<(), String> {
+    let [_, flags, sign, _, _, _, _, _, properties @ ..] = encoded else {
+        return Err("a type that is cut off, expected floats of IEEE 754".into());
+    };
+    let bits = layout[2];
     // The mantissa's first bit is left out, as it is 1; the byte order is not a VAX's.
-    if flags & 0x70 == 0x20 && *sign == 15 && properties.starts_with(&IEEE) {
+    if flags & 0x70 == 0x20 && *sign == bits - 1 && properties.starts_with(layout) {
         return Ok(());
     }
     let [exponent, mantissa] = [5, 7].map(|at| properties.get(at).copied().unwrap_or(0));
+    let [expected_exponent, expected_mantissa] = [layout[5], layout[7]];
     Err(format!(
-        "floats of 2 bytes with an exponent of {exponent} bits and a mantissa of {mantissa}, expected half floats of IEEE 754 (5 and 10)"
+        "floats in {bits} bits with an exponent of {exponent} bits and a mantissa of {mantissa}, expected those of IEEE 754 \
+         ({expected_exponent} and {expected_mantissa}) with their bias and byte order"
     ))
 }
 

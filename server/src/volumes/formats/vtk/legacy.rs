@@ -202,6 +202,11 @@ impl<'a> Parser<'a> {
             "GLOBAL_IDS" | "PEDIGREE_IDS" => (1, rest.get(1)),
             // Bytes, as text numbers from 0 to 1.
             "COLOR_SCALARS" => {
+                if self.text {
+                    self.notices.add(format!(
+                        "{name:?} is of colours as text, from 0 to 1: 1 is the byte 255 that VTK shows"
+                    ));
+                }
                 let kind: &&str = if self.text { &"float" } else { &"unsigned_char" };
                 (self.number(keyword, rest.get(1))?, Some(kind))
             }
