@@ -47,7 +47,10 @@ pub struct WholeTiles {
 }
 
 impl WholeTiles {
-    fn of(directory: &Directory<'_>, width: u32, compression: u64) -> Result<Option<Self>, String> {
+    /// What may be decoded in the place of a small page, in bytes; of larger ones twice as many as they have.
+    const MAX_BYTES: u64 = 16 << 20;
+
+    fn of(directory: &Directory<'_>, image: &Image, compression: u64) -> Result<Option<Self>, String> {
         let across = directory.number(tag::TILE_WIDTH, 0)?;
         let is_planar = directory.number(tag::PLANAR_CONFIGURATION, 1)? == 2;
         let Some(place) = directory.place_of(tag::IMAGE_WIDTH) else {
@@ -56,8 +59,14 @@ impl WholeTiles {
         if compression != 5 || across == 0 || is_planar {
             return Ok(None);
         }
-        let whole = u64::from(width).div_ceil(across).saturating_mul(across);
-        let fits = whole != u64::from(width) && whole < 1 << (8 * place.1).min(31);
+        let width = u64::from(image.width);
+        let whole = width.div_ceil(across).saturating_mul(across);
+        let bytes = image.bytes().unwrap_or(u64::MAX);
+        let fits = whole < 1 << (8 * place.1).min(31)
+            && (bytes / width).saturating_mul(whole) <= bytes.saturating_mul(2).max(Self::MAX_BYTES);
+        if whole == width {
+            return Ok(None);
+        }
         Ok(fits.then_some(Self {
             width: whole as u32,
             place,
@@ -126,7 +135,7 @@ impl Page {
             plain: chunks.begin().filter(|_| is_plain),
             is_planar: directory.number(tag::PLANAR_CONFIGURATION, 1)? == 2,
             is_white_zero: directory.number(tag::PHOTOMETRIC, 1)? == 0,
-            whole: WholeTiles::of(directory, image.width, compression)?,
+            whole: WholeTiles::of(directory, &image, compression)?,
             header,
         }))
     }
@@ -145,8 +154,7 @@ impl Page {
         let expected = self.image.describe();
         let mut decoder = Decoder::new(BufReader::new(OnePage::new(self, blob))).map_err(|e| e.to_string())?;
         let mut limits = Limits::default();
-        let wide = self.whole.map_or(1, |whole| whole.width.div_ceil(self.image.width));
-        limits.decoding_buffer_size = (bytes as usize).saturating_mul(wide as usize);
+        limits.decoding_buffer_size = bytes.saturating_mul(2).max(WholeTiles::MAX_BYTES) as usize;
         limits.intermediate_buffer_size = usize::try_from(blob.len()).unwrap_or(usize::MAX);
         decoder = decoder.with_limits(limits);
         let mut samples = DecodingResult::U8(Vec::new());
