@@ -49,7 +49,7 @@ impl Engine {
         })
     }
 
-    /// Slabs like those of a volume, as all fields of its grid have them. `fill` fills the samples of one, of that number and with so many samples.
+    /// Slabs like those of a volume, as all fields of its grid have them. `fill` takes the number of a slab, its buffer and its count of samples.
     pub(super) fn slabs_like(
         &self,
         volume: &Volume,

@@ -105,7 +105,7 @@ pub(super) fn join_steps(
     for (location, file) in files {
         check(&location, &file, &first)?;
         first.notices.extend(file.notices);
-        // What positions are is left open where steps do not agree.
+        // Axes keep their names only if all steps have the same.
         first.axes.take_if(|axes| file.axes.as_ref() != Some(axes));
         for (source, field) in sources.iter_mut().zip(file.fields) {
             source.push(field.source);

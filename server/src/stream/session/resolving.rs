@@ -108,10 +108,10 @@ impl<B: Backend> Session<B> {
         if opened.phase != OpeningPhase::Open {
             return self.come_into_force(surface, view, named, self.edits, true);
         }
-        let mut pending = opened.surface_mut(surface).and_then(|session| session.pending.as_mut());
+        let pending = opened.surface_mut(surface).and_then(|session| session.pending.as_mut());
         // What waits comes into force with this edit, the budget that it has named too.
         let named = named.or(pending.as_ref().and_then(|pending| pending.named));
-        if let Some(pending) = pending.as_mut().filter(|pending| !pending.queue.is_empty()) {
+        if let Some(pending) = pending.filter(|pending| !pending.queue.is_empty()) {
             if pending.queue.len() < MAX_KEPT_EDITS {
                 pending.queue.push(kept);
             } else {

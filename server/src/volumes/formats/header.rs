@@ -81,7 +81,7 @@ pub fn split_axes(axes: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
     (spacing, direction)
 }
 
-/// The place of the first sample: what is not known of it is 0, with a notice.
+/// The position of the first sample. Coordinates that are NaN, as they are not known, become 0, with a notice.
 pub fn known_origin(origin: [f64; 3], notices: &mut Notices) -> [f64; 3] {
     if origin.iter().any(|at| at.is_nan()) {
         notices.add(format!(

@@ -387,7 +387,7 @@ impl Header {
             let why = format!("({b}, {c}, {d}) is longer than 1, expected a part of a unit quaternion");
             return Err(ReadError::new(path, names.direction, why));
         }
-        // And half a turn is one: what is left then is rounding.
+        // Half a turn has a = 0; a smaller rest than this is rounding.
         let a = if rest < 1e-7 { 0.0 } else { rest.sqrt() };
         let direction = self.rotation(a);
         let origin = self.quaternion_offset;

@@ -61,6 +61,11 @@ struct Entry {
     value: Vec<u8>,
 }
 
+/// Bytes of a directory's count of entries, of an entry, and of a count or offset in it.
+fn sizes(is_big: bool) -> (u64, u64, u64) {
+    if is_big { (8, 20, 8) } else { (2, 12, 4) }
+}
+
 /// The directories of a file, and how much of it their values may still take.
 pub struct Chain<'a> {
     blob: &'a Blob<'a>,
@@ -119,8 +124,7 @@ impl<'a> Chain<'a> {
 
     fn directory(&self, offset: u64) -> Result<Directory<'_>, String> {
         let Header { endian, is_big, .. } = self.header;
-        // Bytes of the count of entries, of an entry, of a count or offset in it.
-        let (count_bytes, entry_bytes, word) = if is_big { (8, 20, 8) } else { (2, 12, 4) };
+        let (count_bytes, entry_bytes, word) = sizes(is_big);
         let count = unsigned(&self.read(offset, count_bytes)?, endian);
         let length = count.checked_mul(entry_bytes).and_then(|n| n.checked_add(word));
         let length = length.ok_or_else(|| format!("a directory of {count} entries, expected fewer"))?;
@@ -192,18 +196,16 @@ impl Directory<'_> {
         Ok(self.numbers(tag)?.first().copied().unwrap_or(default))
     }
 
-    /// Where the one whole number of a tag is in the file, and in how many bytes; `None` where it has none, or several.
+    /// Position in the file of the only number of a tag, a SHORT or LONG, and its bytes. `None` of other tags.
     pub fn place_of(&self, tag: u16) -> Option<(u64, usize)> {
         let index = self.entries.iter().position(|entry| entry.tag == tag)?;
         let entry = &self.entries[index];
-        let [count_bytes, entry_bytes, value_at] = if self.file.header.is_big {
-            [8, 20, 12]
-        } else {
-            [2, 12, 8]
-        };
+        let (count_bytes, entry_bytes, word) = sizes(self.file.header.is_big);
         let bytes = bytes_of(entry.kind) as usize;
         let is_there = entry.count == 1 && matches!(entry.kind, 3 | 4);
-        is_there.then_some((self.offset + count_bytes + entry_bytes * index as u64 + value_at, bytes))
+        // The value is the last word of an entry.
+        let end = self.offset + count_bytes + entry_bytes * (index as u64 + 1);
+        is_there.then_some((end - word, bytes))
     }
 
     /// A quotient of two numbers.

@@ -61,16 +61,26 @@ impl WholeTiles {
         }
         let width = u64::from(image.width);
         let whole = width.div_ceil(across).saturating_mul(across);
-        let bytes = image.bytes().unwrap_or(u64::MAX);
-        let fits = whole < 1 << (8 * place.1).min(31)
-            && (bytes / width).saturating_mul(whole) <= bytes.saturating_mul(2).max(Self::MAX_BYTES);
-        if whole == width {
+        if whole == width || whole >= 1 << (8 * place.1).min(31) {
             return Ok(None);
         }
-        Ok(fits.then_some(Self {
+        let tiles = Self {
             width: whole as u32,
             place,
-        }))
+        };
+        let limit = image
+            .bytes()
+            .map_or(0, |bytes| bytes.saturating_mul(2).max(Self::MAX_BYTES));
+        Ok((tiles.bytes(image) <= limit).then_some(tiles))
+    }
+
+    /// Decoded bytes.
+    fn bytes(self, image: &Image) -> u64 {
+        let wide = Image {
+            width: self.width,
+            ..*image
+        };
+        wide.bytes().unwrap_or(u64::MAX)
     }
 
     /// The rows of a page of which these are wider ones.
@@ -154,7 +164,7 @@ impl Page {
         let expected = self.image.describe();
         let mut decoder = Decoder::new(BufReader::new(OnePage::new(self, blob))).map_err(|e| e.to_string())?;
         let mut limits = Limits::default();
-        limits.decoding_buffer_size = bytes.saturating_mul(2).max(WholeTiles::MAX_BYTES) as usize;
+        limits.decoding_buffer_size = self.whole.map_or(bytes, |whole| whole.bytes(&self.image)) as usize;
         limits.intermediate_buffer_size = usize::try_from(blob.len()).unwrap_or(usize::MAX);
         decoder = decoder.with_limits(limits);
         let mut samples = DecodingResult::U8(Vec::new());

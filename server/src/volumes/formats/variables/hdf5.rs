@@ -2,6 +2,7 @@
 //!
 //! Groups are walked here, every object once: links may form cycles. Samples in other files are not followed.
 
+use std::cell::LazyCell;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 use std::sync::Arc;
@@ -445,14 +446,15 @@ fn check_float(encoded: &[u8], layout: &FloatLayout) -> Result<(), String> {
 /// Those of the attributes that are read. `raw`: all of them as they are in the file.
 fn known_attributes(
     all: Vec<hdf5_reader::Attribute>,
-    raw: impl Fn() -> hdf5_reader::error::Result<Vec<hdf5_reader::RawAttribute>>,
+    raw: impl FnOnce() -> hdf5_reader::error::Result<Vec<hdf5_reader::RawAttribute>>,
 ) -> Attributes {
     let known = all.into_iter().filter(|a| ATTRIBUTES.contains(&a.name.as_str()));
+    // One that cannot be read is passed over, whatever the reason.
+    let raw = LazyCell::new(|| raw().unwrap_or_default());
     let encoded = |name: &str| {
-        let mut named = raw()?.into_iter().filter(|attribute| attribute.name() == name);
+        let named = raw.iter().find(|attribute| attribute.name() == name);
         let missing = || hdf5_reader::error::Error::AttributeNotFound(name.to_owned());
         named
-            .next()
             .map(|attribute| attribute.raw_datatype().to_vec())
             .ok_or_else(missing)
     };
