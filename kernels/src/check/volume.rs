@@ -1,10 +1,10 @@
-//! The volume of the check: an ellipsoid of lower values, rough on one side.
+//! The volume of the check: an ellipsoid of lower values, rough on one side and open at a face of the volume, and a small ball far from it.
 
 use super::answers::{ISOVALUE, VALUE_END};
 use crate::{Error, Grid, SampleType, Samples};
 
-/// Samples along each axis: 2 x 2 x 2 regions, the last ones with a few cells.
-pub(super) const DIMS: [u32; 3] = [40, 36, 34];
+/// Samples along each axis: 4 x 2 x 2 regions, the last ones with a few cells.
+pub(super) const DIMS: [u32; 3] = [104, 36, 34];
 
 pub(super) fn grid() -> Result<Grid, Error> {
     Grid::new(DIMS, [1.0; 3])
@@ -15,11 +15,13 @@ pub(super) fn values() -> impl Iterator<Item = u32> {
     let count = DIMS.iter().product::<u32>();
     (0..count).map(|i| {
         let [x, y, z] = [i % DIMS[0], i / DIMS[0] % DIMS[1], i / DIMS[0] / DIMS[1]];
-        let square = |at: u32, size: u32| (2 * at).abs_diff(size - 1).pow(2);
-        let ellipsoid = (3 * square(x, DIMS[0]) + 4 * square(y, DIMS[1]) + 5 * square(z, DIMS[2])) / 64;
+        // `centre`: in half samples.
+        let square = |at: u32, centre: u32| (2 * at).abs_diff(centre).pow(2);
+        let ellipsoid = (3 * square(x, 180) + 4 * square(y, 43) + 5 * square(z, 43)) / 64;
+        let ball = 3 * (square(x, 11) + square(y, 9) + square(z, 10)) / 2;
         // Rough on one side, so that decimation has a choice.
-        let rough = if x >= 22 { (7 * x + 13 * y + 5 * z) % 3 } else { 0 };
-        (ellipsoid + rough).min(VALUE_END)
+        let rough = if x >= 94 { (7 * x + 13 * y + 5 * z) % 11 } else { 0 };
+        (ellipsoid + rough).min(ball).min(VALUE_END)
     })
 }
 
