@@ -129,7 +129,7 @@ impl<B: Backend> Session<B> {
         self.questions.removed(number);
         self.outbox.drop_annotations();
         if let Some(opened) = &mut self.opened {
-            opened.remove(number);
+            opened.remove_at_wish(number);
         }
         self.send(&ServerMessage::Removed { surface: number });
         if let Some(opened) = &mut self.opened {

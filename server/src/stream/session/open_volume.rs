@@ -222,13 +222,18 @@ impl OpenVolume {
     /// Takes a view that edits have changed; `named`: and with it the connection's budget, unless a later edit has changed it.
     pub(super) fn set_view(&mut self, number: u8, mut view: View, named: Option<NamedBudget>) {
         if let Some(named) = named {
-            match self.named.filter(|newer| newer.edit > named.edit) {
+            match self.newer_budget(named) {
                 Some(newer) => view.budget = view.budget.and(Some(newer.budget)),
                 None => self.set_budget_of_others(number, named),
             }
         }
         let surface = self.surface_or_new(number, view.clone());
         surface.view = view;
+    }
+
+    /// The budget in force, where a later edit has named it.
+    fn newer_budget(&self, named: NamedBudget) -> Option<NamedBudget> {
+        self.named.filter(|newer| newer.edit > named.edit)
     }
 
     fn set_budget_of_others(&mut self, number: u8, named: NamedBudget) {
@@ -251,6 +256,18 @@ impl OpenVolume {
     /// What a new surface begins with.
     pub(super) fn opening_view(&self) -> &View {
         &self.view
+    }
+
+    /// Forgets a surface at its user's wish. A budget that an edit of it has named stays that of the others, though nothing is left to be
+    /// checked of that edit.
+    pub(super) fn remove_at_wish(&mut self, number: u8) {
+        let fields = self.volume.dataset().field_names();
+        let pending = self.surface(number).and_then(|surface| surface.pending.as_ref());
+        let named = pending.and_then(|pending| pending.last_named(&fields));
+        if let Some(named) = named.filter(|&named| self.newer_budget(named).is_none()) {
+            self.set_budget_of_others(number, named);
+        }
+        self.remove(number);
     }
 
     /// Forgets a surface.

@@ -74,6 +74,16 @@ impl PendingView {
         self.queue.iter().fold(self.view.clone(), applied)
     }
 
+    /// The last budget that one of the edits has named, those behind it included.
+    pub(super) fn last_named(&self, fields: &[&str]) -> Option<NamedBudget> {
+        let (mut view, mut named) = (self.view.clone(), self.named);
+        for kept in &self.queue {
+            view = view.apply(&kept.edit, fields).unwrap_or(view);
+            named = NamedBudget::of(kept, &view).or(named);
+        }
+        named
+    }
+
     /// Number of the first edit that waits, or of the last one where there were too many.
     pub(super) fn first_edit(&self) -> u64 {
         self.edits.first().map_or(self.edit, |first| first.number)

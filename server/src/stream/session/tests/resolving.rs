@@ -417,6 +417,19 @@ async fn a_budget_counts_when_a_later_edit_leaves_nothing_to_resolve() {
 }
 
 #[tokio::test]
+async fn a_budget_counts_when_its_surface_is_removed_before_it_is_in_force() {
+    let mut viewer = Viewer::that_resolves(&Common::new(0)).open().await;
+    viewer.say(r#"{"type":"edit","triangles":99}"#).await;
+    viewer.step().await.answer(Answer::last(1, shapes(&[1])));
+    viewer.until("done").await;
+    let _mask = naming_a_budget(&mut viewer).await;
+    viewer.say(r#"{"type":"remove","surface":1}"#).await;
+    viewer.until("removed").await;
+    let job = viewer.step().await;
+    assert_eq!(job.view.budget, Some(Budget::Triangles(TriangleBudget::AtMost(77))));
+}
+
+#[tokio::test]
 async fn the_budget_of_the_latest_edit_counts_whichever_comes_into_force_first() {
     let mut viewer = showing(&Common::new(0)).await;
     let first = naming_a_budget(&mut viewer).await;
