@@ -119,7 +119,7 @@ run_tests() {
 extract() {
     local wanted=$1 statistics
     shift
-    statistics=$("$folder/bin/isopeel" extract "$@" --stats -o "$scratch/surface.ply" | tr -d ' \n')
+    statistics=$("$folder/bin/isopeel" extract ${ISOPEEL_DEVICE:+--device "$ISOPEEL_DEVICE"} "$@" --stats -o "$scratch/surface.ply" | tr -d ' \n')
     printf '%s\n' "$statistics"
     grep --quiet --extended-regexp "$wanted" <<<"$statistics"
 }
@@ -134,7 +134,7 @@ write_surfaces() {
     for share in 25 100; do
         file=$SURFACES/${1%%.*}-$share.ply
         rm -f "$file"
-        count "$share % of $1" "$folder/bin/isopeel" extract "$ISOPEEL_DATA/$1" --iso "$2" --triangles "$share%" -o "$file"
+        count "$share % of $1" "$folder/bin/isopeel" extract ${ISOPEEL_DEVICE:+--device "$ISOPEEL_DEVICE"} "$ISOPEEL_DATA/$1" --iso "$2" --triangles "$share%" -o "$file"
     done
 }
 

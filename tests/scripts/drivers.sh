@@ -52,7 +52,9 @@ on_intel() {
         echo "isopeel: installing Intel's OpenCL runtime into $folder"
         rm -rf "$folder"
         python3 -m venv "$folder" || fail 'python3 makes no virtual environment: on Debian, apt-get install python3-venv'
-        "$folder/bin/pip" install --quiet --disable-pip-version-check --requirement "$requirements"
+        # `set -e` does not reach here.
+        "$folder/bin/pip" install --quiet --disable-pip-version-check --requirement "$requirements" ||
+            fail "pip could not install Intel's OpenCL runtime into $folder"
         rm -f "$folder"/lib/libOpenCL.so*
         mkdir "$folder/vendors"
         echo "$folder/lib/libintelocl.so" >"$folder/vendors/intel.icd"

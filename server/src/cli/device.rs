@@ -39,12 +39,14 @@ pub enum NoDevice {
 }
 
 impl DeviceArgs {
-    fn wanted(&self, types: Vec<SampleType>, early: bool) -> Wanted {
+    /// `serves`: for a server, whose volumes may come later.
+    fn wanted(&self, types: Vec<SampleType>, serves: bool) -> Wanted {
         Wanted {
             selector: self.device.clone(),
             types,
+            all_types: serves,
             trusts: self.trust_device,
-            early,
+            early: serves,
             folder: cache::folder(),
         }
     }
@@ -137,6 +139,7 @@ fn choice(prepared: &Prepared) -> Choice {
     Choice {
         selector: prepared.selector.clone(),
         tuning: prepared.tuning,
+        is_trusted: prepared.is_trusted,
         proven: None,
     }
 }

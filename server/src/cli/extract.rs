@@ -156,7 +156,10 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
     let preparing = progress.clone();
     let options = args.device.options(types, move |text| preparing.say(text));
     let worker = DeviceWorker::start_with(options)?;
-    let device = worker.ready().await?;
+    let device = tokio::select! {
+        device = worker.ready() => device?,
+        () = token.cancelled() => return Err(ExtractError::Interrupted),
+    };
     progress.say(&format!("extracting on {}", device.name.trim()));
     let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
     let (mut made, mut counted) = (Vec::new(), Vec::new());

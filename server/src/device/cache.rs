@@ -6,10 +6,10 @@ use rustix::fs::StatVfsMountFlags;
 
 use crate::private_folder::{self, free_bytes};
 
-/// What names the folder.
+/// Environment variable that names the folder.
 pub const VARIABLE: &str = "ISOPEEL_KERNEL_CACHE";
 
-/// Variables that set where drivers keep compiled kernels, and the folders below ours.
+/// Environment variables that name the drivers' caches of compiled kernels, each with its subfolder of our cache folder.
 const DRIVERS: [(&str, &str); 3] = [
     ("POCL_CACHE_DIR", "pocl"),
     ("CUDA_CACHE_PATH", "nvidia"),
@@ -19,7 +19,7 @@ const DRIVERS: [(&str, &str); 3] = [
 /// The variable of PoCL.
 const POCL: &str = "POCL_CACHE_DIR";
 
-/// Free space that a folder of kernels must have at the start, more than those of a device take.
+/// Free space that a kernel cache must have at the start: more than the kernels of a device take.
 const START_BYTES: u64 = 64 << 20;
 
 /// Free space that the next program must have.
@@ -31,14 +31,14 @@ fn path(name: &str) -> Option<PathBuf> {
     value.map(PathBuf::from)
 }
 
-/// The folder: `ISOPEEL_KERNEL_CACHE`, else `isopeel` in the user's cache folder. `None`: the user has none.
+/// Returns the folder: `ISOPEEL_KERNEL_CACHE`, else `isopeel` in the user's cache folder. `None` if the user has none.
 pub fn folder() -> Option<PathBuf> {
     path(VARIABLE)
         .or_else(|| path("XDG_CACHE_HOME").map(|cache| cache.join("isopeel")))
         .or_else(|| path("HOME").map(|home| home.join(".cache/isopeel")))
 }
 
-/// Where drivers keep compiled kernels: variables for the environment, and what is wrong with the folder that PoCL would have used.
+/// Folders in which drivers cache compiled kernels: environment variables to set, and a warning if PoCL's own folder is unusable.
 pub struct DriverFolders {
     /// Names and values.
     pub variables: Vec<(&'static str, PathBuf)>,
@@ -55,8 +55,9 @@ impl DriverFolders {
     }
 }
 
-/// Chooses where drivers keep compiled kernels: below `ISOPEEL_KERNEL_CACHE`, if that is set and nothing else. PoCL ends the process if it cannot
-/// write its kernels, so that its folder is checked, and another one takes its place if it is of no use.
+/// Chooses the folders in which drivers cache compiled kernels: below `ISOPEEL_KERNEL_CACHE` if that is set, unless the driver's own
+/// variable is set too. PoCL ends the process if it cannot write its kernels, so its folder is checked, and replaced by a temporary one if
+/// it is unusable.
 pub fn driver_folders() -> DriverFolders {
     let mut variables = below_ours();
     let warning = match pocl_folder().map(|folder| (check(&folder, START_BYTES), folder)) {
@@ -82,10 +83,10 @@ pub fn driver_folders() -> DriverFolders {
     DriverFolders { variables, warning }
 }
 
-/// Says why nothing more may be compiled by PoCL, for clients; the log says where.
+/// Checks that PoCL has disk space to compile another program. If not, the log names the folder.
 ///
 /// # Errors
-/// That sentence.
+/// The reason, as a sentence for clients that does not name the folder.
 pub fn check_space() -> Result<(), String> {
     let Some(folder) = pocl_folder() else { return Ok(()) };
     match free_bytes(&folder) {
@@ -93,12 +94,12 @@ pub fn check_space() -> Result<(), String> {
             tracing::error!(folder = %folder.display(), free, "no space for compiled kernels, expected {MIN_BYTES} bytes");
             Err("the disk has no space for compiled kernels, the server's log says where".to_owned())
         }
-        // One that was removed is made again.
+        // A folder that was removed is made again.
         _ => Ok(()),
     }
 }
 
-/// Variables of drivers that are not set and follow from [`VARIABLE`].
+/// Drivers' variables that are not set, with the values that follow from [`VARIABLE`].
 fn below_ours() -> Vec<(&'static str, PathBuf)> {
     if std::env::var_os(VARIABLE).is_none() {
         return Vec::new();
@@ -108,7 +109,7 @@ fn below_ours() -> Vec<(&'static str, PathBuf)> {
     unset.map(|(name, below)| (name, folder.join(below))).collect()
 }
 
-/// Where PoCL keeps its kernels, if the variables of this process's environment say so.
+/// Returns the folder in which PoCL caches its kernels, according to the variables of this process's environment.
 pub(super) fn pocl_folder() -> Option<PathBuf> {
     let ours = below_ours().into_iter().find(|(name, _)| *name == POCL);
     path(POCL)
@@ -117,15 +118,15 @@ pub(super) fn pocl_folder() -> Option<PathBuf> {
         .or_else(|| path("HOME").map(|home| home.join(".cache/pocl/kcache")))
 }
 
-/// A folder of this user alone among the temporary files.
+/// Returns a folder among the temporary files that only this user may use.
 fn spare_folder() -> Result<PathBuf, String> {
     let user = rustix::process::geteuid().as_raw();
     let folder = std::env::temp_dir().join(format!("isopeel-kernels-{user}"));
     check_spare(&folder).map(|()| folder)
 }
 
-/// As [`check`], of a folder whose name others know, among files of all users: it may be no link that another user has made, and no other user
-/// may even read it.
+/// As [`check`], for a folder with a predictable name among the files of all users: it must not be another user's symbolic link, and no
+/// other user may even read it.
 fn check_spare(folder: &Path) -> Result<(), String> {
     use std::os::unix::fs::MetadataExt;
     check(folder, START_BYTES)?;
@@ -139,7 +140,8 @@ fn check_spare(folder: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Whether kernels can be kept in a folder, which is made if there is none. What others can write there would be run.
+/// Checks whether kernels can be kept in a folder, which is made if it does not exist. Kernels that another user could write there would be
+/// executed.
 fn check(folder: &Path, min_bytes: u64) -> Result<(), String> {
     use std::os::unix::fs::MetadataExt;
     let say = |error: std::io::Error| error.to_string();

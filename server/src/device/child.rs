@@ -1,5 +1,5 @@
-//! What a child process does with a driver: it lists devices, builds programs, or checks a device. A line of JSON on its standard output
-//! tells its parent each thing it begins, so that a crash or a hang has a name.
+//! What a child process does with a driver: it lists devices, builds programs, or checks a device. It reports each step that it begins to
+//! its parent as a line of JSON on standard output, so that a crash or a hang can be attributed to a step.
 
 use std::io::Write;
 
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::setup::{Workaround, type_of};
 use crate::error::{BoxError, chain};
 
-/// What a child is asked to do: the argument of `isopeel devices --child`.
+/// Request to a child: the argument of `isopeel devices --child`.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Request {
@@ -161,10 +161,10 @@ pub fn run(request: &Request) -> Result<(), BoxError> {
 }
 
 fn say(message: &Message) -> Result<(), BoxError> {
-    let mut line = serde_json::to_vec(message)?;
-    line.push(b'\n');
+    // A line of its own, even if a driver has written the start of one.
+    let line = format!("\n{}\n", serde_json::to_string(message)?);
     let mut out = std::io::stdout().lock();
-    out.write_all(&line)?;
+    out.write_all(line.as_bytes())?;
     Ok(out.flush()?)
 }
 
@@ -186,7 +186,7 @@ fn build(index: usize, workaround: Workaround, programs: &[(String, String)]) ->
     known.try_for_each(|(stage, sample_type)| engine.build_stage(stage, sample_type))
 }
 
-/// First what a first surface needs, then all else.
+/// Checks first what a first surface needs, then the rest.
 fn check(index: usize, workaround: Workaround, first: &[String], later: &[String]) -> Result<(), BoxError> {
     let of = STEPS.len() * (first.len() + later.len());
     let mut done = 0;
@@ -237,7 +237,7 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
     if all_right { say(&Message::Done) } else { Ok(()) }
 }
 
-/// An error's chain, a compiler's log shortened to its first lines.
+/// Returns an error's chain, with a compiler's log shortened to its first lines.
 fn text_of(error: &CheckError) -> String {
     const LINES: usize = 6;
     let text = chain(error);

@@ -1,4 +1,4 @@
-//! The devices of this machine, listed by children: a driver that crashes or hangs hides no other.
+//! Devices of this machine, listed by child processes: a driver that crashes or hangs does not hide the others.
 
 use std::path::{Path, PathBuf};
 
@@ -7,10 +7,10 @@ use isopeel_kernels::DeviceInfo;
 use super::child::{Message, Request};
 use super::run::{Ended, Environment, Running};
 
-/// What names the drivers to the OpenCL loader: a folder of `.icd` files.
+/// Environment variable that names the drivers to the OpenCL loader: a folder of `.icd` files.
 const VENDORS: &str = "OCL_ICD_VENDORS";
 
-/// Where it is by default.
+/// Default value of [`VENDORS`].
 const DEFAULT_VENDORS: &str = "/etc/OpenCL/vendors";
 
 /// The devices, and drivers that have none to offer.
@@ -20,13 +20,13 @@ pub struct Listed {
     pub devices: Vec<DeviceInfo>,
     /// Drivers that crashed or hung, and are left out.
     pub broken: Vec<Unlisted>,
-    /// What a process must have in its environment to see these devices and not the broken drivers.
+    /// Variables of the environment with which a process sees these devices, and not the broken drivers.
     pub environment: Vec<(String, String)>,
     /// Why there are no devices, in the words of the loader or the drivers.
     pub nothing: Option<String>,
 }
 
-/// A driver that could not be asked.
+/// A driver that could not be queried.
 #[derive(Debug)]
 pub struct Unlisted {
     /// Its `.icd` file.
@@ -35,7 +35,8 @@ pub struct Unlisted {
     pub why: String,
 }
 
-/// Lists the devices of every driver, each driver by itself if one of them is broken. `folder`: where the working drivers are then named.
+/// Lists the devices of all drivers. If listing them together crashes or hangs, each driver is queried in a process of its own. `folder`:
+/// receives the `.icd` files of the working drivers in that case.
 pub fn list(folder: Option<&Path>) -> Listed {
     match list_in(&Vec::new()) {
         Ok(devices) => Listed {
@@ -61,7 +62,7 @@ fn list_in(environment: &Environment) -> Result<Vec<DeviceInfo>, Ended> {
     Ok(devices)
 }
 
-/// Asks each driver by itself, then all that answered together.
+/// Queries each driver in a process of its own, then all that answered together.
 fn list_apart(folder: Option<&Path>, ended: &Ended) -> Listed {
     let nothing = |text: String| Listed {
         nothing: Some(text),
@@ -100,7 +101,7 @@ fn list_apart(folder: Option<&Path>, ended: &Ended) -> Listed {
     listed
 }
 
-/// Makes a folder that names these drivers alone.
+/// Makes a folder that names only these drivers.
 fn name_drivers(folder: &Path, icds: &[PathBuf]) -> std::io::Result<Environment> {
     match std::fs::remove_dir_all(folder) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error),

@@ -1,8 +1,8 @@
-//! Which device is used, and whether it is to be believed.
+//! Selection of the device, and the check that it computes correctly.
 //!
-//! Drivers crash, hang and compile kernels wrongly. So this process neither lists nor tries a device that it does not know: children do
-//! ([`child`]), one of them each combination of device, driver version and isopeel version when it is first used. They compile its kernels
-//! at the same time, which the drivers keep on disk. What is found is kept ([`verdicts`]).
+//! Drivers crash, hang and compile kernels wrongly. So this process neither lists nor tries a device that it does not know: child processes
+//! do ([`child`]). One of them checks each combination of device, driver version and isopeel version at its first use. Others compile its
+//! kernels at the same time, which the drivers keep on disk. Verdicts are kept ([`verdicts`]).
 //!
 //! - [`setup`]: ways to use a device, the workarounds among them.
 //! - [`child`]: what a child process does; [`run`]: how its parent sees it.

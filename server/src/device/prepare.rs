@@ -9,25 +9,35 @@ use serde::{Deserialize, Serialize};
 use super::child::{Message, Request};
 use super::listing::{Listed, list};
 use super::run::{Ended, Environment, Running};
-use super::setup::{DeviceId, Workaround, type_name};
+use super::setup::{DeviceId, TYPES, Workaround, type_name};
 use super::verdicts::Verdicts;
 
-/// Names what a process has chosen for the one that takes its place: it checks nothing once more.
+/// Environment variable with which a process hands its choice to the one that takes its place, which then skips the check.
 const CHOSEN: &str = "ISOPEEL_DEVICE_CHOSEN";
 
 /// Stages that a first surface needs. The check itself compiles in the order of need; so these begin with what it needs last.
-const FIRST_STAGES: [&str; 6] = ["dual", "classify", "cut", "histogram", "construct", "minmax"];
+const FIRST_STAGES: [&str; 7] = [
+    "dual",
+    "classify",
+    "cut",
+    "histogram",
+    "construct",
+    "activate",
+    "minmax",
+];
 
-/// Most processes that compile at once: drivers of GPUs let one after another open a device.
+/// Maximum number of processes that compile at once: drivers of GPUs let processes open a device one after another.
 const MAX_BUILDERS: usize = 4;
 
-/// What is wanted.
+/// Requirements on a device.
 #[derive(Clone, Debug, Default)]
 pub struct Wanted {
     /// Index or part of a name; `None`: the first that passes.
     pub selector: Option<String>,
     /// Types of the samples to be computed with.
     pub types: Vec<SampleType>,
+    /// Whether volumes of other types may come later.
+    pub all_types: bool,
     /// Use it without a check.
     pub trusts: bool,
     /// Return when a first surface can be made, and check the rest meanwhile.
@@ -42,16 +52,18 @@ pub struct Prepared {
     pub selector: Option<String>,
     /// How its kernels are built and launched, if not by default.
     pub tuning: Option<Tuning>,
+    /// Whether it is used without a check.
+    pub is_trusted: bool,
     /// The rest of the check, which still runs.
     pub rest: Option<Rest>,
 }
 
-/// Why there is no device to be opened by this process.
+/// Why this process cannot open a device.
 #[derive(Debug)]
 pub enum Unprepared {
     /// No device passed.
     Failed(DeviceFailure),
-    /// Another process can: one with these variables in its environment.
+    /// Another process can open one: with these variables in its environment.
     NewProcess(Environment),
 }
 
@@ -67,12 +79,9 @@ pub enum DeviceFailure {
         /// A line for each way that was tried.
         report: String,
     },
-    /// No device can be listed.
-    #[error("{0}")]
-    Nothing(String),
 }
 
-/// A way to use a device that was tried, and what came of it.
+/// A device that was checked, with each way to use it that was tried, and its outcome.
 #[derive(Clone, Debug)]
 pub struct Checked {
     /// The device.
@@ -119,10 +128,10 @@ pub struct Rest {
 }
 
 impl Rest {
-    /// Waits for its end, and keeps the verdict. `passed` gets the programs that have passed.
+    /// Waits for the end of the check, and keeps the verdict. `passed` receives the programs that have passed.
     ///
     /// # Errors
-    /// The device is not to be used any more, or by another process in a way that passed all of the check.
+    /// The device must not be used any more, or only by another process, in a way that passed the whole check.
     pub fn wait(mut self, passed: &dyn Fn(Vec<String>)) -> Result<(), Unprepared> {
         let id = DeviceId::of(&self.device);
         let hear = |message| {
@@ -136,7 +145,7 @@ impl Rest {
         };
         *outcome = ended;
         if outcome.is_none() {
-            keep(&self.verdicts, &id, *workaround);
+            keep(&self.verdicts, &id, *workaround, &self.types);
             return Ok(());
         }
         self.verdicts.forget(&id);
@@ -154,7 +163,7 @@ impl Rest {
             return Err(Unprepared::Failed(DeviceFailure::Unreliable { report }));
         };
         checked.warn_of(workaround);
-        keep(&self.verdicts, &id, workaround);
+        keep(&self.verdicts, &id, workaround, &self.types);
         Err(new_process(self.environment, &self.device, workaround))
     }
 }
@@ -177,6 +186,7 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
     let as_is = || Prepared {
         selector: wanted.selector.clone(),
         tuning: None,
+        is_trusted: wanted.trusts,
         rest: None,
     };
     let listed = list(wanted.folder.as_deref());
@@ -196,14 +206,18 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
         return Ok(as_is());
     }
     if wanted.trusts {
-        return with_environment(&listed, candidates[0], Workaround::None, None);
+        let prepared = with_environment(&listed, candidates[0], Workaround::None, None)?;
+        return Ok(Prepared {
+            is_trusted: true,
+            ..prepared
+        });
     }
     let verdicts = Verdicts::new(wanted.folder.as_deref());
-    let types = Types::new(&wanted.types);
+    let types = Types::new(&wanted.types, wanted.all_types);
     let mut reports = Vec::new();
     for device in candidates {
         let id = DeviceId::of(device);
-        if let Some(workaround) = verdicts.find(&id) {
+        if let Some(workaround) = verdicts.find(&id, &types.all()) {
             return with_environment(&listed, device, workaround, None);
         }
         tracing::info!(
@@ -222,7 +236,7 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
                 verdicts: Verdicts::new(wanted.folder.as_deref()),
             });
             if rest.is_none() {
-                keep(&verdicts, &id, workaround);
+                keep(&verdicts, &id, workaround, &types);
             }
             return with_environment(&listed, device, workaround, rest);
         }
@@ -238,17 +252,24 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
 pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (Listed, Vec<Checked>) {
     let listed = list(folder.as_deref());
     let verdicts = Verdicts::new(folder.as_deref());
-    let types = Types::new(&[]);
+    let types = Types::new(&[], true);
     let checked = listed.devices.iter().map(|device| {
         let (checked, _) = check(device, &types, &listed.environment, false, Vec::new(), progress);
-        let id = DeviceId::of(device);
-        match checked.passed() {
-            Some(workaround) => keep(&verdicts, &id, workaround),
-            None => verdicts.forget(&id),
-        }
         checked
     });
-    let checked = checked.collect();
+    let checked: Vec<Checked> = checked.collect();
+    for one in &checked {
+        let id = DeviceId::of(&one.device);
+        // Devices of one kind share a verdict.
+        let is_alike = |other: &&Checked| id.is_like(&DeviceId::of(&other.device));
+        let mut alike = checked.iter().filter(is_alike).map(Checked::passed);
+        match one.passed() {
+            Some(workaround) if alike.all(|other| other == Some(workaround)) => {
+                keep(&verdicts, &id, workaround, &types);
+            }
+            _ => verdicts.forget(&id),
+        }
+    }
     (listed, checked)
 }
 
@@ -262,8 +283,8 @@ fn nothing(listed: &Listed) -> Unprepared {
     })
 }
 
-fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround) {
-    if let Err(error) = verdicts.keep(device, workaround) {
+fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround, types: &Types) {
+    if let Err(error) = verdicts.keep(device, workaround, &types.all()) {
         tracing::warn!(
             "that {device} passed the check cannot be kept, so that the next start checks it again: {error}"
         );
@@ -275,25 +296,31 @@ fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround) {
 struct Types {
     /// Those of a first surface.
     first: Vec<String>,
-    /// That of computed fields, unless it is among the first.
+    /// That of computed fields, and those that may come later, unless they are among the first.
     later: Vec<String>,
 }
 
 impl Types {
-    fn new(wanted: &[SampleType]) -> Self {
-        let computed = type_name(SampleType::F32).to_owned();
+    /// `all`: also those of volumes that may come later.
+    fn new(wanted: &[SampleType], all: bool) -> Self {
+        let computed = type_name(SampleType::F32);
         let mut first: Vec<_> = wanted.iter().map(|&one| type_name(one).to_owned()).collect();
         first.sort();
         first.dedup();
         if first.is_empty() {
-            first.push(computed.clone());
+            first.push(computed.to_owned());
         }
-        let later = if first.contains(&computed) {
-            Vec::new()
-        } else {
-            vec![computed]
-        };
+        let others = TYPES
+            .iter()
+            .map(|(name, _)| *name)
+            .filter(|&name| all && name != computed);
+        let later = std::iter::once(computed).chain(others).map(str::to_owned);
+        let later = later.filter(|name| !first.contains(name)).collect();
         Self { first, later }
+    }
+
+    fn all(&self) -> Vec<String> {
+        [&self.first[..], &self.later].concat()
     }
 
     /// Stage and type of all programs, in the order of need.
@@ -324,7 +351,7 @@ fn candidates<'a>(wanted: &Wanted, listed: &'a Listed) -> Vec<&'a DeviceInfo> {
     found.map(|at| &listed.devices[at]).into_iter().collect()
 }
 
-/// Tries the workarounds that were not `tried`, one after another. A child that goes on with the rest of the check is returned.
+/// Tries the workarounds that were not `tried`, one after another. Returns the child if it continues with the rest of the check.
 fn check(
     device: &DeviceInfo,
     types: &Types,
@@ -367,10 +394,10 @@ fn pair(variable: Option<(&str, &str)>) -> Option<(String, String)> {
     variable.map(|(name, value)| (name.to_owned(), value.to_owned()))
 }
 
-/// A child that checks, and others that compile what it needs next.
+/// A child that runs the check, and others that compile what it needs next.
 struct Building {
     check: Running,
-    /// Dropped with it, which ends them.
+    /// Dropped together with the check, which ends them.
     builders: Vec<Running>,
 }
 
@@ -395,21 +422,23 @@ impl Building {
         for (at, program) in types.programs().into_iter().enumerate() {
             shares[at % builders].push(program);
         }
-        let started = shares.into_iter().map(|programs| {
+        // Without them the check compiles by itself.
+        let started = shares.into_iter().filter_map(|programs| {
             let request = Request::Build {
                 index: device.index,
                 workaround,
                 programs,
             };
-            Running::start(&request, environment)
+            Running::start(&request, environment).ok()
         });
         Ok(Self {
             check,
-            builders: started.collect::<Result<_, _>>()?,
+            builders: started.collect(),
         })
     }
 
-    /// Hears the messages of the check until its end, or if `early` until a first surface can be made. What follows that has low priority.
+    /// Passes on the messages of the check until its end, or if `early` until a first surface can be made. The rest of the check has low
+    /// priority.
     fn follow(&mut self, early: bool, hear: &dyn Fn(Message)) -> Result<(), Ended> {
         while let Some(message) = self.check.next()? {
             match message {
@@ -425,7 +454,7 @@ impl Building {
     }
 }
 
-/// The device as this process may open it, or the environment that it takes.
+/// Returns the device as this process may open it, or the environment that another process needs.
 fn with_environment(
     listed: &Listed,
     device: &DeviceInfo,
@@ -439,10 +468,11 @@ fn with_environment(
         return Ok(Prepared {
             selector: Some(device.index.to_string()),
             tuning: workaround.tuning(device),
+            is_trusted: false,
             rest,
         });
     }
-    // The next process believes what this one found, so all of it must be known.
+    // The next process skips the check, so the whole check must have passed.
     if let Some(rest) = rest {
         rest.wait(&|_| ())?;
     }
@@ -462,7 +492,7 @@ fn new_process(mut environment: Environment, device: &DeviceInfo, workaround: Wo
     Unprepared::NewProcess(environment)
 }
 
-/// What the process before this one has chosen.
+/// Returns the choice of the process that this one replaces.
 fn chosen_before() -> Option<Chosen> {
     serde_json::from_str(&std::env::var(CHOSEN).ok()?).ok()
 }
@@ -474,6 +504,7 @@ fn prepared_as(chosen: Chosen) -> Prepared {
     Prepared {
         selector: Some(chosen.index.to_string()),
         tuning: device.and_then(|device| chosen.workaround.tuning(device)),
+        is_trusted: false,
         rest: None,
     }
 }

@@ -1,4 +1,4 @@
-//! Programs that a check which still runs has proven.
+//! Programs that have passed a check which still runs.
 
 use std::collections::HashSet;
 
@@ -11,7 +11,7 @@ pub struct Proven(watch::Sender<State>);
 #[derive(Default)]
 struct State {
     programs: HashSet<String>,
-    /// How the check ended, once it has: then all programs have passed, or none may be used.
+    /// Outcome of the check once it has ended: then all programs have passed, or none may be used.
     ended: Option<Result<(), String>>,
 }
 
@@ -25,20 +25,20 @@ impl State {
 }
 
 impl Proven {
-    /// These have passed.
+    /// Adds programs that have passed.
     pub fn add(&self, programs: Vec<String>) {
         self.0.send_modify(|state| state.programs.extend(programs));
     }
 
-    /// The check has ended, with what was found wrong if anything was.
+    /// Records the end of the check, with what was found wrong, if anything.
     pub fn end(&self, ended: Result<(), String>) {
         self.0.send_modify(|state| state.ended = Some(ended));
     }
 
-    /// Whether a program has passed, or all have.
+    /// Whether this program, or all programs, have passed.
     ///
     /// # Errors
-    /// What was found wrong, of this program or of others.
+    /// What the check found wrong, with this program or another one.
     pub fn has_passed(&self, program: &str) -> Result<bool, String> {
         self.0.borrow().has_passed(program)
     }
@@ -46,7 +46,7 @@ impl Proven {
     /// Waits until the check has come to a program: it has passed, or the check has failed.
     pub async fn settled(&self, program: &str) {
         let mut states = self.0.subscribe();
-        // The sender lives as long as this.
+        // The sender lives as long as `self`, so waiting cannot fail.
         let _ = states.wait_for(|state| state.has_passed(program) != Ok(false)).await;
     }
 }

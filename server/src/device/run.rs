@@ -1,23 +1,23 @@
 //! A child process as its parent sees it: its messages, and how it ended.
 
 use std::io::{BufRead, BufReader, Read};
-use std::os::unix::process::ExitStatusExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::Duration;
 
 use super::child::{Message, Request};
 
-/// Longest time between two messages of a child. Slow compilers take minutes for a large kernel; `ISOPEEL_CHECK_SECONDS` sets another.
+/// Maximum time between two messages of a child. Slow compilers take minutes for a large kernel; `ISOPEEL_CHECK_SECONDS` overrides it.
 const STEP_LIMIT: Duration = Duration::from_secs(600);
 
 /// Bytes of a child's standard error that a report may quote.
 const QUOTED_BYTES: usize = 600;
 
-/// Variables of the environment beside the parent's own.
+/// Environment variables in addition to the parent's own.
 pub(super) type Environment = Vec<(String, String)>;
 
-/// How a child ended that did not say [`Message::Done`].
+/// How a child ended that did not report [`Message::Done`].
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum Ended {
     /// By a signal, or with an exit code that it does not use.
@@ -71,7 +71,9 @@ impl Running {
             .envs(environment.iter().map(|(name, value)| (name, value)))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
-            .stderr(Stdio::piped());
+            .stderr(Stdio::piped())
+            // A Ctrl-C at the terminal is the parent's alone: a child that it ended would count as one that the driver ended.
+            .process_group(0);
         end_with_parent(&mut command);
         let mut child = command.spawn().map_err(failed)?;
         let lines = lines_of(child.stdout.take());
@@ -111,22 +113,24 @@ impl Running {
         }
     }
 
-    /// Lowers the priority of a child, all threads of it: it does not hold up what is done beside it.
+    /// Lowers the priority of all threads of a child, so that it does not slow down work beside it.
     #[cfg(target_os = "linux")]
     pub fn lower_priority(&self) {
         use rustix::process::{Pid, setpriority_process};
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id()));
         let names = threads.into_iter().flatten().flatten().map(|thread| thread.file_name());
         let ids = names.filter_map(|name| Pid::from_raw(name.to_str()?.parse().ok()?));
-        // A thread that has ended meanwhile has none.
+        // A thread that has ended meanwhile has no priority to set.
         ids.for_each(|id| _ = setpriority_process(Some(id), crate::pool::NICENESS));
     }
 
-    /// Other systems do not tell its threads.
+    /// Other systems do not list the threads of a process.
     #[cfg(not(target_os = "linux"))]
     pub fn lower_priority(&self) {}
 
     fn crashed(&mut self) -> Ended {
+        // It has closed its standard output. Its exit status stays what it was if it is ending.
+        let _ = self.child.kill();
         let how = match self.child.wait() {
             Ok(status) => describe(status),
             Err(error) => error.to_string(),
@@ -169,7 +173,6 @@ fn program() -> std::io::Result<std::path::PathBuf> {
 
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
-    use std::os::unix::process::CommandExt;
     // SAFETY: a system call alone, which may be made between fork and exec.
     unsafe {
         command.pre_exec(|| {
@@ -185,12 +188,9 @@ fn end_with_parent(_: &mut Command) {}
 fn lines_of(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
     let (send, lines) = channel();
     std::thread::spawn(move || {
-        for line in out
-            .into_iter()
-            .flat_map(|out| BufReader::new(out).lines())
-            .map_while(Result::ok)
-        {
-            if send.send(line).is_err() {
+        let lines = out.into_iter().flat_map(|out| BufReader::new(out).split(b'\n'));
+        for line in lines.map_while(Result::ok) {
+            if send.send(String::from_utf8_lossy(&line).into_owned()).is_err() {
                 return;
             }
         }

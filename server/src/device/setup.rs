@@ -28,6 +28,14 @@ impl DeviceId {
     }
 }
 
+impl DeviceId {
+    /// Whether both are the same device, or devices of one kind with one driver.
+    pub(super) fn is_like(&self, other: &Self) -> bool {
+        let named = |id: &Self| (id.platform.clone(), id.name.clone(), id.driver.clone());
+        named(self) == named(other)
+    }
+}
+
 impl std::fmt::Display for DeviceId {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{} ({}, driver {})", self.name, self.platform, self.driver)

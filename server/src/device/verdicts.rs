@@ -1,4 +1,4 @@
-//! What was found out about devices, kept on disk: one file for each device, driver version and build of isopeel.
+//! Verdicts on devices, kept on disk: one file for each device, driver version and build of isopeel.
 
 use std::path::{Path, PathBuf};
 
@@ -18,13 +18,15 @@ pub(super) struct Verdict {
     pub build: String,
     /// How the device passed.
     pub workaround: Workaround,
+    /// Names of the sample types whose programs passed.
+    pub types: Vec<String>,
 }
 
-/// Keeps verdicts in a folder; without one, forgets them.
+/// Keeps verdicts in a folder; without a folder, keeps none.
 pub(super) struct Verdicts {
     folder: Option<PathBuf>,
-    /// Where PoCL keeps compiled kernels. A verdict on its devices counts while the kernels are there that the check compiled: without them
-    /// the device's thread would compile each kernel when it first needs it, and all viewers would wait.
+    /// Folder in which PoCL caches compiled kernels. A verdict on a PoCL device is valid only while the kernels that the check compiled are
+    /// in it: without them the device's thread would compile each kernel at its first use, and all viewers would wait.
     kernels: Option<PathBuf>,
 }
 
@@ -47,26 +49,33 @@ impl Verdicts {
     }
 
     /// How this device passed.
-    pub fn find(&self, device: &DeviceId) -> Option<Workaround> {
-        let bytes = std::fs::read(self.path(device)?).ok()?;
-        let verdict: Verdict = serde_json::from_slice(&bytes).ok()?;
-        let is_of = DeviceId {
-            index: device.index,
-            ..verdict.device
-        } == *device
-            && verdict.build == build()
-            && self.marker(device).is_none_or(|marker| marker.exists());
-        is_of.then_some(verdict.workaround)
+    pub fn find(&self, device: &DeviceId, types: &[String]) -> Option<Workaround> {
+        let verdict = self.read(device)?;
+        let has_all = types.iter().all(|one| verdict.types.contains(one));
+        has_all.then_some(verdict.workaround)
     }
 
-    /// Keeps how a device passed. Failures are not kept: their cause may be gone the next time.
+    fn read(&self, device: &DeviceId) -> Option<Verdict> {
+        let bytes = std::fs::read(self.path(device)?).ok()?;
+        let verdict: Verdict = serde_json::from_slice(&bytes).ok()?;
+        let is_valid = verdict.device.is_like(device)
+            && verdict.build == build()
+            && self.marker(device).is_none_or(|marker| marker.exists());
+        is_valid.then_some(verdict)
+    }
+
+    /// Keeps how a device passed. Failures are not kept: their cause may be gone next time.
     ///
     /// # Errors
     /// The folder cannot be written.
-    pub fn keep(&self, device: &DeviceId, workaround: Workaround) -> std::io::Result<()> {
+    pub fn keep(&self, device: &DeviceId, workaround: Workaround, types: &[String]) -> std::io::Result<()> {
         let (Some(path), Some(folder)) = (self.path(device), &self.folder) else {
             return Ok(());
         };
+        let before = self.read(device).filter(|before| before.workaround == workaround);
+        let mut types = [types, &before.map_or_else(Vec::new, |before| before.types)].concat();
+        types.sort();
+        types.dedup();
         if let Some(marker) = self.marker(device) {
             std::fs::write(marker, "")?;
         }
@@ -75,8 +84,9 @@ impl Verdicts {
             device: device.clone(),
             build: build(),
             workaround,
+            types,
         };
-        // Whole or not at all, as other processes read it.
+        // Written atomically, because other processes read it.
         let file = tempfile::NamedTempFile::new_in(folder)?;
         serde_json::to_writer(&file, &verdict)?;
         file.persist(path)?;
@@ -121,12 +131,33 @@ mod tests {
             kernels: Some(kernels.clone()),
         };
         let (pocl, other) = (device(POCL), device("NVIDIA CUDA"));
+        let types = ["f32".to_owned()];
         for device in [&pocl, &other] {
-            verdicts.keep(device, Workaround::None).expect("kept");
-            assert_eq!(verdicts.find(device), Some(Workaround::None));
+            verdicts.keep(device, Workaround::None, &types).expect("kept");
+            assert_eq!(verdicts.find(device, &types), Some(Workaround::None));
         }
         std::fs::remove_dir_all(&kernels).expect("removed");
-        assert_eq!(verdicts.find(&pocl), None);
-        assert_eq!(verdicts.find(&other), Some(Workaround::None));
+        assert_eq!(verdicts.find(&pocl, &types), None);
+        assert_eq!(verdicts.find(&other, &types), Some(Workaround::None));
+    }
+
+    #[test]
+    fn a_verdict_counts_for_the_types_that_passed() {
+        let parent = tempfile::tempdir().expect("a folder");
+        let verdicts = Verdicts {
+            folder: Some(parent.path().join("devices")),
+            kernels: None,
+        };
+        let device = device("NVIDIA CUDA");
+        let [bytes, floats] = ["u8", "f32"].map(|name| vec![name.to_owned()]);
+        let both = [bytes.clone(), floats.clone()].concat();
+        verdicts.keep(&device, Workaround::None, &floats).expect("kept");
+        assert_eq!(verdicts.find(&device, &both), None);
+        verdicts.keep(&device, Workaround::None, &bytes).expect("kept");
+        assert_eq!(verdicts.find(&device, &both), Some(Workaround::None));
+        // Another way to use the device is proven for what passed in that way alone.
+        verdicts.keep(&device, Workaround::OtherKernels, &bytes).expect("kept");
+        assert_eq!(verdicts.find(&device, &both), None);
+        assert_eq!(verdicts.find(&device, &bytes), Some(Workaround::OtherKernels));
     }
 }

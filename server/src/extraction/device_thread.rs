@@ -1,7 +1,7 @@
-//! The device's thread: opens the device, runs jobs, and opens the device again where it is lost.
+//! The device's thread: opens the device, runs jobs, and reopens the device after it was lost.
 //!
-//! A driver says of a lost device no more than that each call fails, and some say "out of resources". So after a failure the device is asked for a
-//! byte that it holds: one that does not give it back is lost. All that was on it is gone then; jobs find that their volumes are not
+//! A driver reports a lost device only by failing each call, sometimes with "out of resources". So after a failure the thread reads back a
+//! byte that the device holds: if that fails, the device is lost. All data on it is gone then; jobs find that their volumes are not
 //! resident, and load them again.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -23,7 +23,7 @@ use super::{OpenError, WorkError};
 use crate::device::{Proven, cache};
 use crate::metrics;
 
-/// From one attempt to open a lost device to the next. Meanwhile jobs fail at once.
+/// Time between two attempts to open a lost device. Meanwhile jobs fail at once.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Held while a device is being opened.
@@ -36,15 +36,15 @@ pub enum DeviceState {
     Opening(Preparation),
     /// Ready.
     Ready(DeviceInfo),
-    /// It was lost, and could not be opened again so far; jobs fail until it can.
+    /// The device was lost, and attempts to reopen it have failed so far; jobs fail until one succeeds.
     Lost,
-    /// It was lost, and its driver is of no use to this process any more; every job fails.
+    /// The device was lost, and this process cannot use its driver any more; every job fails.
     Spoiled,
     /// Could not be opened when the server started; every job fails.
     Failed(Arc<OpenError>),
 }
 
-/// How far a device is with what comes before its first surface.
+/// Progress of the steps before a device's first surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Preparation {
@@ -61,25 +61,27 @@ pub struct Choice {
     pub selector: Option<String>,
     /// How its kernels are built and launched, if not by default.
     pub tuning: Option<Tuning>,
+    /// Whether its user trusts it without a check.
+    pub is_trusted: bool,
     /// Programs that a check which still runs has proven; no others are run, except those of a first surface.
     pub proven: Option<Arc<Proven>>,
 }
 
-/// Why there is none.
+/// Why no device was chosen.
 #[derive(Debug)]
 pub enum NoChoice {
     /// None may be used; the text says why, and what to do.
     Refused(String),
-    /// Only another process can use it.
+    /// Only another process can use the device.
     NewProcess,
 }
 
-/// Tells the device's state before it is opened, and what is found out about it later.
+/// Reports the device's state before it is opened, and what a later check finds.
 #[derive(Clone)]
 pub struct Report(Arc<watch::Sender<DeviceState>>);
 
 impl Report {
-    /// The device is as far as that. Without effect once it is open.
+    /// Reports progress. Without effect once the device is open.
     pub fn progress(&self, done: usize, of: usize) {
         self.0.send_if_modified(|state| {
             let is_opening = matches!(state, DeviceState::Opening(_));
@@ -90,12 +92,12 @@ impl Report {
         });
     }
 
-    /// The device is not to be used by this process any more: another one takes its place.
+    /// Reports that this process must not use the device any more: another process takes its place.
     pub fn spoil(&self) {
         self.0.send_replace(DeviceState::Spoiled);
     }
 
-    /// The device is not to be used any more: the server ends with this text.
+    /// Reports that the device must not be used any more: the server ends with this text.
     pub fn refuse(&self, why: String) {
         self.0
             .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
@@ -105,16 +107,16 @@ impl Report {
 /// Chooses the device, on its thread, before it is opened the first time.
 pub type Choose = Box<dyn FnOnce(&Report) -> Result<Choice, NoChoice> + Send>;
 
-/// What a device's thread is started with.
+/// Options of a device's thread.
 pub struct DeviceOptions {
     /// Chooses the device.
     pub choose: Choose,
     /// A first surface of these sample types is made before the device is ready, so that no viewer waits for a compiler.
     pub types: Vec<SampleType>,
-    /// A device that cannot be opened is waited for, as it was there before.
+    /// Whether to retry opening a device until it succeeds, because it existed before.
     pub is_patient: bool,
-    /// Maximum of what is kept of earlier edits, in bytes; by default [`super::PROCESSOR_BYTES`] if the device is this machine's
-    /// processors, else a third of its memory, and never more than a third.
+    /// Maximum bytes that are kept of earlier edits; by default [`super::PROCESSOR_BYTES`] if the device is this machine's processors, else
+    /// a third of its memory, and never more than a third.
     pub surface_bytes: Option<u64>,
     /// Maximum time of the device that a request may take for a field that it has computed.
     pub request_time: Option<Duration>,
@@ -149,14 +151,14 @@ pub(super) struct DeviceThread {
     pub request_time: Option<Duration>,
     pub state: Arc<watch::Sender<DeviceState>>,
     pub memory: watch::Sender<ThreadMemory>,
-    /// Number of the engine.
+    /// Number of the current engine.
     pub engine: Arc<AtomicU64>,
     pub histograms: Histograms,
     pub pins: Pins,
 }
 
 impl DeviceThread {
-    /// Runs jobs until nobody can queue one any more, or the device cannot be opened.
+    /// Runs jobs until all senders of the queue are dropped, or the device cannot be opened.
     pub(super) fn run(self, choose: Choose, waiting: mpsc::Receiver<Job<WorkerState>>) {
         let choice = match choose(&Report(Arc::clone(&self.state))) {
             Ok(choice) => choice,
@@ -173,7 +175,7 @@ impl DeviceThread {
         let engine = loop {
             match self.open(&choice) {
                 Ok(engine) => break engine,
-                Err(error) if self.is_patient && !waiting.is_closed() => self.not_yet(&error),
+                Err(error) if self.is_patient && !error.is_wrong() && !waiting.is_closed() => self.not_yet(&error),
                 Err(error) => {
                     // Sent before the queue is dropped, so that the callers of waiting jobs find it.
                     self.state.send_replace(DeviceState::Failed(Arc::new(error)));
@@ -202,13 +204,18 @@ impl DeviceThread {
 
     /// Opens the device, and makes a first surface of each type: drivers finish compiling when a kernel is first launched.
     fn open(&self, choice: &Choice) -> Result<Engine, OpenError> {
-        // PoCL 3.1 crashes or finds no device where two threads of a process open it at once.
+        // PoCL 3.1 crashes or finds no device if two threads of a process open it at once.
         let _alone = lock(&OPENING);
         let engine = Engine::open_tuned(choice.selector.as_deref(), None, choice.tuning)?;
         for &sample_type in &self.types {
             let mut check = Check::new(&engine, sample_type);
             for step in STEPS.iter().filter(|step| step.scope == Scope::FirstSurface) {
-                check.run(step)?;
+                match check.run(step) {
+                    Err(error) if choice.is_trusted => {
+                        tracing::warn!(error = crate::error::chain(&error), "the trusted device is wrong")
+                    }
+                    outcome => outcome.map_err(|why| OpenError::check(engine.device(), why))?,
+                }
             }
         }
         if let Some(proven) = choice.proven.clone() {
@@ -224,7 +231,7 @@ impl DeviceThread {
     fn ready(&self, device: DeviceInfo) {
         tracing::info!(device = device.name, platform = device.platform, "device ready");
         self.state.send_if_modified(|state| {
-            // The check that goes on may have refused it meanwhile.
+            // The check that still runs may have refused the device meanwhile.
             let is_refused = matches!(state, DeviceState::Failed(_) | DeviceState::Spoiled);
             if !is_refused {
                 *state = DeviceState::Ready(device);
@@ -255,10 +262,10 @@ impl DeviceThread {
         state
     }
 
-    /// Replaces a lost device by one that is opened anew, as soon as there is one.
+    /// Replaces a lost device by a reopened one, as soon as that succeeds.
     fn open_again(&self, choice: &Choice, lost: &mut WorkerState, queue: &mut Queue<WorkerState>) {
         self.state.send_replace(DeviceState::Opening(Preparation::default()));
-        // What is held of a lost device may hinder the next one from being opened.
+        // Data held of a lost device may prevent it from being reopened.
         discard(|| {
             lost.uploads.clear();
             lost.free_all_but(&[]);
@@ -289,7 +296,7 @@ impl DeviceThread {
     }
 }
 
-/// Drops what belongs to a lost device; what the driver says to that is of no use to anybody.
+/// Drops what belongs to a lost device. A panic of its driver is logged and otherwise ignored: no caller could act on it.
 fn discard(work: impl FnOnce()) {
     if catch_unwind(AssertUnwindSafe(work)).is_err() {
         tracing::warn!("the driver of the lost device did not take back all that it had given");
@@ -297,7 +304,7 @@ fn discard(work: impl FnOnce()) {
 }
 
 impl WorkerState {
-    /// A job's failure: if a program that it needs is still being checked, it can be queued again once that has passed.
+    /// Classifies a job's failure: if a program that it needs is still being checked, the job can be queued again once that has passed.
     pub(super) fn look_for_unproven(&self, error: JobError) -> JobError {
         let JobError::Failed(WorkError::Device(Error::NotYet(program))) = &error else {
             return error;
@@ -311,7 +318,7 @@ impl WorkerState {
         }
     }
 
-    /// A job's failure: that of a device that no longer answers is its loss, whatever the driver called it.
+    /// Classifies a job's failure: if the device no longer answers, it is lost, whatever error the driver has reported.
     pub(super) fn look_for_loss(&mut self, error: JobError) -> JobError {
         let JobError::Failed(WorkError::Device(cause) | WorkError::NoTree(cause)) = &error else {
             return error;

@@ -3,6 +3,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use isopeel_kernels::DeviceInfo;
+use isopeel_kernels::check::CheckError;
+
 use super::user_time::USER_TIME_PERIOD;
 use crate::error::chain;
 use crate::view::EditError;
@@ -16,14 +19,36 @@ pub enum OpenError {
     #[error(transparent)]
     Device(#[from] isopeel_kernels::Error),
     /// It computes wrong results.
-    #[error(transparent)]
-    Check(#[from] isopeel_kernels::check::CheckError),
+    #[error("{device} (driver {driver}): {}; `isopeel devices --check` checks it anew, and looks for a workaround", chain(.why))]
+    Check {
+        /// Name of the device.
+        device: String,
+        /// Version of its driver.
+        driver: String,
+        /// The stage, and what it found.
+        why: Box<CheckError>,
+    },
     /// It is not to be used; the text says why, and what to do.
     #[error("{0}")]
     Refused(String),
 }
 
-/// Why a piece of work has no result. Each variant asks for another reaction of the caller.
+impl OpenError {
+    pub(super) fn check(device: &DeviceInfo, why: CheckError) -> Self {
+        Self::Check {
+            device: device.name.clone(),
+            driver: device.driver.clone(),
+            why: Box::new(why),
+        }
+    }
+
+    /// Whether the device works, and computes wrong results.
+    pub(super) fn is_wrong(&self) -> bool {
+        matches!(self, Self::Check { why, .. } if matches!(**why, CheckError::Differs { .. }))
+    }
+}
+
+/// Why a piece of work has no result. Callers react differently to each variant.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WorkError {
@@ -113,7 +138,7 @@ pub enum WorkError {
     UserTime {
         /// Maximum time of a user.
         limit: Duration,
-        /// After how long there is some again.
+        /// Time to wait until some is available again.
         wait: Duration,
     },
     /// A stage failed.
@@ -122,10 +147,10 @@ pub enum WorkError {
     /// The device could not be opened.
     #[error(transparent)]
     NoDevice(Arc<OpenError>),
-    /// The device was lost with this job. It is opened again; what was on it is loaded again when it is asked for.
+    /// The device was lost while this job ran. It is reopened; its data is loaded again on demand.
     #[error("the device was lost while it worked on this, and is opened again: try again")]
     DeviceLost,
-    /// The device was lost, and cannot be opened again so far.
+    /// The device was lost, and could not be reopened so far.
     #[error("the device was lost and cannot be opened again so far: try again in a few seconds")]
     Reopening,
     /// Cancelled by the caller's token.
@@ -156,13 +181,13 @@ impl WorkError {
         }
     }
 
-    /// Whether nothing is wrong, but that its caller wants it no longer.
+    /// Whether the caller cancelled the work, so that nothing is wrong.
     pub fn is_cancelled(&self) -> bool {
         matches!(self, Self::Cancelled)
     }
 
-    /// Whether the view cannot be shown, whoever asks for it and however often: what was shown before comes back. Where a budget would help it can,
-    /// and where the device failed it may.
+    /// Whether the view itself cannot be shown, for any caller and after any number of retries: the viewer then returns to what was shown
+    /// before. False if another budget would help, and if the device failed, as a retry may succeed.
     pub fn rejects_view(&self) -> bool {
         matches!(
             self,
@@ -176,7 +201,8 @@ impl WorkError {
         )
     }
 
-    /// The message for a client: files by their names alone, and no words of a compiler, which names folders too. All of it is for the log.
+    /// Returns the message for a client. It names files without their folders, and leaves out compiler messages, which name folders too.
+    /// The log gets the whole error.
     pub fn public_message(&self) -> String {
         match self {
             Self::Unreadable(error) => error.without_folder(),
@@ -186,7 +212,7 @@ impl WorkError {
         }
     }
 
-    /// A budget of triangles that is within the limit, where the surface is above it.
+    /// Returns a budget of triangles to try, if the surface exceeded a limit or its budget.
     pub fn suggested_triangles(&self) -> Option<u64> {
         match self {
             Self::TooManyTriangles { ceiling, .. } => Some(*ceiling),
