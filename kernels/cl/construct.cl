@@ -221,7 +221,7 @@ __kernel void construct_top(const ConstructTopArgs args, __global const SAMPLE *
     vertex_records[slot] = cube_vertex(task.spacing, &whole, (float3)(0.0f), convert_float3(task.last));
 }
 
-// The active brick at a place, in bricks, of the volume; NONE where there is none.
+// The active brick at a place, in bricks, of the volume; NONE if there is none.
 inline uint find_brick(Grid grid, __global const uint *region_index, __global const Region *regions, int3 at) {
     if (any(at < 0) || any(at * 8 + 1 >= (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]))) return NONE;
     const int3 r = at >> 2;

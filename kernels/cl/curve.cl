@@ -1,6 +1,6 @@
 // curve: how the estimated error of a cut grows with its threshold. Some work-groups share the regions.
 // In: keys of nodes, as `fit` and `tree_keys` make them. Out, of each work-group: changes[bin], weighted squared errors of the leaves that
-// come less those of the leaves that go where the threshold passes the bin; bins are those of lib/fit_bins.h.
+// come less those of the leaves that go once the threshold passes the bin; bins are those of lib/fit_bins.h.
 //
 //   kernel       leaves of              squared errors are weighted by
 //   curve_cut    cuts of cubes          triangles of the undecimated surface, as `cut` does; the first bin has those of all cells

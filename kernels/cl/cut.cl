@@ -66,7 +66,7 @@ INLINED void cut_cubes(const CutCriterion *criterion, bool whole, __global const
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 }
 
-// Active cells are leaves where their level-1 cube is INTERNAL. Cells and cubes have the same order. Returns how many.
+// Active cells are leaves if their level-1 cube is INTERNAL. Cells and cubes have the same order. Returns how many.
 INLINED uint cut_cells(__global const Region *region, __global const Brick *bricks, __global const Node *nodes,
                        __global const VertexRecord *vertex_records, __global uchar *state, LeafSums *sums) {
     const uint slots = region->slot_base, brick_count = count_bricks(region);

@@ -1,5 +1,5 @@
 // derive: features that take more than a sample's six neighbours, or three fields, before construct, which finds them in the nodes
-// (docs/algorithm.md#21-derived-features). In kernels of their own, they cost nothing where they are not used.
+// (docs/algorithm.md#21-derived-features). In kernels of their own, they cost nothing if they are not used.
 //
 // derive: the feature of the active cells of a brick. One work-group a brick.
 // derive_samples: the feature at samples, of which histogram is made. One work-group a block of 8^3 samples.
@@ -132,7 +132,7 @@ INLINED __local float *derive_block(DeriveArgs args, LENGTHS int3 origin, __loca
     return values;
 }
 
-// Mean over the corners of a cell that are not missing; 0 where all are. `at`: its low corner.
+// Mean over the corners of a cell that are not missing; 0 if all are. `at`: its low corner.
 INLINED float corner_mean(__local const float *at) {
     // Two corners along x lie side by side.
     const float2 low = vload2(0, at) + vload2(0, at + BLOCK_ROW);

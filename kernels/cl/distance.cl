@@ -26,7 +26,7 @@ inline float nearest_in_brick(Grid grid, __global const Region *region, __global
     return nearest2;
 }
 
-// Distance of a point to the nearest vertex of the active cells in the 27 bricks around it; infinite where there is none.
+// Distance of a point to the nearest vertex of the active cells in the 27 bricks around it; infinite if there is none.
 inline float distance_to_bricks(Grid grid, __global const uint *region_index, __global const Region *regions,
                                 __global const Brick *bricks, __global const VertexRecord *vertex_records, float3 x) {
     const int3 last = ((int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2) >> 3;

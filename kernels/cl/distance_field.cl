@@ -86,7 +86,7 @@ inline Parabola unpack_parabola(uint packed, __global const float *positions, __
     return p;
 }
 
-// The first sample after `low.from` at which `high`, which lies further along the line, is below `low`; `length` where none is.
+// The first sample after `low.from` at which `high`, which lies further along the line, is below `low`; `length` if none is.
 inline uint first_below(Parabola low, Parabola high, __global const float *positions, float scale, uint length, bool is_even) {
     const float way = high.position - low.position;
     const float crossing = 0.5f * (low.position + high.position) + (high.height - low.height) / (2.0f * way * scale * scale);

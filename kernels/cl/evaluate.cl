@@ -1,6 +1,6 @@
 // evaluate: a field that an expression over others gives. The expression is a list of operations, which each work-item interprets for LANES
 // samples at a time: one program serves all expressions, so that none has to be compiled. In: the operations as pairs of words
-// (src/expression.rs), the samples of up to eight fields of any types. Out: floats, NaN where a field is missing or the value is not finite.
+// (src/expression.rs), the samples of up to eight fields of any types. Out: floats, NaN if a field is missing or the value is not finite.
 // Fields that the expression does not have stand for the first one, and are not read.
 
 #include "lib/precision.h"

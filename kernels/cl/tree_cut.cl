@@ -126,7 +126,7 @@ void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __gl
     for (uint round = is_made ? tree->rounds : 0; round-- > 0;) {
         const uint end = round_end(round_ends, group, round);
         for (uint i = round_begin(round_ends, group, round) + lid; i < end; i += GROUP) {
-            // Without branches, which nobody could predict.
+            // Branch-free: the outcome is unpredictable.
             const uint at = tree->node_base + i, parent = node_parents[at], packed = keys[at];
             const uint above = parent == NONE ? NONE : tops[parent];
             const bool is_merged = key_bits(packed) < end_merged;

@@ -115,7 +115,7 @@ void tree_index(const uint points, __global const Region *regions, __global cons
     uint own_others = 0;
     if (lid == 0) others = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    // Only what is used of the memory is cleared, by whoever uses it.
+    // Clears only the entries in use: those of the group's own leaves among these corners.
     for (uint i = lid; i < count; i += WIDE_GROUP) {
         const uint leaf = cut_corners[first + i];
         if (is_own_leaf(&of, leaf)) own_numbers[leaf] = NONE;

@@ -99,7 +99,7 @@ impl Pool {
         Some((has, ManuallyDrop::new(memory).get()))
     }
 
-    /// Takes memory that is no longer in use; releases the oldest where the limit is passed.
+    /// Takes memory that is no longer in use; releases the oldest while the idle memory exceeds the limit.
     pub fn put_back(&self, bytes: u64, memory: opencl3::memory::Buffer<u8>) {
         let mut idle = self.idle.borrow_mut();
         idle.push((bytes, memory));
@@ -206,7 +206,7 @@ impl<T> Buffer<T> {
 impl<T> Drop for Buffer<T> {
     fn drop(&mut self) {
         self.pool.subtract(self.allocated_bytes);
-        // Commands that still use it come before those of whoever gets it next: the queue is in order.
+        // Commands that still use the memory run before those of its next owner: the queue is in order.
         self.pool
             .put_back(self.allocated_bytes, opencl3::memory::Buffer::new(self.handle()));
     }

@@ -46,7 +46,7 @@ impl Cut {
         region_prefix_leaves(&self.regions[region], 0)
     }
 
-    /// The prefix that it is, or [`Level::FINEST`] where undecided cubes are no leaves.
+    /// The prefix that it is, or [`Level::FINEST`] if undecided cubes are no leaves.
     pub fn prefix(&self) -> Level {
         self.prefix
     }

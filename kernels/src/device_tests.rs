@@ -164,7 +164,7 @@ fn parts_are_read_as_they_are() {
     assert_eq!(allocated(), Blocks::MAX_BLOCKS, "in use by {} surfaces", held.len());
 }
 
-/// Where the device is the host's processor a mesh is not copied: its memory is lent to the host, and used again when dropped.
+/// If the device is the host's processor, a mesh is not copied: its memory is lent to the host, and reused once dropped.
 #[test]
 fn lent_memory_is_used_again_when_it_is_dropped() {
     let Some(engine) = device() else { return };

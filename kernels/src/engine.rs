@@ -162,8 +162,8 @@ impl Engine {
         histogram::step(&self.cx, volume, feature, work)
     }
 
-    /// Waits for what was started, and returns the time of each stage since the last call, pyramid or surface: whoever lets others use the
-    /// device ([`crate::Cancel`]) keeps its own.
+    /// Waits for the commands in flight, and returns the time of each stage since the last call, pyramid or surface. A job that yields the
+    /// device to others ([`crate::Cancel`]) calls this first, so that its times stay its own.
     ///
     /// # Errors
     /// What the device says.

@@ -160,7 +160,7 @@ pub enum Op {
     Or(Node, Node),
     /// A condition: another does not hold.
     Not(Node),
-    /// The first number where the condition holds, else the second one.
+    /// The first number if the condition holds, else the second one.
     Select(Node, Node, Node),
 }
 
@@ -307,7 +307,7 @@ impl Expression {
         &self.ops
     }
 
-    /// Its value at a sample of each field, of which missing ones are NaN: NaN where one is, or where the value is not finite.
+    /// Its value at a sample of each field, of which missing ones are NaN: NaN if one is, or if the value is not finite.
     pub fn value(&self, fields: &[f32]) -> f32 {
         if fields[..self.fields()].iter().any(|v| v.is_nan()) {
             return f32::NAN;

@@ -81,7 +81,7 @@ pub struct CutParams {
     pub alpha: f32,
     /// A cube of importance up to this is decimated (eq. 4); below 0 gives the full surface.
     pub beta: f32,
-    /// Instead of β: a cube is decimated where the error of its vertex over its weight is at most this; world units
+    /// Instead of β: a cube is decimated if the error of its vertex over its weight is at most this; world units
     /// (`docs/algorithm.md#43-the-cut-by-error`).
     pub tolerance: Option<f32>,
     /// Feature values that become 0 and 1; `lo < hi`, both finite, in the feature's own units.

@@ -260,7 +260,7 @@ mod built {
             Self([driver, options.to_owned(), text.to_owned()])
         }
 
-        /// The program, where it was built before and the driver takes its binary back.
+        /// Returns the program if it was built before and the driver accepts its binary.
         pub(super) fn program(&self, context: &Context, device: &Found, options: &str) -> Option<Program> {
             let built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
             let binary = built.get(self)?;

@@ -2,12 +2,12 @@
 
 use crate::{Error, Grid, Result};
 
-/// A grid with the lengths of its cells, where they are not the same along an axis. Features take derivatives over these lengths; all else is
+/// A grid with the lengths of its cells, if they are not the same along an axis. Features take derivatives over these lengths; all else is
 /// computed with the grid's spacing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RectilinearGrid {
     grid: Grid,
-    /// Along x, y and z, world units; `None` where all are the grid's spacing.
+    /// Along x, y and z, world units; `None` if all are the grid's spacing.
     lengths: Option<[Vec<f32>; 3]>,
 }
 
@@ -49,7 +49,7 @@ impl RectilinearGrid {
         &self.grid
     }
 
-    /// Lengths of the cells along x, y and z; `None` where all are the grid's spacing.
+    /// Lengths of the cells along x, y and z; `None` if all are the grid's spacing.
     pub fn lengths(&self) -> Option<&[Vec<f32>; 3]> {
         self.lengths.as_ref()
     }

@@ -67,7 +67,7 @@ pub struct Region {
     pub indices: SharedSlice<u32>,
     /// Triangles of each level, 0 (finest) first.
     pub level_triangles: [u32; 6],
-    /// Its distance from the surface it stands for, where [`crate::CutParams::state_error`] asked for it.
+    /// Its distance from the surface it stands for, if [`crate::CutParams::state_error`] asked for it.
     pub error: Option<SurfaceError>,
 }
 
@@ -98,7 +98,7 @@ pub struct SurfaceStatistics {
     pub full_triangles: u64,
     /// Triangles of the undecimated surface by the mesher of this one, without removed parts; `None`: not counted.
     pub mesher_triangles: Option<u64>,
-    /// Parts that were removed; `None` where none are to be.
+    /// Parts that were removed; `None` if none are to be.
     pub removed: Option<RemovedParts>,
     /// Cells that the surface crosses.
     pub active_cells: u64,
@@ -115,7 +115,7 @@ pub struct SurfaceStatistics {
     pub unpatched_vertices: u64,
     /// Estimate of its distance from the undecimated surface.
     pub estimate: ErrorEstimate,
-    /// Distance from the surface it stands for, where [`crate::CutParams::state_error`] asked for it.
+    /// Distance from the surface it stands for, if [`crate::CutParams::state_error`] asked for it.
     pub error: Option<SurfaceError>,
     /// Device time by stage, in order of execution.
     pub stages: Vec<StageTime>,

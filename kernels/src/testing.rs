@@ -17,7 +17,7 @@ pub const LAYER_PLANES: u32 = crate::volume::LAYER_PLANES;
 /// Stage that errors and times of this module name.
 const STAGE: &str = "test";
 
-/// PoCL crashes where several threads build and run programs at once (isopeel itself has one thread a device).
+/// PoCL crashes if several threads build and run programs at once (isopeel itself has one thread a device).
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// An engine that no other test of the process uses at the same time.
@@ -39,7 +39,7 @@ impl DerefMut for Device {
     }
 }
 
-/// The device that the environment selects with `ISOPEEL_DEVICE`, or the preferred one. `None` only where there is none
+/// The device that the environment selects with `ISOPEEL_DEVICE`, or the preferred one. `None` only if there is none
 /// and `ISOPEEL_TESTS_WITHOUT_DEVICE=1` says that none is expected.
 ///
 /// # Panics
@@ -223,7 +223,7 @@ pub fn part_areas(
     engine.cx.read(STAGE, &parts.areas, parts.areas.len())
 }
 
-/// The maximum importance of the points below each node of a tree; `None` where all are 0.
+/// The maximum importance of the points below each node of a tree; `None` if all are 0.
 ///
 /// # Errors
 /// What the device says.

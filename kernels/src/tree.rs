@@ -126,7 +126,7 @@ impl TreeCut {
 pub(crate) struct TreeParts {
     /// The first point of each point's part.
     pub firsts: Buffer<u32>,
-    /// The area of each point's part, world units, negative for the first point of a part; 0 where a point is of none.
+    /// The area of each point's part, world units, negative for the first point of a part; 0 if a point belongs to none.
     pub areas: Buffer<f32>,
 }
 

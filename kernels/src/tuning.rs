@@ -8,7 +8,7 @@ use crate::{DeviceInfo, DeviceKind};
 pub struct Tuning {
     /// Work-items of a group that works on one region.
     pub region_group: usize,
-    /// The same where a region's data are read again and again: the fewer regions at a time, the more of each are in a GPU's caches.
+    /// The same for kernels that read a region's data repeatedly: the fewer regions at a time, the more of each are in a GPU's caches.
     pub wide_group: usize,
     /// Work-items of a group that works on one brick.
     pub brick_group: usize,
@@ -18,7 +18,7 @@ pub struct Tuning {
     pub regions_in_run: usize,
     /// Kernels for a CPU prefetch memory by an intrinsic of the compiler.
     pub prefetches: bool,
-    /// Active bricks whose nodes one launch makes. On a CPU it ends within about 50 ms, for whoever waits for the device.
+    /// Active bricks whose nodes one launch makes. On a CPU a launch ends within about 50 ms, so that other jobs get the device soon.
     pub launch_bricks: usize,
 }
 

@@ -110,7 +110,7 @@ impl Samples {
 
 impl Samples {
     /// The samples padded by one on every side with a value below all of them, and the new extent: surfaces that leave
-    /// the volume are closed there. The type is widened where it has no value below the minimum. `missing` is neither counted
+    /// the volume are closed there. The type is widened if it has no value below the minimum. `missing` is neither counted
     /// as a value nor used for padding.
     pub fn padded(&self, dims: [u32; 3], missing: Option<f32>) -> (Self, [u32; 3]) {
         let present = (0..self.len())
@@ -231,7 +231,7 @@ pub struct Volume {
     pub(crate) table: Buffer<[f32; 2]>,
     /// Bricks that touch a missing sample, 64 bits a region; on the host, where active regions are listed.
     pub(crate) missing_masks: Vec<[u32; 2]>,
-    /// One over the lengths of the cells along x, then along y, then along z, where axes are uneven.
+    /// One over the lengths of the cells along x, then along y, then along z, if axes are uneven.
     pub(crate) inverse_lengths: Option<Rc<Buffer<f32>>>,
 }
 

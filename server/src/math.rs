@@ -7,7 +7,8 @@ pub use glam::{DAffine3, DVec3};
 pub use glam::{DMat3, DQuat};
 pub use uneven::{IndexSpace, UnevenAxes};
 
-/// Normal of a triangle that is counter-clockwise seen from where it points; its length is twice the area.
+/// Returns the normal of a triangle whose corners are counter-clockwise if seen from the side to which it points; its length is twice the
+/// area.
 pub fn triangle_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }

@@ -1,5 +1,5 @@
-//! What the server counts and times for whoever watches it (`GET /metrics`): names, units, and a function for each place where something
-//! happens. Labels are of fixed sets; none has a name of a volume, a file or a person.
+//! Counters and timers of the server for monitoring (`GET /metrics`): names, units, and a function for each event that is counted. Labels
+//! have fixed sets of values; none holds a name of a volume, a file or a person.
 //!
 //! Before [`start`] nothing is counted.
 
@@ -14,7 +14,7 @@ const BOUNDS: [f64; 15] = [
     0.000_1, 0.000_3, 0.001, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0, 100.0,
 ];
 
-/// How often what histograms were given is sorted into their buckets; it is kept one by one until then.
+/// How often recorded values are sorted into the buckets of histograms; until then they are kept one by one.
 pub const UPKEEP: Duration = Duration::from_secs(5);
 
 const REQUESTS: &str = "isopeel_http_requests_total";
@@ -46,7 +46,8 @@ const BUILD: &str = "isopeel_build_info";
 
 static RECORDER: OnceLock<PrometheusHandle> = OnceLock::new();
 
-/// Those of each frame of each viewer: to find one by its labels would take longer than all else that is done for a small frame.
+/// Counters that each frame of each viewer updates: looking one up by its labels would take longer than the rest of the work for a small
+/// frame.
 struct FrameCounters {
     chunk_bytes: Counter,
     message_bytes: Counter,
@@ -56,10 +57,10 @@ struct FrameCounters {
 
 static FRAMES: OnceLock<FrameCounters> = OnceLock::new();
 
-/// Counts from now on, for the whole process. Further calls do nothing.
+/// Starts counting, for the whole process. Further calls do nothing.
 ///
 /// # Errors
-/// Somebody else counts.
+/// Another recorder is installed in this process.
 pub fn start() -> Result<(), BuildError> {
     // Two servers of a process may start at once.
     static STARTING: Mutex<()> = Mutex::new(());
@@ -141,47 +142,47 @@ fn describe() {
     describe_gauge!(BUILD, "1, with the version");
 }
 
-/// To be called every [`UPKEEP`].
+/// Sorts recorded values into buckets; to be called every [`UPKEEP`].
 pub fn upkeep() {
     if let Some(recorder) = RECORDER.get() {
         recorder.run_upkeep();
     }
 }
 
-/// All of it, in Prometheus' text format; `None` before [`start`].
+/// Returns all metrics in Prometheus' text format; `None` before [`start`].
 pub fn render() -> Option<String> {
     RECORDER.get().map(PrometheusHandle::render)
 }
 
-/// A request was answered. `route`: its pattern, not its path.
+/// Records that a request was answered. `route`: its pattern, not its path.
 pub fn answered(method: &'static str, route: &str, status: u16, time: Duration) {
     let status = status.to_string();
     counter!(REQUESTS, "method" => method, "route" => route.to_owned(), "status" => status).increment(1);
     histogram!(REQUEST_SECONDS, "route" => route.to_owned()).record(time);
 }
 
-/// An error of REST.
+/// Counts an error of REST.
 pub fn problem(code: &'static str) {
     counter!(PROBLEMS, "code" => code).increment(1);
 }
 
-/// An error that a viewer was sent.
+/// Counts an error that was sent to a viewer.
 pub fn stream_error(code: &'static str) {
     counter!(STREAM_ERRORS, "code" => code).increment(1);
 }
 
-/// A viewer, from its connection on until this is dropped.
+/// Counts a viewer from its connection until this guard is dropped.
 pub struct ConnectedViewer(());
 
 impl ConnectedViewer {
-    /// It has connected.
+    /// Records that a viewer has connected.
     pub fn enter() -> Self {
         counter!(STREAMS, "outcome" => "served").increment(1);
         gauge!(VIEWERS).increment(1.0);
         Self(())
     }
 
-    /// It was turned away.
+    /// Counts a viewer that was refused.
     pub fn refused() {
         counter!(STREAMS, "outcome" => "refused").increment(1);
     }
@@ -193,17 +194,17 @@ impl Drop for ConnectedViewer {
     }
 }
 
-/// Groups of viewers, now.
+/// Sets the number of groups of viewers.
 pub fn groups(groups: usize) {
     gauge!(GROUPS).set(groups as f64);
 }
 
-/// So many more viewers follow another one.
+/// Adds to the number of viewers that follow another one.
 pub fn follower(more: f64) {
     gauge!(FOLLOWERS).increment(more);
 }
 
-/// The network has taken frames of a stream: so many bytes of chunks, and of messages.
+/// Counts bytes of a stream's frames that the network has taken: of chunks, and of messages.
 pub fn sent(chunk_bytes: usize, message_bytes: usize) {
     if let Some(frames) = FRAMES.get() {
         frames.chunk_bytes.increment(chunk_bytes as u64);
@@ -211,7 +212,7 @@ pub fn sent(chunk_bytes: usize, message_bytes: usize) {
     }
 }
 
-/// A chunk was looked for among those that were made for others.
+/// Counts a look-up of a chunk among those that were made for other viewers.
 pub fn looked_up_chunk(was_there: bool) {
     if let Some(frames) = FRAMES.get() {
         let counter = if was_there {
@@ -223,22 +224,22 @@ pub fn looked_up_chunk(was_there: bool) {
     }
 }
 
-/// A surface was begun for a viewer.
+/// Counts a surface that was begun for a viewer.
 pub fn edit_begun() {
     counter!(EDITS).increment(1);
 }
 
-/// Its first commit is on its way, so long after that.
+/// Records the time from the beginning of a surface until its first commit is on its way.
 pub fn edit_committed(time: Duration) {
     histogram!(FIRST_COMMIT_SECONDS).record(time);
 }
 
-/// Its last commit is.
+/// Records the time from the beginning of a surface until its last commit is on its way.
 pub fn edit_done(time: Duration) {
     histogram!(DONE_SECONDS).record(time);
 }
 
-/// A stage of a surface on the device.
+/// Records the time of one stage of a surface on the device.
 pub fn stage(name: &'static str, milliseconds: f64) {
     histogram!(STAGE_SECONDS, "stage" => name).record(milliseconds / 1e3);
 }
@@ -246,74 +247,75 @@ pub fn stage(name: &'static str, milliseconds: f64) {
 /// What distinguishes jobs on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct JobLabels {
-    /// Who asks.
+    /// Kind of caller.
     pub caller: &'static str,
     /// How it shares the device.
     pub length: &'static str,
 }
 
-/// A job's turn has come.
+/// Records that a job begins, and how long it waited.
 pub fn job_begun(labels: JobLabels, waited: Duration) {
     histogram!(JOB_WAIT_SECONDS, "caller" => labels.caller, "length" => labels.length).record(waited);
 }
 
-/// It has ended.
+/// Records that a job has ended, and how long it took.
 pub fn job_ended(labels: JobLabels, time: Duration) {
     histogram!(JOB_SECONDS, "caller" => labels.caller, "length" => labels.length).record(time);
 }
 
-/// The device was lost.
+/// Counts a loss of the device.
 pub fn device_lost() {
     counter!(DEVICE_LOST).increment(1);
 }
 
-/// Something was looked for on the device.
+/// Counts a look-up in a cache of the device.
 pub fn looked_up(what: &'static str, was_there: bool) {
     let result = if was_there { "hit" } else { "miss" };
     counter!(CACHE, "what" => what, "result" => result).increment(1);
 }
 
-/// A step for a viewer: one that is kept (`hit`), one that was being made for another viewer (`joined`), or made for it (`miss`).
+/// Counts a step for a viewer: one that was cached (`hit`), one that was being made for another viewer (`joined`), or one made for it
+/// (`miss`).
 pub fn found_step(result: &'static str) {
     counter!(CACHE, "what" => "step", "result" => result).increment(1);
 }
 
-/// Jobs in the device's queue, now.
+/// Sets the number of jobs in the device's queue.
 pub fn queued(jobs: usize) {
     gauge!(QUEUED).set(jobs as f64);
 }
 
-/// Exports that run, now.
+/// Sets the number of running exports.
 pub fn exports(running: usize) {
     gauge!(EXPORTS).set(running as f64);
 }
 
-/// Batch jobs in a state, now.
+/// Sets the number of batch jobs in a state.
 pub fn batch_jobs(state: &'static str, jobs: u64) {
     gauge!(BATCH_JOBS, "state" => state).set(jobs as f64);
 }
 
-/// Uploads in a state, now.
+/// Sets the number of uploads in a state.
 pub fn uploads(state: &'static str, uploads: usize) {
     gauge!(UPLOADS, "state" => state).set(uploads as f64);
 }
 
-/// Bytes of all uploads, now.
+/// Sets the bytes of all uploads.
 pub fn upload_bytes(bytes: u64) {
     gauge!(UPLOAD_BYTES).set(bytes as f64);
 }
 
-/// Bytes of an upload were received.
+/// Counts received bytes of an upload.
 pub fn upload_received(bytes: usize) {
     counter!(UPLOAD_RECEIVED).increment(bytes as u64);
 }
 
-/// What something holds in memory, now.
+/// Sets the memory of an owner.
 pub fn memory(owner: &'static str, bytes: u64) {
     gauge!(MEMORY, "owner" => owner).set(bytes as f64);
 }
 
-/// What the process holds, now.
+/// Sets the memory of the process.
 pub fn resident(bytes: u64) {
     gauge!(RESIDENT).set(bytes as f64);
 }

@@ -1,4 +1,5 @@
-//! Work on the CPU: on rayon's pool what viewers wait for at each edit, on others of low priority what exports do and what reads files.
+//! Thread pools for work on the CPU: rayon's for work that viewers wait for at each edit, and others of low priority for exports and for
+//! reading files.
 
 use std::num::NonZero;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -11,11 +12,11 @@ use tokio::sync::oneshot;
 #[error("the encoder failed, the server's log says why")]
 pub struct Panicked;
 
-/// Of so many processors, one is left to the sockets and the device's thread: what the pool encodes has to be sent meanwhile.
+/// One in so many processors is left to the sockets and the device's thread, because what the pool encodes has to be sent meanwhile.
 const PROCESSORS_PER_SOCKET_THREAD: usize = 8;
 
-/// Starts rayon's pool, of as many threads as there are processors but for those that the sockets need; or `RAYON_NUM_THREADS`. To be
-/// called once, before any work.
+/// Starts rayon's pool, with as many threads as there are processors, except those that the sockets need; or with `RAYON_NUM_THREADS`. To
+/// be called once, before any work.
 ///
 /// # Errors
 /// The pool runs already, or its threads could not be started.
@@ -28,26 +29,26 @@ pub fn start() -> Result<(), rayon::ThreadPoolBuildError> {
     pool.build_global()
 }
 
-/// Of so many processors, one is for exports at a time.
+/// One in so many processors runs exports.
 const PROCESSORS_PER_EXPORT_THREAD: usize = 4;
 
-/// Priority of exports, readers and compilers that run beside viewers, as `nice` counts: where processors are short, they get a tenth of what others get.
+/// Niceness of exports, readers and compilers that run beside viewers: if processors are short, they get a tenth of what others get.
 #[cfg(target_os = "linux")]
 pub const NICENESS: libc::c_int = 10;
 
-/// The pool of exports, of a server.
+/// A server's pool of exports.
 static EXPORTS: OnceLock<rayon::ThreadPool> = OnceLock::new();
 
-/// Threads of a pool that reads files, of a server.
+/// Number of threads of a pool that reads files; set by a server.
 static READ_THREADS: OnceLock<usize> = OnceLock::new();
 
-/// Starts the pool of exports, and lets files be read on pools of their own, where viewers need rayon's meanwhile. Without this both use that.
+/// Starts the pool of exports, and lets files be read on pools of their own, which leaves rayon's to viewers. Without it, both use rayon's.
 ///
 /// # Errors
 /// Threads could not be started.
 pub fn start_background() -> Result<(), rayon::ThreadPoolBuildError> {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
-    // Others that run do as well.
+    // A pool that a call before has started does as well.
     let _ = EXPORTS.set(background(
         "isopeel-export",
         processors.div_ceil(PROCESSORS_PER_EXPORT_THREAD),
@@ -64,17 +65,17 @@ fn background(name: &'static str, threads: usize) -> Result<rayon::ThreadPool, r
         .build()
 }
 
-/// Of this thread alone.
+/// Lowers the priority of the calling thread only.
 #[cfg(target_os = "linux")]
 fn lower_priority() {
-    // SAFETY: a system call without pointers; 0 is the calling thread. Where it fails the thread keeps its priority.
+    // SAFETY: a system call without pointers; 0 is the calling thread. If it fails, the thread keeps its priority.
     unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
 }
 
 #[cfg(not(target_os = "linux"))]
 fn lower_priority() {}
 
-/// As [`run`], on the pool of exports: nobody at a screen waits for it, so it may take long. What it does with rayon stays on that pool.
+/// As [`run`], on the pool of exports: no interactive viewer waits for it, so it may take long. Its work on rayon stays on that pool.
 pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
     match EXPORTS.get() {
         Some(pool) => spawn(|work| pool.spawn(work), work).await,
@@ -82,7 +83,7 @@ pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'st
     }
 }
 
-/// Runs `work` on the pool of exports and waits for it, on a thread of no pool.
+/// Runs `work` on the pool of exports and waits for it: for threads that belong to no pool.
 pub fn install_export<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match EXPORTS.get() {
         Some(pool) => pool.install(work),
@@ -90,9 +91,9 @@ pub fn install_export<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     }
 }
 
-/// A pool for the reading of files, of threads with low priority: no viewer's surface waits for a block of a file that takes long to decode.
-/// Readers that run at the same time have a pool each: on a shared one a thread that holds a lock of one file could take up the reading of
-/// another, which needs that lock too.
+/// A pool for reading files, of threads with low priority: no viewer's surface waits for a block of a file that takes long to decode.
+/// Concurrent readers have a pool each: on a shared one, a thread that holds a lock of one file could pick up the reading of another file,
+/// which needs that lock too.
 pub struct ReadPool(Option<rayon::ThreadPool>);
 
 impl ReadPool {
@@ -102,7 +103,7 @@ impl ReadPool {
         Self(threads.and_then(|&threads| background("isopeel-read", threads).ok()))
     }
 
-    /// Runs `work`, which reads files, and waits for it: for threads that may block. What it does with rayon stays on this pool.
+    /// Runs `work`, which reads files, and waits for it: for threads that may block. Its work on rayon stays on this pool.
     pub fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match &self.0 {
             Some(pool) => pool.install(work),

@@ -1,14 +1,14 @@
-//! Folders of the server's user alone: what is in them is secret, or believed.
+//! Folders that only the server's user may use: their contents are secret, or trusted.
 
 use std::fs::{File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Longest wait for the lock of a process that was killed: the system keeps it until the process's memory is freed.
+/// Maximum wait for a lock that a killed process held: the system keeps it until the process's memory is freed.
 const LOCK_WAIT: Duration = Duration::from_secs(4);
 
-/// Makes a file in a folder, if there is none, and locks it for this process alone, as [`lock`] does.
+/// Makes a file in a folder, if it does not exist, and locks it for this process alone, as [`lock`] does.
 ///
 /// # Errors
 /// As [`lock`]; or the file cannot be made.
@@ -24,10 +24,10 @@ pub fn lock_in(folder: &Path, name: &str) -> Result<File, TryLockError> {
     Ok(file)
 }
 
-/// Locks a file for this process alone, as soon as no other one holds it.
+/// Locks a file for this process alone, as soon as no other process holds it.
 ///
 /// # Errors
-/// [`TryLockError::WouldBlock`]: another process holds it for longer than one that was killed does; or there are no locks.
+/// [`TryLockError::WouldBlock`] if another process holds it for longer than a killed one would; or the system has no locks.
 pub fn lock(file: &File) -> Result<(), TryLockError> {
     let start = Instant::now();
     loop {
@@ -120,7 +120,7 @@ impl FolderAccess {
     }
 }
 
-/// Opens a folder: makes it for this user alone if there is none, else checks whose it is and who may use it.
+/// Opens a folder: makes it for this user alone if it does not exist, else checks its owner and its mode.
 ///
 /// # Errors
 /// [`FolderAccessError`].
@@ -248,7 +248,7 @@ mod tests {
 
     #[test]
     fn a_folder_of_another_user_is_refused() {
-        // Root's; where the test is root's, that of its parent is made another's.
+        // `/` belongs to root. If the test runs as root, it gives a temporary folder to another user instead.
         let parent = tempfile::tempdir().unwrap();
         let is_root = rustix::process::geteuid().is_root();
         let path = if is_root {

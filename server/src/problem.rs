@@ -19,11 +19,11 @@ pub struct ApiError {
     message: String,
     #[source]
     cause: Option<BoxError>,
-    /// A budget of triangles that is within the limit.
+    /// A budget of triangles to try.
     suggested_triangles: Option<u64>,
-    /// The methods of the path, where the method was wrong.
+    /// The methods of the path, if the method was wrong.
     allow: Option<&'static str>,
-    /// After how long to try again, where that is known.
+    /// Time to wait before a retry, if it is known.
     retry_after: Option<Duration>,
 }
 
@@ -51,13 +51,13 @@ pub struct Problem {
     /// `unknown-volume`, `unreadable-volume`, `unsupported-media-type`, `unsupported-version`, `upload-finished`, `upload-incomplete`, `upload-locked`,
     /// `uploads-off` or `wrong-offset`.
     pub code: &'static str,
-    /// With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered.
+    /// If the surface has more triangles than a limit (`too-large`) or its budget (`over-budget`) allows: a budget (`triangles`) to try.
     #[cfg_attr(test, ts(optional))]
     #[serde(rename = "suggestedTriangles", skip_serializing_if = "Option::is_none")]
     pub suggested_triangles: Option<u64>,
 }
 
-/// Seconds after which to try again when the queue was full: a typical extraction is done by then.
+/// Seconds to wait before a retry when the queue was full: a typical extraction is done by then.
 const RETRY_AFTER: HeaderValue = HeaderValue::from_static("2");
 
 impl ApiError {
@@ -74,7 +74,7 @@ impl ApiError {
         }
     }
 
-    /// Adds after how long to try again.
+    /// Adds the time to wait before a retry.
     #[must_use]
     pub fn retry_after(mut self, time: Duration) -> Self {
         self.retry_after = Some(time);
@@ -88,7 +88,7 @@ impl ApiError {
         self
     }
 
-    /// Adds a budget of triangles that is within the limit.
+    /// Adds a budget of triangles to try.
     #[must_use]
     pub fn suggesting(mut self, triangles: Option<u64>) -> Self {
         self.suggested_triangles = triangles;
@@ -115,7 +115,7 @@ impl ApiError {
         }
     }
 
-    /// As [`ApiError::method_not_allowed`], where the router adds the methods.
+    /// As [`ApiError::method_not_allowed`], for answers to which the router adds the methods.
     pub fn method_unknown(method: &Method, path: &str) -> Self {
         let message = format!("{path:?} does not know the method {method}");
         Self::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", message)
@@ -184,7 +184,7 @@ impl IntoResponse for ApiError {
             headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
         if let Some(time) = self.retry_after {
-            // In whole seconds, none too early.
+            // In whole seconds plus one, so that no client retries too early.
             headers.insert(header::RETRY_AFTER, (time.as_secs() + 1).into());
         } else if self.code == "busy" {
             headers.insert(header::RETRY_AFTER, RETRY_AFTER);

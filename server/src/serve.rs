@@ -38,7 +38,7 @@ pub use connections::ConnectionLimits;
 pub use listener::{ListenAddress, Listener, SocketFile};
 pub use tls::{Tls, TlsError};
 
-/// Grace of a server that does not drain: the process has ended 2 s after the signal.
+/// Grace of a server that does not drain: the process ends within 2 s of the signal.
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(1);
 
 /// Configuration of a server.
@@ -59,22 +59,23 @@ pub struct Config {
     pub tls: Option<Arc<Tls>>,
     /// Limits of connections.
     pub connections: ConnectionLimits,
-    /// Where metrics are served without a token; `None`: they need one for `admin`.
+    /// Listener that serves metrics without a token; `None`: they need one for `admin`.
     pub metrics: Option<Listener>,
-    /// Volumes that users have brought; `None`: none are taken.
+    /// Volumes that users have uploaded; `None`: uploads are refused.
     pub uploads: Option<Uploads>,
-    /// Where batch jobs are kept, and how many; `None`: there are none.
+    /// Folder of batch jobs, and their limits; `None`: there are none.
     pub jobs: Option<(StateFolder, Limits)>,
-    /// Where exports wait that clients read slowly; `None`: among temporary files.
+    /// Folder in which exports wait for clients that read slowly; `None`: among temporary files.
     pub spool: Option<SpoolFolder>,
-    /// Whether the server is about to end: it goes on, and `/readyz` says that others are to be asked.
+    /// Whether the server is about to end: it continues to serve, and `/readyz` says that clients should use another server.
     pub is_draining: Arc<AtomicBool>,
-    /// Maximum time that a shutdown waits for running requests and for viewers' close handshakes. What still runs is then cancelled.
+    /// Maximum time that a shutdown waits for running requests and for viewers' close handshakes. The rest is then cancelled.
     pub grace: Duration,
 }
 
 impl Config {
-    /// A server of these volumes on this device, with its defaults: without a limit of triangles, TLS, metrics of their own, jobs and uploads.
+    /// Returns the defaults for a server of these volumes on this device: no limit of triangles, no TLS, no listener of its own for
+    /// metrics, no jobs and no uploads.
     pub fn new(catalog: SharedCatalog, worker: DeviceWorker, access: Access) -> Self {
         Self {
             catalog,
@@ -102,13 +103,13 @@ pub enum ServeError {
     /// The device could not be opened.
     #[error(transparent)]
     Device(#[from] WorkError),
-    /// The device was lost, and its driver works in another process alone.
+    /// The device was lost, and only another process can use its driver.
     #[error("the device was lost, and its driver is of no use to this process any more")]
     Spoiled,
-    /// Batch jobs cannot be kept.
+    /// Batch jobs cannot be stored.
     #[error(transparent)]
     Jobs(#[from] OpenError),
-    /// Nothing can be counted.
+    /// Metrics cannot be recorded.
     #[error(transparent)]
     Metrics(#[from] metrics_exporter_prometheus::BuildError),
     /// The listener failed.
@@ -118,7 +119,7 @@ pub enum ServeError {
 
 /// Serves REST, the stream and the web client until `shutdown` resolves, then closes every connection and returns.
 ///
-/// Answers at once; what needs the device waits until it is open (`GET /readyz`).
+/// Answers at once; requests that need the device wait until it is open (`GET /readyz`).
 ///
 /// # Errors
 /// [`ServeError`]; a device that cannot be opened ends the server. [`ServeError::Spoiled`] asks for another process.
@@ -145,7 +146,7 @@ pub async fn run(
     } = config;
     metrics::start()?;
     let stop = CancellationToken::new();
-    // Ends the viewers' tasks however this function ends.
+    // Ends the viewers' tasks on every way out of this function.
     let _stop_viewers = stop.clone().drop_guard();
     let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
     let backend = Live::new(catalog.clone(), extractor.clone(), live);
@@ -195,7 +196,7 @@ pub async fn run(
     outcome
 }
 
-/// Keeps the metrics in order, and serves them at an address of their own, until what is returned is dropped.
+/// Runs the upkeep of metrics, and serves them at an address of their own, until the returned guard is dropped.
 fn serve_metrics(
     listener: Option<Listener>,
     api: ApiState,
@@ -237,7 +238,7 @@ async fn count(request: Request<Body>, next: middleware::Next) -> Response {
     };
     let route = request.extensions().get::<MatchedPath>().cloned();
     let response = next.run(request).await;
-    // Files of the page, and what is not there.
+    // Files of the page, and unknown paths.
     let route = route.as_ref().map_or("other", MatchedPath::as_str);
     metrics::answered(method, route, response.status().as_u16(), started.elapsed());
     response
@@ -247,7 +248,7 @@ async fn count(request: Request<Body>, next: middleware::Next) -> Response {
 const MIN_COMPRESSED_BYTES: u64 = 1 << 10;
 
 fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
-    // gzip on meshes takes longer than it saves on the line, and so does what fits a packet: strangers may ask for small answers.
+    // For meshes gzip takes longer than it saves on the line, and so it does for answers that fit a packet, which strangers may request.
     let compress = DefaultPredicate::new()
         .and(SizeAbove::new(MIN_COMPRESSED_BYTES))
         .and(NotForContentType::const_new("model/"))
@@ -256,19 +257,19 @@ fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
     rest::router(api)
         .merge(stream::router(viewers))
         .layer(middleware::from_fn_with_state(access.clone(), admit))
-        // Around it, so that a page that may use the server can read why it is refused.
+        // Outside of `admit`, so that a page that may use the server can read why it is refused.
         .layer(cross_origin(access.origins()))
         .layer(set(header::CONTENT_SECURITY_POLICY, content_security_policy(&access)))
         .layer(set(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")))
         .layer(set(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")))
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(CatchPanicLayer::new())
-        // Failures are logged with their causes where the answer is made.
+        // Failures are logged with their causes when the answer is made.
         .layer(middleware::from_fn(count))
         .layer(TraceLayer::new_for_http().make_span_with(request_span).on_failure(()))
 }
 
-/// Without the query, which may have a ticket.
+/// Leaves out the query, which may contain a ticket.
 fn request_span(request: &Request<Body>) -> tracing::Span {
     tracing::debug_span!("request", method = %request.method(), path = request.uri().path())
 }

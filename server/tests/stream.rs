@@ -243,7 +243,7 @@ impl Server {
 }
 
 impl Server {
-    /// Waits until nobody is connected.
+    /// Waits until no viewer is connected.
     async fn until_empty(&self) {
         let closed = timeout(Duration::from_secs(60), self.state.closed()).await;
         closed.expect("everybody has left");

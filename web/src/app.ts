@@ -73,11 +73,11 @@ export class App {
   private readonly uploads: FileUploads;
   private readonly storyteller: () => Promise<Storyteller>;
   private readonly together: Together;
-  /** Where the page is a picture in another one. */
+  /** Set if the page is embedded as a picture in another one. */
   private readonly embedding: Embedding | undefined;
   private readonly timeline: Timeline;
   private readonly later = new Later(REFRESH_DELAY_MS, () => this.refresh());
-  /** What a link asks for of the volume that is being opened. */
+  /** The values of a link for the volume that is being opened. */
   private wish: Link | undefined;
 
   /** @throws when the browser has no WebGL 2 */

@@ -1,4 +1,4 @@
-// The active cells of a brick as a list, where one work-item makes it: without a branch that nobody could predict.
+// Lists the active cells of a brick if one work-item makes the list. Branch-free: the outcome is unpredictable.
 #ifndef ISOPEEL_ACTIVE_CELLS_H
 #define ISOPEEL_ACTIVE_CELLS_H
 

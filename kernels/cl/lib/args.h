@@ -251,7 +251,7 @@ typedef struct {
 typedef struct {
     uint first_key; // First key of bin 1.
     uint shift; // A bin holds 2^shift keys.
-    uint nodes; // Keys, also where there is no node.
+    uint nodes; // Number of keys, including those of slots without a node.
 } TreeHistogramArgs;
 
 // Arguments of `tree_leaves`.

@@ -79,7 +79,7 @@ INLINED void solve_listed_cells(const BrickTask *task, const BrickMemory *memory
     brick_barrier(CLK_LOCAL_MEM_FENCE);
 }
 
-// The sums over the cells of the level-1 cube at hand, where cells are summed while they are solved.
+// The sums over the cells of the level-1 cube at hand, if cells are summed while they are solved.
 typedef struct {
     float4 slopes;  // of Moments: g and q
     uint n;         // likewise

@@ -1,6 +1,6 @@
 // Phases of construct for the user feature (docs/algorithm.md#2-per-cell-quantities): the feature at the samples of a brick, then the
 // mean over each active cell's corners. To be called before the cells are solved: its arrays share their bytes with theirs.
-// Every phase is passed by every brick, with nothing to do where there is no feature: PoCL corrupts memory where barriers stand in
+// Every phase is passed by every brick, with nothing to do if there is no feature: PoCL corrupts memory if barriers stand in
 // branches.
 // Features of `derive` are in the nodes already.
 #ifndef ISOPEEL_BRICK_FEATURE_H

@@ -26,7 +26,7 @@ inline uint listed_morton(uint entry) { return entry >> 9 << 3 | (entry & 1u) | 
 
 // Rows of the output.
 #define OUT_SLOPE 0    // unit gradient at the cell's centre, x y z
-#define OUT_SLOPED 3   // 0 where that gradient is zero
+#define OUT_SLOPED 3   // 0 if that gradient is zero
 #define OUT_FEATURE 4  // left to the caller
 #define OUT_COUNT 5    // left to the caller
 #define OUT_SUMS 6     // rows so far, which cubes sum up
@@ -73,7 +73,7 @@ INLINED Quadrics cell_crossings(const Cells *cells, const CellFrame *frame, uint
     return q;
 }
 #else
-// Weight and parameter of the crossing between two corners: weight 0 where there is none.
+// Weight and parameter of the crossing between two corners: weight 0 if there is none.
 INLINED real edge_weight(real lo, real hi) { return PICK((lo >= 0.0f) ^ (hi >= 0.0f), 1.0f, 0.0f); }
 INLINED real edge_parameter(real weight, real lo, real hi) {
     return PICK(weight > 0.0f, clamp(native_divide(lo, lo - hi), 0.0f, 1.0f), 0.0f);
@@ -97,7 +97,7 @@ INLINED void add_edge_z(Quadrics *q, const CellFrame *frame, real lo, real hi, f
     add_cell_crossing(q, frame, w, make_real3(x, y, t), make_real3(mix(x_lo, x_hi, t), mix(y_lo, y_hi, t), slope));
 }
 
-// The crossings of LANES cells: all twelve edges, with weight 0 where an edge is not crossed.
+// The crossings of LANES cells: all twelve edges, with weight 0 if an edge is not crossed.
 INLINED Quadrics cell_crossings(const Cells *c, const CellFrame *frame) {
     Quadrics q = no_quadrics();
     add_edge_x(&q, frame, c->v0, c->v1, 0.0f, 0.0f, c->x00, c->y00, c->y10, c->z00, c->z10);
@@ -116,7 +116,7 @@ INLINED Quadrics cell_crossings(const Cells *c, const CellFrame *frame) {
 }
 #endif
 
-// `bit` where a corner value is inside.
+// `bit` if a corner value is inside, else 0.
 INLINED real sign_bit(real v, float bit) { return PICK(v >= 0.0f, bit, 0.0f); }
 
 // The signs of the corners as a number, corner 0 lowest.
@@ -125,7 +125,7 @@ INLINED real corner_sign_bits(const Cells *c) {
         + sign_bit(c->v5, 32.0f) + sign_bit(c->v6, 64.0f) + sign_bit(c->v7, 128.0f);
 }
 
-// A corner value scaled; where the largest is infinite or zero, its sign.
+// A corner value scaled; if the largest is infinite or zero, its sign.
 INLINED real scale_corner(real v, real largest, real scale) {
     return PICK((largest > 0.0f) & (largest < INFINITY), v * scale, PICK(v >= 0.0f, 1.0f, -1.0f));
 }

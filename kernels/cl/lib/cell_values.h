@@ -14,7 +14,7 @@ inline int distance2_to_cell(int3 at, int3 cell) {
     return way.x * way.x + way.y * way.y + way.z * way.z;
 }
 
-// The node with the data's values at `at`; as it is where no cell around is active.
+// The node with the data's values at `at`; unchanged if no cell around is active.
 INLINED Node with_values_at(Grid grid, __global const uint *region_index, __global const Region *regions,
                             __global const Brick *bricks, __global const Node *nodes, Node node, int3 at) {
     const int3 last = (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]) - 2;

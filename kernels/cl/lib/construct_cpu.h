@@ -12,7 +12,7 @@
 #if LANES == 16 // vectors of 16 numbers are taken apart below
 
 // Phase: lists of active cells and of cubes; every cube counts as mergeable until a phase finds that it is not. Loops begin at `lid`, which
-// is 0: where the compiler knows that, it finds several ways to the next barrier, and PoCL makes a copy of all later phases for each.
+// is 0: if the compiler knows that, it finds several ways to the next barrier, and PoCL makes a copy of all later phases for each.
 INLINED void list_cells_and_cubes(const BrickTask *task, const BrickMemory *memory, __global const uint *case_facts) {
     const uint lid = get_local_id(0);
     ushort cells[512];

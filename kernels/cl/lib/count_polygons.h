@@ -66,7 +66,7 @@ inline uint edges_of_next_regions(Grid grid, int3 low, int3 in_region) {
         | (in_region.z == 31 && low.z + 2 < (int)grid.dims[2] ? EDGES_HIGH_Z : 0);
 }
 
-// Marks the vertices of a cell that is a leaf, where no samples are missing: every crossed edge has a polygon then, so the cell
+// Marks the vertices of a cell that is a leaf, if no samples are missing: every crossed edge has a polygon then, so the cell
 // knows which of its sheets are used without those leaves that emit the polygons.
 INLINED void mark_sheets(Grid grid, const Cut *cut, const Part *part, const Counts *counts, uint slot, uint crossed,
                          int3 in_region) {
@@ -84,7 +84,7 @@ INLINED void mark_sheets(Grid grid, const Cut *cut, const Part *part, const Coun
     }
 }
 
-// Triangles of the polygon that a leaf of level 0 or 1 emits around an edge inside its region, where no samples are missing.
+// Triangles of the polygon that a leaf of level 0 or 1 emits around an edge inside its region, if no samples are missing.
 // Marks other leaves around it as used, but for cells: mark_sheets does that. `in_region`, `in_brick`: the leaf's low corner.
 inline uint count_inner_polygon(__local const LeafHalo *halo, uint level, int3 in_region, int3 in_brick, uint edge,
                                 __global uchar *used) {

@@ -47,7 +47,7 @@ typedef struct {
     float4 m;       // k in w
 } QuadricRows;
 
-// Slopes per two cells: central differences, one-sided beside missing samples; limited, and 0 where they are not defined.
+// Slopes per two cells: central differences, one-sided beside missing samples; limited, and 0 if they are not defined.
 INLINED float4 slopes_between(float4 below, float4 here, float4 above) {
     const float4 down = here - below, up = above - here;
     const float4 slope = select(up, down, down == down) + select(down, up, up == up);

@@ -47,7 +47,7 @@ inline uint claim_global(__global uint *at, uint expected, uint value) {
     return found;
 }
 
-// Loads the memory at an address into the caches, for later. PREFETCHES is set where the compiler is known to take the intrinsic
+// Loads the memory at an address into the caches, for later. PREFETCHES is set if the compiler is known to take the intrinsic
 // (kernels/src/tuning.rs): Mesa's refuses it, and PoCL 7.1 (LLVM 21) compiles loops around it wrongly. OpenCL's own `prefetch` is
 // nothing in PoCL.
 #if PREFETCHES
@@ -56,7 +56,7 @@ INLINED void prefetch_line(__global const void *at) { __builtin_prefetch((const 
 INLINED void prefetch_line(__global const void *at) { (void)at; }
 #endif
 
-// Cells of a level-1 cube are summed as they are solved where only the smoothness of the cells is needed.
+// Cells of a level-1 cube are summed as they are solved if only the smoothness of the cells is needed.
 #define SUM_WHILE_SOLVING 1
 // Work-items that share the sums of one level-1 cube.
 #define WORK_ITEMS_A_SUM 1
@@ -78,7 +78,7 @@ typedef uint16 mask_lanes;
 #define AS_REAL(value) as_float16(value)
 #define TO_REAL(value) convert_float16(value)
 #define TO_INTEGER(value) convert_int16(value)
-// `yes` where the condition holds, else `no`. A macro because the condition is an integer vector here and a bool on a GPU.
+// `yes` if the condition holds, else `no`. A macro because the condition is an integer vector here and a bool on a GPU.
 #define PICK(condition, yes, no) select((real)(no), (real)(yes), condition)
 
 // Transposes LANES vectors of four, which follow one another in `a` to `d`, to one vector a component.
@@ -200,7 +200,7 @@ inline uint index_of(__global const uint *numbers, uint value) {
     }
 }
 
-// Index of the minimum of `count` numbers; NONE where none is below `end`, AMBIGUOUS where it may not be the only one. Up to 15 numbers behind
+// Index of the minimum of `count` numbers; NONE if none is below `end`, AMBIGUOUS if it may not be the only one. Up to 15 numbers behind
 // them are read.
 #define AMBIGUOUS (UINT_MAX - 1)
 inline uint index_of_minimum(__global const uint *numbers, uint count, uint end) {

@@ -41,7 +41,7 @@ INLINED void prefetch_line(__global const void *at) { (void)at; }
 #define WORK_ITEMS_A_SUM 4
 
 // a / b rounded as IEEE 754 demands, which not every device does: an importance equal to the threshold must not exceed it, and
-// a plane must come out flat. One step of correction; where that leaves the range of a float, the plain quotient.
+// a plane must come out flat. One step of correction; if that leaves the range of a float, the plain quotient.
 inline float exact_quotient(float a, float b) {
     const float plain = a / b, corrected = fma(fma(-plain, b, a), 1.0f / b, plain);
     return isfinite(corrected) ? corrected : plain;
@@ -60,7 +60,7 @@ typedef uint mask_lanes;
 #define AS_REAL(value) as_float(value)
 #define TO_REAL(value) (float)(value)
 #define TO_INTEGER(value) (int)(value)
-// `yes` where the condition holds, else `no`. A macro because the condition is a bool here and an integer vector on a CPU.
+// `yes` if the condition holds, else `no`. A macro because the condition is a bool here and an integer vector on a CPU.
 #define PICK(condition, yes, no) ((condition) ? (yes) : (no))
 
 // Transposes LANES int4 from an array of structures to one vector a component.

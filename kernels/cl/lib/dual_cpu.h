@@ -303,7 +303,7 @@ INLINED bool other_is_better(const VertexTable *table, uint4 r) {
 #define QUAD_FLIP 12
 #define MAX_PLAIN_QUADS (3 * 512)
 
-// Appends the quads of a cell at `at` to a list of `count`, without a branch that nobody could predict; returns how many there are.
+// Appends the quads of a cell at `at` to a list of `count`; returns how many there are. Branch-free: the outcome is unpredictable.
 INLINED uint list_plain_quads(ushort *quads, uint count, uint at, uint signs) {
     // Along each axis, where the cell's first corner and the next one lie on different sides.
     const uint inside = signs & 1u, crossed = inside ? ~signs : signs, entry = at | (inside ^ 1u) << QUAD_FLIP;

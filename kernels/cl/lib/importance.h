@@ -64,7 +64,7 @@ inline float node_importance(const CutCriterion *of, Node node, uint level) {
     return raise_importance(own, of->params.interests, of->interests, 0.5f * (low + high), 0.5f * (high - low));
 }
 
-// Error of a node of level 1 or above as the cut by error counts it. Where all corners have one sign, what lies between them vanishes with
+// Error of a node of level 1 or above as the cut by error counts it. If all corners have one sign, what lies between them vanishes with
 // the merge, and the cube's diagonal counts as well. `error`: of the node's vertex record.
 inline float counted_error(const CutCriterion *of, Node node, uint level, float error) {
     const bool vanishes = of->params.by_error && meta_one_sign(node.meta);
@@ -82,7 +82,7 @@ inline float decimation_key(const CutCriterion *of, Node node, uint level, float
     return fmax(of->params.by_error ? error_over_weight(summed_error(node, error), own) : own, 0.0f);
 }
 
-// Whether the coarsest level and the guards let a node of level 1 or above be a leaf, where its importance does. `error`: the
+// Whether the coarsest level and the guards let a node of level 1 or above be a leaf, if its importance does. `error`: the
 // counted one.
 inline bool may_decimate(CutParams params, Node node, uint level, float error) {
     return level <= params.max_level && (!params.preserve || meta_safe(node.meta)) && !(error > params.max_error);

@@ -12,7 +12,7 @@ inline float distance_along(__constant const float *row, float3 middle, float3 h
     return fmax(fabs(at) - reach, 0.0f);
 }
 
-// Whether a box of cells meets a region of interest; where axes are turned, also where it nearly does. A point is a box without size.
+// Whether a box of cells meets a region of interest; if axes are turned, also true if it nearly does. A point is a box without size.
 inline bool meets_interest(__constant Interest *interest, float3 middle, float3 half_size) {
     const float3 from_centre = middle - (float3)(interest->centre[0], interest->centre[1], interest->centre[2]);
     const float x = distance_along(interest->rows, from_centre, half_size);

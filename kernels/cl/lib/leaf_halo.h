@@ -89,7 +89,7 @@ inline uint boundary_edges(Grid grid, int3 origin, int3 in_region, uint level) {
         | (high.x >= end.x ? EDGES_HIGH_X : 0) | (high.y >= end.y ? EDGES_HIGH_Y : 0) | (high.z >= end.z ? EDGES_HIGH_Z : 0);
 }
 
-// `edges` where a cell of cube `i` is a leaf; `cell`: its number in the cube.
+// `edges` if a cell of cube `i` is a leaf; `cell`: its number in the cube.
 inline uint edges_beside_cell(__local const LeafHalo *halo, uint i, uint cell, uint edges) {
     return cover_cells(halo->cover[i]) >> cell & 1u ? edges : 0u;
 }
@@ -107,13 +107,13 @@ inline uint edges_of_neighbour_cells(__local const LeafHalo *halo, uint3 cell, u
         | edges_beside_cell(halo, i + x - 1 + 6 * y, here ^ 3, 1u << 10);
 }
 
-// `finer` where cells of cube `i` are leaves, `same` where the cube is a leaf itself.
+// `finer` if cells of cube `i` are leaves, `same` if the cube is a leaf itself.
 inline uint edges_beside_cube(__local const LeafHalo *halo, uint i, uint finer, uint same) {
     const uint level = cover_level(halo->cover[i]);
     return level == 0 ? finer : level == 1 ? same : 0u;
 }
 
-// The same of a leaf of level 1, whose cube is `i`: finer leaves always emit, those of its level where they come earlier.
+// The same of a leaf of level 1, whose cube is `i`: finer leaves always emit, those of its level if they come earlier.
 inline uint edges_of_neighbour_cubes(__local const LeafHalo *halo, uint i) {
     uint edges = 0;
     // Across a face.

@@ -212,10 +212,10 @@ INLINED float walk_to_mesh(Grid grid, const MeshFans *mesh, Pairs *pairs, float3
 typedef struct {
     __global const uint *near;  // the 27 bricks around each brick
     __global const uint *seeds; // 8 a brick
-    __global const uint *far;   // of each brick a slot for where there is no seed in the bricks around
+    __global const uint *far;   // of each brick, the slot to use if the bricks around have no seed
 } MeshSeeds;
 
-// The seed of a brick that is nearest to `p`, or NONE where it has none.
+// The seed of a brick that is nearest to `p`, or NONE if it has none.
 INLINED uint nearest_seed(const MeshSeeds *from, __global const float4 *positions, float3 p, uint brick) {
     uint nearest = NONE;
     float nearest2 = INFINITY;

@@ -41,7 +41,7 @@ INLINED Derivatives make_derivatives(__local const float *at, Steps steps) {
     return d;
 }
 
-// A curvature from its numerator and denominator: zero where the gradient is, and no larger than the grid resolves. NaN stays.
+// A curvature from its numerator and denominator: zero if the gradient is, and no larger than the grid resolves. NaN stays.
 INLINED real make_curvature(const Derivatives *d, real numerator, real denominator, Resolution bound) {
     const real v = numerator / PICK(d->flat, 1.0f, denominator);
     return PICK(v > bound, bound, PICK(v < -bound, -bound, v));
@@ -109,7 +109,7 @@ INLINED real root_apart(real r) {
 }
 
 // The middle eigenvalue of a symmetric matrix with the rows (xx, xy, xz), (xy, yy, yz), (xz, yz, zz). The closed form alone loses half of the
-// digits where two eigenvalues are near each other: here it finds the third one, and the matrix without that has the distance of the two.
+// digits if two eigenvalues are near each other: here it finds the third one, and the matrix without that has the distance of the two.
 INLINED real middle_eigenvalue(real xx, real yy, real zz, real xy, real xz, real yz) {
 #pragma OPENCL FP_CONTRACT ON
     const real mean = (xx + yy + zz) * (1.0f / 3.0f);
@@ -174,7 +174,7 @@ INLINED real vector_feature(uint kind, __local const float *at, Steps steps) {
     return PICK((u == u) & (v == v) & (w == w), value, NAN);
 }
 
-// A feature at samples. `at`: in the block of the field, or of the first component. Missing, NaN, where it is not finite.
+// A feature at samples. `at`: in the block of the field, or of the first component. Missing (NaN) if it is not finite.
 INLINED real neighbourhood_feature(uint kind, __local const float *at, Steps steps) {
     const Resolution bound = resolution(steps);
     real value;

@@ -12,7 +12,7 @@
 
 typedef struct {
     uint brick;          // compact index; NONE: the region's levels 4 and 5
-    __global const uint *near; // the 27 bricks around it, NONE where there is none: x + 3 y + 9 z, itself at 13
+    __global const uint *near; // the 27 bricks around it, NONE if there is none: x + 3 y + 9 z, itself at 13
     uint region;         // compact index
     int3 origin;         // of the region, in cells of the volume
     int3 low;            // of the brick, likewise

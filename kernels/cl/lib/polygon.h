@@ -100,7 +100,7 @@ INLINED uint near_brick(const Part *part, int3 cell) {
     return part->near[d.x + 3 * d.y + 9 * d.z];
 }
 
-// The leaf at position `k`, for a leaf of levels 0 to 3 whose brick's halo is known. False where this leaf emits no polygon.
+// The leaf at position `k`, for a leaf of levels 0 to 3 whose brick's halo is known. False if this leaf emits no polygon.
 INLINED bool corner_from_halo(const Cut *cut, __local const LeafHalo *halo, const Part *part, LeafEdge edge, uint level, uint k,
                               Polygon *corners) {
     const EdgeCubes cubes = edge_cubes(edge.sample - part->low, edge.axis);

@@ -99,7 +99,7 @@ INLINED Quadrics load_quadrics(__local const float *from, uint stride) {
     return q;
 }
 
-// Adds a crossing at `p` where `weight` is 1, none where it is 0. `gradient`: of any length, 0 where it is not defined.
+// Adds a crossing at `p` if `weight` is 1, none if it is 0. `gradient`: of any length, 0 if it is not defined.
 INLINED void add_crossing(Quadrics *q, real weight, Real3 p, Real3 gradient) {
 #pragma OPENCL FP_CONTRACT ON
     const real length2 = dot_real3(gradient, gradient);

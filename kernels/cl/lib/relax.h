@@ -55,7 +55,7 @@ inline int4 sheet_position(const BrickTask *task, uint cell, uint edge) {
     return (int4)(sheet.position[0], sheet.position[1], sheet.position[2], NO_SUM);
 }
 
-// Parameter of the crossing between two samples minus the isovalue; 1/2 where both are infinite.
+// Parameter of the crossing between two samples minus the isovalue; 1/2 if both are infinite.
 INLINED float sample_crossing(float from, float to) {
     const float t = native_divide(from, from - to);
     return t == t ? clamp(t, 0.0f, 1.0f) : 0.5f;
@@ -68,7 +68,7 @@ INLINED int4 weighted_offset(float4 offset) {
     return convert_int4_rte(OFFSET_LATTICE * (float4)(weight * offset.xyz, limited));
 }
 
-// Adds the offset of the quad of a list entry to the sums of its cells, where the quad exists: outside the volume and beside missing
+// Adds the offset of the quad of a list entry to the sums of its cells, if the quad exists: outside the volume and beside missing
 // samples there are no cells.
 INLINED void add_quad_offset(const BrickTask *task, const BrickMemory *memory, uint entry, float4 low, float4 unit, float4 scale) {
     const uint axis = entry >> 9, x = entry & 7, y = entry >> 3 & 7, z = entry >> 6 & 7;

@@ -29,7 +29,7 @@ INLINED BlockRow find_block_row(Grid grid, uint z0, int3 origin, uint row) {
     return from;
 }
 
-// Copies a row of samples of any type into a block: NaN where a sample is missing or outside the volume.
+// Copies a row of samples of any type into a block: NaN if a sample is missing or outside the volume.
 #define COPY_BLOCK_ROW(from, samples, missing, to)                                                                     \
     if ((from).first == -1 && (from).last == 9) {                                                                      \
         const float8 v = convert_float8(vload8(0, (samples) + (from).index - 1));                                      \

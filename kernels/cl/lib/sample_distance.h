@@ -81,7 +81,7 @@ INLINED float4 nearest_cell_vertex(const SampledField *field, const MeshFans *me
     return nearest;
 }
 
-// The vertex of an active cell, which lies on the surface, that is nearest to `x`; w: squared distance, infinite where no brick is active within
+// The vertex of an active cell, which lies on the surface, that is nearest to `x`; w: squared distance, infinite if no brick is active within
 // BRICKS_AROUND. Bricks are tried from the middle outwards, as long as one of the next may have a nearer one. World units.
 INLINED float4 nearest_of_cells(const SampledField *field, const MeshFans *mesh, float3 x) {
     const float3 spacing = field->box.spacing, p = x * spacing;

@@ -38,7 +38,7 @@ INLINED void prefetch_samples(Grid grid, SLAB, int3 origin) {
 }
 
 // One component of the gradient at a sample, in units per world unit: central differences, one-sided at the volume's
-// border or beside a missing sample, zero where neither neighbour is known.
+// border or beside a missing sample, zero if neither neighbour is known.
 inline float gradient_component(Grid grid, SLAB, int3 p, float here, uint axis) {
     const int3 step = axis_step(axis);
     const int at = axis == 0 ? p.x : axis == 1 ? p.y : p.z;

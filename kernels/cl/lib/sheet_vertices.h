@@ -22,7 +22,7 @@ typedef struct {
     real count;
 } SheetCrossings;
 
-// Adds a crossing at `p` where the sheet has the edge.
+// Adds a crossing at `p` if the sheet has the edge.
 INLINED void add_sheet_crossing(SheetCrossings *s, mask_lanes edges, uint edge, Real3 p) {
 #pragma OPENCL FP_CONTRACT ON
     const real w = PICK((edges & (1u << edge)) != 0u, 1.0f, 0.0f);
@@ -62,7 +62,7 @@ INLINED SheetCrossings sheet_crossings(const Cells *c, mask_lanes edges) {
     return s;
 }
 
-// One Newton step from `p` towards the isosurface, at most one cell long, inside the crossings' box. None where it is not finite.
+// One Newton step from `p` towards the isosurface, at most one cell long, inside the crossings' box. None if it is not finite.
 INLINED Real3 newton_step_in_sheet(const Field *field, Real3 p, float3 per, const SheetCrossings *s) {
 #pragma OPENCL FP_CONTRACT ON
     const Real3 g = field->gradient;

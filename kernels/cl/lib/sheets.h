@@ -60,7 +60,7 @@ inline uint flips_entry(uint signs, uint faces) {
 }
 
 // Which of the faces `candidates` a cell flips beside those of `forced`: of all ways that which leaves the fewest of them joined, of equals the
-// one with the largest bits; none where that gains nothing.
+// one with the largest bits; none if that gains nothing.
 inline uint choose_flips(uint signs, uint forced, uint candidates) {
     uint best = 0, fewest = popcount(candidates & STILL_JOINED[flips_entry(signs, forced)]);
     for (uint flips = candidates; flips; flips = (flips - 1) & candidates) {
@@ -79,7 +79,7 @@ inline bool is_cell(Grid grid, int3 cell) {
     return all(cell >= 0) && all(cell + 1 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
 }
 
-// Signs of the cell beyond a face, NONE where it has a missing sample. The corners of the face are known; the others are read together.
+// Signs of the cell beyond a face, NONE if it has a missing sample. The corners of the face are known; the others are read together.
 inline uint signs_beyond(Grid grid, SLAB, float iso, int3 cell, uint signs, uint face) {
     const uint axis = face >> 1, side = face & 1;
     float beyond[4];
@@ -123,7 +123,7 @@ inline uint flips_of_neighbours(Grid grid, SLAB, float iso, int3 cell, uint sign
     return flips;
 }
 
-// Sheets of an active cell, with faces flipped where that keeps the surface a manifold. Reads samples up to two beyond the cell's.
+// Sheets of an active cell, with faces flipped if that keeps the surface a manifold. Reads samples up to two beyond the cell's.
 inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
     if (!JOINED[signs]) return SHEETS[signs];
     const uint2 candidates = joined_on_both_sides(grid, SLAB_ARGS, iso, cell, signs);

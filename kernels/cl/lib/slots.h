@@ -19,14 +19,14 @@ inline uint cells_before_level1(__global const Brick *brick, uint one) {
     return brick->cells_before[one >> 2] + popcount(brick->cells[one >> 2] & ((1u << (8 * (one & 3))) - 1));
 }
 
-// Slot of the level-4 node that holds cell `cell`, relative to its level; NONE where there is none.
+// Slot of the level-4 node that holds cell `cell`, relative to its level; NONE if there is none.
 inline uint rank_level4(uint2 bricks, uint cell) {
     const uint level4_mask = nonzero_bytes(bricks.x) | nonzero_bytes(bricks.y) << 4;
     const uint i = cell >> 12;
     return level4_mask >> i & 1u ? (uint)popcount(level4_mask & ((1u << i) - 1)) : NONE;
 }
 
-// Slot of the node of `level`, 0 to 3, that holds cell `cell` of an active brick; NONE where there is none.
+// Slot of the node of `level`, 0 to 3, that holds cell `cell` of an active brick; NONE if there is none.
 inline uint find_in_brick(__global const Region *region, __global const Brick *bricks, uint index, uint level, uint cell) {
     __global const Brick *brick = bricks + index;
     const uint i = (cell & 511) >> (3 * level);
@@ -44,7 +44,7 @@ inline uint find_in_brick(__global const Region *region, __global const Brick *b
     return region->slot_base + region->level_base[3] + index - region->brick_base;
 }
 
-// Slot of the node of any level that holds cell `cell` of an active region; NONE where there is none.
+// Slot of the node of any level that holds cell `cell` of an active region; NONE if there is none.
 inline uint find_slot(__global const Region *region, __global const Brick *bricks, uint level, uint cell) {
     if (level == 5) return region->slot_base + region->level_base[5];
     const uint2 mask = (uint2)(region->brick_mask[0], region->brick_mask[1]);

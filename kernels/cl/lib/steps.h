@@ -1,7 +1,7 @@
 // Derivatives at samples of a block from their neighbours along the axes, LANES at once: of even axes by the spacing; with UNEVEN defined by
 // the lengths of the two cells beside each sample (docs/algorithm.md#21-derived-features).
 //
-// Local memory: STEP_TABLES floats, not read where axes are even.
+// Local memory: STEP_TABLES floats, not read if axes are even.
 #ifndef ISOPEEL_STEPS_H
 #define ISOPEEL_STEPS_H
 
@@ -36,7 +36,7 @@ typedef real Resolution;
 #error "STEP_TABLES is too small"
 #endif
 
-// Of the cell before sample `i` of a block, whose first sample is one before `origin`; of the nearest cell where there is none. `lengths`:
+// Of the cell before sample `i` of a block, whose first sample is one before `origin`; of the nearest cell if there is none. `lengths`:
 // of the cells along the axis, one fewer than `samples`.
 INLINED float step_before(__global const float *lengths, uint samples, int origin, uint i) {
     return lengths[clamp(origin + (int)i - 2, 0, (int)samples - 2)];
@@ -96,7 +96,7 @@ INLINED real mixed_derivative(__local const float *at, int a, AxisStep step_a, i
     return first_derivative(rows[0], rows[1], rows[2], step_b);
 }
 
-// As gradient_at: one-sided beside a missing sample, 0 where both are missing.
+// As gradient_at: one-sided beside a missing sample, 0 if both are missing.
 INLINED real usable_derivative(real below, real here, real above, AxisStep step) {
     const integer has_below = below == below, has_above = above == above;
     const real one_sided = PICK(has_above, (above - here) * step.after, PICK(has_below, (here - below) * step.before, 0.0f));

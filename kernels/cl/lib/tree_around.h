@@ -38,7 +38,7 @@ INLINED void nth_triangle(CutTriangle *out, const CutView *cut, uint triangle) {
 // Whether a cut has the triangle, which has become neither a line nor a point.
 INLINED bool is_left(const CutView *cut, uint triangle) {
     const uint node = cut->collapsed_by[triangle];
-    // Without a branch, which nobody could predict.
+    // Branch-free: the outcome is unpredictable.
     const uint key = cut->keys[node == NONE ? 0 : node];
     const uint is_kept = (uint)(node == NONE) | (uint)(key_bits(key) >= cut->end_key);
     if (!cut->removes) return is_kept;

@@ -103,7 +103,7 @@ INLINED uint collect_turns(const TreeBlock *block, TurnBatch *batch, uint own, u
             batch->from[column] = from;
             batch->to[column] = to;
             batch->pair[column] = pair;
-            // Without a branch, which nobody can predict.
+            // Branch-free: the outcome is unpredictable.
             if (WIDE_GROUP == 1) batch->count -= is_shared;
             if (batch->count == LANES) failed |= failed_turns(batch);
         }

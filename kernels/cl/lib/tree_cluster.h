@@ -72,7 +72,7 @@ typedef struct {
     Quadrics quadrics; // from the first one's position
     Real3 from;        // the first one's position
     Real3 to;          // from there to the merged position
-    real cost;         // INFINITY where the two may not merge
+    real cost;         // INFINITY if the two may not merge
 } Merges;
 
 INLINED Quadrics load_cluster_quadrics(__global const TreeCluster *clusters, const uint *at) {

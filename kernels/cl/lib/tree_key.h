@@ -1,4 +1,4 @@
-// Keys of the vertex tree's nodes: the tolerance from which on a node is merged (tree_cut.cl). And their errors, which are the keys where
+// Keys of the vertex tree's nodes: the tolerance from which on a node is merged (tree_cut.cl). And their errors, which are the keys if
 // all weights are 1: root of the summed squared distances to the planes, each by its area, over the smallest spacing.
 #ifndef ISOPEEL_TREE_KEY_H
 #define ISOPEEL_TREE_KEY_H

@@ -1,5 +1,5 @@
 // Which clusters of a block a step of a round is about. On a GPU each work-item asks its clusters one by one. On a CPU they are listed
-// before, without branches: whether a cluster merges is what nobody can predict, and each wrong prediction costs as much as a few
+// before, branch-free: whether a cluster merges is unpredictable, and each branch misprediction costs as much as a few
 // neighbours.
 #ifndef ISOPEEL_TREE_LISTS_H
 #define ISOPEEL_TREE_LISTS_H

@@ -22,7 +22,7 @@ inline float smallest_spacing(Grid grid) { return fmin(fmin(grid.spacing[0], gri
 // A sum of one offset.
 inline uint pack_offset(int offset) { return (uint)offset + (1u << COUNT_SHIFT); }
 
-// The mean of the offsets of a sum, smallest spacings; 0 where there are none.
+// The mean of the offsets of a sum, smallest spacings; 0 if there are none.
 INLINED float mean_offset(uint sum) {
     const uint count = (sum + (1u << (COUNT_SHIFT - 1))) >> COUNT_SHIFT;
     const int offsets = (int)(sum - (count << COUNT_SHIFT));

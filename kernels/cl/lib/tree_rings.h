@@ -164,7 +164,7 @@ INLINED uint renew_ring(const TreeBlock *block, uint at, uint to) {
         block->next_rings[to + count] = other;
         const float cost = block->costs[first + i];
         block->next_costs[to + count] = (changed | (partner <= CHANGES)) ? fabs(cost) : cost;
-        // Without a branch, which nobody can predict: the next one is written over it.
+        // Branch-free, as the outcome is unpredictable: the next one is written over it.
         count += other != before;
         before = other;
     }

@@ -40,7 +40,7 @@ INLINED void collect_edges(const TreeBlock *block, PairBatch *batch, uint at) {
             const uint entry = begin + k, neighbour = entry < end ? block->rings[entry] : FOREIGN;
             const uint other = neighbour & FOREIGN ? at : neighbour, column = collect_pair(batch, at, other, entry);
             batch->other[column] = other;
-            // Without a branch, which nobody can predict.
+            // Branch-free: the outcome is unpredictable.
             batch->count -= (other == at) | ((other < at) & has_partner(block, other));
         }
         if (batch->count < LANES) continue;
@@ -146,12 +146,12 @@ INLINED void test_batch(const TreeBlock *block, PairBatch *batch, __global uint 
     batch->count = 0;
 }
 
-// Whether a cluster on the list of a pass is to test the pair with its best neighbour: where both have chosen each other, and of two on the
-// list the first one, which may just have become the other's partner.
+// Whether a cluster on the list of a pass is to test the pair with its best neighbour: if both have chosen each other. If both are on the
+// list, the first one tests, which may just have become the other's partner.
 INLINED bool tests_best(const TreeBlock *block, uint at, uint pass) {
     const uint other = block->best[at];
 #if WIDE_GROUP == 1
-    // Without a branch. Nobody's best neighbour is itself.
+    // Branch-free. No cluster is its own best neighbour.
     if (pass == 0) return (other > at) & (block->best[other == NONE ? at : other] == at);
 #endif
     if (other == NONE || block->best[other] != at) return false;
@@ -185,7 +185,7 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count)
             const bool tests = tests_best(block, at, pass);
             if (WIDE_GROUP > 1 && !tests) continue;
             collect_pair(&batch, at, best[at], 0);
-            // Without a branch, which nobody can predict.
+            // Branch-free: the outcome is unpredictable.
             if (WIDE_GROUP == 1) batch.count -= !tests;
             if (batch.count == LANES) test_batch(block, &batch, failed, failed_count);
         }

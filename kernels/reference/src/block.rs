@@ -190,7 +190,7 @@ impl Block {
         self.clusters.iter().fold(0.0, |sum, cluster| sum + cluster.quadric.k)
     }
 
-    /// Neighbours of a cluster, each once but where a fan is not manifold.
+    /// Neighbours of a cluster, each once unless a fan is not manifold.
     fn neighbours(&self, at: usize) -> Vec<usize> {
         let fan = &self.fans[at];
         let mut all: Vec<usize> = fan.iter().map(|t| t[0]).collect();
@@ -230,7 +230,7 @@ impl Block {
         !self.turns_triangle(a, b, to) && !self.turns_triangle(b, a, to)
     }
 
-    /// Whether a triangle around a cluster, but for those with `other`, turns too far where the cluster moves to `to`.
+    /// Whether a triangle around a cluster, but for those with `other`, turns too far if the cluster moves to `to`.
     fn turns_triangle(&self, at: usize, other: usize, to: Vector) -> bool {
         let from = self.position(at);
         self.fans[at].iter().filter(|t| !t.contains(&other)).any(|&[p, q]| {
@@ -263,7 +263,7 @@ impl Block {
     }
 
     /// Pairs of clusters that are each other's best neighbour and pass the pair test; the smaller number first, ascending. A pair is tested
-    /// once both have chosen each other; where it may not merge, both choose again, without it until something around them merges.
+    /// once both have chosen each other; if it may not merge, both choose again, without it until something around them merges.
     pub(crate) fn find_pairs(&mut self) -> Vec<[usize; 2]> {
         let mut candidates = vec![VecDeque::new(); self.clusters.len()];
         for &at in &self.alive {
@@ -301,7 +301,7 @@ impl Block {
         pairs.into_iter().filter(|pair| !failed.contains(&pair[0])).collect()
     }
 
-    /// Pairs that fold the surface where all of them merge: of the triangles around such a cluster one folds back over the next.
+    /// Pairs that fold the surface if all of them merge: of the triangles around such a cluster one folds back over the next.
     fn folding_pairs(&self, pairs: &[[usize; 2]]) -> Vec<[usize; 2]> {
         let merged: BTreeMap<usize, (usize, Vector)> = pairs
             .iter()

@@ -129,7 +129,7 @@ pub(crate) struct Merge {
     pub(crate) quadric: Quadric,
     /// From there to the merged position.
     pub(crate) to: Vector,
-    /// Infinite where the two may not merge.
+    /// Infinite if the two may not merge.
     pub(crate) cost: f32,
 }
 
@@ -152,7 +152,7 @@ pub(crate) fn merge(a: &Cluster, b: &Cluster) -> Merge {
     } else {
         between
     };
-    // Where one of them lies on faces that the other does not, it has to lie on all of the other's.
+    // If one of them lies on faces that the other does not, it has to lie on all of the other's.
     let may_merge = !a.is_locked && !b.is_locked && (faces == a.faces || faces == b.faces);
     let more = quadric.sum(to) - a.quadric.c - b.quadric.c;
     let cost = more + LENGTH_COST * dot(between, between) * quadric.k;

@@ -93,7 +93,7 @@ impl Moments {
         self.f += other.f;
     }
 
-    /// `1 − 1/(1 + v)` as `v/(1 + v)`, which keeps its digits where the variance `v` is small.
+    /// `1 − 1/(1 + v)` as `v/(1 + v)`, which keeps its digits if the variance `v` is small.
     fn smoothness(&self) -> f32 {
         let n = self.n as f32;
         let mean = self.g.map(|g| g / n);
@@ -118,7 +118,7 @@ pub fn normalised(v: [f32; 3]) -> [f32; 3] {
     v.map(|x| x / length)
 }
 
-/// Unit gradient of the trilinear interpolant at a cell's centre; where a corner is infinite, that of the signs alone.
+/// Unit gradient of the trilinear interpolant at a cell's centre; if a corner is infinite, that of the signs alone.
 fn centre_gradient(mut corners: [f32; 8], iso: f32, spacing: [f32; 3]) -> [f32; 3] {
     if corners.iter().any(|v| v.is_infinite()) {
         corners = corners.map(|v| if v >= iso { 1.0 } else { -1.0 });

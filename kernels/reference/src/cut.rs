@@ -52,14 +52,14 @@ pub fn normalised_feature(f: f32, params: &CutParams) -> f32 {
     ((f.abs() - lo) / (hi - lo)).clamp(0.0, 1.0)
 }
 
-/// Importance of a node above level 0 in a volume of so many samples: eq. 3, raised where its cube meets a region of interest.
+/// Importance of a node above level 0 in a volume of so many samples: eq. 3, raised if its cube meets a region of interest.
 pub fn importance(node: &Node, leaf: Leaf, dims: [u32; 3], params: &CutParams) -> f32 {
     let cube = CellBox::cube(leaf.level, leaf.cube, dims);
     raise(importance_of(node.s, node.f, params), params, cube)
 }
 
 /// Error of a node above level 0 as the cut by error compares it with its tolerance: summed over the surface below, of which three triangles
-/// are one square of the spacing. Where the corners have one sign, what lies between them vanishes. `error`: of its vertex.
+/// are one square of the spacing. If the corners have one sign, what lies between them vanishes. `error`: of its vertex.
 pub fn summed_error(node: &Node, level: u8, spacing: [f32; 3], error: f32) -> f32 {
     let diagonal = spacing.map(|s| s * s).iter().sum::<f32>().sqrt() * f32::from(1u8 << level);
     let vanishes = node.signs == 0 || node.signs == 255;

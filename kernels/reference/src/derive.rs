@@ -198,7 +198,7 @@ fn local_variance(field: &Field, p: [u32; 3]) -> f32 {
 
 /// Derivatives at a sample, divided by the sum of the absolute first ones.
 struct Derivatives {
-    /// Along x, y, z; all zero where the gradient is.
+    /// Along x, y, z; all zero if the gradient is.
     first: [f32; 3],
     /// xx, yy, zz.
     second: [f32; 3],
@@ -208,7 +208,7 @@ struct Derivatives {
 }
 
 impl Derivatives {
-    /// `None` where a sample that they are made of is missing.
+    /// `None` if a sample that they are made of is missing.
     fn at(field: &Field, p: [u32; 3], steps: &[Step; 3]) -> Option<Self> {
         let here = field.at(p);
         // The sample `a` further along axis `i` and `b` along axis `j`.
@@ -276,7 +276,7 @@ impl Derivatives {
         (along + 2.0 * across) / (square * square)
     }
 
-    /// Where the gradient is zero: 0, unless a second derivative is not finite.
+    /// If the gradient is zero: 0, unless a second derivative is not finite.
     fn zero(&self) -> f32 {
         self.second.iter().chain(&self.mixed).fold(0.0, |sum, d| sum + d * 0.0)
     }

@@ -3,7 +3,7 @@
 use crate::Field;
 use crate::error::surface_points;
 
-/// Distances of points, in cells, to the nearest of many points of the surface, world units; infinite where there is none. The surface
+/// Distances of points, in cells, to the nearest of many points of the surface, world units; infinite if there is none. The surface
 /// itself may be nearer by a part of a cell's diagonal, which is returned too. `vertices`: of the active cells, which count as points of
 /// the surface, though in noise Newton steps do not bring all of them there.
 pub fn distances(field: &Field, iso: f32, vertices: &[[f32; 3]], points: &[[f32; 3]]) -> (Vec<f64>, f64) {

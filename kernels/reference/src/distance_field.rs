@@ -1,6 +1,6 @@
 //! Distances to the nearest sample that is inside: axis by axis, the minimum over all samples of each line.
 
-/// Squares of distances to the samples that are `inside`, infinite where there is none; x fastest. `positions`: of the samples along x, y, z.
+/// Squares of distances to the samples that are `inside`, infinite if there is none; x fastest. `positions`: of the samples along x, y, z.
 pub fn squares(positions: &[Vec<f64>; 3], inside: &[bool]) -> Vec<f64> {
     let mut squares: Vec<f64> = inside.iter().map(|&is| if is { 0.0 } else { f64::INFINITY }).collect();
     let mut stride = 1;

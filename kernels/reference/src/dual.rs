@@ -59,7 +59,7 @@ pub fn polygons(
                 level: l,
                 cube: cube.map(|x| x >> (l - level)),
             });
-            // Where no leaf covers the cube, finer ones are below: the edge is not minimal.
+            // If no leaf covers the cube, finer ones are below: the edge is not minimal.
             let leaf = covers.into_iter().find(|l| cut.leaves.contains_key(l))?;
             let edge = 4 * a + (u + 2 * v) as usize;
             let sheet = if leaf.level == 0 {
@@ -106,7 +106,7 @@ pub fn border_position(
     let n: [f32; 3] = std::array::from_fn(|i| normal[i] * grid.spacing[i]);
     let way: f32 = (0..3).filter_map(|i| Some(n[i] * (face(i)? - position[i]))).sum();
     let free: f32 = (0..3).filter(|&i| face(i).is_none()).map(|i| n[i] * n[i]).sum();
-    // Where the surface hardly leans towards the face, not beyond ten times the way.
+    // If the surface hardly leans towards the face, not beyond ten times the way.
     let free = free.max(0.01 * n.iter().map(|x| x * x).sum::<f32>());
     std::array::from_fn(|i| {
         face(i).unwrap_or_else(|| {

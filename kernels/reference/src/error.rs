@@ -94,7 +94,7 @@ fn length(a: Vector) -> f64 {
     length2(a).sqrt()
 }
 
-/// Distance of a point to a triangle: the nearest of its points by its weights at the corners, where all are positive, or
+/// Distance of a point to a triangle: the nearest of its points by its weights at the corners, if all are positive, or
 /// else on a side.
 fn triangle_distance(p: Vector, [a, b, c]: [Vector; 3]) -> f64 {
     let side = |a: Vector, b: Vector| {

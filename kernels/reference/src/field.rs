@@ -10,7 +10,7 @@ pub struct Field {
     pub grid: Grid,
     /// One per sample of the grid.
     pub values: Vec<f32>,
-    /// Lengths of the cells along x, y and z where axes are uneven: only derived features depend on them.
+    /// Lengths of the cells along x, y and z if axes are uneven: only derived features depend on them.
     pub lengths: Option<[Vec<f32>; 3]>,
 }
 
@@ -76,7 +76,7 @@ impl Field {
     }
 
     /// Gradient at a sample, per world unit: central differences; one-sided at the volume's border and beside a missing
-    /// sample; a component is 0 where neither neighbour helps.
+    /// sample; a component is 0 if neither neighbour helps.
     pub fn gradient(&self, p: [u32; 3]) -> [f32; 3] {
         std::array::from_fn(|axis| {
             let neighbour = |at: Option<u32>| match at {
@@ -99,7 +99,7 @@ impl Field {
         })
     }
 
-    /// Magnitude of the gradient, in the field's units per world unit; missing where the field is.
+    /// Magnitude of the gradient, in the field's units per world unit; missing if the sample is.
     pub fn gradient_magnitude(&self) -> Self {
         let magnitude = |p| {
             let [x, y, z] = self.gradient(p);

@@ -2,7 +2,7 @@
 
 use isopeel_kernels::{CutParams, Interest, InterestShape};
 
-/// A box of cells, from corner to corner in index space; a point where both are one.
+/// A box of cells, from corner to corner in index space; a point if both corners are the same.
 #[derive(Clone, Copy, Debug)]
 pub struct CellBox {
     /// The corner at the origin's side.
@@ -46,7 +46,7 @@ pub fn meets(interest: &Interest, cells: CellBox) -> bool {
     }
 }
 
-/// An importance, or that of a region of interest that the box meets, where it is greater.
+/// An importance, or that of a region of interest that the box meets, if that is greater.
 pub fn raise(importance: f32, params: &CutParams, cells: CellBox) -> f32 {
     let met = params.interest.iter().filter(|interest| meets(interest, cells));
     met.fold(importance, |highest, interest| highest.max(interest.importance))

@@ -13,7 +13,7 @@ pub(crate) fn dot(a: Vector, b: Vector) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Scaled to length 1; zero where that is not possible.
+/// Scaled to length 1; zero if that is not possible.
 pub(crate) fn unit(v: Vector) -> Vector {
     let length = dot(v, v).sqrt();
     if length > 0.0 && length.is_finite() {

@@ -37,7 +37,7 @@ fn joined_on_both_sides(field: &Field, iso: f32, cell: [u32; 3], signs: u8) -> [
     ]
 }
 
-/// Sheets of an active cell. Where two cells join sheets through the ambiguous face between them, the one whose coordinates
+/// Sheets of an active cell. If two cells join sheets through the ambiguous face between them, the one whose coordinates
 /// sum to an even number may flip the face, for both. A face on the volume's border any cell may flip, as if a mirror image were behind it.
 /// Of all choices of such faces: the one that leaves the fewest joined, of equals the one with the largest bits.
 pub fn cell_sheets(field: &Field, iso: f32, cell: [u32; 3], signs: u8) -> Sheets {

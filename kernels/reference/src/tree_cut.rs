@@ -159,7 +159,7 @@ impl Cutter<'_> {
         self.full_triangles() - removed
     }
 
-    /// The tolerance for a budget, with triangles to spare for repairs; but where many merges have one tolerance, with none.
+    /// The tolerance for a budget, with triangles to spare for repairs; if many merges have one tolerance, with none.
     fn fit(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
         if self.full_triangles() <= max_triangles {
             return f32::NEG_INFINITY;
@@ -172,7 +172,7 @@ impl Cutter<'_> {
         self.tolerance_of(keys, max_triangles)
     }
 
-    /// The minimum tolerance whose cut has at most so many triangles before repairs; the maximum where none has.
+    /// The minimum tolerance whose cut has at most so many triangles before repairs; the maximum if none has.
     pub fn tolerance_of(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
         let wanted = self.full_triangles().saturating_sub(max_triangles);
         let mut sum = 0;
@@ -243,8 +243,8 @@ impl Cutter<'_> {
     }
 
     /// Cuts to a tolerance, and beyond it to a number of triangles; again without the nodes that change the topology until there are
-    /// none. Only where these are so many that the budget is broken the tolerance grows. `None` where that takes too long.
-    /// `importances`: those of [`Self::importances`]; none where all are 0.
+    /// none. The tolerance grows only if these are so many that the budget is exceeded. `None` if that takes too long.
+    /// `importances`: those of [`Self::importances`]; none if all are 0.
     pub fn cut(&self, importances: Option<&OfNodes>, goal: &TreeGoal) -> Option<TreeCut> {
         // Finite, for keys of nodes in `marks` are not.
         let fit = |keys: &OfNodes| {

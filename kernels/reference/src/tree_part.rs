@@ -9,7 +9,7 @@ use crate::tree::{FullMesh, LATTICE, NodeId, Tree};
 pub struct Parts {
     /// The first point of each point's part.
     pub firsts: Vec<Option<usize>>,
-    /// The area of each point's part, world units; 0 where it is of none.
+    /// The area of each point's part, world units; 0 if it belongs to none.
     pub areas: Vec<f64>,
 }
 

@@ -29,7 +29,7 @@ struct Sum {
 pub struct Relaxer<'a> {
     /// The cut's tree.
     pub cutter: Cutter<'a>,
-    /// Extent of the volume, padded where the mesh is of a capped one.
+    /// Extent of the volume, padded if the mesh is of a capped one.
     pub grid: &'a Grid,
     /// Unit normals of nodes in world units.
     pub normals: &'a BTreeMap<NodeId, [f32; 3]>,
@@ -61,7 +61,7 @@ impl Relaxer<'_> {
     }
 
     /// How high the centroid of a triangle of the full mesh is above the triangle between its leaves, smallest spacings /
-    /// [`OFFSET_STEPS`]. 0 where that has no plane.
+    /// [`OFFSET_STEPS`]. 0 if that has no plane.
     fn offset(&self, points: &[usize; 3], corners: &[TreeLeaf; 3]) -> i64 {
         // As fine as the full mesh.
         if corners.iter().any(|&leaf| self.cutter.level(leaf) == 0) {

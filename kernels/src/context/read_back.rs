@@ -102,7 +102,7 @@ unsafe impl Send for Lent {}
 
 impl AsRef<[u8]> for Lent {
     fn as_ref(&self) -> &[u8] {
-        // SAFETY: `memory` holds at least so many bytes there, initialised, and nobody writes to them before it is returned.
+        // SAFETY: `memory` holds at least so many bytes there, initialised, and no thread writes to them before it is returned.
         unsafe { std::slice::from_raw_parts(self.address.as_ptr(), self.bytes) }
     }
 }
@@ -236,7 +236,7 @@ impl Context {
         Ok(read)
     }
 
-    /// Enqueues the read of some elements into a block, or reads them into pageable memory where they fit in none. `pending`
+    /// Enqueues the read of some elements into a block, or reads them into pageable memory if they fit in none. `pending`
     /// holds the block until the queue is finished.
     fn enqueue_read<T: Pod + Send + Sync>(
         &self,

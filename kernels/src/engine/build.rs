@@ -26,7 +26,7 @@ impl Engine {
         self.build(volume, feature, iso, true, cancel)
     }
 
-    /// The finest level alone, which takes less time: enough where [`crate::CutParams::is_full`].
+    /// The finest level alone, which takes less time: enough if [`crate::CutParams::is_full`].
     ///
     /// # Errors
     /// As [`Engine::build_pyramid`].

@@ -70,7 +70,7 @@ impl Engine {
         })
     }
 
-    /// Where two cuts differ; `None` where nothing can be kept, as they are of different pyramids, meshers or feature ranges.
+    /// Returns where two cuts differ; `None` if nothing can be kept, as they have different pyramids, meshers or feature ranges.
     ///
     /// # Errors
     /// What the device says.

@@ -5,7 +5,7 @@ use crate::volume::Slab;
 use crate::{Cancel, Engine, Error, Expression, Result, SampleType, Volume};
 
 impl Engine {
-    /// Euclidean distance of each sample, in world units, to the nearest one where the expression is neither 0 nor missing: 0 there. `None`
+    /// Euclidean distance of each sample, in world units, to the nearest one at which the expression is neither 0 nor missing: 0 there. `None`
     /// if there is no such sample. `fields`: those of the expression, in the order of their places. `world`: world units of a unit of the
     /// grid's spacing.
     ///

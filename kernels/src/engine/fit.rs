@@ -11,7 +11,7 @@ pub const BUDGET_FIT: f64 = 0.97;
 /// Share of a triangle budget below which it is not used: the search goes on.
 const MIN_BUDGET_FIT: f64 = 0.95;
 
-/// Exact counts of one search: so many where the budget is not quite used, and where it is not used at all.
+/// Exact counts of one search: at most `COUNTS` once the budget is nearly used, at most `MAX_COUNTS` otherwise.
 const COUNTS: usize = 4;
 const MAX_COUNTS: usize = 10;
 
@@ -36,7 +36,7 @@ const COARSE_BIN: f64 = 0.01;
 /// Leaves of the cuts of a pyramid as a function of the threshold, from all of them downwards.
 struct Curve {
     keys: Keys,
-    /// Leaves where the threshold is the last key of each bin, from the one before the first inner bin.
+    /// Leaves if the threshold is the last key of each bin, from the one before the first inner bin.
     leaves: Vec<i64>,
 }
 
@@ -74,7 +74,7 @@ impl Default for Bracket {
 }
 
 impl Bracket {
-    /// Leaves to ask for next: so many, or the middle where it is known what comes of that.
+    /// Leaves to ask for next: so many, or the middle of the bracket if the outcome of so many is already known.
     fn within(&self, leaves: f64) -> f64 {
         let is_open = self.fits < leaves && leaves < self.exceeds;
         if is_open || self.exceeds.is_infinite() {
@@ -107,8 +107,9 @@ impl Bracket {
 }
 
 impl Engine {
-    /// Parameters with the β, or where `params` have a tolerance with the tolerance, whose surface has at most `max_triangles` and nearly
-    /// as many, that cut, and its triangles; the guards of `params` stay in force. Where even the coarsest cut has more triangles, that one.
+    /// Returns the parameters whose surface has at most `max_triangles` and nearly as many, that cut, and its triangles. The search varies
+    /// the tolerance if `params` have one, otherwise β; the guards of `params` stay in force. If even the coarsest cut has more triangles,
+    /// returns that one.
     ///
     /// # Errors
     /// As [`Engine::peel`].
@@ -147,7 +148,7 @@ impl Engine {
         // The one with most triangles within the budget.
         let mut best: Option<(u64, f32, Cut)> = None;
         let mut bracket = Bracket::default();
-        // Aims at the middle of what counts as used, lower where that was not enough.
+        // Aims at the middle of the range that counts as used, and lower if that still exceeded the budget.
         let mut aim = (1.0 + BUDGET_FIT) / 2.0;
         for count in 0..MAX_COUNTS {
             let used = best.as_ref().map_or(0.0, |best| best.0 as f64 / max_triangles as f64);
@@ -185,7 +186,7 @@ impl Engine {
         Ok((with(threshold), cut, triangles))
     }
 
-    /// Threshold of the finest cut with at most so many leaves; -1 where all may stay, `None` where no cut has so few.
+    /// Threshold of the finest cut with at most so many leaves; -1 if all may stay, `None` if no cut has so few.
     fn threshold_of(
         &self,
         volume: &Volume,

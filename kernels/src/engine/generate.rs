@@ -112,7 +112,7 @@ impl Engine {
     }
 
     /// Measures the device: the yardstick of a bench. Takes about a second and two buffers of at most
-    /// 4 GiB, less where the device is small.
+    /// 4 GiB, less if the device is small.
     ///
     /// # Errors
     /// What the device says.

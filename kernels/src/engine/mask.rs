@@ -37,7 +37,7 @@ impl Engine {
         )
     }
 
-    /// The value that missing samples of a field have, where some will be, and the type that has it.
+    /// The value that missing samples of a field have, if some will be missing, and the type that has it.
     fn outside_of(&self, field: &Volume) -> Result<Outside> {
         if !field.missing.is_nan() {
             return Ok(Outside {

@@ -60,11 +60,11 @@ pub struct Probed {
     pub feature: f32,
     /// Of both, what the transfer function looks at.
     pub blended: f32,
-    /// What that makes of it, raised where the vertex is in a region of interest.
+    /// Importance that the transfer function gives it, raised if the vertex is in a region of interest.
     pub importance: f32,
-    /// Which leaf stands for it; `None` where its part was removed.
+    /// Leaf that represents it; `None` if its part was removed.
     pub leaf: Option<ProbedLeaf>,
-    /// Its part; `None` where it is of none, and where parts are not known: of cubes, and of a large surface of which none was removed yet.
+    /// Its part. `None` if it belongs to none, or if parts are not known: for cubes, and for a large surface before the first removal.
     pub part: Option<ProbedPart>,
 }
 
@@ -90,7 +90,7 @@ pub struct CurvePoint {
 }
 
 impl Engine {
-    /// The cut that [`Engine::tree_surface`] made the last surface of; made anew where that was another one.
+    /// Returns the cut of the last surface that [`Engine::tree_surface`] made; makes it anew if that surface had another cut.
     ///
     /// # Errors
     /// As [`Engine::tree_surface`].
@@ -110,7 +110,7 @@ impl Engine {
     /// The samples of a plane across an axis (0 to 2), as they are on the device, the lower of the other axes fastest.
     ///
     /// # Errors
-    /// [`Error::Invalid`] where there is no such plane, or what the device says.
+    /// [`Error::Invalid`] if there is no such plane, or an error of the device.
     pub fn slice(&self, volume: &Volume, axis: usize, index: u32) -> Result<Vec<u8>> {
         let Some(&planes) = volume.grid.dims.get(axis) else {
             return Err(Error::Invalid {
@@ -125,7 +125,7 @@ impl Engine {
         slice::run(&self.cx, volume, axis, index)
     }
 
-    /// Value of the trilinear interpolant at a position inside the volume, in cells; `None` where a sample that counts is missing.
+    /// Value of the trilinear interpolant at a position inside the volume, in cells; `None` if a sample that counts is missing.
     ///
     /// # Errors
     /// What the device says.
@@ -171,7 +171,7 @@ impl Engine {
     }
 
     /// The surface next to a position inside the volume, in cells: at the vertex of the full surface that is nearest to it, of those of the
-    /// active cells around. `None` where there is none in the 5³ cells around it.
+    /// active cells around. `None` if the 5³ cells around it have none.
     ///
     /// # Errors
     /// What the device says.
@@ -390,7 +390,7 @@ impl Engine {
         Ok(at_ends.collect())
     }
 
-    /// Triangles of a cut, counted where its mesh is not known.
+    /// Returns the number of triangles of a cut; counts them on the device if its mesh is not known.
     fn triangles_of(&self, volume: &Volume, pyramid: &Pyramid, cut: &Cut, cancel: &dyn Cancel) -> Result<u64> {
         if let Some(meshes) = &*cut.meshes.borrow() {
             let triangles = meshes.iter().map(|mesh| super::peel::triangles(mesh) as u64);

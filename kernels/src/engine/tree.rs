@@ -12,7 +12,7 @@ use crate::{Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, Result, Verte
 use std::ops::Range;
 
 /// Regions whose tree is built in one launch have at most so many triangles for each core of a CPU: working memory is theirs alone, and
-/// the launch ends within about 50 ms, for whoever waits for the device.
+/// the launch ends within about 50 ms, so that other jobs get the device soon.
 const CORE_TRIANGLES: u64 = 50_000;
 
 /// The same of a GPU, which needs many regions at once: half of them all, for memory.

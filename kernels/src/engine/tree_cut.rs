@@ -25,7 +25,7 @@ const REPAIR_SHARE: u64 = 64;
 
 impl Engine {
     /// Cuts a tree and meshes the cut. Topology is that of the full dual mesh without removed parts, so there is a minimum of triangles:
-    /// where a budget is below it, or below what the guard allows, the surface has that many. Returns the tolerance as well.
+    /// if a budget is below it, or below what the guard allows, the surface has that many. Returns the tolerance as well.
     ///
     /// # Errors
     /// [`Error::Cancelled`], or what the device says.
@@ -163,7 +163,7 @@ impl Engine {
         Ok((work, tolerance))
     }
 
-    /// The same, where the tolerance is raised from repair to repair until the budget is kept or it is `limit`; and the first tolerance.
+    /// The same, but the tolerance is raised from repair to repair until the budget is kept or it is `limit`; and the first tolerance.
     fn repaired_cut(
         &self,
         cutter: &Cutter<'_>,
@@ -250,7 +250,7 @@ impl Engine {
         Ok((meshes, statistics))
     }
 
-    /// The mesh of a cut, with its error where `params` ask for it, and the leaf of each vertex: from a region's first corner on.
+    /// The mesh of a cut, with its error if `params` ask for it, and the leaf of each vertex: from a region's first corner on.
     pub(super) fn mesh_tree_cut(
         &self,
         cutter: &Cutter<'_>,
@@ -327,7 +327,7 @@ impl Engine {
         Ok(keep(cutter, params, goal, work))
     }
 
-    /// The tolerance for a budget, with triangles to spare for repairs; but where many merges have one tolerance, with none.
+    /// The tolerance for a budget, with triangles to spare for repairs; if many merges have one tolerance, with none.
     fn fit_tree(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<f32> {
         if cutter.full_triangles() <= max_triangles {
             return Ok(f32::NEG_INFINITY);
@@ -340,7 +340,7 @@ impl Engine {
         Ok(self.tolerance_of(cutter, work, max_triangles)?.0)
     }
 
-    /// The minimum tolerance whose cut has at most so many triangles before repairs, and how many; the maximum where none has. Marked nodes
+    /// The minimum tolerance whose cut has at most so many triangles before repairs, and how many; the maximum if none has. Marked nodes
     /// have an infinite key.
     fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<(f32, u64)> {
         let full = cutter.full_triangles();

@@ -12,7 +12,7 @@ use crate::{
 };
 use std::rc::Rc;
 
-/// Parts of larger full surfaces are found where some are removed, but not for a probe, which does not pause for others: finding them takes
+/// Parts of larger full surfaces are found if some are removed, but not for a probe, which does not pause for others: finding them takes
 /// some 50 ms.
 const MAX_TRIANGLES_ON_CPU: u64 = 200_000;
 /// See [`MAX_TRIANGLES_ON_CPU`].
@@ -38,7 +38,7 @@ impl Engine {
         Ok(left_out.map_or(RemovedParts::default(), |left_out| left_out.removed))
     }
 
-    /// The part of a point; `None` where it is of none, and where the parts are neither known nor found soon.
+    /// The part of a point; `None` if it belongs to none, or if the parts are neither known nor found soon.
     pub(super) fn part_of(&self, cutter: &Cutter<'_>, point: u32) -> Result<Option<ProbedPart>> {
         let limit = match self.device().kind {
             DeviceKind::Cpu => MAX_TRIANGLES_ON_CPU,
@@ -54,7 +54,7 @@ impl Engine {
     }
 }
 
-/// The parts that a filter removes; `None` where it removes none.
+/// The parts that a filter removes; `None` if it removes none.
 pub(super) fn left_out(
     cutter: &Cutter<'_>,
     params: &CutParams,

@@ -47,7 +47,7 @@ impl Engine {
         })
     }
 
-    /// Puts the next samples on the device, x fastest. May be called again with the same where it failed.
+    /// Puts the next samples on the device, x fastest. If it failed, it may be called again with the same samples.
     ///
     /// # Errors
     /// More samples than the grid has, or of another type, or what the device says.

@@ -24,7 +24,7 @@ const BATCH_POINTS: usize = 1 << 20;
 type Point = [f32; 4];
 
 impl Engine {
-    /// Distances of the vertices of regions to the isosurface, world units; infinite where none is near.
+    /// Distances of the vertices of regions to the isosurface, world units; infinite if none is near.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`], or what the device says.

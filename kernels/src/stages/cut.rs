@@ -130,7 +130,7 @@ pub fn compare(
     cx.read(STAGE, &differences, regions)
 }
 
-/// Fills `state` with that of `after` in the regions where `takes_after` is 1, else with that of `before`.
+/// Fills `state` with that of `after` in the regions whose `takes_after` is 1, else with that of `before`.
 pub fn mix(
     cx: &Context,
     volume: &Volume,

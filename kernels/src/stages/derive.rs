@@ -52,7 +52,7 @@ pub struct Source<'a> {
 }
 
 impl<'a> Source<'a> {
-    /// The source of a feature of `volume`; `None` where no stage before `construct` computes it.
+    /// The source of a feature of `volume`; `None` if no stage before `construct` computes it.
     pub fn of(volume: &'a Volume, feature: Feature<'a>) -> Option<Self> {
         let (fields, components) = match feature {
             Feature::Vector(_, fields) => (fields, 3),
@@ -91,7 +91,7 @@ impl<'a> Source<'a> {
         })
     }
 
-    /// One over the lengths of the cells, where axes are uneven.
+    /// One over the lengths of the cells, if axes are uneven.
     fn inverse_lengths(&self) -> Option<&'a Buffer<f32>> {
         self.fields[0].inverse_lengths.as_deref()
     }

@@ -32,7 +32,7 @@ kernel_args! {
 /// Points of one launch: few enough that a cancellation is seen within 50 ms on a CPU of two cores.
 const LAUNCH_POINTS: usize = 1 << 17;
 
-/// Distances of points, in cells, to the isosurface, world units; infinite where none is near.
+/// Distances of points, in cells, to the isosurface, world units; infinite if none is near.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`], or what the device says.

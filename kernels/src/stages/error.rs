@@ -181,14 +181,14 @@ fn tasks(regions: Range<usize>, items: impl Fn(usize) -> u32) -> Vec<ErrorTask> 
 /// Where every slot's vertex is, and its fan.
 struct Fans {
     positions: Buffer<[f32; 4]>,
-    /// What stands for the vertices of slots, where that is others.
+    /// The vertices that stand for those of slots, if others do.
     stand_ins: Option<Buffer<u32>>,
     heads: Buffer<u32>,
     next: Buffer<u32>,
 }
 
 impl Fans {
-    /// As an argument: any buffer where vertices stand for themselves.
+    /// As an argument: any buffer if vertices stand for themselves.
     fn stand_ins(&self) -> &Buffer<u32> {
         self.stand_ins.as_ref().unwrap_or(&self.heads)
     }

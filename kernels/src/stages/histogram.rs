@@ -59,7 +59,7 @@ const ITEM_SAMPLES: usize = 64;
 /// Samples of the first launch, and of one launch at most, so that 32-bit counters hold.
 const LAUNCH_SAMPLES: [u64; 2] = [1 << 20, 1 << 31];
 
-/// The same where `derive` computes the values of a launch before: 64 MiB of them at most.
+/// The same if `derive` computes the values before each launch: 64 MiB of them at most.
 const DERIVED_SAMPLES: [u64; 2] = [1 << 18, 1 << 24];
 
 /// Samples of a volume of which all are counted. Of larger ones a share is, so that opening them takes seconds.

@@ -21,7 +21,7 @@ kernel_args! {
     }
 }
 
-/// The active cells whose vertices are nearest to positions inside the volume; `None` where no cell near it is active.
+/// The active cells whose vertices are nearest to positions inside the volume; `None` if no cell near it is active.
 pub fn run(
     cx: &Context,
     volume: &Volume,

@@ -100,7 +100,7 @@ pub fn gather(
         first_region: regions.start as u32,
         fill: output.is_some().into(),
     };
-    // Any buffers where nothing is written.
+    // If nothing is written, any buffers serve as these arguments.
     let [triangles, beside] = output.unwrap_or([mesh.corners; 2]);
     cx.launch(
         STAGE,

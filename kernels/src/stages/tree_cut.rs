@@ -25,7 +25,7 @@ kernel_args! {
         first_key: u32,
         /// A bin holds 2^shift keys.
         shift: u32,
-        /// Keys, also where there is no node.
+        /// Number of keys, including those of slots without a node.
         nodes: u32,
     }
     /// Arguments of `tree_leaves`.
@@ -136,7 +136,7 @@ impl Cutter<'_> {
         self.pyramid.host_regions.len()
     }
 
-    /// The bits of the maximum importance of the points below each node; `None` where all are 0.
+    /// Returns the bits of the maximum importance of the points below each node; `None` if all are 0.
     pub fn importances(&self, params: &crate::CutParams) -> Result<Option<Rc<Buffer<u32>>>> {
         if !params.has_importance() {
             return Ok(None);
@@ -209,7 +209,7 @@ impl Cutter<'_> {
             marks,
             marked: self.cx.filled(STAGE, self.regions(), 1)?,
             renewed: self.cx.buffer(STAGE, self.regions())?,
-            // Above infinity where there is no node.
+            // A slot without a node has a key above infinity.
             keys: self.cx.filled(STAGE, nodes, u32::MAX)?,
             tops: self.cx.buffer(STAGE, nodes)?,
             leaves: self.cx.buffer(STAGE, points)?,
@@ -249,7 +249,7 @@ impl Cutter<'_> {
         )
     }
 
-    /// Triangles that go where the tolerance passes each bin; the first bin is for keys before all others.
+    /// Returns the triangles removed once the tolerance passes each bin; the first bin is for keys before all others.
     pub fn histogram(&self, keys: &Buffer<u32>, range: Keys) -> Result<Vec<u32>> {
         let removed = self.cx.filled(STAGE, constants::FIT_BINS as usize, 0)?;
         let args = TreeHistogramArgs {
@@ -263,11 +263,11 @@ impl Cutter<'_> {
         self.cx.read(STAGE, &removed, removed.len())
     }
 
-    /// Cuts the tree: the leaf of each point. After a repair only where keys are new.
+    /// Cuts the tree: finds the leaf of each point. After a repair, only for new keys.
     pub fn leaves(&self, work: &mut CutWork, tolerance: f32) -> Result<()> {
         work.is_first = tolerance != work.tolerance;
         work.tolerance = tolerance;
-        // Any buffer where nothing is left out.
+        // If nothing is left out, any buffer serves as this argument.
         let removed: &dyn Arg = match &self.left_out {
             Some(left_out) => &left_out.points,
             None => &self.tree.points,

@@ -107,7 +107,7 @@ impl Cutter<'_> {
         )
     }
 
-    /// Lists the triangles that are left once more where repairs have changed them.
+    /// Lists the remaining triangles again in the regions that repairs have changed.
     pub fn list(&self, work: &CutWork) -> Result<()> {
         self.launch_wide(
             "tree_list",

@@ -12,7 +12,7 @@ pub(crate) fn case_table() -> Vec<u8> {
     cases::case_triangles().concat()
 }
 
-/// One byte a case, four to a word: triangles, sheets << 3, and bit 6 where a face joins two segments in one sheet.
+/// One byte a case, four to a word: triangles, sheets << 3, and bit 6 if a face joins two segments in one sheet.
 pub(crate) fn case_facts() -> Vec<u32> {
     let triangles = cases::case_triangles();
     let fact = |signs: usize| {

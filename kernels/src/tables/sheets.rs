@@ -5,7 +5,7 @@ use super::cube::{NONE, edge_corners, face_corners};
 /// Crossed edges of a cell by sheet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sheets {
-    /// The sheet of each edge, 0 to 3, numbered by their lowest edge; [`NONE`] where no surface crosses.
+    /// The sheet of each edge, 0 to 3, numbered by their lowest edge; [`NONE`] if no surface crosses it.
     pub of_edge: [u8; 12],
     /// How many there are.
     pub count: u8,
@@ -58,7 +58,7 @@ impl Sheets {
     }
 
     /// Of all ways to flip some of the faces `candidates` beside those of `forced` the one that leaves the fewest of them joined, of equals the
-    /// one with the largest bits; none where that gains nothing.
+    /// one with the largest bits; none if that gains nothing.
     pub fn choose_flips(signs: u8, forced: u8, candidates: u8) -> u8 {
         let left = |flips: u8| (Self::trace(signs, forced | flips).joined_faces() & candidates).count_ones();
         let ways = (0..=candidates).rev().filter(|flips| flips & !candidates == 0);

@@ -1,5 +1,5 @@
-//! Who has done what: a line of JSON for each sign-in, stream, export, job and upload, for all that is refused, and for tokens that come and go. Lines have
-//! no secrets, and no names of volumes: these may be those of patients.
+//! The audit log: one JSON line for each sign-in, stream, export, job and upload, for each refused request, and for each token that
+//! appears or is removed. Lines have no secrets, and no names of volumes, which may be names of patients.
 
 mod event;
 mod refusals;
@@ -34,15 +34,16 @@ const COUNTED: Duration = Duration::from_secs(60);
 /// Interval of the check for counts that are due.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Lines that wait for the disk, some 200 bytes each. Requests do not: those beyond are counted, and a line says how many there were.
+/// Maximum lines that wait for the disk, some 200 bytes each. Requests never wait: further lines are dropped and counted, and a line
+/// states how many were dropped.
 const QUEUE: usize = 4_096;
 
-/// What became of it.
+/// The result of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Outcome {
     Ok,
-    /// Whoever asked may not.
+    /// Authentication, authorization, the host check or a rate limit refused the request.
     Refused,
     Failed,
     /// The client left before there was an answer.
@@ -72,12 +73,12 @@ struct Line<'a> {
     /// The upload's id.
     #[serde(skip_serializing_if = "Option::is_none")]
     upload: Option<&'a str>,
-    /// So many more of the same, since the line before of this kind.
+    /// Number of further refusals of this kind since the previous line of it.
     #[serde(skip_serializing_if = "Option::is_none")]
     count: Option<u64>,
 }
 
-/// Where lines go. Clones write to the same file.
+/// The audit log. Clones write to the same file.
 #[derive(Clone, Debug)]
 pub struct Audit(Arc<Shared>);
 
@@ -88,7 +89,7 @@ struct Shared {
     refusals: Arc<Mutex<Refusals>>,
 }
 
-/// Why there is no audit log.
+/// Why the audit log cannot be opened.
 #[derive(Debug, thiserror::Error)]
 #[error("audit log {}", path.display())]
 pub struct AuditError {
@@ -97,7 +98,7 @@ pub struct AuditError {
 }
 
 impl Audit {
-    /// Writes at the end of a file, which is made for its user alone where there is none.
+    /// Appends to the file at `path`. If it does not exist, creates it with access for the server's user only.
     ///
     /// # Errors
     /// [`AuditError`].
@@ -140,7 +141,7 @@ impl Audit {
         self.send(Command::Write(line.text()));
     }
 
-    /// Writes a refusal, or counts it where one of its kind was written within the last minute: strangers cannot fill the disk.
+    /// Writes a refusal. If one of the same kind was written within the last minute, it is only counted: strangers cannot fill the disk.
     fn refused(&self, line: &Line<'_>) {
         let kind = Kind {
             event: line.event,
@@ -158,7 +159,7 @@ impl Audit {
         }
     }
 
-    /// A token has appeared in the state folder, or is gone.
+    /// Logs that a token has appeared in the state folder, or was removed from it.
     pub(super) fn token(&self, event: Event, token: &NamedToken) {
         self.write(&Line {
             time: now(),
@@ -175,7 +176,7 @@ impl Audit {
         });
     }
 
-    /// A request has come.
+    /// Begins the log entry of a request.
     pub(super) fn begin(&self, method: &Method, path: &str, peer: Option<IpAddr>) -> Pending {
         let (event, id) = event_of(method, path);
         Pending {
@@ -202,7 +203,7 @@ fn lock(refusals: &Mutex<Refusals>) -> MutexGuard<'_, Refusals> {
     refusals.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A request that is not answered yet. Dropped before it is, the client has left.
+/// A request that is not answered yet. If it is dropped before that, the client has left, and the request is logged as abandoned.
 pub(super) struct Pending {
     audit: Audit,
     event: Event,
@@ -222,7 +223,7 @@ impl Pending {
         let status = answer.status();
         let code = answer.extensions().get().map(|&ProblemCode(code)| code);
         let result = match status {
-            // Back to the page, which says why.
+            // A redirection back to the page, which shows the reason.
             _ if status.is_redirection() && code.is_some() => Outcome::Refused,
             StatusCode::UNAUTHORIZED
             | StatusCode::FORBIDDEN
@@ -231,7 +232,7 @@ impl Pending {
             _ if status.is_client_error() || status.is_server_error() => Outcome::Failed,
             _ => Outcome::Ok,
         };
-        // Others are many, and change nothing.
+        // Other requests are many and change nothing.
         if self.event == Event::Request && result != Outcome::Refused {
             return;
         }
@@ -314,7 +315,7 @@ mod tests {
         audit.begin(&Method::POST, "/api/v1/jobs", peer).answered(&submitted);
         let declared = (StatusCode::CREATED, [(LOCATION, "/api/v1/uploads/b2")]).into_response();
         audit.begin(&Method::POST, "/api/v1/uploads", peer).answered(&declared);
-        // Parts are many, and change nothing that anybody sees.
+        // Parts of an upload are not logged: they are many, and no user sees a change before the upload is finished.
         let part = audit.begin(&Method::PATCH, "/api/v1/uploads/b2", peer);
         part.answered(&StatusCode::NO_CONTENT.into_response());
         let finished = audit.begin(&Method::POST, "/api/v1/uploads/b2/finish", peer);
@@ -360,7 +361,7 @@ mod tests {
         let mut counts: Vec<_> = written.iter().map(|line| line["count"].as_u64()).collect();
         counts.sort_unstable();
         assert_eq!(counts, [None, None, Some(2), Some(999)], "{written:?}");
-        // A stranger has all addresses of a network.
+        // One stranger may use all addresses of an IPv6 network.
         for host in 0..3 {
             let refused = ApiError::new(StatusCode::UNAUTHORIZED, "unauthorized", "no").into_response();
             let peer = std::net::Ipv6Addr::from_bits((0x2001_0db8 << 96) + host);
@@ -372,7 +373,7 @@ mod tests {
         let of_network: Vec<_> = written.iter().filter(|line| line["peer"] == "2001:db8::").collect();
         assert_eq!(of_network.len(), 2, "{of_network:?}");
         assert_eq!(of_network[1]["count"], 2);
-        // However many addresses there are.
+        // The number of lines is bounded, however many addresses there are.
         (0..50_000).for_each(|peer| refuse(0x0a00_0000 + peer));
         audit.flush(Duration::from_secs(5));
         let lines = lines(&path);

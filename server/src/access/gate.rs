@@ -20,10 +20,10 @@ use crate::problem::ApiError;
 
 const STREAM_PATH: &str = "/api/v1/stream";
 
-/// Whether the server lives, and whether it can work.
+/// Paths of the liveness and readiness probes.
 const PROBES: [&str; 2] = ["/healthz", "/readyz"];
 
-/// What browsers say of the page that a request comes from.
+/// The header in which browsers state how the page that sends a request relates to the server's site.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
 /// Lets requests through that may use the server.
@@ -64,7 +64,7 @@ pub async fn admit(State(access): State<Access>, mut request: Request, next: Nex
 }
 
 impl Access {
-    /// Takes what a request costs of what its peer may ask for.
+    /// Charges the cost of a request to the rate limit of its peer.
     fn take_of_peer(&self, peer: Option<IpAddr>, cost: u32) -> Result<(), ApiError> {
         let (Some(rates), Some(peer)) = (&self.rates, peer) else {
             return Ok(());
@@ -73,16 +73,16 @@ impl Access {
         taken.map_err(|wait| too_many(wait, "your address"))
     }
 
-    /// Who sends a request; `None` where nobody has to say.
+    /// Identifies the sender of a request; `None` if the request needs no authentication.
     fn identify(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
         let path = uri.path();
         let need = need(method, path);
-        // Probes ask for an address or a name that only their cluster knows, and get no more than a word.
+        // Probes address the server by an IP or a name that only their cluster knows, and the answer is a single word.
         let is_probe = PROBES.contains(&path) && matches!(*method, Method::GET | Method::HEAD);
         if !is_probe {
             self.hosts.check(uri, headers)?;
         }
-        // What the page is made of is no secret, nor is whether the server lives.
+        // The files of the page are not secret, and neither is whether the server is alive.
         if !path.starts_with("/api/") && need == Need::Nothing {
             return Ok(None);
         }
@@ -91,7 +91,7 @@ impl Access {
         let is_free = need == Need::Nothing && !changes;
         if !is_free && (changes || from_elsewhere || path == STREAM_PATH) {
             origin::check(headers, self).map_err(|origin| foreign(&origin))?;
-            // A picture or a link in a foreign page, which browsers send without its origin.
+            // An image or a link in a foreign page, whose requests browsers send without an origin.
             if from_elsewhere && !headers.contains_key(ORIGIN) {
                 return Err(foreign("another site"));
             }
@@ -111,14 +111,14 @@ impl Access {
             None => proofs.find(headers, &self.cookie).ok_or_else(unauthorized)?,
         };
         let (proof, who) = found;
-        // A browser sends the cookie whoever asks it to, and says who does.
+        // Browsers attach the cookie to requests of any page, but state the page's origin in `Origin`.
         if proof == Proof::Cookie && (changes || path == STREAM_PATH) && !headers.contains_key(ORIGIN) {
             return Err(foreign("no page that is named"));
         }
         Ok(Some(who))
     }
 
-    /// Whether somebody may send a request, and now.
+    /// Checks whether the sender's roles and rate limit allow a request.
     fn authorize(&self, who: Option<&Identity>, method: &Method, path: &str) -> Result<(), ApiError> {
         let Some(who) = who else { return Ok(()) };
         if let Need::OneOf(roles) = need(method, path)
@@ -126,7 +126,7 @@ impl Access {
         {
             return Err(forbidden(who, roles));
         }
-        // Where no token is asked for, only peers are counted.
+        // Without authentication there is only the rate limit of each peer.
         match &self.rates {
             Some(rates) if self.proofs.is_some() => {
                 let taken = rates.take_of_token(who.token(), rate::cost(method, path));
@@ -136,10 +136,10 @@ impl Access {
         }
     }
 
-    /// The cookie that stands for a token; `None` where none is asked for.
+    /// The cookie that stands for a token; `None` if the server runs without authentication.
     ///
     /// # Errors
-    /// It is none of the server's tokens.
+    /// The token is unknown, or it is a delegated one, for which there is no cookie.
     pub fn exchange(&self, token: &str) -> Result<Option<HeaderValue>, ApiError> {
         let Some(proofs) = &self.proofs else { return Ok(None) };
         let who = proofs.of_token(token).ok_or_else(unauthorized)?;
@@ -150,10 +150,10 @@ impl Access {
         Ok(Some(self.cookie.of(token, &who)))
     }
 
-    /// A ticket for a stream that a page of this origin opens, or what is no page.
+    /// Issues a ticket for a stream, for a page of this origin or, without an origin, for a client that is not a page.
     ///
     /// # Errors
-    /// Too many were not used.
+    /// There are too many unused tickets.
     pub fn issue_ticket(&self, who: &Identity, origin: Option<&HeaderValue>) -> Result<String, ApiError> {
         let issued = self.tickets.issue(who, origin, Instant::now());
         issued.map_err(|error| match error {
@@ -233,7 +233,7 @@ mod tests {
         }
     }
 
-    /// The status of a refusal, 200 where there is none.
+    /// The status of a refusal, or 200 if the request is accepted.
     fn status(access: &Access, method: &Method, path: &str, headers: &[(&'static str, &str)]) -> u16 {
         let mut all = HeaderMap::from_iter([(axum::http::header::HOST, HeaderValue::from_static("localhost:8417"))]);
         for (name, value) in headers {

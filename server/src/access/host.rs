@@ -11,7 +11,7 @@ use axum::http::{StatusCode, Uri};
 use super::origin::AllowedOrigin;
 use crate::problem::ApiError;
 
-/// Where a proxy offers the server: `https://volumes.example`, perhaps with a path.
+/// The address at which a proxy offers the server: `https://volumes.example`, optionally with a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PublicUrl {
     origin: AllowedOrigin,
@@ -31,7 +31,7 @@ impl FromStr for PublicUrl {
         if uri.query().is_some() || text.contains('#') {
             return Err(refuse(()));
         }
-        // Browsers leave the port out of an origin where the scheme implies it.
+        // Browsers leave the port out of an origin if it is the default of the scheme.
         let implied = if scheme == "https" { ":443" } else { ":80" };
         let bare = authority.as_str().trim_end_matches(implied);
         Ok(Self {
@@ -84,7 +84,8 @@ impl AllowedHosts {
         }
         let host = host_of(&authority);
         match host.parse::<IpAddr>().map(|address| address.to_canonical()) {
-            // No name was looked up. Where the server listens on every address, one of them may be mapped to it by a container or router.
+            // An IP address cannot be a rebound DNS name. If the server listens on every address, accept any: a container or router may map
+            // another address to it.
             Ok(address) => address.is_loopback() || address == self.listen || self.listen.is_unspecified(),
             // Browsers resolve `localhost` and what is below it to this machine themselves.
             Err(_) if host == "localhost" || host.ends_with(".localhost") => true,
@@ -92,7 +93,7 @@ impl AllowedHosts {
         }
     }
 
-    /// Checks the one `Host` of a request, and the target where that has a host too.
+    /// Checks the `Host` header of a request, of which there must be exactly one, and the host of the request target if it has one.
     ///
     /// # Errors
     /// Another host: 421.

@@ -1,4 +1,4 @@
-//! Who asks.
+//! The authenticated sender of a request.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -15,13 +15,13 @@ use super::signed_in::SignedIn;
 use crate::problem::ApiError;
 use crate::volumes::Reader;
 
-/// The user of whoever started the server: the token of its start is theirs, and all is where none is asked for.
+/// The user who started the server. They own the start token; on a server without authentication they own everything.
 pub const OPERATOR: &str = "operator";
 
-/// The time of day may be set, and a machine may sleep: a token that expires is looked at this often.
+/// Interval at which the expiry of a token is checked: the system clock may be set, and a machine may sleep.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Who has shown a token. Clones are cheap.
+/// An authenticated user. Clones are cheap.
 #[derive(Clone, Debug)]
 pub struct Identity {
     user: Arc<str>,
@@ -31,7 +31,7 @@ pub struct Identity {
     address: Option<IpAddr>,
 }
 
-/// How long somebody is who they are.
+/// How long an identity stays valid.
 #[derive(Clone, Debug)]
 enum Holds {
     /// For as long as the server runs.
@@ -44,7 +44,7 @@ enum Holds {
     Lent(Lent),
 }
 
-/// Somebody's token, for somebody else. Clones are the same.
+/// A token that its lender has delegated. Its holder acts as the lender's user. Clones are the same token.
 #[derive(Clone, Debug)]
 pub(super) struct Lent {
     pub id: Arc<str>,
@@ -61,7 +61,7 @@ impl Lent {
 }
 
 impl Identity {
-    /// Whoever started the server; `token` says how they are known.
+    /// The user who started the server; `token` is the public name of what they authenticate with.
     pub(super) fn of_start(token: &str) -> Self {
         Self {
             user: OPERATOR.into(),
@@ -72,7 +72,7 @@ impl Identity {
         }
     }
 
-    /// Whoever uses a server that asks for no token.
+    /// Every user of a server without authentication.
     pub fn without_token() -> Self {
         Self::of_start("none")
     }
@@ -87,7 +87,7 @@ impl Identity {
         }
     }
 
-    /// Somebody whom an issuer has vouched for.
+    /// A user who has signed in through an OpenID Connect issuer.
     pub(super) fn of_signed_in(session: SignedIn) -> Self {
         Self {
             user: Arc::clone(&session.user),
@@ -98,7 +98,7 @@ impl Identity {
         }
     }
 
-    /// Somebody who was lent a token: what they see is the lender's.
+    /// The holder of a delegated token. They see what the lender's user sees.
     pub(super) fn of_lent(lent: Lent) -> Self {
         Self {
             user: Arc::clone(&lent.lender.user),
@@ -109,12 +109,13 @@ impl Identity {
         }
     }
 
-    /// Whose token it is: what they own is theirs with another token too.
+    /// The user whose token it is. What they own belongs to the user, not to the token.
     pub fn user(&self) -> &str {
         &self.user
     }
 
-    /// The public part of the token, or of the session of who has signed in; `start` for that of the server's start, `none` where none is asked for.
+    /// The public part of the token, or the public name of a signed-in user's session. It is `start` for the start token, and `none` on a
+    /// server without authentication.
     pub fn token(&self) -> &str {
         &self.token
     }
@@ -141,7 +142,7 @@ impl Identity {
         matches!(self.holds, Holds::Lent(..))
     }
 
-    /// After how many seconds the token is of no use any more; `None` where that is not known.
+    /// Seconds until the token or session expires; `None` if it has no expiry.
     pub fn expires_seconds(&self) -> Option<u64> {
         let expires = match &self.holds {
             Holds::Always => return None,
@@ -175,7 +176,7 @@ impl Identity {
         (!self.may(Role::Admin)).then_some(&*self.user)
     }
 
-    /// Whether the token holds still.
+    /// Whether the token or session is still valid.
     pub(super) fn is_valid(&self) -> bool {
         match &self.holds {
             Holds::Always => true,
@@ -224,7 +225,7 @@ impl Identity {
             }
             tokio::select! {
                 changed = tokens.changed() => if changed.is_err() {
-                    // The server ends.
+                    // The server is shutting down.
                     return std::future::pending().await;
                 },
                 () = tokio::time::sleep(LOOK), if token.expires.is_some() => {}
@@ -233,7 +234,7 @@ impl Identity {
     }
 }
 
-/// As the gate has left it. Behind no gate there is nobody.
+/// Extracts the identity that the gate has attached to the request. Fails if the request has not passed the gate.
 impl<S: Sync> FromRequestParts<S> for Identity {
     type Rejection = ApiError;
 

@@ -1,5 +1,6 @@
-//! Tokens that are lent: whoever has a token makes one for less, and for minutes, which a page of another site hands to the viewer in its frame. There it is in
-//! the memory of a page alone; here its hash is, until it ends, or the token that it was made with does.
+//! Delegated tokens. The holder of a token makes one with no more roles than their own that lasts for minutes. A page of another site
+//! hands it to the viewer in its frame. The page keeps the token in memory only; the server keeps its hash until that token or the
+//! lender's expires.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,32 +12,32 @@ use super::named::now;
 use super::role::{Role, Roles};
 use super::token::{Hash, Token, TokenError};
 
-/// Seconds that one is of use where nothing is said: the page asks for the next one before.
+/// Default lifetime in seconds. The page requests the next token before this one expires.
 pub const DEFAULT_SECONDS: u64 = 600;
-/// Bounds of what may be said: a page that has to load first, and a talk that is held with one.
+/// Bounds of the lifetime in seconds: from the time that a page takes to load, to the length of a talk.
 pub const SECONDS: std::ops::RangeInclusive<u64> = 10..=3_600;
-/// What may be lent: looking, and changing what is shown. Files, jobs and uploads are those of a user, whom all frames of a page share.
+/// Roles that may be delegated. Exports, jobs and uploads belong to a user, and all frames of a page would share that user's.
 pub const ROLES: [Role; 2] = [Role::View, Role::Edit];
 /// Maximum tokens, some 500 bytes each.
 const MAX_TOKENS: usize = 4_096;
-/// Maximum tokens of a token, so that one who asks and asks leaves some to others: twice the viewers that a server has.
+/// Maximum delegated tokens of one token, so that one lender cannot use up all of them: twice the viewers that a server has.
 const MAX_OF_LENDER: usize = 2_048;
 
-/// Why there is none.
+/// Why a token was not delegated.
 #[derive(Debug, thiserror::Error)]
 pub enum LendError {
-    /// Nobody needs one here.
+    /// The server runs without authentication, so no token is needed.
     #[error(
         "this server asks for no token, so that a frame needs none: leave out what asks for one, or start the server without --no-auth"
     )]
     NoAuth,
-    /// A lent token is not lent on: it would have no end.
+    /// The lender's token is itself a delegated one. Otherwise a holder could renew it for ever.
     #[error("this token is lent itself, expected one that who runs the server has made")]
     Lent,
-    /// A role that cannot be lent.
+    /// A role that cannot be delegated.
     #[error("roles has {:?}, expected view or edit: files, jobs and uploads are their user's", .0.name())]
     Role(Role),
-    /// A role that who asks has not.
+    /// The lender lacks one of the requested roles.
     #[error("this token is for {0}, expected one for {1:?}, as nobody lends what they have not")]
     NotOwn(Roles, Roles),
     /// No roles.
@@ -58,7 +59,7 @@ pub enum LendError {
     Random(#[from] TokenError),
 }
 
-/// All of them, by their ids. Clones are the same.
+/// All delegated tokens, by their ids. Clones share them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LentTokens(Arc<Mutex<HashMap<String, (Hash, Lent)>>>);
 
@@ -91,7 +92,7 @@ impl LentTokens {
         Ok(token)
     }
 
-    /// Whose token this is, while it is of use.
+    /// Finds a token that is still valid.
     pub(super) fn find(&self, id: &str, token: &str) -> Option<Lent> {
         let tokens = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (hash, lent) = tokens.get(id)?;
@@ -100,7 +101,7 @@ impl LentTokens {
 }
 
 impl Access {
-    /// A token for so many seconds, for some of what `who` may do.
+    /// Delegates some of the roles of `who` to a new token that lasts for so many seconds.
     ///
     /// # Errors
     /// [`LendError`].
@@ -154,7 +155,7 @@ mod tests {
         assert!(!format!("{access:?}").contains(token.text()));
         let refused = access.exchange(token.text()).expect_err("it is for no cookie");
         assert_eq!(refused.status().as_u16(), 403);
-        // One that has ended, as nobody waits here for ten seconds.
+        // A token that has expired already: the minimum lifetime of ten seconds is too long for a test.
         let lent = access.proofs.as_ref().expect("proofs").lent();
         let ended = lent.lend(&operator, vec![Role::View].into(), 0).expect("a token");
         assert!(access.who(ended.text()).is_none());

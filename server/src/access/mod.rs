@@ -1,7 +1,14 @@
-//! Who may use the server. Each request passes the `gate`: it is for the server's own names alone (`host`), comes from a page of its own
-//! origin or an allowed one (`origin`), and shows (`proof`) a `token`, that of the server's start or one of the state folder (`named`, `watched`), whose
-//! owner (`identity`) may do what it asks for (`role`) or has `lent` some of it, or a session (`signed_in`) that an issuer of OpenID Connect (`oidc`, `sign_in`) has led to; for a stream also a `ticket`, that somebody with a token has asked for. How often it may be asked for is a matter of
-//! `rate`, of its token and of the `peer` that it comes from; what was done and what refused is in the `audit` log. What browsers may do with the server's own pages is its `policy`.
+//! Authentication and authorization. Each request passes the `gate`, which checks
+//!
+//! - that it names one of the server's own hosts (`host`);
+//! - that it comes from a page of the server's own origin or of an allowed one (`origin`);
+//! - that it carries a `proof`: a `token`, a session or a ticket. A token is the start token, one of the state folder (`named`, `watched`)
+//!   or one that its holder has delegated (`lent`). A session (`signed_in`) follows from a sign-in through an OpenID Connect issuer
+//!   (`oidc`, `sign_in`). A `ticket` is for a stream only; a page with a token or session requests it first;
+//! - that its sender (`identity`) has a `role` which allows the request;
+//! - that the rate limits (`rate`) of its token and of the `peer` that sends it are not exceeded.
+//!
+//! The `audit` log records what was done and what was refused. `policy` states what browsers may do with the server's own pages.
 
 mod audit;
 pub mod gate;
@@ -47,7 +54,7 @@ use proof::{CookieName, Proofs};
 use rate::RateLimits;
 use ticket::Tickets;
 
-/// Who may use a server. Clones are cheap.
+/// Authentication and authorization of a server. Clones are cheap.
 #[derive(Clone, Debug)]
 pub struct Access {
     hosts: AllowedHosts,
@@ -58,20 +65,20 @@ pub struct Access {
     /// That of `--public-url`.
     public_origins: Arc<[AllowedOrigin]>,
     cookie: CookieName,
-    /// `None`: everybody may.
+    /// `None`: the server runs without authentication.
     proofs: Option<Proofs>,
     tickets: Tickets,
-    /// `None`: as often as they like.
+    /// `None`: no rate limits.
     rates: Option<RateLimits>,
     proxies: Arc<[TrustedProxy]>,
     audit: Option<Audit>,
-    /// `None`: nobody signs in by an issuer.
+    /// `None`: users cannot sign in through an issuer.
     oidc: Option<Oidc>,
 }
 
 impl Access {
-    /// For a server that listens there, is offered at `public` by proxies, the first of them for people, and lets pages of `origins` use it. Everybody
-    /// may.
+    /// For a server without authentication that listens on `listen`. Proxies offer it at the `public` addresses, the first of which is the
+    /// one for people. Pages of `origins` may use it.
     pub fn new(listen: SocketAddr, public: &[PublicUrl], origins: &[AllowedOrigin]) -> Self {
         Self {
             hosts: AllowedHosts::new(listen, public),
@@ -95,14 +102,14 @@ impl Access {
         self
     }
 
-    /// For those who have the token, which is for everything.
+    /// Requires authentication, and accepts this token for all roles.
     #[must_use]
     pub fn with_token(mut self, token: &Token) -> Self {
         self.proofs = Some(Proofs::new(token));
         self
     }
 
-    /// For those too who have a token of a state folder. Where no token is asked for, these are not either.
+    /// Also accepts the tokens of a state folder. Has no effect on a server without authentication.
     #[must_use]
     pub fn with_named(mut self, tokens: &TokenWatch) -> Self {
         if let Some(proofs) = &mut self.proofs {
@@ -111,40 +118,40 @@ impl Access {
         self
     }
 
-    /// For those too whom an issuer vouches for. Where no token is asked for, nobody has to sign in.
+    /// Also lets users sign in through an issuer. Not required on a server without authentication.
     #[must_use]
     pub fn with_oidc(mut self, oidc: Option<Oidc>) -> Self {
         self.oidc = oidc;
         self
     }
 
-    /// For those who ask no more often than this.
+    /// Limits the rate of requests.
     #[must_use]
     pub fn with_rates(mut self, rates: Rates) -> Self {
         self.rates = Some(RateLimits::new(rates));
         self
     }
 
-    /// With the word of these proxies for where requests come from.
+    /// Trusts these proxies to state the address that a request comes from.
     #[must_use]
     pub fn with_proxies(mut self, proxies: &[TrustedProxy]) -> Self {
         self.proxies = proxies.into();
         self
     }
 
-    /// With a log of who has done what.
+    /// With an audit log.
     #[must_use]
     pub fn with_audit(mut self, audit: Option<Audit>) -> Self {
         self.audit = audit;
         self
     }
 
-    /// Proxies whose word is taken.
+    /// The trusted proxies.
     pub fn proxies(&self) -> &Arc<[TrustedProxy]> {
         &self.proxies
     }
 
-    /// Whose token this is.
+    /// The identity of a token's owner; `None` if the token is not valid.
     pub fn who(&self, token: &str) -> Option<Identity> {
         match &self.proofs {
             None => Some(Identity::without_token()),

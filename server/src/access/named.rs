@@ -51,7 +51,7 @@ impl NamedToken {
     }
 }
 
-/// What a token is to be for.
+/// The properties of a new token.
 #[derive(Clone, Debug)]
 pub struct NewToken {
     /// Whose it is.
@@ -82,13 +82,13 @@ pub enum TokenFileError {
         /// What is wrong.
         why: String,
     },
-    /// Others could let themselves in.
+    /// Other users of the machine can write the file, and could so give themselves access.
     #[error("tokens {} may be written by other users, expected its owner alone: chmod 600", .0.display())]
     Writable(PathBuf),
-    /// A user's name is not one.
+    /// A user's name is not valid.
     #[error("user {0:?}, expected 1 to {MAX_USER} letters, digits and signs of . _ @ -")]
     User(String),
-    /// It would be for nothing.
+    /// The token would have no role.
     #[error("a token needs a role: view, edit, export, upload, push or admin")]
     NoRole,
     /// There are too many.
@@ -125,7 +125,7 @@ impl NamedTokens {
     }
 }
 
-/// Where the tokens of a state folder are.
+/// The file that has the tokens of a state folder.
 #[derive(Clone, Debug)]
 pub struct TokenFile {
     folder: PathBuf,
@@ -172,7 +172,7 @@ impl TokenFile {
         ))
     }
 
-    /// Makes a token; its text is nowhere else.
+    /// Makes a token and returns it. Its text is not stored.
     ///
     /// # Errors
     /// [`TokenFileError`].
@@ -218,7 +218,7 @@ impl TokenFile {
         })
     }
 
-    /// Changes the file, one process at a time. Who reads it sees all of the change or nothing.
+    /// Changes the file, one process at a time. The change is atomic for readers.
     fn change<T>(
         &self,
         change: impl FnOnce(&mut Vec<NamedToken>) -> Result<T, TokenFileError>,

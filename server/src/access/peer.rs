@@ -1,4 +1,4 @@
-//! Where a request comes from: the other end of its connection, or what a proxy says that is trusted.
+//! The address that a request comes from: the other end of its connection, or the address that a trusted proxy states.
 
 use std::net::{IpAddr, Ipv6Addr};
 use std::str::FromStr;
@@ -12,7 +12,8 @@ const FORWARDED_FOR: HeaderName = HeaderName::from_static("x-forwarded-for");
 #[derive(Clone, Copy, Debug)]
 pub struct PeerAddress(pub IpAddr);
 
-/// Whose requests and connections are counted together: who has an address of IPv6 has the network around it.
+/// The key by which the requests and connections of an address are counted: an IPv6 address counts as its network, as a client usually
+/// has all of it.
 pub fn counted_as(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
@@ -20,7 +21,7 @@ pub fn counted_as(address: IpAddr) -> IpAddr {
     }
 }
 
-/// Addresses of proxies whose word is taken for where a request comes from: one, `10.0.0.7`, or a network, `10.0.0.0/8`.
+/// Addresses of proxies that are trusted to state the address a request comes from: one, `10.0.0.7`, or a network, `10.0.0.0/8`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrustedProxy {
     network: IpAddr,
@@ -68,15 +69,16 @@ pub fn is_trusted(proxies: &[TrustedProxy], address: IpAddr) -> bool {
     proxies.iter().any(|proxy| proxy.has(address))
 }
 
-/// Where a request comes from that has come by a connection of `peer`. Each proxy adds at the end whom it was asked by: read from there, the first
-/// address that is no trusted proxy's is the client's. What stands before it the client may have made up.
+/// Finds the client's address for a request that arrived on a connection of `peer`. Each proxy appends the address that it got the
+/// request from. Read from the end, the first address that is not a trusted proxy's is the client's; the client may have forged those
+/// before it.
 pub(super) fn client(peer: IpAddr, headers: &HeaderMap, proxies: &[TrustedProxy]) -> IpAddr {
     let mut client = peer.to_canonical();
     if !is_trusted(proxies, client) {
         return client;
     }
     for said in forwarded(headers).into_iter().rev() {
-        // What cannot be read is nobody's: the proxy that has added it is the last that is known.
+        // If an entry cannot be parsed, the trusted proxy that appended it is the last known address.
         let Some(address) = said else { break };
         client = address.to_canonical();
         if !is_trusted(proxies, client) {
@@ -86,7 +88,8 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, proxies: &[TrustedProxy]
     client
 }
 
-/// All addresses that proxies have added, those of `X-Forwarded-For`, or where there is none of `Forwarded` (RFC 7239).
+/// All addresses that proxies have appended, from `X-Forwarded-For` or, if there is none, from `Forwarded` (RFC 7239). `None` stands for
+/// an entry that cannot be parsed.
 fn forwarded(headers: &HeaderMap) -> Vec<Option<IpAddr>> {
     let values = |name: HeaderName| {
         let values = headers.get_all(name).iter();

@@ -1,4 +1,4 @@
-//! What browsers may do with the server's pages.
+//! The `Content-Security-Policy` of the server's pages.
 
 use axum::http::HeaderValue;
 

@@ -1,4 +1,4 @@
-//! What a request shows of who sends it: a token in a header, or the cookie that stands for one.
+//! How a request authenticates its sender: a token in a header, or a cookie.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use super::token::{Hash, Token, cookie_value, id_of};
 /// Before the secret of a session in a cookie, with a dot; ids of tokens are hexadecimal.
 const SIGNED_IN: &str = "oidc";
 
-/// How a request has shown a token.
+/// How a request has authenticated its sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Proof {
     /// In a header that no page of another origin can make a browser send.
@@ -26,7 +26,7 @@ pub(super) enum Proof {
     Ticket,
 }
 
-/// Checks tokens and cookies; keeps their hashes alone.
+/// Checks tokens and cookies; keeps only their hashes.
 #[derive(Clone, Debug)]
 pub(super) struct Proofs {
     token: Hash,
@@ -34,9 +34,9 @@ pub(super) struct Proofs {
     start: Identity,
     /// Tokens of a state folder.
     named: Option<watch::Receiver<Arc<NamedTokens>>>,
-    /// Sessions of those who have signed in by an issuer.
+    /// Sessions of users who have signed in through an issuer.
     sessions: Sessions,
-    /// Tokens that others have lent, for minutes.
+    /// Delegated tokens.
     lent: LentTokens,
 }
 
@@ -66,7 +66,7 @@ impl Proofs {
         self.named = Some(named);
     }
 
-    /// Whose token this is.
+    /// The identity of a token's owner; `None` if the token is not valid.
     pub(super) fn of_token(&self, token: &str) -> Option<Identity> {
         if self.token.is_of(token) {
             return Some(self.start.clone());
@@ -76,7 +76,7 @@ impl Proofs {
         named.or_else(|| self.lent.find(id, token).map(Identity::of_lent))
     }
 
-    /// Whose cookie this is.
+    /// The identity that a cookie's value stands for; `None` if it is not valid.
     fn of_cookie(&self, value: &str) -> Option<Identity> {
         match value.split_once('.') {
             None => self.cookie.is_of(value).then(|| self.start.clone()),
@@ -91,7 +91,7 @@ impl Proofs {
         (is_right(&found) && !found.has_expired(now())).then(|| Identity::of_named(found, tokens.clone()))
     }
 
-    /// How a request shows a token and whose, if it does.
+    /// How a request authenticates its sender, and the sender; `None` if it does not.
     pub(super) fn find(&self, headers: &HeaderMap, cookie: &CookieName) -> Option<(Proof, Identity)> {
         let bearer = headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok());
         let bearer = bearer.and_then(|value| {
@@ -165,7 +165,7 @@ impl CookieName {
         cookies(headers, &self.name).find_map(|value| value.strip_prefix(SIGNED_IN)?.strip_prefix('.'))
     }
 
-    /// The header that keeps a secret in the browser of somebody who goes to sign in for so many seconds.
+    /// The header that stores the secret of a sign-in in the user's browser for so many seconds.
     pub(super) fn of_trip(&self, secret: &str, seconds: u64) -> HeaderValue {
         self.header(&self.trip(), secret, &format!("; Max-Age={seconds}"))
     }

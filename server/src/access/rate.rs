@@ -1,4 +1,4 @@
-//! How often somebody may ask: of each peer, and of each token, requests that cost much more rarely than others.
+//! Rate limits for each peer and for each token. Expensive requests count more than others.
 
 use std::net::IpAddr;
 use std::num::NonZeroU32;
@@ -12,7 +12,7 @@ use governor::{DefaultKeyedRateLimiter, Quota, RateLimiter};
 
 use super::peer::counted_as;
 
-/// Requests a second, in units of the cheapest; 0: as many as they like.
+/// Requests a second, in units of the cheapest request; 0: no limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rates {
     /// Of a peer.
@@ -32,10 +32,10 @@ impl Default for Rates {
     }
 }
 
-/// Seconds of a rate that may be asked for at once: a thousand viewers that connect when a server is there again are no flood.
+/// Burst, in seconds of the rate: a thousand viewers that reconnect after a restart of the server are no flood.
 const BURST_SECONDS: u32 = 10;
 
-/// What a request costs that shows no token, or a wrong one: a peer may try 20 a second.
+/// Cost of a request without a token or with a wrong one: at the default rate a peer may try 20 a second.
 const REFUSED_COST: u32 = 100;
 
 /// What a request costs.
@@ -55,13 +55,14 @@ pub(super) fn cost(method: &Method, path: &str) -> u32 {
     }
 }
 
-/// Keys, some 50 bytes each, from which on those are forgotten that have their whole burst again: who has asked within ten seconds stays.
+/// Number of keys, some 50 bytes each, above which those are forgotten that have regained their whole burst. A key that was used within
+/// ten seconds may stay.
 const MANY_KEYS: usize = 4_096;
 
-/// Requests between two looks at how many keys there are.
+/// Requests between two checks of the number of keys.
 const LOOK_EVERY: usize = 1_024;
 
-/// How often some of a kind may ask. Clones count together.
+/// The rate limit of each key. Clones share the counts.
 #[derive(Clone, Debug)]
 struct Limit<K: Clone + std::hash::Hash + Eq>(Option<Arc<Counts<K>>>);
 
@@ -82,7 +83,7 @@ impl<K: Clone + std::hash::Hash + Eq> Limit<K> {
         }))
     }
 
-    /// Takes what a request costs; `Err`: after how long there is as much.
+    /// Charges the cost of a request; `Err`: time after which to try again.
     fn take(&self, key: &K, cost: u32) -> Result<(), Duration> {
         let (Some(counts), Some(cost)) = (&self.0, NonZeroU32::new(cost)) else {
             return Ok(());
@@ -104,12 +105,12 @@ impl<K: Clone + std::hash::Hash + Eq> Limit<K> {
     }
 }
 
-/// Who may ask how often. Clones count together.
+/// All rate limits. Clones share the counts.
 #[derive(Clone, Debug)]
 pub(super) struct RateLimits {
     peers: Limit<IpAddr>,
     tokens: Limit<Box<str>>,
-    /// Of peers, what shows no token or a wrong one.
+    /// Of peers, for requests without a token or with a wrong one.
     strangers: Limit<IpAddr>,
 }
 
@@ -122,18 +123,18 @@ impl RateLimits {
         }
     }
 
-    /// Takes what a request of a peer costs; `Err`: after how long to ask again.
+    /// Charges the cost of a request to its peer; `Err`: time after which to try again.
     pub(super) fn take_of_peer(&self, peer: IpAddr, cost: u32) -> Result<(), Duration> {
         self.peers.take(&counted_as(peer), cost)
     }
 
-    /// Takes what a wrong token of a peer costs, apart from its other requests: who shows right ones at the same address goes on. `Err`: after
-    /// how long to try another one.
+    /// Charges the cost of a wrong token to its peer. This limit is separate from that of other requests, so that users with valid tokens
+    /// at the same address are not affected. `Err`: time after which to try again.
     pub(super) fn take_of_stranger(&self, peer: IpAddr) -> Result<(), Duration> {
         self.strangers.take(&counted_as(peer), REFUSED_COST)
     }
 
-    /// The same of a token.
+    /// Charges the cost of a request to its token; `Err`: time after which to try again.
     pub(super) fn take_of_token(&self, token: &str, cost: u32) -> Result<(), Duration> {
         self.tokens.take(&token.into(), cost)
     }

@@ -1,4 +1,4 @@
-//! What a token lets its owner do, and what each request needs.
+//! Roles, and the role that each request needs.
 
 use std::fmt;
 use std::str::FromStr;
@@ -14,7 +14,7 @@ use utoipa::ToSchema;
 pub enum Role {
     /// Open volumes and look at them.
     View,
-    /// Change what is shown of them; whoever may, may look.
+    /// Change what is shown of volumes; includes `View`.
     Edit,
     /// Have surfaces as files, one by one or as batch jobs.
     Export,
@@ -65,7 +65,7 @@ impl FromStr for Role {
 pub struct Roles(u8);
 
 impl Roles {
-    /// Those of whoever started the server.
+    /// The roles of the user who started the server.
     pub const ALL: Self = Self(1 << Role::Admin as u8);
 
     /// Whether there are none.
@@ -73,7 +73,7 @@ impl Roles {
         self.0 == 0
     }
 
-    /// Whether these roles suffice for what needs one of them.
+    /// Whether these roles include a role: itself, or by `Admin`, or `View` by `Edit`.
     pub fn include(self, role: Role) -> bool {
         let has = |role: Role| self.0 & (1 << role as u8) != 0;
         has(role) || has(Role::Admin) || (role == Role::View && has(Role::Edit))
@@ -136,9 +136,9 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
         ["openapi.json"] => Need::Nothing,
         // Whose pages may have a frame, as the policy of each answer has it.
         ["embed"] if *method == Method::GET => Need::Nothing,
-        // Where a token is shown for the first time.
+        // Exchanges a token for a cookie, so the handler checks the token itself.
         ["session"] if *method == Method::POST => Need::Nothing,
-        // By which somebody comes to a session.
+        // The sign-in that leads to a session.
         ["oidc"] | ["oidc", "login" | "callback"] if *method == Method::GET => Need::Nothing,
         ["session"] => Need::Token,
         ["volumes"] | ["volumes", _] | ["unreadable"] => Need::OneOf(&[View, Export]),

@@ -1,5 +1,5 @@
-//! Seats, whose number is limited: viewers, groups, streams of events. Neither a user nor an address takes all of them, and some are left to
-//! administrators.
+//! Limits the number of concurrent viewers, groups and event streams (seats). Neither one user nor one address can take all of them, and
+//! some are reserved for administrators.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -24,7 +24,7 @@ pub struct SeatLimits {
     pub reserve: usize,
 }
 
-/// Whom a seat is for.
+/// The user of a seat.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Occupant {
     /// The user.
@@ -70,7 +70,7 @@ pub struct NoSeat {
     pub share: Share,
 }
 
-/// Seats. Clones are of the same.
+/// The seats of one kind. Clones share them.
 #[derive(Clone, Debug)]
 pub struct Seats(Arc<Shared>);
 
@@ -88,7 +88,7 @@ struct Taken {
     by_address: HashMap<IpAddr, usize>,
 }
 
-/// A seat; dropped, it is free again.
+/// A taken seat. Dropping it frees it.
 #[derive(Debug)]
 pub struct Seat {
     seats: Seats,

@@ -1,4 +1,4 @@
-//! How somebody who signs in by an issuer comes to a session, and out of it.
+//! Begins and ends the sessions of users who sign in through an issuer.
 
 use axum::http::{HeaderMap, HeaderValue};
 
@@ -13,7 +13,7 @@ impl Access {
         self.oidc.as_ref()
     }
 
-    /// Where a browser signs in, and the cookie that it brings back.
+    /// Begins a sign-in. Returns the address at the issuer that the browser is sent to, and the cookie that it brings back.
     ///
     /// # Errors
     /// There is no issuer, or it cannot be asked.
@@ -29,7 +29,7 @@ impl Access {
     /// A browser is back from the issuer with a code: who it is, and the cookies of the session that begins.
     ///
     /// # Errors
-    /// The issuer does not vouch for anybody who has a role here.
+    /// There is no issuer, the issuer does not confirm the sign-in, or the user has no role here.
     pub async fn end_sign_in(
         &self,
         headers: &HeaderMap,
@@ -49,13 +49,14 @@ impl Access {
         Ok((who, [self.cookie.of_session(&secret), self.cookie.of_trip("", 0)]))
     }
 
-    /// The page, with the reason why somebody was not let in.
+    /// The address of the page, with the reason why a sign-in failed.
     pub fn sign_in_failed(&self, why: &ApiError) -> String {
         let oidc = self.oidc.as_ref();
         oidc.map_or_else(|| "/".to_owned(), |oidc| oidc.home_with(&why.to_string()))
     }
 
-    /// Ends the session of a page, if it has one: where it ends at the issuer, and the header that takes the cookie away.
+    /// Ends the session of a page, if it has one. Returns the address at which it ends at the issuer too, and the header that removes the
+    /// cookie.
     pub async fn sign_out(&self, headers: &HeaderMap) -> (Option<String>, HeaderValue) {
         let secret = self.cookie.session(headers);
         let has_ended = match (&self.proofs, secret) {

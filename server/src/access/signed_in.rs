@@ -1,4 +1,4 @@
-//! People whom an issuer has vouched for: each has a session, whose secret is in a cookie, until it ends.
+//! Sessions of users who have signed in through an issuer. The secret of a session is in a cookie.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -17,7 +17,7 @@ const MAX_OF_USER: usize = 16;
 /// Bytes of a session's public name, the first of its hash.
 const NAME_BYTES: usize = 6;
 
-/// Somebody's session. Clones are cheap.
+/// The session of a signed-in user. Clones are cheap.
 #[derive(Clone, Debug)]
 pub(super) struct SignedIn {
     pub user: Arc<str>,
@@ -35,7 +35,7 @@ impl SignedIn {
     }
 }
 
-/// All sessions, by the hashes of their secrets. Clones are the same.
+/// All sessions, by the hashes of their secrets. Clones share them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sessions(Arc<Mutex<HashMap<[u8; 32], SignedIn>>>);
 
@@ -66,14 +66,14 @@ impl Sessions {
         sessions.insert(hash, session);
     }
 
-    /// Whose session this is.
+    /// Finds the session of a secret, if it is still valid.
     pub(super) fn find(&self, secret: &str) -> Option<SignedIn> {
         let hash: [u8; 32] = Sha256::digest(secret).into();
         let sessions = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         sessions.get(&hash).filter(|session| session.is_valid()).cloned()
     }
 
-    /// Ends a session, with all that runs in it. False where there is none.
+    /// Ends a session and cancels all that runs in it. Returns false if there is no such session.
     pub(super) fn end(&self, secret: &str) -> bool {
         let hash: [u8; 32] = Sha256::digest(secret).into();
         let ended = self.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&hash);

@@ -1,5 +1,5 @@
-//! Tickets for the stream: browsers let pages of other origins send neither header nor cookie with a WebSocket, so that they show one of these in
-//! its address. A ticket is of use once, for half a minute, and to the page that has asked for it alone: an address may be seen by others.
+//! Tickets for the stream. Browsers let pages of other origins send neither a header nor a cookie with a WebSocket, so such a page puts a
+//! ticket in its address. Others may see an address, so a ticket is valid once, for half a minute, and only for the page that requested it.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,18 +13,18 @@ use sha2::{Digest, Sha256};
 use super::identity::Identity;
 use super::token::TokenError;
 
-/// How long a ticket is of use: a page opens the stream as soon as it has one.
+/// Lifetime of a ticket: a page opens the stream as soon as it has one.
 pub const LIFETIME: Duration = Duration::from_secs(30);
 /// Maximum tickets, some 200 bytes each.
 const MAX_TICKETS: usize = 4_096;
-/// Maximum tickets of a token, so that one who asks and asks leaves some to others: a page needs one for each stream.
+/// Maximum tickets of one token, so that one user cannot use up all of them: a page needs one for each stream.
 const MAX_OF_TOKEN: usize = 128;
 const RANDOM_BYTES: usize = 32;
 
 /// Why there is no ticket.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum TicketError {
-    /// There are too many that were not used.
+    /// There are too many unused tickets.
     #[error("{0} tickets were not used, as many as may be for {LIFETIME:?}: try again when they have expired")]
     TooMany(usize),
     /// There are no random numbers.
@@ -39,12 +39,12 @@ struct Ticket {
     made: Instant,
 }
 
-/// Tickets that were not used yet, by their hashes. Clones are the same.
+/// Unused tickets, by their hashes. Clones share them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tickets(Arc<Mutex<HashMap<[u8; 32], Ticket>>>);
 
 impl Tickets {
-    /// A ticket for somebody, in a page of this origin or in none.
+    /// Issues a ticket that `who` can use from a page of this origin; without an origin, from outside of any page.
     pub(super) fn issue(
         &self,
         who: &Identity,
@@ -70,11 +70,12 @@ impl Tickets {
         Ok(text)
     }
 
-    /// Whose ticket this is, if it is of use to a page of this origin. It is of none any more, also where it was not.
+    /// Redeems a ticket: returns its owner, if a page of this origin may use it, it has not expired and the owner's token is still valid.
+    /// A ticket of this origin cannot be redeemed again, even if it had expired.
     pub(super) fn take(&self, text: &str, origin: Option<&HeaderValue>, now: Instant) -> Option<Identity> {
         let hash: [u8; 32] = Sha256::digest(text).into();
         let mut tickets = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        // Another page does not use it up.
+        // A page of another origin does not use the ticket up.
         if tickets.get(&hash)?.origin.as_ref() != origin {
             return None;
         }

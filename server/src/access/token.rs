@@ -1,4 +1,4 @@
-//! Tokens, which let people and programs in. Pages exchange them for a cookie, so that they stand in no address that is kept or copied.
+//! Tokens, by which people and programs authenticate. Pages exchange them for a cookie, so that no stored or copied address has them.
 
 use std::path::Path;
 
@@ -10,10 +10,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
-/// Random bytes of a token that the server makes: nobody finds it by trying.
+/// Random bytes of a token that the server makes: too many to guess.
 const RANDOM_BYTES: usize = 32;
 
-/// Random bytes of its id, which is no secret: of a thousand tokens two have the same once in 500 million times.
+/// Random bytes of a token's id, which is not secret. The probability that two of a thousand tokens share an id is 1 in 500 million.
 const ID_BYTES: usize = 6;
 
 /// Before the id.
@@ -85,7 +85,7 @@ impl Token {
         &self.0
     }
 
-    /// Its public part, where it has one.
+    /// Its public part; `None` if the token does not begin with `isop_` and an id.
     pub fn id(&self) -> Option<&str> {
         id_of(&self.0)
     }
@@ -96,13 +96,13 @@ pub(super) fn id_of(token: &str) -> Option<&str> {
     Some(token.strip_prefix(PREFIX)?.split_once('_')?.0)
 }
 
-/// The value of the cookie that stands for a token. Nobody finds the token by it.
+/// The value of the cookie that stands for a token: a hash, from which the token cannot be derived.
 pub(super) fn cookie_value(token: &str) -> String {
     let hash = Sha256::new().chain_update(COOKIE_PREFIX).chain_update(token);
     URL_SAFE_NO_PAD.encode(hash.finalize())
 }
 
-/// SHA-256 of a secret, which is compared in a time that does not depend on where two differ.
+/// SHA-256 of a secret, compared in constant time.
 #[derive(Clone, Copy)]
 pub(super) struct Hash([u8; 32]);
 

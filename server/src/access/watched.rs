@@ -1,4 +1,4 @@
-//! A server that looks at its file of tokens again and again.
+//! Reloads the token file when it changes.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use tokio::sync::watch;
 use super::audit::{Audit, Event};
 use super::named::{NamedTokens, TokenFile, TokenFileError};
 
-/// How often a server looks at the file, so that a token which is revoked is refused within 5 s.
+/// Interval between two checks of the file, so that a revoked token is refused within 5 s.
 const INTERVAL: Duration = Duration::from_secs(2);
 
 /// The tokens of a file, as they change.
@@ -30,7 +30,7 @@ impl TokenWatch {
         Ok(Self { file, tokens, audit })
     }
 
-    /// With a log of tokens that come and go.
+    /// Logs tokens that appear or are removed.
     #[must_use]
     pub fn with_audit(self, audit: Option<Audit>) -> Self {
         Self { audit, ..self }
@@ -40,7 +40,8 @@ impl TokenWatch {
         self.tokens.subscribe()
     }
 
-    /// Looks at the file for ever. Where it cannot be read, nobody is let in by it until it can: what it revokes is not known.
+    /// Reloads the token file when it changes; never returns. While the file cannot be read, all named tokens are refused, because it may
+    /// revoke any of them.
     pub async fn run(self) {
         self.look_every(INTERVAL).await;
     }
@@ -63,7 +64,7 @@ impl TokenWatch {
                     self.tokens.send_replace(tokens);
                 }
                 Ok(Some((_, Err(error)))) => {
-                    // Read again at the next look: permissions may be mended without a trace.
+                    // Read the file again at the next check: corrected permissions may not change its version.
                     seen = None;
                     self.tokens.send_replace(Arc::default());
                     let why = crate::error::chain(&error);
@@ -81,7 +82,7 @@ impl TokenWatch {
 }
 
 impl TokenWatch {
-    /// Notes what has changed.
+    /// Logs which tokens have appeared and which were removed.
     fn note(&self, before: &NamedTokens, now: &NamedTokens) {
         let Some(audit) = &self.audit else { return };
         before

@@ -1,4 +1,4 @@
-//! Where vertices of a capped surface lie to the faces of the volume, on which its caps are.
+//! Positions of a capped surface's vertices relative to the faces of the volume, on which the caps lie.
 
 use crate::math::DVec3;
 use crate::volumes::Geometry;
@@ -39,7 +39,7 @@ impl ToCaps {
 pub(super) struct Faces {
     /// Unit normals, across each axis.
     normals: [DVec3; 3],
-    /// Where the caps are along these, in the order of [`ToCaps`]; infinite if there are none.
+    /// Positions of the caps along these normals, in the order of [`ToCaps`]; infinite if there are none.
     ends: [f64; 6],
 }
 
@@ -60,7 +60,8 @@ impl Faces {
         Self { normals, ends }
     }
 
-    /// Where a vertex goes on its way from one place to another: it stays on its faces. `None` if that is outside of the volume.
+    /// Returns the end of a vertex' move from one position towards another, constrained to the faces that the vertex lies on. `None` if the
+    /// end is outside of the volume.
     pub fn constrained(&self, from: DVec3, to: DVec3, caps: ToCaps) -> Option<DVec3> {
         let along = self.along(to - from, caps);
         let is_inside = (0..3).filter(|&axis| !caps.is_on_axis(axis)).all(|axis| {
@@ -70,7 +71,7 @@ impl Faces {
         is_inside.then_some(from + along)
     }
 
-    /// What is left of a move by which a vertex stays on its faces.
+    /// Projects a move onto the faces that the vertex lies on, so that it stays on them.
     fn along(&self, move_by: DVec3, caps: ToCaps) -> DVec3 {
         let across: Vec<DVec3> = (0..3)
             .filter(|&axis| caps.is_on_axis(axis))
@@ -128,7 +129,7 @@ mod tests {
         let edge = go(4, by).unwrap();
         assert!(is_near(edge, z * edge.dot(z)), "{edge:?}");
         assert!(is_near(go(5, by).unwrap(), DVec3::ZERO));
-        // Through a face, and as far where there is no cap.
+        // A move through a capped face is refused. If the face has no cap, a move of any length is allowed.
         assert_eq!(go(1, x * -0.6), None);
         assert!(go(1, x * -0.4).is_some() && go(0, x * 9.0).is_some());
     }

@@ -15,7 +15,7 @@ use crate::math::DVec3;
 /// Times that the groups of intersecting triangles are worked on before the repair is given up.
 const MAX_ROUNDS: usize = 16;
 
-/// The same at caps, where triangles may go on to intersect.
+/// The same at caps, where some triangles may still intersect afterwards.
 const CAP_ROUNDS: usize = 4;
 
 /// Smallest spacings that a vertex of a capped surface is moved at most.
@@ -47,7 +47,7 @@ pub struct NotClean {
     pairs: u64,
 }
 
-/// What a repair has done.
+/// Result of a repair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Repaired {
     pub cleaned: Cleaned,
@@ -250,12 +250,12 @@ struct Repair<'a> {
     positions: Vec<[f64; 3]>,
     numbers: Numbers,
     faces: Faces,
-    /// Farthest from where it was that a vertex of a capped surface goes.
+    /// Maximum distance of a vertex of a capped surface from its original position.
     reach: f64,
     around: &'a Around,
     /// Triangles that are no longer as the tree has them.
     moved: Vec<u32>,
-    /// Where vertices were that have been moved.
+    /// Original positions of the vertices that have been moved.
     originals: FxHashMap<u32, [f32; 3]>,
     random: Random,
 }
@@ -327,7 +327,7 @@ impl Repair<'_> {
         false
     }
 
-    /// Triangles that those around a vertex may meet, where it is and at positions that are tried.
+    /// Returns the triangles that those around a vertex may meet, at its current position and at the positions that are tried.
     fn near(&self, tree: &TriangleTree, vertex: u32, tried: &[[f32; 3]]) -> Vec<u32> {
         let corners = self
             .around

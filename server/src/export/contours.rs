@@ -1,7 +1,7 @@
-//! Contours of a plane of samples: where the surface of an isovalue crosses it.
+//! Contours of a plane of samples: the lines along which the surface of an isovalue crosses it.
 //!
-//! A face of a cell is crossed as the meshers cross it: inside means `value >= iso`, edges are crossed at the linear interpolant, and where two opposite corners
-//! of a face are inside, these are separated. A face that touches a missing sample has no contour.
+//! A face of a cell is crossed as the meshers cross it. Inside means `value >= iso`. Edges are crossed at the linear interpolant. If two
+//! opposite corners of a face are inside, they are separated. A face that touches a missing sample has no contour.
 
 use rustc_hash::{FxHashMap, FxHashSet};
 
@@ -81,7 +81,7 @@ fn edge(x: u32, y: u32, side: usize) -> Edge {
     }
 }
 
-/// Where an edge is crossed.
+/// Returns the point at which an edge is crossed.
 fn crossing((x, y, axis): Edge, value: &impl Fn(u32, u32) -> Option<f32>, iso: f32) -> [f64; 2] {
     let [dx, dy] = if axis == 0 { [1, 0] } else { [0, 1] };
     let [from, to] = [value(x, y), value(x + dx, y + dy)].map(|value| f64::from(value.unwrap_or(iso)));

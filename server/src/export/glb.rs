@@ -1,9 +1,9 @@
 //! GLB, the binary form of glTF 2.0.
 //!
-//! A node, a mesh and a material for each surface. A mesh has one primitive: loaders give each primitive vertices of its own, which would tear the surface where levels meet. Triangles
-//! come by level, finest first; `extras.levelTriangles` has their numbers. Positions are relative to the mesh's origin, along the axes of the
-//! volume's frame; the node turns them into what glTF asks for, metres with Y up, and moves them to their place. An empty surface is a scene
-//! without nodes.
+//! A node, a mesh and a material for each surface. A mesh has one primitive: loaders give each primitive vertices of its own, which would
+//! tear the surface at the borders between levels. Triangles are ordered by level, finest first; `extras.levelTriangles` has their numbers.
+//! Positions are relative to the mesh's origin, along the axes of the volume's frame. The node converts them to the units and axes of glTF,
+//! metres with Y up, and moves them to their place. An empty surface is a scene without nodes.
 
 pub(super) mod packed;
 
@@ -31,8 +31,8 @@ const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const TRIANGLES: u32 = 4;
 
-/// Writes `meshes` with `extras` under `asset.extras`. Attributes: `POSITION`, `NORMAL`, `_SMOOTHNESS` and `_FEATURE`
-/// (0 to 1), one of each field, such as `_TEMPERATURE`, and `COLOR_0` where the mesh has colours.
+/// Writes `meshes` with `extras` under `asset.extras`. Attributes: `POSITION`, `NORMAL`, `_SMOOTHNESS` and `_FEATURE` (0 to 1), one of each
+/// field, such as `_TEMPERATURE`, and `COLOR_0` if the mesh has colours.
 ///
 /// # Errors
 /// More than the 4 GiB of a GLB, or the errors of `out`.

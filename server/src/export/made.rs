@@ -123,7 +123,7 @@ fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape 
     }
 }
 
-/// What a format does not keep of a mesh, and what was not measured in time.
+/// Returns notices on properties of a mesh that the format does not keep, and on what was not measured in time.
 fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String> {
     let format = options.format;
     let title = format.title();
@@ -150,7 +150,7 @@ fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String>
         .collect()
 }
 
-/// What a format does not keep of what a surface was to look like.
+/// Returns notices on properties of a surface's look that the format does not keep.
 fn lost_looks(surface: &FileSurface) -> Vec<String> {
     let (format, material) = (surface.request.options.format, surface.material);
     let title = format.title();
@@ -179,7 +179,7 @@ fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
     })
 }
 
-/// What is done about triangles that intersect.
+/// Repair and count of triangles that intersect.
 struct Cleaning {
     /// `None`: nothing is repaired.
     scope: Option<Scope>,
@@ -218,7 +218,7 @@ impl Cleaning {
     }
 }
 
-/// What a surface is, for people.
+/// Returns the name of a surface, for people.
 fn name(volume: &VolumeStep, view: &View) -> String {
     let iso = view.iso.map_or(String::new(), |iso| format!(" = {}", iso.get()));
     let mask = view
@@ -249,7 +249,7 @@ pub(crate) fn safe_name(text: &str) -> String {
     text.chars().map(safe).collect()
 }
 
-/// Where a surface comes from.
+/// Provenance of a surface: its volume, step and view, and the program that made it.
 fn provenance(volume: &VolumeStep, view: &View) -> Vec<(&'static str, String)> {
     let dataset = volume.dataset();
     let view = serde_json::to_string(&view.to_edit()).unwrap_or_default();

@@ -33,7 +33,7 @@ pub struct Mesh {
     pub feature: Vec<f32>,
     /// Positions in index space, until values of fields are taken there.
     pub(crate) index: Vec<[f32; 3]>,
-    /// Where the vertices of a capped surface lie to its caps; empty without caps.
+    /// The faces of the volume that each vertex of a capped surface lies on or near; empty without caps.
     pub(crate) caps: Vec<ToCaps>,
     /// Values of fields at the vertices.
     pub fields: Vec<FieldValues>,
@@ -45,23 +45,23 @@ pub struct Mesh {
     pub level_triangles: [u64; 6],
     /// What the axes of the positions are.
     pub frame: Frame,
-    /// Unit of the positions, where it is known.
+    /// Unit of the positions, if it is known.
     pub unit: Option<LengthUnit>,
     /// Smallest distance between samples along an axis.
     pub smallest_spacing: f64,
-    /// What is to be known of the volume, a line each.
+    /// Notices on the volume, a line each.
     pub notices: Vec<String>,
-    /// What the surface is, for people: `head: t1 = 517`.
+    /// Name of the surface, for people: `head: t1 = 517`.
     pub name: String,
-    /// Where the surface comes from: names and texts, for formats that hold some.
+    /// Provenance of the surface: names and texts, for formats that hold some.
     pub provenance: Vec<(&'static str, String)>,
     /// Whether each edge has two triangles.
     pub is_closed: bool,
-    /// What the whole surface looks like.
+    /// Look of the whole surface.
     pub material: Material,
 }
 
-/// What a surface looks like as a whole.
+/// Look of a surface as a whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Colour in sRGB, if the surface has one.
@@ -91,8 +91,8 @@ pub struct FieldValues {
 }
 
 impl Mesh {
-    /// Joins the regions of a surface. Vertices of different regions that are equal in every field become one. Triangles are kept,
-    /// degenerate ones too; their winding is flipped where `direction` mirrors.
+    /// Joins the regions of a surface. Vertices of different regions that are equal in every field become one. All triangles are kept,
+    /// including degenerate ones; their winding is flipped if `direction` mirrors.
     ///
     /// # Errors
     /// More vertices than 32-bit indices reach, coordinates beyond 32-bit floats, or a region whose indices or
@@ -101,8 +101,8 @@ impl Mesh {
         Self::new_unless(surface, geometry, None, &|| false)
     }
 
-    /// As [`Mesh::new`]; asks now and then whether it is cancelled. `uneven`: the axes whose samples are not where `geometry` has them, and
-    /// which mesher made the surface.
+    /// As [`Mesh::new`], but can be cancelled: polls `is_cancelled` now and then. `uneven`: the axes whose samples are not evenly spaced as
+    /// in `geometry`, and the mesher that made the surface.
     ///
     /// # Errors
     /// Those of [`Mesh::new`], and [`ExportError::Cancelled`].
@@ -130,7 +130,7 @@ impl Mesh {
         fits_u32("vertices", held, "a 32-bit index")?;
         mesh.reserve(held as usize);
 
-        // Where the next triangle of each level goes.
+        // Index of the next triangle of each level.
         let mut next = [0usize; 6];
         for level in 1..6 {
             next[level] = next[level - 1] + mesh.level_triangles[level - 1] as usize;

@@ -309,7 +309,7 @@ pub enum ExportError {
         /// What was found and what was expected.
         why: String,
     },
-    /// Nobody waits for it any more.
+    /// The request was cancelled: no client waits for its result any more.
     #[error("cancelled")]
     Cancelled,
     /// Writing failed.
@@ -317,7 +317,7 @@ pub enum ExportError {
     Io(#[from] io::Error),
 }
 
-/// What a file holds, before it is bytes.
+/// Content of a file, before it is encoded.
 #[derive(Clone, Debug)]
 pub struct Content {
     /// Its surfaces; one, if the format does not hold several.
@@ -326,7 +326,7 @@ pub struct Content {
     pub format: Format,
     /// How it is compressed.
     pub compress: Compress,
-    /// What a GLB says under `asset.extras`; the other formats have no field for it.
+    /// The `asset.extras` of a GLB; the other formats have no field for it.
     pub extras: serde_json::Value,
 }
 
@@ -410,7 +410,7 @@ fn extras(volume: &VolumeStep, edit: &Edit, mesh: &Mesh, statistics: &Extraction
     })
 }
 
-/// What a file is, before it is written.
+/// Length and hash of a file, before it is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FileDigest {
     /// Its length.

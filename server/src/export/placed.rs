@@ -9,7 +9,7 @@ use crate::volumes::{Frame, LengthUnit};
 /// Bytes of the header.
 const HEADER: usize = 348;
 
-/// Where samples begin: behind the header and four bytes that say that nothing follows it.
+/// Offset of the samples in the file: behind the header and the four bytes that say that no extension follows.
 const SAMPLES: usize = HEADER + 4;
 
 /// A plane on even axes.

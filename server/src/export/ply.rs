@@ -66,7 +66,7 @@ fn space(mesh: &Mesh) -> String {
 /// Longest text of a comment; a longer one is continued in the next comment of its name. Common readers refuse lines of 1024 bytes.
 const MAX_COMMENT: usize = 400;
 
-/// Comments on where the surface comes from, on fields, and the volume's notices. Comments are ASCII.
+/// Returns comments on the surface's provenance and fields, and the volume's notices. Comments are ASCII.
 fn comments(mesh: &Mesh) -> String {
     let comment = |name: &str, text: &str| {
         let text = ascii(text);

@@ -44,7 +44,7 @@ fn start<W: Write + io::Seek>(package: &mut ZipWriter<W>, name: &str, bytes: u64
     Ok(package.start_file(name, options).map_err(io::Error::from)?)
 }
 
-/// Names of segments, and where they come from.
+/// Returns the names of the segments, and their provenance.
 fn properties(meshes: &[Mesh]) -> serde_json::Value {
     let ids: Vec<String> = (1..=meshes.len()).map(|segment| segment.to_string()).collect();
     let names: Vec<&str> = meshes.iter().map(|mesh| mesh.name.as_str()).collect();

@@ -1,4 +1,4 @@
-//! What is asked for of one file: step, format and options, beside any of the edit's names.
+//! The request for one file: step, format and options, beside any of the edit's names.
 
 use std::time::Duration;
 
@@ -185,7 +185,7 @@ impl FileOptions {
         Ok(())
     }
 
-    /// Whether the error of a view's surface is measured, and where that is refined.
+    /// Returns whether the error of a view's surface is measured, and which parts of the surface are refined.
     pub fn work(&self, view: &View) -> ExportWork {
         let refining = match self.clean {
             true => Refining::Everywhere,

@@ -54,7 +54,7 @@ impl Axis {
     }
 }
 
-/// What a slice comes as.
+/// File format of a slice.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum SliceFormat {
@@ -98,7 +98,7 @@ impl SliceFormat {
 /// How a slice is shown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SliceOptions {
-    /// What it comes as.
+    /// Its file format.
     pub format: SliceFormat,
     /// Isovalues of contours.
     pub isovalues: Vec<f32>,
@@ -113,7 +113,7 @@ pub struct SliceOptions {
 #[error("{0}")]
 pub struct BadSlice(String);
 
-/// Where a plane is.
+/// The plane of a slice: its field, and its position in the volume.
 #[derive(Clone, Debug)]
 pub struct Plane {
     /// The field that is shown.
@@ -280,7 +280,7 @@ impl Plane {
         )
     }
 
-    /// Where a place is in the plane's own coordinates: world units along its axes from the first sample.
+    /// Converts a place to the plane's own coordinates: world units along its axes from the first sample.
     fn in_plane(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let first = self.world([0.0; 2]);
         [
@@ -354,7 +354,7 @@ impl Plane {
 /// The isovalues of a list with commas between them.
 ///
 /// # Errors
-/// What is no number.
+/// An item that is not a number.
 pub fn isovalues(list: &str) -> Result<Vec<f32>, BadSlice> {
     let each = list.split(',').map(str::trim).filter(|text| !text.is_empty());
     each.map(|text| {

@@ -57,7 +57,7 @@ impl SurfaceLook {
     }
 }
 
-/// One of several surfaces of a file: any of the edit's names, where it differs from the file's.
+/// One of several surfaces of a file. It may have any of the edit's names; those that it has replace the file's.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct SurfaceOptions {
     /// What it is of, and what it looks like.

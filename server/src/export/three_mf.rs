@@ -103,7 +103,7 @@ fn model(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     text.flush(0)
 }
 
-/// Where the surfaces come from: names that the specification has, and others in a namespace of their own.
+/// Returns the provenance of the surfaces: names that the specification has, and others in a namespace of their own.
 fn metadata(meshes: &[Mesh]) -> String {
     let Some(first) = meshes.first() else {
         return String::new();

@@ -1,11 +1,11 @@
-//! What the triangles of a mesh say of its shape: vertices where sheets touch, whether it is closed, and the volume that it encloses.
+//! Topology of a mesh: vertices at which sheets touch, whether the mesh is closed, and the volume that it encloses.
 
 use super::Mesh;
 use crate::math::DVec3;
 
 /// Triangles around each vertex.
 pub(super) struct Around {
-    /// Where the triangles of each vertex begin, and behind the last one.
+    /// Offset in `triangles` of each vertex' first triangle, followed by the end of the last vertex' triangles.
     first: Vec<u32>,
     triangles: Vec<u32>,
 }
@@ -53,8 +53,8 @@ pub(super) struct Topology {
     pub is_closed: bool,
 }
 
-/// Splits each vertex at which several sheets touch, so that each sheet has one of its own: the triangles around a vertex are then connected by
-/// edges. Where sheets touch along an edge, the triangles that bound the same solid there are one sheet.
+/// Splits each vertex at which several sheets touch, so that each sheet has a vertex of its own: the triangles around a vertex are then
+/// connected by edges. If sheets touch along an edge, the triangles that bound the same solid at that edge are one sheet.
 pub(super) fn split_pinched(mesh: &mut Mesh) -> Topology {
     let mut split = 0;
     loop {

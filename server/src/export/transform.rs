@@ -10,7 +10,7 @@ use crate::volumes::Geometry;
 /// From lattice to world.
 pub(super) struct Transform<'a> {
     uneven: Option<(&'a UnevenAxes, MesherName)>,
-    /// Lengths of the cells in which the kernels make normals, where axes are uneven: the largest ones.
+    /// Lengths of the cells for which the kernels compute normals if axes are uneven: the largest ones.
     largest: DVec3,
     /// World position of the middle of the grid, to which positions are relative: they are small numbers however far the volume is from the
     /// world's origin, and 32 bits hold them.
@@ -19,15 +19,15 @@ pub(super) struct Transform<'a> {
     middle: DVec3,
     /// World length of one lattice unit along each axis.
     step: [DVec3; 3],
-    /// Transforms normals: inverse transpose of `direction` up to a factor. Equal to `direction` where that is a rotation or a
-    /// reflection, and correct for shears too.
+    /// Transforms normals: inverse transpose of `direction` up to a factor. Equal to `direction` if that is a rotation or a reflection, and
+    /// correct for shears too.
     normals: [DVec3; 3],
     /// Whether `direction` includes a reflection.
     pub mirrors: bool,
 }
 
 impl<'a> Transform<'a> {
-    /// `uneven`: the axes whose samples are not where `geometry` has them, and which mesher made the surface.
+    /// `uneven`: the axes whose samples are not evenly spaced as in `geometry`, and the mesher that made the surface.
     pub fn new(geometry: &Geometry, uneven: Option<(&'a UnevenAxes, MesherName)>) -> Self {
         let [x, y, z] = geometry.direction.map(DVec3::from);
         let cofactors = [y.cross(z), z.cross(x), x.cross(y)];
@@ -73,7 +73,7 @@ impl<'a> Transform<'a> {
         let normal = normal.map(f64::from);
         let normal = match self.uneven {
             None => normal,
-            // A gradient is larger where distances are shorter.
+            // The same difference of values is a larger gradient over a shorter distance.
             Some((uneven, mesher)) => {
                 let steps = gradient_steps(uneven, mesher, index_of(lattice));
                 (DVec3::from(normal) * self.largest / steps).to_array()
@@ -84,9 +84,9 @@ impl<'a> Transform<'a> {
     }
 }
 
-/// Lengths over which the gradient at a vertex was taken. Those of marching cubes are differences at the two samples of an edge of the grid.
-/// Those of the dual mesher are of the trilinear interpolant in the vertex' own cell: what is off there is the rounding to bytes in the
-/// largest cells, which weighs more where a cell is small.
+/// Returns the lengths over which the gradient at a vertex was taken. Marching cubes takes differences at the two samples of an edge of the
+/// grid. The dual mesher takes the gradient of the trilinear interpolant in the vertex' own cell: the remaining error is the rounding to
+/// bytes for the largest cells, which weighs more if a cell is small.
 fn gradient_steps(uneven: &UnevenAxes, mesher: MesherName, index: DVec3) -> DVec3 {
     match mesher {
         MesherName::MarchingCubes => uneven.difference_steps(index),

@@ -1,5 +1,5 @@
-//! Time steps that are read before anybody asks for them, as a viewer goes through them one by one. They take no memory from what is in use:
-//! neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open ([`Held`]).
+//! Read-ahead: loads time steps before a viewer reaches them, as it goes through them one by one. Read-ahead takes no memory from data in
+//! use: neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open ([`Held`]).
 
 use isopeel_kernels::{Error, RectilinearGrid, SampleType};
 use tokio_util::sync::CancellationToken;
@@ -15,13 +15,13 @@ use crate::view::View;
 use crate::volumes::VolumeStep;
 
 impl DeviceWorker {
-    /// A viewer has this time step open.
+    /// Marks a time step as open in a viewer until the returned guard is dropped.
     pub fn hold(&self, volume: &VolumeStep) -> Held {
         self.shared.ahead.hold(&volume.key())
     }
 
-    /// Brings the fields that views use onto the device, if they fit into `budget` bytes of what was read ahead and is not used yet, and
-    /// beside all that is in use. What has begun is finished unless `token` is cancelled, even if the future is dropped.
+    /// Loads the fields that views use onto the device, if they fit into the `budget` bytes of fields that were read ahead and are not used
+    /// yet, and beside all volumes in use. A load that has begun is finished unless `token` is cancelled, even if the future is dropped.
     ///
     /// # Errors
     /// The file's or the device's.
@@ -65,7 +65,8 @@ impl DeviceWorker {
         self.shared.ahead.is_open()
     }
 
-    /// Makes space for a field that is not resident. False where it is, or where others would have to go that are in use.
+    /// Makes space for a field that is not resident. Returns false if it is resident already, or if space would have to come from data in
+    /// use or from beyond the budget.
     async fn has_space_ahead(&self, volume: &VolumeStep, key: &VolumeKey, budget: u64) -> Result<bool, WorkError> {
         let (never, key, is_used) = (CancellationToken::new(), key.clone(), self.is_open());
         let grid = padded_grid(volume, key.padded)?;
@@ -79,7 +80,7 @@ impl DeviceWorker {
 }
 
 impl WorkerState {
-    /// Allocates a field that nobody asked for, if there is space for it; false where there is none.
+    /// Starts the upload of a field that is read ahead, if there is space for it; returns false if there is none.
     pub(super) fn begin_upload_ahead(
         &mut self,
         key: &VolumeKey,
@@ -102,8 +103,8 @@ impl WorkerState {
         }
     }
 
-    /// Evicts what is not in use until `bytes` fit: first what was read ahead and never used, beyond the budget; then others. False, and
-    /// nothing is evicted, where that is not enough.
+    /// Evicts volumes that are not in use until `bytes` fit: first those that were read ahead and never used, oldest first, until they and
+    /// the new one keep the budget; then others. Returns false, and evicts nothing, if that cannot free enough.
     pub(super) fn make_space_ahead(&mut self, bytes: u64, budget: u64, is_used: &dyn Fn(&VolumeKey) -> bool) -> bool {
         let pins = &self.pins;
         let stays = |key: &VolumeKey| pins.holds(key) || is_used(key);

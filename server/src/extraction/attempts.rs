@@ -1,4 +1,4 @@
-//! A job that is run until it has a result: its volumes are loaded, it is queued again as a long one, or on a device that was opened again.
+//! Retries a job until it has a result: after its volumes were loaded, as a long job, or on a device that was reopened.
 
 use std::pin::Pin;
 
@@ -12,15 +12,16 @@ use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::volumes::VolumeStep;
 
-/// How often a request's job is queued before it gets [`WorkError::Busy`]. Once more after its volumes were loaded: they are pinned, but
-/// where the device runs out of memory all but those of the running job are evicted; and once more after histograms were made. Viewers try on.
+/// How often a request's job is queued before it fails with [`WorkError::Busy`]. It is queued again after its volumes were loaded (they are
+/// pinned, but if the device runs out of memory, all volumes except those of the running job are evicted), and after histograms were made.
+/// Jobs of viewers and of caches are retried without a limit.
 const MAX_REQUEST_ATTEMPTS: usize = 6;
 
-/// How often a job is queued again that a device was lost with: one that loses each device it runs on is given up.
+/// How often a job is queued again after the device was lost while it ran: a job that loses every device it runs on is given up.
 const MAX_LOSSES: usize = 1;
 
 impl DeviceWorker {
-    /// Runs a job, and again after loading the volumes that were not resident, as a long one, or on a device that was opened again.
+    /// Runs a job; runs it again after loading volumes that were not resident, as a long job, or on a device that was reopened.
     pub(super) async fn with_volumes<T, F>(
         &self,
         volume: &VolumeStep,
@@ -49,7 +50,7 @@ impl DeviceWorker {
                 Ok(value) => return Ok(value),
                 Err(JobError::Failed(error)) => error,
                 Err(JobError::NotResident { needed, budget }) => {
-                    // Who waits for other pins holds none.
+                    // A caller that waits for pins holds none, so callers cannot deadlock.
                     drop(_pin.take());
                     match self.load_pinned(volume, needed, budget, token).await {
                         Ok(pin) => {
@@ -60,7 +61,7 @@ impl DeviceWorker {
                     }
                 }
                 Err(JobError::NeedsHistograms(keys)) => {
-                    // They pin what they are made of.
+                    // Histograms pin the fields that they are made of.
                     drop(_pin.take());
                     match self.make_histograms(volume, keys, token).await {
                         Ok(()) => continue,
@@ -103,7 +104,7 @@ impl DeviceWorker {
         })
     }
 
-    /// Loads fields that are not resident, and pins them until what is returned is dropped.
+    /// Loads fields that are not resident, and pins them until the returned guard is dropped.
     pub(super) async fn load_pinned(
         &self,
         volume: &VolumeStep,

@@ -1,15 +1,15 @@
-//! How many triangles a budget of bytes allows, from surfaces that were encoded to find out. Pure.
+//! Finds how many triangles a budget of bytes allows, from trial surfaces that were encoded. Pure functions.
 
-/// Bytes a triangle takes on the wire, to begin with: between a smooth surface's 4 and a noisy one's 7.
+/// Bytes of a triangle on the wire, assumed for the first trial: between a smooth surface's 4 and a noisy one's 7.
 const FIRST_BYTES_PER_TRIANGLE: f64 = 5.0;
 
-/// Bytes that a region takes however few its triangles are: header, beginnings of the codecs' streams, ghosts.
+/// Bytes of a region with few triangles: header, beginnings of the codecs' streams, ghosts.
 const BYTES_OF_REGION: f64 = 144.0;
 
 /// A budget counts as filled from this share on.
 const FILLED: f64 = 0.85;
 
-/// What the second trial aims at: the middle of what counts as filled.
+/// Share of the budget that the second trial aims at: the middle of the range that counts as filled.
 const AIM: f64 = (1.0 + FILLED) / 2.0;
 
 /// Share of the budget up to which regions without triangles are allowed for; above it an estimate is worth less, and so aims lower, by
@@ -17,7 +17,7 @@ const AIM: f64 = (1.0 + FILLED) / 2.0;
 const LARGE_REGIONS: f64 = 0.25;
 const CAUTION: f64 = 0.3;
 
-/// A trial after two that are above the budget has at most this part of their triangles.
+/// If two trials exceed the budget, the next one has at most one in so many of their triangles.
 const SHRINK: u64 = 4;
 
 /// A surface that was encoded.
@@ -31,8 +31,8 @@ pub(super) struct Trial {
     pub regions: u64,
 }
 
-/// Triangles of the surface to try next; `None`: the search is over. Two trials are enough, unless both are above the budget. Then it goes
-/// on, because a budget is a promise.
+/// Returns the triangles of the surface to try next; `None` if the search is over. Two trials suffice unless both exceed the budget. Then
+/// the search continues, because a budget is a promise.
 pub(super) fn next_triangles(budget: u64, trials: &[Trial]) -> Option<u64> {
     let is_kept = |trial: &Trial| trial.bytes <= budget;
     let is_filled = |trial: &Trial| is_kept(trial) && trial.bytes as f64 >= FILLED * budget as f64;
@@ -48,20 +48,20 @@ pub(super) fn next_triangles(budget: u64, trials: &[Trial]) -> Option<u64> {
     }
 }
 
-/// The best of the trials that keep the budget, by its place.
+/// Returns the index of the best trial that keeps the budget.
 pub(super) fn best(budget: u64, trials: &[Trial]) -> Option<usize> {
     let kept = trials.iter().enumerate().filter(|(_, trial)| trial.bytes <= budget);
     kept.max_by_key(|(_, trial)| trial.bytes).map(|(place, _)| place)
 }
 
-/// Triangles that fill the budget, if each takes as many bytes as in the trial, whose regions stay.
+/// Estimates the triangles that fill the budget, if a triangle takes as many bytes as in the trial, and the number of regions stays.
 fn estimate(budget: u64, trial: &Trial) -> u64 {
     let budget = budget as f64;
     let regions = BYTES_OF_REGION * trial.regions as f64;
     let of_triangles = (trial.bytes as f64 - regions).max(1.0);
     let aim = (AIM - CAUTION * (regions / budget - LARGE_REGIONS).max(0.0)) * budget;
     let triangles = (aim - regions) / of_triangles * trial.triangles as f64;
-    // Where regions alone are too many bytes, fewer triangles have fewer regions.
+    // If the bytes of the regions alone exceed the aim, the next trial has fewer triangles, which lie in fewer regions.
     let fewest = (trial.triangles / SHRINK).max(1);
     if regions < aim {
         (triangles as u64).max(1)

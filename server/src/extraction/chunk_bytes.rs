@@ -1,4 +1,4 @@
-//! About how many bytes meshes are in chunks.
+//! Estimates of the bytes that meshes take in chunks.
 
 /// Bytes of a chunk without its triangles: headers of chunk and codecs.
 const CHUNK_BYTES: u64 = 160;

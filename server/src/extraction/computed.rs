@@ -1,4 +1,4 @@
-//! Fields that the device computes from others.
+//! Fields that the device computes from other fields.
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -39,7 +39,7 @@ impl WorkerState {
         let limit = TimeLimit::of(self.request_time, payer)?;
         self.use_fields(volume, &inputs)?;
         let resident = |input: &VolumeKey| self.volumes.peek(input).map(Rc::clone).ok_or(WorkError::Stopped);
-        // Held, so that none of them goes.
+        // Held, so that none of them is freed meanwhile.
         let fields = inputs.iter().map(resident).collect::<Result<Vec<_>, _>>()?;
         let fields: Vec<&Volume> = fields.iter().map(|field| &**field).collect();
         let bytes = self.make_space(volume, key, &recipe)?;
@@ -70,7 +70,7 @@ impl WorkerState {
             payer.take(time, Instant::now());
         }
         let computed = match computed {
-            // The host masks until the device's check has come to this stage.
+            // The host masks until the device's check has reached this stage.
             Err(Error::NotYet(_)) if is_mask => return Ok(false),
             Err(Error::Cancelled) if limit.is_over(time) => return Err(limit.error(payer).into()),
             computed => computed?,
@@ -92,7 +92,7 @@ impl WorkerState {
     fn make_space(&mut self, volume: &VolumeStep, key: &VolumeKey, recipe: &Recipe) -> Result<u64, JobError> {
         let bytes = self.bytes_of(volume, std::slice::from_ref(key))?;
         let bytes: u64 = bytes.iter().map(|(_, bytes)| bytes).sum();
-        // Distances are made in two fields in turns.
+        // Distances are computed in two fields by turns.
         let is_distance = matches!(recipe, Recipe::Expression(found) if found.is_distance);
         let held = if is_distance { 2 * bytes } else { bytes };
         self.evict_for(held + self.upload_bytes());
@@ -107,7 +107,7 @@ impl WorkerState {
 #[derive(Clone, Copy)]
 struct TimeLimit {
     request: Option<Duration>,
-    /// What its user has left.
+    /// Time that its user has left.
     user: Option<Duration>,
 }
 
@@ -145,7 +145,7 @@ impl TimeLimit {
     }
 }
 
-/// Cancellation of a field's computation: by its job, with its last caller, or by its time.
+/// Cancellation of a field's computation: by its job, when its last caller is gone, or when its time is over.
 struct Wanted<'a> {
     cancel: &'a dyn Cancel,
     progress: &'a ReadProgress,
@@ -159,7 +159,7 @@ impl Cancel for Wanted<'_> {
     }
 }
 
-/// There is nothing that distances would be to.
+/// The error that no sample is inside, so that there are no distances.
 pub(super) fn nothing_inside(key: &VolumeKey) -> EditError {
     EditError {
         field: "feature",

@@ -1,4 +1,4 @@
-//! Cuts of cubes to a view: fitted to its budget, and refused where their surface would be too large.
+//! Cuts of cubes for a view: fitted to its budget, and refused if their surface would be too large.
 
 use isopeel_kernels::{Cancel, Cut, CutParams, Error, Level, Topology};
 
@@ -11,11 +11,11 @@ use crate::view::quality::{Fitted, TopologyName};
 const MAX_TRIANGLES_PER_LEAF: u64 = 24;
 
 impl OnDevice<'_> {
-    /// The cut of cubes of a view, and its parameters. Fits a budget of triangles, anew where it was fitted to a vertex tree that is not there any
-    /// more; ignores a budget of bytes that is not fitted.
+    /// Returns the cut of cubes of a view, and its parameters. Fits a budget of triangles, and does so again if the existing fit is one of
+    /// the vertex tree, which is gone. Ignores a budget of bytes that has not been fitted.
     ///
     /// # Errors
-    /// [`WorkError::OverBudget`] where the smallest cut is above the budget, and the device's errors.
+    /// [`WorkError::OverBudget`] if the smallest cut exceeds the budget, and the device's errors.
     fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), WorkError> {
         let budget = view.max_triangles(self.pyramid.full_triangles());
         let fitted = view.fitted.filter(|fitted| !fitted.is_tree_cut);
@@ -55,7 +55,7 @@ impl OnDevice<'_> {
         Ok((params, cut))
     }
 
-    /// As [`OnDevice::target`], refused where its surface would have more than `ceiling` triangles. A view that is refused is as it was.
+    /// As [`OnDevice::target`], but refuses a surface of more than `ceiling` triangles. The view is unchanged if it is refused.
     ///
     /// # Errors
     /// [`WorkError::TooManyTriangles`], and those of [`OnDevice::target`].
@@ -72,7 +72,7 @@ impl OnDevice<'_> {
         Ok((params, cut))
     }
 
-    /// Triangles of the smallest surface of cubes that is not empty, which none within the budget is.
+    /// Returns the triangles of the smallest surface of cubes that is not empty, given that every surface within the budget is empty.
     fn smallest(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<u64, Error> {
         let mut asked = budget;
         while asked < self.pyramid.full_triangles() {
@@ -100,7 +100,8 @@ impl OnDevice<'_> {
         Ok((params.clone(), cut, triangles))
     }
 
-    /// Refuses a surface of more than `ceiling` triangles before it is made. Counts only where the leaves do not decide.
+    /// Refuses a surface of more than `ceiling` triangles before it is made. Counts triangles only if the number of leaves does not settle
+    /// it.
     fn check_ceiling(&self, cut: &Cut, ceiling: u64, cancel: &dyn Cancel) -> Result<(), WorkError> {
         if cut.leaves().iter().sum::<u64>().saturating_mul(MAX_TRIANGLES_PER_LEAF) <= ceiling {
             return Ok(());

@@ -1,4 +1,4 @@
-//! Cuts that are kept, by their ids.
+//! Cache of cuts, by their ids.
 
 use std::rc::Rc;
 
@@ -7,8 +7,8 @@ use isopeel_kernels::Cut;
 use super::CutId;
 use super::residency::Lru;
 
-/// Cuts that stay whatever they take, so that a large volume's surface changes region by region too: the one that a client shows, the one
-/// that it is on the way to, and that of the next step.
+/// Number of the latest cuts that are kept whatever their size, so that a large volume's surface changes region by region too: the one that
+/// a client shows, its target, and that of the next step.
 const MIN_CUTS: usize = 3;
 
 /// Cuts that clients show or are on the way to.
@@ -17,7 +17,8 @@ pub(super) struct Cuts {
 }
 
 impl Cuts {
-    /// Keeps cuts of at most `budget` bytes, and the latest ones anyway: where one was let go, a client's next surface is made as a whole.
+    /// Keeps cuts of at most `budget` bytes in total, but always the latest [`MIN_CUTS`]. If a client's cut was evicted, its next surface
+    /// is made in full.
     pub(super) fn new(budget: u64) -> Self {
         Self {
             kept: Lru::new(budget).keeping(MIN_CUTS),

@@ -1,4 +1,4 @@
-//! What is decided of a view that an error or a budget decides: a cut of the vertex tree, a cut of cubes, or a refusal.
+//! Outcome for a view that an error or a budget decides: a cut of the vertex tree, a cut of cubes, or a refusal.
 
 use std::rc::Rc;
 
@@ -12,12 +12,12 @@ pub(super) enum Decided {
     Cubes {
         params: CutParams,
         cut: Rc<Cut>,
-        /// The tree was not tried yet.
+        /// The tree has not been tried yet.
         can_improve: bool,
     },
 }
 
-/// Of two refusals of a view the one that asks for less: of the cut of the tree, if there is a tree, and of that of cubes.
+/// Returns the one of two refusals of a view that asks for less: of the cut of the tree, if there is a tree, and of the cut of cubes.
 pub(super) fn lesser(tree: Option<WorkError>, cubes: WorkError) -> WorkError {
     match (&tree, &cubes) {
         (Some(WorkError::OverBudget { minimum, .. }), WorkError::OverBudget { minimum: of_cubes, .. })
@@ -35,10 +35,10 @@ pub(super) fn lesser(tree: Option<WorkError>, cubes: WorkError) -> WorkError {
     tree.unwrap_or(cubes)
 }
 
-/// What became of a cut of the vertex tree to a view.
+/// Outcome of cutting the vertex tree for a view.
 pub(super) enum TreeCut {
     Made(Surface),
-    /// Even the smallest cut within the guards is above the budget, or above the server's limit.
+    /// Even the smallest cut that keeps the guards exceeds the budget or the server's limit.
     Refused(WorkError),
     /// There is no space for a tree on this device.
     NoTree,

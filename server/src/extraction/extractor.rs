@@ -18,7 +18,8 @@ use crate::view::View;
 use crate::view::quality::{Budget, Fitted, MesherName, TriangleBudget};
 use crate::volumes::VolumeStep;
 
-/// Bytes of a surface in the encoding of the stream; `None` where it is cancelled before. A function, because the encoder is in a layer above.
+/// Returns the bytes of a surface in the encoding of the stream; `None` if it is cancelled before the end. A function pointer, because the
+/// encoder belongs to a higher layer.
 pub type EncodedBytes = fn(&Surface, &(dyn Fn() -> bool + Sync)) -> Result<Option<u64>, BoxError>;
 
 /// Makes surfaces that keep budgets and limits. Clones are cheap.
@@ -39,7 +40,7 @@ impl Extractor {
         }
     }
 
-    /// The same with [`DeviceWorker::paid_by`].
+    /// Returns the same extractor with [`DeviceWorker::paid_by`].
     #[must_use]
     pub fn paid_by(&self, user: Option<&str>) -> Self {
         Self {
@@ -69,7 +70,7 @@ impl Extractor {
     /// A step from the surface that a client shows to that of a view.
     ///
     /// # Errors
-    /// [`WorkError::TooManyTriangles`] where the final surface is above the ceiling, and the device's errors.
+    /// [`WorkError::TooManyTriangles`] if the final surface exceeds the ceiling, and the device's errors.
     pub async fn refine(
         &self,
         volume: &VolumeStep,
@@ -82,8 +83,8 @@ impl Extractor {
             .await
     }
 
-    /// The final surface of a view once more, as a cut of the vertex tree, which takes longer to build: for a viewer that rests. `None`
-    /// where there is no better one.
+    /// Makes the final surface of a view once more, as a cut of the vertex tree, which takes longer to build: for a viewer at rest. `None`
+    /// if there is no better surface.
     ///
     /// # Errors
     /// As [`Extractor::refine`].
@@ -97,8 +98,8 @@ impl Extractor {
             .await
     }
 
-    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one. `None`: of the marching-cubes mesher,
-    /// and where no triangle is left, nothing is measured.
+    /// Measures how far the final surface of a view, whose budget is fitted, is from the undecimated one. `None` for surfaces of the
+    /// marching-cubes mesher, and if the surface has no triangles.
     ///
     /// # Errors
     /// As [`Extractor::refine`].
@@ -142,7 +143,7 @@ impl Extractor {
         self.extract_with(volume, view, work, token).await
     }
 
-    /// As [`Extractor::extract`], measured and refined as it is said.
+    /// As [`Extractor::extract`], measured and refined as `work` says.
     ///
     /// # Errors
     /// As [`Extractor::refine`].
@@ -175,7 +176,7 @@ impl Extractor {
         extraction.wall += planning;
         if let Measuring::Within(limit) = work.measuring {
             let measured = async {
-                // A refined cut is not kept, so it is made once more.
+                // A refined cut is not kept, so it has to be made again.
                 if extraction.refined.is_some() {
                     let again = make(true).await?;
                     return Ok(again.statistics(volume, "").error);
@@ -184,7 +185,7 @@ impl Extractor {
                 let measured = self.measure_for(caller, volume, &extraction.view, token).await?;
                 Ok::<_, WorkError>(measured.map(|measurement| measurement.whole))
             };
-            // Dropped at the limit, which cancels it.
+            // The time-out drops the future, which cancels the job.
             if let Ok(measured) = tokio::time::timeout(limit, measured).await {
                 extraction.measured = measured?;
             }
@@ -192,7 +193,7 @@ impl Extractor {
         Ok(extraction)
     }
 
-    /// The view with what keeps its budget of bytes, if it has one.
+    /// Returns the view with the fit that keeps its budget of bytes, if it has one.
     async fn with_fitted_bytes(
         &self,
         caller: Caller,
@@ -207,11 +208,11 @@ impl Extractor {
         Ok(view)
     }
 
-    /// Finds how many triangles, and with them which threshold, take `budget` bytes on the wire: makes a surface, measures it and
-    /// corrects.
+    /// Finds how many triangles, and thus which threshold, take `budget` bytes on the wire: makes a surface, measures its bytes and
+    /// corrects the estimate.
     ///
     /// # Errors
-    /// [`WorkError::OverBytes`] where no surface keeps the budget, and the device's errors.
+    /// [`WorkError::OverBytes`] if no surface keeps the budget, and the device's errors.
     async fn fit_bytes(
         &self,
         caller: Caller,
@@ -221,7 +222,7 @@ impl Extractor {
         token: &CancellationToken,
     ) -> Result<Fitted, WorkError> {
         let (mut trials, mut made): (Vec<Trial>, Vec<Fitted>) = (Vec::new(), Vec::new());
-        // Of triangles, once it is known.
+        // Minimum triangles, once it is known.
         let mut minimum = 0;
         while let Some(triangles) = next_triangles(budget, &trials) {
             let asked = triangles.max(minimum);
@@ -292,8 +293,8 @@ impl Extractor {
         .await
     }
 
-    /// Makes a surface that the host has memory for, of no more triangles than the server's limit.
-    /// Where it has not, caches are evicted and it is made once more.
+    /// Makes a surface that the host has memory for, of no more triangles than the server's limit. If memory is short, evicts caches and
+    /// retries once.
     async fn within_memory<T, F>(&self, make: impl Fn(u64) -> F) -> Result<T, WorkError>
     where
         F: Future<Output = Result<T, WorkError>>,

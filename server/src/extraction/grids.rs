@@ -1,4 +1,4 @@
-//! Where samples are, as the device knows it.
+//! Positions of samples as the device knows them.
 
 use isopeel_kernels::{Grid, RectilinearGrid};
 

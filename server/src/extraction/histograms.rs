@@ -1,5 +1,5 @@
-//! Histograms, made a slice at a time between other jobs: an edit waits for one slice at most, some milliseconds, however large the
-//! volume is. Callers of the same histogram share the work; it pauses when all of them are gone, and the next caller goes on with it.
+//! Histograms, made a slice at a time between other jobs: an edit waits for one slice at most, some milliseconds, however large the volume
+//! is. Callers of the same histogram share the work. It pauses when all of them are gone, and the next caller continues it.
 
 use isopeel_kernels::{Histogram, HistogramWork};
 use tokio_util::sync::CancellationToken;
@@ -14,7 +14,7 @@ use crate::metrics;
 use crate::view::FeatureName;
 use crate::volumes::VolumeStep;
 
-/// How often a slice is tried again that a device was lost with.
+/// How often a slice is retried after the device was lost while it ran.
 const MAX_LOSSES: usize = 1;
 
 impl DeviceWorker {
@@ -82,7 +82,7 @@ impl DeviceWorker {
         }
     }
 
-    /// Does the next slice: the work after it, and the histogram if it is complete.
+    /// Runs the next slice; returns the remaining work, and the histogram if it is complete.
     async fn histogram_slice(
         &self,
         volume: &VolumeStep,
@@ -108,7 +108,8 @@ impl WorkerState {
         }
     }
 
-    /// Does the next slice of a histogram of a resident field, or of a feature derived from it. The histogram, if it is complete; cached then.
+    /// Runs the next slice of a histogram of a resident field, or of a feature derived from it. Returns the histogram, which is then
+    /// cached, if it is complete.
     fn continue_histogram(
         &mut self,
         volume: &VolumeStep,

@@ -1,4 +1,4 @@
-//! Whether this machine has memory for a volume or a surface, asked before it is allocated: the system ends a process that has taken too
+//! Checks whether this machine has memory for a volume or a surface before it is allocated: the system kills a process that has taken too
 //! much, and with it every viewer's connection.
 
 use std::sync::OnceLock;
@@ -8,18 +8,18 @@ use std::time::Duration;
 use super::WorkError;
 use super::memory::resident_bytes;
 
-/// Memory that is left to what is not asked for: sockets, frames in queues, the driver, other programs.
+/// Memory that is left for allocations without a check: sockets, frames in queues, the driver, other programs.
 const RESERVE_BYTES: u64 = 256 << 20;
 
 /// Bytes on the host for each triangle of a surface: its region meshes (24 a vertex, 12 a triangle), and what is made of them, chunks or an
 /// export's mesh. Measured: 80 to 100.
 const BYTES_PER_TRIANGLE: u64 = 100;
 
-/// Pieces of so many bytes go back to the system when they are freed.
+/// Minimum bytes of allocations that return to the system as soon as they are freed.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGE_PIECE: i32 = 1 << 20;
 
-/// How often what is free between what is used goes back.
+/// How often free pages between allocations are returned.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const TRIM_INTERVAL: Duration = Duration::from_secs(30);
 
@@ -32,10 +32,10 @@ pub fn limit_host_memory(bytes: u64) {
     let _ = LIMIT.set(bytes);
 }
 
-/// Has glibc give freed memory back to the system. Large pieces it takes from there one by one: by itself it does so from 128 KiB on until such
-/// pieces are freed, then from up to 32 MiB on; a driver's buffers on a CPU lie in its heaps then, where what is between them keeps those that
-/// are freed. Of smaller ones the pages that are free go back every half a minute: in ten minutes of many viewers they had become
-/// 0.1 GB. Once, before any work.
+/// Makes glibc return freed memory to the system. To be called once, before any work. Pieces of 1 MiB or more are mapped one by one, and
+/// unmapped when they are freed. By default glibc does so from 128 KiB on, but once such pieces are freed it raises the threshold to up to
+/// 32 MiB: a driver's buffers on a CPU then lie in its heaps, where live pieces between them keep freed ones from the system. Free pages
+/// between smaller pieces are returned every 30 s: in ten minutes of many viewers they had grown to 0.1 GB.
 pub fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
@@ -47,7 +47,7 @@ pub fn return_freed_memory() {
                 trim_heaps();
             }
         };
-        // Without that thread the process takes more memory, and no more.
+        // Without that thread the process only takes more memory.
         if let Err(error) = std::thread::Builder::new().name("isopeel-trim".into()).spawn(trim) {
             tracing::warn!(%error, "freed memory is kept");
         }
@@ -66,9 +66,9 @@ pub(super) fn trim_heaps() {
 /// Memory of the host, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct HostMemory {
-    /// What the process can take beside what it has.
+    /// Bytes that the process can take in addition to what it has.
     available: u64,
-    /// What it could take if nothing of it were in use.
+    /// Bytes that it could take if none of it were in use.
     total: u64,
 }
 
@@ -80,12 +80,12 @@ impl HostMemory {
         limits.into_iter().flatten().fold(Self::UNKNOWN, Self::minimum)
     }
 
-    /// Bytes that the process could hold at most; `u64::MAX` where nothing says.
+    /// Bytes that the process may hold at most; `u64::MAX` if no limit is known.
     pub(super) fn total(self) -> u64 {
         self.total
     }
 
-    /// Where nothing says how much there is, all is admitted.
+    /// No limit is known: everything is admitted.
     const UNKNOWN: Self = Self {
         available: u64::MAX,
         total: u64::MAX,
@@ -112,10 +112,10 @@ impl HostMemory {
             .saturating_sub(self.available)
     }
 
-    /// Whether so many bytes may be allocated.
+    /// Checks whether so many bytes may be allocated.
     ///
     /// # Errors
-    /// [`WorkError::HostBusy`] where they may be later, [`WorkError::TooLargeForHost`] where they never may.
+    /// [`WorkError::HostBusy`] if they may be later, [`WorkError::TooLargeForHost`] if they never may.
     pub(super) fn admit(self, needed_bytes: u64) -> Result<(), WorkError> {
         if needed_bytes <= self.available.saturating_sub(RESERVE_BYTES) {
             return Ok(());
@@ -136,7 +136,7 @@ impl HostMemory {
         self.available.saturating_sub(RESERVE_BYTES) / BYTES_PER_TRIANGLE
     }
 
-    /// A refusal for want of triangles, where it is memory that allows no more.
+    /// Replaces the error that a surface has too many triangles by one about memory, if memory has lowered the ceiling.
     pub(super) fn explain(self, error: WorkError, ceiling_triangles: u64) -> WorkError {
         match error {
             WorkError::TooManyTriangles { triangles, ceiling } if ceiling < ceiling_triangles => {
@@ -151,7 +151,7 @@ impl HostMemory {
     }
 }
 
-/// What Linux says of the machine.
+/// Returns what Linux reports of the machine.
 fn system() -> Option<HostMemory> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let bytes = |name: &str| -> Option<u64> {
@@ -164,7 +164,8 @@ fn system() -> Option<HostMemory> {
     })
 }
 
-/// What the control group of a container leaves. Caches of files in it are freed where memory is needed.
+/// Returns what the control group of a container leaves. Inactive caches of files count as free: the system drops them when memory is
+/// needed.
 fn control_group() -> Option<HostMemory> {
     let read = |name: &str| std::fs::read_to_string(format!("/sys/fs/cgroup/memory.{name}")).ok();
     let limit = read("max")?.trim().parse().ok()?;

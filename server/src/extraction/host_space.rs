@@ -1,5 +1,5 @@
-//! Makes space on the host for what is to be allocated there, where the device is this machine's processors: whatever can be loaded or computed
-//! again is evicted before anything is refused.
+//! Makes space for allocations on the host if the device is this machine's processors: whatever can be loaded or computed again is evicted
+//! before an allocation is refused.
 
 use isopeel_kernels::DeviceKind;
 use tokio_util::sync::CancellationToken;
@@ -10,10 +10,10 @@ use super::turns::{Caller, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
 
-/// What fields leave to the next surfaces, as far as these may keep so much.
+/// Memory that fields leave free for the next surfaces, within the limit of what surfaces may keep.
 const SURFACE_RESERVE_BYTES: u64 = 128 << 20;
 
-/// Bytes to leave free beyond those that are needed, and what evicts at least a number of bytes, if it has that many.
+/// Bytes to leave free beyond those that are needed, and a function that evicts at least so many bytes, if there are so many.
 type Eviction = (u64, fn(&mut WorkerState, u64));
 
 impl DeviceWorker {
@@ -61,7 +61,7 @@ impl WorkerState {
             let missing = memory.missing(needed_bytes.saturating_add(reserve));
             if missing > 0 {
                 evict(self, missing);
-                // What was freed is memory of the host again once the pool has let it go.
+                // Freed buffers are the host's memory again once the engine's pool has released them.
                 self.engine().release_idle();
                 memory = HostMemory::now();
             }

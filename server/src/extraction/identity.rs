@@ -1,4 +1,4 @@
-//! Identity of full surfaces and of views. Whatever is remembered of a surface, is remembered by one of these keys: cached pyramids and
+//! Identity of full surfaces and of views. Everything that is stored about a surface is stored by one of these keys: cached pyramids and
 //! trees, counts, steps that viewers share, what a client is shown. Keys are compared and hashed by value; clones are cheap.
 
 use std::sync::Arc;
@@ -11,15 +11,15 @@ use crate::view::quality::{Budget, Distance, Fitted, MaxError, MesherName, Share
 use crate::view::{ChosenPartsJson, FeatureName, InterestJson, TransferFunctionJson, View};
 use crate::volumes::VolumeStep;
 
-/// The last number of an engine.
+/// Number of the last engine.
 static LAST_ENGINE: AtomicU64 = AtomicU64::new(0);
 
-/// A device since it was opened: one that was lost and opened again is another engine.
+/// Identity of an opened device: a device that was lost and reopened is another engine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct EngineId(u64);
 
 impl EngineId {
-    /// The engine of a device that is opened now. No other one of the process has this id.
+    /// Returns the id of a device that is opened now, which is unique in the process.
     pub(super) fn new() -> Self {
         Self(LAST_ENGINE.fetch_add(1, Ordering::Relaxed) + 1)
     }
@@ -35,7 +35,7 @@ impl EngineId {
     }
 }
 
-/// Bits that are equal where the numbers are: both zeros have the same.
+/// Returns bits that are equal if the numbers are equal: both zeros have the same.
 fn bits(number: f32) -> u32 {
     (number + 0.0).to_bits()
 }
@@ -49,7 +49,7 @@ fn long_bits(number: f64) -> u64 {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct CrossingKey {
     samples: VolumeKey,
-    /// `None` where the field has no finite sample to choose one from.
+    /// `None` if the field has no finite sample to choose an isovalue from.
     iso: Option<u32>,
 }
 
@@ -173,7 +173,8 @@ struct InterestKey {
     importance: u32,
 }
 
-/// Identity of a resolved view: its full surface, and all that decides how much of it is decimated where. Colours belong to clients.
+/// Identity of a resolved view: its full surface, and everything that decides how much each part of it is decimated. Colours belong to
+/// clients.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct ViewKey(Arc<ViewParts>);
 

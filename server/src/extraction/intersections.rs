@@ -1,4 +1,4 @@
-//! Where triangles of a surface intersect, so that it is refined there.
+//! Finds the places at which triangles of a surface intersect, so that it is refined there.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -8,10 +8,10 @@ use isopeel_kernels::{Cancel, Error, REGION_CELLS, Region, RegionVertex, Vertex}
 
 use crate::pool;
 
-/// How often the device's thread lets others run while it waits.
+/// How often the device's thread yields to other jobs while it waits.
 const YIELD_INTERVAL: Duration = Duration::from_millis(1);
 
-/// The faces that a capped volume closes surfaces at.
+/// The faces at which a capped volume closes surfaces.
 #[derive(Clone, Copy)]
 pub(super) struct CapFaces {
     /// Last sample before the padding along each axis; the first one is 1.
@@ -35,7 +35,8 @@ impl CapFaces {
     }
 }
 
-/// The vertices of triangles that intersect others; if there are `faces`, of pairs with a corner near one. Triangles are tested on the processors, and meanwhile the device's thread lets others run.
+/// Returns the vertices of triangles that intersect others; if there are `faces`, only of pairs with a corner near one. Triangles are
+/// tested on the processors; meanwhile the device's thread yields to other jobs.
 ///
 /// # Errors
 /// [`Error::Cancelled`].
@@ -61,7 +62,7 @@ pub(super) fn intersecting_vertices(
     })
 }
 
-/// On the lattice, where positions are exact. Vertices of different regions at one position are one there.
+/// Searches on the lattice, on which positions are exact. Vertices of different regions at the same position count as one.
 fn find(
     regions: &[Region],
     faces: Option<CapFaces>,

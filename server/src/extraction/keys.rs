@@ -6,7 +6,7 @@ use super::WorkError;
 use crate::view::{EditError, FeatureName, FieldExpression, Mask, View};
 use crate::volumes::{Field, StepKey, VolumeStep};
 
-/// Derived features whose values every description has. Others take longer, and are described where someone used them.
+/// Derived features whose values every description has. Others take longer, and are described only once a view has used them.
 pub(super) const ALWAYS_DESCRIBED: &[DerivedFeature] = &[DerivedFeature::GradientMagnitude];
 
 /// One time step of one field, padded by a sample on every side or not.
@@ -16,7 +16,7 @@ pub(super) struct VolumeKey {
     pub field: String,
     /// Whether the samples are padded before they go to the device.
     pub padded: bool,
-    /// Samples outside are missing.
+    /// Samples outside the mask are missing.
     pub mask: Option<Mask>,
 }
 
@@ -38,7 +38,7 @@ impl VolumeKey {
         }
     }
 
-    /// The mask with the description of its field, where there is one.
+    /// Returns the mask with the description of its field, if this field is masked.
     pub(super) fn mask_of(&self, volume: &VolumeStep) -> Result<Option<(Mask, Field)>, WorkError> {
         let Some(mask) = &self.mask else { return Ok(None) };
         let labels = Self::new(volume, &mask.field, false).field_of(volume)?;
@@ -66,8 +66,8 @@ impl VolumeKey {
 }
 
 impl VolumeKey {
-    /// How a field is made that is made on the device, and the keys of the fields that it is made of. One that is padded or smoothed is made on
-    /// the host.
+    /// Returns how the device makes a field, and the keys of the fields that it is made of; `None` if it does not. A field that is padded
+    /// or smoothed is made on the host.
     pub(super) fn recipe(&self, volume: &VolumeStep) -> Option<(Recipe, Vec<Self>)> {
         if self.padded {
             return None;
@@ -90,11 +90,11 @@ impl VolumeKey {
 pub(super) enum Recipe {
     /// By an expression.
     Expression(FieldExpression),
-    /// From a field and the one of the mask, whose description this is: what is outside is missing.
+    /// From a field and the label field of the mask, described here: samples outside are missing.
     Mask(Mask, Field),
 }
 
-/// Where fields are masked.
+/// Whether fields are masked on the device or on the host.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Masking {
     /// On the device, which has the field and the labels too.
@@ -109,7 +109,7 @@ pub(super) fn values_inside(mask: &Mask, labels: &Field) -> ValueSet {
     mask.by_ranks(|number| Some(ranks.as_ref()?.position(number))).values()
 }
 
-/// Keys with those of the fields that others among them are made of on the device, each once, before what is made of them.
+/// Returns the keys with those of the fields from which the device makes them, each once, and inputs before the fields made from them.
 pub(super) fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey], masking: Masking) -> Vec<VolumeKey> {
     let mut all: Vec<VolumeKey> = Vec::new();
     for key in keys {

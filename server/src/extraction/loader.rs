@@ -1,4 +1,4 @@
-//! Brings fields onto the device: files are read on tokio's blocking pool, never on the device's thread, and go there in pieces.
+//! Loads fields onto the device: files are read on tokio's blocking pool, never on the device's thread, and sent there in pieces.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -19,12 +19,12 @@ use crate::pool::ReadPool;
 use crate::view::Mask;
 use crate::volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
-/// Copies of a field that is not sent in pieces: as it is read, as it is masked or padded, and as it goes to the device.
+/// Copies in memory of a field that is not sent in pieces: as it is read, as it is masked or padded, and as it is sent to the device.
 const WHOLE_COPIES: u64 = 3;
-/// Pieces that are held: one is being read, one waits, one goes to the device.
+/// Pieces in memory: one is being read, one waits, one is being sent to the device.
 const HELD_PIECES: u64 = 3;
 
-/// Samples of a field that follow those before, and the value of missing ones, which is the same for all.
+/// The next samples of a field, and the value of missing ones, which is the same in all pieces.
 struct Piece {
     samples: Samples,
     missing: Option<f32>,
@@ -35,13 +35,13 @@ struct Piece {
 enum Purpose {
     /// A caller waits for it.
     Now,
-    /// One may come.
+    /// Read-ahead: a caller may need it later.
     Ahead { budget: u64 },
 }
 
 impl DeviceWorker {
-    /// Makes a field resident, unless another caller just did. Callers of the same field wait for one load. It goes on for a while when
-    /// all of them gave up, and is then cancelled.
+    /// Makes a field resident. Loads are single-flight: callers of the same field wait for one load. It continues for a while when all of
+    /// them have given up, and is then cancelled.
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let load = self.shared.loads.of(&key);
         let _waiting = load.wait();
@@ -73,7 +73,8 @@ impl DeviceWorker {
         outcome
     }
 
-    /// Makes a field resident before anybody asks for it, if nobody loads it already. Who asks meanwhile waits for it.
+    /// Makes a field resident before a viewer needs it, unless a load of it is running already. Callers that need it meanwhile wait for
+    /// this load.
     pub(super) async fn load_ahead(
         &self,
         volume: &VolumeStep,
@@ -95,7 +96,7 @@ impl DeviceWorker {
             tokio::pin!(work);
             tokio::select! {
                 outcome = &mut work => return outcome,
-                // Goes on for others that wait for it.
+                // The load continues for other callers that wait for it.
                 () = token.cancelled() => drop(waiting),
             }
             work.await
@@ -147,7 +148,7 @@ impl DeviceWorker {
         let reading = tokio::task::spawn_blocking(|| ReadPool::start().run(read));
         let uploaded = self.upload_pieces(&key, grid, pieces, purpose).await;
         let read = reading.await.unwrap_or(Err(WorkError::Stopped));
-        // Where the device failed, or had no space, reading was cancelled.
+        // If the device failed or had no space, reading was cancelled.
         let loaded = match uploaded {
             Ok(false) => return Ok(()),
             Ok(true) => read,
@@ -184,15 +185,15 @@ impl DeviceWorker {
         }
     }
 
-    /// Computes a field on the device from others, which are loaded if they are not resident. The callers that wait for it have pinned them; it
-    /// ends a while after the last of them is gone, when `progress` is cancelled. False if the host has to mask it.
+    /// Computes a field on the device from others, which are loaded if they are not resident. Waiting callers have pinned them. A while
+    /// after the last caller is gone, `progress` is cancelled, which ends the computation. Returns false if the host has to mask the field.
     fn compute<'a>(
         &'a self,
         volume: &'a VolumeStep,
         key: VolumeKey,
         progress: Arc<ReadProgress>,
     ) -> Pin<Box<dyn Future<Output = Result<bool, WorkError>> + Send + 'a>> {
-        // Boxed because the future is recursive: loading loads.
+        // Boxed because the future is recursive.
         Box::pin(async move {
             let (never, payer) = (CancellationToken::new(), self.payer.clone());
             self.with_volumes(
@@ -210,7 +211,7 @@ impl DeviceWorker {
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let samples = volume.dataset().geometry.sample_count();
         let held = if key.padded || key.mask.is_some() {
-            // Of a computed field those that it is made of, too.
+            // For a computed field, its inputs are held too.
             let inputs = volume
                 .dataset()
                 .expression(&key.field)
@@ -230,7 +231,8 @@ impl DeviceWorker {
         }
     }
 
-    /// False where there is no space for a field that nobody waits for: what is left of it is not read.
+    /// Sends the pieces of a field to the device as they arrive. Returns false if a field that is read ahead has no space: the rest of it
+    /// is not read.
     async fn upload_pieces(
         &self,
         key: &VolumeKey,
@@ -266,7 +268,7 @@ impl DeviceWorker {
         Ok(true)
     }
 
-    /// A short job, which is finished whoever is gone.
+    /// Runs a short job, which is finished even if its caller is gone.
     async fn on_device<T: Send + 'static>(
         &self,
         job: impl FnOnce(&mut WorkerState) -> Result<T, JobError> + Send + 'static,
@@ -297,7 +299,7 @@ fn stamps(volume: &VolumeStep, key: &VolumeKey) -> Vec<(FileLocation, Option<Fil
         .collect()
 }
 
-/// As [`read_samples`]. Samples of a file that was written or replaced meanwhile are an error, after which it is read once more.
+/// As [`read_samples`]. If a file was written or replaced meanwhile, returns an error after which it is read once more.
 fn read(
     volume: &VolumeStep,
     key: &VolumeKey,
@@ -306,7 +308,7 @@ fn read(
 ) -> Result<(), WorkError> {
     let before = stamps(volume, key);
     let read = read_samples(volume, key, progress, pieces);
-    // What is half written can often not be read.
+    // A file that is half written can often not be read, so read errors are checked too.
     if !matches!(read, Ok(()) | Err(WorkError::Unreadable(_))) {
         return read;
     }
@@ -322,8 +324,8 @@ fn read(
     }
 }
 
-/// Reads a field and sends its samples on. One that is padded is held as a whole, as the padding is below its minimum; and one that is
-/// masked, as no sample may have the value of missing ones.
+/// Reads a field and sends its samples on. A padded field is held as a whole, because the padding is below its minimum; so is a masked one,
+/// because no sample may have the value of missing ones.
 fn read_samples(
     volume: &VolumeStep,
     key: &VolumeKey,
@@ -333,7 +335,7 @@ fn read_samples(
     let (Ok(field), Ok(mask)) = (key.field_of(volume), key.mask_of(volume)) else {
         return Ok(());
     };
-    // Nobody takes them any more where the device failed, which says why.
+    // The receiver is gone if the device failed or had no space, which its side reports.
     let send = |samples, missing| {
         if pieces.blocking_send(Piece { samples, missing }).is_err() {
             progress.cancel();
@@ -346,7 +348,7 @@ fn read_samples(
             .source
             .read_pieces(volume.step(), progress, PIECE_SAMPLES, &mut send)?);
     }
-    // Both files at once.
+    // Reads both files concurrently.
     let (samples, inside) = rayon::join(
         || field.source.read(volume.step(), progress),
         || mask.map(|(mask, labels)| samples_inside(&mask, &labels, volume.step())),

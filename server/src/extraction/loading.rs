@@ -1,4 +1,4 @@
-//! Loads of fields: one at a time for each field, and how far the work is that the opening of a volume waits for.
+//! Loads of fields: single-flight for each field, and progress of the work that the opening of a volume waits for.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -18,15 +18,15 @@ use crate::volumes::{Field, ReadProgress, VolumeStep};
 /// Files read at the same time. Each holds a few pieces of a field in host memory.
 const CONCURRENT_LOADS: usize = 2;
 
-/// Loads that are remembered, some hundred bytes each: clients name new fields as long as they write expressions.
+/// Maximum number of entries, some hundred bytes each: clients name new fields for as long as they write expressions.
 const MAX_IDLE: usize = 4096;
 
-/// How long a load goes on when nobody waits for it: an edit meanwhile asks for the same field again.
+/// How long a load continues without waiting callers: an edit in that time needs the same field again.
 const LINGER: Duration = Duration::from_secs(2);
 
 /// The loads of all fields.
 pub(super) struct Loads {
-    /// Entries stay, one for each field that was loaded, as long as there are not too many.
+    /// One entry for each field that was loaded. Entries stay until there are too many.
     fields: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
     pub permits: Arc<Semaphore>,
 }
@@ -39,11 +39,11 @@ impl Loads {
         }
     }
 
-    /// The load of a field, and how far it is.
+    /// Returns the load of a field, with its progress.
     pub(super) fn of(&self, key: &VolumeKey) -> Arc<FieldLoad> {
         let mut fields = lock(&self.fields);
         if fields.len() >= MAX_IDLE && !fields.contains_key(key) {
-            // Those that nobody waits for.
+            // Keeps the loads that are in use.
             fields.retain(|_, load| Arc::strong_count(load) > 1);
         }
         Arc::clone(fields.entry(key.clone()).or_default())
@@ -53,7 +53,7 @@ impl Loads {
 /// The load of one field.
 #[derive(Default)]
 pub(super) struct FieldLoad {
-    /// Held by who loads it, so that two callers load it once.
+    /// Held by the caller that loads the field, so that concurrent callers load it once.
     pub turn: Arc<tokio::sync::Mutex<()>>,
     /// Of the running load, or the last one.
     pub progress: Arc<ReadProgress>,
@@ -65,7 +65,7 @@ pub(super) struct FieldLoad {
 pub(super) struct Waiting(Arc<FieldLoad>);
 
 impl FieldLoad {
-    /// Until this is dropped the load goes on; a while after the last one was, it is cancelled.
+    /// Registers a waiting caller until the returned guard is dropped. The load is cancelled [`LINGER`] after the last guard was dropped.
     pub(super) fn wait(self: &Arc<Self>) -> Waiting {
         self.waiting.fetch_add(1, Ordering::Relaxed);
         Waiting(Arc::clone(self))
@@ -95,7 +95,7 @@ impl Drop for Waiting {
     }
 }
 
-/// How much was done of what opening a volume takes.
+/// Progress of the opening of a volume.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OpeningProgress {
     /// The device is being prepared; nothing else was done yet.
@@ -106,7 +106,7 @@ pub struct OpeningProgress {
     pub total_bytes: u64,
 }
 
-/// Sees what a [`super::DeviceWorker`] does for one caller, or what this caller waits for.
+/// Observes what a [`super::DeviceWorker`] does, or waits for, on behalf of one caller.
 pub struct OpeningWatch {
     fields: Mutex<Vec<FieldWork>>,
 }
@@ -127,7 +127,7 @@ pub(super) struct FieldWork {
 struct LoadWork {
     /// Bytes of its file.
     stored_bytes: u64,
-    /// Once its load was asked for.
+    /// `None` until the field's load was requested.
     progress: Option<Arc<ReadProgress>>,
     /// It is on the device.
     finished: bool,
@@ -173,12 +173,12 @@ impl OpeningWatch {
         }
     }
 
-    /// A field is being loaded.
+    /// Records that a field is being loaded.
     pub(super) fn follow(&self, key: &VolumeKey, progress: &Arc<ReadProgress>) {
         self.with_load(key, |load| load.progress = Some(Arc::clone(progress)));
     }
 
-    /// A field is resident.
+    /// Records that a field is resident.
     pub(super) fn loaded(&self, key: &VolumeKey) {
         self.with_load(key, |load| load.finished = true);
     }
@@ -186,13 +186,13 @@ impl OpeningWatch {
     fn with_load(&self, key: &VolumeKey, change: impl FnOnce(&mut LoadWork)) {
         let mut fields = lock(&self.fields);
         let field = fields.iter_mut().find(|field| field.key == *key);
-        // None where it was resident to begin with, and was evicted since.
+        // `None` if it was resident at first, and was evicted since.
         if let Some(load) = field.and_then(|field| field.load.as_mut()) {
             change(load);
         }
     }
 
-    /// There is a histogram.
+    /// Records that a histogram has been made.
     pub(super) fn made(&self, key: &HistogramKey) {
         for field in lock(&self.fields).iter_mut() {
             let before = field.histograms.len();
@@ -201,7 +201,7 @@ impl OpeningWatch {
         }
     }
 
-    /// How far all of it is, now.
+    /// Returns the current progress of all of it.
     pub fn progress(&self) -> OpeningProgress {
         let mut all = OpeningProgress::default();
         for field in lock(&self.fields).iter() {

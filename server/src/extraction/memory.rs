@@ -1,4 +1,4 @@
-//! What the server's memory is used for.
+//! Memory of the server by purpose.
 
 use isopeel_kernels::{DeviceKind, DeviceMemory};
 use serde::Serialize;
@@ -16,21 +16,21 @@ pub struct MemoryUse {
     pub tree_bytes: u64,
     /// Cuts that clients show, on the device.
     pub cut_bytes: u64,
-    /// Of the device's buffers beyond these: what they were allocated larger, and what a running job uses.
+    /// Other bytes of the device's buffers: what they were allocated larger than needed, and what a running job uses.
     pub other_device_bytes: u64,
     /// Freed on the device and kept for the next edits.
     pub idle_bytes: u64,
     /// Meshes that are being encoded, on the host.
     pub surface_bytes: u64,
-    /// The program itself before it opened a volume: code, the device's driver and compiled kernels.
+    /// The process before it opened a volume: code, the device's driver and compiled kernels.
     pub program_bytes: u64,
-    /// What the operating system says that the process holds; 0 where it does not say.
+    /// Memory that the process holds, as the operating system reports it; 0 if it does not.
     pub resident_bytes: u64,
     /// Whether the device's memory is part of the process's.
     pub is_host_memory: bool,
 }
 
-/// What the device's thread knows of it, after each job.
+/// Memory that the device's thread accounts for, updated after each job.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ThreadMemory {
     pub device: DeviceMemory,
@@ -42,7 +42,7 @@ pub(super) struct ThreadMemory {
     pub program: u64,
 }
 
-/// Bytes that the operating system holds for the process; 0 where it does not say.
+/// Returns the bytes that the operating system holds for the process; 0 if it does not report them.
 pub(super) fn resident_bytes() -> u64 {
     memory_stats::memory_stats().map_or(0, |memory| memory.physical_mem as u64)
 }

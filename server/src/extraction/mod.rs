@@ -1,11 +1,13 @@
 //! From a view to a surface.
 //!
-//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens it, and again where it is lost; `attempts` runs a job until it has a result; `worker_state` is what this thread keeps, by `keys` and `identity`, in a cache
-//!   (`residency`; `cuts` that clients show), on `grids`; `turns` lets others run where a job takes long; `loader` brings fields onto the device, in `uploads`;
-//!   `loading` is how far that is.
-//! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before anybody asks for them, beside those that
+//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens the device, and reopens it after it was lost;
+//!   `attempts` runs a job until it has a result; `worker_state` is what this thread keeps, by `keys` and `identity`, in a cache
+//!   (`residency`; `cuts` that clients show), on `grids`; `turns` lets others run when a long job yields; `loader` brings fields onto the
+//!   device, in `uploads`; `loading` is their progress.
+//! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before a viewer reaches them, beside those that
 //!   viewers have open (`open_steps`).
-//! - `memory`: what memory is used for; `shares`: how much of it is kept for the next edits; `host_memory`: whether there is enough for what is to be made; `host_space`: what is evicted where there is not.
+//! - `memory`: what memory is used for; `shares`: how much of it is kept for the next edits; `host_memory`: whether there is enough for the
+//!   next allocation; `host_space`: what is evicted if there is not.
 //! - `counting`: triangles of a full surface, before anything is made of it.
 //! - `questions`: what a viewer asks about the surface that it is shown.
 //! - `histograms`: ranges and histograms, made a slice at a time between other jobs; `unfinished`: partial histograms, which their callers share.
@@ -14,7 +16,7 @@
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view; `decisions`: which of them it gets.
 //! - `user_time`: the device's time that the computed fields of each user have taken.
-//! - `intersections`: where triangles of a surface intersect, so that it is refined there.
+//! - `intersections`: places at which triangles of a surface intersect, so that it is refined there.
 //! - `results`, `statistics`, `volume_info`: what other layers get.
 
 mod ahead;

@@ -1,4 +1,4 @@
-//! What is to be seen of the device from outside: how many jobs wait for it, and what holds memory.
+//! State of the device for monitoring: jobs in its queue, and memory by purpose.
 
 use super::WorkError;
 use super::device_thread::DeviceState;
@@ -21,7 +21,7 @@ impl DeviceWorker {
         Ok(self.shared.memory.borrow().stated(device.kind))
     }
 
-    /// As [`DeviceWorker::memory`], where the device is open.
+    /// As [`DeviceWorker::memory`], without waiting: `None` unless the device is open.
     pub fn memory_now(&self) -> Option<MemoryUse> {
         match self.state() {
             DeviceState::Ready(device) => Some(self.shared.memory.borrow().stated(device.kind)),

@@ -1,4 +1,4 @@
-//! Time steps that viewers have open, and the turn of those that are read ahead of them.
+//! Time steps that viewers have open, and the semaphore of those that are read ahead.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -9,13 +9,13 @@ use super::keys::VolumeKey;
 use super::lock::lock;
 use crate::volumes::StepKey;
 
-/// Time steps that are read ahead at the same time: one, as each takes a disk, and a processor where it is decoded.
+/// Time steps that are read ahead at the same time: one, as each occupies a disk, and a processor if it has to be decoded.
 const CONCURRENT: usize = 1;
 
 /// How many viewers have each time step open.
 type OpenSteps = Arc<Mutex<HashMap<StepKey, usize>>>;
 
-/// What reading ahead has to leave alone, and its turn.
+/// Steps that read-ahead must not evict, and its semaphore.
 pub(super) struct AheadState {
     open: OpenSteps,
     pub turn: Semaphore,
@@ -29,7 +29,7 @@ impl AheadState {
         }
     }
 
-    /// A viewer has this time step open.
+    /// Marks a time step as open in a viewer until the returned guard is dropped.
     pub(super) fn hold(&self, step: &StepKey) -> Held {
         let (open, step) = (Arc::clone(&self.open), step.clone());
         *lock(&open).entry(step.clone()).or_default() += 1;

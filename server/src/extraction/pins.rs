@@ -1,5 +1,5 @@
-//! Volumes that jobs wait for or work on: they are not evicted meanwhile, so that two viewers of different volumes do not load each
-//! other's away.
+//! Volumes that jobs wait for or work on: they are not evicted meanwhile, so that two viewers of different volumes do not evict each
+//! other's.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -17,25 +17,25 @@ pub(super) struct Pins {
 
 #[derive(Default)]
 struct Shared {
-    /// Bytes of each pinned volume, and how many pin it.
+    /// Bytes of each pinned volume, and its number of pins.
     pinned: Mutex<HashMap<VolumeKey, (u64, usize)>>,
     released: Notify,
 }
 
-/// Volumes that stay where they are until this is dropped.
+/// Keeps volumes resident until it is dropped.
 pub(super) struct Pin {
     shared: Arc<Shared>,
     keys: Vec<VolumeKey>,
 }
 
 impl Pins {
-    /// Pins volumes of these sizes, all at once, when they fit into `budget` bytes beside those that are pinned: who waits holds
-    /// nothing that another one waits for.
+    /// Pins volumes of these sizes, all at once, when they fit into `budget` bytes beside those that are pinned; volumes larger than the
+    /// budget are pinned when no others are. It pins all or none, so waiters cannot deadlock.
     pub(super) async fn pin(&self, volumes: &[(VolumeKey, u64)], budget: u64) -> Pin {
         loop {
             let released = self.shared.released.notified();
             tokio::pin!(released);
-            // Before the look at what is pinned, so that no release in between is missed.
+            // Enabled before pins are checked, so that no release in between is missed.
             released.as_mut().enable();
             if let Some(pin) = self.try_pin(volumes, budget) {
                 return pin;
@@ -44,7 +44,7 @@ impl Pins {
         }
     }
 
-    /// As [`Pins::pin`]; `None` where others would have to go first.
+    /// As [`Pins::pin`], without waiting; `None` if other pins would have to be released first.
     pub(super) fn try_pin(&self, volumes: &[(VolumeKey, u64)], budget: u64) -> Option<Pin> {
         let mut pinned = lock(&self.shared.pinned);
         let others: u64 = (pinned.iter())

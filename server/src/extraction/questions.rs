@@ -27,7 +27,7 @@ pub use answers::{
 
 const _: () = assert!(CURVE_POINTS == 32 && MAX_BINS == 256, "PROTOCOL.md says so");
 
-/// How far outside the volume a position counts as on its face, cells: what is on it is there but for rounding.
+/// Distance outside the volume up to which a position counts as on its face, cells: allows for rounding.
 const FACE_CELLS: f64 = 1e-3;
 
 /// A question about a surface.
@@ -43,7 +43,7 @@ pub enum Question {
     VertexErrors(DistanceOf),
 }
 
-/// What a question is about: the view whose surface is shown, with what was found for its budget, and its cut.
+/// The surface that a question is about: its view, with the fit of its budget, and its cut.
 #[derive(Clone, Debug)]
 pub struct ShownSurface {
     /// The view.
@@ -53,10 +53,10 @@ pub struct ShownSurface {
 }
 
 impl Question {
-    /// What is wrong with it, in a sentence.
+    /// Checks the question's parameters.
     ///
     /// # Errors
-    /// That sentence.
+    /// What is wrong with it, in a sentence.
     pub fn check(&self) -> Result<(), String> {
         match self {
             Self::Probe(position) if !position.iter().all(|x| x.is_finite()) => {
@@ -71,8 +71,8 @@ impl Question {
 }
 
 impl DeviceWorker {
-    /// Answers a question about the surface that a viewer is shown; about the volume alone where there is none. `token` as in
-    /// [`DeviceWorker::extract`].
+    /// Answers a question about the surface that a viewer is shown; if none is shown, a probe is answered for the volume alone. `token` as
+    /// in [`DeviceWorker::extract`].
     ///
     /// # Errors
     /// [`WorkError`].
@@ -119,7 +119,7 @@ impl WorkerState {
             (Question::Curve, Some(shown)) => {
                 let by_error = shown.view.is_by_error();
                 let curve = self.of_shown(volume, shown, turn, |on, params, cut, cancel| {
-                    // Where the full surface is within the budget, nothing is merged yet.
+                    // If the full surface is within the budget, nothing has been merged.
                     let tolerance = by_error.then(|| params.tolerance.unwrap_or(0.0));
                     let params = CutParams {
                         tolerance,
@@ -184,7 +184,7 @@ impl WorkerState {
         })
     }
 
-    /// Makes the surface that is shown once more, and measures its vertices.
+    /// Makes the shown surface again, and measures the distances of its vertices.
     fn vertex_errors(
         &mut self,
         volume: &VolumeStep,
@@ -240,7 +240,7 @@ impl WorkerState {
         fields.collect()
     }
 
-    /// Runs `work` with the cut of a surface that is shown, and the parameters of its view. A cut that was let go is made again.
+    /// Runs `work` with the cut of a surface that is shown, and the parameters of its view. A cut that was evicted is made again.
     fn of_shown<T>(
         &mut self,
         volume: &VolumeStep,
@@ -268,7 +268,7 @@ impl WorkerState {
 }
 
 impl OnDevice<'_> {
-    /// The cut of cubes that is shown, or where it was let go, the one of its view.
+    /// Returns the cut of cubes that is shown; if it was evicted, makes the cut of its view.
     fn cut_of(&self, id: CutId, view: &View) -> Result<Rc<Cut>, JobError> {
         let kept = self.cuts.borrow_mut().get(id).filter(|cut| cut.is_of(self.pyramid));
         match kept {

@@ -1,14 +1,14 @@
 //! One step from the surface that a client shows to that of its view: what is made next, within about so many triangles.
 //!
-//! - Nothing shown, or a surface of another isovalue or feature: the final surface if it is small enough, else the finest prefix
-//!   that is. Where it takes long to find out how a budget is kept, a prefix that depends on no budget comes before.
-//! - Another cut of the surface that is shown, be it a prefix: regions take their final leaves, as many as the step allows, and the
+//! - If nothing is shown, or a surface of another isovalue or feature: the final surface if it is small enough, else the finest prefix that
+//!   is. If fitting a budget takes long, a prefix that depends on no budget comes before.
+//! - If another cut of the same surface is shown, be it a prefix: regions take their final leaves, as many as the step allows, and the
 //!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other. On a slow line a
 //!   prefix is first followed by the finest one that is small enough.
-//! - Where an error or a budget decides, the final surface is a cut of the vertex tree, if that is built, or soon will be: on a GPU, where
-//!   the full surface is not too large. Else it comes when the viewer rests ([`Refinement::can_improve`]), and until then the surface is
-//!   a cut of cubes. Where parts are to be removed, that cut is on the way, and the cut of the tree the last step. On a slow line a cut of the
-//!   tree comes after coarser ones ([`tree_steps`]).
+//! - If an error or a budget decides, the final surface is a cut of the vertex tree, provided that the tree is built or soon will be: on a
+//!   GPU, unless the full surface is too large. Otherwise it comes when the viewer is at rest ([`Refinement::can_improve`]), and until then
+//!   the surface is a cut of cubes. If parts are to be removed, the cut of cubes is an intermediate step, and the cut of the tree the last
+//!   one. On a slow line a cut of the tree comes after coarser ones ([`tree_steps`]).
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -25,13 +25,13 @@ use crate::view::View;
 use crate::view::quality::Budget;
 use crate::volumes::VolumeStep;
 
-/// Triangles of a leaf of a closed surface.
+/// Triangles of a closed surface for each leaf.
 const TRIANGLES_PER_LEAF: u64 = 2;
 
-/// Share of a step's triangles, in percent, up to which it is the last one, rather than leave a small rest for one more.
+/// A step is the last one up to this share of its triangles, in percent, so that no small remainder needs one more.
 const LAST_STEP_PERCENT: u64 = 150;
 
-/// Where an error alone decides, the final surface is expected to have one in so many of the full surface's triangles.
+/// If an error alone decides, the final surface is expected to have one in so many of the full surface's triangles.
 const EXPECTED_SHARE: u64 = 4;
 
 /// A prefix that comes before its budget is fitted has at most this share of the budget's triangles, in percent.
@@ -41,8 +41,8 @@ const UNFITTED_PERCENT: u64 = 20;
 /// once, and look uneven meanwhile.
 const NEXT_PREFIX_STEPS: u64 = 6;
 
-/// A step takes at least one in so many of the target's leaves. Each step sends the regions at its border once more: on a slow line,
-/// small steps would send everything three times.
+/// A step takes at least one in so many of the target's leaves. Each step sends the regions at its border again: on a slow line, small
+/// steps would send everything three times.
 const MAX_STEPS: u64 = 12;
 
 /// However fast the device is, the first prefix of a new surface is one that any client draws at once, in software too.
@@ -91,7 +91,7 @@ impl WorkerState {
                 && let Some(expected) = expected
                 && let Some(prefix) = tree_steps::next_prefix(step, on.regions(), expected)
                 && let Some(surface) = on.tree_prefix(view, prefix, cancel)?
-                // Else it would be no step towards the final surface: parts that are removed leave few triangles of any cut.
+                // Else it would be no progress towards the final surface: if parts are removed, every cut has few triangles.
                 && surface.statistics.triangles > step.made_triangles
             {
                 return Ok(on.tree_prefix_refinement(surface, view, on.own_time(start)));
@@ -131,7 +131,7 @@ impl WorkerState {
                 cancel,
             };
             let (surface, cut) = next.make(shown.as_deref())?;
-            // Cubes have the parts that are to be removed: the cut of the tree follows.
+            // Cubes still contain the parts that are to be removed: the cut of the tree follows.
             let is_final = cut.is_none() && !view.removes_parts();
             let made = Made {
                 surface: on.with_all_stages(surface),
@@ -151,13 +151,13 @@ impl OnDevice<'_> {
         self.pyramid.active_regions() as u64
     }
 
-    /// Whether a step of a view that an error or a budget decides cuts the vertex tree, or else cubes first.
+    /// Whether a step cuts the vertex tree rather than cubes first, for a view that an error or a budget decides.
     fn cuts_tree(&self, view: &View, step: Step) -> bool {
         let Some(target) = step.target else {
-            // A budget of bytes was met by a cut of the tree, and would not be by one of cubes with as many triangles.
+            // The fitted budget of bytes was kept by a cut of the tree; a cut of cubes with as many triangles would exceed it.
             let is_fitted =
                 matches!(view.budget, Some(Budget::Bytes(_))) && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
-            // What replaces a whole surface at once has to be final.
+            // A surface that replaces another one at once has to be final.
             let is_needed = view.removes_parts() && step.shown == Shown::Alike;
             return is_fitted || is_needed || self.builds_tree_soon() || self.cached_tree().is_some();
         };
@@ -197,7 +197,7 @@ fn unfitted_prefix(on: &OnDevice<'_>, expected: u64, step: Step) -> Option<Level
     finest_prefix(MAX_LEVEL.get(), fits)
 }
 
-/// The finest level of prefixes, up to one, that fits.
+/// Returns the finest prefix level that fits, up to a coarsest one.
 fn finest_prefix(coarsest: u8, fits: impl FnMut(&Level) -> bool) -> Option<Level> {
     (1..=coarsest).filter_map(|level| Level::new(level).ok()).find(fits)
 }
@@ -236,10 +236,10 @@ fn prefix_triangles(step: Step) -> u64 {
     step.fresh_triangles.min(MAX_PREFIX_TRIANGLES)
 }
 
-/// A surface and its cut, where that is not the target.
+/// A surface and its cut; `None` if the cut is the target.
 type SurfaceOfCut = (Surface, Option<Cut>);
 
-/// What a step is made from.
+/// Inputs of a step.
 struct Next<'a> {
     on: &'a OnDevice<'a>,
     params: &'a CutParams,
@@ -258,12 +258,12 @@ impl Next<'_> {
         match (shown, differences) {
             (Some(shown), Some(differences)) => self.refined(shown, &differences),
             _ if self.step.shown == Shown::Another => self.fresh(),
-            // Also where the cut that is shown, or its pyramid, was let go.
+            // Also if the cut that is shown, or its pyramid, was evicted.
             _ => self.whole(),
         }
     }
 
-    /// A surface of a cut, or of what differs from the one that is kept.
+    /// Makes the surface of a cut, or its differences from the one that is kept.
     fn surface(&self, cut: &Cut, kept: Option<Kept<'_>>) -> Result<Surface, WorkError> {
         let on = self.on;
         Ok(on
@@ -271,12 +271,12 @@ impl Next<'_> {
             .surface(on.volume, on.pyramid, self.params, cut, kept, self.cancel)?)
     }
 
-    /// The whole surface of the target.
+    /// Makes the whole surface of the target.
     fn whole(&self) -> Result<SurfaceOfCut, WorkError> {
         Ok((self.surface(self.target, None)?, None))
     }
 
-    /// The first surface of a generation: a prefix, or the target.
+    /// Makes the first surface of a generation: a prefix, or the target.
     fn fresh(&self) -> Result<SurfaceOfCut, WorkError> {
         let Some(prefix) = self.first_prefix() else {
             return self.whole();
@@ -286,7 +286,7 @@ impl Next<'_> {
         Ok((self.surface(&cut, None)?, Some(cut)))
     }
 
-    /// The finest prefix that is small enough, or else the coarsest; `None` where the target comes as soon.
+    /// Returns the finest prefix that is small enough, or else the coarsest; `None` if the target can be made as soon.
     fn first_prefix(&self) -> Option<Level> {
         let target = self.target.prefix_leaves(Level::FINEST);
         if is_last(target, self.step.fresh_triangles) {
@@ -314,13 +314,13 @@ impl Next<'_> {
         bytes_of(leaves, self.regions(), BYTES_OF_100_COARSE_TRIANGLES)
     }
 
-    /// Whether so many leaves of the target, in so many regions, fit the line.
+    /// Whether so many leaves of the target, in so many regions, are sent within one step.
     fn is_sent_in_a_step(&self, leaves: u64, regions: u64) -> bool {
         bytes_of(leaves, regions, BYTES_OF_100_TRIANGLES) <= self.step.bytes
     }
 
-    /// On a slow line, the finest prefix that the step allows, after a coarser one: it changes the whole surface at once, and takes few
-    /// of its bytes.
+    /// On a slow line, returns the finest prefix that the step allows, after a coarser one: it changes the whole surface at once, and takes
+    /// few of its bytes.
     fn next_prefix(&self, shown: &Cut) -> Option<Level> {
         let allowed = self.step.bytes.saturating_mul(NEXT_PREFIX_STEPS);
         let fits = |level: &Level| {
@@ -330,7 +330,7 @@ impl Next<'_> {
         finest_prefix(shown.prefix().get().saturating_sub(1), fits)
     }
 
-    /// What is shown with the target's leaves in as many regions as the step allows.
+    /// Replaces the shown leaves by the target's in as many regions as the step allows.
     fn refined(&self, shown: &Cut, differences: &Differences) -> Result<SurfaceOfCut, WorkError> {
         let on = self.on;
         let remade = differences.meshes.iter().enumerate().filter(|(_, remake)| **remake);

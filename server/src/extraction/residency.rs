@@ -1,9 +1,9 @@
-//! A cache with a budget. By hand, in 60 lines: libraries bound the number of entries or run their own eviction, whereas here the bytes
-//! of the next entry must be free before it is made.
+//! A cache with a budget. Written by hand, in 60 lines: libraries bound the number of entries or run their own eviction, whereas here the
+//! bytes of the next entry must be free before it is made.
 
 use std::hash::Hash;
 
-/// Least-recently-used cache: values by key, each with a cost, the one used last at the end. With at most some thousand entries and a
+/// Least-recently-used cache: values by key, each with a cost; the most recently used is the last. With at most some thousand entries and a
 /// few look-ups a job, a list is fast enough.
 pub(super) struct Lru<K, V> {
     entries: Vec<(K, u64, V)>,
@@ -22,7 +22,7 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         }
     }
 
-    /// Keeps so many entries, those used last, even where they cost more than the budget.
+    /// Keeps at least so many entries, the most recently used, even if they cost more than the budget.
     pub(super) fn keeping(self, min_entries: usize) -> Self {
         Self { min_entries, ..self }
     }
@@ -50,10 +50,10 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.entries.last().map(|e| &e.2)
     }
 
-    /// Drops the entries used longest ago, of those that `may_go`, until `cost` fits into the budget with the rest.
+    /// Evicts the least recently used entries among those that `may_go`, until `cost` fits into the budget with the rest.
     pub(super) fn evict_for(&mut self, cost: u64, may_go: impl Fn(&K) -> bool) {
         let mut total: u64 = self.entries.iter().map(|e| e.1).sum();
-        // With the one that comes.
+        // Counts the next entry too.
         let (budget, mut entries) = (self.budget, self.entries.len() + 1);
         self.entries.retain(|(key, bytes, _)| {
             let goes = total.saturating_add(cost) > budget && entries > self.min_entries && may_go(key);
@@ -65,7 +65,7 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         });
     }
 
-    /// Drops the entries used longest ago, of those that `may_go`, until they have freed `cost`.
+    /// Evicts the least recently used entries among those that `may_go`, until they have freed `cost`.
     pub(super) fn free(&mut self, cost: u64, may_go: impl Fn(&K) -> bool) {
         let mut freed = 0;
         self.entries.retain(|(key, bytes, _)| {
@@ -75,14 +75,15 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         });
     }
 
-    /// Inserts or replaces, as the one used last, evicting others until it fits. An entry above the budget is kept alone, or with those that stay anyway.
+    /// Inserts or replaces an entry as the most recently used, and evicts others until it fits. An entry above the budget is kept alone, or
+    /// with those that stay anyway.
     pub(super) fn insert(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|e| e.0 != key);
         self.evict_for(cost, |_| true);
         self.add(key, cost, value);
     }
 
-    /// As [`Lru::insert`], but evicts nothing: [`Lru::evict_for`] did.
+    /// As [`Lru::insert`], but evicts nothing: the caller did so with [`Lru::evict_for`].
     pub(super) fn add(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|e| e.0 != key);
         self.entries.push((key, cost, value));
@@ -93,7 +94,7 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         self.entries.retain(|e| keep(&e.0));
     }
 
-    /// Each entry's key and cost, the one used longest ago first.
+    /// Returns each entry's key and cost, the least recently used first.
     pub(super) fn costs(&self) -> impl Iterator<Item = (&K, u64)> {
         self.entries.iter().map(|entry| (&entry.0, entry.1))
     }

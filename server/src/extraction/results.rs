@@ -1,4 +1,4 @@
-//! What the device gives back: a surface, or a step towards one.
+//! Results of work on the device: a surface, or a step towards one.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -16,11 +16,11 @@ pub struct Extraction {
     pub surface: Surface,
     /// The view it shows, with isovalue and feature range filled in.
     pub view: View,
-    /// Time on the device's thread, without waiting and reading files.
+    /// Time on the device's thread, without time spent waiting or reading files.
     pub wall: Duration,
     /// The error, if it was measured after the surface was made.
     pub measured: Option<MeasuredError>,
-    /// What it cost to refine the surface where its triangles intersected, if that was asked for and the surface is a cut of the vertex tree.
+    /// Cost of refining the surface at intersecting triangles, if that was asked for and the surface is a cut of the vertex tree.
     pub refined: Option<RefinementCost>,
 }
 
@@ -36,12 +36,12 @@ impl Extraction {
     }
 }
 
-/// What an export asks for beside its view.
+/// Work that an export requests in addition to its view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ExportWork {
     /// Whether the error is measured.
     pub measuring: Measuring,
-    /// Where the surface is refined if its triangles intersect.
+    /// In which places the surface is refined if its triangles intersect.
     pub refining: Refining,
 }
 
@@ -56,7 +56,7 @@ pub(super) struct Making {
     pub refining: Refining,
 }
 
-/// Where a cut of the vertex tree is refined if triangles intersect.
+/// Places at which a cut of the vertex tree is refined if triangles intersect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refining {
     /// Nowhere.
@@ -78,10 +78,11 @@ pub enum Measuring {
     Never,
 }
 
-/// The last number of a cut. They are unique in the process: sessions name cuts of a device that was lost after another one has taken its place.
+/// The number of the last cut. Numbers are unique in the process, because sessions still refer to cuts of a lost device after another one
+/// has taken its place.
 static LAST_CUT: AtomicU64 = AtomicU64::new(0);
 
-/// A cut that the device's thread keeps for a while: the one that a client shows, or is on the way to.
+/// A cut that the device's thread keeps for a while: the one that a client shows, or its target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct CutId(u64);
 
@@ -102,17 +103,17 @@ impl CutId {
 pub struct Step {
     /// What the client shows.
     pub shown: Shown,
-    /// The cut of the view, where a step before has made it.
+    /// The cut of the view, if an earlier step has made it.
     pub target: Option<CutId>,
     /// Triangles of the surface that the last step towards this view has made; 0 before the first step.
     pub made_triangles: u64,
-    /// About how many triangles to make of a surface that is new.
+    /// About how many triangles to make of a new surface.
     pub fresh_triangles: u64,
-    /// About how many triangles to make anew of one that is shown.
+    /// About how many triangles to remake of a surface that is shown.
     pub triangles: u64,
     /// About how many bytes to send.
     pub bytes: u64,
-    /// Bytes that the line has been seen to take in the time of a step: a pause of the sender, or of a client that draws, does not count.
+    /// Bytes that the line has been observed to take in the time of a step. Pauses of the sender, or of a client that draws, do not count.
     pub line_bytes: u64,
 }
 
@@ -121,7 +122,7 @@ pub struct Step {
 pub enum Shown {
     /// Nothing, or a surface of another volume, time step, field, mask or isovalue: a coarse one may replace it.
     Another,
-    /// The surface of the view, but for what every region changes with: it is replaced at once.
+    /// The surface of the view, except for a property that affects every region: it is replaced at once.
     Alike,
     /// A cut of the same surface, which changes region by region.
     Cut(CutId),
@@ -130,9 +131,9 @@ pub enum Shown {
 /// What a step has made.
 #[derive(Clone, Debug)]
 pub struct Refinement {
-    /// The surface, or the regions in which it differs from the one that was shown. Its stages are those of this step.
+    /// The surface, or the regions in which it differs from the shown one. Its stages are those of this step.
     pub surface: Surface,
-    /// The view that it is on the way to, with every value in force, what keeps a budget included.
+    /// The view that the step leads to, with every value in force, including the fit that keeps a budget.
     pub view: View,
     /// Its cut.
     pub cut: CutId,
@@ -140,16 +141,16 @@ pub struct Refinement {
     pub target: Option<CutId>,
     /// Whether the surface is that of the view.
     pub is_final: bool,
-    /// Whether the same view has a better surface, which [`super::Extractor::improve`] takes longer to make.
+    /// Whether a better surface of the same view exists, which [`super::Extractor::improve`] takes longer to make.
     pub can_improve: bool,
-    /// Time on the device's thread, without waiting and reading files.
+    /// Time on the device's thread, without time spent waiting or reading files.
     pub wall: Duration,
     /// The part of it from the cut to the mesh on the host.
     pub meshing: Duration,
 }
 
 impl Refinement {
-    /// No triangle of a view's surface.
+    /// Returns a surface of the view without triangles.
     pub fn nothing(view: &View) -> Self {
         Self {
             surface: Surface {
@@ -169,14 +170,14 @@ impl Refinement {
     }
 }
 
-/// What is known of a surface before anything of it is made.
+/// Counts for a surface before anything of it is made.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FullCount {
     /// Triangles of the full surface, those of small parts included.
     pub triangles: u64,
     /// The stages that counting them took.
     pub stages: Vec<StageTime>,
-    /// Time on the device's thread, without waiting and reading files.
+    /// Time on the device's thread, without time spent waiting or reading files.
     pub wall: Duration,
 }
 

@@ -1,28 +1,29 @@
-//! Shares of memory for what is kept of earlier edits, so that the next ones are soon: pyramids, vertex trees, cuts, and buffers that are free.
+//! Shares of memory for data of earlier edits that makes the next ones quicker: pyramids, vertex trees, cuts, and freed buffers.
 
 use isopeel_kernels::DeviceKind;
 
-/// Of the device's memory for pyramids, in thousandths: those of the latest isovalues of all viewers, which edits of α, β and the
-/// transfer function use again.
+/// Share of the device's memory for pyramids, in thousandths: those of the latest isovalues of all viewers, which edits of α, β and the
+/// transfer function reuse.
 const PYRAMIDS: u64 = 150;
 
-/// The same for vertex trees: larger than pyramids, but only viewers at rest have them made, and those whom an error or a budget serves.
+/// The same for vertex trees: larger than pyramids, but made only for viewers at rest, and for those whose surface an error or a budget
+/// decides.
 const TREES: u64 = 100;
 
-/// The same for cuts: a byte a node, where a pyramid takes 40.
+/// The same for cuts: a cut takes one byte a node, a pyramid 40.
 const CUTS: u64 = 20;
 
-/// The same for buffers that were freed and wait for the next edit, which is quicker with them than with pages that the system has to clear.
+/// The same for freed buffers that the next edit reuses, which is quicker than with pages that the system has to clear.
 const IDLE: u64 = 63;
 
 const ALL: u64 = PYRAMIDS + TREES + CUTS + IDLE;
 
-/// Of all of these together where the device is this machine's processors, unless `--surface-memory` says so: of the demo (197 × 233 × 189
-/// samples) pyramids of 70 isovalues, and trees of eight. With a share alone a server grows for as long as viewers choose isovalues, up to a third of the
-/// machine, which other programs use too.
+/// Maximum bytes of all of these together if the device is this machine's processors, unless `--surface-memory` sets another limit. For the
+/// demo (197 × 233 × 189 samples) it holds pyramids of 70 isovalues, and trees of eight. With a share alone a server would grow for as long
+/// as viewers choose isovalues, up to a third of the machine's memory, which other programs use too.
 pub const PROCESSOR_BYTES: u64 = 1 << 30;
 
-/// Maximum bytes of each. What was used last is kept even where it takes more.
+/// Maximum bytes of each cache. The most recently used entries are kept even if they take more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shares {
     pub pyramids: u64,
@@ -37,14 +38,15 @@ impl Shares {
         self.pyramids + self.trees + self.cuts + self.idle
     }
 
-    /// Of a device with so much memory, in a process that may hold `host_bytes`. `limit`: what `--surface-memory` says of all of them.
+    /// Returns the shares of a device with so much memory, in a process that may hold `host_bytes`. `limit`: the value of
+    /// `--surface-memory`, which limits all of them together.
     pub(super) fn of(kind: DeviceKind, device_bytes: u64, host_bytes: u64, limit: Option<u64>) -> Self {
         let (memory, limit) = match kind {
-            // What can be made again gives way where the process may hold less than the machine has.
+            // Caches shrink if the process may hold less memory than the machine has.
             DeviceKind::Cpu => (device_bytes.min(host_bytes), limit.unwrap_or(PROCESSOR_BYTES)),
             _ => (device_bytes, limit.unwrap_or(u64::MAX)),
         };
-        // First the quotient, or the product may overflow.
+        // Divides first, or the product may overflow.
         let all = (memory / 1000 * ALL).min(limit);
         let share = |thousandths| all / ALL * thousandths;
         Self {

@@ -19,12 +19,12 @@ pub struct Slice {
     pub bytes: Vec<u8>,
 }
 
-/// Samples that are copied in one job: other jobs have a turn between two.
+/// Samples that are copied in one job: other jobs may run between two copies.
 const COPIED_SAMPLES: u64 = 16 << 20;
 
 impl DeviceWorker {
-    /// All samples of a field or of an expression over fields, in pieces of whole planes across z, and the number of planes of each; the last piece may
-    /// have fewer. Loads or computes what is not on the device.
+    /// Returns all samples of a field or of an expression over fields, in pieces of whole planes across z, and the number of planes of
+    /// each; the last piece may have fewer. Loads or computes fields that are not on the device.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -57,7 +57,8 @@ impl DeviceWorker {
         Ok((pieces, planes))
     }
 
-    /// The plane of a field across an axis (0 to 2). Loads the field where it is not on the device. Dropping the future cancels it.
+    /// Returns the plane of a field across an axis (0 to 2). Loads the field if it is not on the device. Dropping the future cancels the
+    /// work.
     ///
     /// # Errors
     /// [`WorkError`].

@@ -12,7 +12,7 @@ use crate::view::{FeatureName, Outward, View};
 /// Tolerance of a surface in which nothing was merged: below any error.
 const NOTHING_MERGED: f32 = -1.0;
 
-/// Distance of a mesh from the surface it stands for, as it was measured, in world units.
+/// Measured distance of a mesh from the surface it stands for, in world units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
@@ -23,26 +23,26 @@ pub struct MeasuredError {
     pub max: f32,
 }
 
-/// Distance of a mesh from the surface it stands for, in world units, as the quadrics of its leaves estimate it. Known before
-/// anything is measured, and no bound: vertices may be farther away.
+/// Distance of a mesh from the surface it stands for, in world units, as estimated by the quadrics of its leaves. Known before anything is
+/// measured, and not a bound: vertices may be farther away.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct EstimatedError {
     /// Root mean square over the surface.
     pub rms: f32,
-    /// The root mean square of the leaf with the largest one.
+    /// Root mean square of the worst leaf.
     pub worst_leaf: f32,
 }
 
-/// A length in world units, from the device's multiples of the smallest spacing.
+/// Converts a length to world units, from the device's multiples of the smallest spacing.
 pub(super) fn in_world(length: f32, smallest: f64) -> f32 {
     (f64::from(length) * smallest) as f32
 }
 
 impl MeasuredError {
-    /// In world units, from the device's multiples of the smallest spacing. `None` if no triangle is left of the surface, which then has no distance
-    /// from anything.
+    /// Converts it to world units, from the device's multiples of the smallest spacing. `None` if no triangle is left of the surface, which
+    /// then has no distance from anything.
     pub(super) fn in_world(SurfaceError { rms, max }: SurfaceError, smallest: f64) -> Option<Self> {
         let [rms, max] = [rms, max].map(|length| in_world(length, smallest));
         (rms.is_finite() && max.is_finite()).then_some(Self { rms, max })
@@ -50,7 +50,7 @@ impl MeasuredError {
 }
 
 impl EstimatedError {
-    /// In world units, as [`MeasuredError::in_world`].
+    /// Converts it to world units, as [`MeasuredError::in_world`].
     fn in_world(ErrorEstimate { rms, worst_leaf }: ErrorEstimate, smallest: f64) -> Self {
         let [rms, worst_leaf] = [rms, worst_leaf].map(|length| in_world(length, smallest));
         Self { rms, worst_leaf }
@@ -62,36 +62,37 @@ impl EstimatedError {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct Shape {
-    /// The side that triangles and normals show: that of high or that of low values.
+    /// The side that triangles and normals face: that of high or that of low values.
     pub outward: Outward,
-    /// Vertices of the file beside those of the surface: where sheets touch, each has vertices of its own.
+    /// Vertices of the file beyond those of the surface: sheets that touch get vertices of their own.
     pub split_vertices: u64,
     /// Whether each edge has two triangles.
     pub is_closed: bool,
     /// The volume that a closed surface encloses, in cubes of the file's unit.
     pub volume: Option<f64>,
-    /// Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured and neither `clean` nor `cap` asks for the count.
+    /// Pairs of triangles that share more than corners and edges. Null: not counted, because the error was not measured and neither `clean`
+    /// nor `cap` asks for the count.
     pub self_intersections: Option<u64>,
-    /// What the repair cost, of the whole surface (`clean`) or at its caps (`cap`). Null: neither was asked for.
+    /// Cost of the repair, of the whole surface (`clean`) or at its caps (`cap`). Null: neither was asked for.
     pub cleaned: Option<Cleaned>,
 }
 
-/// What `clean`, or `cap`, has changed.
+/// Changes made by `clean` or `cap`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct Cleaned {
     /// Pairs of triangles that intersected in the file's numbers, after the cut was refined.
     pub intersections: u64,
-    /// Triangles before the cut was refined where triangles intersect. The budget holds before and after.
+    /// Triangles before the cut was refined at intersecting triangles. The budget holds before and after.
     pub triangles_before: u64,
-    /// Triangles after that.
+    /// Triangles after the refinement.
     pub triangles_after: u64,
-    /// Cuts that were made after the first one; 0 also of a surface that is no cut of the vertex tree.
+    /// Cuts that were made after the first one; 0 also if the surface is not a cut of the vertex tree.
     pub rounds: u32,
     /// Vertices that were moved, because their triangles still intersected.
     pub moved_vertices: u64,
-    /// Farthest that one was moved, in the file's unit.
+    /// Largest distance by which a vertex was moved, in the file's unit.
     pub largest_move: f64,
 }
 
@@ -115,7 +116,7 @@ pub struct ExtractionStatistics {
     pub topology: TopologyName,
     /// Values of the feature that count as 0 and 1: as given, or its own range. Null: no feature.
     pub feature_range: Option<[f32; 2]>,
-    /// Guards that were `auto` and gave way to the budget, in this order: first the error, then the topology.
+    /// Guards that were `auto` and were relaxed to keep the budget, in this order: first the error, then the topology.
     pub gave_way: Vec<GuardName>,
     /// Whether this is a cut of the vertex tree, or else of the octree.
     pub is_tree_cut: bool,
@@ -128,13 +129,13 @@ pub struct ExtractionStatistics {
     pub full_triangles: u64,
     /// Triangles of the undecimated surface by the mesher of this one, without removed parts. Null: not counted.
     pub mesher_triangles: Option<u64>,
-    /// Parts that were removed, because of `minPart` or `parts`. Null: none were to be, or this is a cut of the octree, which
-    /// has them all.
+    /// Parts that were removed, because of `minPart` or `parts`. Null: removal was not asked for, or this is a cut of the octree, which
+    /// contains all parts.
     pub removed_parts: Option<u64>,
     /// Their triangles in the undecimated marching-cubes surface; those of a cell with several parts count for one of them. Null as
     /// `removedParts`.
     pub removed_triangles: Option<u64>,
-    /// Positions of `parts` with no surface next to them, which chose nothing. Null as `removedParts`.
+    /// Positions of `parts` with no surface next to them, which selected nothing. Null as `removedParts`.
     pub unmatched_positions: Option<u64>,
     /// Cells that the surface crosses.
     pub active_cells: u64,
@@ -142,17 +143,17 @@ pub struct ExtractionStatistics {
     pub leaves: [u64; 6],
     /// Triangles of this surface.
     pub triangles: u64,
-    /// Different vertices of this surface: what regions share counts once.
+    /// Distinct vertices of this surface: a vertex shared by regions counts once.
     pub vertices: u64,
-    /// Decimated cubes whose corners all have one sign: they emit nothing.
+    /// Decimated cubes whose corners all have the same sign: they emit no triangles.
     pub lost_cubes: u64,
-    /// Vertices on a coarser leaf's face where that leaf has no segment to move to.
+    /// Vertices on a coarser leaf's face that stayed, because that leaf has no segment there to move to.
     pub unpatched_vertices: u64,
     /// Device time by stage, milliseconds by the device's own events.
     pub stages_ms: BTreeMap<String, f64>,
-    /// Milliseconds from the start of the work to the surface; neither waiting for the device nor reading files is in it.
+    /// Milliseconds from the start of the work to the surface, without time spent waiting for the device or reading files.
     pub wall_ms: f64,
-    /// Most bytes allocated on the device beyond resident volumes.
+    /// Peak of bytes allocated on the device beyond resident volumes.
     pub device_bytes: u64,
     /// Bytes of the resident volumes this surface was made from.
     pub volume_bytes: u64,
@@ -169,10 +170,10 @@ pub struct ExtractionStatistics {
 }
 
 impl ExtractionStatistics {
-    /// Names of what it took to make a surface: it differs from one time to the next.
+    /// Names of the costs of making a surface, which differ from one run to the next.
     const COSTS: [&str; 4] = ["stagesMs", "wallMs", "deviceBytes", "volumeBytes"];
 
-    /// Returns the statistics of the surface alone, without what it took to make it, as a JSON object.
+    /// Returns the statistics of the surface alone, without the costs of making it, as a JSON object.
     pub fn of_surface(&self) -> serde_json::Value {
         let mut all = serde_json::to_value(self).unwrap_or_default();
         if let Some(names) = all.as_object_mut() {
@@ -181,8 +182,9 @@ impl ExtractionStatistics {
         all
     }
 
-    /// Those of one surface, or of several in one file: counts and times are of all together, guards that gave way those of any, errors, tolerance and
-    /// bytes the largest, and the rest is the first surface's.
+    /// Merges the statistics of one surface, or of several in one file: counts and times are sums, guards that gave way and notices those
+    /// of any surface, measured error, tolerance and bytes maxima. There is no estimated error of several, and they are a tree cut only if
+    /// all are. The rest is the first surface's.
     pub fn of_several(all: Vec<Self>) -> Self {
         let mut all = all.into_iter();
         let mut sum = all.next().unwrap_or_default();
@@ -233,7 +235,8 @@ impl ExtractionStatistics {
         }
     }
 
-    /// The kernels' statistics with the view, the time and the device. `smallest`: the spacing that lengths in them are multiples of.
+    /// Combines the kernels' statistics with the view, the time and the device. `smallest`: the spacing in whose multiples lengths are
+    /// given.
     pub fn new(
         kernels: &isopeel_kernels::SurfaceStatistics,
         view: &View,

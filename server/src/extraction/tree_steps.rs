@@ -1,12 +1,12 @@
 //! Coarser cuts of the vertex tree that come before the final one, so that a slow line shows a change soon.
 //!
-//! Each one is a whole surface, which the next one replaces: all bytes before the final ones are sent in vain. So there are few, each
-//! several times as large as the one before, and on a line that takes the final surface at once there is none.
+//! Each one is a whole surface, which the next one replaces, so all bytes before the final one are overhead. Therefore there are few, each
+//! several times as large as the one before, and none on a line that takes the final surface at once.
 
 use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
 use super::{Shown, Step};
 
-/// The final surface comes at once if it has at most the bytes of a step, divided by this.
+/// The final surface is sent at once if it has at most the bytes of a step, divided by this.
 const AT_ONCE_PART: u64 = 4;
 
 /// Bytes of a step, divided by those of the first cut.
@@ -16,14 +16,14 @@ const MIN_FIRST_BYTES: u64 = 80 << 10;
 
 /// Bytes of a further cut, divided by those of the cut before.
 const GROWTH: u64 = 4;
-/// The same, at least: the final surface comes instead of a cut that grows by less.
+/// Minimum of that ratio: the final surface is sent instead of a cut that grows by less.
 const MIN_GROWTH: u64 = 2;
 /// There is a further cut only if the bytes of the final surface, divided by those of a step, are above this.
 const LONG_STEPS: u64 = 8;
 
 /// Bytes of the final surface, divided by those of the largest cut.
 const TARGET_FINAL_PART: u64 = 5;
-/// The same of a cut whose topology needs more triangles.
+/// The same for a cut whose topology needs more triangles.
 const MAX_FINAL_PART: u64 = 3;
 
 /// Cuts of fewer triangles show too little of a surface.
@@ -32,17 +32,17 @@ const MIN_TRIANGLES: u64 = 1000;
 /// Triangles of a coarser cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TreePrefix {
-    /// Those that it is to have.
+    /// Triangles that the cut should have.
     pub triangles: u64,
-    /// Those that it may have if its topology needs more: the final surface comes at once instead of a larger cut.
+    /// Triangles that it may have if its topology needs more: instead of a larger cut, the final surface is sent at once.
     pub max_triangles: u64,
 }
 
-/// The coarser cut that comes next; `None` if that is the final one. `regions`: those that have cells of the surface; `expected`: triangles of the final
-/// surface.
+/// Returns the next coarser cut; `None` if the final one is next. `regions`: those that have cells of the surface; `expected`: triangles of
+/// the final surface.
 pub(super) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<TreePrefix> {
     let whole = chunk_bytes::of_triangles(expected, regions, BYTES_OF_100_TRIANGLES);
-    // What replaces a whole surface at once has to be final.
+    // A surface that replaces another one at once has to be final.
     if step.shown == Shown::Alike || whole <= step.line_bytes / AT_ONCE_PART {
         return None;
     }

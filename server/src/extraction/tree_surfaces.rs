@@ -1,4 +1,4 @@
-//! Surfaces as cuts of the vertex tree: where an error or a budget decides.
+//! Surfaces as cuts of the vertex tree: those that an error or a budget decides.
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -21,11 +21,11 @@ use crate::view::View;
 use crate::view::quality::{Fitted, MaxError};
 use crate::volumes::VolumeStep;
 
-/// Full surfaces of more triangles are cut as cubes before their tree is built: on an H200 a tree of so many takes about 20 ms.
+/// Full surfaces of more triangles are first shown as cubes, before their tree is built: on an H200 a tree of so many takes about 20 ms.
 const MAX_FULL_TRIANGLES: u64 = 1_500_000;
 
 impl WorkerState {
-    /// The final surface of a view as a cut of the vertex tree; `None` where no cut of the tree is small enough.
+    /// Makes the final surface of a view as a cut of the vertex tree; `None` if there is no tree, or no cut of it is small enough.
     pub(super) fn improve(
         &mut self,
         volume: &VolumeStep,
@@ -44,24 +44,24 @@ impl WorkerState {
 }
 
 impl OnDevice<'_> {
-    /// The vertex tree, if it is built.
+    /// Returns the vertex tree if it is cached.
     pub(super) fn cached_tree(&self) -> Option<Rc<VertexTree>> {
         let mut trees = self.trees.borrow_mut();
         let tree = trees.get(&self.key)?;
         tree.is_of(self.pyramid).then(|| Rc::clone(tree))
     }
 
-    /// Whether it is built so soon that others can wait for it.
+    /// Whether the tree is built so quickly that other jobs can wait for it.
     pub(super) fn builds_tree_soon(&self) -> bool {
         self.engine.device().kind != DeviceKind::Cpu && self.pyramid.full_triangles() <= MAX_FULL_TRIANGLES
     }
 
-    /// The vertex tree, which is built where it is not there. `None`: the surface is too large for a tree on this device; cubes take
+    /// Returns the vertex tree, which is built if it is not cached. `None`: the surface is too large for a tree on this device; cubes take
     /// less.
     ///
     /// # Errors
-    /// [`WorkError::NoTree`] where parts are to be removed, for cubes have them all; [`JobError::TakesLong`] where a short job would
-    /// build it; and the device's errors.
+    /// [`WorkError::NoTree`] if parts are to be removed, because cubes contain all parts; [`JobError::TakesLong`] if a short job would have
+    /// to build it; and the device's errors.
     pub(super) fn tree(
         &self,
         view: &View,
@@ -90,7 +90,7 @@ impl OnDevice<'_> {
         Ok(Some(tree))
     }
 
-    /// The guard on the error, if one was set; smallest spacings.
+    /// Returns the guard on the error, if one was set, in smallest spacings.
     fn error_guard(&self, view: &View) -> f32 {
         match view.max_error {
             MaxError::At(distance) => distance.in_spacings(self.smallest),
@@ -134,14 +134,14 @@ impl OnDevice<'_> {
         }
     }
 
-    /// Keeps a tree, which is larger once its parts are known.
+    /// Caches a tree, whose size grows once its parts are known.
     pub(super) fn keep_tree(&self, tree: &Rc<VertexTree>) {
         self.trees
             .borrow_mut()
             .insert(self.key.clone(), tree.device_bytes(), Rc::clone(tree));
     }
 
-    /// The error of the surface that [`OnDevice::tree_surface`] made of a view.
+    /// Measures the error of the surface that [`OnDevice::tree_surface`] made of a view.
     pub(super) fn measure_tree(&self, view: &View, cancel: &dyn Cancel) -> Result<Option<MeasuredError>, JobError> {
         let params = self.params_of(view);
         let Some(tree) = self.tree(view, &params, cancel)? else {
@@ -157,8 +157,8 @@ impl OnDevice<'_> {
     /// Cuts the tree to a view's error and budget.
     ///
     /// # Errors
-    /// [`WorkError::NoTree`], [`JobError::TakesLong`], and the device's errors. Where parts are to be removed, a cut that is refused is an error
-    /// too, for cubes have all parts.
+    /// [`WorkError::NoTree`], [`JobError::TakesLong`], and the device's errors. If parts are to be removed, a cut that is refused is an
+    /// error too, because cubes contain all parts.
     pub(super) fn tree_surface(
         &self,
         view: &mut View,
@@ -201,8 +201,8 @@ impl OnDevice<'_> {
         Ok(TreeCut::Made(self.with_all_stages(surface)))
     }
 
-    /// A coarser cut of the tree than that of a view: it has the same parts and topology, and no guard. `None` if there is no tree, or none of its
-    /// cuts has so few triangles.
+    /// Makes a coarser cut of the tree than that of a view: it has the same parts and topology, and no guard. `None` if there is no tree,
+    /// or no cut of it has so few triangles.
     pub(super) fn tree_prefix(
         &self,
         view: &View,
@@ -226,7 +226,7 @@ impl OnDevice<'_> {
         Ok(is_small.then(|| self.with_all_stages(surface)))
     }
 
-    /// The surface that [`OnDevice::tree_surface`] made of a view, refined where its triangles intersect.
+    /// Returns the surface that [`OnDevice::tree_surface`] made of a view, refined at intersecting triangles.
     ///
     /// # Errors
     /// [`WorkError::OverBudget`] if the budget allows no such surface, and the device's errors.
@@ -270,9 +270,9 @@ impl OnDevice<'_> {
         Ok((self.with_all_stages(surface), cost))
     }
 
-    /// The surface of a view that an error or a budget decides, as a function of the view alone: a cut of the tree, or, where that is
-    /// refused, a cut of cubes. Which of both is tried first depends on what is at hand, and changes nothing but the time it takes:
-    /// a view is refused where both cuts are. `tree_first`: the tree is there, or worth waiting for.
+    /// Makes the surface of a view that an error or a budget decides: a cut of the tree, or a cut of cubes. `tree_first`: the tree is
+    /// there, or worth waiting for; else cubes are tried first, and the tree can improve their surface later. The order affects only the
+    /// time it takes to the final surface: a view is refused if both cuts are.
     ///
     /// # Errors
     /// As [`OnDevice::tree_surface`] and [`OnDevice::target`].
@@ -313,7 +313,8 @@ impl OnDevice<'_> {
         Err(lesser(tree_refusal, refusal).into())
     }
 
-    /// A cut of the tree as the last step towards its view. It has no states of cubes: what follows it is made as a whole.
+    /// Returns a cut of the tree as the last step towards its view. It has no states of cubes, so the surface that follows it is made in
+    /// full.
     pub(super) fn tree_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
         Refinement {
             is_final: true,
@@ -321,7 +322,7 @@ impl OnDevice<'_> {
         }
     }
 
-    /// A coarser cut of the tree as a step towards a view.
+    /// Returns a coarser cut of the tree as a step towards a view.
     pub(super) fn tree_prefix_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
         Refinement {
             surface,

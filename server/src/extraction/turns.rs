@@ -1,5 +1,5 @@
-//! Whose turn it is on the device's thread. Jobs run in the order in which they were queued; one that takes long lets those that wait
-//! run wherever it could be cancelled, which is every 50 ms or so.
+//! Cooperative scheduler of the device's thread. Jobs run in the order in which they were queued; a long job yields to waiting jobs
+//! wherever it could be cancelled, which is every 50 ms or so.
 
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
@@ -11,20 +11,20 @@ use tokio_util::sync::CancellationToken;
 
 use crate::metrics::JobLabels;
 
-/// Who asks for a job.
+/// Kind of caller of a job.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Caller {
-    /// A viewer. Its job waits where the queue is full, and stops before its next stage when the viewer is gone. Viewers have one job
-    /// each, so that each has its turn.
+    /// A viewer. Its job waits if the queue is full, and stops before its next stage when the viewer is gone. Viewers have one job each, so
+    /// that each has its turn.
     Viewer,
-    /// A request. Its job is refused where the queue is full, and stops likewise.
+    /// A request. Its job is refused if the queue is full, and stops likewise.
     Request,
-    /// The result is cached for others: the job waits, and is finished whoever is gone.
+    /// The result is cached for other callers: the job waits if the queue is full, and is finished even if its caller is gone.
     Cache,
 }
 
 impl Caller {
-    /// How its jobs share the device where they take long.
+    /// Returns the length of this caller's long jobs.
     pub(super) fn long(self) -> Length {
         match self {
             Self::Request => Length::Export,
@@ -33,22 +33,22 @@ impl Caller {
     }
 }
 
-/// How a job shares the device. Where one that takes long pauses, those run that come before it here.
+/// How a job shares the device. When a long job yields, the jobs run that come before it in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Length {
-    /// Soon over: others wait for its end.
+    /// Ends soon: other jobs wait for its end.
     Short,
     /// Takes long, and a viewer waits for it.
     Long,
-    /// Computes a field: takes as long as the expression says, and many may wait for it.
+    /// Computes a field: its time depends on the expression, and many callers may wait for it.
     Field,
-    /// Takes long, and a program waits for it, an export.
+    /// Takes long, and a program waits for it: an export.
     Export,
-    /// For a viewer that rests.
+    /// Takes long, for a viewer at rest.
     Rest,
 }
 
-/// Their names among the metrics.
+/// Returns the names of caller and length in metrics.
 pub(super) fn job_labels(caller: Caller, length: Length) -> JobLabels {
     JobLabels {
         caller: match caller {
@@ -66,7 +66,7 @@ pub(super) fn job_labels(caller: Caller, length: Length) -> JobLabels {
     }
 }
 
-/// Permits for jobs of viewers in the queue, and for the one long job of each kind: each holds the memory of what it makes.
+/// Permits for viewers' jobs in the queue, and for the single long job of each kind, as each holds the memory of its result.
 pub(super) struct Permits {
     viewers: Arc<Semaphore>,
     long: Arc<Semaphore>,
@@ -76,7 +76,7 @@ pub(super) struct Permits {
 }
 
 impl Permits {
-    /// Viewers may have so many short jobs in the queue; those of further ones wait in order, so that requests find space.
+    /// Allows so many short jobs of viewers in the queue; further ones wait in order, so that requests find space.
     pub(super) fn new(viewers: usize) -> Self {
         Self {
             viewers: Arc::new(Semaphore::new(viewers)),
@@ -87,7 +87,7 @@ impl Permits {
         }
     }
 
-    /// Waits until a job of this length may be queued. What is returned goes with the job.
+    /// Waits until a job of this length may be queued. The returned permit is kept with the job.
     pub(super) async fn wait(&self, caller: Caller, length: Length) -> Option<OwnedSemaphorePermit> {
         let permits = match (length, caller) {
             (Length::Short, Caller::Viewer) => &self.viewers,
@@ -97,21 +97,21 @@ impl Permits {
             (Length::Export, _) => &self.export,
             (Length::Rest, _) => &self.rest,
         };
-        // They are never closed.
+        // The semaphores are never closed.
         Arc::clone(permits).acquire_owned().await.ok()
     }
 }
 
-/// What is run on the thread's state `S`.
+/// A job that runs on the thread's state `S`.
 pub(super) struct Job<S> {
     pub length: Length,
-    /// Cancelled, it ends as soon as it runs.
+    /// If it is cancelled, the job ends as soon as it runs.
     pub token: CancellationToken,
     pub run: Run<S>,
 }
 
 impl<S> Job<S> {
-    /// Whether it may run where one of this length pauses. One that is cancelled may, for its viewer's next job waits for its end.
+    /// Whether the job may run while one of this length yields. A cancelled job may too, because its viewer's next job waits for its end.
     fn may_run(&self, length: Length) -> bool {
         self.length < length || self.token.is_cancelled()
     }
@@ -119,11 +119,11 @@ impl<S> Job<S> {
 
 pub(super) type Run<S> = Box<dyn FnOnce(&mut S, &mut Queue<S>) + Send>;
 
-/// The jobs that wait.
+/// The waiting jobs.
 pub(super) struct Queue<S> {
     waiting: mpsc::Receiver<Job<S>>,
-    /// Jobs whose turn came while one that they come after paused: an export, a job of a viewer that rests. [`Permits`] lets no second
-    /// one of a kind in.
+    /// Jobs that were received while a job that comes before them yielded: an export, or a job of a viewer at rest. [`Permits`] admits no
+    /// second job of a kind.
     deferred: Vec<Job<S>>,
     /// Called after each job.
     after: Box<dyn Fn(&S)>,
@@ -138,7 +138,7 @@ impl<S> Queue<S> {
         }
     }
 
-    /// Runs jobs until nobody can queue one any more; `between` is called after each, but for those that run where another one pauses.
+    /// Runs jobs until all senders are dropped. Calls `between` after each, except for jobs that run while another one yields.
     pub(super) fn run(&mut self, state: &mut S, mut between: impl FnMut(&mut S, &mut Self)) {
         while let Some(job) = self.take_deferred(None).or_else(|| self.waiting.blocking_recv()) {
             self.run_job(state, job);
@@ -146,14 +146,14 @@ impl<S> Queue<S> {
         }
     }
 
-    /// Drops the jobs that wait: their callers ask why. False where nobody can queue one any more.
+    /// Drops the waiting jobs, whose callers then ask for the reason. Returns false if all senders are dropped.
     pub(super) fn drop_waiting(&mut self) -> bool {
         self.deferred.clear();
         while self.waiting.try_recv().is_ok() {}
         !self.waiting.is_closed()
     }
 
-    /// The first of the jobs that were deferred; of those that may run where one of this length pauses.
+    /// Takes the deferred job with the shortest length. If a job of length `pausing` yields, only jobs that may run then are taken.
     fn take_deferred(&mut self, pausing: Option<Length>) -> Option<Job<S>> {
         let jobs = self.deferred.iter().enumerate();
         let ready = jobs.filter(|(_, job)| pausing.is_none_or(|length| job.may_run(length)));
@@ -161,12 +161,12 @@ impl<S> Queue<S> {
         Some(self.deferred.swap_remove(at))
     }
 
-    /// Whether somebody may have a turn where a job of this length pauses.
+    /// Whether a job of this length has to yield: new jobs are queued, or a deferred one may run.
     fn has_waiting(&self, length: Length) -> bool {
         !self.waiting.is_empty() || self.deferred.iter().any(|job| job.may_run(length))
     }
 
-    /// Runs the jobs that wait now and come before one of this length: viewers have one each, so each gets a turn.
+    /// Runs the queued jobs that come before one of this length, and defers the others: viewers have one job each, so each gets a turn.
     fn run_waiting(&mut self, state: &mut S, length: Length) {
         for _ in 0..self.waiting.len() {
             match self.waiting.try_recv() {
@@ -190,20 +190,20 @@ impl<S> Queue<S> {
     }
 }
 
-/// Ends what was started on the device, and says how long each stage took since the last call.
+/// Finishes the work that was started on the device, and returns how long each stage took since the last call.
 type TakeTimes<'a> = &'a dyn Fn() -> Vec<StageTime>;
 
 /// A job's turn.
 pub(super) struct Turn<'a, S> {
     pub token: CancellationToken,
     pub length: Length,
-    /// Of a job that takes long, those that run where it pauses.
+    /// For a long job: the queue, whose jobs run when it yields.
     pub others: Option<&'a mut Queue<S>>,
 }
 
 impl<S> Turn<'_, S> {
-    /// Runs `work`, which holds nothing of `state`; others change it where `work` asks whether it is cancelled. Their times go to
-    /// `aside`.
+    /// Runs `work`, which borrows nothing of `state`: other jobs change the state when `work` checks for cancellation. The stages before
+    /// the last yield and the time of other jobs are added to `aside`.
     pub(super) fn run<T>(
         &mut self,
         state: &mut S,
@@ -223,7 +223,7 @@ impl<S> Turn<'_, S> {
         }
     }
 
-    /// Cancellation alone: nobody else runs.
+    /// Returns a check for cancellation alone, which runs no other job.
     pub(super) fn token(&self) -> Token<'_> {
         Token(&self.token)
     }
@@ -238,7 +238,7 @@ impl Cancel for Token<'_> {
     }
 }
 
-/// The same of a job that takes long.
+/// The same for a long job, which yields at each check.
 struct Pauses<'a, S> {
     token: &'a CancellationToken,
     length: Length,
@@ -251,7 +251,7 @@ impl<S> Cancel for Pauses<'_, S> {
     fn cancelled(&self) -> bool {
         let (state, queue) = &mut *self.others.borrow_mut();
         if !self.token.is_cancelled() && queue.has_waiting(self.length) {
-            // Times are of whoever asks next.
+            // Flush this job's stage times first, or the next job is billed for them.
             self.aside.add_stages((self.take_times)());
             let start = Instant::now();
             queue.run_waiting(state, self.length);
@@ -262,12 +262,12 @@ impl<S> Cancel for Pauses<'_, S> {
     }
 }
 
-/// What is to be known of a job's time where others ran meanwhile.
+/// Times of a job that yields to others.
 #[derive(Default)]
 pub(super) struct Aside {
-    /// Its stages before the last pause.
+    /// Stages of the job before its last yield.
     stages: RefCell<Vec<StageTime>>,
-    /// Time of others.
+    /// Time that other jobs took meanwhile.
     elsewhere: Cell<Duration>,
 }
 
@@ -277,7 +277,7 @@ impl Aside {
         start.elapsed().saturating_sub(self.elsewhere.get())
     }
 
-    /// Adds the stages before the last pause to those since then.
+    /// Adds the stages before the last yield to those since then.
     pub(super) fn complete(&self, stages: &mut Vec<StageTime>) {
         self.add_stages(std::mem::take(stages));
         *stages = self.stages.take();

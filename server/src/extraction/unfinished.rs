@@ -8,7 +8,7 @@ use isopeel_kernels::HistogramWork;
 use super::keys::HistogramKey;
 use super::lock::lock;
 
-/// Partial histograms that are kept, 4 KiB each, those without a caller among them.
+/// Maximum number of partial histograms, 4 KiB each, including those without a caller.
 const MAX_UNFINISHED: usize = 256;
 
 /// Histograms in the making.
@@ -18,7 +18,7 @@ pub(super) struct Unfinished {
 }
 
 impl Unfinished {
-    /// The work on a histogram. Locked by the caller who does it.
+    /// Returns the work on a histogram. The caller that does it holds its lock.
     pub(super) fn of(&self, key: &HistogramKey) -> Arc<tokio::sync::Mutex<HistogramWork>> {
         let mut works = lock(&self.works);
         if works.len() >= MAX_UNFINISHED && !works.contains_key(key) {

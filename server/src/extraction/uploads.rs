@@ -8,7 +8,7 @@ use super::keys::VolumeKey;
 use super::worker_state::{JobError, WorkerState};
 
 impl WorkerState {
-    /// Allocates a field; evicts those used longest ago.
+    /// Allocates a field; evicts the least recently used ones.
     pub(super) fn begin_upload(
         &mut self,
         key: VolumeKey,
@@ -24,7 +24,7 @@ impl WorkerState {
         Ok(())
     }
 
-    /// Puts the next samples of a field on the device.
+    /// Sends the next samples of a field to the device.
     pub(super) fn continue_upload(&mut self, key: &VolumeKey, samples: &Samples) -> Result<(), JobError> {
         let Some((bytes, mut upload)) = self.uploads.remove(key) else {
             return Ok(());
@@ -34,7 +34,7 @@ impl WorkerState {
         Ok(())
     }
 
-    /// Makes the next part of a field's min/max table; true once it is complete.
+    /// Makes the next part of a field's min/max table; returns true once it is complete.
     pub(super) fn continue_table(&mut self, key: &VolumeKey) -> Result<bool, JobError> {
         let Some((bytes, mut upload)) = self.uploads.remove(key) else {
             return Ok(true);
@@ -44,7 +44,7 @@ impl WorkerState {
         is_complete
     }
 
-    /// Makes a field resident of which all samples are on the device. `ahead`: nobody asked for it yet.
+    /// Makes a field resident once all of its samples are on the device. `ahead`: it was read ahead, before a viewer needed it.
     pub(super) fn finish_upload(&mut self, key: VolumeKey, ahead: bool) -> Result<(), JobError> {
         let Some((bytes, upload)) = self.uploads.remove(&key) else {
             return Ok(());
@@ -65,7 +65,7 @@ impl WorkerState {
         Ok(())
     }
 
-    /// Frees what is there of a field that will not be complete.
+    /// Frees the partial upload of a field that will not be completed.
     pub(super) fn drop_upload(&mut self, key: &VolumeKey) {
         self.uploads.remove(key);
     }
@@ -75,7 +75,7 @@ impl WorkerState {
         self.uploads.values().map(|(bytes, _)| bytes).sum()
     }
 
-    /// What allocates on the device, once more after all caches were dropped where it runs out of memory.
+    /// Runs an allocation on the device. If the device is out of memory, drops all caches and retries once.
     fn or_without_caches<T>(&mut self, mut work: impl FnMut(&Self) -> Result<T, Error>) -> Result<T, JobError> {
         match work(self) {
             Err(Error::OutOfDeviceMemory { .. }) if self.free_all_but(&[]) => Ok(work(self)?),

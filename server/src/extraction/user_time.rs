@@ -1,4 +1,4 @@
-//! Time of the device that each user's computed fields have taken lately.
+//! Recent device time that each user's computed fields have taken.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -9,17 +9,17 @@ use super::lock::lock;
 /// Period in which a user may take the limit.
 pub const USER_TIME_PERIOD: Duration = Duration::from_secs(600);
 
-/// Users whose time is kept before those are dropped who have all of it again.
+/// Number of users above which those are dropped who have their whole limit again.
 const MANY_USERS: usize = 1024;
 
-/// What the users of a server have taken.
+/// Device time taken by the users of a server.
 pub(super) struct UserTimes {
     /// `None`: there is no limit.
     limit: Option<Duration>,
     taken: Mutex<HashMap<Arc<str>, Taken>>,
 }
 
-/// Time that was taken, as of a moment; it is given back evenly, the whole limit in a period.
+/// Time that was taken, as of a moment. It is restored evenly, the whole limit in one period.
 #[derive(Clone, Copy)]
 struct Taken {
     time: Duration,
@@ -27,7 +27,7 @@ struct Taken {
 }
 
 impl Taken {
-    /// What of it still counts.
+    /// Returns the part of it that still counts.
     fn remaining(self, limit: Duration, now: Instant) -> Duration {
         let back = now.saturating_duration_since(self.at).as_secs_f64() / USER_TIME_PERIOD.as_secs_f64();
         self.time.saturating_sub(limit.mul_f64(back))
@@ -43,14 +43,14 @@ impl UserTimes {
     }
 }
 
-/// The user whose time a piece of work counts as.
+/// The user who is charged for a piece of work.
 #[derive(Clone)]
 pub(super) struct Payer {
     times: Arc<UserTimes>,
     user: Arc<str>,
 }
 
-/// Time that a user may take now, and after how long a tenth of the limit will be there.
+/// Time that a user may take now, and how long until a tenth of the limit is available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TimeLeft {
     pub limit: Duration,

@@ -1,4 +1,4 @@
-//! The description of a volume, as JSON: REST answers it, the stream's `opened` carries it.
+//! The description of a volume, as JSON: an answer of REST, and part of the stream's `opened`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use crate::view::{Edit, FeatureName, FieldExpression, OpeningIso, VectorName};
 use crate::volumes::vectors::vectors;
 use crate::volumes::{AxisScale, Dataset, Field, LengthUnit, MAX_LABELS, TimeAxis, VolumeStep};
 
-/// A volume: what the editor needs to know of one time step.
+/// A volume: the description of one time step for the editor.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
@@ -23,34 +23,33 @@ pub struct VolumeInfo {
     pub id: String,
     /// Name for people.
     pub title: String,
-    /// Where the samples lie.
+    /// Positions of the samples.
     pub geometry: GeometryInfo,
     /// Time steps, at least 1.
     pub steps: u32,
-    /// The time step that ranges and histograms speak of.
+    /// The time step that ranges and histograms describe.
     pub step: u32,
-    /// What positions along the axes x, y and z are, null where the file does not say it; absent where it says it of none.
+    /// Meaning of the positions along the axes x, y and z; null for an axis that the file does not describe; absent if it describes none.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axes: Option<[Option<AxisInfo>; 3]>,
-    /// When the steps are, where the file says it and there are several.
+    /// Times of the steps, if the file states them and there are several steps.
     pub times: Option<TimesInfo>,
     /// Fields, the main one first.
     pub fields: Vec<FieldInfo>,
-    /// Features to choose from besides `none` whose values are known: those derived from a field (here from the main one), then every
-    /// field.
+    /// Features, besides `none`, whose values are known: those derived from a field (here from the main one), then every field.
     pub features: Vec<FieldInfo>,
     /// Vector fields, known by the names of their components, with the features that are computed from them.
     pub vectors: Vec<VectorInfo>,
-    /// What is to be shown beside the data, a line each: copyright and source; what the file's reader repaired, assumed or interpolated; and
-    /// values that the device's type does not hold, once they were read.
+    /// Notices to be shown with the data, one a line: copyright and source; what the file's reader repaired, assumed or interpolated; and
+    /// values that the device's type cannot hold, once they were read.
     pub notice: Option<String>,
-    /// What the viewer opens with, where the volume brings it along.
+    /// Edit that the viewer opens with, if the volume comes with one.
     pub opening: Option<Edit>,
 }
 
-/// Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`, with `positions[axis]` of the index in place of
-/// `spacing[axis] · index[axis]` where there are any.
+/// Positions of samples: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. Along an axis with `positions`, the entry of
+/// `positions[axis]` at the index takes the place of `spacing[axis] · index[axis]`.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Geometry"))]
 pub struct GeometryInfo {
@@ -60,9 +59,9 @@ pub struct GeometryInfo {
     /// World units between samples; along an uneven axis their mean.
     #[schema(min_items = 3, max_items = 3)]
     pub spacing: [f64; 3],
-    /// Of each sample along the axes x, y, z that are not even, ascending, world units from the first one; null for an even axis. Absent
-    /// where all are even. Distances, areas and errors of surfaces are then bounds from above: those in a grid whose cells are all as
-    /// large as the largest along each axis.
+    /// Position of each sample along the uneven axes among x, y, z, ascending, world units from the first one; null for an even axis.
+    /// Absent if all axes are even. If present, distances, areas and errors of surfaces are upper bounds: those in a grid whose cells are
+    /// all as large as the largest along each axis.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(min_items = 3, max_items = 3)]
@@ -73,14 +72,14 @@ pub struct GeometryInfo {
     /// Unit vectors of the axes x, y, z in the world.
     #[schema(min_items = 3, max_items = 3)]
     pub direction: [[f64; 3]; 3],
-    /// Directions of the world's axes: `LPS` (of a patient: left, back, head), `RAS` (right, front, head), `world` where the file
-    /// does not say, `index` where positions count samples.
+    /// Directions of the world's axes: `LPS` (of a patient: left, back, head), `RAS` (right, front, head), `world` if the file does not
+    /// say, `index` if positions count samples.
     pub frame: &'static str,
-    /// Unit of lengths in the world, such as `mm`, where the file says it.
+    /// Unit of lengths in the world, such as `mm`, if the file states it.
     pub unit: Option<&'static str>,
 }
 
-/// What positions along an axis are.
+/// Meaning of the positions along an axis.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
@@ -89,11 +88,11 @@ pub struct AxisInfo {
     pub name: String,
     /// Unit of the positions, as the file says it.
     pub unit: Option<String>,
-    /// What they are: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`.
+    /// Their kind: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`.
     pub kind: &'static str,
-    /// Position of each sample, where the world's coordinates count samples; null: the world's coordinate along the axis is the position.
+    /// Position of each sample, if the world's coordinates count samples; null: the world's coordinate along the axis is the position.
     pub positions: Option<Vec<f64>>,
-    /// Positions grow downwards: where `positions` is null they are the world's coordinates times −1.
+    /// Whether positions grow downwards: if `positions` is null, they are then the world's coordinates times −1.
     pub points_down: bool,
 }
 
@@ -115,29 +114,29 @@ impl AxisInfo {
     }
 }
 
-/// When the time steps are.
+/// Times of the steps.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Times"))]
 #[serde(rename_all = "camelCase")]
 pub struct TimesInfo {
     /// The described step, for people: `1850-01-16`, `12.5 s`, `step 007`.
     pub label: String,
-    /// The same of every step, where there are at most 1024.
+    /// Labels of all steps, if there are at most 1024.
     pub labels: Option<Vec<String>>,
-    /// What times count: a unit (`s`), or since when (`days since 1850-01-01`); null where the file does not say.
+    /// What times count: a unit (`s`), or a unit and a reference date (`days since 1850-01-01`); null if the file does not say.
     pub unit: Option<String>,
-    /// The calendar of dates, as CF names it; null where times are no dates.
+    /// Calendar of the dates, by its name in CF; null if times are not dates.
     pub calendar: Option<&'static str>,
-    /// Time of step 0; null where it is no number.
+    /// Time of step 0; null if it is not a finite number.
     pub start: Option<f64>,
-    /// Time between steps, where it is always the same.
+    /// Time between steps, if it is constant.
     pub spacing: Option<f64>,
-    /// Time of every step, where that is not even and there are at most 1024 steps; null in it where one is no number.
+    /// Time of every step, if steps are uneven and there are at most 1024; an entry is null if the time is not a number.
     pub values: Option<Vec<f64>>,
 }
 
 impl TimesInfo {
-    /// Describes one step and, where they are not too many, all.
+    /// Describes one step and, if there are not too many, all steps.
     pub fn new(times: &TimeAxis, step: u32) -> Self {
         Self {
             label: times.label(step),
@@ -161,27 +160,26 @@ pub struct FieldInfo {
     /// Type of the samples on the device: `u8`, `i8`, `u16`, `i16` or `f32`.
     #[serde(rename = "type")]
     pub sample_type: &'static str,
-    /// Type of the samples in the file, as its format names it; absent where a feature is computed.
+    /// Type of the samples in the file, as its format names it; absent for computed values.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stored_type: Option<String>,
-    /// Unit of the values, where the file declares one.
+    /// Unit of the values, if the file declares one.
     pub unit: Option<String>,
-    /// What values of this field mean, where it is one of labels and the file says it; in ascending order.
+    /// Meaning of the values, in ascending order, if this is a field of labels and the file describes them.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub labels: Option<Vec<LabelInfo>>,
-    /// Least and greatest value.
+    /// Minimum and maximum.
     #[schema(min_items = 2, max_items = 2)]
     pub range: [f32; 2],
     /// Distribution of the values.
     pub histogram: HistogramInfo,
-    /// The isovalue that this field opens with, unless the volume brings one along; absent where this is a feature.
+    /// Isovalue that this field opens with, unless the volume comes with one; absent if this is a feature.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub opening_iso: Option<OpeningIso>,
-    /// The features that are computed from this field where its isosurface is made, by their names in edits; empty where this
-    /// is a feature itself.
+    /// Features that are computed from this field when its isosurface is made, by their names in edits; empty if this is a feature itself.
     pub derived_features: BTreeMap<String, DerivedInfo>,
 }
 
@@ -192,7 +190,7 @@ pub struct FieldInfo {
 pub struct LabelInfo {
     /// Value of the samples, as edits use it.
     pub value: f32,
-    /// The number in the file, where it is another one: 32-bit floats do not hold all numbers above 16777216.
+    /// Number in the file, if it differs from `value`: 32-bit floats do not hold all numbers above 16777216.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stored: Option<String>,
@@ -212,20 +210,20 @@ pub struct VectorInfo {
     pub features: BTreeMap<String, DerivedInfo>,
 }
 
-/// A feature computed from a field or from three. Its values are described where they were computed before: always those of
-/// `gradient-magnitude`.
+/// A feature computed from one field or from three. Its values are described only if they have been computed before; those of
+/// `gradient-magnitude` always are.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
 pub struct DerivedInfo {
-    /// Unit of the values, where the field's is declared.
+    /// Unit of the values; null if it depends on units of fields that are not declared, or that differ.
     pub unit: Option<String>,
-    /// Minimum and maximum, where they are known.
+    /// Minimum and maximum, if they are known.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(min_items = 2, max_items = 2)]
     pub range: Option<[f32; 2]>,
-    /// Distribution of the values, where it is known.
+    /// Distribution of the values, if it is known.
     #[cfg_attr(test, ts(optional))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub histogram: Option<HistogramInfo>,
@@ -235,11 +233,11 @@ pub struct DerivedInfo {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS), ts(rename = "Histogram"))]
 pub struct HistogramInfo {
-    /// Where the first bin begins.
+    /// Lower bound of the first bin.
     pub min: f32,
-    /// Where the last bin ends.
+    /// Upper bound of the last bin.
     pub max: f32,
-    /// Samples in each of the 256 bins; of a volume of more than 2^27 samples those of a share of its planes.
+    /// Samples in each of the 256 bins; for a volume of more than 2^27 samples, only samples of a share of its planes.
     pub counts: Vec<u64>,
 }
 
@@ -277,7 +275,7 @@ impl GeometryInfo {
 }
 
 impl LabelInfo {
-    /// The labels of a field, if there are any: those that its file names, and those that are shown by ranks.
+    /// Returns the labels of a field, if there are any: those that its file names, and those that are represented by ranks.
     pub fn of(field: &Field) -> Option<Vec<Self>> {
         let ranks = field.source.ranks();
         let mut labels: BTreeMap<i128, Self> = BTreeMap::new();
@@ -383,7 +381,7 @@ fn vector_infos(worker: &DeviceWorker, volume: &VolumeStep) -> Vec<VectorInfo> {
     vectors(&dataset.field_names()).into_iter().map(info_of).collect()
 }
 
-/// Describes the field that an expression over a volume's fields gives, as one of its own but for what is derived from it.
+/// Describes the field that an expression over a volume's fields gives, like one of the volume's own but without derived features.
 ///
 /// # Errors
 /// What is wrong with the expression, and [`WorkError`].
@@ -393,7 +391,7 @@ pub async fn describe_expression(
     text: &str,
 ) -> Result<FieldInfo, WorkError> {
     let dataset = volume.dataset();
-    // A field's own name need be no expression.
+    // The name of a field is not necessarily a valid expression.
     let unit = match dataset.field(text) {
         Some(field) => field.unit.clone(),
         None => {
@@ -415,7 +413,7 @@ pub async fn describe_expression(
     })
 }
 
-/// Describes one time step of a volume; the worker makes the histograms, or has kept them.
+/// Describes one time step of a volume; the worker makes the histograms unless they are cached.
 ///
 /// # Errors
 /// [`WorkError`].

@@ -1,8 +1,8 @@
 //! The bounded queue to the thread that owns the device.
 //!
 //! The OpenCL context stays on one named thread; [`DeviceWorker`] is a cheap handle to it. The queue is first in, first out, and a job is
-//! short (one slice of a histogram, one prefix). A caller queues again for each further prefix, so viewers take turns and none starves. What takes
-//! long, a vertex tree, a measured error or an export, pauses for those that wait (`turns`).
+//! short (one slice of a histogram, one prefix). A caller queues a new job for each further prefix, so viewers take turns and none starves.
+//! A long job, such as a vertex tree, a measured error or an export, yields to waiting jobs (`turns`).
 //!
 //! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
 //! [`JobError::NotResident`], its caller reads and uploads them, and queues it again.
@@ -35,31 +35,32 @@ use crate::metrics;
 use crate::view::View;
 use crate::volumes::VolumeStep;
 
-/// Jobs that may wait. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, viewers wait.
+/// Maximum number of waiting jobs. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, and
+/// viewers wait.
 pub const QUEUED_JOBS: usize = 64;
 
-/// Of these, jobs of viewers: the other half is left for REST.
+/// Maximum number of viewers' jobs among them: the other half is left for REST.
 const VIEWERS_JOBS: usize = QUEUED_JOBS / 2;
 
-/// Histograms kept, 2 KiB each: every field and feature of a dataset of some hundred steps.
+/// Maximum number of cached histograms, 2 KiB each: every field and feature of a dataset of some hundred steps.
 const KEPT_HISTOGRAMS: u64 = 2048;
 
-/// How long the result of a probe is used again.
+/// How long the result of a probe is reused.
 const ANSWER_AGE: Duration = Duration::from_secs(1);
 
-/// How often it is looked whether the thread has ended.
+/// How often the end of the thread is polled.
 const END_INTERVAL: Duration = Duration::from_millis(5);
 
-/// Of the device's thread. Drivers for CPUs run kernels on it, some of which have 3 MB of private variables with Intel's runtime.
+/// Stack of the device's thread. Drivers for CPUs run kernels on it, some of which have 3 MB of private variables with Intel's runtime.
 const STACK_BYTES: usize = 16 << 20;
 
 /// Handle to the thread that owns the device. Clones are cheap; the last one ends the thread and waits for it.
 #[derive(Clone)]
 pub struct DeviceWorker {
     pub(super) shared: Arc<Shared>,
-    /// Sees what this handle's jobs do.
+    /// Observes the jobs of this handle.
     pub(super) watch: Option<Arc<OpeningWatch>>,
-    /// Whose time the fields count as that this handle computes.
+    /// The user who is charged for the fields that this handle computes.
     pub(super) payer: Option<Payer>,
 }
 
@@ -73,7 +74,7 @@ pub(super) struct Shared {
     /// A mutex of std: held for a look-up, never across an await.
     pub histograms: Histograms,
     pub unfinished: Unfinished,
-    /// Held while a slice of work on a whole volume is queued: edits wait for one of them at most, and callers take turns.
+    /// Held while a slice of work on a whole volume is queued: edits wait for at most one slice, and callers take turns.
     pub slices: Semaphore,
     /// Time of the last successful probe.
     last_answer: tokio::sync::Mutex<Option<Instant>>,
@@ -163,8 +164,7 @@ impl DeviceWorker {
         })
     }
 
-    /// A handle that does the same, and counts the device's time that computed fields take as this user's; `None`: as that
-    /// of no user.
+    /// Returns the same handle, which charges the device's time of computed fields to this user; `None`: to no user.
     #[must_use]
     pub fn paid_by(&self, user: Option<&str>) -> Self {
         Self {
@@ -173,7 +173,8 @@ impl DeviceWorker {
         }
     }
 
-    /// Ends the thread, once all other handles are gone. False if that takes longer than `limit`: then it runs on until the process ends.
+    /// Ends the thread, once all other handles are gone. Returns false if that takes longer than `limit`: the thread then runs until the
+    /// process ends.
     pub fn end_within(self, limit: Duration) -> bool {
         let Some(mut shared) = Arc::into_inner(self.shared) else {
             return false;
@@ -182,7 +183,7 @@ impl DeviceWorker {
         let start = Instant::now();
         while shared.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
             if start.elapsed() > limit {
-                // Or it would be waited for.
+                // Else dropping the handle would wait for the thread.
                 drop(shared.thread.take());
                 return false;
             }
@@ -196,11 +197,11 @@ impl DeviceWorker {
         EngineId::of_number(self.shared.engine.load(Ordering::Relaxed))
     }
 
-    /// Waits until the device has done a job, if it has done none for a second: false if it does not within the limit, because its driver is stuck
-    /// or it has that much to do.
+    /// Waits until the device has done a job, unless one has succeeded within the last second. Returns false if that exceeds the limit,
+    /// because the driver is stuck or the queue is that long.
     pub async fn answers_within(&self, limit: Duration) -> bool {
         let ask = async {
-            // One at a time: others wait for its answer.
+            // One probe at a time: other callers wait for its answer.
             let mut last = self.shared.last_answer.lock().await;
             if last.is_some_and(|last| last.elapsed() < ANSWER_AGE) {
                 return true;
@@ -209,7 +210,7 @@ impl DeviceWorker {
             let asked = self.run(&never, Caller::Viewer, Length::Short, |state, _| {
                 Ok(state.engine().answers())
             });
-            // Other errors than a stuck driver show in its state, not here.
+            // Errors other than a stuck driver are visible in its state, not here.
             let answers = asked.await.unwrap_or(true);
             *last = answers.then(Instant::now);
             answers
@@ -217,12 +218,12 @@ impl DeviceWorker {
         tokio::time::timeout(limit, ask).await.unwrap_or(false)
     }
 
-    /// State of the device, now.
+    /// Returns the current state of the device.
     pub fn state(&self) -> DeviceState {
         self.shared.state.borrow().clone()
     }
 
-    /// State of the device, now and later.
+    /// Subscribes to the state of the device.
     pub fn states(&self) -> watch::Receiver<DeviceState> {
         self.shared.state.clone()
     }
@@ -253,8 +254,7 @@ impl DeviceWorker {
         }
     }
 
-    /// A handle that does the same for the opening of a volume, and how far it is with what `describe` and the `resolve` of a
-    /// view take.
+    /// Returns the same handle for the opening of a volume, and its progress with the work of `describe` and of the `resolve` of a view.
     ///
     /// # Errors
     /// [`WorkError`], but never `Cancelled`.
@@ -284,7 +284,7 @@ impl DeviceWorker {
         Ok((worker, watch))
     }
 
-    /// Fills in what depends on the data: the default isovalue and the feature's own range.
+    /// Fills in values that depend on the data: the default isovalue and the feature's own range.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -306,7 +306,7 @@ impl DeviceWorker {
     /// As [`DeviceWorker::resolve`], and loads the fields that the view's surface is made of.
     ///
     /// # Errors
-    /// [`WorkError`]; [`WorkError::Edit`] where there is no isovalue to choose, or a computed field has no values.
+    /// [`WorkError`]; [`WorkError::Edit`] if there is no isovalue to choose, or a computed field has no values.
     pub async fn prepare(
         &self,
         volume: &VolumeStep,
@@ -344,7 +344,7 @@ impl DeviceWorker {
         self.extract_for(Caller::Request, volume, view, making, token).await
     }
 
-    /// As [`DeviceWorker::extract`], made as it is said.
+    /// As [`DeviceWorker::extract`], for this caller and as `making` says.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -363,9 +363,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// How far the final surface of a view, whose budget is fitted, is from the undecimated one, if a triangle is left of it; for whom that is, and how it
-    /// shares the device.
-    /// `token` as in [`DeviceWorker::extract`].
+    /// Measures how far the final surface of a view, whose budget is fitted, is from the undecimated one, if a triangle is left of it. The
+    /// first argument is the caller and how the job shares the device. `token` as in [`DeviceWorker::extract`].
     ///
     /// # Errors
     /// [`WorkError`].
@@ -406,7 +405,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// The final surface of a view as a cut of the vertex tree; `None` where there is no better one. `token` and `ceiling_triangles` as in [`DeviceWorker::extract`].
+    /// Makes the final surface of a view as a cut of the vertex tree; `None` if there is no better one. `token` and `ceiling_triangles` as
+    /// in [`DeviceWorker::extract`].
     ///
     /// # Errors
     /// [`WorkError`].
@@ -428,8 +428,9 @@ impl DeviceWorker {
         .await
     }
 
-    /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it; but for one at
-    /// rest, of which there is one, and in whose pauses an export may run to its end.
+    /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it. The
+    /// exception is a job at rest, whose caller does not wait for the end of a cancelled one: there is only one such job, and an export may
+    /// run to its end while it yields.
     pub(super) async fn run<T, F>(
         &self,
         token: &CancellationToken,
@@ -451,7 +452,7 @@ impl DeviceWorker {
         let (reply, answer) = oneshot::channel();
         let token = token.child_token();
         let _guard = (caller != Caller::Cache).then(|| token.clone().drop_guard());
-        // What the thread logs of the job belongs to whatever has asked for it.
+        // Log entries of the job on the thread belong to the caller's span.
         let span = tracing::Span::current();
         let (labels, arrived) = (job_labels(caller, length), Instant::now());
         let (asked, ended) = (token.clone(), token.clone());
@@ -469,7 +470,7 @@ impl DeviceWorker {
                 })
             };
             metrics::job_ended(labels, begun.elapsed());
-            // Fails where the caller is gone, which is no error.
+            // Sending fails if the caller is gone, which is no error.
             let _ = reply.send(outcome);
         });
         let work = Job { length, token, run };
@@ -488,7 +489,8 @@ impl DeviceWorker {
         }
     }
 
-    /// As [`DeviceWorker::run`], once more for each program of the job that was still being checked: others have the device until it has passed.
+    /// As [`DeviceWorker::run`]; retries for each program of the job that was still being checked. Others use the device until it has
+    /// passed.
     pub(super) async fn run_when_proven<T, F>(
         &self,
         token: &CancellationToken,
@@ -513,7 +515,7 @@ impl DeviceWorker {
         }
     }
 
-    /// Runs a slice of work on a whole volume, one of all callers at a time; others have their turns while it waits for the check of a program.
+    /// Runs a slice of work on a whole volume, for one caller at a time; others take their turns while it waits for the check of a program.
     pub(super) async fn run_slice<T, F>(&self, caller: Caller, job: F) -> Result<T, JobError>
     where
         T: Send + 'static,

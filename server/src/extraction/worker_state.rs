@@ -37,12 +37,12 @@ const VOLUME_PERCENT: u64 = 50;
 
 /// Why a job ended without a result.
 pub(super) enum JobError {
-    /// Not all of these fields are resident: load them and queue the job again. With their bytes on the device, and the maximum of
-    /// all resident ones.
+    /// Not all of these fields are resident: load them and queue the job again. Has their bytes on the device, and the maximum bytes of all
+    /// resident fields.
     NotResident { needed: Vec<(VolumeKey, u64)>, budget: u64 },
     /// These histograms are not cached: make them and queue the job again.
     NeedsHistograms(Vec<HistogramKey>),
-    /// More is to be done than a short job may: queue it again as a long one.
+    /// The job is too long to run as a short one: queue it again as a long one.
     TakesLong,
     /// This program is still being checked: wait until it has passed and queue the job again.
     Unproven { program: String, proven: Arc<Proven> },
@@ -63,7 +63,7 @@ impl From<Error> for JobError {
 }
 
 impl From<JobError> for WorkError {
-    /// For jobs that use no volume.
+    /// Applies to jobs that use no volume.
     fn from(halt: JobError) -> Self {
         match halt {
             JobError::Failed(error) => error,
@@ -75,7 +75,7 @@ impl From<JobError> for WorkError {
     }
 }
 
-/// A view has no isovalue, and there is none to choose.
+/// Returns the error that a view has no isovalue, and none can be chosen.
 pub(super) fn no_finite_sample() -> WorkError {
     WorkError::Edit(EditError {
         field: "iso",
@@ -83,19 +83,19 @@ pub(super) fn no_finite_sample() -> WorkError {
     })
 }
 
-/// What a job on a view uses.
+/// What a job on a view works with.
 pub(super) struct OnDevice<'a> {
     pub engine: &'a Engine,
-    /// These two are borrowed for a moment: where the job pauses, others use them.
+    /// These two are borrowed only for a moment: other jobs use them while this job yields.
     pub cuts: &'a RefCell<Cuts>,
     pub trees: &'a RefCell<Trees>,
     /// Of the pyramid and its tree.
     pub key: PyramidKey,
     pub volume: &'a Volume,
     pub pyramid: &'a Pyramid,
-    /// Whether the pyramid was there before the job.
+    /// Whether the pyramid was cached before the job.
     was_cached: bool,
-    /// Whether the job pauses, so that it may take long.
+    /// Whether the job yields, so that it may take long.
     pub pauses: bool,
     aside: &'a Aside,
     /// Of the view as it was before the job.
@@ -106,18 +106,18 @@ pub(super) struct OnDevice<'a> {
 }
 
 impl OnDevice<'_> {
-    /// The parameters of a view that was fitted meanwhile.
+    /// Returns the parameters of a view that has been fitted since the job began.
     pub(super) fn params_of(&self, view: &View) -> CutParams {
         view.cut_params(self.smallest, &self.index_space)
             .unwrap_or_else(|| self.params.clone())
     }
 
-    /// The job's own time since `start`.
+    /// Returns the job's own time since `start`, without that of other jobs.
     pub(super) fn own_time(&self, start: Instant) -> Duration {
         self.aside.own_time(start)
     }
 
-    /// The final surface, and what it cost to refine it.
+    /// Makes the final surface, and returns the cost of refining it.
     fn final_surface(
         &self,
         view: &mut View,
@@ -131,7 +131,7 @@ impl OnDevice<'_> {
         } = making;
         let refines = refining != Refining::Never;
         let (params, cut) = if view.is_by_error() {
-            // What is refined is measured afterwards.
+            // A surface that is refined is measured afterwards.
             match self.decided(view, ceiling, true, measures && !refines, cancel)? {
                 Decided::Tree(_) if refines => {
                     let (surface, cost) = self.refined_tree_surface(view, making, cancel)?;
@@ -154,7 +154,7 @@ impl OnDevice<'_> {
         Ok((self.with_all_stages(surface), None))
     }
 
-    /// With all stages of this job: those before its last pause, and first those of the pyramid, where it has built that.
+    /// Adds the other stages of this job: those before its last yield and, first, those of the pyramid if the job has built it.
     pub(super) fn with_all_stages(&self, mut surface: Surface) -> Surface {
         let stages = &mut surface.statistics.stages;
         self.aside.complete(stages);
@@ -165,7 +165,7 @@ impl OnDevice<'_> {
         surface
     }
 
-    /// The stages of the pyramid, where this job has built it.
+    /// Returns the stages of the pyramid if this job has built it, else none.
     pub(super) fn new_pyramid_stages(&self) -> &[StageTime] {
         if self.was_cached { &[] } else { self.pyramid.stages() }
     }
@@ -186,19 +186,20 @@ pub(super) type Trees = Lru<PyramidKey, Rc<VertexTree>>;
 /// Histograms, shared between the thread and the handles.
 pub(super) type Histograms = Arc<Mutex<Lru<HistogramKey, Histogram>>>;
 
-/// The thread's state. What a job uses that pauses is shared with it, and stays until it ends, even where another one evicts it.
+/// State of the device's thread. Data that a yielding job uses is reference-counted: it lives until the job ends, even if another job
+/// evicts it.
 pub(super) struct WorkerState {
     engine: Rc<Engine>,
     pub(super) id: EngineId,
     pub(super) volumes: Lru<VolumeKey, Rc<Volume>>,
-    /// Those that were read ahead and are not used yet, the oldest first.
+    /// Volumes that were read ahead and are not used yet, the oldest first.
     pub(super) ahead: Vec<VolumeKey>,
     /// Resident fields that expressions gave.
     pub(super) computed: HashSet<VolumeKey>,
     pub(super) pyramids: Lru<PyramidKey, Rc<Pyramid>>,
     pub(super) trees: Rc<RefCell<Trees>>,
     pub(super) cuts: Rc<RefCell<Cuts>>,
-    /// Maximum bytes of these three and of freed buffers.
+    /// Maximum bytes of pyramids, trees, cuts and freed buffers.
     pub(super) surface_bytes: u64,
     /// Maximum time of the device for a field that a request has computed.
     pub(super) request_time: Option<Duration>,
@@ -206,14 +207,14 @@ pub(super) struct WorkerState {
     pub(super) pins: Pins,
     /// Fields that are being loaded, each with its bytes on the device.
     pub(super) uploads: HashMap<VolumeKey, (u64, Upload)>,
-    /// Whether the device no longer answers: all that was on it is gone.
+    /// Whether the device no longer answers: all its data is gone.
     pub(super) is_lost: bool,
-    /// Programs that a check which still runs has proven; the engine builds no others.
+    /// Programs that have passed a check which still runs; the engine builds no others.
     pub(super) proven: Option<Arc<Proven>>,
 }
 
 impl WorkerState {
-    /// `surface_bytes`: what may be kept of earlier edits, where that was set. `request_time`: as in [`super::DeviceOptions`].
+    /// `surface_bytes`: maximum bytes kept of earlier edits, if that is set. `request_time`: as in [`super::DeviceOptions`].
     pub(super) fn new(
         engine: Engine,
         histograms: Histograms,
@@ -244,7 +245,7 @@ impl WorkerState {
         }
     }
 
-    /// What holds memory. `program`: the process's before it opened a volume.
+    /// Returns the memory by purpose. `program`: memory of the process before it opened a volume.
     pub(super) fn memory(&self, program: u64) -> Result<ThreadMemory, Error> {
         Ok(ThreadMemory {
             device: self.engine.memory()?,
@@ -260,12 +261,12 @@ impl WorkerState {
         self.resident(key).is_some()
     }
 
-    /// Marks a field as used; an error if it is not resident.
+    /// Marks a field as used; returns an error if it is not resident.
     pub(super) fn use_field(&mut self, volume: &VolumeStep, key: &VolumeKey) -> Result<(), JobError> {
         self.use_fields(volume, std::slice::from_ref(key))
     }
 
-    /// A field, if it is resident; not marked as used.
+    /// Returns a field if it is resident, without marking it as used.
     pub(super) fn resident(&self, key: &VolumeKey) -> Option<&Volume> {
         self.volumes.peek(key).map(|volume| &**volume)
     }
@@ -274,7 +275,7 @@ impl WorkerState {
         &self.engine
     }
 
-    /// Evicts the volumes used longest ago that no job waits for, until so many bytes fit beside the rest.
+    /// Evicts the least recently used volumes that no job waits for, until so many bytes fit beside the rest.
     pub(super) fn evict_for(&mut self, bytes: u64) {
         let pins = &self.pins;
         self.volumes.evict_for(bytes, |key| !pins.holds(key));
@@ -285,18 +286,18 @@ impl WorkerState {
         self.forget_evicted();
     }
 
-    /// Forgets which fields were computed, of those that are resident no longer.
+    /// Forgets computed fields that are no longer resident.
     pub(super) fn forget_evicted(&mut self) {
         let volumes = &self.volumes;
         self.computed.retain(|key| volumes.peek(key).is_some());
     }
 
-    /// Bytes that are kept of earlier edits, freed buffers left out.
+    /// Bytes that are kept of earlier edits, without freed buffers.
     pub(super) fn kept_surface_bytes(&self) -> u64 {
         self.pyramids.cost() + self.trees.borrow().cost() + self.cuts.borrow().cost()
     }
 
-    /// Fills in isovalue and feature range. All histograms that this takes are required at once.
+    /// Fills in isovalue and feature range. Requests all histograms for that at once.
     pub(super) fn resolve(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), JobError> {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
@@ -329,7 +330,8 @@ impl WorkerState {
         )
     }
 
-    /// Makes the final surface, with its measured error or without, from a cached pyramid if there is one. Its stages are those of this job.
+    /// Makes the final surface, with or without its measured error, from a cached pyramid if there is one. Its stages are those of this
+    /// job.
     pub(super) fn extract(
         &mut self,
         volume: &VolumeStep,
@@ -352,7 +354,8 @@ impl WorkerState {
         })
     }
 
-    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree if that is built. `None` if no triangle is left of it.
+    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree if that is cached. `None` if no triangle
+    /// is left of it.
     pub(super) fn measure(
         &mut self,
         volume: &VolumeStep,
@@ -384,8 +387,8 @@ impl WorkerState {
         })
     }
 
-    /// Runs `work` with the volume and the pyramid of a view. Where the device runs out of memory, caches are freed and it runs once
-    /// more. Where it takes long, its volumes are pinned, if there is space for them beside those that are.
+    /// Runs `work` with the volume and the pyramid of a view. If the device runs out of memory, caches are freed and it runs once more. The
+    /// volumes of a long job are pinned, if there is space for them beside those that are.
     pub(super) fn with_pyramid<T>(
         &mut self,
         volume: &VolumeStep,
@@ -434,7 +437,7 @@ impl WorkerState {
             .is_some_and(|kept| cells_suffice || kept.is_whole());
         metrics::looked_up("pyramid", is_cached);
         let (engine, cuts, trees) = (Rc::clone(&self.engine), Rc::clone(&self.cuts), Rc::clone(&self.trees));
-        // Where the device fails, the job's next launch says so.
+        // If the device fails, the job's next launch reports it.
         let take_times = || engine.take_times().unwrap_or_default();
         let aside = Aside::default();
         if !is_cached {
@@ -443,7 +446,7 @@ impl WorkerState {
                 true => engine.build_cells(&shown_volume, feature.get(), iso, cancel),
                 false => engine.build_pyramid(&shown_volume, feature.get(), iso, cancel),
             })?;
-            // Who had a turn meanwhile may have made all of it, and a tree.
+            // A job that ran meanwhile may have made all of it, and a tree.
             if self.pyramids.peek(&key).is_none_or(|kept| !kept.is_whole()) {
                 self.pyramids
                     .insert(key.clone(), pyramid.device_bytes(), Rc::new(pyramid));
@@ -467,7 +470,7 @@ impl WorkerState {
         turn.run(self, &take_times, &aside, |cancel| work(&on, view, cancel))
     }
 
-    /// Keys of the fields that a view uses, marked as used; an error if one is not resident.
+    /// Returns the keys of the fields that a view uses, and marks them as used; an error if one is not resident.
     pub(super) fn require(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, JobError> {
         let keys = view_keys(volume, view);
         self.use_fields(volume, &keys)?;
@@ -498,16 +501,16 @@ impl WorkerState {
         })
     }
 
-    /// Says which fields a job needs; or before any file is read, that they cannot be resident together.
+    /// Returns the error that names the fields a job needs; or, before any file is read, that they cannot be resident together.
     fn not_resident(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> JobError {
-        // With what those are made of that are computed: all of it is pinned together until it is.
+        // Includes the inputs of computed fields: all of them are pinned together until the fields are made.
         let needed = |masking| {
             let needed = self.bytes_of(volume, &with_inputs(volume, keys, masking))?;
             let bytes: u64 = needed.iter().map(|(_, bytes)| bytes).sum();
             Ok::<_, WorkError>((needed, bytes))
         };
         let budget = self.volumes.budget();
-        // Masked on the host, fields are on the device alone.
+        // If fields are masked on the host, only the result is on the device.
         let found = match needed(Masking::OnDevice) {
             Ok((_, bytes)) if bytes > budget => needed(Masking::OnHost),
             found => found,
@@ -534,7 +537,7 @@ impl WorkerState {
         keys.iter().map(bytes).collect()
     }
 
-    /// Frees all cached volumes and pyramids but these volumes. False where there were none.
+    /// Frees all cached pyramids, trees and cuts, and all volumes except these. Returns false if no volume, pyramid or tree was freed.
     pub(super) fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
         let (mut trees, mut cuts) = (self.trees.borrow_mut(), self.cuts.borrow_mut());
         let before = self.volumes.len() + self.pyramids.len() + trees.len();

@@ -13,7 +13,7 @@ use super::OPERATOR;
 use super::state::JobState;
 use super::testing::{FakeMaker, LIMITS, checksum, job, open, runner};
 
-/// Set where this test is the process whose calls fail: the state folder.
+/// Set if this test is the child process whose calls fail. Its value is the state folder.
 const CHILD: &str = "ISOPEEL_FAULT_CHILD";
 const EXTRACTIONS: u32 = 2;
 /// The kind of fault that ends the process, and its status then.
@@ -28,7 +28,7 @@ const LIMIT: Duration = Duration::from_secs(60);
 async fn make(folder: &Path) {
     let (store, results) = open(folder).await;
     let start = Instant::now();
-    // A client that sends its request again where there was no answer.
+    // As a client that sends its request again if there was no answer.
     while let Err(error) = store.submit(job("x", Some("k"), EXTRACTIONS), LIMITS).await {
         assert!(start.elapsed() < LIMIT, "{error}");
     }
@@ -87,7 +87,8 @@ fn block_on(work: impl Future<Output = ()>) {
     runtime.unwrap().block_on(work);
 }
 
-/// A process whose call of that number fails, or is its last one, and one after it where it did not end well. Returns whether the call was made.
+/// Runs a process whose call number `at` fails or, for a crash, is its last one. If that process did not succeed, runs a second one without
+/// faults. Returns whether the process ended at that call.
 fn disturb(parent: &Path, shim: &Path, at: u64, kind: &str) -> bool {
     let (folder, why) = (parent.join(format!("{kind}-{at}")), format!("{kind} at call {at}"));
     std::fs::create_dir(&folder).unwrap();
@@ -105,7 +106,7 @@ fn disturb(parent: &Path, shim: &Path, at: u64, kind: &str) -> bool {
     is_hit
 }
 
-/// In memory where there is such a folder: what fails are calls, and no disk has to be waited for.
+/// Returns a folder in memory if the system has `/dev/shm`: calls are made to fail, so that the test need not wait for a disk.
 fn folder() -> TempDir {
     tempfile::tempdir_in("/dev/shm")
         .or_else(|_| tempfile::tempdir())
@@ -150,7 +151,7 @@ fn each_write_and_fsync_may_fail_or_be_the_last() {
             });
         }
     });
-    // How many calls there are varies by a few: when WAL is copied back depends on who reads.
+    // How many calls there are varies by a few: when the WAL is copied back depends on concurrent readers.
     let crashes = crashes.into_inner();
     assert!(crashes * 10 >= calls * 9, "{crashes} of {calls} calls were the last");
 }

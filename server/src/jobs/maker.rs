@@ -60,7 +60,7 @@ impl DeviceMaker {
     }
 
     fn dataset(&self, work: &Work) -> Result<Arc<Dataset>, MakeFailure> {
-        // Whoever submitted the job was allowed to.
+        // The user's access to the volume was checked when the job was submitted.
         self.catalog.find(&work.volume, Reader::of_all()).ok_or_else(|| {
             MakeFailure::JobFailed(Cause {
                 code: "unknown-volume".into(),

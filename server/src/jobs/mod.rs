@@ -1,8 +1,8 @@
-//! Batch jobs: many surfaces of one volume, made one after the other and kept until somebody deletes them. They survive the process that
-//! makes them, however it ends.
+//! Batch jobs: many surfaces of one volume, made one after the other and kept until a user deletes the job. Jobs survive the end of the
+//! server process, including crashes.
 //!
 //! - `state`: jobs as clients see them; `error`: why there is none.
-//! - `state_folder`: where they are kept, by one server at a time.
+//! - `state_folder`: the folder in which they are kept, used by one server at a time.
 //! - `store`: what is known of them, in SQLite. `results`: their files, in an object store.
 //! - `estimate`: what a job costs, before it is accepted.
 //! - `runner`: makes them; `maker`: on the device.
@@ -40,7 +40,7 @@ pub use state::{
 pub use state_folder::{StateFolder, StateFolderError};
 pub use store::requests::ResultInfo;
 
-/// Who owns jobs that are made without a server.
+/// Owner of jobs that are made without a server.
 pub use crate::access::OPERATOR;
 use crate::export::{FileRequest, OtherVolumes};
 use crate::extraction::Extractor;
@@ -66,7 +66,7 @@ pub const MAX_ATTEMPTS: u32 = 3;
 /// Jobs that are estimated at a time: each counts surfaces on the device and reads the files that it pins.
 const CONCURRENT_SUBMITS: usize = 1;
 
-/// Random bytes of a job's id: nobody finds another's by trying.
+/// Random bytes of a job's id: too many for the id of another user's job to be guessed.
 const ID_BYTES: usize = 16;
 
 /// Why jobs cannot be kept.
@@ -297,7 +297,8 @@ impl Jobs {
         self.0.store.events(owner, id, after).await
     }
 
-    /// That a job stands still, or goes on: `None` where this is as it was said to be (`told`), or the job is finished.
+    /// Returns an event if the job has been paused or resumed since its client was last told (`told`). `None` if nothing has changed, or
+    /// the job is finished.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -350,12 +351,12 @@ impl Jobs {
         Ok(self.0.results.read((id, extraction), range).await?)
     }
 
-    /// Where the file of a result is, if it is there.
+    /// Returns the path of a result's file, if it is there.
     pub fn result_path(&self, id: &str, extraction: u32) -> Option<PathBuf> {
         self.0.results.path((id, extraction))
     }
 
-    /// With why nothing of it is made, where that is so.
+    /// Adds the reason why the job is paused, if it is.
     fn shown(&self, job: JobInfo) -> JobInfo {
         let paused = self.0.signals.paused().filter(|_| !job.state.is_finished());
         JobInfo {

@@ -25,7 +25,7 @@ const PART_BYTES: usize = 4 << 20;
 /// SHA-256 of a result.
 pub type Checksum = [u8; 32];
 
-/// What is written as one result.
+/// A file that is written as one result.
 pub trait ResultFile: Send + 'static {
     /// Writes it.
     ///
@@ -67,7 +67,7 @@ pub enum WriteError {
     /// The surface does not fit its format.
     #[error(transparent)]
     Export(ExportError),
-    /// Nobody waits for it any more.
+    /// The job was cancelled.
     #[error("cancelled")]
     Cancelled,
 }
@@ -88,7 +88,7 @@ pub struct Results {
 }
 
 impl Results {
-    /// In a folder, which is made where there is none.
+    /// Opens the store in a folder, which is made if it is missing.
     ///
     /// # Errors
     /// It cannot be made or opened.
@@ -144,7 +144,7 @@ impl Results {
             (None, Err(error)) => Err(WriteError::Export(error)),
         };
         if outcome.is_err() {
-            // Fails where the upload was completed in part.
+            // Fails if the upload was completed in part.
             let _ = out.upload.abort().await;
             self.remove_staged(job, extraction);
         }
@@ -174,7 +174,7 @@ impl Results {
         Ok(self.store.get_opts(&key(job, extraction), options).await?.into_stream())
     }
 
-    /// Where a result is, if it is there.
+    /// Returns the path of a result, if it is there.
     pub fn path(&self, (job, extraction): (&str, u32)) -> Option<PathBuf> {
         let path = self.folder.join(job).join(extraction.to_string());
         path.is_file().then_some(path)

@@ -18,20 +18,21 @@ use super::state::Cause;
 use super::store::Store;
 use super::store::work::{Outcome, Work};
 
-/// What the runner and those who ask share.
+/// State that the runner shares with the requests of clients.
 #[derive(Debug, Default)]
 pub(super) struct Signals {
     /// There may be work.
     pub wake: Notify,
     /// Sent to whenever something has happened to a job.
     pub changes: watch::Sender<()>,
-    /// The job of the extraction that is being made. Held while one is taken, so that whoever cancels a job finds it here.
+    /// The job of the extraction that is being made. The lock is held while the next extraction is taken from the store, so that a request
+    /// that cancels a job finds it here.
     current: tokio::sync::Mutex<Option<(String, CancellationToken)>>,
     paused: Mutex<Option<&'static str>>,
 }
 
 impl Signals {
-    /// Ends the extraction that is being made, where it is one of this job.
+    /// Cancels the extraction that is being made, if it is one of this job.
     pub(super) async fn cancel(&self, job: &str) {
         match &*self.current.lock().await {
             Some((current, token)) if current == job => token.cancel(),
@@ -52,7 +53,7 @@ impl Signals {
     }
 }
 
-/// Times between attempts to write where the disk is full or does not work: each is twice the one before.
+/// Back-off between attempts to write when the disk is full or fails: each wait is twice the one before.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Backoff {
     /// The first.
@@ -81,11 +82,11 @@ pub(super) struct Runner<M> {
     pub backoff: Backoff,
 }
 
-/// What is wrong with the disk.
+/// Why nothing can be written.
 enum Fault {
     Full(String),
     Other(String),
-    /// Nothing: the server has too much to do.
+    /// The disk works, but the server has too much to do.
     Busy,
 }
 
@@ -116,7 +117,7 @@ impl<M: Maker> Runner<M> {
         }
     }
 
-    /// One extraction; false where there is none.
+    /// Makes one extraction; returns false if there is none.
     async fn turn(&self) -> Result<bool, Fault> {
         let Some((work, token)) = self.take().await? else {
             // What stood still was cancelled.
@@ -184,7 +185,7 @@ impl<M: Maker> Runner<M> {
         (outcome, None)
     }
 
-    /// Puts an outcome into the store, however long its disk does not work: the attempt was made. `None` where the server stops before.
+    /// Stores the outcome of an attempt, and retries for as long as the disk fails: the attempt was made. `None` if the server stops first.
     async fn note(&self, work: &Work, outcome: Outcome) -> Option<bool> {
         let mut wait = self.backoff.first;
         loop {

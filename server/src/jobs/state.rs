@@ -17,7 +17,7 @@ pub struct JobRequest {
     pub extractions: Vec<FileRequest>,
 }
 
-/// Where a batch job is.
+/// State of a batch job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "lowercase")]
@@ -30,7 +30,7 @@ pub enum JobState {
     Done,
     /// Some extraction failed, all surfaces are empty, or its input changed. Results that were made are there.
     Failed,
-    /// Somebody cancelled it. Results that were made are there.
+    /// A user cancelled it. Results that were made before are kept.
     Cancelled,
 }
 
@@ -75,7 +75,7 @@ pub struct Progress {
     pub total: u64,
     /// With a result.
     pub done: u64,
-    /// Without one, after three attempts or at once where others would not help.
+    /// Without a result, after three attempts, or after the first if others would not help.
     pub failed: u64,
     /// Without one, because the surface has no triangles.
     #[serde(default)]
@@ -119,9 +119,9 @@ pub struct JobInfo {
     pub id: String,
     /// Id of its volume.
     pub volume: String,
-    /// Where it is.
+    /// Its state.
     pub state: JobState,
-    /// Why it stands still at the moment, where it does: `disk-full` or `storage`. It goes on by itself.
+    /// Why it is paused at the moment, if it is: `disk-full` or `storage`. It goes on by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(test, ts(optional))]
     pub paused: Option<String>,
@@ -155,7 +155,7 @@ pub struct JobInfo {
     pub failures: Vec<Failure>,
 }
 
-/// Where an extraction of a job is.
+/// State of one extraction of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ExtractionState {
@@ -175,9 +175,9 @@ pub enum ExtractionState {
 pub struct ManifestEntry {
     /// Which, from 0.
     pub extraction: u32,
-    /// Where it is.
+    /// Its state.
     pub state: ExtractionState,
-    /// Name of its file, where `isopeel batch` and `isopeel jobs fetch` write one.
+    /// Name of its file, if `isopeel batch` or `isopeel jobs fetch` writes one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
     /// Triangles of the file.
@@ -239,7 +239,7 @@ pub struct JobEvent {
     /// The extraction that has ended.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub extraction: Option<u32>,
-    /// Why the job stands still since then, where it does: `disk-full` or `storage`. It goes on by itself.
+    /// Why the job has been paused since then, if it is: `disk-full` or `storage`. It goes on by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paused: Option<String>,
 }

@@ -65,7 +65,7 @@ impl StateFolder {
         }
     }
 
-    /// Returns where a folder is, made for this user alone if there is none, for commands that change it beside the server that uses it.
+    /// Returns the path of a folder, made for this user alone if there is none, for commands that change it while a server uses it.
     ///
     /// # Errors
     /// [`StateFolderError`].
@@ -79,13 +79,13 @@ impl StateFolder {
         }
     }
 
-    /// Where it is.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 }
 
-/// The magic number of the file system that a folder is on, where the system tells it.
+/// Returns the magic number of the file system that a folder is on, if the system tells it.
 #[cfg(target_os = "linux")]
 fn file_system(path: &Path) -> io::Result<Option<i64>> {
     use std::os::unix::ffi::OsStrExt;

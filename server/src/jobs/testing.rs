@@ -42,7 +42,7 @@ pub(super) async fn open_new() -> (TempDir, Store, Results) {
     (folder, store, results)
 }
 
-/// A job of so many extractions.
+/// Returns a job with a number of extractions.
 pub(super) fn job(id: &str, key: Option<&str>, extractions: u32) -> NewJob {
     let identity = InputIdentity::of(
         &dataset("a", [2; 3], &["f"]),
@@ -101,7 +101,7 @@ impl ResultFile for Content {
     }
 }
 
-/// What a [`FakeMaker`] does instead of a file.
+/// Failures that a [`FakeMaker`] returns instead of a file.
 pub(super) type Trouble = Arc<dyn Fn(&Work, u32) -> Option<MakeFailure> + Send + Sync>;
 
 /// Makes [`content`], and counts how often.

@@ -1,19 +1,19 @@
-//! Samples at uneven positions along the axes: between index space and the even grid of the same ends.
+//! Uneven positions of samples along the axes: maps between index space and the even grid with the same ends.
 
 use std::sync::Arc;
 
 use super::{DAffine3, DVec3};
 
-/// Uneven axes of a grid. Positions are *even coordinates*: those of the samples of an even grid with the same ends and as many samples are
-/// their indices.
+/// Uneven axes of a grid. Positions are *even coordinates*: in an even grid with the same ends and number of samples, a sample's even
+/// coordinate is its index.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnevenAxes {
-    /// Of each sample along x, y and z, ascending; empty where an axis is even.
+    /// Even coordinate of each sample along x, y and z, ascending; empty for an even axis.
     axes: [Vec<f64>; 3],
 }
 
 impl UnevenAxes {
-    /// Of the positions along x, y and z, which all increase or all decrease; `None` for an even axis. `None` where all are even.
+    /// Takes the positions along x, y and z, which all increase or all decrease; `None` for an even axis. Returns `None` if all are even.
     pub fn new(positions: [Option<&[f64]>; 3]) -> Option<Self> {
         let axes = positions.map(|positions| match positions {
             Some([first, .., last]) => {
@@ -27,7 +27,7 @@ impl UnevenAxes {
         axes.iter().any(|axis| !axis.is_empty()).then_some(Self { axes })
     }
 
-    /// The same with one more sample at each end, where one of an even grid would be.
+    /// Returns the axes with one more sample at each end, at the position that it has in an even grid.
     pub fn padded(&self) -> Self {
         let padded = |axis: &Vec<f64>| {
             let end = axis.len() as f64 + 1.0;
@@ -42,12 +42,13 @@ impl UnevenAxes {
         }
     }
 
-    /// Even coordinates of the samples of an axis; `None` where it is even.
+    /// Returns the even coordinates of the samples of an axis; `None` if it is even.
     pub fn of_axis(&self, axis: usize) -> Option<&[f64]> {
         Some(self.axes[axis].as_slice()).filter(|axis| !axis.is_empty())
     }
 
-    /// The cell of an index along an uneven axis, and where in it that is; `None` outside, where distances are even.
+    /// Returns the cell that contains an index along an uneven axis, and the position in that cell; `None` outside, as distances there are
+    /// even.
     fn cell(samples: &[f64], index: f64) -> Option<(usize, f64)> {
         let last = samples.len().checked_sub(2)?;
         let inside = index >= 0.0 && index <= (last + 1) as f64;
@@ -55,7 +56,7 @@ impl UnevenAxes {
         inside.then_some((low, index - low as f64))
     }
 
-    /// From index space to even coordinates.
+    /// Maps a position of index space to even coordinates.
     pub fn even_of(&self, index: DVec3) -> DVec3 {
         DVec3::from_array(std::array::from_fn(|axis| {
             let samples = &self.axes[axis];
@@ -66,7 +67,7 @@ impl UnevenAxes {
         }))
     }
 
-    /// From even coordinates to index space.
+    /// Maps even coordinates to index space.
     pub fn index_of(&self, even: DVec3) -> DVec3 {
         DVec3::from_array(std::array::from_fn(|axis| {
             let (samples, at) = (&self.axes[axis], even[axis]);
@@ -80,7 +81,7 @@ impl UnevenAxes {
         }))
     }
 
-    /// Lengths of the cell around a position of index space, in those of the even grid.
+    /// Returns the lengths of the cell around a position of index space, in cells of the even grid.
     pub fn steps(&self, index: DVec3) -> DVec3 {
         DVec3::from_array(std::array::from_fn(|axis| {
             let samples = &self.axes[axis];
@@ -88,8 +89,8 @@ impl UnevenAxes {
         }))
     }
 
-    /// Lengths over which the kernels take the differences of samples, in those of the even grid: at a sample half the distance of its two
-    /// neighbours, at an end its cell, and linear between samples, as gradients are along an edge.
+    /// Returns the lengths over which the kernels take differences of samples, in cells of the even grid: at a sample half the distance of
+    /// its two neighbours, at an end its cell, and linear between samples, as gradients are along an edge.
     pub fn difference_steps(&self, index: DVec3) -> DVec3 {
         let at = |samples: &[f64], sample: usize| {
             let (below, above) = (sample.saturating_sub(1), (sample + 1).min(samples.len() - 1));
@@ -102,13 +103,13 @@ impl UnevenAxes {
         }))
     }
 
-    /// Length of the largest cell along each axis, in those of the even grid; at least 1.
+    /// Returns the length of the largest cell along each axis, in cells of the even grid; at least 1.
     pub fn largest_steps(&self) -> [f64; 3] {
         let largest = |axis: &Vec<f64>| axis.windows(2).map(|pair| pair[1] - pair[0]).fold(1.0, f64::max);
         self.axes.each_ref().map(largest)
     }
 
-    /// Whether both are the same but for the rounding of a header.
+    /// Whether both are equal up to the rounding of a header.
     pub fn matches(&self, other: &Self) -> bool {
         const RELATIVE: f64 = 1e-4;
         let near = |(a, b): (&f64, &f64)| (a - b).abs() <= RELATIVE;
@@ -116,35 +117,35 @@ impl UnevenAxes {
     }
 }
 
-/// Where the index space of a grid is in the world.
+/// Position of a grid's index space in the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IndexSpace {
-    /// From even coordinates, which are those of index space where all axes are even.
+    /// Map from even coordinates, which are index space if all axes are even.
     pub world_from_even: DAffine3,
     /// The axes that are not even.
     pub uneven: Option<Arc<UnevenAxes>>,
 }
 
 impl IndexSpace {
-    /// The position in the world of one in index space.
+    /// Maps a position of index space to the world.
     pub fn world(&self, index: DVec3) -> DVec3 {
         let even = self.uneven.as_ref().map_or(index, |uneven| uneven.even_of(index));
         self.world_from_even.transform_point3(even)
     }
 
-    /// The position in index space of one in the world.
+    /// Maps a position of the world to index space.
     pub fn index(&self, world: DVec3) -> DVec3 {
         let even = self.world_from_even.inverse().transform_point3(world);
         self.uneven.as_ref().map_or(even, |uneven| uneven.index_of(even))
     }
 
-    /// Centre and half the size, in index space, of what has these in the world and is as large in both directions of each axis: of a box the
-    /// box, of a ball an ellipsoid with the same ends along the axes. `None` where the axes are even: then the map is one everywhere.
+    /// Returns centre and half the size, in index space, of a shape that has these in the world and is symmetric along each axis: of a box
+    /// the box, of a ball an ellipsoid with the same ends along the axes. `None` if all axes are even: then one map holds everywhere.
     pub fn extent(&self, centre: DVec3, half: DVec3) -> Option<(DVec3, DVec3)> {
         let uneven = self.uneven.as_ref()?;
         let even_from_world = self.world_from_even.inverse();
         let middle = even_from_world.transform_point3(centre);
-        // Uneven axes lie along the world's, but for their signs.
+        // Uneven axes are parallel to the world's axes, except for their signs.
         let columns = even_from_world.matrix3;
         let reach = columns.x_axis.abs() * half.x + columns.y_axis.abs() * half.y + columns.z_axis.abs() * half.z;
         let (low, high) = (uneven.index_of(middle - reach), uneven.index_of(middle + reach));

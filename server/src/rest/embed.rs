@@ -12,7 +12,7 @@ use super::ApiState;
 use crate::access::{DEFAULT_LENT_SECONDS, Identity, LendError, Role};
 use crate::problem::{ApiError, Problem};
 
-/// Who may have the viewer in a frame.
+/// Pages that may have the viewer in a frame.
 #[derive(Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct EmbedInfo {
@@ -20,7 +20,7 @@ pub struct EmbedInfo {
     origins: Vec<String>,
 }
 
-/// What a token for a frame is to be for.
+/// The roles and the lifetime of a token for a frame.
 #[derive(Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EmbedTokenRequest {
@@ -48,9 +48,9 @@ fn default_seconds() -> u64 {
 pub struct EmbedTokenInfo {
     /// For the frame, by `postMessage`, or for `Authorization: Bearer`.
     token: String,
-    /// What it is for.
+    /// Its roles.
     roles: Vec<Role>,
-    /// Seconds after which it is of no use any more.
+    /// Seconds until it expires.
     expires_seconds: u64,
 }
 
@@ -67,8 +67,9 @@ pub async fn show(State(state): State<ApiState>) -> Json<EmbedInfo> {
     Json(EmbedInfo { origins })
 }
 
-/// Makes a token for the viewer in a frame of another site's page: that site's server asks for one with a token of its own, the page hands it to the
-/// frame. It is for no more than the token that asks, ends with it, and is for `Authorization: Bearer` alone: there is no cookie for it, and nobody makes further ones with it.
+/// Makes a token for the viewer in a frame of another site's page. That site's server requests it with a token of its own, and the page
+/// hands it to the frame. The new token allows no more than the one that requested it and ends with it. It is accepted in `Authorization:
+/// Bearer` alone: it cannot be exchanged for a cookie, nor be used to make further tokens.
 #[utoipa::path(
     post,
     path = "/api/v1/embed-tokens",

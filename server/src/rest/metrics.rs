@@ -1,4 +1,4 @@
-//! What the server counts, for Prometheus and those who read its format.
+//! Metrics of the server, for Prometheus and other readers of its format.
 
 use axum::extract::State;
 use axum::http::header;

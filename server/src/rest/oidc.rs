@@ -19,12 +19,12 @@ pub struct SignInWays {
     sign_in: Option<SignIn>,
 }
 
-/// Where to sign in.
+/// Where users sign in.
 #[derive(Serialize, ToSchema)]
 pub struct SignIn {
     /// The issuer.
     issuer: String,
-    /// Where a browser is sent to, relative to the server's address.
+    /// Address to which a browser is sent to sign in, relative to the server's address.
     login: &'static str,
 }
 
@@ -73,7 +73,7 @@ pub async fn login(State(state): State<ApiState>) -> Result<Response, ApiError> 
     redirect(&address, [cookie])
 }
 
-/// Where the issuer sends a browser back to: signs in, and sends it home with a cookie.
+/// The address to which the issuer sends a browser back: signs in, and redirects to the viewer with a cookie.
 #[utoipa::path(
     get,
     path = "/api/v1/oidc/callback",
@@ -119,7 +119,7 @@ pub async fn callback(
     }
 }
 
-/// Signs out. The answer says where to sign out at the issuer too, if there is such a place.
+/// Signs out. The answer has the address at which to sign out at the issuer too, if there is one.
 #[utoipa::path(
     delete,
     path = "/api/v1/session",
@@ -137,11 +137,11 @@ pub async fn sign_out(State(state): State<ApiState>, headers: HeaderMap) -> Resu
     Ok(response)
 }
 
-/// Somebody has signed out.
+/// The answer to signing out.
 #[derive(Serialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct SignedOut {
-    /// Where a browser ends the session at the issuer.
+    /// Address at which a browser ends the session at the issuer.
     #[schema(required)]
     end_session: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! Bodies that never change: compressed once, for all who ask, and known by a tag.
+//! Bodies that never change: compressed once for all requests, and identified by an entity tag.
 
 use std::sync::OnceLock;
 

@@ -6,7 +6,7 @@ use http_range_header::parse_range_header;
 
 use crate::problem::ApiError;
 
-/// What of a file a request asks for.
+/// The part of a file that a request asks for.
 pub(super) enum Asked {
     Whole,
     /// From its first byte to the one behind its last.
@@ -16,7 +16,7 @@ pub(super) enum Asked {
 }
 
 impl Asked {
-    /// What of the file with this tag and so many bytes is asked for: all of it if `If-Range` names another one.
+    /// Returns the requested part of a file with this entity tag and length: all of it if `If-Range` names another tag.
     pub(super) fn of(headers: &HeaderMap, tag: &str, bytes: u64) -> Self {
         let applies = headers.get(header::IF_RANGE).is_none_or(|shown| shown == tag);
         let range = headers.get(header::RANGE).filter(|_| applies);
@@ -31,7 +31,7 @@ impl Asked {
     }
 }
 
-/// The value of `Content-Range` for a part of a file of so many bytes.
+/// Returns the value of `Content-Range` for a part of a file of `bytes` bytes.
 pub(super) fn content_range([from, to]: [u64; 2], bytes: u64) -> String {
     format!("bytes {from}-{}/{bytes}", to - 1)
 }

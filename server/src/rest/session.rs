@@ -12,7 +12,7 @@ use super::ApiState;
 use crate::access::{Identity, Role};
 use crate::problem::{ApiError, Problem};
 
-/// What a page shows to be let in.
+/// Credentials with which a page signs in.
 #[derive(Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SessionRequest {
@@ -58,7 +58,7 @@ pub async fn begin(
 pub struct SessionInfo {
     /// All that it may do: `edit` has `view` beside it, and `admin` all.
     roles: Vec<Role>,
-    /// Seconds after which its token is of no use any more; `null`: there is no such time.
+    /// Seconds until its token expires; `null`: it does not expire.
     expires_seconds: Option<u64>,
     /// Whether it may have batch jobs made: the server keeps some (`--state-folder`), and the client has the role `export`.
     jobs: bool,

@@ -16,7 +16,7 @@ use crate::pool;
 use crate::problem::{ApiError, Problem};
 use crate::volumes::{Field, VolumeStep};
 
-/// Header that says what a slice's samples are and where they lie, JSON in ASCII ([`SliceInfo`]).
+/// Header with the type of a slice's samples and their positions, JSON in ASCII ([`SliceInfo`]).
 pub const SLICE_HEADER: HeaderName = HeaderName::from_static("isopeel-slice");
 
 /// Which slice.
@@ -46,7 +46,7 @@ pub struct SliceQuery {
     level: Option<f32>,
 }
 
-/// What a slice's samples are and where they lie.
+/// Type and positions of a slice's samples.
 #[derive(Debug, Serialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct SliceInfo<'a> {
@@ -71,10 +71,10 @@ pub struct SliceInfo<'a> {
     steps: [[f64; 3]; 2],
 }
 
-/// A plane of samples across an axis, row after row, the lower of the plane's axes fastest. `isopeel-slice` in the answer's headers says of
-/// which type they are and where they lie. A picture has a pixel a sample, its first row at the top; missing samples are transparent.
-/// Contours are where the surfaces of isovalues cross the plane, in an SVG or as GeoJSON, whose coordinates are those of the volume's world.
-/// Reads the volume the first time.
+/// A plane of samples across an axis, row after row, the lower of the plane's axes fastest. The header `isopeel-slice` of the answer has
+/// their type and positions. A picture has a pixel for each sample, its first row at the top; missing samples are transparent. Contours are
+/// the lines along which the surfaces of isovalues cross the plane, in an SVG or as GeoJSON, whose coordinates are those of the volume's
+/// world. Reads the volume the first time.
 #[utoipa::path(
     get,
     path = "/api/v1/volumes/{id}/slices",

@@ -554,7 +554,7 @@ fn openapi_names_every_name_of_an_extract_request_and_refuses_others() {
     assert_eq!(names, expected);
 }
 
-/// What a route needs is in a list beside the routes: none is missing there, for it would need `admin`.
+/// The roles that routes need are in a list beside the routes. None is missing from the list: a missing route would need `admin`.
 #[tokio::test]
 async fn what_each_path_needs_is_listed() {
     let folder = tempfile::tempdir().unwrap();

@@ -17,12 +17,12 @@ use crate::problem::{ApiError, Problem};
 pub struct TicketInfo {
     /// For `/api/v1/stream?ticket=`, once.
     ticket: String,
-    /// Seconds after which it is of no use any more.
+    /// Seconds until it expires.
     expires_seconds: u64,
 }
 
-/// Makes a ticket for a stream, with which a page of another origin (`--allow-origin`) opens it: browsers let it send neither a header nor a cookie
-/// there. It is of use once, and to pages of the origin that has asked for it alone. Where the token ends, the stream does.
+/// Makes a ticket with which a page of another origin (`--allow-origin`) opens a stream: browsers let such a page send neither a header nor
+/// a cookie. A ticket is valid once, and only for pages of the origin that requested it. When the token ends, so does the stream.
 #[utoipa::path(
     post,
     path = "/api/v1/tickets",

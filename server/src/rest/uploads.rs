@@ -30,8 +30,8 @@ const TUS_VERSION: &str = "1.0.0";
 /// What parts are sent as.
 const PART_TYPE: &str = "application/offset+octet-stream";
 
-/// Of the body of a part that is refused so much is read, and for so long, before the answer: a connection that is closed before is reset, and
-/// a client that is reset may lose the answer.
+/// Bytes of the body of a refused part that are drained before the answer, for at most [`DRAIN`]. A connection that is closed before the
+/// body was read is reset, and a client whose connection is reset may lose the answer.
 const DRAINED_BYTES: usize = 16 << 20;
 const DRAIN: Duration = Duration::from_secs(5);
 
@@ -45,7 +45,7 @@ pub(super) fn routed() -> OpenApiRouter<ApiState> {
 }
 
 impl ApiState {
-    /// The uploads, where the server takes some.
+    /// Returns the uploads, or an error if the server takes none.
     fn uploads(&self) -> Result<&Uploads, ApiError> {
         self.uploads.as_ref().ok_or_else(|| {
             let message = "uploads are disabled on this server, expected one that was started with --uploads DIR";
@@ -104,7 +104,7 @@ async fn create(
     Ok((status, [(header::LOCATION, location)], Json(upload)).into_response())
 }
 
-/// The uploads of who asks, the latest first, and what is left of their quota. An administrator sees those of all users.
+/// The uploads of the user, the latest first, and what is left of their quota. An administrator sees those of all users.
 #[utoipa::path(
     get,
     path = "/api/v1/uploads",
@@ -162,7 +162,8 @@ async fn remove(
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Where to go on, as tus 1.0 asks. Ends a `PATCH` that is still under way, so that it stays at that.
+/// The offset at which to continue, as tus 1.0 defines it. Ends a `PATCH` that is still in flight, so that the offset does not change
+/// afterwards.
 #[utoipa::path(
     head,
     path = "/api/v1/uploads/{id}",
@@ -304,8 +305,8 @@ fn by_tus(answer: Result<Response, ApiError>) -> Response {
     answer
 }
 
-/// All bytes are there: reads the files as `isopeel serve` would, and offers their volumes to whoever has sent them. Asked again, it changes
-/// nothing.
+/// All bytes are there: reads the files as `isopeel serve` would, and offers their volumes to the user who uploaded them. Repeating the
+/// request changes nothing.
 #[utoipa::path(
     post,
     path = "/api/v1/uploads/{id}/finish",

@@ -49,7 +49,7 @@ impl From<&Dataset> for VolumeSummary {
     }
 }
 
-/// The volumes that whoever asks may see.
+/// The volumes that the user may see.
 #[utoipa::path(
     get,
     path = "/api/v1/volumes",
@@ -146,8 +146,8 @@ pub struct ExpressionQuery {
     typed: bool,
 }
 
-/// The field that an expression over a volume's fields gives: range, histogram, and unit where that is known. What is wrong with an
-/// expression is said with the character where it is. Reads the volume the first time.
+/// The field that an expression over a volume's fields gives: range, histogram, and unit if that is known. A mistake in an expression is
+/// reported with the position of its character. Reads the volume the first time.
 #[utoipa::path(
     get,
     path = "/api/v1/volumes/{id}/expression",
@@ -190,7 +190,7 @@ pub async fn expression(
 }
 
 impl ApiState {
-    /// One time step of a volume. What somebody may not see is not there.
+    /// Returns one time step of a volume. A volume that the user may not see is reported as unknown.
     pub(super) fn volume(&self, who: &Identity, id: &str, step: u32) -> Result<VolumeStep, ApiError> {
         let dataset = self.catalog.find(id, who.reader());
         Ok(VolumeStep::new(

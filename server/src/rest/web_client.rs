@@ -37,7 +37,7 @@ const MAX_BODIES: usize = 1_024;
 pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let path = uri.path().trim_start_matches('/');
     let first = path.split('/').next().unwrap_or_default();
-    // What is below routes of other kinds, or has one more slash, is no address of the client.
+    // A path below routes of other kinds, or with one more leading slash, is no address of the client.
     if ["api", "metrics", "healthz", "readyz"].contains(&first) {
         return ApiError::not_found(uri.path()).into_response();
     }
@@ -80,7 +80,7 @@ fn respond(name: &str, data: Cow<'static, [u8]>, hash: [u8; 32], request: &Heade
     body(data, hash, &content_type).respond(request, headers)
 }
 
-/// The body of a file, which is compressed once for all who ask for it.
+/// The body of a file, which is compressed once for all requests.
 fn body(data: Cow<'static, [u8]>, hash: [u8; 32], content_type: &str) -> Arc<Precompressed> {
     static BODIES: Mutex<BTreeMap<[u8; 32], Arc<Precompressed>>> = Mutex::new(BTreeMap::new());
     let mut bodies = BODIES.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! Accepts connections, with or without TLS, within limits of time, memory and number. `axum::serve` has none of these: a request that is
+//! Accepts connections, with or without TLS, within limits of time, memory and number. `axum::serve` has no such limits: a request that is
 //! never finished holds its connection for ever.
 
 use std::collections::HashMap;
@@ -35,23 +35,24 @@ use crate::stream::MAX_VIEWERS;
 pub struct ConnectionLimits {
     /// Connections at a time, streams among them; further ones wait in the system's queue.
     pub all: usize,
-    /// Of one peer, which is an address, or a network of IPv6 of 64 bits; further ones are answered with 503 and closed.
+    /// Connections of one peer at a time. A peer is an IPv4 address, or an IPv6 network of 64 bits; further connections are answered with
+    /// 503 and closed.
     pub per_peer: usize,
     /// Time for a request's head to arrive; also how long a connection without a request stays open.
     pub head: Duration,
 }
 
-/// Files that a server has open beside its connections, or more.
+/// Upper bound of the files that a server has open beside its connections.
 const OTHER_FILES: usize = 256;
 
-/// Connections of all viewers that a server lets in, and as many again.
+/// Maximum number of connections: twice the viewers that a server admits.
 const MAX_CONNECTIONS: usize = 2 * MAX_VIEWERS;
 
 /// Files that a process usually may have open.
 const USUAL_FILES: usize = 1024;
 
 impl ConnectionLimits {
-    /// What the system lets this process have open, after it was asked for more.
+    /// Derives the limits from the number of open files that the system allows this process, after asking for more.
     pub fn of_process() -> Self {
         let wanted = (MAX_CONNECTIONS + OTHER_FILES) as u64;
         let files = rlimit::increase_nofile_limit(wanted).map_or(USUAL_FILES, |files| files as usize);
@@ -66,7 +67,7 @@ impl ConnectionLimits {
         limits
     }
 
-    /// Five eighths are for one peer: a browser has six and a stream for each tab, a proxy those of all behind it.
+    /// Five eighths are for one peer: a browser has six and a stream for each tab, and a proxy has those of all its clients.
     fn of_files(files: usize) -> Self {
         let all = files.saturating_sub(OTHER_FILES).clamp(1, MAX_CONNECTIONS);
         Self {
@@ -83,18 +84,18 @@ impl Default for ConnectionLimits {
     }
 }
 
-/// Maximum bytes of a request's head, and of what is read and written ahead.
+/// Maximum bytes of a request's head, and of the buffers for reading and writing ahead.
 const BUFFER_BYTES: usize = 16 * 1024;
 
-/// Pause after the system refused a connection for want of files or memory.
+/// Pause after the system could not accept a connection for want of files or memory.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// What a peer with too many connections reads.
+/// Answer to a peer with too many connections.
 const TOO_MANY: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 10\r\nConnection: close\r\nContent-Type: text/plain\r\n\
     Content-Length: 43\r\n\r\ntoo many connections from your address now\n";
 
-/// Serves until `stop`, and then until the requests that run are answered. Dropping the future ends all connections.
+/// Serves until `stop`, and then until the running requests are answered. Dropping the future ends all connections.
 pub(super) async fn serve(
     listener: Listener,
     app: Router,
@@ -155,7 +156,7 @@ impl Connection {
         }
     }
 
-    /// Serves a connection to its end, or from `stop` on to that of its request.
+    /// Serves a connection to its end; after `stop`, only to the end of its current request.
     async fn serve<I>(self, socket: I)
     where
         I: AsyncRead + AsyncWrite + Unpin + Send + 'static,
@@ -191,7 +192,7 @@ impl Connection {
     }
 }
 
-/// The next connection; `None` where it was refused.
+/// Accepts the next connection; `None` if that failed or it was refused.
 async fn accept(listener: &Listener, peers: &Arc<Peers>) -> Option<Counted> {
     let permit = Arc::clone(&peers.all).acquire_owned().await.ok()?;
     let (socket, peer) = match listener.accept().await {
@@ -216,11 +217,11 @@ async fn accept(listener: &Listener, peers: &Arc<Peers>) -> Option<Counted> {
     })
 }
 
-/// How many connections there are of whom.
+/// Counts of connections by peer.
 struct Peers {
     all: Arc<Semaphore>,
     per_peer: usize,
-    /// They speak for many, and have no share.
+    /// Proxies carry many clients, so they have no limit per peer.
     proxies: Arc<[TrustedProxy]>,
     counts: Mutex<HashMap<IpAddr, usize>>,
 }
@@ -270,7 +271,7 @@ impl Drop for PeerGuard {
     }
 }
 
-/// A socket that is counted, also when it becomes a stream. Then what is read of it has a pace.
+/// A socket that is counted, also after it has become a stream. From then on the rate of its reads is limited.
 struct Counted {
     socket: Socket,
     address: IpAddr,

@@ -1,4 +1,4 @@
-//! Where a server listens: an address and port, or a Unix socket, which its file keeps from all but its user.
+//! Listener of a server: an address and port, or a Unix socket, whose file only its user may access.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -12,14 +12,14 @@ use std::task::{Context, Poll};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
 
-/// Bytes that the system holds of a connection beyond what it may send; a fast line is filled again before they are gone.
+/// Unsent bytes that the system buffers for a connection beyond what it may send; a fast line is refilled before they run out.
 #[cfg(target_os = "linux")]
 const NOT_SENT_BYTES: u32 = 128 << 10;
 
-/// Before the path of a Unix socket.
+/// Prefix of the path of a Unix socket.
 const UNIX: &str = "unix:";
 
-/// Where a server is to listen.
+/// Address that a server is to listen on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ListenAddress {
     /// An address and port; port 0 is a free one.
@@ -54,7 +54,7 @@ impl fmt::Display for ListenAddress {
     }
 }
 
-/// What listens.
+/// A listening socket.
 #[derive(Debug)]
 pub enum Listener {
     /// At an address and port.
@@ -73,7 +73,7 @@ impl Listener {
     /// Listens there.
     ///
     /// # Errors
-    /// Those of the system; `AddrInUse` where another server does.
+    /// Those of the system; `AddrInUse` if another server listens there.
     pub async fn bind(address: &ListenAddress) -> io::Result<Self> {
         match address {
             ListenAddress::Tcp(address) => Ok(Self::Tcp(TcpListener::bind(address).await?)),
@@ -84,7 +84,7 @@ impl Listener {
         }
     }
 
-    /// Where it listens, with the port that it has got.
+    /// Returns the address that it listens on, with the port that the system assigned.
     ///
     /// # Errors
     /// Those of the system.
@@ -95,16 +95,16 @@ impl Listener {
         }
     }
 
-    /// The next connection and its peer; what comes by a Unix socket is of this machine.
+    /// Accepts the next connection and returns its peer; a Unix socket's is this machine.
     pub(super) async fn accept(&self) -> io::Result<(Socket, IpAddr)> {
         match self {
             Self::Tcp(listener) => {
                 let (socket, peer) = listener.accept().await?;
-                // Or a small text frame waits for the acknowledgement of the chunk before it.
+                // Else a small text frame would wait for the acknowledgement of the chunk before it.
                 if let Err(error) = socket.set_nodelay(true) {
                     tracing::debug!(%error, "no TCP_NODELAY");
                 }
-                // What the system has not sent cannot be dropped any more where a newer edit takes its place.
+                // Data that the system holds unsent cannot be dropped any more when a newer edit supersedes it.
                 #[cfg(target_os = "linux")]
                 if let Err(error) = socket2::SockRef::from(&socket).set_tcp_notsent_lowat(NOT_SENT_BYTES) {
                     tracing::debug!(%error, "no TCP_NOTSENT_LOWAT");
@@ -119,10 +119,10 @@ impl Listener {
     }
 }
 
-/// Bytes of a socket's path at most: with the zero behind it `sun_path` has 108, on other systems than Linux 104.
+/// Maximum bytes of a socket's path: including the terminating zero, `sun_path` has 108 bytes, and 104 on systems other than Linux.
 const MAX_SOCKET_PATH: usize = if cfg!(target_os = "linux") { 107 } else { 103 };
 
-/// The file of a Unix socket. Dropping it removes it, if it is there still.
+/// The file of a Unix socket. Dropping it removes the file, if it is still this server's.
 #[derive(Debug)]
 pub struct SocketFile {
     path: PathBuf,
@@ -130,8 +130,8 @@ pub struct SocketFile {
 }
 
 impl SocketFile {
-    /// The socket is made in a folder that nobody else may enter, and moved to its path when it is closed to others: there is no moment at
-    /// which somebody else could connect.
+    /// Makes the socket in a folder that no other user may enter, and moves it to its path once its mode is 0600: at no moment can another
+    /// user connect.
     fn bind(path: &Path) -> io::Result<(UnixListener, Self)> {
         check_length(path)?;
         make_way(path)?;
@@ -148,7 +148,7 @@ impl SocketFile {
     }
 }
 
-/// Checks that clients can name a socket: the system takes no longer paths.
+/// Checks that clients can name a socket: the system does not accept longer paths.
 fn check_length(path: &Path) -> io::Result<()> {
     let length = path.as_os_str().len();
     if length <= MAX_SOCKET_PATH {
@@ -158,7 +158,7 @@ fn check_length(path: &Path) -> io::Result<()> {
     Err(io::Error::new(io::ErrorKind::InvalidInput, why))
 }
 
-/// Checks that a path is free, or has the socket of a server that has ended, which is replaced.
+/// Checks that a path is free, or has the socket of a server that has ended, which may be replaced.
 fn make_way(path: &Path) -> io::Result<()> {
     let found = match path.symlink_metadata() {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -191,7 +191,7 @@ pub(super) enum Socket {
 }
 
 impl Socket {
-    /// Says something and closes. Best effort, without waiting: what the peer has sent already may cost it the answer.
+    /// Sends an answer and closes. Best effort, without waiting: if the peer has already sent data, it may miss the answer.
     pub(super) fn refuse(self, answer: &[u8]) {
         let _ = match self {
             Self::Tcp(socket) => socket.into_std().and_then(|mut socket| socket.write(answer)),
@@ -292,7 +292,7 @@ mod tests {
         drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
         assert!(path.exists());
         let listener = Listener::bind(&address).await.unwrap();
-        // Somebody has put another one there: it is not this server's to remove.
+        // The file at the path is not this server's any more: it must not remove it.
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, b"other").unwrap();
         drop(listener);

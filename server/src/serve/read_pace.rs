@@ -1,5 +1,5 @@
-//! How fast the bytes of a stream are read. What a client says is small, and messages have a pace of their own; but a message in pieces without
-//! end is none for as long as it lasts, and taking it apart costs a processor that others wait for.
+//! Rate limit for reading a stream. Clients send little, and messages are limited elsewhere. But a message in endless pieces does not count
+//! as a message while it lasts, and parsing it takes a processor that others wait for.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -8,15 +8,15 @@ use std::time::Duration;
 
 use tokio::time::{Instant, Sleep, sleep_until};
 
-/// Bytes that are read in a second: the longest messages sixteen times. Of a client that sends more, TCP holds them back.
+/// Bytes that are read in a second: sixteen times the longest messages. Back-pressure of TCP slows down a client that sends more.
 const BYTES_A_SECOND: u32 = 1 << 20;
-/// Bytes that are read at once, after less was sent for a while.
+/// Burst: bytes that are read at once, after less was sent for a while.
 const BYTES_AT_ONCE: u32 = 1 << 20;
 
-/// Says when the next bytes may be read.
+/// Decides when the next bytes may be read.
 #[derive(Default)]
 pub(super) struct ReadPace {
-    /// When all bytes so far would have been read at an even pace.
+    /// Time at which all bytes so far would have been read at an even rate.
     even: Option<Instant>,
     sleep: Option<Pin<Box<Sleep>>>,
 }
@@ -34,13 +34,13 @@ impl ReadPace {
         Poll::Ready(())
     }
 
-    /// So many bytes were read now.
+    /// Records that so many bytes were read at `now`.
     pub(super) fn read(&mut self, bytes: usize, now: Instant) {
         let time = Duration::from_secs_f64(bytes as f64 / f64::from(BYTES_A_SECOND));
         self.even = Some(self.even.map_or(now, |even| even.max(now)) + time);
     }
 
-    /// `None`: nothing is to be waited for.
+    /// Returns until when reads have to wait; `None` if they need not.
     fn held_until(&self, now: Instant) -> Option<Instant> {
         let at_once = Duration::from_secs_f64(f64::from(BYTES_AT_ONCE) / f64::from(BYTES_A_SECOND));
         let until = self.even?.checked_sub(at_once)?;

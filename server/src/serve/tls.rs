@@ -1,4 +1,4 @@
-//! TLS of the server's own: a certificate and its key from files, which are read again while the server runs.
+//! The server's own TLS: a certificate and its key from files, which can be reloaded while the server runs.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use tokio_rustls::TlsAcceptor;
 pub struct Tls {
     certificate: PathBuf,
     key: PathBuf,
-    /// What the next connection is accepted with.
+    /// Configuration for the next connection.
     config: RwLock<Arc<ServerConfig>>,
 }
 
@@ -51,7 +51,7 @@ pub enum TlsError {
 }
 
 impl Tls {
-    /// Reads a certificate, with those between it and its root behind it, and its key.
+    /// Reads a certificate, followed by the intermediate ones up to its root, and its key.
     ///
     /// # Errors
     /// [`TlsError`].
@@ -63,24 +63,24 @@ impl Tls {
         })
     }
 
-    /// Reads the files again, for connections from now on.
+    /// Reloads the files, for new connections.
     ///
     /// # Errors
-    /// [`TlsError`]; what was there before stays.
+    /// [`TlsError`]; the previous certificate stays in use.
     pub fn reload(&self) -> Result<(), TlsError> {
         let config = Arc::new(read(&self.certificate, &self.key)?);
         *self.config.write().unwrap_or_else(PoisonError::into_inner) = config;
         Ok(())
     }
 
-    /// Accepts a connection with what was read last.
+    /// Returns an acceptor with the certificate that was loaded last.
     pub(super) fn acceptor(&self) -> TlsAcceptor {
         let config = self.config.read().unwrap_or_else(PoisonError::into_inner);
         Arc::clone(&config).into()
     }
 }
 
-/// Bytes of a file of certificates or a key at most.
+/// Maximum bytes of a file of certificates or a key.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
 fn read_file(path: &Path) -> io::Result<Vec<u8>> {
@@ -121,7 +121,7 @@ fn read(certificate: &Path, key: &Path) -> Result<ServerConfig, TlsError> {
         .with_safe_default_protocol_versions()
         .and_then(|versions| versions.with_no_client_auth().with_single_cert(chain, private))
         .map_err(refuse)?;
-    // What the listener speaks.
+    // The only protocol that the listener speaks.
     config.alpn_protocols = vec![b"http/1.1".to_vec()];
     Ok(config)
 }

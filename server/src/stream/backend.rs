@@ -17,10 +17,10 @@ use crate::extraction::{
 use crate::view::View;
 use crate::volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
 
-/// Bytes of chunks that are kept for viewers of equal views, where nothing says how many: some dozen surfaces of a million triangles.
+/// Default bytes of chunks that are cached for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;
 
-/// How often the progress of an open is looked at, and so stated at most.
+/// Interval at which the progress of an open is polled, and so published at most.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Catalog and device of a session.
@@ -28,13 +28,13 @@ pub trait Backend: Clone + Send + Sync + 'static {
     /// The dataset of that id, if the viewer may see it.
     fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>>;
 
-    /// The same, whose work counts as that of this viewer's user.
+    /// Returns a backend whose work is accounted to this viewer's user.
     #[must_use]
     fn used_by(self, _who: &Identity) -> Self {
         self
     }
 
-    /// For as long as somebody looks at a volume.
+    /// Marks a volume as in use until the returned lease is dropped.
     fn lease(&self, _volume: &str) -> Lease {
         Lease::default()
     }
@@ -56,7 +56,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Box<RawValue>, WorkError>> + Send;
 
-    /// Reads what these views use of a time step, as far as there is memory for it, before anybody asks for it.
+    /// Prefetches what these views use of a time step, as far as there is memory for it.
     fn read_ahead(
         &self,
         volume: &VolumeStep,
@@ -64,7 +64,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = ()> + Send;
 
-    /// Keeps a time step's samples where they are while others are read ahead.
+    /// Marks a time step as open until the returned guard is dropped: prefetching others does not evict its samples.
     fn hold(&self, _volume: &VolumeStep) -> Held {
         Held::default()
     }
@@ -74,7 +74,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         false
     }
 
-    /// The engine that works now.
+    /// The engine that is in use now.
     fn engine(&self) -> EngineId {
         EngineId::default()
     }
@@ -104,7 +104,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Refinement, WorkError>> + Send;
 
-    /// A better surface of the same view, for a viewer that rests; `None` where there is none.
+    /// Makes a better surface of the same view, for a viewer that rests. `None` if there is none.
     fn improve(
         &self,
         volume: &VolumeStep,
@@ -112,7 +112,8 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Option<Refinement>, WorkError>> + Send;
 
-    /// How far the final surface of a view is from the undecimated one; `None` where nothing measures it.
+    /// Measures how far the final surface of a view is from the undecimated one. `None` for surfaces of the marching-cubes mesher, and if
+    /// the surface has no triangles.
     fn measure(
         &self,
         volume: &VolumeStep,
@@ -120,7 +121,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Option<Measurement>, WorkError>> + Send;
 
-    /// Answers a question about the surface that the viewer is shown, or about the volume where there is none.
+    /// Answers a question about the surface that the viewer is shown. If none is shown, a probe is answered for the volume alone.
     fn answer(
         &self,
         volume: &VolumeStep,
@@ -154,7 +155,7 @@ pub struct Live {
 /// How viewers and volumes with time steps are served.
 #[derive(Clone, Copy, Debug)]
 pub struct LiveOptions {
-    /// Maximum bytes on the device of time steps that were read before anybody asked for them; 0: none are.
+    /// Maximum bytes on the device of prefetched time steps; 0 turns prefetching off.
     pub ahead_bytes: u64,
     /// Maximum bytes of chunks that are kept for viewers of equal views; 0: none are.
     pub shared_bytes: u64,
@@ -328,7 +329,7 @@ async fn described(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Box<Raw
     })
 }
 
-/// States how far the device is, where it goes on.
+/// Publishes the progress of opening the device whenever its state changes. Never returns.
 async fn report_device(mut states: watch::Receiver<DeviceState>, progress: &watch::Sender<OpeningProgress>) -> ! {
     loop {
         let preparation = match *states.borrow_and_update() {
@@ -347,7 +348,7 @@ async fn report_device(mut states: watch::Receiver<DeviceState>, progress: &watc
     }
 }
 
-/// States how far the work is, where it goes on.
+/// Publishes the progress of the open, at most once per [`PROGRESS_INTERVAL`] and only if it has advanced. Never returns.
 async fn report(watch: &OpeningWatch, progress: &watch::Sender<OpeningProgress>) -> ! {
     loop {
         tokio::time::sleep(PROGRESS_INTERVAL).await;

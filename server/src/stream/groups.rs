@@ -1,8 +1,8 @@
 //! Groups: viewers who are shown what one of them does.
 //!
-//! A group has a leader, who has started it, and followers. One of them has control, at first the leader: what that one opens, edits and
-//! looks at is passed on, always the newest of it alone. When the leader leaves, the group ends; where its connection is lost, the group waits for it
-//! to come back with the key that it alone has.
+//! A group has a leader, who has started it, and followers. One member has control, at first the leader. What that member opens, edits
+//! and looks at is broadcast to the others; only the newest state is kept. When the leader leaves, the group ends. If the leader's
+//! connection is lost, the group waits for the leader to come back with the key that no one else has.
 
 mod first_steps;
 mod leader;
@@ -29,9 +29,9 @@ use crate::volumes::VolumeStep;
 use crate::wire::group::{Follower, LedSurface, Pose};
 use crate::wire::messages::ServerMessage;
 
-/// Maximum groups: one for every 16 viewers there may be.
+/// Maximum groups: one for every 16 of the maximum viewers.
 pub(super) const MAX_GROUPS: usize = 64;
-/// Those that one user may lead at a time.
+/// Maximum groups that one user may lead at a time.
 pub(super) const MAX_GROUPS_OF_USER: usize = MAX_GROUPS / 4;
 const SEATS: SeatLimits = SeatLimits {
     what: "groups",
@@ -42,23 +42,23 @@ const SEATS: SeatLimits = SeatLimits {
 };
 /// Maximum followers of a group: a lecture, and some viewers beside it.
 pub(super) const MAX_FOLLOWERS: usize = 1000;
-/// A group that was forgotten ends after so long.
+/// Lifetime of a group, so that a forgotten one ends.
 const MAX_AGE: Duration = Duration::from_secs(12 * 3600);
 
-/// Followers that the leader has one by one, those first who ask for control.
+/// Maximum followers that are listed for the leader. Followers who ask for control come first.
 const MAX_LISTED: usize = 32;
 
-/// Between two poses of a camera that a follower is sent: as often as hands move.
+/// Minimum interval between two poses that a follower is sent: as often as hands move.
 const POSE_INTERVAL: Duration = Duration::from_millis(50);
-/// The same for each follower there is: all together get 5,000 a second.
+/// The same, per follower of the group: all followers together get at most 5,000 poses a second.
 const POSE_INTERVAL_EACH: Duration = Duration::from_micros(200);
-/// Between two messages that say who is in the group.
+/// Minimum interval between two messages that list the members of the group.
 const MEMBERS_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Number of the leader.
 const LEADER: u32 = 0;
 
-/// All groups, by their ids. Clones are of the same.
+/// All groups, by their ids. Clones share them.
 #[derive(Clone)]
 pub(super) struct Groups {
     all: Arc<Mutex<HashMap<String, Seated>>>,
@@ -73,7 +73,7 @@ impl Default for Groups {
     }
 }
 
-/// A group with its seat, which is free when the group is in the list no more.
+/// A group with its seat, which is freed when the group is removed from the list.
 struct Seated {
     group: Weak<Group>,
     _seat: Seat,
@@ -82,7 +82,7 @@ struct Seated {
 struct Group {
     id: String,
     leader: Leader,
-    /// Its newest connection: cancelled, another one has come.
+    /// Token of the leader's newest connection. Cancelled when the leader resumes on another one.
     connection: Mutex<CancellationToken>,
     scene: watch::Sender<Option<Arc<Scene>>>,
     pose: watch::Sender<Option<Arc<Pose>>>,
@@ -92,22 +92,22 @@ struct Group {
     ended: CancellationToken,
 }
 
-/// What is open and shown. Views are those in force.
+/// The open volume and the surfaces shown, with the views in force.
 #[derive(Debug)]
 pub(super) struct Scene {
     pub volume: VolumeStep,
     pub surfaces: Vec<(u8, View)>,
-    /// The message that says it, written once for all.
+    /// The message for followers, serialised once for all of them.
     message: OnceLock<String>,
 }
 
 #[derive(Debug, Default)]
 struct Members {
-    /// Number of who has control.
+    /// Number of the member in control.
     control: u32,
     followers: BTreeMap<u32, Followed>,
     last: u32,
-    /// Since when the leader has no connection.
+    /// When the leader's connection was lost; `None` while the leader is connected.
     away: Option<Instant>,
 }
 
@@ -118,7 +118,7 @@ struct Followed {
     may_edit: bool,
 }
 
-/// Why a viewer is in no group.
+/// Why a request about a group was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum GroupError {
     #[error("{0}")]
@@ -157,11 +157,11 @@ pub(super) enum GroupEvent {
     Ended(&'static str),
 }
 
-/// A viewer in a group; dropped, it leaves, and is waited for where it leads.
+/// A viewer in a group. Dropping it takes the viewer out of the group; the group waits for a leader that was dropped without leaving.
 pub(super) struct Member {
-    /// Of a leader: cancelled, another one of its connections has come.
+    /// Of a leader: cancelled when the leader resumes on another connection.
     connection: CancellationToken,
-    /// It has left, and is not waited for.
+    /// It has left for good, so the group does not wait for it.
     has_left: bool,
     group: Arc<Group>,
     groups: Groups,
@@ -182,12 +182,12 @@ impl Groups {
         }
     }
 
-    /// A poisoned one too: a panic leaves nothing half updated.
+    /// Locks the list. Ignores poisoning: a panic leaves nothing half updated.
     fn all(&self) -> MutexGuard<'_, HashMap<String, Seated>> {
         self.all.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts a group. `id` is random, and all that who joins has to know.
+    /// Starts a group. `id` is random, and the only secret that a viewer needs to join.
     pub(super) fn lead(&self, id: String, leader: Leader) -> Result<Member, GroupError> {
         let seat = self.seat_for(&leader)?;
         let mut all = self.all();
@@ -213,7 +213,7 @@ impl Groups {
         Ok(Member::new(group, self.clone(), LEADER, connection))
     }
 
-    /// Ends a group for all who are in it.
+    /// Ends a group for all of its members.
     fn end(&self, group: &Group) {
         group.ended.cancel();
         let mut all = self.all();
@@ -253,7 +253,7 @@ impl Groups {
 }
 
 impl Group {
-    /// A poisoned one too, as of all groups.
+    /// Locks the token. Ignores poisoning, as for the list of groups.
     fn connection(&self) -> MutexGuard<'_, CancellationToken> {
         self.connection.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -263,7 +263,7 @@ impl Member {
     fn new(group: Arc<Group>, groups: Groups, number: u32, connection: CancellationToken) -> Self {
         let (mut scene, mut pose) = (group.scene.subscribe(), group.pose.subscribe());
         let mut members = group.members.subscribe();
-        // What is there already is news to who joins.
+        // The present state is new to a viewer who joins.
         scene.mark_changed();
         pose.mark_changed();
         members.mark_changed();
@@ -281,7 +281,7 @@ impl Member {
         }
     }
 
-    /// Leaves for good: a group whose leader does ends.
+    /// Leaves for good. If this is the leader, the group ends.
     pub(super) fn leave(mut self) {
         self.has_left = true;
     }
@@ -291,12 +291,12 @@ impl Member {
         !self.connection.is_cancelled() && self.members.borrow().control == self.number
     }
 
-    /// How many follow, whoever has control.
+    /// The number of followers, whether or not one of them has control.
     pub(super) fn followers(&self) -> u32 {
         self.members.borrow().followers.len() as u32
     }
 
-    /// The next thing that has happened. Scenes and poses are of others: who has control knows its own.
+    /// Waits for the next event. Scenes and poses are events only for members without control, as the member in control sends them.
     async fn event(&mut self) -> GroupEvent {
         let follows = !self.controls();
         tokio::select! {
@@ -315,13 +315,13 @@ impl Member {
         }
     }
 
-    /// What is shown, where another one has control.
+    /// The scene of the member in control; `None` if that is this member.
     pub(super) fn scene(&mut self) -> Option<Arc<Scene>> {
         let scene = self.scene.borrow_and_update().clone();
         scene.filter(|_| !self.controls())
     }
 
-    /// Passes on what is shown, where it has control.
+    /// Broadcasts what this member is shown, if it has control.
     pub(super) fn show(&self, scene: Scene) {
         if self.controls() {
             self.group.scene.send_if_modified(|before| {
@@ -334,7 +334,7 @@ impl Member {
         }
     }
 
-    /// Passes on how it is looked at; what is left out stays.
+    /// Broadcasts the pose of the member in control; parts that are left out stay as they were.
     pub(super) fn pose(&self, pose: Pose) -> Result<(), GroupError> {
         if !self.controls() {
             return Err(GroupError::NotInControl);
@@ -349,7 +349,7 @@ impl Member {
         Ok(())
     }
 
-    /// Asks for control, or no longer.
+    /// Requests control, or withdraws the request.
     pub(super) fn ask(&self, asks: bool) {
         self.group.members.send_if_modified(|members| {
             let Some(own) = members.followers.get_mut(&self.number) else {
@@ -359,7 +359,10 @@ impl Member {
         });
     }
 
-    /// Gives control to a follower who asks, or back to the leader (0).
+    /// Gives control to a follower who has asked for it and may edit, or back to the leader (0).
+    ///
+    /// # Errors
+    /// [`GroupError::NotYours`] if this member may not give it.
     pub(super) fn give(&self, to: u32) -> Result<(), GroupError> {
         let mut may = false;
         self.group.members.send_if_modified(|members| {
@@ -376,7 +379,7 @@ impl Member {
         may.then_some(()).ok_or(GroupError::NotYours)
     }
 
-    /// Who is in the group, for this member.
+    /// The message for this member about the members of the group.
     pub(super) fn members(&self) -> ServerMessage {
         let members = self.members.borrow();
         let mut people: Vec<Follower> = Vec::new();
@@ -431,7 +434,7 @@ impl Scene {
         self.volume.key() == other.volume.key() && self.surfaces == other.surfaces
     }
 
-    /// The message that followers get of it.
+    /// The message about this scene for followers.
     pub(super) fn message(&self) -> &str {
         self.message.get_or_init(|| {
             let surfaces = self.surfaces.iter().map(|(surface, view)| LedSurface {
@@ -454,7 +457,7 @@ async fn changed_from<T>(watched: &mut watch::Receiver<T>, due: Instant) -> Resu
     watched.changed().await
 }
 
-/// The next thing that has happened in the group; never where there is none.
+/// Waits for the next event of the group; for ever if the viewer is in none.
 pub(super) async fn group_event(member: &mut Option<Member>) -> GroupEvent {
     match member {
         Some(member) => member.event().await,

@@ -18,7 +18,8 @@ const BATCH_TRIANGLES: usize = 25_000;
 /// Chunks in a batch for each thread; bounds the frames that wait for the socket. The coarsest prefixes are many tiny chunks.
 const BATCH_CHUNKS: usize = 128;
 
-/// Regions of two surfaces that are compared where the comparison is wanted: of so few, work on the pool takes longer to begin than to do.
+/// Maximum regions of two surfaces that are compared on the calling task: for so few, a dispatch to the pool takes longer than the
+/// comparison.
 const FEW_REGIONS: usize = 512;
 
 /// Why a prefix could not be made.
@@ -156,8 +157,8 @@ fn take_batch_for<P>(threads: usize, triangles_of: impl Fn(&P) -> usize, parts: 
     batch
 }
 
-/// The chunks of a batch of a step: those are quantised and encoded, in parallel, that nobody has needed before. Where there are none, nothing
-/// waits for the pool.
+/// Returns the chunks of a batch of a step. Chunks that were not encoded before are quantised and encoded in parallel on the pool. If
+/// all were, the pool is not used.
 pub(super) async fn encode(
     step: Arc<SharedStep>,
     batch: Vec<Part>,

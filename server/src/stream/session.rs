@@ -15,19 +15,19 @@
 //!   [`generation::Generation`]. Edits that arrive before change the same view, so they coalesce.
 //! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
 //!   (`jobs`). `pace` says how large a step may be, `line` how much of it may be on its way.
-//! - **Turns.** First steps come before further ones of other surfaces, the surface that was edited last before others, and who has waited
-//!   for a few jobs of others before all (`schedule`).
-//! - **Budget.** It is one for the connection. Surfaces share it in proportion to their full triangles, which are counted first where two
-//!   or more share; one whose part changes is made anew, and what shrinks is shown before what grows (`sharing`).
-//! - **Outbox.** Frames wait here until the writer takes them. [`super::viewers::Viewers::ahead_bytes`] bounds what is encoded ahead, [`HIGH_WATER`] what a
-//!   client can cause that sends and does not read.
+//! - **Scheduling.** First steps come before further steps of other surfaces, and the surface that was edited last before others. A
+//!   surface that has waited for a few jobs of others comes before all (`schedule`).
+//! - **Budget.** A connection has one budget. Surfaces share it in proportion to their full triangles, which are counted first if two
+//!   or more share. A surface whose part changes is made anew, and surfaces that shrink are shown before those that grow (`sharing`).
+//! - **Outbox.** Frames wait here until the writer takes them. [`super::viewers::Viewers::ahead_bytes`] bounds what is encoded ahead.
+//!   [`HIGH_WATER`] bounds what a client that sends and does not read can cause.
 //! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between
 //!   two stages, its frames leave the outbox, and `superseded` follows. One of which nothing was committed first commits a step, so that
 //!   a viewer who drags a slider faster than surfaces are made still sees some.
 //! - **Pictures.** `draw_pause` gives a client on the same machine time to draw.
 //! - **Questions.** What the viewer asks about a surface is answered when no generation is running (`questions`).
 //! - **Time.** Another step of the volume is another surface that the client's is compared with; the next one is read ahead (`time`).
-//! - **Rest.** When no edit of any surface follows the final one, a better one is made where there is one, and its error is measured
+//! - **Rest.** When no edit of any surface follows the final one, a better one is made if there is one, and its error is measured
 //!   (`rest`). An edit of another surface postpones that.
 //!
 //! Invariant: what the client holds of a surface changes only when `committed` goes to the writer. Later frames arrive in order or the
@@ -369,7 +369,8 @@ impl<B: Backend> Session<B> {
         next.is_some_and(|bytes| bytes <= SMALL_FRAME || self.line.has_capacity())
     }
 
-    /// Before all that waits, so that a slow line differs from a dead one. The ping has the client answer.
+    /// Sends a heartbeat before all frames that wait, so that a client can tell a slow line from a dead one. The ping makes the client
+    /// answer.
     fn on_beat(&mut self, listening: bool) -> Option<CloseCode> {
         let Some(longest) = self.heartbeat.beat(listening, self.line.time_of(BEFORE_BEAT)) else {
             return Some(CloseCode::Silent);
@@ -445,7 +446,7 @@ impl<B: Backend> Session<B> {
     }
 
     fn on_open(&mut self, id: &str, step: u32) {
-        // First, so that a volume which is removed from here on is known to be.
+        // Lease the volume first, so that the session notices if it is removed from here on.
         let lease = self.backend.lease(id);
         match self.backend.find(id, &self.who) {
             Some(dataset) => self.open_step(dataset, step, lease),
@@ -453,7 +454,8 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Opens what another member of the group has opened: the same samples, be there newer ones under this id. Only of a volume that this viewer may open.
+    /// Opens what another member of the group has opened, if this viewer may open the volume. The samples are the same as the other
+    /// member's, even if the catalogue has newer ones under this id.
     fn open_led(&mut self, led: &VolumeStep) {
         let id = &led.dataset().id;
         let lease = self.backend.lease(id);
@@ -486,7 +488,7 @@ impl<B: Backend> Session<B> {
         self.opened = Some(OpenVolume::new(volume, view, held, lease));
     }
 
-    /// The opening of a volume goes on. A client that does not read gets the newest state alone.
+    /// Sends the progress of opening a volume. A client that does not read gets only the newest state.
     fn on_progress(&mut self, progress: OpeningProgress) {
         let opening = ServerMessage::Opening {
             bytes: progress.bytes,
@@ -497,7 +499,7 @@ impl<B: Backend> Session<B> {
     }
 }
 
-/// Resolves at a point in time; never where there is none.
+/// Resolves at a point in time; never if that is `None`.
 async fn reached(when: Option<Instant>) {
     match when {
         Some(when) => tokio::time::sleep_until(when).await,

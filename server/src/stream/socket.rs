@@ -18,19 +18,20 @@ use crate::access::Identity;
 use crate::metrics;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
-/// Messages between reader and session. They wait only when the client does not read; beyond this number TCP holds them back.
+/// Capacity of the queue between reader and session. Messages wait in it only when the client does not read; when it is full, TCP gives
+/// back-pressure.
 const INBOX: usize = 16;
-/// Frames between session and writer. Few, because a newer edit cannot drop them any more; enough that small ones share a write to the
-/// network.
+/// Capacity of the queue between session and writer. Small, because a newer edit cannot drop frames in it any more; large enough that
+/// small frames share a write to the network.
 const OUTGOING: usize = 32;
 
-/// Bytes of frames that are sent within one deadline, and a last frame: a line that takes fewer in that time is of no use.
+/// Bytes of frames, beside a last frame, that are sent within one deadline. A line that takes fewer in that time is too slow to use.
 const TOGETHER_BYTES: usize = 64 << 10;
 
-/// Messages that are read in a window of time, pings and pongs included: several times those of a slider that is dragged on a fast screen. Of a
-/// client that sends more, TCP holds them back, so that reading them costs others nothing.
+/// Maximum messages that are read per [`WINDOW`], pings and pongs included: several times those of a slider that is dragged on a fast
+/// screen. If a client sends more, TCP gives back-pressure, so that reading them costs other viewers nothing.
 const MAX_WINDOW_MESSAGES: u32 = 50;
-/// Such a window.
+/// The window of [`MAX_WINDOW_MESSAGES`].
 const WINDOW: Duration = Duration::from_millis(100);
 
 /// Time between the close frame and the end of a connection that cannot be read any more: what is left unread resets it, and a client that
@@ -95,7 +96,7 @@ pub(super) async fn serve<S, B>(
     };
     tokio::select! {
         () = served => {}
-        // One who does not read could keep it open for as long as the deadlines of all frames that wait.
+        // A client that does not read could otherwise keep the connection open for the sum of the deadlines of all waiting frames.
         () = async { who.ended().await; sleep(TOKEN_GRACE).await } => tracing::debug!("closed: the token has ended"),
     }
 }
@@ -134,13 +135,13 @@ where
     }
 }
 
-/// What of a message is for the session.
+/// Converts a message to what the session gets of it; `None` if that is nothing.
 fn incoming(message: Message) -> Option<Incoming> {
     match message {
         Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => Some(Incoming::Fault(CloseCode::TooLong)),
         Message::Text(text) => Some(Incoming::Text(text.as_str().to_owned())),
         Message::Binary(_) => Some(Incoming::Fault(CloseCode::Binary)),
-        // Others are of the pings that keep the connection alive.
+        // Pongs with another payload belong to the pings that keep the connection alive.
         Message::Pong(payload) => <[u8; 4]>::try_from(&payload[..])
             .ok()
             .map(|number| Incoming::Pong(u32::from_le_bytes(number))),
@@ -149,7 +150,7 @@ fn incoming(message: Message) -> Option<Incoming> {
     }
 }
 
-/// How a client has broken the protocol; `None` where the connection was lost.
+/// How a client has broken the protocol; `None` if the connection was lost.
 fn violation(error: axum::Error) -> Option<CloseCode> {
     match error.into_inner().downcast_ref()? {
         tungstenite::Error::Protocol(ProtocolError::ResetWithoutClosingHandshake) => None,
@@ -190,7 +191,8 @@ where
     }
 }
 
-/// Sends a message and those that wait behind it, up to [`TOGETHER_BYTES`]. Returns with what the connection is to be closed, where that comes next.
+/// Sends a message and those that wait behind it, up to [`TOGETHER_BYTES`]. If the session closes the connection next, returns the code
+/// to close it with.
 async fn send<S>(
     sink: &mut S,
     first: Result<Message, CloseCode>,

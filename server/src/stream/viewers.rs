@@ -2,9 +2,9 @@
 
 use crate::access::{Identity, NoSeat, Seat, SeatLimits, Seats};
 
-/// Maximum viewers, of which one user has half, one address three quarters, and administrators have the last ones; a further one is closed with
-/// 4002. What most of them do is to look: of those that edit, as many have a job in the device's queue as it has space for, and the others
-/// wait in order.
+/// Maximum viewers. One user can have half of them, one address three quarters, and the last ones are reserved for administrators; a
+/// further connection is closed with 4002. Most viewers only look. Of those that edit, as many have a job in the device's queue as it has
+/// space for, and the others wait in order.
 pub const MAX_VIEWERS: usize = 1024;
 
 /// Bytes of surfaces that are encoded ahead for all viewers together.
@@ -14,7 +14,7 @@ const MAX_AHEAD_BYTES: usize = 4 << 20;
 /// The same for one of [`MAX_VIEWERS`], some chunks.
 const MIN_AHEAD_BYTES: usize = AHEAD_BYTES / MAX_VIEWERS;
 
-/// Connected viewers. Clones count together.
+/// The connected viewers. Clones share the count.
 #[derive(Clone)]
 pub(super) struct Viewers(Seats);
 
@@ -31,7 +31,7 @@ impl Default for Viewers {
 }
 
 impl Viewers {
-    /// One more, who leaves when this is dropped.
+    /// Admits one more viewer, who leaves when the seat is dropped.
     ///
     /// # Errors
     /// There is no seat for this user.
@@ -39,8 +39,8 @@ impl Viewers {
         self.0.take(who.into())
     }
 
-    /// Bytes of a surface in a viewer's outbox below which its next batch is encoded: less where there are many, for all of them may
-    /// stop reading.
+    /// Bytes of a surface in a viewer's outbox below which its next batch is encoded. The more viewers there are, the fewer bytes, because
+    /// all of them may stop reading.
     pub fn ahead_bytes(&self) -> usize {
         (AHEAD_BYTES / self.0.taken().max(1)).clamp(MIN_AHEAD_BYTES, MAX_AHEAD_BYTES)
     }

@@ -1,4 +1,5 @@
-//! The bytes of an upload: those of its files one after the other, as they were declared, so that one offset says where to go on.
+//! The bytes of an upload: those of its files one after the other, as they were declared, so that one offset tells a client where to
+//! continue.
 
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -43,7 +44,7 @@ impl Contents {
         self.folder.join(&self.files[file].name)
     }
 
-    /// The file that an offset is in: the first one that is not whole where so many bytes are there.
+    /// Returns the file that contains an offset: the first one that is incomplete when so many bytes are there.
     pub(super) fn file_at(&self, offset: u64) -> usize {
         // Empty files share their start with the one behind them.
         self.starts.partition_point(|&start| start <= offset).saturating_sub(1)

@@ -41,10 +41,10 @@ pub enum UploadError {
         wanted: u64,
         /// Of the user's other uploads: as declared, or as unpacked if that is more.
         used: u64,
-        /// What a user may have.
+        /// The user's quota, bytes.
         quota: u64,
     },
-    /// What is in a compressed file is more than the user may have.
+    /// The contents of a compressed file exceed the user's quota.
     #[error(
         "{file:?} unpacks to more than you may have: {used} of your {quota} bytes are taken, and what is in compressed files counts. \
          Delete uploads that are not needed"
@@ -54,18 +54,18 @@ pub enum UploadError {
         file: String,
         /// Of the user's uploads, this one too.
         used: u64,
-        /// What a user may have.
+        /// The user's quota, bytes.
         quota: u64,
     },
     /// The disk has not enough space, or it is full.
     #[error("the server's disk has no space for {0} bytes more: try again when others have deleted something")]
     DiskFull(u64),
-    /// The offset is not where the upload is.
+    /// The offset is not the number of bytes that the upload has.
     #[error("Upload-Offset is {found}, expected {expected}: so many bytes are there")]
     WrongOffset {
-        /// What was asked for.
+        /// The offset that was requested.
         found: u64,
-        /// Where it goes on.
+        /// The offset at which it continues.
         expected: u64,
     },
     /// More bytes than were declared.
@@ -77,13 +77,13 @@ pub enum UploadError {
     /// The body ended before its end; what came is kept.
     #[error("the body ended too early: {kept} bytes of the upload are there, go on with them")]
     Interrupted {
-        /// What is there.
+        /// Bytes that are there.
         kept: u64,
     },
     /// Another request took its place.
     #[error("another request for this upload has taken the place of this one: {kept} bytes are there")]
     TakenOver {
-        /// What is there.
+        /// Bytes that are there.
         kept: u64,
     },
     /// Others send.
@@ -98,9 +98,9 @@ pub enum UploadError {
     /// Bytes are missing.
     #[error("{received} of {total} bytes are there, expected all of them: {file:?} is not whole")]
     Incomplete {
-        /// What is there.
+        /// Bytes that are there.
         received: u64,
-        /// What was declared.
+        /// Bytes that were declared.
         total: u64,
         /// The first file that is not whole.
         file: String,
@@ -120,7 +120,7 @@ pub enum UploadError {
 }
 
 impl UploadError {
-    /// What the disk says to writing so many bytes.
+    /// Converts an error of writing `bytes` bytes.
     pub(super) fn of_write(error: io::Error, bytes: u64) -> Self {
         if private_folder::is_full(&error) || error.kind() == io::ErrorKind::FileTooLarge {
             Self::DiskFull(bytes)
@@ -129,7 +129,7 @@ impl UploadError {
         }
     }
 
-    /// What is wrong with the files, without the folder that they are in here.
+    /// Converts an error of reading the files. The text leaves out the server's folder.
     pub(super) fn of_read(error: &ReadError, folder: &str) -> Self {
         let text = error.without_folder().replace(&format!("{folder}/"), "");
         if error.is_of_space() {

@@ -90,7 +90,8 @@ impl Uploads {
         counted(&others.collect::<Vec<_>>())
     }
 
-    /// By how much what is in compressed files is more than these, where their owner may have as much.
+    /// Returns by how many bytes the contents of compressed files exceed these files, if the owner's quota has space for that; else an
+    /// error.
     fn unpacked(&self, upload: &Upload) -> Result<u64, UploadError> {
         let (used, quota) = (self.used_by_others(upload), self.0.limits.quota_bytes);
         let mut left = quota.saturating_sub(used).saturating_sub(upload.total);

@@ -1,5 +1,5 @@
-//! Where uploads are on the disk: a folder each, with a record of what was declared and the files below `files`. A folder has its record
-//! before it has its name, and loses its name before it loses its files, so that a process may end at any time.
+//! Uploads on the disk: a folder for each, with a record of what was declared and the files below `files`. A folder has its record before
+//! it has its name, and loses its name before it loses its files, so that a process may end at any time.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Write};
@@ -34,7 +34,7 @@ pub enum FolderError {
     /// Others may use it, or it cannot be made.
     #[error("folder of uploads")]
     Access(#[from] FolderAccessError),
-    /// All who see the volumes of a folder that is served would see the uploads.
+    /// It is below a folder that is served, all of whose users would see the uploads.
     #[error("folder of uploads {} is below {}, which is served to all: expected a folder beside it", path.display(), served.display())]
     Served {
         /// The folder.
@@ -50,7 +50,7 @@ pub enum FolderError {
     },
 }
 
-/// What is known of an upload beside its bytes.
+/// Record of an upload: all that is stored of it beside its bytes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Record {
     pub owner: String,
@@ -121,14 +121,15 @@ impl UploadFolder {
         Ok(path)
     }
 
-    /// Takes the name from the folder of an upload: it is gone, also if the process ends now. What is left is to be removed.
+    /// Renames the folder of an upload, so that the upload is gone even if the process ends now. Returns the new path, which is to be
+    /// removed.
     pub(super) fn put_aside(&self, id: &str) -> io::Result<PathBuf> {
         let aside = self.path.join(format!("{ASIDE}{id}"));
         std::fs::rename(self.path.join(id), &aside)?;
         Ok(aside)
     }
 
-    /// The uploads that are there, with their records. What a process that ended has left is removed.
+    /// Returns the uploads that are there, with their records. Removes the remains of a process that has ended.
     pub(super) fn list(&self) -> io::Result<Vec<(String, PathBuf, Record)>> {
         let mut found = Vec::new();
         for entry in std::fs::read_dir(&self.path)? {

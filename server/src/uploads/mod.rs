@@ -1,9 +1,9 @@
-//! Volumes that users bring: files come in parts, over connections that may be lost and servers that may end, and are then served as those of a
-//! path would be, to their owner alone, until they are deleted or have not been used for some time.
+//! Volumes that users upload. Files are sent in parts, over connections that may be lost and to servers that may restart. They are then
+//! served like the volumes of a path, but to their owner alone, until they are deleted or have not been used for some time.
 //!
 //! - `names`: what files may be called; `contents`: their bytes, one after the other.
-//! - `folder`: where they are on the disk, and what is known of them after a restart.
-//! - `upload`: one of them, and who writes to it; `receive`: a part that comes; `finish`: files become volumes.
+//! - `folder`: their folders on the disk, and what is known of them after a restart.
+//! - `upload`: one of them, and which request writes to it; `receive`: a part that comes; `finish`: files become volumes.
 //! - `state`, `error`: what clients see.
 
 mod contents;
@@ -43,7 +43,7 @@ pub const MAX_UPLOADS: usize = 100;
 const RESERVE_BYTES: u64 = 1 << 30;
 /// Uploads that are read as volumes at a time, one of a user: the headers of thousands of files.
 const MAX_FINISHES: usize = 2;
-/// Random bytes of an id: nobody finds another's by trying.
+/// Random bytes of an id: too many for another id to be guessed.
 const ID_BYTES: usize = 16;
 /// Longest time between two looks at what has expired.
 const LOOK: Duration = Duration::from_secs(60);
@@ -57,7 +57,7 @@ type Overdue = HashMap<String, Instant>;
 /// What users may have, and for how long.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Bytes of a user's uploads: as they were declared, or what is in files that are compressed as a whole, where that is more.
+    /// Bytes of a user's uploads: as they were declared, or the contents of files that are compressed as a whole, if these are larger.
     pub quota_bytes: u64,
     /// Time without use after which volumes are removed.
     pub keep: Duration,
@@ -177,7 +177,7 @@ impl Uploads {
     fn expires(&self, upload: &Upload) -> SystemTime {
         let status = upload.status();
         let keep = self.keep(status.state);
-        // As long as nobody is born who sees it.
+        // If the sum overflows, the upload is kept for 100 years: in effect for ever.
         let for_ever = status.used + Duration::from_secs(100 * 365 * 86_400);
         status.used.checked_add(keep).unwrap_or(for_ever)
     }
@@ -262,7 +262,7 @@ impl Uploads {
         Ok((self.shown(&upload), true))
     }
 
-    /// The uploads that somebody sees, the latest first, and what is left to them.
+    /// Returns the uploads that a user may see, the latest first, and what is left of the user's own quota.
     pub fn list(&self, who: Reader<'_>) -> UploadList {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
         let own: Vec<_> = all.iter().filter(|upload| upload.owner == who.user()).collect();
@@ -292,7 +292,7 @@ impl Uploads {
         Ok(self.shown(&*self.find(who, id)?))
     }
 
-    /// Removes an upload, whatever its state, and its volumes: who looks at these learns it.
+    /// Removes an upload, whatever its state, and its volumes. Their viewers are notified.
     ///
     /// # Errors
     /// [`UploadError::Unknown`].
@@ -302,7 +302,7 @@ impl Uploads {
     }
 
     async fn remove(&self, upload: &Arc<Upload>) -> Result<(), UploadError> {
-        // From here on nobody finds it, and nobody writes to it.
+        // From here on no request finds the upload. `take_over` ends one that still writes to it.
         if self.all().remove(&upload.id).is_none() {
             return Err(UploadError::Unknown(upload.id.clone()));
         }

@@ -109,13 +109,13 @@ fn fault(name: &str) -> Option<&'static str> {
     }
 }
 
-/// Characters that nobody sees, or that turn round those beside them.
+/// Whether a character is invisible, or changes the direction of those beside it.
 fn is_hidden(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{2069}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}')
 }
 
-/// The folder that all files are in, where there is one.
+/// Returns the folder that all files are in, if there is one.
 pub(super) fn common_folder(files: &[DeclaredFile]) -> Option<&str> {
     let folder = |file: &'_ DeclaredFile| file.name.split_once('/').map(|(folder, _)| folder.len());
     let length = folder(files.first()?)?;

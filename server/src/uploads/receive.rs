@@ -1,4 +1,4 @@
-//! Parts of uploads as they come: how many at a time, and where they go.
+//! Receives parts of uploads: limits how many there are at a time, and writes them to the disk.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
@@ -19,7 +19,7 @@ pub(super) const MAX_PARTS_OF_USER: usize = 4;
 /// Bytes that are written at once: large enough that a disk is as fast as it can be.
 const BLOCK_BYTES: usize = 1 << 20;
 
-/// Where nothing comes for so long, what has come is written: it counts if the connection, or the server, ends then.
+/// If no bytes arrive for this long, those received so far are written: they then count even if the connection or the server ends.
 const PAUSE: Duration = Duration::from_millis(500);
 
 /// What happens to a body.
@@ -32,7 +32,7 @@ enum Event {
 }
 
 impl Uploads {
-    /// Bytes that are there, and bytes in all. Who sends a part now is ended, so that it stays at that.
+    /// Returns the bytes that are there, and the bytes in all. Ends a request that is sending a part, so that the number stays the same.
     ///
     /// # Errors
     /// [`UploadError`].
@@ -43,9 +43,10 @@ impl Uploads {
         Ok((received, upload.total))
     }
 
-    /// Takes what follows the bytes that are there; how many there are afterwards. Of a body that ends too early what came is kept.
+    /// Receives the bytes that follow those already there, and returns how many there are afterwards. If the body ends too early, the bytes
+    /// that came are kept.
     ///
-    /// `length`: bytes of the body, where that is known.
+    /// `length`: bytes of the body, if that is known.
     ///
     /// # Errors
     /// [`UploadError`].
@@ -125,7 +126,8 @@ async fn take<E>(
     }
 }
 
-/// Writes bytes behind those that are there. They are written also where the client leaves meanwhile: nobody else writes before.
+/// Writes bytes behind those that are there. They are written even if the client disconnects meanwhile: the blocking task holds the only
+/// `Writer`, so no other request can write first.
 async fn store(upload: &Arc<Upload>, writer: Writer, block: Vec<u8>) -> Result<Writer, UploadError> {
     let upload = Arc::clone(upload);
     let write = move || {

@@ -14,7 +14,7 @@ pub struct UploadRequest {
     pub files: Vec<DeclaredFile>,
 }
 
-/// Where an upload is.
+/// State of an upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "lowercase")]
@@ -49,13 +49,13 @@ pub struct UploadInfo {
     pub title: String,
     /// Whose it is.
     pub owner: String,
-    /// Where it is.
+    /// Its state.
     pub state: UploadState,
     /// Number of its files.
     pub files: usize,
     /// Bytes in all, as they were declared.
     pub bytes: u64,
-    /// Bytes that are there: where to go on.
+    /// Bytes that are there: the offset at which to continue.
     pub received_bytes: u64,
     /// When it was made, RFC 3339.
     pub created: String,
@@ -63,7 +63,7 @@ pub struct UploadInfo {
     pub expires: String,
     /// Ids of its volumes, once they are there.
     pub volumes: Vec<String>,
-    /// Why it could not be read as a volume, where that was tried.
+    /// Why it could not be read as a volume, if that was tried.
     pub error: Option<String>,
 }
 

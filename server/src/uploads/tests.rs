@@ -1,4 +1,4 @@
-//! Uploads without HTTP: limits, who sees what, lost connections, restarts, expiry.
+//! Uploads without HTTP: limits, visibility, lost connections, restarts, expiry.
 
 use axum::body::Bytes;
 use futures_util::{StreamExt, stream};
@@ -261,7 +261,7 @@ async fn who_comes_again_takes_the_place_of_the_connection_before() {
     let case = Case::new(LIMITS);
     let id = case.create(ANN, &[("a.npy", 200)]).await.unwrap().id;
     let (uploads, of) = (case.uploads.clone(), id.clone());
-    // A connection whose other end is gone, which nobody has noticed.
+    // A connection whose other end is gone, which the server has not noticed.
     let hanging = stream::iter([Sent::Ok(Bytes::from_static(&[1; 60]))]).chain(stream::pending());
     let before = tokio::spawn(async move { uploads.receive(ANN, &of, 0, None, Box::pin(hanging)).await });
     tokio::time::sleep(Duration::from_millis(50)).await;

@@ -1,5 +1,5 @@
-//! One upload: where it is, and who writes to it. One request at a time does: a client whose connection was lost comes again before the server
-//! has noticed that, so the newest takes the place of the one before.
+//! One upload: its state, and which request writes to it. One request writes at a time. A client whose connection was lost may reconnect
+//! before the server has noticed the loss, so the newest request replaces the one before.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -27,7 +27,7 @@ pub(super) struct Upload {
     pub contents: Contents,
     status: Mutex<Status>,
     writing: Arc<tokio::sync::Mutex<()>>,
-    /// Ends who writes now.
+    /// Cancels the request that writes now.
     current: Mutex<CancellationToken>,
 }
 
@@ -99,7 +99,7 @@ impl Upload {
         self.status.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Ends who writes now, and waits until they have.
+    /// Cancels the request that writes now, and waits until it has ended.
     pub(super) async fn take_over(&self) -> Result<Writer, UploadError> {
         let token = CancellationToken::new();
         self.end_writing(token.clone());
@@ -111,7 +111,7 @@ impl Upload {
         })
     }
 
-    /// Ends who writes now; `next` ends who comes then.
+    /// Cancels the request that writes now. `next` is the token that cancels the one after it.
     pub(super) fn end_writing(&self, next: CancellationToken) {
         let mut current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
         std::mem::replace(&mut *current, next).cancel();

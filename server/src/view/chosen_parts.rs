@@ -9,8 +9,8 @@ use super::interest::triple;
 /// Maximum positions: each is compared with the part of every vertex.
 const MAX_POSITIONS: usize = 64;
 
-/// Parts of the surface, those that nothing connects. Each position, in world coordinates, chooses the part whose surface is next to it;
-/// where there is none in the two cells around, it chooses nothing. 1 to 64 positions.
+/// Parts (connected components) of the surface. Each position, in world coordinates, chooses the part whose surface is nearest to it; if
+/// there is no surface in the two cells around it, the position chooses nothing. 1 to 64 positions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(test, derive(ts_rs::TS), ts(rename = "ChosenParts"))]
 #[serde(rename_all = "camelCase")]
@@ -48,7 +48,7 @@ impl ChosenPartsJson {
         }
     }
 
-    /// For the kernels, in a volume where a position of the world has this index; `None` outside it.
+    /// Converts to the kernels' type. `index_of` maps a position in the world to the volume's index space, or to `None` outside the volume.
     pub fn to_kernel(&self, index_of: impl Fn([f64; 3]) -> Option<[f32; 3]>) -> ChosenParts {
         let all = |positions: &[[f64; 3]]| positions.iter().copied().map(&index_of).collect();
         match self {

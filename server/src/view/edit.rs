@@ -19,8 +19,8 @@ pub struct Edit {
     /// Field whose isosurface is shown, or an expression over fields such as `log(rho)`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub field: Option<String>,
-    /// Where the surface may be: at samples where a field of the volume has certain values, `labels==3`; null: everywhere. Cells that touch
-    /// others have no surface, as beside missing samples.
+    /// Restricts the surface to samples at which a field of the volume has certain values, `labels==3`; null: no restriction. Cells that
+    /// touch other samples have no surface, as beside missing samples.
     #[serde(
         default,
         skip_serializing_if = "Option::is_none",
@@ -30,8 +30,8 @@ pub struct Edit {
     #[cfg_attr(test, ts(type = "string | null"))]
     pub mask: Option<Option<String>>,
     /// Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
-    /// fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, the distance to where a condition holds,
-    /// such as `distance(labels==3)`, or `none`.
+    /// fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, the distance to the nearest sample at
+    /// which a condition holds, such as `distance(labels==3)`, or `none`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub feature: Option<String>,
     /// Feature values that become 0 and 1, in the feature's units; the feature's own range when never given.
@@ -97,15 +97,15 @@ pub struct Edit {
     /// Importance and colour over the blended feature.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer_function: Option<TransferFunctionJson>,
-    /// Regions of interest, at most 64: where importance is raised. They take the place of those before.
+    /// Regions of interest, in which importance is raised, at most 64. They replace those set before.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(max_items = 64)]
     pub interest: Option<Vec<InterestJson>>,
 }
 
 impl Edit {
-    /// The edit with the defaults of a command line or an export, where no earlier edit has set guards. β then means exactly the cut of
-    /// eq. 4, so that guards which are not given are off; an error or a budget means the best surface, so that they are `auto`.
+    /// Fills in the default guards of a command line or an export, for which no earlier edit has set any. With β, guards that are not given
+    /// are off, so that β means exactly the cut of eq. 4. With an error or a budget they are `auto`, which gives the best surface.
     #[must_use]
     pub fn with_default_guards(self) -> Self {
         let (max_error, topology) = if self.beta.is_some() {

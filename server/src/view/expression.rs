@@ -28,10 +28,11 @@ pub struct FieldExpression {
     pub fields: Vec<String>,
     /// What is computed of them.
     pub expression: Expression,
-    /// Whether the field has the distances to the nearest sample where the expression is neither 0 nor missing, in place of its values.
+    /// Whether the field's values are distances to the nearest sample at which the expression is neither 0 nor missing, instead of the
+    /// expression's values.
     pub is_distance: bool,
-    /// Standard deviation, in samples, of a Gaussian: the field has the share of samples around where the expression is neither 0 nor missing, 0 to 1, in
-    /// place of its values.
+    /// Standard deviation of a Gaussian, in samples. If set, the field's values are the weighted share, 0 to 1, of the surrounding samples
+    /// at which the expression is neither 0 nor missing, instead of the expression's values.
     pub smoothing: Option<f32>,
 }
 
@@ -66,7 +67,7 @@ impl FieldExpression {
         })
     }
 
-    /// The unit of the values, where those of the fields and what is computed of them say it: `units` has those of [`Self::fields`].
+    /// The unit of the values, if it follows from the fields' units and the operations on them. `units` has those of [`Self::fields`].
     ///
     /// Distances have the unit of lengths, which is not known here.
     pub fn unit<'a>(&self, units: &[Option<&'a str>]) -> Option<&'a str> {

@@ -39,7 +39,8 @@ impl VectorName {
         }
     }
 
-    /// `FEATURE(X,Y,Z)` of three fields or expressions; `None` where `name` does not begin so. Spaces around one do not count.
+    /// Parses `FEATURE(X,Y,Z)` of three fields or expressions; `None` if `name` does not begin with a vector feature and a parenthesis.
+    /// Spaces around a name are ignored.
     fn find(name: &str, fields: &[&str]) -> Option<Result<Self, EditError>> {
         let (kind, rest) = name.split_once('(')?;
         let feature = *VectorFeature::ALL
@@ -121,7 +122,7 @@ impl FeatureName {
         }
     }
 
-    /// A range of its values in world units, from those on the device, where lengths are multiples of the smallest spacing.
+    /// Converts a range of its values from the device's units, in which lengths are multiples of the smallest spacing, to world units.
     pub fn range_in_world(&self, range: [f32; 2], smallest: f64) -> [f32; 2] {
         scaled(range, smallest.powi(self.length_power()))
     }
@@ -191,7 +192,7 @@ impl FeatureName {
         }
     }
 
-    /// The fields that it is made of, where the surface is one of `shown`.
+    /// The fields that it is computed of, if the surface is one of the field `shown`.
     pub fn fields<'a>(&'a self, shown: &'a str) -> Vec<&'a str> {
         match self {
             Self::None => Vec::new(),
@@ -201,7 +202,7 @@ impl FeatureName {
         }
     }
 
-    /// The range of values that becomes 0 to 1 where none is set, from the minimum and the maximum. Magnitudes count: a computed
+    /// The range of values that becomes 0 to 1 if the view sets none, from the minimum and the maximum. Magnitudes count: a computed
     /// feature with both signs begins at 0.
     pub(super) fn own_range(&self, [lo, hi]: [f32; 2]) -> [f32; 2] {
         let is_computed = matches!(self, Self::Derived(_) | Self::Vector(_));

@@ -1,4 +1,4 @@
-//! Regions of interest: where importance is raised, in JSON and on the command line.
+//! Regions of interest, in which importance is raised, in JSON and on the command line.
 
 use std::str::FromStr;
 
@@ -89,8 +89,8 @@ impl InterestJson {
         Ok(())
     }
 
-    /// For the kernels, in a volume whose samples lie like this in the world; `None` where it is not valid. At uneven positions a sphere
-    /// becomes the ellipsoid of index space with the same ends along the axes.
+    /// Converts to the kernels' type, for a volume with this index space; `None` if the region is not valid. If the samples are unevenly
+    /// spaced, a sphere becomes the ellipsoid of index space with the same ends along the axes.
     pub(super) fn to_kernel(&self, index_space: &IndexSpace) -> Option<Interest> {
         let (shape, centre, half) = self.extent().ok()?;
         if let Some((centre, half)) = index_space.extent(centre, half) {

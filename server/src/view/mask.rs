@@ -1,4 +1,4 @@
-//! Masks: a field of the same volume restricts the surface to where it has certain values, `labels==3`.
+//! Masks: restrict the surface to samples at which a field of the same volume has certain values, `labels==3`.
 
 use std::hash::{Hash, Hasher};
 
@@ -31,15 +31,15 @@ pub(super) enum Operator {
     Below,
 }
 
-/// Where a surface may be: at samples where a field of the same volume has these values. Missing samples are outside every mask.
+/// Restricts a surface to samples at which a field of the same volume has these values. Missing samples are outside every mask.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mask {
     /// The field.
     pub field: String,
     operator: Operator,
-    /// Minimum and maximum of each range; a number is both. One number where the operator is neither `==` nor `!=`.
+    /// Minimum and maximum of each range; both are equal for a number. Exactly one number if the operator is neither `==` nor `!=`.
     ranges: Vec<[f32; 2]>,
-    /// The same as whole numbers, where they are written so: floats may round them.
+    /// The same as whole numbers, if they are written so: floats may round them.
     whole: Vec<[Option<i128>; 2]>,
     text: String,
 }
@@ -53,7 +53,7 @@ impl Hash for Mask {
     }
 }
 
-/// A name without the quotation marks around it, where it has some.
+/// A name without the quotation marks around it, if it has any.
 fn unquoted(name: &str) -> &str {
     let between = |mark| name.strip_prefix(mark).and_then(|rest| rest.strip_suffix(mark));
     between('"').or_else(|| between('`')).unwrap_or(name)

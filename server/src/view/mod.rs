@@ -40,7 +40,7 @@ pub struct View {
     pub iso: Option<Isovalue>,
     /// Field whose isosurface is shown.
     pub field: String,
-    /// Where the surface may be.
+    /// Restricts the surface to certain samples; `None`: no restriction.
     pub mask: Option<Box<Mask>>,
     /// Feature that importance depends on beside smoothness.
     pub feature: FeatureName,
@@ -48,15 +48,15 @@ pub struct View {
     pub feature_range: Option<[f32; 2]>,
     /// Weight of the feature against smoothness, 0 to 1.
     pub alpha: f32,
-    /// Importance up to which a cube is decimated, where there is neither an error nor a budget.
+    /// Importance up to which a cube is decimated, if there is neither an error nor a budget.
     pub beta: f32,
     /// Error over weight up to which a part is merged, instead of `beta`.
     pub error: Option<Distance>,
     /// Instead of `beta`. Beside an error, the greater tolerance decides.
     pub budget: Option<Budget>,
-    /// Parts of a smaller area are removed first, world units; 0: none are. Above 0 only where an error or a budget decides.
+    /// Parts of a smaller area are removed first, world units; 0: none are. Above 0 only if an error or a budget decides.
     pub min_part: f64,
-    /// Parts that were chosen, removed too or kept alone; `None`: all are shown. Only where an error or a budget decides.
+    /// Chosen parts, which are removed too, or which alone are kept; `None`: all are shown. Only if an error or a budget decides.
     pub parts: Option<ChosenPartsJson>,
     /// What keeps the budget; found when the surface is planned, forgotten at the next edit.
     pub fitted: Option<Fitted>,
@@ -72,7 +72,7 @@ pub struct View {
     pub max_level: Level,
     /// Control points as in the edit, colours included.
     pub transfer_function: TransferFunctionJson,
-    /// Where importance is raised.
+    /// Regions of interest, in which importance is raised.
     pub interest: Vec<InterestJson>,
 }
 
@@ -95,7 +95,7 @@ impl View {
     /// so that less weight shows smoothness alone: in a skull the teeth, in a brain the crowns of its folds look like all the rest.
     pub const OPENING_ALPHA: f32 = 0.5;
 
-    /// Error that a volume opens with: less than is seen where a voxel is a few pixels.
+    /// Error that a volume opens with: too small to see if a voxel covers a few pixels.
     pub const OPENING_ERROR: Distance = Distance::Spacings(0.1);
 
     /// Budget that a volume opens with: what the bundled viewer draws at once on a GPU.
@@ -129,7 +129,7 @@ impl View {
         }
     }
 
-    /// What a volume with these fields opens with: its own opening edit, where it has one, over the defaults.
+    /// The view that a volume with these fields opens with: the defaults, with the volume's own opening edit applied if it has one.
     ///
     /// # Errors
     /// The opening edit does not fit the fields.
@@ -147,7 +147,8 @@ impl View {
         }
     }
 
-    /// The view after an edit; `fields` are the names of the volume's fields. When the feature changes and the edit has no range, the range becomes the feature's own.
+    /// Returns the view after an edit; `fields` are the names of the volume's fields. If the feature changes and the edit has no range, the
+    /// range becomes the feature's own.
     ///
     /// # Errors
     /// The first value that is out of its range.
@@ -238,7 +239,7 @@ impl View {
         self.apply_parts(edit)
     }
 
-    /// Applies the minimum area of parts. Parts are removed from the vertex tree alone: where that is not cut, there is none.
+    /// Applies the minimum area of parts. Only a cut of the vertex tree can leave parts out; if the view has none, the minimum is 0.
     fn apply_min_part(&mut self, edit: &Edit) -> Result<(), EditError> {
         let refuse = |why| Err(EditError { field: "minPart", why });
         if let Some(min_part) = edit.min_part {
@@ -362,8 +363,9 @@ impl View {
         Ok(())
     }
 
-    /// The parameters of a cut of cubes in a volume with this smallest spacing, whose samples lie in the world as `index_space` says, those of
-    /// a cap's padding included. Lengths in them are multiples of that spacing. `None` before [`View::resolve`]. While a budget is not fitted, the threshold is the view's own.
+    /// The parameters of a cut of cubes in a volume with this smallest spacing and index space; `index_space` includes the samples of a
+    /// cap's padding. Lengths in the parameters are multiples of the smallest spacing. `None` before [`View::resolve`]. While a budget is
+    /// not fitted, the threshold is the view's own.
     pub fn cut_params(&self, smallest: f64, index_space: &IndexSpace) -> Option<CutParams> {
         let tolerance = self.tolerance_in_force(smallest);
         let interest = self.interest.iter().map(|interest| interest.to_kernel(index_space));
@@ -382,7 +384,7 @@ impl View {
         })
     }
 
-    /// The guard on the error. `auto` is one where β decides alone.
+    /// The guard on the error; `None` if there is none. `auto` is a guard only if β decides alone.
     pub fn max_error_in_force(&self) -> Option<Distance> {
         match self.max_error {
             MaxError::Auto if self.is_by_error() || self.budget.is_some() => None,
@@ -397,8 +399,8 @@ impl View {
         self.fitted.map_or(self.topology.into(), |fitted| fitted.topology)
     }
 
-    /// The guards that are `auto` and gave way to the budget: the error, where the tolerance is above what `auto` stands for beside β;
-    /// then the topology.
+    /// The guards that are `auto` and gave way to the budget: first the error guard, if the fitted tolerance is above both the view's error
+    /// and what `auto` stands for beside β; then the topology guard.
     pub fn gave_way(&self, smallest: f64) -> Vec<GuardName> {
         let Some(fitted) = self.fitted else { return Vec::new() };
         let error = self.max_error == MaxError::Auto
@@ -428,13 +430,13 @@ impl View {
         self.mesher == MesherName::Dual && (self.error.is_some() || self.budget.is_some())
     }
 
-    /// β, where it decides: the one fitted to the budget, or else the view's own.
+    /// β, if it decides: the one fitted to the budget, or else the view's own.
     pub fn beta_in_force(&self) -> Option<f32> {
         let beta = self.fitted.map_or(self.beta, |fitted| fitted.threshold);
         (!self.is_by_error()).then_some(beta)
     }
 
-    /// The tolerance, where an error or a budget decides: the greater of both; smallest spacings. Below 0 nothing is decimated.
+    /// The tolerance, in smallest spacings, if an error or a budget decides: the greater of the two. Below 0 nothing is decimated.
     pub fn tolerance_in_force(&self, smallest: f64) -> Option<f32> {
         let guard = self
             .max_error_in_force()

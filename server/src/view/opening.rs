@@ -34,7 +34,7 @@ pub enum IsoReason {
     NoSurface,
 }
 
-/// Hounsfield units where bone begins: above soft tissue and blood with contrast agent, below thin and spongy bone.
+/// Hounsfield units at which bone begins: above soft tissue and blood with contrast agent, below thin and spongy bone.
 const BONE: f64 = 300.0;
 /// Minimum share of bone, below which it is noise.
 const MIN_BONE: f64 = 1e-3;
@@ -44,7 +44,7 @@ const MIN_AIR: f64 = 0.02;
 const MAX_PEAK: usize = 32;
 /// Bins after the maximum in which a peak ends; a histogram that falls more slowly has no peak there.
 const MAX_PEAK_WIDTH: usize = 16;
-/// Where the bins are lower than this share of the maximum, a peak has ended.
+/// A peak ends at the first bin whose count is below this share of the maximum.
 const PEAK_END: f64 = 0.02;
 /// Minimum share of the samples in a background.
 const MIN_BACKGROUND: f64 = 0.25;
@@ -54,7 +54,7 @@ const MIN_REST: f64 = 0.01;
 const MIN_REST_BINS: usize = 8;
 /// Bins with samples of a volume of labels: two are a mask, and more than these are measured values.
 const LABEL_BINS: std::ops::RangeInclusive<usize> = 3..=16;
-/// Bins with samples that follow each other, up to which they are labels where a bin has several whole numbers; more are a peak.
+/// If a bin has several whole numbers: maximum consecutive bins with samples that are taken for labels. More are a peak.
 const MAX_LABEL_RUN: usize = 4;
 /// Runs of bins with samples in a volume of many labels, at least.
 const MIN_LABEL_RUNS: usize = 4;
@@ -68,8 +68,8 @@ const VALLEY_FLOOR: f64 = 1.5;
 const SMOOTHING: usize = 2;
 
 impl OpeningIso {
-    /// Chooses an isovalue; `unit` is that of the values, where the file declares one, `has_labels` whether it says that they are labels.
-    /// There are samples on both sides of it, unless all have the same value.
+    /// Chooses an isovalue. `unit` is that of the values, if the file declares one; `has_labels` is whether the file says that they are
+    /// labels. There are samples on both sides of the isovalue, unless all have the same value.
     pub fn of(histogram: &Histogram, unit: Option<&str>, has_labels: bool) -> Self {
         let bins = Bins::of(histogram);
         let choice = |value, reason, explanation| Self {
@@ -131,7 +131,7 @@ impl<'a> Bins<'a> {
         }
     }
 
-    /// Where a bin begins.
+    /// The value at which a bin begins.
     fn start(&self, bin: f64) -> f64 {
         self.low + bin * self.width
     }
@@ -186,8 +186,8 @@ impl<'a> Bins<'a> {
         reaches && air >= MIN_AIR && is_tissue
     }
 
-    /// Whether these are labels: few different whole numbers, of which the lowest is that of the background. Where a bin has several whole
-    /// numbers, bins tell it less surely: then a peak, and single samples far away, are those of measured values.
+    /// Whether these are labels: few different whole numbers, of which the lowest is the background's. If a bin has several whole numbers,
+    /// bins are less certain evidence: then a peak, or only a few samples far from the background, count as measured values.
     fn are_labels(&self) -> bool {
         let occupied: Vec<usize> = (0..self.counts.len()).filter(|&bin| self.counts[bin] > 0).collect();
         let is_whole = |value: f32| value.fract() == 0.0;
@@ -207,8 +207,8 @@ impl<'a> Bins<'a> {
         runs.all(|run| run.len() <= MAX_LABEL_RUN) && self.share(first, self.counts.len()) >= MIN_REST
     }
 
-    /// Whether these are labels of which there are many, with gaps between them: counts of measured values are alike from bin to bin where
-    /// most samples are, those of labels are not.
+    /// Whether these are many labels with gaps between them. In the bins with most of the samples, counts of measured values are similar
+    /// from bin to bin, and those of labels are not.
     fn are_many_labels(&self) -> bool {
         let occupied: Vec<usize> = (0..self.counts.len()).filter(|&bin| self.counts[bin] > 0).collect();
         let runs = occupied.chunk_by(|a, b| a + 1 == *b).count();
@@ -230,7 +230,8 @@ impl<'a> Bins<'a> {
         rough > 0.5 * all
     }
 
-    /// The bin where the background's peak ends, where there is one: a high and narrow one at the low end, with much beside it.
+    /// The bin at which the background's peak ends, or the valley behind it. `None` if there is no such peak: a high and narrow one at the
+    /// low end, with enough samples beside it.
     fn background(&self) -> Option<usize> {
         let counts = self.counts;
         let (peak, &height) = counts
@@ -250,8 +251,8 @@ impl<'a> Bins<'a> {
         is_background.then(|| self.valley(end).unwrap_or(end))
     }
 
-    /// The end of the valley between the background's peak, which ends at `end`, and the highest peak after it, where there is more beyond
-    /// that one: values in the valley are partly background, and would be a class of their own.
+    /// The end of the valley between the background's peak, which ends at `end`, and the highest peak after it. `None` unless there are
+    /// samples beyond that peak. Values in the valley are partly background, and would be a class of their own.
     fn valley(&self, end: usize) -> Option<usize> {
         let rest = &self.counts[end..];
         let smooth = |bin: usize| {
@@ -267,7 +268,7 @@ impl<'a> Bins<'a> {
     }
 
     /// Otsu's threshold (1979) of the bins from `first` on: the one with the maximum variance between the classes below and above it; of
-    /// equal ones, between which there are no samples, the middle. `None` where fewer than two bins have samples.
+    /// equal ones, between which there are no samples, the middle. `None` if fewer than two bins have samples.
     fn otsu(&self, first: usize) -> Option<f64> {
         let counts = || self.counts.iter().enumerate().skip(first);
         let total: f64 = counts().map(|(_, &n)| n as f64).sum();

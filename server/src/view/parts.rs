@@ -27,7 +27,8 @@ impl Budget {
         }
     }
 
-    /// What is left of it where so much is reserved; at least 1. A share without a maximum is one of each surface, and takes nothing from another.
+    /// What is left of the budget after so much is reserved; at least 1. A share without a maximum is a share of each surface, so that
+    /// nothing reserved for another surface is taken from it.
     #[must_use]
     pub fn without(self, reserved: u64) -> Self {
         let left = |whole: u64| whole.saturating_sub(reserved).max(1);

@@ -141,7 +141,7 @@ impl ToSchema for Distance {}
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(test, derive(ts_rs::TS), ts(type = "number | string | null"))]
 pub enum MaxError {
-    /// [`MaxError::AUTO`] where β decides; no guard where an error or a budget does.
+    /// [`MaxError::AUTO`] if β decides; no guard if an error or a budget does.
     #[default]
     Auto,
     /// No guard.

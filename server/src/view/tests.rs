@@ -251,7 +251,7 @@ fn guards_of_a_request_that_stands_alone_are_off_with_beta_and_auto_with_a_budge
         let view = opening.apply(&edit(json).with_default_guards(), FIELDS).expect(json);
         assert_eq!((view.max_error, view.topology), expected, "{json}");
     }
-    // In a stream, what is not named stays: on where it was on, off where it was off.
+    // In a stream, guards that an edit does not name stay on or off as they were.
     for (max_error, topology) in [on, off] {
         let before = View {
             max_error,

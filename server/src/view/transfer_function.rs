@@ -20,7 +20,7 @@ pub struct TransferFunctionJson {
 #[cfg_attr(test, derive(ts_rs::TS), ts(rename = "ControlPoint"))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct PointJson {
-    /// Where on the blended feature, 0 to 1.
+    /// Position on the blended feature, 0 to 1.
     pub x: f32,
     /// Importance there, 0 to 1.
     pub importance: f32,

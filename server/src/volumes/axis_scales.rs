@@ -1,19 +1,19 @@
-//! What the positions along the axes of a volume are, as its file says it: longitudes, depths.
+//! Meaning of the positions along the axes of a volume, as its file states it: longitudes, depths.
 
-/// What positions along an axis are.
+/// Kind of the positions along an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AxisKind {
     /// Degrees east.
     Longitude,
     /// Degrees north.
     Latitude,
-    /// Below a surface.
+    /// Distance below a surface.
     Depth,
-    /// Above one.
+    /// Distance above a surface.
     Height,
     /// Decreases upwards.
     Pressure,
-    /// What the file has no word for that is known here.
+    /// Any other kind, or an unknown one.
     Other,
 }
 
@@ -38,13 +38,13 @@ pub struct AxisScale {
     pub name: String,
     /// Unit of the positions, as the file says it.
     pub unit: Option<String>,
-    /// What they are.
+    /// Kind of the positions.
     pub kind: AxisKind,
-    /// Position of each sample. `None`: the world's coordinate along the axis is the position.
+    /// Position of each sample. `None` if the world's coordinate along the axis is the position.
     pub positions: Option<Vec<f64>>,
-    /// Without `positions`: the position is the world's coordinate times −1.
+    /// If there are no `positions`: whether the position is the world's coordinate times −1.
     pub points_down: bool,
 }
 
-/// Those along x, y and z, where the file says them.
+/// Scales of the axes x, y and z; `None` for an axis that the file does not describe.
 pub type AxisScales = [Option<AxisScale>; 3];

@@ -1,4 +1,5 @@
-//! Files that have to be in a folder, or below it: links out of it are not followed, also where a file is replaced by one while the server runs.
+//! Opens files that must be in a folder or below it. Links that lead out of the folder are not followed, not even if a file is replaced
+//! by such a link while the server runs.
 
 use std::fs::File;
 use std::io;
@@ -17,7 +18,7 @@ fn links_are_followed() -> bool {
     FOLLOW_LINKS.load(Ordering::Relaxed)
 }
 
-/// A folder without links in its own path; the empty path is the current one.
+/// Resolves the links in a folder's path. The empty path is the current folder.
 fn real(folder: &Path) -> io::Result<PathBuf> {
     let folder = if folder == Path::new("") {
         Path::new(".")
@@ -27,7 +28,7 @@ fn real(folder: &Path) -> io::Result<PathBuf> {
     folder.canonicalize()
 }
 
-/// Whether a file in a folder, or below it, is elsewhere once links are followed. What cannot be asked is.
+/// Whether a file is outside the folder after links are resolved. Also true if its path cannot be resolved.
 pub(super) fn leaves(folder: &Path, file: &Path) -> bool {
     if links_are_followed() {
         return false;
@@ -38,17 +39,17 @@ pub(super) fn leaves(folder: &Path, file: &Path) -> bool {
     }
 }
 
-/// Whether an entry of a listed folder is a link out of the folder that was asked for, `root`.
+/// Whether an entry of a listed folder is a link out of the folder `root`.
 pub(super) fn is_link_out(root: &Path, entry: &std::fs::DirEntry) -> bool {
     let is_link = entry.file_type().is_ok_and(|kind| kind.is_symlink());
     is_link && leaves(root, &entry.path())
 }
 
-/// Opens a file that has to be in a folder or below it. The path is resolved first; what is opened has no link in it, or it is not opened: nobody
-/// has put one there in between.
+/// Opens a file that must be in a folder or below it. Resolves the links of the path first, then opens the resolved path without
+/// following links: a link that was put there in between is an error, unless the system has no `openat2`.
 ///
 /// # Errors
-/// `PermissionDenied` where it is elsewhere; those of the system.
+/// `PermissionDenied` if the file is outside the folder; errors of the operating system.
 pub(super) fn open(folder: &Path, file: &Path) -> io::Result<File> {
     if links_are_followed() {
         return File::open(file);
@@ -71,12 +72,12 @@ fn open_without_links(folder: &Path, relative: &Path, file: &Path) -> io::Result
         OFlags::PATH | OFlags::DIRECTORY | OFlags::CLOEXEC,
         Mode::empty(),
     )?;
-    // A named pipe is opened without waiting for its writer.
+    // Do not block on a named pipe without a writer.
     let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK;
     let beneath = ResolveFlags::BENEATH | ResolveFlags::NO_SYMLINKS | ResolveFlags::NO_MAGICLINKS;
     match openat2(&folder, relative, flags, Mode::empty(), beneath) {
         Ok(opened) => Ok(opened.into()),
-        // Kernels before 5.6, and containers that do not know the call: what was asked before has to do.
+        // Kernels before 5.6, and containers that forbid the call: only the check above protects.
         Err(Errno::NOSYS | Errno::PERM) => File::open(file),
         Err(error) => Err(error.into()),
     }
@@ -109,7 +110,7 @@ mod tests {
         for out in ["out", "far/secret", "../secret"] {
             assert!(open(folder.path(), &path(out)).is_err(), "{out}");
         }
-        // Between the question and the opening: the path has no link when it is asked about, and has one then.
+        // A race between check and open: the path has no link when it is checked, and has one when it is opened.
         let real = folder.path().canonicalize().unwrap();
         assert!(open_without_links(&real, Path::new("sub/file"), &path("sub/file")).is_ok());
         std::fs::rename(path("sub"), path("moved")).unwrap();

@@ -2,7 +2,7 @@
 //!
 //! Every path given to `isopeel serve` is one dataset: a file, or a folder whose files share one grid. If the files of a folder do not
 //! share one grid, each is a dataset of its own (`extract` and `info` need one dataset and refuse such a folder). An unreadable file in
-//! a folder is skipped with a notice. An unreadable path does not keep a server from the others: it is listed with its reason.
+//! a folder is skipped with a notice. If a path cannot be read, the server serves the others and lists the path with the reason.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -19,10 +19,10 @@ pub struct Catalog {
     unreadable: Vec<Unreadable>,
 }
 
-/// A path that was named to the server and that it cannot read.
+/// A path that was given to the server and that it cannot read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unreadable {
-    /// Its last part: clients do not learn of folders.
+    /// Last component of the path: clients do not see the names of folders.
     pub name: String,
     /// What is wrong with it.
     pub reason: String,
@@ -39,8 +39,8 @@ impl Unreadable {
 }
 
 impl Catalog {
-    /// Opens every path, then the embedded demo if `demo` is set. Reads headers, not samples. A path that cannot be read is
-    /// [unreadable](Self::unreadable), as long as there is another.
+    /// Opens every path, then the embedded demo if `demo` is set. Reads headers, not samples. A path that cannot be read is listed as
+    /// [unreadable](Self::unreadable), if another one can be read.
     ///
     /// # Errors
     /// What is wrong with the first path, if none of them can be read.
@@ -103,16 +103,16 @@ impl Catalog {
         &self.datasets
     }
 
-    /// The dataset of that id.
+    /// Returns the dataset with this id.
     pub fn get(&self, id: &str) -> Option<&Arc<Dataset>> {
         self.datasets.iter().find(|d| d.id == id)
     }
 }
 
-/// The catalog of a running server, which may be replaced, and the volumes of single users. Clones are cheap.
+/// The public catalog of a running server, which may be replaced, and the private volumes. Clones are cheap and share both.
 #[derive(Clone, Debug, Default)]
 pub struct SharedCatalog {
-    /// Locked for the moment of a look or a replacement.
+    /// Locked only while the pointer is read or replaced.
     current: Arc<RwLock<Arc<Catalog>>>,
     private: PrivateVolumes,
 }
@@ -127,39 +127,39 @@ impl From<Catalog> for SharedCatalog {
 }
 
 impl SharedCatalog {
-    /// The dataset of that id, if whoever asks may see it.
+    /// Returns the dataset with this id, if the reader may see it.
     pub fn find(&self, id: &str, who: Reader<'_>) -> Option<Arc<Dataset>> {
         let public = self.now().get(id).map(Arc::clone);
         public.or_else(|| self.private.find(id, who))
     }
 
-    /// All datasets that somebody sees: those of the catalog, then what is theirs.
+    /// Returns all datasets that the reader may see: the public catalog's first, then private ones.
     pub fn list(&self, who: Reader<'_>) -> Vec<Arc<Dataset>> {
         let mut datasets = self.now().datasets().to_vec();
         datasets.extend(self.private.list(who));
         datasets
     }
 
-    /// The volumes of single users.
+    /// Returns the private volumes.
     pub fn private(&self) -> &PrivateVolumes {
         &self.private
     }
 
-    /// The catalog that everybody sees, as it is now.
+    /// Returns a snapshot of the public catalog.
     pub fn now(&self) -> Arc<Catalog> {
         Arc::clone(&self.current.read().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Another catalog takes its place. Who holds a dataset of the one before keeps it.
+    /// Replaces the public catalog. Holders of a dataset of the previous catalog keep it.
     pub fn replace(&self, catalog: Catalog) {
         *self.current.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(catalog);
     }
 }
 
-/// The datasets of a path: one, or those of a folder whose files do not share one grid.
+/// Opens the datasets of a path: one, or several if the files of a folder do not share one grid.
 ///
 /// # Errors
-/// What is wrong with it.
+/// What is wrong with the path.
 pub fn open_path(path: &Path) -> Result<Vec<Dataset>, ReadError> {
     if let Some(volumes) = open_folder_format(&FileLocation::named(path)) {
         volumes
@@ -170,8 +170,8 @@ pub fn open_path(path: &Path) -> Result<Vec<Dataset>, ReadError> {
     }
 }
 
-/// The datasets of a path with their own paths: those of a folder each by itself, so that a file that cannot be read does not keep the others
-/// from being read.
+/// Opens each volume of a path on its own, with its own path, so that a file that cannot be read does not keep the others from being
+/// read.
 pub fn open_each(path: &Path) -> Vec<(PathBuf, Result<Dataset, ReadError>)> {
     let named = |error| vec![(path.to_owned(), Err(error))];
     let numbered = |n: usize| PathBuf::from(format!("{}:{n}", path.display()));
@@ -211,7 +211,7 @@ fn open_folder(folder: &Path) -> Result<Vec<Dataset>, ReadError> {
         }
     }
     if files.is_empty() {
-        // `list_folder` returns no empty list, so there was an error.
+        // Reached only if every file failed: `list_folder` returns no empty list.
         return last_error.map_or(Ok(Vec::new()), Err);
     }
     let mut datasets = match assemble(&title_of(folder), files.clone()) {

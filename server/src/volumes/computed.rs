@@ -1,5 +1,8 @@
-//! Fields that an expression over others gives, the distances to where it holds, or that smoothed. On a device they are computed there; here,
-//! where their samples are needed on the host, padded or masked, and those that are smoothed.
+//! Fields that are computed from other fields: an expression over them, the distance to the samples for which an expression holds, or an
+//! expression smoothed.
+//!
+//! Extraction computes expressions and distances on the device. This module computes on the host: fields whose samples are needed there,
+//! padded or masked ones, and all smoothed ones.
 
 use std::sync::Arc;
 
@@ -14,35 +17,36 @@ use crate::view::FieldExpression;
 /// Samples that a task computes.
 const PIECE: usize = 1 << 16;
 
-/// What an expression is computed from.
+/// Source of a field that is computed from others.
 #[derive(Clone, Debug)]
 struct Computed {
     expression: Expression,
-    /// What it was read from.
+    /// Text of the expression.
     text: String,
-    /// In the order of their places in it.
+    /// The fields in the expression, in the order of its variables.
     fields: Vec<Field>,
-    /// Of distances to where it is not 0: positions of the samples along the axes.
+    /// For a field of distances to the samples for which the expression is not 0: positions of the samples along the axes.
     positions: Option<Box<[Vec<f64>; 3]>>,
-    /// Of a smoothed one: the standard deviation.
+    /// For a smoothed field: the standard deviation.
     smoothing: Option<f32>,
     dims: [u32; 3],
 }
 
 impl Dataset {
-    /// The expression over this dataset's fields that a text is; `None` where it is none, or the name of a field.
+    /// Parses an expression over this dataset's fields. `None` if the text is no expression, or is the name of a field.
     pub fn expression(&self, text: &str) -> Option<FieldExpression> {
         let rank = |name: &str, number: i128| Some(self.field(name)?.source.ranks()?.position(number));
         let parse = || FieldExpression::parse_by(text, &self.field_names(), "field", &rank).ok();
         if self.field(text).is_some() { None } else { parse() }
     }
 
-    /// The field of this name, or the one that an expression over this dataset's fields gives.
+    /// Returns the field of this name, or the one that an expression over this dataset's fields gives.
     pub fn field_or_computed(&self, name: &str) -> Option<Field> {
         self.field(name).cloned().or_else(|| self.computed_field(name))
     }
 
-    /// The field that an expression over this dataset's fields gives; `None` where it is none, or the name of one.
+    /// Returns the field that an expression over this dataset's fields gives; `None` if the text is no expression, or is the name of a
+    /// field.
     pub fn computed_field(&self, text: &str) -> Option<Field> {
         let found = self.expression(text)?;
         let fields: Vec<Field> = found
@@ -75,7 +79,7 @@ impl Dataset {
 }
 
 impl Computed {
-    /// The expression over samples that were read: some may be ranks.
+    /// Parses the expression again for samples that were read: some may be ranks of labels, and constants become ranks, too.
     fn ranked(&self) -> Expression {
         let by_name = |name: &str| self.fields.iter().find(|field| field.name == name);
         let rank = |name: &str, number: i128| Some(by_name(name)?.source.ranks()?.position(number));
@@ -121,7 +125,7 @@ impl Source for Computed {
         Ok(Samples::F32(match (&self.positions, self.smoothing) {
             (None, None) => values,
             (None, Some(sigma)) => smoothed(self.dims, values, sigma),
-            // To nothing: every one is missing.
+            // Without a sample inside, there is no distance: all samples are missing.
             (Some(positions), _) => distances(positions, values).unwrap_or_else(|| vec![f32::NAN; count]),
         }))
     }

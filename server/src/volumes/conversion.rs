@@ -1,7 +1,8 @@
-//! How stored numbers become those of the device, and what that loses.
+//! Converts stored numbers to the types of the device, and records what is lost.
 //!
-//! Numbers of 32 and 64 bits become 32-bit floats, which hold whole numbers up to 2²⁴. If labels above that would become one, the field is
-//! read once more: its values become ranks, in the order of the numbers ([`LabelRanks`]). Other numbers are rounded, with a notice.
+//! Numbers of 32 and 64 bits become 32-bit floats, which hold whole numbers up to 2²⁴. If different labels above that would become equal,
+//! the field is read again and its values become ranks, in the order of the numbers ([`LabelRanks`]). Other numbers are rounded, with a
+//! notice.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
@@ -11,21 +12,22 @@ use super::findings::{LabelRanks, merging_steps};
 use super::scalar::Scalar;
 use super::{Findings, ReadError, Sink};
 
-/// Largest whole number up to which 32-bit floats hold all.
+/// 32-bit floats hold every whole number up to this one.
 const EXACT: i128 = 1 << 24;
-/// Numbers above it that are looked at. Fields with more have no labels.
+/// Maximum different numbers above [`EXACT`] that are compared. Fields with more are not taken for labels.
 const MAX_LARGE: usize = 1 << 16;
-/// Labels that have ranks at most.
+/// Maximum labels that get ranks.
 const MAX_RANKS: usize = 1 << 20;
-/// Rounding in parts of the range of values that is worth a notice: half a bin of a histogram is 2,000 times that.
+/// Rounding that is worth a notice, relative to the range of values: half a bin of a histogram is 2,000 times that.
 const ROUNDING: f64 = 1e-6;
 
 impl Findings {
-    /// Reads one of `steps` time steps by `read`, which hands samples to the sink, and concludes from what was converted. Reads twice if
-    /// labels need ranks.
+    /// Reads one of `steps` time steps with `read`, which hands samples to the sink, and evaluates the losses of the conversion. Reads
+    /// twice if labels need ranks.
     ///
     /// # Errors
-    /// Those of `read`; [`ReadError::again`], where all must be read anew, as ranks are needed; labels of several steps.
+    /// Errors of `read`; [`ReadError::again`] if all samples must be read again because labels need ranks; labels that need ranks in a file
+    /// of several time steps.
     pub(super) fn read(
         &self,
         (path, steps): (&Path, u32),
@@ -61,11 +63,11 @@ impl Findings {
     }
 }
 
-/// How the numbers of one reading become 32-bit floats.
+/// Converts the numbers of one reading to 32-bit floats.
 #[derive(Debug, Default)]
 pub struct Conversion {
     ranks: Option<Arc<LabelRanks>>,
-    /// All whole numbers, if they are collected.
+    /// Collects all whole numbers, to rank them later.
     survey: Option<Mutex<BTreeSet<i128>>>,
     losses: Mutex<Losses>,
 }

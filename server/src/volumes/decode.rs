@@ -1,8 +1,7 @@
-//! From samples in a file to samples on the host in the device's types.
+//! Reads samples of a file into host memory, in the types of the device.
 //!
-//! Plain samples are read in parallel, each piece directly to its destination. Compressed ones are decoded into memory
-//! that grows with what was decoded, whatever the header claims. Byte order, type and scale are converted piece by
-//! piece.
+//! Plain samples are read in parallel, each piece directly to its destination. Compressed samples are decoded into memory that grows with
+//! the decoded bytes, whatever the header claims. Byte order, type and scale are converted piece by piece.
 
 use std::io::Read;
 use std::sync::Arc;
@@ -32,7 +31,7 @@ impl StoredSamples {
             .ok_or_else(|| self.error(format!("no memory for {}", self.describe())))
     }
 
-    /// How many samples stand at each position of the grid, x fastest, as far as the array is in that order.
+    /// Returns the number of samples at each position of the grid; `None` unless the array has x fastest, then y, z and time.
     pub(super) fn interleave(&self) -> Option<usize> {
         let [one, together] = [1, u64::from(self.channels)].map(|n| {
             let strides = contiguous(self.dims, self.steps).map(|strides| strides.map(|stride| stride * n));
@@ -48,13 +47,13 @@ impl StoredSamples {
         }
     }
 
-    /// Bytes of the array before the samples of `step`, of an array whose positions are `interleave` samples.
+    /// Returns the bytes of the array before the samples of `step`, if each position has `interleave` samples.
     fn bytes_before(&self, step: u32, interleave: usize) -> u64 {
         let planes = if interleave == 1 { self.first } else { 0 };
         (planes + u64::from(step) * self.step_samples() * interleave as u64) * self.stored.bytes()
     }
 
-    /// Start of plain samples in the file.
+    /// Returns the offset of plain samples in the file.
     fn plain_offset(&self) -> u64 {
         match self.begin {
             Begin::At(offset) => offset + self.skip_decoded,
@@ -62,7 +61,7 @@ impl StoredSamples {
         }
     }
 
-    /// Plain samples, read in parallel. `same`: stored type and `T` are equal, nothing is converted.
+    /// Reads plain samples in parallel. `same`: stored type and `T` are equal, and nothing is converted.
     fn read_plain<S: Scalar, T: Scalar>(
         &self,
         blob: &Blob<'_>,
@@ -103,7 +102,7 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// A stream of decoded bytes that starts at the first sample.
+    /// Returns a stream of decoded bytes that starts at the first sample.
     fn stream<'a>(&self, blob: &'a Blob<'a>) -> Result<Box<dyn Read + Send + 'a>, ReadError> {
         let Begin::At(begin) = self.begin else {
             return Err(self.error("compressed samples cannot be counted from the end of the file"));
@@ -126,7 +125,7 @@ impl StoredSamples {
         Ok(())
     }
 
-    /// Samples from a stream. Memory grows with what was decoded, at most to twice that.
+    /// Reads samples from a stream. Memory grows with the decoded samples, at most to twice their size.
     fn read_stream<S: Scalar, T: Scalar>(
         &self,
         stream: &mut dyn Read,
@@ -159,9 +158,9 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// Looks whether the stream goes on. Reading to the end also makes the decoder compare its checksum.
+    /// Checks that the stream has ended. Reading to the end also makes the decoder verify its checksum.
     fn expect_end(&self, mut stream: impl Read) -> Result<(), ReadError> {
-        // Of a compressed file the rest is not looked at where the header says that there is one.
+        // If the header states that other data follow the samples of a compressed file, these are not read.
         let rest_is_known = self.packing().is_some() && self.end.is_some();
         if rest_is_known {
             return Ok(());
@@ -183,7 +182,7 @@ impl StoredSamples {
         Ok(())
     }
 
-    /// All samples of all steps and channels, as stored. Costs as much memory as the decoded file.
+    /// Reads all samples of all steps and channels, as stored. Needs as much memory as the decoded file.
     fn read_all<S: Scalar>(&self, blob: &Blob<'_>) -> Result<Vec<S>, ReadError> {
         let total = self.array_samples();
         let alone = Pixels::alone(copy::<S>);
@@ -212,7 +211,7 @@ impl StoredSamples {
             .take(length)
             .read_to_end(&mut text)
             .map_err(|e| self.io(e))?;
-        // Whether the last number is whole cannot be known without a white space behind it.
+        // Without white space behind the last number, it may have been cut off.
         if self.end.is_none() && !text.last().is_some_and(u8::is_ascii_whitespace) {
             let notice = "the last line has no end: if the file was cut off, its last number may be too short";
             self.findings.report(self.location.path(), notice);
@@ -242,8 +241,8 @@ impl StoredSamples {
         Ok(values)
     }
 
-    /// One time step of stored type `S` as the device's type `T`. `fill` makes the values of positions from samples that begin with that
-    /// of the first position, and have a distance.
+    /// Reads one time step of stored type `S` as the device's type `T`. `fill` computes the values of consecutive positions; its arguments
+    /// are the samples, beginning with that of the first position, and the distance between positions in samples.
     fn read_step<S: Scalar, T: DeviceScalar>(
         &self,
         blob: &Blob<'_>,
@@ -287,7 +286,7 @@ impl StoredSamples {
         Ok(())
     }
 
-    /// One time step of an array in any order.
+    /// Reads one time step of an array in any order.
     fn gather<S: Scalar, T: Scalar>(
         &self,
         all: &[S],
@@ -341,7 +340,7 @@ impl StoredSamples {
         }
     }
 
-    /// One time step in the type of the device.
+    /// Reads one time step in the type of the device.
     fn read_converted(
         &self,
         blob: &Blob<'_>,
@@ -371,7 +370,7 @@ impl StoredSamples {
     }
 }
 
-/// Samples as they are, which are `apart` from each other.
+/// Copies samples that are `apart` samples from each other.
 fn copy<S: Scalar>(from: &[S], apart: usize, values: &mut [S]) {
     if apart == 1 {
         values.copy_from_slice(&from[..values.len()]);
@@ -381,7 +380,7 @@ fn copy<S: Scalar>(from: &[S], apart: usize, values: &mut [S]) {
     }
 }
 
-/// Where samples go, and how many at once.
+/// Receiver of the samples, and the number of samples in a piece.
 struct Out<'a, 'b> {
     piece: usize,
     sink: &'a mut Sink<'b>,
@@ -393,7 +392,7 @@ impl Out<'_, '_> {
     }
 }
 
-/// Positions of an array that have `interleave` samples each; `fill` makes the values of positions from those from `first` on.
+/// Positions with `interleave` samples each. `fill` computes the values of positions, from the sample `first` of each position.
 struct Pixels<F> {
     interleave: usize,
     first: usize,
@@ -409,7 +408,7 @@ impl<F> Pixels<F> {
         }
     }
 
-    /// Positions that are converted at once, at most `count`.
+    /// Returns the number of positions that are converted at once, at most `count`.
     fn piece(&self, count: usize) -> usize {
         (DECODE_CHUNK / self.interleave).clamp(1, count.max(1))
     }

@@ -41,8 +41,8 @@ pub fn demo() -> Result<Dataset, ReadError> {
     Ok(dataset)
 }
 
-/// The brain's surface: T1 just inside grey matter, where the sulci are open. Warm colours mark high importance (curved, or much grey
-/// matter), where more triangles are kept; pale and cool ones are coarser.
+/// Opening view on the brain's surface: T1 just inside grey matter, at a value that opens the sulci. Warm colours mark high importance
+/// (curved regions, or much grey matter), in which more triangles are kept; regions with pale and cool colours are coarser.
 fn opening() -> Edit {
     let points = [
         (0.0, 0.0, "#3f6f8c"),

@@ -1,13 +1,13 @@
-//! Distances of samples to those that are inside, on the host: one axis after another, the lower envelope of parabolas along each line
-//! (Felzenszwalb and Huttenlocher, 2012).
+//! Distances of samples to the nearest sample inside, on the host: one axis after another, by the lower envelope of parabolas along each
+//! line (Felzenszwalb and Huttenlocher, 2012).
 
 use rayon::prelude::*;
 
 /// Samples that a task moves.
 const PIECE: usize = 1 << 16;
 
-/// Euclidean distance of each sample to the nearest one that is inside: whose value is neither 0 nor NaN. `None` where there is none.
-/// `positions`: of the samples along x, y, z, ascending.
+/// Returns the Euclidean distance of each sample to the nearest one inside, that is with a value that is neither 0 nor NaN. `None` if no
+/// sample is inside. `positions`: of the samples along x, y, z, ascending.
 pub(super) fn distances(positions: &[Vec<f64>; 3], mut values: Vec<f32>) -> Option<Vec<f32>> {
     if values.iter().all(|&value| !is_inside(value)) {
         return None;
@@ -48,9 +48,9 @@ fn is_inside(value: f32) -> bool {
     value != 0.0 && !value.is_nan()
 }
 
-/// The minimum over a line of `squares` and the square of the way along it.
+/// Computes for each position of a line the minimum of `squares` plus the squared distance along the line.
 fn envelope(squares: &[f64], positions: &[f64], lowest: &mut [f32]) {
-    // Parabolas of the envelope: their samples, and from which position on each is the lowest one.
+    // Parabolas of the envelope: the index of their sample, and the position from which on each is the lowest one.
     let mut parabolas: Vec<(usize, f64)> = Vec::new();
     for (i, &square) in squares.iter().enumerate() {
         if square == f64::INFINITY {

@@ -1,4 +1,4 @@
-//! What reading samples finds: values that the device's type does not hold, labels that would merge, files that are not quite in order.
+//! What reading samples finds: values that the device's type cannot hold, labels that would merge, minor defects of files.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -35,7 +35,7 @@ impl Findings {
         }
     }
 
-    /// Findings of another field, to which the notices so far apply as well.
+    /// Returns new findings for another field, with the notices so far, which apply to it as well.
     pub(super) fn of_another_field(&self) -> Self {
         let notices = self.notices();
         Self(Arc::new(Mutex::new(State {
@@ -44,7 +44,7 @@ impl Findings {
         })))
     }
 
-    /// What was found so far.
+    /// Returns the notices so far.
     pub(super) fn notices(&self) -> Notices {
         self.state().notices.clone()
     }
@@ -55,12 +55,12 @@ impl Findings {
         state.needs_ranks && state.ranks.is_none()
     }
 
-    /// Says that another reading must give ranks to labels.
+    /// Records that the samples must be read again with ranks for labels.
     pub(super) fn ask_for_ranks(&self) {
         self.state().needs_ranks = true;
     }
 
-    /// Says which value means that a sample is missing: it is no label.
+    /// Sets the value of missing samples: it is no label.
     pub(super) fn set_missing(&self, missing: Option<f32>) {
         self.state().missing = missing;
     }
@@ -74,35 +74,35 @@ impl Findings {
         self.state().ranks = Some(Arc::new(ranks));
     }
 
-    /// The labels that ranks stand for, if the field has such.
+    /// Returns the labels and their ranks, if the field has ranks.
     pub(super) fn ranks(&self) -> Option<Arc<LabelRanks>> {
         self.state().ranks.clone()
     }
 }
 
-/// The error of labels that cannot have ranks, as these would differ from step to step.
+/// The error for labels in several time steps that need ranks: the ranks would differ from step to step.
 pub(super) fn merging_steps(path: &Path) -> ReadError {
     let why = "labels above 16777216 that 32-bit floats do not tell apart, in several time steps: expected one step, or labels that are \
                numbered anew";
     ReadError::new(path, "data", why)
 }
 
-/// Ranks of labels in the order of their numbers: 0 stays 0, those above are 1, 2, 3, …, those below −1, −2, ….
+/// Ranks of labels, ordered by their numbers: 0 stays 0, labels above 0 are 1, 2, 3, …, those below are −1, −2, ….
 #[derive(Debug, PartialEq, Eq)]
 pub struct LabelRanks {
     values: Vec<i128>,
-    /// Index of 0, or where it would be less one.
+    /// Index of 0 in `values`; if 0 is not in it, the index at which it would be inserted, less one.
     zero: i64,
     has_zero: bool,
-    /// The number of samples that are missing.
+    /// The number that means a missing sample.
     missing: Option<i128>,
 }
 
 impl LabelRanks {
-    /// Ranks of all `values` but the one that is the float `missing`.
+    /// Ranks all `values`, except the one that equals the value `missing` as a float.
     pub(super) fn new(mut values: BTreeSet<i128>, missing: Option<f32>) -> Self {
         let mut same = values.iter().copied().filter(|number| Some(*number as f32) == missing);
-        // Of several the float does not say which.
+        // If several equal it, the float does not tell which one is meant.
         let missing = same.next().filter(|_| same.next().is_none());
         if let Some(missing) = missing {
             values.remove(&missing);
@@ -122,12 +122,12 @@ impl LabelRanks {
 
     fn rank_at(&self, index: usize) -> f32 {
         let rank = index as i64 - self.zero;
-        // Without a 0 there is no rank 0: those below it move by one.
+        // Without a label 0 there is no rank 0: negative labels move down by one.
         let is_below = self.values[index] < 0 && !self.has_zero;
         (if is_below { rank - 1 } else { rank }) as f32
     }
 
-    /// Where a number stands among the ranks: the rank of a label, or half a rank from its neighbours; NaN of the one that is missing.
+    /// Returns the rank of a label. For a number that is no label: half a rank beside its neighbour. For the missing value: NaN.
     pub fn position(&self, number: i128) -> f32 {
         if self.missing == Some(number) {
             return f32::NAN;
@@ -139,7 +139,7 @@ impl LabelRanks {
         }
     }
 
-    /// The labels with their ranks, ascending.
+    /// Returns the labels with their ranks, ascending.
     pub fn iter(&self) -> impl Iterator<Item = (f32, i128)> + '_ {
         (0..self.values.len()).map(|at| (self.rank_at(at), self.values[at]))
     }

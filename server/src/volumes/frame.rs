@@ -1,4 +1,4 @@
-//! What world positions mean: the directions of the world's axes, and the unit of lengths.
+//! Meaning of world positions: the directions of the world's axes, and the unit of lengths.
 
 use std::str::FromStr;
 
@@ -7,19 +7,19 @@ use super::Geometry;
 /// Directions of the world's axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Frame {
-    /// Of a patient: to the left, to the back, to the head; as in DICOM and ITK.
+    /// Axes of a patient: to the left, to the back (posterior), to the head (superior); as in DICOM and ITK.
     Lps,
-    /// Of a patient: to the right, to the front, to the head; as in NIfTI.
+    /// Axes of a patient: to the right, to the front (anterior), to the head (superior); as in NIfTI.
     Ras,
-    /// The file's own; it does not say what they are.
+    /// The file's own axes, whose meaning it does not state.
     #[default]
     World,
-    /// The volume's own: positions count samples.
+    /// The volume's own axes: positions count samples.
     Index,
 }
 
 impl Frame {
-    /// Its name in files, messages and on the command line.
+    /// Returns the name in files, messages and on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Lps => "LPS",
@@ -38,7 +38,7 @@ impl Frame {
 impl FromStr for Frame {
     type Err = String;
 
-    /// A frame that positions can be asked for in.
+    /// Parses the name of a frame that positions can be requested in.
     fn from_str(text: &str) -> Result<Self, String> {
         [Self::Lps, Self::Ras, Self::Index]
             .into_iter()
@@ -48,8 +48,8 @@ impl FromStr for Frame {
 }
 
 impl Geometry {
-    /// The same samples in another frame. A patient's frames differ in the signs of x and y. Every volume has an index frame. All
-    /// else stays as it is: what a file does not say of its axes nobody can know.
+    /// Returns the same samples in another frame. Every volume has an index frame. The frames of patients differ in the signs of x and y.
+    /// Any other change of frame has no effect: the meaning of axes that the file does not describe is unknown.
     #[must_use]
     pub fn in_frame(mut self, frame: Frame) -> Self {
         if frame == Frame::Index {
@@ -67,7 +67,7 @@ impl Geometry {
     }
 }
 
-/// From one of a patient's frames to the other. `0 −` instead of a sign: −0 would show in `info`.
+/// Converts between the two frames of a patient. `0 −` instead of a sign: −0 would show in `info`.
 fn half_turn([x, y, z]: [f64; 3]) -> [f64; 3] {
     [0.0 - x, 0.0 - y, z]
 }
@@ -83,7 +83,7 @@ pub enum LengthUnit {
     Centimetre,
     Metre,
     Kilometre,
-    /// Of longitude or latitude: an angle, no length.
+    /// Unit of longitude and latitude: an angle, no length.
     Degree,
 }
 
@@ -99,7 +99,7 @@ impl LengthUnit {
         Self::Degree,
     ];
 
-    /// Its symbol, as shown.
+    /// Returns the symbol for display.
     pub const fn symbol(self) -> &'static str {
         match self {
             Self::Angstrom => "Å",
@@ -113,7 +113,7 @@ impl LengthUnit {
         }
     }
 
-    /// Its symbol in ASCII, for headers that hold nothing else.
+    /// Returns the symbol in ASCII, for headers that hold nothing else.
     pub const fn ascii_symbol(self) -> &'static str {
         match self {
             Self::Angstrom => "angstrom",
@@ -123,7 +123,7 @@ impl LengthUnit {
         }
     }
 
-    /// Its length in metres; `None` of an angle.
+    /// Returns the length in metres; `None` for an angle.
     pub const fn metres(self) -> Option<f64> {
         Some(match self {
             Self::Angstrom => 1e-10,
@@ -137,7 +137,7 @@ impl LengthUnit {
         })
     }
 
-    /// The unit that a file names: by symbol, or in English; `None` of another one.
+    /// Parses the unit that a file names, by its symbol or in English; `None` for an unknown unit.
     pub fn parse(text: &str) -> Option<Self> {
         let text = text.trim().trim_matches('"').trim();
         if let Some(unit) = Self::ALL.into_iter().find(|unit| unit.symbol() == text) {

@@ -1,8 +1,8 @@
-//! The files that time steps are read from: size, time of the last change and hash of each. A batch job whose files change meanwhile would mix the
-//! surfaces of two volumes, so it ends as `input-changed`.
+//! Identity of the files that time steps are read from: size, time of the last change and hash of each. A batch job whose files change
+//! while it runs would mix the surfaces of two volumes, so it ends as `input-changed`.
 //!
-//! The hash is XXH3 with 128 bits: of a whole file up to [`WHOLE_BYTES`], of a longer one of [`BLOCKS`] blocks, evenly spaced from its first
-//! byte to its last. It finds files that were replaced; it does not resist an attacker who makes two files with one hash.
+//! The hash is XXH3 with 128 bits: of a whole file up to [`WHOLE_BYTES`]; of a longer file, of [`BLOCKS`] blocks, evenly spaced from its
+//! first byte to its last. It detects replaced files; it does not resist an attacker who makes two files with one hash.
 
 use std::collections::{BTreeSet, HashMap};
 use std::fs::{File, Metadata};
@@ -19,10 +19,10 @@ use super::{Dataset, DatasetKey, VolumeStep};
 
 /// A file up to this size is hashed as a whole: that takes less than a tenth of a second.
 const WHOLE_BYTES: u64 = 64 << 20;
-/// Blocks of a longer file that are hashed, 64 MiB in all.
+/// Number of blocks of a longer file that are hashed, 64 MiB in all.
 const BLOCKS: u64 = 64;
 const BLOCK_BYTES: u64 = 1 << 20;
-/// Bytes that are hashed for an export at most, a tenth of a second's work: it only says where the surface comes from.
+/// Maximum bytes that are hashed for an export, which takes a tenth of a second: the hash only identifies the source of the surface.
 const QUICK_BYTES: u64 = 256 << 20;
 /// Maximum files of a job, chunks of a Zarr folder among them: they are kept by name, some 100 bytes each.
 const MAX_FILES: usize = 100_000;
@@ -44,7 +44,7 @@ struct Pinned {
     hash: String,
 }
 
-/// The files of time steps, and what their headers said when they were looked at.
+/// The files of time steps, and what their headers stated when they were hashed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct InputIdentity {
     files: Vec<Pinned>,
@@ -52,21 +52,21 @@ pub struct InputIdentity {
     header: String,
 }
 
-/// Why an input is not, or no longer, the one of a job.
+/// Why an input is not that of a job, or no longer.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum IdentityError {
-    /// A file is not as it was.
+    /// A file has changed.
     #[error("{file}: {what} since {since}")]
     Changed {
         /// Its name, without its folder.
         file: String,
         /// What has changed.
         what: &'static str,
-        /// When it was looked at before.
+        /// The time of the earlier check, for the message.
         since: &'static str,
     },
-    /// It cannot be read.
+    /// A file cannot be read.
     #[error("{file} cannot be read")]
     Unreadable {
         /// Its name, without its folder.
@@ -84,18 +84,19 @@ pub enum IdentityError {
     TooManyFiles,
 }
 
-/// What is known of the files of a server's volumes: a file that changed after its header was read would be pinned as what it is not.
+/// Stamps of the files of a server's volumes when they were first seen. Detects files that changed after their headers were read and before
+/// they are pinned by a job.
 #[derive(Debug, Default)]
 pub struct SeenFiles(Mutex<HashMap<SeenFile, Stamp>>);
 
-/// A file of a dataset, as often as the files of each of its steps were rewritten.
+/// A file of a dataset, with the rewrite counts of the dataset's steps.
 type SeenFile = (DatasetKey, Vec<u32>, PathBuf);
 
 const SINCE_OPENED: &str = "it was opened, start again";
 const SINCE_SUBMITTED: &str = "the job was submitted";
 
 impl SeenFiles {
-    /// Notes the files of a dataset that were not seen before. What cannot be read is found when a job is submitted.
+    /// Records the files of a dataset that were not seen before. Ignores errors: they are reported when a job is submitted.
     pub fn note(&self, dataset: &Dataset) {
         for input in inputs(dataset, 0..dataset.steps).into_iter().flatten() {
             let mut paths = BTreeSet::new();
@@ -103,7 +104,7 @@ impl SeenFiles {
         }
     }
 
-    /// Whether files of a dataset are as they were when they were seen first.
+    /// Checks that files of a dataset are as they were when they were first seen.
     fn check(&self, dataset: &Dataset, paths: &BTreeSet<PathBuf>) -> Result<(), IdentityError> {
         for path in paths {
             let now = stamp(path)?;
@@ -118,7 +119,7 @@ impl SeenFiles {
 }
 
 impl InputIdentity {
-    /// That of these time steps, now. Reads the files.
+    /// Returns the identity of the files of these time steps as they are now. Reads the files.
     ///
     /// # Errors
     /// [`IdentityError`].
@@ -138,8 +139,8 @@ impl InputIdentity {
         })
     }
 
-    /// As [`InputIdentity::content`] of [`InputIdentity::of`], where reading the files takes little: `None` of a store over a network, of files that cannot be
-    /// read, and of those that have more than [`QUICK_BYTES`] to be hashed, as most folders of Zarr.
+    /// Returns [`InputIdentity::content`] of [`InputIdentity::of`] if reading the files takes little time. `None` for a store over a
+    /// network, for files that cannot be read, and for files with more than [`QUICK_BYTES`] to be hashed, as most folders of Zarr.
     pub fn quick_content(volume: &VolumeStep) -> Option<String> {
         let (dataset, mut paths) = (volume.dataset(), BTreeSet::new());
         for input in inputs(dataset, std::iter::once(volume.step())).ok()? {
@@ -154,7 +155,7 @@ impl InputIdentity {
         Some(identity.content())
     }
 
-    /// Hash of what was read, wherever the files are.
+    /// Returns a hash of all contents, which does not depend on the files' paths.
     pub fn content(&self) -> String {
         let mut hasher = Xxh3::new();
         for hash in self.files.iter().map(|pinned| &pinned.hash).chain([&self.header]) {
@@ -163,7 +164,7 @@ impl InputIdentity {
         hex(&hasher)
     }
 
-    /// Whether all files have the size and time that they had.
+    /// Checks that all files have the same size and time as before.
     ///
     /// # Errors
     /// [`IdentityError::Changed`] or [`IdentityError::Unreadable`].
@@ -181,7 +182,7 @@ impl InputIdentity {
         Ok(())
     }
 
-    /// As [`InputIdentity::check_stamps`], and whether they have the content that they had.
+    /// As [`InputIdentity::check_stamps`]; also checks that the files have the same content.
     ///
     /// # Errors
     /// [`IdentityError::Changed`] or [`IdentityError::Unreadable`].
@@ -215,7 +216,7 @@ fn compare(path: &Path, before: &Stamp, now: &Stamp, since: &'static str) -> Res
     })
 }
 
-/// Grid and fields, which headers may change while samples stay.
+/// Returns a hash of grid and fields: headers may change these while the samples stay the same.
 fn header(dataset: &Dataset) -> String {
     let fields = dataset.fields.iter();
     let fields: Vec<_> = fields.map(|f| (&f.name, &f.stored_type, f.missing)).collect();
@@ -227,7 +228,7 @@ fn header(dataset: &Dataset) -> String {
     hex(&hasher)
 }
 
-/// The files and folders that time steps are read from, each once: a Zarr folder holds all steps.
+/// Returns the files and folders that time steps are read from, each once: a Zarr folder holds all steps.
 fn inputs(dataset: &Dataset, steps: impl Iterator<Item = u32>) -> Result<BTreeSet<PathBuf>, IdentityError> {
     let mut found = BTreeSet::new();
     for step in steps {
@@ -235,7 +236,7 @@ fn inputs(dataset: &Dataset, steps: impl Iterator<Item = u32>) -> Result<BTreeSe
             if input.address().is_some() {
                 return Err(IdentityError::Network(dataset.id.clone()));
             }
-            // A part of the program, as the demo is.
+            // Files in memory are a part of the program, as the demo.
             if !input.is_in_memory() {
                 found.insert(input.path().to_owned());
             }
@@ -244,7 +245,7 @@ fn inputs(dataset: &Dataset, steps: impl Iterator<Item = u32>) -> Result<BTreeSe
     Ok(found)
 }
 
-/// A file, or all files below a folder.
+/// Adds a file, or all files below a folder.
 fn add_files(input: PathBuf, paths: &mut BTreeSet<PathBuf>) -> Result<(), IdentityError> {
     let mut open = vec![input];
     while let Some(path) = open.pop() {

@@ -1,4 +1,4 @@
-//! Names and colours of labels, where a file has them.
+//! Names and colours of labels, for files that have them.
 
 /// Labels of a field that are kept. Files with more are read, and their names are left out beyond this number.
 pub const MAX_LABELS: usize = 4096;
@@ -15,7 +15,7 @@ pub struct Label {
 }
 
 impl Label {
-    /// A label, whose name is left out where it is empty.
+    /// Creates a label. An empty name is left out.
     pub fn new(value: impl Into<i128>, name: &str, color: Option<[u8; 3]>) -> Self {
         let name = name.trim();
         Self {

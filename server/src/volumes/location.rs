@@ -14,30 +14,30 @@ use super::remote::Address;
 use super::unpacked::{ReadAt, Unpacked, packing};
 use super::{ReadError, ReadProgress};
 
-/// First bytes of a file that say what it is.
+/// Bytes at the beginning of a file that its format is detected by.
 const HEAD_BYTES: usize = 8192;
 
 /// Files of a folder in memory, by name.
 pub type MemoryFolder = BTreeMap<String, Cow<'static, [u8]>>;
 
-/// Where a file is. Cheap to clone. Holds no file descriptor, so that a catalog may have thousands of files.
+/// Location of a file. Cheap to clone. Holds no file descriptor, so that a catalog may have thousands of files.
 #[derive(Clone)]
 pub struct FileLocation {
     path: PathBuf,
     part: Option<String>,
     memory: Option<Arc<MemoryFolder>>,
-    /// Of a store over a network.
+    /// For a store over a network: its address.
     address: Option<Arc<Address>>,
-    /// What the file is compressed with as a whole.
+    /// Encoding of a file that is compressed as a whole.
     packing: Option<Encoding>,
-    /// The folder that the file has to be in, or below.
+    /// The folder that must hold the file, directly or below it.
     beneath: Option<Arc<Path>>,
 }
 
-/// What the system says of a file: another one when it is written or replaced.
+/// Stamp of a file by its metadata: another one after the file was written or replaced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FileStamp {
-    /// Device and number.
+    /// Device and inode number.
     file: [u64; 2],
     bytes: u64,
     /// Seconds and nanoseconds of the last write and of the last change.
@@ -45,7 +45,7 @@ pub struct FileStamp {
 }
 
 impl FileLocation {
-    /// The file's stamp; `None` if there is none, as it is in memory, in a store over a network, or gone.
+    /// Returns the file's stamp; `None` for files in memory, stores over a network, and missing files.
     pub fn stamp(&self) -> Option<FileStamp> {
         use std::os::unix::fs::MetadataExt;
         if self.memory.is_some() || self.address.is_some() {
@@ -71,14 +71,14 @@ impl FileLocation {
         }
     }
 
-    /// The same file, which has to be in this folder or below it when it is opened: links out of it are not followed.
+    /// Returns the same location, which must be in this folder or below it when it is opened: links out of it are not followed.
     #[must_use]
     pub fn beneath(mut self, folder: &Path) -> Self {
         self.beneath = Some(folder.into());
         self
     }
 
-    /// The file `name` of a folder in memory.
+    /// Location of the file `name` of a folder in memory.
     pub fn memory(folder: Arc<MemoryFolder>, name: impl Into<String>) -> Self {
         Self {
             path: PathBuf::from(name.into()),
@@ -90,14 +90,14 @@ impl FileLocation {
         }
     }
 
-    /// A single file in memory.
+    /// Location of a single file in memory.
     pub fn bytes(name: impl Into<String>, bytes: impl Into<Cow<'static, [u8]>>) -> Self {
         let name = name.into();
         Self::memory(Arc::new(MemoryFolder::from([(name.clone(), bytes.into())])), name)
     }
 
-    /// What an argument of the command line names: a file or folder that exists, an address of a store over a network, or one of the
-    /// volumes in these, as `file.h5:/path`.
+    /// Parses an argument of the command line: a file or folder that exists, the address of a store over a network, or one of the volumes
+    /// in these, as `file.h5:/path`.
     pub fn named(argument: &Path) -> Self {
         let text = argument.to_string_lossy();
         if let Some((address, part)) = Address::named(&text) {
@@ -108,7 +108,7 @@ impl FileLocation {
                 ..shown
             };
         }
-        // From the right: a name may have a colon itself.
+        // The last colon separates the part: the name may have a colon, too.
         let split = (!argument.exists())
             .then(|| {
                 text.rmatch_indices(':')
@@ -124,31 +124,31 @@ impl FileLocation {
         }
     }
 
-    /// Which of the volumes in the file is meant, where one was named.
+    /// Returns which of the volumes in the file is meant, if one was named.
     pub fn part(&self) -> Option<&str> {
         self.part.as_deref()
     }
 
-    /// This file, of whose volumes the one is meant that another location names.
+    /// Returns this file with the part that another location names.
     #[must_use]
     pub fn with_part_of(mut self, other: &Self) -> Self {
         self.part.clone_from(&other.part);
         self
     }
 
-    /// Where the store is, of one over a network. Its path is what is shown of this.
+    /// Returns the address of a store over a network. The path is the form of the address that is shown.
     pub fn address(&self) -> Option<&Address> {
         self.address.as_deref()
     }
 
-    /// The file that is in this compressed one.
+    /// Returns the location of the file that is inside this compressed file.
     #[must_use]
     pub fn packed(mut self, encoding: Encoding) -> Self {
         self.packing = Some(encoding);
         self
     }
 
-    /// The same file, as compressed as its name says.
+    /// Returns the same file, with the compression that its name states.
     #[must_use]
     pub fn packed_by_name(&self) -> Self {
         let packing = packing(&self.path.to_string_lossy()).map(|(encoding, _)| encoding);
@@ -158,7 +158,7 @@ impl FileLocation {
         }
     }
 
-    /// File name in lower case, of a compressed file that of the file in it.
+    /// Returns the file name in lower case, without the ending of a compression.
     pub fn stored_name(&self) -> String {
         let whole = self
             .path
@@ -169,14 +169,14 @@ impl FileLocation {
         packing(&whole).map_or(whole.clone(), |(_, name)| name.to_owned())
     }
 
-    /// Whether the first bytes of the file are as a format has them.
+    /// Whether the first bytes of the file, decompressed, are of a format.
     pub fn begins_as(&self, is_content: fn(&[u8]) -> bool) -> bool {
         self.open()
             .and_then(|blob| blob.head(HEAD_BYTES))
             .is_ok_and(|head| is_content(&head))
     }
 
-    /// The same file, as it is stored.
+    /// Returns the same file without decompression.
     #[must_use]
     pub fn unpacked(&self) -> Self {
         Self {
@@ -185,12 +185,12 @@ impl FileLocation {
         }
     }
 
-    /// What the file is compressed with as a whole.
+    /// Returns the encoding of a file that is compressed as a whole.
     pub fn packing(&self) -> Option<Encoding> {
         self.packing
     }
 
-    /// Path, or name in memory.
+    /// Returns the path, or the name in memory.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -200,12 +200,12 @@ impl FileLocation {
         self.memory.is_some()
     }
 
-    /// File name without its extension; that of a compressed file is a part of it, as `.nii.gz`.
+    /// Returns the file name without its extension. The ending of a compression is a part of the extension, as in `.nii.gz`.
     pub fn stem(&self) -> String {
         stem(&self.path)
     }
 
-    /// A file that a header names, in the header's folder or below it.
+    /// Returns the location of a file that a header names. It must be in the header's folder or below it.
     ///
     /// # Errors
     /// An absolute name, one with `..`, or no file of that name; `field` is the header's field that holds it.
@@ -241,7 +241,7 @@ impl FileLocation {
         }
     }
 
-    /// Opens the file for reading, a compressed one as the file in it.
+    /// Opens the file for reading. A compressed file is decompressed.
     ///
     /// # Errors
     /// It is missing, may not be read, or is not a regular file (a folder, a pipe, a device).
@@ -269,8 +269,8 @@ impl FileLocation {
         })
     }
 
-    /// Bytes of the file that is in a compressed one, counted up to one above `limit`, as far as they can be decoded; 0 where it is not
-    /// compressed as a whole. Keeps nothing of them.
+    /// Decodes a compressed file and returns the number of its decoded bytes, counted up to one above `limit`, as far as they can be
+    /// decoded; 0 if the file is not compressed as a whole. Keeps no decoded bytes.
     ///
     /// # Errors
     /// As [`FileLocation::open`].
@@ -280,14 +280,14 @@ impl FileLocation {
         let fail = |e: io::Error| ReadError::io(&self.path, "file", format!("cannot be decoded: {e}"), e);
         let decoded = decoder(encoding, stored.reader(0), stored.len).map_err(fail)?;
         let (mut decoded, mut piece, mut count) = (decoded.take(limit.saturating_add(1)), vec![0; 1 << 16], 0);
-        // A broken file has what stands before the error.
+        // Bytes before an error in a broken file count.
         while let Ok(n @ 1..) = decoded.read(&mut piece) {
             count += n as u64;
         }
         Ok(count)
     }
 
-    /// Opens the file for reading as it is stored.
+    /// Opens the file for reading without decompression.
     ///
     /// # Errors
     /// As [`FileLocation::open`].
@@ -313,7 +313,7 @@ impl FileLocation {
             };
             ReadError::io(&self.path, "file", why, e)
         };
-        // Asked before opening: to open a named pipe would wait for its writer.
+        // Checked before opening: opening a named pipe would block until it has a writer.
         let metadata = std::fs::metadata(&self.path).map_err(fail)?;
         if !metadata.is_file() {
             let what = if metadata.is_dir() {
@@ -345,7 +345,7 @@ impl std::fmt::Debug for FileLocation {
     }
 }
 
-/// File name without its extension; that of a compressed file is a part of it, as `.nii.gz`.
+/// Returns the file name without its extension. The ending of a compression is a part of the extension, as in `.nii.gz`.
 pub fn stem(path: &Path) -> String {
     let whole = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
     let name = packing(&whole).map_or(whole.as_ref(), |(_, name)| name);
@@ -375,12 +375,12 @@ pub struct Blob<'a> {
 }
 
 impl<'a> Blob<'a> {
-    /// Counts what is read from here on.
+    /// Counts bytes that are read from now on.
     #[must_use]
     pub fn counted(mut self, progress: &'a ReadProgress) -> Self {
         self.progress = Some(progress);
         if let Content::Unpacked(unpacked) = &self.content {
-            // To open it was to read its first bytes.
+            // Opening has read the first bytes of the compressed file.
             self.count(unpacked.stored_read() as usize);
         }
         self
@@ -392,12 +392,12 @@ impl<'a> Blob<'a> {
         }
     }
 
-    /// Path, for messages.
+    /// Returns the path, for messages.
     pub fn path(&self) -> &Path {
         self.path
     }
 
-    /// Bytes in the file. A compressed one must be decoded to its end for that.
+    /// Returns the length of the file in bytes. For a compressed file this decodes it to its end.
     pub fn len(&self) -> u64 {
         match &self.content {
             Content::Unpacked(unpacked) => unpacked.len(),
@@ -405,7 +405,7 @@ impl<'a> Blob<'a> {
         }
     }
 
-    /// Bytes of the file that were read, of one that is compressed.
+    /// Returns the bytes that were read of a compressed file.
     #[cfg(test)]
     pub(super) fn stored_read(&self) -> u64 {
         match &self.content {
@@ -414,17 +414,17 @@ impl<'a> Blob<'a> {
         }
     }
 
-    /// Bytes of the file as it is stored.
+    /// Returns the length of the file as it is stored, in bytes.
     pub fn stored_len(&self) -> u64 {
         self.len
     }
 
-    /// Whether the file has no byte.
+    /// Whether the file is empty.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Bytes from `offset` on; fewer than asked for perhaps, none at the end.
+    /// Reads bytes from `offset` on, perhaps fewer than requested; none at the end.
     fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
         if let Some(progress) = self.progress {
             progress.go_on_reading()?;
@@ -449,7 +449,7 @@ impl<'a> Blob<'a> {
     /// Fills `buffer` from `offset` on.
     ///
     /// # Errors
-    /// The operating system's; `UnexpectedEof` where the file ends first.
+    /// Errors of the operating system; `UnexpectedEof` if the file ends first.
     pub fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         let mut done = 0;
         while done < buffer.len() {
@@ -463,10 +463,10 @@ impl<'a> Blob<'a> {
         Ok(())
     }
 
-    /// The first bytes of the file, at most `limit`.
+    /// Reads the first bytes of the file, at most `limit`.
     ///
     /// # Errors
-    /// The operating system's.
+    /// Errors of the operating system.
     pub fn head(&self, limit: usize) -> Result<Vec<u8>, ReadError> {
         let mut bytes = Vec::new();
         self.reader(0)
@@ -476,13 +476,13 @@ impl<'a> Blob<'a> {
         Ok(bytes)
     }
 
-    /// A stream from `offset` to the end of the file.
+    /// Returns a reader from `offset` to the end of the file.
     pub fn reader(&self, offset: u64) -> BlobReader<'_> {
         BlobReader { blob: self, offset }
     }
 }
 
-/// A place in a file that reading moves, for libraries that ask for [`Read`] and [`Seek`].
+/// A reader with a position, for libraries that need [`Read`] and [`Seek`].
 pub struct BlobReader<'a> {
     blob: &'a Blob<'a>,
     offset: u64,

@@ -1,4 +1,4 @@
-//! Samples in host memory: datasets that no file holds.
+//! Datasets whose samples are in host memory, not in files.
 
 use std::fmt;
 use std::path::Path;
@@ -16,7 +16,7 @@ struct MemorySamples {
 }
 
 impl fmt::Debug for MemorySamples {
-    /// Without the samples, of which there may be gigabytes.
+    /// Omits the samples, which may be gigabytes.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (title, steps) = (&self.title, self.steps.len());
         write!(out, "MemorySamples({title:?}, {steps} steps)")
@@ -43,10 +43,11 @@ impl Source for MemorySamples {
     }
 }
 
-/// A dataset of one field, `value`, with these time steps.
+/// Makes a dataset of one field, `value`, with these time steps.
 ///
 /// # Errors
-/// No step, a step of another number of samples than the grid has, or one of another type than the first; the error's path is the title.
+/// No step, a step whose number of samples differs from the grid's, or whose type differs from the first one's. The error's path is the
+/// title.
 pub fn memory_dataset(title: &str, geometry: Geometry, steps: Vec<Arc<Samples>>) -> Result<Dataset, ReadError> {
     let fail = |why: String| ReadError::new(Path::new(title), "data", why);
     let first = steps

@@ -10,12 +10,12 @@
 //! - `unpacked`: files that are compressed as a whole.
 //! - [`stored`]: what a header says about the samples, checked against the file; `decode` reads them, by their type (`scalar`).
 //! - `rectilinear`: uneven positions, and samples interpolated onto an even grid.
-//! - [`open`]: from a file or a folder to a dataset; `numbered`: files that are time steps.
-//! - [`catalog`], [`demo`]: the datasets of a server; [`private`]: those of single users; [`watch`]: paths in which some appear.
+//! - [`open`]: makes a dataset of a file or a folder; `numbered`: files that are time steps.
+//! - [`catalog`], [`demo`]: the datasets of a server; [`private`]: volumes of single users; [`watch`]: updates them when files change.
 //! - `computed`: fields that expressions give.
-//! - [`memory_dataset`]: samples that no file holds.
+//! - [`memory_dataset`]: a dataset of samples in memory.
 //! - `turned`: samples that are stored in another order than x fastest.
-//! - [`TimeAxis`]: when the steps are. [`InputIdentity`]: what the files of steps are, to find changes.
+//! - [`TimeAxis`]: times of the steps. [`InputIdentity`]: identity of the files that steps are read from, to detect changes.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
 mod axis_scales;
@@ -89,37 +89,37 @@ pub struct Dataset {
     pub id: String,
     /// Name for people.
     pub title: String,
-    /// How its samples lie in files, for people: `file`, `numbered steps`.
+    /// Layout of the samples in files, for display: `file`, `numbered steps`.
     pub layout: &'static str,
     /// Grid that all fields share.
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
-    /// Where samples are along the axes that are not even, whose mean distances the grid has.
+    /// Positions of the samples along the uneven axes, for which `geometry` has the mean distance; `None` if all axes are even.
     pub uneven: Option<Arc<UnevenAxes>>,
-    /// What positions along its axes are, where the file says it.
+    /// What the positions along the axes are, if the file states it.
     pub axes: Option<Arc<AxisScales>>,
-    /// When they are, where the file says it and there are several.
+    /// Times of the steps, if the file states them and there are several steps.
     pub times: Option<TimeAxis>,
     /// Fields, the main one first; at least one.
     pub fields: Vec<Field>,
-    /// Counts what took this one's place under its id, but for steps that were added to it or rewritten.
+    /// Incremented when another dataset takes this one's id. Not incremented if the other one only has more steps: then see `rewrites`.
     pub revision: u32,
-    /// How often the files of each step were rewritten; a step that is not in the list was not.
+    /// How often the files of each step were rewritten; 0 for a step beyond the end of the list.
     pub rewrites: Vec<u32>,
     /// Copyright, source, and what readers repaired or assumed when they read headers, to show beside the data.
     pub notices: Notices,
-    /// What the viewer opens with; `None`: the defaults.
+    /// The view that the viewer opens with; `None`: the defaults.
     pub opening: Option<Edit>,
 }
 
 impl Dataset {
-    /// The field of that name.
+    /// Returns the field of this name.
     pub fn field(&self, name: &str) -> Option<&Field> {
         self.fields.iter().find(|f| f.name == name)
     }
 
-    /// What identifies it.
+    /// Returns the key that identifies the dataset and its revision.
     pub fn key(&self) -> DatasetKey {
         DatasetKey {
             id: self.id.clone(),
@@ -127,12 +127,12 @@ impl Dataset {
         }
     }
 
-    /// How often the files of a step were rewritten.
+    /// Returns how often the files of a step were rewritten.
     pub fn rewrites(&self, step: u32) -> u32 {
         self.rewrites.get(step as usize).copied().unwrap_or(0)
     }
 
-    /// Whether this is an earlier dataset, perhaps with more time steps, or with other samples in some.
+    /// Whether this is the earlier dataset again, perhaps with more time steps or with other samples in some of them.
     pub fn continues(&self, earlier: &Self) -> bool {
         let kinds =
             |dataset: &Self| -> Vec<_> { dataset.fields.iter().map(|f| (f.name.clone(), f.sample_type)).collect() };
@@ -142,7 +142,7 @@ impl Dataset {
             && kinds(self) == kinds(earlier)
     }
 
-    /// Everything that is to be shown beside the data, a line each; with what has been found in the samples that were read so far.
+    /// Returns all notices to show beside the data, one a line, including those of the samples that were read so far.
     pub fn notice(&self) -> Option<String> {
         let mut notices = self.notices.clone();
         self.fields
@@ -151,7 +151,7 @@ impl Dataset {
         notices.text()
     }
 
-    /// The same samples in another frame ([`Geometry::in_frame`]). That of the index counts samples at uneven positions as well.
+    /// Changes the frame ([`Geometry::in_frame`]). The index frame counts samples, also those at uneven positions.
     pub fn set_frame(&mut self, frame: Frame) {
         self.geometry = self.geometry.in_frame(frame);
         if frame == Frame::Index && self.uneven.take().is_some() {
@@ -159,7 +159,7 @@ impl Dataset {
         }
     }
 
-    /// The grid of a view's surface, as [`Geometry::of_view`], and where its samples are in the world.
+    /// Returns the grid of a view's surface, as [`Geometry::of_view`], and the positions of its samples in the world.
     pub fn index_space(&self, view: &View) -> (Geometry, IndexSpace) {
         let geometry = self.geometry.of_view(view);
         let padded = |uneven: &Arc<UnevenAxes>| Arc::new(uneven.padded());
@@ -174,7 +174,7 @@ impl Dataset {
         (geometry, space)
     }
 
-    /// Where the samples are in the world.
+    /// Returns the positions of the samples in the world.
     pub fn sample_space(&self) -> IndexSpace {
         IndexSpace {
             world_from_even: self.geometry.world_from_index(),
@@ -182,7 +182,7 @@ impl Dataset {
         }
     }
 
-    /// Where the samples are along the axes, world units from the first one; `padded`: with one more sample at each end.
+    /// Returns the positions of the samples along the axes, world units from the first one; `padded`: with one more sample at each end.
     pub fn positions(&self, padded: bool) -> [Vec<f64>; 3] {
         let uneven = self.uneven.as_deref();
         let with_padding = uneven.filter(|_| padded).map(UnevenAxes::padded);
@@ -197,24 +197,24 @@ impl Dataset {
         })
     }
 
-    /// Lengths of a cell in which surfaces are cut and measured: of the largest one along each axis. So no distance, area or error in them is
-    /// below that in the world.
+    /// Returns the lengths of the cell in which surfaces are cut and measured: along each axis the length of the largest cell. So
+    /// distances, areas and errors are upper bounds of those in the world.
     pub fn cell_lengths(&self) -> [f64; 3] {
         let largest = self.uneven.as_ref().map_or([1.0; 3], |uneven| uneven.largest_steps());
         std::array::from_fn(|axis| self.geometry.spacing[axis] * largest[axis])
     }
 
-    /// The smallest of the [cell lengths](Self::cell_lengths): the unit of lengths on the device, world units.
+    /// Returns the smallest of the [cell lengths](Self::cell_lengths), in world units. It is the unit of length on the device.
     pub fn smallest_length(&self) -> f64 {
         self.cell_lengths().into_iter().fold(f64::INFINITY, f64::min)
     }
 
-    /// Names of the fields, the main one first.
+    /// Returns the names of the fields, the main one first.
     pub fn field_names(&self) -> Vec<&str> {
         self.fields.iter().map(|field| field.name.as_str()).collect()
     }
 
-    /// The view that the dataset opens with.
+    /// Returns the view that the dataset opens with.
     ///
     /// # Errors
     /// The opening edit does not fit the fields.
@@ -236,7 +236,7 @@ pub struct Geometry {
     pub direction: [[f64; 3]; 3],
     /// What the world's axes are.
     pub frame: Frame,
-    /// Unit of lengths in the world, where the file says it.
+    /// Unit of lengths in the world, if the file states it.
     pub unit: Option<LengthUnit>,
 }
 
@@ -244,7 +244,7 @@ impl Geometry {
     /// The axes of the world.
     pub const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-    /// Samples one apart, from 0, along the axes of a world that is not described.
+    /// Samples at distance 1, from 0 on, along the axes of a world without description.
     pub const fn of_index(dims: [u32; 3]) -> Self {
         Self {
             dims,
@@ -256,12 +256,12 @@ impl Geometry {
         }
     }
 
-    /// Number of samples of one time step.
+    /// Returns the number of samples of one time step.
     pub fn sample_count(&self) -> u64 {
         self.dims.iter().map(|&n| u64::from(n)).product()
     }
 
-    /// The grid of a view's surface: with a cap, padded by one sample on every side.
+    /// Returns the grid of a view's surface: with a cap, padded by one sample on every side.
     pub fn of_view(&self, view: &View) -> Self {
         if !view.cap {
             return *self;
@@ -276,7 +276,7 @@ impl Geometry {
         padded
     }
 
-    /// The same place in another unit: `from` is what its numbers are in, `to` what they become; if one of both is not known, they stay.
+    /// Converts positions and lengths from the unit `from` to the unit `to`. If one of them is unknown, the numbers stay as they are.
     #[must_use]
     pub fn in_unit(self, [from, to]: [Option<LengthUnit>; 2]) -> Self {
         let metres = |unit: Option<LengthUnit>| unit.and_then(LengthUnit::metres);
@@ -292,13 +292,13 @@ impl Geometry {
         }
     }
 
-    /// From index space to the world.
+    /// Returns the transform from index space to the world.
     pub fn world_from_index(&self) -> DAffine3 {
         let [x, y, z] = [0, 1, 2].map(|axis| DVec3::from(self.direction[axis]) * self.spacing[axis]);
         DAffine3::from_cols(x, y, z, self.origin.into())
     }
 
-    /// Largest distance in the world between samples of equal indices.
+    /// Returns the largest distance in the world between samples of equal indices in the two grids.
     pub(crate) fn farthest_from(&self, other: &Self) -> f64 {
         let [a, b] = [self, other].map(Self::world_from_index);
         let corners = (0..8).map(|corner: u32| {
@@ -341,11 +341,11 @@ pub struct Field {
     pub stored_type: String,
     /// Type on the device.
     pub sample_type: isopeel_kernels::SampleType,
-    /// Value that means "no sample here", where the file declares one.
+    /// Value that means "no sample here", if the file declares one.
     pub missing: Option<f32>,
-    /// Unit of the values, where the file declares one.
+    /// Unit of the values, if the file declares one.
     pub unit: Option<String>,
-    /// Names and colours of its labels, where the file has them; at most [`MAX_LABELS`].
+    /// Names and colours of its labels, if the file has them; at most [`MAX_LABELS`].
     pub labels: Vec<Label>,
     /// Whether the file says that the values are labels, whatever they are called.
     pub declares_labels: bool,
@@ -371,7 +371,7 @@ impl Field {
         self.declares_labels || !self.labels.is_empty()
     }
 
-    /// Whether the values are labels as far as the header tells: by what the file says, or by name and type.
+    /// Whether the values are labels as far as the header tells: the file says so, or the field's name and type suggest it.
     pub fn is_probably_labels(&self) -> bool {
         let name = self.name.to_lowercase();
         let mut words = name.split(|c: char| !c.is_ascii_alphabetic());
@@ -380,15 +380,15 @@ impl Field {
     }
 }
 
-/// Takes samples in the order of the grid.
+/// Receives samples in the order of the grid.
 pub type Sink<'a> = dyn FnMut(Samples) -> Result<(), ReadError> + 'a;
 
-/// Samples that are read at once on their way to a device, 8 MiB at most: more than what a transfer costs beside its bytes, and so little
-/// that memory that was freed is used again. From 32 MiB on the allocator asks the system for new pages each time, and zeroing these took
-/// four fifths of the reading.
+/// Maximum samples of a piece on its way to a device, 8 MiB. A transfer of this size takes longer than its fixed cost, and memory that was
+/// freed is used again: from 32 MiB on, the allocator asks the system for new pages each time, and zeroing these took four fifths of the
+/// reading time.
 pub const PIECE_SAMPLES: usize = 2 << 20;
 
-/// What a reader hands over where its pieces are as large as a time step.
+/// Returns the only piece of a reader whose pieces are whole time steps. Reads once more if the reader asks for it.
 fn only_piece(mut read: impl FnMut(&mut Sink<'_>) -> Result<(), ReadError>) -> Result<Samples, ReadError> {
     let mut samples = Samples::U8(Vec::new());
     let mut take = |piece| {
@@ -404,11 +404,11 @@ fn only_piece(mut read: impl FnMut(&mut Sink<'_>) -> Result<(), ReadError>) -> R
 
 /// Reads samples of one field.
 pub trait Source: Send + Sync + std::fmt::Debug {
-    /// Bytes of the file that [`Source::read`] reads of a time step. Of compressed samples those to the file's end, which are
-    /// more than it reads of a step before the last one. Where a library decodes the samples, decoded bytes.
+    /// Bytes of the file that [`Source::read`] reads for a time step. For compressed samples these are the bytes to the file's end, which
+    /// are more than it reads for a step before the last one. If a library decodes the samples, decoded bytes.
     fn stored_bytes(&self) -> u64;
 
-    /// The files, folder or address that a time step is read from; none where the samples are in memory alone.
+    /// Returns the files, folder or address that a time step is read from; none if the samples are in memory alone.
     fn inputs(&self, step: u32) -> Vec<FileLocation>;
 
     /// Reads one time step, x fastest, exactly `dims` samples. Adds to `progress` as it reads, [`Source::stored_bytes`] in all.
@@ -417,8 +417,8 @@ pub trait Source: Send + Sync + std::fmt::Debug {
     /// What is wrong with the file.
     fn read(&self, step: u32, progress: &ReadProgress) -> Result<Samples, ReadError>;
 
-    /// As [`Source::read`], but hands the samples to `sink` in their order, in pieces of about `piece` samples each where the format
-    /// allows it: the host holds a few of these, not the volume.
+    /// As [`Source::read`], but hands the samples to `sink` in their order. If the format allows it, in pieces of about `piece` samples
+    /// each: the host holds a few of these, not the volume.
     ///
     /// # Errors
     /// What is wrong with the file, or what the sink says. [`ReadError::again`] asks the caller to drop all pieces and to read once more.
@@ -432,17 +432,17 @@ pub trait Source: Send + Sync + std::fmt::Debug {
         sink(self.read(step, progress)?)
     }
 
-    /// What has been found in the samples that were read so far, such as values that the device's type cannot hold.
+    /// Returns what was found in the samples that were read so far, such as values that the device's type cannot hold.
     fn notices(&self) -> Notices {
         Notices::default()
     }
 
-    /// The labels that samples are ranks of, if the device's type does not tell them apart; known once samples were read.
+    /// Returns the labels whose ranks the samples are, if the device's type cannot tell the labels apart; known after samples were read.
     fn ranks(&self) -> Option<Arc<LabelRanks>> {
         None
     }
 
-    /// As [`Source::read`], where nobody watches.
+    /// As [`Source::read`], without progress or cancellation.
     ///
     /// # Errors
     /// What is wrong with the file.
@@ -463,7 +463,7 @@ pub struct ReadError {
     pub why: String,
     /// Whether reading once more will succeed: it was found out that samples must be converted in another way.
     pub again: bool,
-    /// The cause, where there is one.
+    /// The cause, if there is one.
     #[source]
     pub source: Option<std::io::Error>,
 }
@@ -480,7 +480,7 @@ impl ReadError {
         }
     }
 
-    /// The same for a client, who does not learn in which folder the file is.
+    /// Returns the message for a client: without the folder of the file.
     pub fn without_folder(&self) -> String {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         let why = match self.path.parent().map(|folder| format!("{}/", folder.display())) {
@@ -511,11 +511,11 @@ pub struct OpenedFile {
     pub geometry: Geometry,
     /// Time steps, at least 1.
     pub steps: u32,
-    /// Where samples are along the axes that are not even, whose mean distances the grid has.
+    /// Positions of the samples along the uneven axes, for which `geometry` has the mean distance; `None` if all axes are even.
     pub uneven: Option<Arc<UnevenAxes>>,
-    /// What positions along its axes are, where it says it.
+    /// What the positions along the axes are, if the file states it.
     pub axes: Option<Arc<AxisScales>>,
-    /// When they are, where the file says it and there are several.
+    /// Times of the steps, if the file states them and there are several steps.
     pub times: Option<TimeAxis>,
     /// Its fields, the main one first; at least one.
     pub fields: Vec<Field>,

@@ -1,29 +1,29 @@
-//! What users should know of a volume that its grid does not say: copyright, and what a reader repaired, assumed or could not keep.
+//! What users should know about a volume beside its grid: copyright, and what a reader repaired, assumed or could not keep.
 
 use std::path::Path;
 
-/// Texts that are kept. More of one kind would say nothing new.
+/// Maximum number of texts. More of one kind would add no information.
 const MAX_TEXTS: usize = 16;
 
 /// Sentences about a volume, each once, in the order in which they were found.
 ///
-/// Every repair or guess of a reader is one of them. They reach users in the list of volumes, in descriptions, in the viewer and in exports.
+/// Each repair or assumption of a reader adds one. Users see them in the list of volumes, in descriptions, in the viewer and in exports.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Notices {
     texts: Vec<String>,
-    /// How many more there were.
+    /// Number of further texts.
     left_out: usize,
 }
 
 impl Notices {
-    /// No notices but this one.
+    /// A list with one text.
     pub fn of(text: impl Into<String>) -> Self {
         let mut notices = Self::default();
         notices.add(text);
         notices
     }
 
-    /// Adds a text, unless it is there already.
+    /// Adds a text, unless the list has it already.
     pub fn add(&mut self, text: impl Into<String>) {
         let text = text.into();
         if self.texts.contains(&text) {
@@ -47,18 +47,18 @@ impl Notices {
         self.texts.is_empty()
     }
 
-    /// The texts, and how many more there were.
+    /// Returns the texts, and a line with the number of further ones.
     pub fn lines(&self) -> impl Iterator<Item = String> + '_ {
         let more = (self.left_out > 0).then(|| format!("and {} more notices", self.left_out));
         self.texts.iter().cloned().chain(more)
     }
 
-    /// All texts, a line each.
+    /// Returns all texts, one a line.
     pub fn text(&self) -> Option<String> {
         (!self.is_empty()).then(|| self.lines().collect::<Vec<_>>().join("\n"))
     }
 
-    /// Writes them to the log.
+    /// Writes the texts to the log.
     pub(super) fn log(&self, path: &Path) {
         for line in self.lines() {
             tracing::warn!(path = %path.display(), "{line}");

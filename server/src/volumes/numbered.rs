@@ -12,10 +12,10 @@ use super::{
     Field, FileLocation, LabelRanks, Notices, OpenedFile, ReadError, ReadProgress, Sink, Source, TimeAxis, only_piece,
 };
 
-/// Files of one name, by their numbers.
+/// Files with the same name, by their numbers.
 type Steps = BTreeMap<u64, (FileLocation, OpenedFile)>;
 
-/// A file's stem around its last number: `wind`, 7 and 3 digits of `wind_007.nrrd`.
+/// Splits a file's stem into name, last number and its digits: `wind`, 7 and 3 for `wind_007.nrrd`.
 fn split(path: &Path) -> Option<(String, u64, usize)> {
     let stem = stem(path);
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
@@ -48,7 +48,7 @@ pub(super) fn are_steps(files: &[(FileLocation, OpenedFile)]) -> bool {
     !files.is_empty() && widths.values().all(is_sequence)
 }
 
-/// One file for each name, its fields with the time steps of all. Of files that [`are_steps`].
+/// Returns one file for each name, whose fields have the time steps of all. The files must satisfy [`are_steps`].
 ///
 /// # Errors
 /// Which two files do not fit, and in what.
@@ -73,7 +73,7 @@ pub(super) fn steps_of(files: Vec<(FileLocation, OpenedFile)>) -> Result<Vec<(Fi
     joined.collect()
 }
 
-/// `name`: that of the files without their number. `None` of no files.
+/// Joins the files of one name. `name`: that of the files without their number. `None` if there are no files.
 fn join(name: &str, steps: Steps) -> Result<Option<(FileLocation, OpenedFile)>, ReadError> {
     let numbers: Vec<u64> = steps.keys().copied().collect();
     let files: Vec<_> = steps.into_values().collect();
@@ -81,7 +81,7 @@ fn join(name: &str, steps: Steps) -> Result<Option<(FileLocation, OpenedFile)>, 
         return Ok(None);
     };
     let location = location.clone();
-    // The only field of a file is named after it.
+    // If the only field of a file has the file's name, it gets the name without the number.
     let is_numbered = !name.is_empty() && first.fields.len() == 1 && first.fields[0].name == location.stem();
     let digits = split(location.path()).map_or(1, |(.., digits)| digits);
     let mut file = join_steps(files, TimeAxis::numbers(&numbers, digits))?;
@@ -91,7 +91,7 @@ fn join(name: &str, steps: Steps) -> Result<Option<(FileLocation, OpenedFile)>, 
     Ok(Some((location, file)))
 }
 
-/// One file with the steps of all of these, of which each has one. There must be a first.
+/// Joins files of one step each to one file with all steps. `files` must not be empty.
 ///
 /// # Errors
 /// Which file does not fit the first one, and in what.
@@ -105,7 +105,7 @@ pub(super) fn join_steps(
     for (location, file) in files {
         check(&location, &file, &first)?;
         first.notices.extend(file.notices);
-        // Axes keep their names only if all steps have the same.
+        // Axes keep their description only if all steps have the same.
         first.axes.take_if(|axes| file.axes.as_ref() != Some(axes));
         for (source, field) in sources.iter_mut().zip(file.fields) {
             source.push(field.source);
@@ -123,7 +123,7 @@ pub(super) fn join_steps(
     })
 }
 
-/// Whether a file is a step of what the first file is one of.
+/// Checks that a file fits the first one, as a step of the same fields.
 fn check(location: &FileLocation, file: &OpenedFile, first: &OpenedFile) -> Result<(), ReadError> {
     let fail = |what: &str, why: String| Err(ReadError::new(location.path(), what, why));
     if file.steps != 1 {
@@ -162,7 +162,7 @@ fn check(location: &FileLocation, file: &OpenedFile, first: &OpenedFile) -> Resu
     Ok(())
 }
 
-/// A step from each of these, which have one.
+/// A source whose steps are the only steps of these.
 #[derive(Debug)]
 struct StepFiles(Vec<Arc<dyn Source>>);
 
@@ -184,7 +184,7 @@ impl Source for StepFiles {
     }
 
     fn ranks(&self) -> Option<Arc<LabelRanks>> {
-        // Of several there are none.
+        // Several files have no ranks.
         self.0.first()?.ranks()
     }
 

@@ -1,8 +1,8 @@
-//! A file or a folder becomes a dataset.
+//! Opens a file or a folder as a dataset.
 //!
-//! A file is a dataset with the fields that it holds, mostly one. A folder, or a file, is what the first of [`FOLDERS`] that knows it
-//! says. Any other folder is its files whose names say a format: time steps, where all of them are numbered, or fields, ordered by the
-//! files' names. They must share one grid and one number of time steps. Other files are ignored.
+//! A file is a dataset with the fields that it holds, mostly one. The first of [`FOLDERS`] that recognizes a folder, or a file, opens it.
+//! In any other folder, the files whose names have the ending of a format are the dataset: its time steps if all of them are numbered,
+//! else its fields, ordered by the files' names. They must share one grid and one number of time steps. Other files are ignored.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ fn read_header(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(file)
 }
 
-/// The volumes in a folder, sorted by name.
+/// Lists the volumes in a folder, sorted by name.
 ///
 /// # Errors
 /// The folder cannot be listed, or has none.
@@ -55,7 +55,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
             files.push(path);
         }
     }
-    // A step is no volume of its own beside the collection that it is of, nor is a piece beside its image.
+    // The members of a collection and the pieces of an image are no volumes of their own.
     let is = |path: &Path, ending: &str| Format::of(path).is_some_and(|format| format.endings.contains(&ending));
     let of = |path: &PathBuf| match path {
         path if is(path, ".pvd") => collection::members(path),
@@ -72,7 +72,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<FileLocation>, ReadError> {
     Ok(files.into_iter().map(beneath).collect())
 }
 
-/// The volumes of a folder that is in one of the formats of folders, or of a file or address that is; `None` of every other location.
+/// Opens a folder, file or address that is in one of the formats of [`FOLDERS`]; `None` for any other location.
 pub(super) fn open_folder_format(location: &FileLocation) -> Option<Result<Vec<Dataset>, ReadError>> {
     let is_read = |format: &&FolderFormat| match location.address() {
         Some(address) => (format.is_at)(address),
@@ -90,7 +90,7 @@ pub(super) fn open_folder_format(location: &FileLocation) -> Option<Result<Vec<D
     Some((format.open)(location).and_then(|volumes| volumes.into_iter().map(dataset).collect()))
 }
 
-/// The only one of a folder's volumes.
+/// Returns the only volume of a folder, or an error that lists them if there are several.
 fn only(path: &Path, mut volumes: Vec<Dataset>) -> Result<Dataset, ReadError> {
     if volumes.len() == 1 {
         return Ok(volumes.remove(0));
@@ -109,7 +109,7 @@ fn only(path: &Path, mut volumes: Vec<Dataset>) -> Result<Dataset, ReadError> {
     Err(ReadError::new(path, "folder", why))
 }
 
-/// Opens a file, or a folder whose files share one grid, as one dataset; of a file that holds several the one that is named
+/// Opens a file, or a folder whose files share one grid, as one dataset. If a file holds several volumes, the path names one of them
 /// (`file.h5:/path`). Reads headers, not samples.
 ///
 /// # Errors
@@ -130,7 +130,7 @@ pub fn open_dataset(path: &Path) -> Result<Dataset, ReadError> {
     assemble(&title_of(path), files)
 }
 
-/// Title of a dataset: a file's stem, a folder's name.
+/// Returns the title of a dataset: a file's stem, or a folder's name.
 pub(super) fn title_of(path: &Path) -> String {
     if path.is_dir() {
         // `.` and `..` have no name until they are resolved.
@@ -142,7 +142,7 @@ pub(super) fn title_of(path: &Path) -> String {
     super::location::stem(path)
 }
 
-/// Makes one dataset of files: time steps where their names are numbered, else fields.
+/// Makes one dataset of several files: its time steps if their names are numbered, else its fields.
 ///
 /// # Errors
 /// Which two files do not fit, and in what. `files` must not be empty.
@@ -213,7 +213,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
         notices.extend(file.notices.clone());
     }
     let mut fields: Vec<Field> = files.iter().flat_map(|(_, file)| file.fields.clone()).collect();
-    // The first field is the one that opens.
+    // The first field is the one that is opened: fields of labels go last.
     fields.sort_by_key(Field::is_probably_labels);
     Ok(Dataset {
         id: slug(title),
@@ -232,7 +232,7 @@ pub(super) fn join(title: &str, files: Vec<(FileLocation, OpenedFile)>) -> Resul
     })
 }
 
-/// A name for URLs: `[a-z0-9-]+`.
+/// Returns a name for URLs: `[a-z0-9-]+`.
 pub(super) fn slug(title: &str) -> String {
     let kept: String = title
         .to_lowercase()

@@ -1,4 +1,4 @@
-//! Samples of a time step that a format's library decodes piece by piece: slices of a stack, rows of chunks.
+//! Samples of a time step that the library of a format decodes piece by piece: slices of a stack, rows of chunks.
 
 use std::path::{Path, PathBuf};
 
@@ -10,12 +10,12 @@ use super::scalar::Scalar;
 use super::stored::{Endian, StoredType};
 use super::{ReadError, Sink};
 
-/// Pieces in the order of the samples, x fastest, joined in the device's type. Memory grows with what was decoded, whatever a header
+/// Joins pieces in the order of the samples, x fastest, in the device's type. Memory grows with the decoded samples, whatever a header
 /// claims.
 pub(super) struct Pieces<'a> {
     path: PathBuf,
     expected: u64,
-    /// Samples that were handed over.
+    /// Number of samples that were handed over.
     given: u64,
     samples: Samples,
     conversion: &'a Conversion,
@@ -32,7 +32,7 @@ fn none_of(sample_type: SampleType) -> Samples {
 }
 
 impl<'a> Pieces<'a> {
-    /// None yet of `expected` samples. `path` is named in errors.
+    /// Expects `expected` samples. Errors name `path`.
     pub(super) fn new(path: &Path, sample_type: SampleType, expected: u64, conversion: &'a Conversion) -> Self {
         Self {
             path: path.to_owned(),
@@ -43,11 +43,11 @@ impl<'a> Pieces<'a> {
         }
     }
 
-    /// Appends samples as they are stored; value = `scale[0]` · stored + `scale[1]`. On a device in an integer type, the stored type
-    /// must be that type, without a scale.
+    /// Appends samples as they are stored; value = `scale[0]` · stored + `scale[1]`. If the type on the device is an integer type, the
+    /// stored type must be the same, without a scale.
     ///
     /// # Errors
-    /// More than was expected, no whole number of samples, another type, or no memory.
+    /// More samples than expected, an incomplete sample, another type, or no memory.
     pub(super) fn push(
         &mut self,
         bytes: &[u8],
@@ -92,10 +92,10 @@ impl<'a> Pieces<'a> {
         self.given + self.samples.len() as u64
     }
 
-    /// Hands over what there is, once that is `piece` samples.
+    /// Hands over the samples so far, if there are at least `piece`.
     ///
     /// # Errors
-    /// The sink's.
+    /// Errors of the sink.
     pub(super) fn hand_over(&mut self, piece: usize, sink: &mut Sink<'_>) -> Result<(), ReadError> {
         if self.samples.len() < piece {
             return Ok(());
@@ -105,10 +105,10 @@ impl<'a> Pieces<'a> {
         sink(std::mem::replace(&mut self.samples, empty))
     }
 
-    /// Hands over the last ones.
+    /// Hands over the last samples.
     ///
     /// # Errors
-    /// Fewer than expected, or the sink's.
+    /// Fewer samples than expected, or errors of the sink.
     pub(super) fn finish(&mut self, sink: &mut Sink<'_>) -> Result<(), ReadError> {
         let have = self.have();
         if have == self.expected {
@@ -131,7 +131,7 @@ fn append<S: Scalar, T>(to: &mut Vec<T>, bytes: &[u8], swap: bool, convert: impl
     Ok(())
 }
 
-/// 32-bit floats that others are converted to.
+/// 32-bit floats that samples are converted to.
 struct Floats<'a> {
     to: &'a mut Vec<f32>,
     swap: bool,

@@ -1,4 +1,4 @@
-//! Volumes of one user, beside those that everybody sees: they come and go while the server runs.
+//! Private volumes: each belongs to one user and comes and goes while the server runs. Public volumes are in the catalog.
 
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::SystemTime;
@@ -7,7 +7,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Dataset;
 
-/// Who asks for volumes.
+/// The user on whose behalf volumes are looked up.
 #[derive(Clone, Copy, Debug)]
 pub struct Reader<'a> {
     user: &'a str,
@@ -15,28 +15,28 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// A user, who sees what is theirs beside what everybody sees; `sees_all`: what is others' too.
+    /// A user, who sees their own volumes beside the public ones; with `sees_all` also those of other users.
     pub const fn new(user: &'a str, sees_all: bool) -> Self {
         Self { user, sees_all }
     }
 
-    /// Somebody whose right was checked before.
+    /// A reader who sees all volumes. For callers that have checked the user's rights before.
     pub const fn of_all() -> Self {
         Self::new("", true)
     }
 
-    /// Their name.
+    /// Returns the user's name.
     pub const fn user(&self) -> &'a str {
         self.user
     }
 
-    /// Whether they see what is this user's.
+    /// Whether this reader may see the volumes of `owner`.
     pub fn sees(&self, owner: &str) -> bool {
         self.sees_all || self.user == owner
     }
 }
 
-/// A volume and whose it is.
+/// A volume and its owner.
 #[derive(Debug)]
 struct PrivateVolume {
     owner: Arc<str>,
@@ -51,12 +51,12 @@ impl PrivateVolume {
     }
 }
 
-/// Somebody looks at a volume: it counts as used until this is dropped. Of a volume that everybody sees it does nothing.
+/// Marks a volume as used while it exists, and updates the time of last use when dropped. For a public volume it does nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Lease(Option<Arc<PrivateVolume>>);
 
 impl Lease {
-    /// Resolves when the volume was removed.
+    /// Completes when the volume is removed; never for a public volume.
     pub async fn removed(&self) {
         match &self.0 {
             Some(volume) => volume.removed.cancelled().await,
@@ -76,12 +76,12 @@ impl Drop for Lease {
 /// The private volumes of a server. Clones share them.
 #[derive(Clone, Debug, Default)]
 pub struct PrivateVolumes {
-    /// Locked for the moment of a look or a change.
+    /// Locked only for lookups and changes.
     volumes: Arc<RwLock<Vec<Arc<PrivateVolume>>>>,
 }
 
 impl PrivateVolumes {
-    /// Adds volumes of a user, whose ids nobody else has; `used`: when they were looked at last.
+    /// Adds volumes of a user. No other volume may have their ids. `used`: time of their last use.
     pub fn add(&self, owner: &str, datasets: impl IntoIterator<Item = Arc<Dataset>>, used: SystemTime) {
         let owner: Arc<str> = owner.into();
         let mut volumes = self.volumes.write().unwrap_or_else(PoisonError::into_inner);
@@ -95,7 +95,7 @@ impl PrivateVolumes {
         }));
     }
 
-    /// Removes a volume, and tells those who look at it. Who holds the dataset keeps it.
+    /// Removes a volume and notifies the holders of leases on it. Holders of the dataset keep it.
     pub fn remove(&self, id: &str) {
         let mut volumes = self.volumes.write().unwrap_or_else(PoisonError::into_inner);
         volumes.retain(|volume| {
@@ -107,34 +107,34 @@ impl PrivateVolumes {
         });
     }
 
-    /// Those that somebody sees, in the order that they came.
+    /// Returns the volumes that the reader may see, in the order in which they were added.
     pub(super) fn list(&self, who: Reader<'_>) -> Vec<Arc<Dataset>> {
         let volumes = self.volumes.read().unwrap_or_else(PoisonError::into_inner);
         let seen = volumes.iter().filter(|volume| who.sees(&volume.owner));
         seen.map(|volume| Arc::clone(&volume.dataset)).collect()
     }
 
-    /// The volume of that id, if whoever asks may see it. It was used now.
+    /// Returns the volume with this id, if the reader may see it. Sets its time of last use to now.
     pub(super) fn find(&self, id: &str, who: Reader<'_>) -> Option<Arc<Dataset>> {
         let volume = self.get(id).filter(|volume| who.sees(&volume.owner))?;
         volume.touch();
         Some(Arc::clone(&volume.dataset))
     }
 
-    /// Whether there is a volume of that id.
+    /// Whether there is a volume with this id.
     pub fn contains(&self, id: &str) -> bool {
         self.get(id).is_some()
     }
 
-    /// For as long as somebody looks at a volume.
+    /// Returns a lease on the volume with this id: the volume counts as used while the lease exists.
     pub fn lease(&self, id: &str) -> Lease {
         Lease(self.get(id))
     }
 
-    /// When a volume was used last: now, where somebody looks at it. `None` where there is none of that id.
+    /// Returns the time of the last use of a volume: now while a lease on it exists. `None` if no volume has this id.
     pub fn last_used(&self, id: &str) -> Option<SystemTime> {
         let volume = self.get(id)?;
-        // The list's own, and the one that was just made.
+        // One reference is the list's, the other the one just made; all others are leases.
         if Arc::strong_count(&volume) > 2 {
             return Some(SystemTime::now());
         }
@@ -178,7 +178,7 @@ mod tests {
         assert_eq!(ids(BOB), ["mni152"]);
         assert!(shared.find("upload-1", BOB).is_none() && shared.find("mni152", BOB).is_some());
         assert!(shared.now().get("upload-1").is_none(), "it is in no list of all");
-        // Another catalog takes the place of the public one alone.
+        // Replacing the catalog does not change private volumes.
         shared.replace(Catalog::default());
         assert_eq!(ids(ANN), ["upload-1"]);
     }

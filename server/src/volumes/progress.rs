@@ -1,4 +1,4 @@
-//! How far reading has come, and whether it should go on.
+//! Progress and cancellation of reading.
 
 use std::io;
 use std::path::Path;
@@ -8,7 +8,7 @@ use super::ReadError;
 
 const CANCELLED: &str = "reading was cancelled";
 
-/// Bytes that were read of a file; written by the threads that read, seen by others, who may cancel it.
+/// Bytes that were read of a file. The reading threads update it; other threads watch it and may cancel the reading.
 #[derive(Debug, Default)]
 pub struct ReadProgress {
     bytes: AtomicU64,
@@ -21,18 +21,18 @@ impl ReadProgress {
         self.bytes.load(Ordering::Relaxed)
     }
 
-    /// More were read.
+    /// Adds bytes that were read.
     pub fn add(&self, bytes: u64) {
         self.bytes.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    /// Starts over.
+    /// Resets progress and cancellation.
     pub fn restart(&self) {
         self.bytes.store(0, Ordering::Relaxed);
         self.cancelled.store(false, Ordering::Relaxed);
     }
 
-    /// Reading ends soon, with an error.
+    /// Requests cancellation: reading soon ends with an error.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
     }
@@ -42,10 +42,10 @@ impl ReadProgress {
         self.cancelled.load(Ordering::Relaxed)
     }
 
-    /// For readers, before each piece of a file at `path`.
+    /// Called by readers before each piece of a file at `path`.
     ///
     /// # Errors
-    /// It was cancelled.
+    /// The reading was cancelled.
     pub fn go_on(&self, path: &Path) -> Result<(), ReadError> {
         if self.is_cancelled() {
             return Err(ReadError::new(path, "data", CANCELLED));

@@ -1,9 +1,10 @@
-//! Samples at uneven positions along the axes: what differs, and the same samples interpolated onto an even grid, where that is not
+//! Samples at uneven positions along the axes. Describes the deviations, and interpolates the samples onto an even grid unless that grid is
 //! much larger.
 //!
 //! The even grid has the file's first and last positions along each axis, and the smallest distance of the file's samples between its own,
-//! or less. Values between two samples are interpolated; beside a missing sample they are missing. Where it would have many times the
-//! samples, they stay as they are: surfaces are cut in index space, and their vertices moved to where they are in the world.
+//! or less. Values between two samples are interpolated; beside a missing sample they are missing. If the even grid would have more than
+//! `MAX_GROWTH` times the samples, they stay as they are: surfaces are cut in index space, and their vertices are then moved to world
+//! positions.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,27 +16,27 @@ use super::scalar::Scalar;
 use super::{Field, FileLocation, Geometry, LabelRanks, Notices, OpenedFile, ReadError, ReadProgress, Source};
 use crate::math::UnevenAxes;
 
-/// Largest deviation from even positions, in parts of their distance, that is taken for rounding.
+/// Largest deviation from even positions, relative to their distance, that is taken for rounding.
 pub(super) const EVEN: f64 = 1e-3;
-/// Samples of the even grid to one of the file at most.
+/// Maximum ratio of samples of the even grid to samples of the file.
 const MAX_GROWTH: f64 = 4.0;
-/// What viewers should know where samples at uneven positions are counted instead.
+/// Notice for viewers of samples at uneven positions in the index frame, which counts the samples.
 pub(super) const COUNTED: &str = "positions count samples, which are at uneven positions in the file";
 
 /// Positions of the samples along an axis.
 #[derive(Clone, Debug)]
 pub(super) struct Positions {
-    /// For messages.
+    /// Name for messages.
     name: String,
     values: Vec<f64>,
-    /// Mean distance of neighbours; negative where positions decrease.
+    /// Mean distance of neighbours; negative if positions decrease.
     step: f64,
     /// Largest distance from even positions, in steps.
     deviation: f64,
 }
 
 impl Positions {
-    /// Of two samples or more.
+    /// Creates positions; an error unless there are at least two and the first and last differ.
     pub(super) fn new(name: impl Into<String>, values: Vec<f64>) -> Result<Self, String> {
         let name = name.into();
         let (&[first, ..], &[.., last]) = (values.as_slice(), values.as_slice()) else {
@@ -76,7 +77,7 @@ impl Positions {
         self.step
     }
 
-    /// 1 if most positions are above the one before, −1 if most are below it.
+    /// Returns 1 if most positions are above their predecessor, −1 if most are below it.
     pub(super) fn direction(&self) -> f64 {
         let signs = self.distances().map(|distance| match distance {
             distance if distance > 0.0 => 1,
@@ -93,7 +94,7 @@ impl Positions {
         self.deviation <= EVEN
     }
 
-    /// Positions of the centres between them.
+    /// Returns the centres between neighbouring positions.
     pub(super) fn between(&self) -> Result<Self, String> {
         let centres = self.values.windows(2).map(|pair| 0.5 * (pair[0] + pair[1]));
         Self::new(&self.name, centres.collect())
@@ -103,7 +104,7 @@ impl Positions {
         self.values.windows(2).map(|pair| pair[1] - pair[0])
     }
 
-    /// How far they are from even ones, and where.
+    /// Describes how far the positions are from even ones, and between which samples the distance deviates most.
     pub(super) fn unevenness(&self) -> String {
         let off = |distance: f64| (distance - self.step).abs();
         let worst = self
@@ -121,13 +122,13 @@ impl Positions {
     }
 }
 
-/// Which axes are not even, and by how much.
+/// Describes which axes are not even, and by how much.
 fn unevenness(positions: &[Positions; 3]) -> String {
     let uneven = positions.iter().filter(|positions| !positions.is_even());
     uneven.map(Positions::unevenness).collect::<Vec<_>>().join("; ")
 }
 
-/// Whether samples can be at these positions; why not.
+/// Checks that positions are even, or can be interpolated: that they only increase or only decrease.
 pub(super) fn check(path: &Path, geometry: &Geometry, positions: &[Positions; 3]) -> Result<(), String> {
     if positions.iter().all(Positions::is_even) {
         return Ok(());
@@ -135,7 +136,7 @@ pub(super) fn check(path: &Path, geometry: &Geometry, positions: &[Positions; 3]
     Interpolation::new(path, geometry, positions).map(|_| ())
 }
 
-/// A file whose samples stay where they are.
+/// Returns the file with its samples at their uneven positions, and a notice of that.
 fn at_uneven_positions(mut file: OpenedFile, positions: &[Positions; 3]) -> OpenedFile {
     let along = |axis: usize| Some(positions[axis].values.as_slice()).filter(|_| !positions[axis].is_even());
     let uneven = UnevenAxes::new([along(0), along(1), along(2)]);
@@ -151,7 +152,7 @@ fn at_uneven_positions(mut file: OpenedFile, positions: &[Positions; 3]) -> Open
     }
 }
 
-/// A file whose samples have these positions along x, y and z: on an even grid, where that is not too large.
+/// Places the samples of a file at these positions along x, y and z: interpolated onto an even grid, unless that grid is too large.
 pub(super) fn on_even_grid(
     path: &Path,
     mut file: OpenedFile,
@@ -173,14 +174,14 @@ pub(super) fn on_even_grid(
     })
 }
 
-/// Of a sample of the even grid along an axis: the file's sample before it, and the weight of the one behind that.
+/// Place of a sample of the even grid along an axis: the file's sample before it, and the weight of the next one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Between {
     low: usize,
     weight: f32,
 }
 
-/// How samples of a file become those of an even grid.
+/// Interpolates samples of a file at those of an even grid.
 #[derive(Debug)]
 struct Interpolation {
     path: PathBuf,
@@ -189,8 +190,8 @@ struct Interpolation {
 }
 
 impl Interpolation {
-    /// The even grid for samples that have these positions along x, y and z, as they are along its axes; `geometry` is of the file's own
-    /// samples at their mean distance. `None` where the even grid would have more than [`MAX_GROWTH`] times the samples.
+    /// Returns the even grid for samples that have these positions along x, y and z, as they are along its axes; `geometry` is of the
+    /// file's own samples at their mean distance. `None` if the even grid would have more than [`MAX_GROWTH`] times the samples.
     fn new(path: &Path, geometry: &Geometry, positions: &[Positions; 3]) -> Result<Option<(Geometry, Self)>, String> {
         let mut even = *geometry;
         let uneven = unevenness(positions);
@@ -225,7 +226,7 @@ impl Interpolation {
         Ok(Some((even, Self { path, from, axes })))
     }
 
-    /// What viewers should know.
+    /// Returns the notice for viewers.
     fn notice(&self, positions: &[Positions; 3]) -> String {
         let ([x, y, z], [nx, ny, nz]) = (self.from, [0, 1, 2].map(|axis| self.axes[axis].len()));
         format!(
@@ -234,7 +235,7 @@ impl Interpolation {
         )
     }
 
-    /// A field of the file as one of the even grid.
+    /// Converts a field of the file to one of the even grid.
     fn field(self: &Arc<Self>, field: Field) -> Field {
         Field {
             sample_type: SampleType::F32,
@@ -273,7 +274,7 @@ impl Interpolation {
 }
 
 impl Between {
-    /// The value between those of two neighbours. One without weight is not asked for.
+    /// Returns the value between two neighbours. A neighbour with weight 0 is not read, as there may be none.
     fn mix(self, value: impl Fn(usize) -> f32) -> f32 {
         let low = value(0);
         if self.weight == 0.0 {
@@ -283,7 +284,7 @@ impl Between {
     }
 }
 
-/// Where the samples of an even grid of `count` are between others.
+/// Returns for each of the `count` samples of an even grid its place between two samples of the file.
 fn between(positions: &Positions, count: u32) -> Vec<Between> {
     let last = positions.values.len() - 1;
     if count as usize == last + 1 && positions.is_even() {
@@ -292,7 +293,7 @@ fn between(positions: &Positions, count: u32) -> Vec<Between> {
     let length = positions.step * last as f64;
     let mut low = 0;
     let neighbours = |i: u32| {
-        // Towards increasing ones, whatever their direction.
+        // Relative to the length, so that positions increase in any case.
         let along = |value: f64| (value - positions.first()) / length;
         let at = f64::from(i) / f64::from(count - 1);
         while low + 1 < last && along(positions.values[low + 1]) <= at {
@@ -300,7 +301,7 @@ fn between(positions: &Positions, count: u32) -> Vec<Between> {
         }
         let (a, b) = (along(positions.values[low]), along(positions.values[low + 1]));
         let weight = ((at - a) / (b - a)).clamp(0.0, 1.0);
-        // Rounding is no reason to ask for a second sample.
+        // A weight that differs from 0 or 1 only by rounding needs no second sample.
         match weight {
             weight if weight < 1e-6 => Between { low, weight: 0.0 },
             weight if weight > 1.0 - 1e-6 => Between {

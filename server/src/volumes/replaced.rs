@@ -1,4 +1,4 @@
-//! Files that are replaced after their header was read: their samples are read as the new header says, if it is of the same volume.
+//! Files that are replaced after their header was read: their samples are read by the new header, if it describes the same volume.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,28 +11,28 @@ use super::{
 };
 use crate::math::UnevenAxes;
 
-/// Reads a header, again where the file was replaced.
+/// Reads the header of a file. Called again if the file was replaced.
 type Open = fn(&FileLocation) -> Result<OpenedFile, ReadError>;
 
-/// A field of a file whose header is read again when the file is another one than before.
+/// A field of a file. Reads the header again if the file was replaced.
 #[derive(Debug)]
 struct CheckedSource {
     location: FileLocation,
     open: Open,
-    /// Place of the field in the file.
+    /// Index of the field in the file.
     index: usize,
     expected: Arc<Header>,
     current: Mutex<Current>,
 }
 
-/// What reads the samples of the file that has this stamp.
+/// Source of the samples, opened when the file had this stamp.
 #[derive(Debug)]
 struct Current {
     stamp: FileStamp,
     source: Arc<dyn Source>,
 }
 
-/// What a volume's description says, and a replaced file has to say too.
+/// What the header of a volume states, and the header of a replacing file must state, too.
 #[derive(Debug, PartialEq)]
 struct Header {
     geometry: Geometry,
@@ -66,7 +66,7 @@ impl Header {
         }
     }
 
-    /// What differs from what is expected, and both values.
+    /// Returns what differs from the expected header, with both values.
     fn difference(&self, expected: &Self) -> Option<(&'static str, String, String)> {
         let names = |header: &Self| {
             let fields = header.fields.iter();
@@ -108,8 +108,8 @@ impl Header {
     }
 }
 
-/// The same file, with fields that check before each read whether it was replaced. `stamp`: from before the header was read; `open`
-/// reads it.
+/// Returns the same file, with fields that check before each read whether the file was replaced. `stamp`: taken before the header was
+/// read; `open` reads the header.
 pub(super) fn checked(
     location: &FileLocation,
     stamp: Option<FileStamp>,
@@ -140,9 +140,9 @@ impl CheckedSource {
         Arc::clone(&self.lock().source)
     }
 
-    /// What reads the file that is there now.
+    /// Returns a source for the current file.
     fn now(&self) -> Result<Arc<dyn Source>, ReadError> {
-        // If the file is gone, the reader says so.
+        // If the file is gone, the source returns the error.
         let Some(stamp) = self.location.stamp() else {
             return Ok(self.last());
         };

@@ -5,7 +5,7 @@ use isopeel_kernels::Samples;
 
 use super::stored::{Endian, StoredType};
 
-/// Stored numbers as they are, whatever their type; bytes past the last whole one are left out.
+/// Converts stored numbers of any type to doubles. Bytes behind the last whole number are left out.
 pub(super) fn numbers(bytes: &[u8], stored: StoredType, endian: Endian) -> Vec<f64> {
     fn all<S: Scalar>(bytes: &[u8], endian: Endian) -> Vec<f64> {
         let stored = bytes
@@ -38,10 +38,10 @@ pub(super) trait Scalar: bytemuck::Pod + Send + Sync {
     /// Whether a 32-bit float does not hold all numbers of this type.
     const IS_WIDE: bool;
     const IS_FLOAT: bool;
-    /// The number, if it is a whole one.
+    /// Returns the number if it is a whole one.
     fn integer(self) -> Option<i128>;
 
-    /// Whether it is 2²⁴ or more, or −2²⁴ or less, beyond which 32-bit floats do not hold all whole numbers.
+    /// Whether the number is at least 2²⁴ or at most −2²⁴, beyond which 32-bit floats do not hold all whole numbers.
     fn is_large(self) -> bool {
         self.to_f64().abs() >= 16_777_216.0
     }
@@ -101,7 +101,7 @@ scalar!(
     f64: true true whole, |v: f64| f64::from_bits(v.to_bits().swap_bytes())
 );
 
-/// A whole number in a double, of those that it holds exactly.
+/// Converts a double that is a whole number, if doubles hold all whole numbers of that size.
 fn whole(value: f64) -> Option<i128> {
     (value.fract() == 0.0 && value.abs() < 9.0e15).then_some(value as i128)
 }

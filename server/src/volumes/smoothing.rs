@@ -5,8 +5,8 @@ use rayon::prelude::*;
 /// Standard deviations after which the Gaussian ends.
 const REACH: f32 = 3.0;
 
-/// The weighted share of samples that are inside, whose value is neither 0 nor NaN. Beyond the volume's faces are copies of the samples on
-/// them. `sigma`: standard deviation in samples along each axis, above 0; `dims`: samples along x, y, z.
+/// Returns the weighted share of samples inside: those with values that are neither 0 nor NaN. Beyond the volume's faces, the samples on
+/// the faces are repeated. `sigma`: standard deviation in samples along each axis, above 0; `dims`: samples along x, y, z.
 pub(super) fn smoothed(dims: [u32; 3], mut values: Vec<f32>, sigma: f32) -> Vec<f32> {
     let [nx, ny, _] = dims.map(|n| n as usize);
     for value in &mut values {
@@ -36,7 +36,7 @@ pub(super) fn smoothed(dims: [u32; 3], mut values: Vec<f32>, sigma: f32) -> Vec<
     values
 }
 
-/// Weights of the sample itself and of those beside it, which are 1 in all.
+/// Returns the weights of the sample itself and of its neighbours on one side. Over both sides the weights add up to 1.
 fn weights(sigma: f32) -> Vec<f32> {
     let count = (REACH * sigma).ceil() as usize;
     let weight = |i: usize| (-0.5 * (i as f32 / sigma).powi(2)).exp();
@@ -61,7 +61,7 @@ mod tests {
         let dims = [7, 5, 4];
         let inside = |x: i32, y: i32, z: i32| (x * 5 + y * 3 + z * 7) % 4 == 0;
         let at = |i: usize| [i % 7, i / 7 % 5, i / 35].map(|at| at as i32);
-        // What is inside may have any value but 0, and what is missing is outside.
+        // Samples inside may have any value but 0. Missing samples are outside.
         let value = |[x, y, z]: [i32; 3]| match (inside(x, y, z), (x + y) % 2) {
             (true, _) => 3.0,
             (false, 0) => f32::NAN,

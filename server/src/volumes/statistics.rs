@@ -11,9 +11,9 @@ const CHUNK: usize = 1 << 20;
 /// Statistics of the samples of one time step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldStatistics {
-    /// Minimum and maximum of the finite values that are not missing; `None` where there is none.
+    /// Minimum and maximum of the finite values that are not missing; `None` if there are none.
     pub range: Option<[f32; 2]>,
-    /// Samples in 256 equal bins over the range, the last one closed; all 0 where there is no range.
+    /// Samples in 256 equal bins over the range, the last one closed; all 0 if there is no range.
     pub bins: Vec<u64>,
     /// Finite samples that are not missing: the sum of `bins`.
     pub counted: u64,

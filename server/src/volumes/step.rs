@@ -1,4 +1,4 @@
-//! One time step of a dataset, and what identifies its samples.
+//! One time step of a dataset, and the keys that identify its samples.
 
 use std::sync::Arc;
 
@@ -35,7 +35,7 @@ impl VolumeStep {
         self.step
     }
 
-    /// What identifies its samples.
+    /// Returns the key that identifies the samples.
     pub fn key(&self) -> StepKey {
         StepKey {
             dataset: self.dataset.key(),
@@ -50,14 +50,14 @@ impl VolumeStep {
 pub struct DatasetKey {
     /// Its id.
     pub id: String,
-    /// Counts what took its place under its id.
+    /// Incremented when another dataset takes the id.
     pub revision: u32,
 }
 
 /// Identity of the samples of one time step: two with one key have the same samples in every field.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct StepKey {
-    /// Of which dataset.
+    /// Key of the dataset.
     pub dataset: DatasetKey,
     /// The time step.
     pub step: u32,
@@ -71,8 +71,8 @@ pub struct StepKey {
 pub struct UnknownStep {
     /// Id of the dataset.
     pub dataset: String,
-    /// The step that was asked for.
+    /// The requested step.
     pub step: u32,
-    /// Steps that it has.
+    /// Number of steps of the dataset.
     pub steps: u32,
 }

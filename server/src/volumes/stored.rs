@@ -42,7 +42,7 @@ impl StoredType {
         Self::F64,
     ];
 
-    /// Bytes of one sample.
+    /// Returns the bytes of one sample.
     pub const fn bytes(self) -> u64 {
         match self {
             Self::U8 | Self::I8 => 1,
@@ -52,7 +52,7 @@ impl StoredType {
         }
     }
 
-    /// Short name, as in the raw sidecar.
+    /// Returns the short name, as in the raw sidecar.
     pub const fn name(self) -> &'static str {
         match self {
             Self::U8 => "u8",
@@ -69,7 +69,7 @@ impl StoredType {
         }
     }
 
-    /// Type on the device of values that are not scaled.
+    /// Returns the type on the device, for values that are not scaled.
     pub const fn on_device(self) -> SampleType {
         match self {
             Self::U8 => SampleType::U8,
@@ -81,7 +81,7 @@ impl StoredType {
     }
 }
 
-/// Bytes behind the last sample that are passed over at most, such as block devices and editors leave.
+/// Maximum bytes behind the last sample that are ignored, such as block devices and editors leave.
 pub(super) const MAX_PADDING: u64 = 1 << 20;
 
 /// Whether bytes are zeros or white space.
@@ -89,12 +89,12 @@ pub(super) fn is_blank(bytes: &[u8]) -> bool {
     bytes.iter().all(|byte| *byte == 0 || byte.is_ascii_whitespace())
 }
 
-/// Where samples begin in their file.
+/// Position in the file at which samples begin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
     /// At this offset, in bytes of the file itself.
     At(u64),
-    /// So that they end with the file. Plain samples only.
+    /// Right before the end of the file. Plain samples only.
     BeforeEnd,
 }
 
@@ -105,19 +105,19 @@ pub struct StoredSamples {
     pub location: FileLocation,
     /// Length of that file when its header was read, in bytes.
     pub file_bytes: u64,
-    /// Where they begin.
+    /// Position of the first sample.
     pub begin: Begin,
-    /// First byte behind them, where something else follows in the file.
+    /// Offset of the first byte behind the samples, if something else follows in the file.
     pub end: Option<u64>,
     /// Bytes to skip after decoding.
     pub skip_decoded: u64,
-    /// How they are written.
+    /// How the samples are written.
     pub encoding: Encoding,
     /// Byte order.
     pub endian: Endian,
     /// Type.
     pub stored: StoredType,
-    /// Value = `scale[0]` · stored + `scale[1]`, where the file has a scale other than the identity.
+    /// Value = `scale[0]` · stored + `scale[1]`, if the file has a scale other than the identity.
     pub scale: Option<[f64; 2]>,
     /// Samples along x, y, z.
     pub dims: [u32; 3],
@@ -125,17 +125,17 @@ pub struct StoredSamples {
     pub steps: u32,
     /// Distance in samples between neighbours along x, y, z and time.
     pub strides: [u64; 4],
-    /// Channels of the array. The others are passed over.
+    /// Number of channels of the array. Samples of the other channels are skipped.
     pub channels: u32,
-    /// Samples before the first.
+    /// Number of samples before the first one of this field.
     pub first: u64,
-    /// Distance in samples between red, green and blue, where the value is their luminance.
+    /// Distance in samples between red, green and blue, if the value is their luminance.
     pub luminance: Option<u64>,
-    /// What was found in the file and its samples.
+    /// Findings about the file and its samples.
     pub findings: Findings,
 }
 
-/// Strides of an order with x fastest, then y, z, time; `None` where the product passes 64 bits.
+/// Returns the strides of an order with x fastest, then y, z, time; `None` if the product exceeds 64 bits.
 pub fn contiguous(dims: [u32; 3], steps: u32) -> Option<[u64; 4]> {
     let [x, y, z] = dims.map(u64::from);
     let plane = x.checked_mul(y)?;
@@ -145,8 +145,8 @@ pub fn contiguous(dims: [u32; 3], steps: u32) -> Option<[u64; 4]> {
 }
 
 impl StoredSamples {
-    /// Plain little-endian samples, x fastest; other values are set afterwards.
-    /// `size_field` is the header's field that holds the dimensions.
+    /// Describes plain little-endian samples, x fastest; the caller sets all other values afterwards. `size_field` is the header's field
+    /// that holds the dimensions.
     ///
     /// # Errors
     /// The file cannot be opened, or the number of samples passes 64 bits.
@@ -183,7 +183,7 @@ impl StoredSamples {
         })
     }
 
-    /// One of several channels, which stand side by side at each position: `channels` samples apart along x.
+    /// Selects one of several channels, whose samples are side by side at each position: `channels` samples apart along x.
     ///
     /// # Errors
     /// The number of samples passes 64 bits.
@@ -193,7 +193,7 @@ impl StoredSamples {
         Ok(self)
     }
 
-    /// One of several channels, the first for now; the strides are those that were set.
+    /// Selects the first of several channels; leaves the strides as they are.
     ///
     /// # Errors
     /// The number of samples passes 64 bits.
@@ -207,7 +207,7 @@ impl StoredSamples {
         Ok(self)
     }
 
-    /// Type on the device.
+    /// Returns the type on the device.
     pub fn sample_type(&self) -> SampleType {
         match (self.scale, self.luminance) {
             (None, None) => self.stored.on_device(),
@@ -215,17 +215,18 @@ impl StoredSamples {
         }
     }
 
-    /// Samples of all channels.
+    /// Returns the number of samples of all channels and steps.
     pub(super) fn array_samples(&self) -> u64 {
         self.total_samples() * u64::from(self.channels)
     }
 
-    /// What the samples are decoded from as a stream that begins with the file: a compressed file of plain samples.
+    /// Returns the encoding of a compressed file of plain samples, which is decoded as a stream from its first byte.
     pub(super) fn packing(&self) -> Option<Encoding> {
         self.location.packing().filter(|_| self.encoding == Encoding::Raw)
     }
 
-    /// First byte behind the samples. The length of a compressed file is not known before it was decoded.
+    /// Returns the offset of the first byte behind the samples: `end`, else the file's length. The length of a compressed file is unknown
+    /// before it is decoded: [`u64::MAX`].
     pub(super) fn end(&self) -> u64 {
         let length = self.location.packing().map_or(self.file_bytes, |_| u64::MAX);
         self.end.unwrap_or(length)
@@ -249,7 +250,7 @@ impl StoredSamples {
         format!("{x} x {y} x {z}{steps}{channels} samples of {}", self.stored.name())
     }
 
-    /// As [`Self::check`], of samples whose number nothing but the file's length confirms.
+    /// As [`Self::check`], for samples whose number only the file's length confirms.
     ///
     /// # Errors
     /// The file is too short, or plain and too long; the message names `header_field`.
@@ -267,7 +268,7 @@ impl StoredSamples {
         }
     }
 
-    /// Bytes of plain samples behind the last one.
+    /// Returns the number of bytes behind the last of plain samples.
     fn excess(&self) -> u64 {
         match (self.encoding, self.begin) {
             (Encoding::Raw, Begin::At(begin)) if self.packing().is_none() => {
@@ -278,7 +279,7 @@ impl StoredSamples {
         }
     }
 
-    /// Compares what the header claims with the file's length, without reading a sample. Bytes behind the last sample are a notice.
+    /// Compares what the header claims with the file's length, without reading a sample. Bytes behind the last sample give a notice.
     ///
     /// # Errors
     /// The file is too short; the message names `header_field`.
@@ -332,7 +333,8 @@ impl StoredSamples {
         }
     }
 
-    /// Whether bytes behind the last sample are no samples that the header denies: fewer than it has, or zeros.
+    /// Whether bytes behind the last sample are padding: fewer than the samples have, or zeros. Else they may be samples that the header
+    /// denies.
     fn is_padding(&self, at: u64, bytes: u64) -> bool {
         if self.end.is_some() || self.begin == Begin::BeforeEnd {
             return false;
@@ -350,7 +352,7 @@ impl StoredSamples {
         matches!(read, Ok(Ok(()))) && is_blank(&rest)
     }
 
-    /// As [`Self::check`], of a compressed file of plain samples.
+    /// As [`Self::check`], for a compressed file of plain samples.
     fn check_packed(&self, packing: Encoding, header_field: &str) -> Result<(), ReadError> {
         let Begin::At(begin) = self.begin else {
             return Err(self.error("samples of a compressed file cannot be counted from its end"));

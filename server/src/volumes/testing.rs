@@ -23,7 +23,7 @@ impl Source for NoSamples {
     }
 }
 
-/// A dataset of one step, its fields of bytes.
+/// A dataset of one step whose fields have samples of one byte.
 pub(crate) fn dataset(id: &str, dims: [u32; 3], fields: &[&str]) -> Dataset {
     let field = |name: &&str| Field {
         name: (*name).into(),

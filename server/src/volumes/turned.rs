@@ -1,4 +1,4 @@
-//! Samples that are stored with another axis than x fastest, put in the order of the grid.
+//! Brings samples that are stored with another axis than x fastest into the order of the grid.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use isopeel_kernels::{SampleType, Samples};
 
 use super::ReadError;
 
-/// The samples of a time step, which come in slices across the axis that is stored slowest.
+/// The samples of a time step, which are read in slices across the axis that is stored slowest.
 pub(super) struct Turned {
     path: PathBuf,
     /// In the order of the grid.
@@ -17,10 +17,10 @@ pub(super) struct Turned {
 }
 
 impl Turned {
-    /// No samples yet; all are 0.
+    /// Creates the samples, all 0.
     ///
     /// # Errors
-    /// There is no memory for them.
+    /// There is not enough memory.
     pub(super) fn new(path: &Path, kind: SampleType, dims: [u32; 3], order: [usize; 3]) -> Result<Self, ReadError> {
         let count = dims.iter().map(|&n| n as usize).product();
         let samples = match kind {
@@ -39,10 +39,10 @@ impl Turned {
         })
     }
 
-    /// Puts whole slices from `first` on, as they are stored, where they belong.
+    /// Copies whole slices from `first` on, in the order in which they are stored, to their places in the grid.
     ///
     /// # Errors
-    /// They are of another type.
+    /// The slices have another sample type.
     pub(super) fn put(&mut self, first: u64, slices: &Samples) -> Result<(), ReadError> {
         let (dims, order, first) = (self.dims, self.order, first as usize);
         match (&mut self.samples, slices) {

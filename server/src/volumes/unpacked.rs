@@ -1,7 +1,7 @@
 //! Files that are compressed as a whole: `.gz`, `.bz2` and `.zst` around a file of any format.
 //!
-//! Plain samples are decoded as a stream, see `decode`. All else reads through [`Unpacked`], which decodes as far as it
-//! is asked and keeps what it decoded, small files in memory, others in a temporary file without a name.
+//! Plain samples are decoded as a stream, see `decode`. Everything else is read through [`Unpacked`], which decodes only as far as
+//! requested and keeps the decoded bytes: small files in memory, others in a temporary file without a name.
 
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,16 +16,16 @@ use crate::private_folder::free_bytes;
 const IN_MEMORY: usize = 1 << 20;
 /// Bytes that are decoded at once.
 const PIECE: u64 = 1 << 18;
-/// Space on the disk of temporary files that is left to others.
+/// Free space that is left on the disk of temporary files.
 pub(super) const RESERVE_BYTES: u64 = 64 << 20;
 
-/// The most that `stored` bytes are decoded to where no header says how much there should be: as much as deflate may
+/// Returns the limit of bytes that `stored` bytes are decoded to if no header states the decoded size: as much as deflate may
 /// give, and 64 MiB.
 const fn max_decoded(stored: u64) -> u64 {
     stored.saturating_mul(DEFLATE_RATIO).saturating_add(64 << 20)
 }
 
-/// How a file of this name is compressed, and its name without the ending that says so.
+/// Returns the compression that the ending of a file name states, and the name without that ending.
 pub(super) fn packing(name: &str) -> Option<(Encoding, &str)> {
     let at = name.rfind('.')?;
     let encoding = match name[at..].to_ascii_lowercase().as_str() {
@@ -37,7 +37,7 @@ pub(super) fn packing(name: &str) -> Option<(Encoding, &str)> {
     Some((encoding, &name[..at]))
 }
 
-/// A compressed file that reads as the file in it.
+/// A compressed file, read as the file inside it.
 pub(super) struct Unpacked {
     stored_len: u64,
     stored_read: Arc<AtomicU64>,
@@ -45,13 +45,13 @@ pub(super) struct Unpacked {
 }
 
 struct State {
-    /// `None` once its end was reached.
+    /// `None` after its end was reached.
     stream: Option<Box<dyn Read + Send>>,
     kept: SpooledTempFile,
     decoded: u64,
-    /// What ended the stream too early.
+    /// The error that ended the stream early.
     failure: Option<(ErrorKind, String)>,
-    /// Space on the disk of temporary files that is left to others.
+    /// Free space that is left on the disk of temporary files.
     reserve: u64,
 }
 
@@ -103,17 +103,17 @@ impl Unpacked {
         })
     }
 
-    /// Bytes of the compressed file that were read.
+    /// Returns the number of bytes of the compressed file that were read.
     pub(super) fn stored_read(&self) -> u64 {
         self.stored_read.load(Ordering::Relaxed)
     }
 
-    /// Bytes of the file in it. Decodes all of it, of a broken file as much as there is.
+    /// Returns the decoded length in bytes. Decodes the whole file, a broken file up to its error.
     pub(super) fn len(&self) -> u64 {
         self.decoded_up_to(u64::MAX).decoded
     }
 
-    /// Bytes from `offset` on; fewer than asked for at the end only.
+    /// Reads decoded bytes from `offset` on; fewer than requested only at the end.
     pub(super) fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
         let mut state = self.decoded_up_to(offset.saturating_add(buffer.len() as u64));
         let have = state.decoded.saturating_sub(offset).min(buffer.len() as u64) as usize;
@@ -150,7 +150,7 @@ impl State {
         let Some(stream) = &mut self.stream else { return Ok(0) };
         let mut piece = Vec::new();
         let read = stream.take(PIECE).read_to_end(&mut piece);
-        // What stands before an error is as good as it was.
+        // Bytes that were decoded before an error are valid.
         self.keep(&piece).map_err(of_space)?;
         self.decoded += piece.len() as u64;
         read?;
@@ -173,7 +173,7 @@ impl State {
     }
 }
 
-/// That a temporary file cannot be written is no fault of the compressed one.
+/// The error for a temporary file that cannot be written: it is no fault of the compressed file.
 pub(super) fn of_space(error: io::Error) -> io::Error {
     let why = format!("the folder of temporary files, which TMPDIR names, has no space to decompress it ({error})");
     io::Error::new(ErrorKind::StorageFull, why)

@@ -1,8 +1,8 @@
-//! Paths that are looked at while a server runs: what appears in them is added to its catalog.
+//! Watches paths while a server runs: new and changed files in them update its catalog.
 //!
-//! A path is opened again when its files have changed and then stayed as they were for two looks, so that a file is mostly whole when it is
-//! read. What is not is passed over as at the start, and tried again when it changes. A path that cannot be opened at all keeps what it had
-//! and is tried again, ever more rarely.
+//! A path is opened again when its files have changed and then were the same in two consecutive polls, so that files are probably
+//! complete. Incomplete files are skipped as at the start, and are tried again when they change. If a path cannot be opened at all, its
+//! datasets stay, and it is retried after ever longer pauses.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -13,29 +13,29 @@ use super::catalog::{Catalog, SharedCatalog, Unreadable, open_path};
 use super::open::slug;
 use super::{Dataset, Frame, ReadError};
 
-/// Time between two looks.
+/// Time between two polls.
 pub const INTERVAL: Duration = Duration::from_secs(2);
 
-/// Files of a path that are looked at, at most, and folders below it.
+/// Maximum files of a path that are watched, and depth of folders below it.
 const MAX_FILES: usize = 1 << 16;
 const MAX_DEPTH: usize = 2;
 
-/// Looks after a failure until the next try, at most: about a minute.
+/// Maximum polls between a failure and the next try: about a minute.
 const MAX_PAUSE: u32 = 32;
 
 /// Length and time of the last change of each file.
 type Stamps = BTreeMap<PathBuf, (u64, Option<SystemTime>)>;
 
-/// A path and what is in it.
+/// A watched path and its datasets.
 struct Watched {
     path: PathBuf,
-    /// Of the files as they were when the datasets were made of them, and at the last look.
+    /// Stamps of the files when the datasets were opened, and at the last poll.
     opened: Option<Stamps>,
     seen: Stamps,
     datasets: Vec<Arc<Dataset>>,
-    /// Why it cannot be read, unless it is a folder that gets files.
+    /// Why the path cannot be read. `None` for a folder that holds no volume yet.
     unreadable: Option<Unreadable>,
-    /// Tries that failed since, and looks until the next one.
+    /// Failed tries since the last change, and polls until the next try.
     failures: u32,
     pause: u32,
 }
@@ -45,13 +45,14 @@ pub struct Watcher {
     paths: Vec<Watched>,
     demo: Option<Arc<Dataset>>,
     frame: Frame,
-    /// Ids that were given, by path, title's id, and number among those of this id in the path: they stay.
+    /// Ids by path, slug of the title, and number among the datasets with this slug in the path. A dataset keeps its id.
     ids: BTreeMap<(usize, String, usize), String>,
     catalog: SharedCatalog,
 }
 
 impl Watcher {
-    /// Opens every path, as [`Catalog::open`]. A folder without a volume is one that gets some; another path that cannot be read is tried again.
+    /// Opens every path, as [`Catalog::open`]. A folder without volumes is watched for some; any other path that cannot be read is tried
+    /// again.
     ///
     /// # Errors
     /// The demo cannot be read.
@@ -88,12 +89,12 @@ impl Watcher {
         Ok(watcher)
     }
 
-    /// The catalog, which follows the looks.
+    /// Returns the catalog, which later polls update.
     pub fn catalog(&self) -> SharedCatalog {
         self.catalog.clone()
     }
 
-    /// Looks at all paths once. Whether the catalog has changed.
+    /// Polls all paths once. Returns whether the catalog has changed.
     pub fn look(&mut self) -> bool {
         let mut changed = false;
         for at in 0..self.paths.len() {
@@ -142,7 +143,7 @@ impl Watcher {
         }
     }
 
-    /// Replaces the datasets of a path. `changed`: the files of the datasets before that are not as they were. Returns whether any dataset
+    /// Replaces the datasets of a path. `changed`: the files that differ from those of the previous datasets. Returns whether any dataset
     /// differs.
     fn take(&mut self, at: usize, datasets: Vec<Dataset>, changed: &[PathBuf]) -> bool {
         let changed = ChangedFiles::new(changed, &datasets);
@@ -169,7 +170,7 @@ impl Watcher {
         changed
     }
 
-    /// The id that a dataset has had, or the first free one.
+    /// Returns the id that a dataset had before, or the first free one.
     fn id_of(&mut self, at: usize, base: String, number: usize) -> String {
         let given: BTreeSet<&String> = self.ids.values().collect();
         let is_free = |id: &String| !given.contains(id) && self.demo.as_ref().is_none_or(|demo| demo.id != *id);
@@ -190,15 +191,15 @@ impl Watcher {
     }
 }
 
-/// Files that are not as they were when the datasets before were opened.
+/// Files that have changed since the previous datasets were opened.
 struct ChangedFiles<'a> {
     files: &'a [PathBuf],
-    /// Whether one of them holds the samples of no step: a header or an index, which may say of any step where its samples are.
+    /// Whether one of them holds the samples of no step: a header or an index, which may determine the position of the samples of any step.
     any_step: bool,
 }
 
 impl<'a> ChangedFiles<'a> {
-    /// `datasets`: all that were opened from the path now.
+    /// `datasets`: all that are opened from the path now.
     fn new(files: &'a [PathBuf], datasets: &[Dataset]) -> Self {
         let is_of = |file: &PathBuf, dataset: &Dataset| (0..dataset.steps).any(|step| holds(dataset, step, file));
         let is_of_a_step = |file: &PathBuf| datasets.iter().any(|dataset| is_of(file, dataset));
@@ -208,7 +209,7 @@ impl<'a> ChangedFiles<'a> {
         }
     }
 
-    /// Whether the samples of a step may be others than before.
+    /// Whether the samples of a step may have changed.
     fn change(&self, dataset: &Dataset, step: u32) -> bool {
         self.any_step || self.files.iter().any(|file| holds(dataset, step, file))
     }
@@ -220,8 +221,8 @@ fn holds(dataset: &Dataset, step: u32, file: &Path) -> bool {
     inputs.into_iter().any(|input| file.starts_with(input.path()))
 }
 
-/// What takes the place of a dataset: itself, if nothing of it has changed; one of the same revision, if it has more steps, which says of
-/// each step how often its files were rewritten; or one of another revision.
+/// Returns the successor of a dataset: the same one, if nothing has changed; one of the same revision, if it has more steps, which counts
+/// for each step how often its files were rewritten; else one of the next revision.
 fn successor(before: &Arc<Dataset>, mut now: Dataset, changed: &ChangedFiles<'_>) -> Arc<Dataset> {
     now.revision = before.revision;
     let times = |dataset: &Dataset, step: u32| dataset.times.as_ref().map(|times| times.label(step));
@@ -243,14 +244,14 @@ fn successor(before: &Arc<Dataset>, mut now: Dataset, changed: &ChangedFiles<'_>
     }
 }
 
-/// The files of a path, a folder's and those in folders below it.
+/// Returns the stamps of the files of a path, of a folder those in it and in folders below it.
 fn stamps(path: &Path) -> Stamps {
     let mut stamps = Stamps::new();
     collect(path, 0, &mut stamps);
     stamps
 }
 
-/// What cannot be read now may be at the next look.
+/// Errors are ignored: what cannot be read now may be readable at the next poll.
 fn collect(path: &Path, depth: usize, stamps: &mut Stamps) {
     let Ok(metadata) = std::fs::metadata(path) else { return };
     if !metadata.is_dir() {

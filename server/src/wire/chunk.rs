@@ -114,9 +114,9 @@ pub struct ChunkHeader {
     pub coding: Coding,
     /// Region, in units of 32 cells.
     pub region: [u32; 3],
-    /// Minimum position of the vertices, index space; zeros where there is none.
+    /// Minimum position of the vertices, index space; zeros if there are none.
     pub min: [f32; 3],
-    /// Maximum position of the vertices, index space; zeros where there is none.
+    /// Maximum position of the vertices, index space; zeros if there are none.
     pub max: [f32; 3],
     /// Vertices.
     pub vertex_count: u32,
@@ -130,10 +130,10 @@ pub struct ChunkHeader {
     pub level_triangles: [u32; 6],
 }
 
-/// Where a header says which prefix its chunk belongs to.
+/// The bytes of a header that state which prefix its chunk belongs to.
 const PREFIX_BYTES: std::ops::Range<usize> = 8..15;
 
-/// A chunk that was encoded, as one of another prefix; where it belongs to that already, nothing is copied.
+/// Relabels an encoded chunk as one of another prefix. If it belongs to that prefix already, nothing is copied.
 pub fn with_prefix(frame: &Bytes, prefix: PrefixId) -> Bytes {
     let prefix = prefix.to_bytes();
     if frame[PREFIX_BYTES] == prefix {

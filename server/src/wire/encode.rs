@@ -125,7 +125,7 @@ pub fn encode_gone(coords: [u32; 3], prefix: PrefixId) -> Result<Bytes, EncodeEr
 /// The chunk of the errors of a region's vertices, in the order that these have in its chunk of this coding.
 ///
 /// # Errors
-/// As [`encode`], or where there are more or fewer errors than vertices.
+/// As [`encode`], or if there are more or fewer errors than vertices.
 pub fn encode_errors(
     region: &Region,
     errors: &[f32],
@@ -263,7 +263,7 @@ fn triangle_hash([a, b, c]: [u64; 3]) -> u64 {
     folded_product(sum ^ HASH_KEYS[1], HASH_KEYS[0])
 }
 
-/// Bytes of all chunks of a surface; `None` where it is cancelled before. On the rayon pool of the caller.
+/// Bytes of all chunks of a surface; `None` if it is cancelled before. Runs on the caller's rayon pool.
 ///
 /// # Errors
 /// [`EncodeError`].

@@ -21,7 +21,7 @@ pub enum Projection {
     Orthographic,
 }
 
-/// Where a camera is and what it looks at, in the world.
+/// Position and target of a camera, in the world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
@@ -34,7 +34,7 @@ pub struct Camera {
     pub projection: Projection,
 }
 
-/// What the page of whoever has control shows beside its surfaces.
+/// What the page of the member in control shows beside its surfaces.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
@@ -100,7 +100,7 @@ pub fn check_name(name: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// A surface of whoever has control.
+/// A surface of the member in control.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
@@ -118,7 +118,7 @@ pub struct LedSurface {
 pub struct Follower {
     /// Its number in the group, 1 or more.
     pub number: u32,
-    /// What it has called itself; null where it has not.
+    /// The name that it has given itself; null if it has given none.
     pub name: Option<String>,
     /// Whether it asks for control.
     pub asks: bool,

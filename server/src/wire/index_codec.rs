@@ -2,7 +2,7 @@
 //!
 //! **Format.** A payload is a header byte, a code byte for each triangle, the data that codes refer to, and a table of 16 code
 //! bytes. Encoder and decoder keep two ring buffers, of the last 16 edges and the last 16 vertices. The high half of a code is the
-//! age of the edge that the triangle continues from, 15 where there is none; the low half says what its third vertex is:
+//! age of the edge that the triangle continues from, 15 if there is none; the low half says what its third vertex is:
 //!
 //! | low half | third vertex |
 //! |---|---|
@@ -11,8 +11,8 @@
 //! | 13, 14 | one before, or one after, the index written last |
 //! | 15 | any: the difference to the index written last follows as data (variable-length, zigzag) |
 //!
-//! A triangle without an edge takes a code of its own where all three vertices are new, else one data byte with a half for its
-//! second and its third vertex.
+//! A triangle without an edge has a code of its own if all three vertices are new. Otherwise it takes one data byte, with one half for
+//! its second and one for its third vertex.
 //!
 //! **Here.** meshoptimizer's encoder takes a list of indices and searches both buffers for each triangle. The traversal in `order`
 //! knows the edge that it continues from, and for vertices it is enough to remember when each entered the buffer: its age is a
@@ -101,7 +101,7 @@ impl IndexWriter {
         self.edge_clock
     }
 
-    /// The payload, in consecutive parts; empty where there is no triangle.
+    /// The payload, in consecutive parts; empty if there is no triangle.
     pub fn payload(&self) -> [&[u8]; 4] {
         if self.codes.is_empty() {
             return [&[]; 4];

@@ -126,7 +126,7 @@ pub enum ClientMessage {
         /// Whether it is asked for.
         asks: bool,
     },
-    /// Give control to a follower who asks, or back.
+    /// Give control to a follower who has asked for it, or back to the leader.
     GiveControl {
         /// The follower's number; 0: the leader.
         to: u32,
@@ -144,12 +144,12 @@ pub enum Annotation {
     ErrorAround,
 }
 
-/// Bins where a message says nothing.
+/// Default number of bins.
 fn default_bins() -> u32 {
     64
 }
 
-/// An edit and the number of the surface that it is for, 0 where it is left out.
+/// An edit and the number of the surface that it is for; 0 if it is left out.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[cfg_attr(test, derive(ts_rs::TS), ts(type = "{ surface?: number } & Edit"))]
 pub struct SurfaceEdit {
@@ -297,7 +297,7 @@ pub enum ServerMessage {
     Stepped {
         /// Which one.
         step: u32,
-        /// It for people, where the file has times.
+        /// Its time as text for people, if the file has times.
         label: Option<String>,
     },
     /// What the values of the time step are like.
@@ -368,7 +368,7 @@ pub enum ServerMessage {
     Probed {
         /// Number of the surface.
         surface: u8,
-        /// Of which edit; 0 where no surface is shown.
+        /// Generation of the surface that was probed; 0 if no surface is shown.
         generation: u32,
         /// The answer.
         #[serde(flatten)]
@@ -475,7 +475,7 @@ pub enum ServerMessage {
         #[cfg_attr(test, ts(optional))]
         #[serde(skip_serializing_if = "Option::is_none")]
         surface: Option<u8>,
-        /// With `too-large`, where the surface has too many triangles: a budget that is within the limit.
+        /// With `too-large`, if the surface has too many triangles: a budget that is within the limit.
         #[cfg_attr(test, ts(optional))]
         #[serde(skip_serializing_if = "Option::is_none")]
         suggested_triangles: Option<u64>,

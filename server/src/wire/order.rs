@@ -10,7 +10,7 @@
 //!
 //! - `connect` finds the twin of every half-edge, through [`EdgeTable`]; the two triangles of a quad follow each other in the
 //!   input, so their common edge needs no look-up.
-//! - `write` starts at every triangle that is not covered yet, and `cover` traverses what it reaches. Where both ways out are
+//! - `write` starts at every triangle that is not covered yet, and `cover` traverses what it reaches. If both ways out are
 //!   free, the left one goes on a stack with the codec's edge clock, by which a later step knows whether the codec still has it.
 //!
 //! Invariants: each triangle is written once, after all triangles of finer levels; twins are of one level, so no traversal leaves
@@ -74,8 +74,8 @@ impl Traversal {
         }
     }
 
-    /// The opposite half-edge of each half-edge of a triangle, by its number, counted from 1, and corner, whatever the levels; 0: none. Of each half-edge:
-    /// four times the number, plus the corner that it starts at.
+    /// The twin of each half-edge, by the number of its triangle, counted from 1, and the corner that it starts at, across levels too.
+    /// A half-edge is four times the triangle's number, plus the corner; 0: no twin.
     pub fn twins(&mut self, indices: &[u32], vertices: usize) -> &[[HalfEdge; 4]] {
         let triangles = indices.as_chunks::<3>().0;
         self.connect(triangles, &[triangles.len() as u32, 0, 0, 0, 0, 0], vertices);
@@ -132,7 +132,7 @@ impl Traversal {
             let twins = &self.twins[triangle];
             let [right, left] = [twins[second], twins[third]];
             let [right_free, left_free] = [right, left].map(|half_edge| self.is_uncovered(half_edge));
-            // Pushed in any case, kept where both ways are free: the left edge is the last that the codec took.
+            // Pushed in any case, but kept only if both ways are free. The left edge is the last that the codec took.
             self.stack[self.stack_len] = Gate {
                 half_edge: left,
                 clock: writer.clock(),
@@ -269,7 +269,7 @@ impl EdgeTable {
         loop {
             let stored = &mut self.slots[slot];
             let found = *stored;
-            // 0 where the slot is free or has this edge. One branch for both cases, which is mostly taken; a branch between them
+            // 0 if the slot is free or has this edge. One branch for both cases, which is mostly taken; a branch between them
             // would be unpredictable.
             if found.min(found >> (HALF_EDGE_BITS + 1) ^ key) == 0 {
                 *stored = entry;

@@ -1,12 +1,13 @@
 //! The coding `predictive` of chunks, for slow lines: about 60 % of the bytes of meshoptimizer's codecs, for about ten times their time.
 //! Normative: `PROTOCOL.md`, section 4.1.
 //!
-//! A traversal covers the mesh triangle after triangle, as Edgebreaker does (J. Rossignac, 1999). Behind each edge of its boundary it codes whether there
-//! is a triangle, and which third vertex that has. A new one is predicted: its position by a parallelogram and the normals so far, its
-//! features by those of the edge, and at the end its normal by those of its triangles. What differs goes to a range coder.
+//! A traversal covers the mesh triangle after triangle, as Edgebreaker does (J. Rossignac, 1999). For each edge of its boundary it codes
+//! whether there is a triangle behind it, and which third vertex that has. A new vertex is predicted: its position by a parallelogram
+//! and the normals so far, its features by those of the edge, and at the end its normal by those of its triangles. A range coder codes
+//! the differences from the predictions.
 //!
-//! The encoder takes a chunk of the coding `meshopt`, so that this one is made of what is kept for all viewers. [`Walk`] is encoder and decoder: of a
-//! [`Known`] mesh it codes what is there, else it makes the mesh from what is read.
+//! The encoder takes a chunk of the coding `meshopt`, which is cached for all viewers. [`Walk`] is both encoder and decoder: it codes a
+//! [`Known`] mesh, or else builds the mesh from what it reads.
 
 mod boundary;
 mod mesh;

@@ -49,7 +49,7 @@ pub(super) struct VertexWriter {
 }
 
 impl VertexWriter {
-    /// The payload; empty where there are no vertices.
+    /// The payload; empty if there are no vertices.
     pub fn payload(&self) -> &[u8] {
         &self.buffer[..self.written]
     }

@@ -152,7 +152,7 @@ pub struct Prefix {
 }
 
 impl Viewer {
-    /// Opens a step of a volume. Where it takes long, messages before `opened` say how much was read.
+    /// Opens a step of a volume. If that takes long, messages before `opened` say how much was read.
     pub async fn open(&mut self, volume: &str, step: u32) {
         self.say(&format!(r#"{{"type":"open","volume":"{volume}","step":{step}}}"#))
             .await;
@@ -271,7 +271,7 @@ impl Viewer {
         }
     }
 
-    /// Number of edges where the surface is open; vertices with equal positions are one.
+    /// Returns the number of edges at which the surface is open; vertices with equal positions are one.
     pub fn open_edges(&self) -> usize {
         let mut edges = Vec::new();
         for mesh in self.held.values() {

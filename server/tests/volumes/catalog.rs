@@ -63,7 +63,7 @@ fn labels_of_a_folder_are_not_its_first_field() {
     put(at, "mask-weight.nii", write::nifti(&small(('f', 4)), |_| {}));
     put(at, "t1.nii", write::nifti(&small(('u', 1)), |_| {}));
     let dataset = open_dataset(at).unwrap();
-    // By what the header says, or by name where the values are whole numbers.
+    // Labels are recognized by what the header says, or by name if the values are whole numbers.
     assert_eq!(names(&dataset), ["mask-weight", "t1", "aparc", "brain-mask"]);
 }
 

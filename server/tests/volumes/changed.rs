@@ -26,7 +26,7 @@ pub fn each<S: Strategy>(format: &str, cases: u32, strategy: &S, test: impl Fn(S
     }
 }
 
-/// Where a byte changes, and what it becomes.
+/// Position of a byte that changes, and its new value.
 pub type Change = (Index, u8);
 
 /// Fewer than so many bytes, anywhere.

@@ -1,5 +1,5 @@
-//! Files that independent programs wrote, beside what these programs say is in them: `tests/fixtures/volumes`, or the folder that
-//! `FIXTURES` names, where `make test-formats` has written them anew.
+//! Files written by independent programs, with the contents that these programs report: `tests/fixtures/volumes`, or the folder that
+//! `FIXTURES` names, into which `make test-formats` has written them anew.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use serde::Deserialize;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Expected {
-    /// What opens it: a file or folder beside the JSON file, with `:part` where it holds several volumes.
+    /// Name to open: a file or folder beside the JSON file, with `:part` if it holds several volumes.
     open: String,
     /// The program that wrote it, with its version.
     #[serde(rename = "writer")]
@@ -23,7 +23,7 @@ struct Expected {
     /// World positions of the samples at the corners, x fastest.
     corners: [[f64; 3]; 8],
     fields: Vec<ExpectedField>,
-    /// Labels of the steps, where they are compared.
+    /// Labels of the steps, if they are compared.
     #[serde(default)]
     times: Option<Vec<String>>,
     /// Words of the notice, of a file that is repaired.
@@ -36,7 +36,7 @@ struct Expected {
 struct ExpectedField {
     name: String,
     unit: Option<String>,
-    /// Index along x, y, z, and the step; the value there, `null` where it is missing.
+    /// Index along x, y, z, and the step; the value there, `null` if it is missing.
     samples: Vec<([u32; 3], u32, Option<f32>)>,
     /// Value, name and colour of labels; a colour that is null is not compared.
     #[serde(default)]

@@ -100,7 +100,7 @@ fn what_failed_once_is_refused() {
     }
 }
 
-/// Perhaps a part that is copied over another: from where, to where, how many bytes.
+/// Perhaps a part that is copied over another: its source, its destination, and its number of bytes.
 fn splice(probability: f64) -> impl Strategy<Value = Option<(Index, Index, usize)>> {
     prop::option::weighted(probability, (any::<Index>(), any::<Index>(), 1..64usize))
 }
@@ -176,7 +176,7 @@ fn claims_of_dicom_are_not_allocated() {
 #[test]
 fn changed_dicom_never_panics() {
     let cases = dicom_cases();
-    // Of these files the header is the longest part; its end is where sizes are.
+    // The header is the longest part of these files; sizes are at its end.
     let strategy = (0..cases.len(), changed::bytes(8), any::<bool>(), splice(0.3));
     changed::each("dicom", 1500, &strategy, |(which, changes, in_header, splice)| {
         let mut bytes = cases[which].clone();

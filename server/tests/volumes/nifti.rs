@@ -111,7 +111,7 @@ fn nifti_affines() {
             assert!((axis - expected).abs() < 1e-6, "{:?}", g.direction);
         }
     }
-    // Neither: pixdim alone, of axes that nobody knows.
+    // Neither: pixdim alone, with axes of unknown orientation.
     let g = opened(&|h| h.i16(254, 0)).geometry;
     assert_eq!(g.frame, Frame::World);
     assert_eq!((g.spacing, g.origin, g.is_axis_aligned()), (v.spacing, [0.0; 3], true));

@@ -159,7 +159,7 @@ fn nrrd_channels_are_fields_wherever_they_stand() {
             of(|a| a.2)
         )
         .into_bytes();
-        // The value of each sample says where it is.
+        // The value of each sample encodes its position.
         let weights = [1, 2, 6, 12, 24];
         let size = |axis: usize| axes[axis].1.parse::<u32>().unwrap();
         for mut i in 0..48 {
@@ -171,7 +171,7 @@ fn nrrd_channels_are_fields_wherever_they_stand() {
             file.push(value as u8);
         }
         let read = open("a.nrrd", file).unwrap();
-        // Whichever axis stands first in the file is x.
+        // The first axis of the file is x.
         let dims = if order[2] == 2 && order[0] == 4 {
             [2, 3, 2]
         } else {

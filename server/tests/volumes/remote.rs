@@ -119,7 +119,7 @@ fn compare(remote: &Dataset, local: &Dataset) {
     }
 }
 
-/// What is opened below a group that nobody can list.
+/// The part to open of a group that cannot be listed.
 fn part_of(name: &str) -> &'static str {
     match name {
         "group.zarr" => ":dose",

@@ -14,7 +14,7 @@ use crate::changed;
 /// Path in the folder, and content.
 pub type StoredFile = (PathBuf, Vec<u8>);
 
-/// Where a fixture is.
+/// Path of a fixture.
 pub fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../tests/fixtures/volumes")

@@ -43,7 +43,7 @@ fn a_numbered_file_becomes_a_step_once_it_stays_as_it_is() {
     let whole = nrrd(3, 4);
     put(&at, "t_03.nrrd", &whole[..whole.len() / 2]);
     assert!(!watcher.look(), "it may be written still");
-    // Half a file that nobody writes any more is passed over; the others stay.
+    // Half a file that is no longer being written is passed over; the others stay.
     assert!(!watcher.look());
     assert_eq!(listed(&watcher), [("heat".to_owned(), 3, 0)]);
     put(&at, "t_03.nrrd", &whole);

@@ -27,7 +27,7 @@ async fn expressions_are_fields_and_features() {
             made.surface.statistics.triangles,
         )
     };
-    // Three times the distance: the same surface where the isovalue is, too.
+    // All values are tripled: with three times the isovalue the surface is the same.
     let computed = r#""field": "2 * value + other""#;
     for rest in [
         "",
@@ -99,8 +99,8 @@ impl Source for Placed {
     }
 }
 
-/// A vortex along z on a grid that is turned about z, by components along the world's axes: features are those of the vector where expressions
-/// turn them back.
+/// A vortex along z on a grid that is turned about z, by components along the world's axes. If expressions turn these back, features are
+/// those of the vector.
 #[tokio::test(flavor = "multi_thread")]
 async fn expressions_turn_vectors_to_the_grid() {
     fn swirl([x, y, _]: [f32; 3]) -> [f32; 2] {

@@ -1,4 +1,4 @@
-//! Distances to where a condition holds, as feature and as field.
+//! Distances to the samples at which a condition holds, as feature and as field.
 
 use std::sync::Arc;
 
@@ -31,7 +31,8 @@ impl Source for Bytes {
     }
 }
 
-/// A ball of radius 11.25 or so in `value`; label 3 where x is below 4, 255 is missing; how far that is along x.
+/// Fields `value`, a ball of radius 11.25 or so; `labels`, with label 3 if x is below 4, and 255 for missing; and `ahead`, the distance to
+/// that label along x.
 fn labelled() -> Dataset {
     let bytes = |name: &str, value| Field {
         sample_type: SampleType::U8,
@@ -103,7 +104,7 @@ async fn distances_are_fields_like_others() {
         .await
         .expect("a field");
     assert_eq!((described.range, described.unit.as_deref()), ([0.0, 36.0], Some("mm")));
-    // On the device, and on the host where it is capped or masked: the isosurface of the same values in a file.
+    // The isosurface of the same values in a file, on the device, and on the host if it is capped or masked.
     let made = async |field: &str, rest: &str| {
         let json = format!(r#"{{"field": "{field}", "iso": 10.5, "beta": 0.02{rest}}}"#);
         worker.extract(&step, &view(&data, &json), u64::MAX, &token).await

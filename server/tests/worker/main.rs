@@ -240,7 +240,7 @@ async fn a_load_that_nobody_waits_for_is_cancelled() {
     let none = FeatureName::None;
     let count = |counter: &AtomicUsize| counter.load(Ordering::Relaxed);
 
-    // Who leaves and comes back soon, as with an edit, finds the same load.
+    // A client that leaves and comes back soon, as with an edit, joins the same load.
     for wait in [500, 4000] {
         let histogram = worker.histogram(&volume, "slow", &none);
         let ended = tokio::time::timeout(Duration::from_millis(wait), histogram).await;

@@ -157,7 +157,7 @@ async fn others_use_the_device_while_a_tree_is_built() {
     assert!(jobs >= 10, "{jobs} jobs of others while a tree was built");
     let made = improved.surface.statistics;
     assert!(made.stages.iter().any(|time| time.stage == "tree"), "{:?}", made.stages);
-    // The same that is made where nobody else is.
+    // The same surface when no other viewer uses the device.
     let alone = worker.extract(volume, view, u64::MAX, &token).await.expect("extracts");
     assert_eq!(improved.surface.regions.len(), alone.surface.regions.len());
     for (shared, alone) in improved.surface.regions.iter().zip(&alone.surface.regions) {

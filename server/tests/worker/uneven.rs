@@ -138,7 +138,7 @@ async fn surfaces_are_where_vtk_has_them() {
             "{name}: {}",
             farthest(&expected, &found)
         );
-        // The dual mesh has other vertices; its triangles lie where they cross the grid's edges.
+        // The dual mesh has other vertices; its triangles pass close to the crossings of the grid's edges.
         let (_, mesh) = extract(&worker, &dataset, &view(&dataset, r#"{"iso": 1, "beta": -1}"#)).await;
         let off = distances(&expected, &mesh).into_iter().fold(0.0, f64::max);
         assert!(
@@ -335,7 +335,7 @@ fn length(p: Point) -> f64 {
     dot(p, p).sqrt()
 }
 
-/// The mean over the corners of the cell of a position; `None` where the cell is at the border, or the position next to another cell.
+/// The mean over the corners of the cell of a position; `None` if the cell is at the border, or the position is next to another cell.
 fn corner_mean(position: Point, value: impl Fn(Point) -> f64) -> Option<f64> {
     let [x, z] = written_positions();
     let axes = [&x, &x, &z];
@@ -365,7 +365,7 @@ async fn derivatives_are_those_of_the_world() {
     let (_, mesh) = extract(&worker, &dataset, &view(&dataset, r#"{"iso": 3600, "beta": -1}"#)).await;
     let expected: [(&str, Value); 6] = [
         ("gradient-magnitude", |p| 2.0 * length(p)),
-        // Seen from the outside, where values are high, the surface is hollow.
+        // Seen from the outside, the side of higher values, the surface is hollow.
         ("mean-curvature", |p| -1.0 / length(p)),
         ("gaussian-curvature", |p| 1.0 / dot(p, p)),
         ("divergence(d,d,d)", |[x, y, z]| 2.0 * (x + y + z)),
@@ -415,7 +415,7 @@ async fn features_are_described_and_extracted_at_uneven_positions() {
             "mean-curvature"
         ]
     );
-    // From one end to the other, where differences are one-sided: twice the middle of the last cell along each axis.
+    // Differences are one-sided at the ends of the grid: twice the middle of the last cell along each axis.
     let info = &described.fields[0].derived_features["gradient-magnitude"];
     let [x, z] = written_positions();
     let ends = [(0, 1), (10, 11)].map(|(a, b)| length([x[a] + x[b], x[a] + x[b], z[a] + z[b]]));

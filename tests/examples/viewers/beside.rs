@@ -86,7 +86,7 @@ impl Beside {
                 socket.send(edit()).await?;
             }
         }
-        // Who floods reads what comes.
+        // A client that floods the server reads the answers.
         let (mut sink, mut stream) = socket.split();
         let reading = async { while let Some(Ok(_)) = stream.next().await {} };
         let sending = async {
@@ -184,7 +184,7 @@ pub struct Crowd<'a> {
 }
 
 impl Crowd<'_> {
-    /// Edits with nobody else and beside each of these, so many times in turns.
+    /// Measures edits without any other client and beside each of these, in turns, for this number of rounds.
     pub async fn measure(mut self, beside: &[Beside], rounds: u32) -> Result<(), Error> {
         // What is made for viewers that rest is made by then.
         self.cost_of(None).await?;
@@ -217,7 +217,7 @@ impl Crowd<'_> {
         Ok(())
     }
 
-    /// Processors that the server uses while nobody edits but this client.
+    /// Returns the number of processors that the server uses while no viewer edits, with or without this other client.
     async fn cost_of(&mut self, beside: Option<Beside>) -> Result<f64, Error> {
         let client = beside.map(|beside| tokio::spawn(beside.run(self.server.address.clone())));
         let (used, start) = (self.server.cpu_seconds()?, Instant::now());

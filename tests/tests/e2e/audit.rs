@@ -1,4 +1,4 @@
-//! What a server says of who has used it, and what it refuses of those who ask too often, told apart by their proxy's word.
+//! The audit log, and the rate limits of clients, which are told apart by what their proxy says.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -167,7 +167,7 @@ fn who_asks_too_often_waits_and_others_do_not() {
         peer,
         bearer: format!("Bearer {token}"),
     };
-    // Who tries tokens has five tries in a burst, and then one in two seconds.
+    // A client that tries tokens has five tries in a burst, and then one in two seconds.
     let guesser = client("192.0.2.1", &"x".repeat(43));
     let tries = (0..20).find(|_| guesser.ask("GET", "/api/v1/session", "").status == 429);
     assert!(tries.is_some_and(|tries| (4..=6).contains(&tries)), "{tries:?}");
@@ -175,7 +175,7 @@ fn who_asks_too_often_waits_and_others_do_not() {
     assert_eq!(refused.problem(429), "too-many-requests");
     let wait: u64 = refused.header("retry-after").parse().expect("seconds");
     assert!((1..=4).contains(&wait), "{wait}");
-    // Nobody else waits, at the same address or another one.
+    // No other client has to wait, at the same address or another one.
     for peer in ["192.0.2.1", "192.0.2.2"] {
         assert_eq!(
             client(peer, token).ask("GET", "/api/v1/session", "").status,

@@ -92,7 +92,7 @@ fn check(line: &Value) {
     );
     let (triangles, full) = (number(line, "triangles"), number(line, "full_triangles"));
     let edit = as_text(&line["edit"]).trim_end_matches(", rested");
-    // In a volume as small as this one, the next cut below a budget may be an empty one where the function is not monotonic.
+    // In a volume as small as this one, the next cut below a budget may be an empty one if the function is not monotonic.
     assert!(full > 0.0 && (triangles > 0.0 || edit == "transfer function"), "{line}");
     let is_small = edit == "small beta";
     // Importance decides nothing in a surface that is shown in full, and little in a volume as small as this one.

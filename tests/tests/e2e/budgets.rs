@@ -295,7 +295,7 @@ async fn a_tree_cut_is_watertight_and_keeps_the_topology() {
         return;
     };
     let mut viewer = Viewer::open(own.address, "ball").await;
-    // V - E + F, where each triangle has three halves of edges.
+    // V - E + F; each triangle has three halves of edges.
     let characteristic = |statistics: &Value| {
         let [vertices, triangles] = ["vertices", "triangles"].map(|name| count(statistics, name) as i64);
         assert_eq!(triangles % 2, 0, "a closed surface");

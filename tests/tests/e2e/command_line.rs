@@ -32,8 +32,8 @@ fn extract_writes_what_its_statistics_count() {
     }
 }
 
-/// At an isovalue that no sample has: where the surface meets a sample, crossings of several edges are one point, and a file
-/// cannot tell them apart.
+/// Uses an isovalue that no sample has. At a sample with the isovalue, the crossings of several edges are one point, which a file cannot
+/// tell apart.
 #[test]
 fn the_vertices_of_a_file_are_those_that_the_statistics_count() {
     if !server::has_device() {

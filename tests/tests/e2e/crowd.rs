@@ -20,7 +20,7 @@ use crate::support::{ball, process};
 
 /// Followers; `ISOPEEL_FOLLOWERS` has another number.
 const FOLLOWERS: usize = 100;
-/// Edits of the leader before anybody follows, and while they do.
+/// Edits of the leader before there are followers, and while there are.
 const EDITS: usize = 4;
 /// Between the end of an edit and the next.
 const PAUSE: Duration = Duration::from_millis(300);
@@ -58,7 +58,7 @@ async fn until(socket: &mut Socket, name: &str) -> Value {
     }
 }
 
-/// One who follows: says when it has the first of each isovalue, until the group ends.
+/// A follower: sends the time at which it has the first surface of each isovalue, until the group ends.
 async fn follow(address: SocketAddr, group: String, seen: mpsc::Sender<(u64, Instant)>) {
     let mut socket = connect(address, Some("isopeel.v2")).await.expect("a handshake");
     say(&mut socket, json!({"type": "join", "group": group})).await;
@@ -87,12 +87,12 @@ fn percentile(times: &mut [Duration], percent: usize) -> Duration {
     times[(times.len() * percent / 100).min(times.len() - 1)]
 }
 
-/// Isovalues that nobody has seen.
+/// Isovalues that no viewer has been shown before.
 fn iso(n: usize) -> f64 {
     2.0 + n as f64 * 0.75
 }
 
-/// A server with the ball, a group of it, and those who follow.
+/// A server with the ball, a group on it, and its followers.
 struct Crowd {
     server: Process,
     leader: Socket,

@@ -26,7 +26,7 @@ fn server_line(page: &str) -> Vec<String> {
     line.expect("a line").split_whitespace().map(str::to_owned).collect()
 }
 
-/// Runs lines of bash in a folder, where `isopeel` is the binary under test; returns what they print.
+/// Runs lines of bash in a folder, with the binary under test as `isopeel`; returns what they print.
 fn bash(folder: &Path, lines: &str) -> String {
     let programs = folder.join("bin");
     std::fs::create_dir_all(&programs).expect("a folder");

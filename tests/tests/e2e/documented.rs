@@ -164,7 +164,8 @@ const COMMANDS: &[(&str, &[(&str, How)])] = &[
     ]),
 ];
 
-/// The commands of a page, in their order: indented lines, joined where they go on, and the first line of each block of bash.
+/// The commands of a page, in their order: indented lines, joined if they continue on the next line, and the first line of each block of
+/// bash.
 fn commands_of(page: &Path) -> Vec<String> {
     let text = std::fs::read_to_string(page).unwrap_or_else(|error| panic!("{}: {error}", page.display()));
     let (mut found, mut fence) = (Vec::new(), None::<bool>);

@@ -1,4 +1,4 @@
-//! Edits on top of edits: what is sent again and what is not, who supersedes whom.
+//! Edits on top of edits: what is sent again and what is not, and which edit supersedes which.
 
 use std::collections::{HashMap, HashSet};
 use std::time::Duration;
@@ -87,7 +87,7 @@ async fn a_storm_of_edits_is_merged_and_ends_at_the_last() {
     viewer
         .send_all(isovalues.chain([90.0]).map(|iso| plain(iso, 0.1)))
         .await;
-    // An edit before it may be done too, where its first prefix is its final surface.
+    // An earlier edit may be done too, if its first prefix is its final surface.
     let mut statistics = viewer.until_done().await;
     while statistics["fullTriangles"] != expected["fullTriangles"] {
         statistics = viewer.until_done().await;

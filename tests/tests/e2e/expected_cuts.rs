@@ -1,5 +1,5 @@
-//! Counts from an independent float64 implementation, by the command line. Volumes of the paper's kind are larger than a
-//! repository should be: their tests are ignored unless asked for (`make test-volumes`), and then fail where a file is missing.
+//! Counts from an independent float64 implementation, by the command line. Volumes of the paper's kind are larger than a repository should
+//! be. Their tests are ignored unless they are requested (`make test-volumes`), and then fail if a file is missing.
 
 use std::ffi::OsStr;
 use std::path::PathBuf;

@@ -26,7 +26,7 @@ struct Faulty {
 }
 
 impl Faulty {
-    /// With a ball beside the demo; `None` where there is no device.
+    /// Starts a server with a ball beside the demo; `None` if there is no device.
     fn start() -> Option<Self> {
         if !server::has_device() {
             return None;
@@ -140,7 +140,7 @@ async fn a_device_that_is_lost_is_opened_again_and_nobody_has_to_ask_twice() {
     assert!(edited < LIMIT, "{edited:?}");
     assert_ne!(counts(&again), counts(&shown), "another isovalue");
     assert_eq!(counts(&viewer.edit(json!({"iso": 100})).await), counts(&shown));
-    // A volume that nobody looks at is loaded when it is asked for.
+    // A volume without viewers is loaded when it is requested.
     let start = Instant::now();
     let after = extract(address, 0.0);
     let loaded = start.elapsed();

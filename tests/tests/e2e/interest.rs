@@ -10,7 +10,7 @@ use crate::support::files::FileMesh;
 use crate::support::viewer::Viewer;
 use crate::support::{ball, command, demo, demo_file, files, http, mesh, server};
 
-/// Where regions of interest lie in the tests: centre and radius, world units.
+/// A region of interest of the tests: centre and radius, world units.
 type Sphere = ([f64; 3], f64);
 
 /// On the smooth side of the ball, whose surface is at a distance of 50 from its middle.
@@ -71,7 +71,7 @@ fn extract(volume: &Path, options: &str, folder: &Path) -> (Value, FileMesh) {
     (statistics, mesh)
 }
 
-/// V - E + F of a closed surface, where each triangle has three halves of edges.
+/// V - E + F of a closed surface; each triangle has three halves of edges.
 fn characteristic(statistics: &Value) -> i64 {
     let [vertices, triangles] = ["vertices", "triangles"].map(|name| count(statistics, name) as i64);
     vertices - triangles / 2
@@ -128,7 +128,7 @@ fn regions_are_in_world_coordinates() {
     }
 }
 
-/// β is compared with the importance, so nothing is merged where that is above it.
+/// β is compared with the importance, so nothing is merged in regions whose importance is above β.
 #[test]
 fn beta_merges_nothing_in_a_region_of_more_importance() {
     let Some(address) = server::shared() else { return };

@@ -1,4 +1,4 @@
-//! Batch jobs that are interrupted, and go on: commands that end, servers that start again below those who watch, disks that are full.
+//! Batch jobs that are interrupted, and go on: commands that end, servers that restart while clients watch, disks that are full.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -18,7 +18,7 @@ use crate::support::{command, http, process, server};
 const LIMIT: Duration = Duration::from_secs(60);
 /// Extractions of a job: many more than are made before it is interrupted for the last time.
 const EXTRACTIONS: usize = 100;
-/// Those of one that is watched: a server that starts again makes it for a second before whoever watches is back.
+/// Extractions of a job that is watched: a server that restarts makes extractions for a second before the watching client reconnects.
 const WATCHED_EXTRACTIONS: usize = 400;
 
 #[track_caller]
@@ -93,7 +93,7 @@ fn a_batch_that_is_interrupted_goes_on_and_makes_nothing_anew() {
             ),
         }
         let mut now = results(&folder);
-        // Whether the last one was noted nobody knows.
+        // It is unknown whether the last one was recorded.
         now.pop_last();
         for (n, before) in &known {
             assert_eq!(now.get(n), Some(before), "extraction {n}");
@@ -207,7 +207,7 @@ fn who_watches_a_job_goes_on_where_a_server_starts_again() {
     }
 }
 
-/// The library that makes a disk full where a file says so.
+/// Returns the library that makes a disk full if a file says so.
 fn full_disk(folder: &Path) -> PathBuf {
     let (source, shim) = (
         concat!(env!("CARGO_MANIFEST_DIR"), "/../server/src/jobs/faults.c"),
@@ -254,7 +254,7 @@ fn a_job_that_a_full_disk_stops_says_so_and_goes_on() {
     let job = http::get(address, &path).json();
     assert_eq!(job["state"], "running", "{job}");
     assert!(job["extractions"]["done"].as_u64() < Some(EXTRACTIONS as u64), "{job}");
-    // One who comes in the middle is told too.
+    // A client that connects during the pause is told too.
     let during = follow();
     std::thread::sleep(Duration::from_millis(500));
     std::fs::remove_file(&full).expect("removed");

@@ -346,7 +346,7 @@ fn an_input_that_changes_ends_the_job() {
         (&json!("failed"), &json!("input-changed")),
         "{job}"
     );
-    // Where the clock of the file system has not moved meanwhile, only its content tells.
+    // If the clock of the file system has not advanced meanwhile, only the content shows the change.
     let detail = job["error"]["detail"].as_str().expect("a text");
     let expected =
         ["it was written", "its content changed"].map(|how| format!("ball.npy: {how} since the job was submitted"));
@@ -444,7 +444,7 @@ fn a_request_file_above_the_limit_is_refused_with_both_sizes() {
         let padded = bytes.clone() + &" ".repeat(length - bytes.len());
         std::fs::write(&file, padded).expect("written");
     };
-    // Nobody listens on this port.
+    // No server listens on this port.
     let submit = ["jobs", "--server", "http://127.0.0.1:9", "submit"].map(std::ffi::OsStr::new);
     let batch = ["batch", "-o", "/nowhere"].map(std::ffi::OsStr::new);
     for arguments in [&submit[..], &batch] {

@@ -163,7 +163,7 @@ fn kills_lose_nothing_and_double_nothing() {
     );
 }
 
-/// Checks that each request is one job, with all results, and their bytes those of an extraction that nobody disturbs.
+/// Checks that each request is one job with all results, and that their bytes are those of an undisturbed extraction.
 fn check_jobs(address: SocketAddr, requests: &[(String, Value)], known: &HashMap<String, String>) {
     let mut bytes = HashMap::new();
     for (key, request) in requests {

@@ -267,7 +267,7 @@ async fn fields_of_expressions_stay_within_the_hosts_memory_and_edits_go_on() {
         assert_eq!(answer.expect("no panic").status, 200, "{field}");
         peak = peak.max(server.resident_bytes());
         if n % 4 == 3 {
-            // Fails where an edit is refused.
+            // Fails if an edit is refused.
             viewer.edit(json!({"iso": 80 + n})).await;
         }
     }

@@ -1,4 +1,4 @@
-//! What the server counts, for those who watch it, and what edits and options are called in its log.
+//! Metrics of the server, and the names of edits and options in its log.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener};
@@ -10,7 +10,7 @@ use crate::support::frame::Frame;
 use crate::support::viewer::Viewer;
 use crate::support::{command, http, process};
 
-/// An address that nobody listens on.
+/// Returns an address on which no server listens.
 fn free_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("an address");
     listener.local_addr().expect("an address")

@@ -240,7 +240,7 @@ async fn converse(address: SocketAddr, said: Vec<u8>) {
     check_frames(&heard[head..]);
 }
 
-/// Sends a request, and checks the head of the answer where there is one.
+/// Sends a request, and checks the head of the answer if there is one.
 async fn ask(address: SocketAddr, asked: Vec<u8>) {
     let mut socket = TcpStream::connect(address).await.expect("the server listens");
     let _ = socket.write_all(&asked).await;
@@ -309,7 +309,7 @@ where
     );
 }
 
-/// The server is as it was: nobody is counted who has left, an edit is shown, and nothing has panicked.
+/// Checks that the server is as it was: no viewer that has left is counted, an edit is shown, and nothing has panicked.
 async fn check(server: &Process, log: &Path) {
     let begun = Instant::now();
     let viewers = || counted(&metrics_of(server.address), "isopeel_viewers", "");

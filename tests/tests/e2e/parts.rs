@@ -45,7 +45,7 @@ fn count(statistics: &Value, name: &str) -> u64 {
         .unwrap_or_else(|| panic!("{name} in {statistics}"))
 }
 
-/// V - E + F of a closed surface, where each triangle has three halves of edges.
+/// V - E + F of a closed surface; each triangle has three halves of edges.
 fn characteristic(statistics: &Value) -> i64 {
     let [vertices, triangles] = ["vertices", "triangles"].map(|name| count(statistics, name) as i64);
     vertices - triangles / 2

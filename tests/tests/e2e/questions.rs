@@ -185,7 +185,7 @@ async fn surfaces_are_where_the_curve_says() {
         let rms = number(&done["estimatedError"]["rms"]) / number(&point["rms"]);
         assert!((rms - 1.0).abs() < 0.2, "{point}: {done}");
     }
-    // Where β decides there are cubes.
+    // If β decides, the cut is one of cubes.
     viewer.edit(json!({"beta": 0.05})).await;
     let (_, curve) = viewer.ask(json!({"type": "curve"})).await;
     assert_eq!((&curve["kind"], &curve["byError"]), (&json!("cubes"), &json!(false)));

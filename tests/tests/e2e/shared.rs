@@ -78,7 +78,8 @@ async fn eight_viewers_of_one_view_are_as_much_work_as_one() {
     let alone = look(server.address).await;
     let once = made(server.address);
     assert!(once.iter().all(|&count| count > 0.0), "{once:?}");
-    // One who comes later causes nothing more, but on a busy machine, where the line is slow at times, steps of the same chunks.
+    // A later viewer causes no more work. On a busy machine the connection is slow at times; then there may be more steps of the same
+    // chunks.
     let later = look(server.address).await;
     let twice = made(server.address);
     assert_eq!([twice[0], twice[2]], [once[0], once[2]], "{twice:?}, {once:?}");
@@ -160,7 +161,7 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     }
     println!("an export of what is shown {shared:?}, of another isovalue {own:?}");
 
-    // It has an address, by which it is the same file; who has it already causes nothing.
+    // It has an address, by which it is the same file. A client that has it already causes no work.
     let path = "/api/v1/extract?volume=ball&format=stl&iso=3";
     let file = http::get(address, path);
     let posted = http::post_json(
@@ -193,7 +194,7 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     assert_eq!(shown(path, "*").problem(400), "bad-request");
 }
 
-/// Where nothing is kept, who comes later has it made anew.
+/// If nothing is cached, the surface is made anew for a later viewer.
 #[tokio::test(flavor = "multi_thread")]
 async fn without_memory_for_it_nothing_is_kept() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -80,7 +80,7 @@ fn slices_of_an_expression_are_computed_from_the_fields() {
             &format!("/api/v1/volumes/{id}/slices?axis=y&index=4&field={field}{rest}"),
         )
     };
-    // As `2 * ramp + sqrt(other)`: missing where the ramp is, and where the root is of a negative number.
+    // As `2 * ramp + sqrt(other)`: missing if the ramp is missing, or the root is of a negative number.
     let answer = slice("2%20*%20ramp%20%2B%20sqrt(other)", "");
     assert_eq!(answer.status, 200);
     let expected = json!({

@@ -117,7 +117,7 @@ async fn a_follower_on_a_slow_line_has_the_coding_that_takes_less() {
     slow.until_done().await;
     let coded = slow.shown.values().filter(|chunk| chunk.is_predictive).count();
     assert!(2 * coded > slow.shown.len(), "{coded} of {} chunks", slow.shown.len());
-    // Who leads ends the group.
+    // The leader ends the group.
     leader.close().await;
 }
 

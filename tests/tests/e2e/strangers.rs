@@ -1,4 +1,4 @@
-//! Strangers who reach the port: other names, half requests, broken frames, floods, exports that nobody waits for.
+//! Strangers who reach the port: other names, half requests, broken frames, floods, exports whose client has left.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -188,7 +188,7 @@ async fn errors_name_no_folders() {
     }
 }
 
-/// Who may write to a folder that is served reads with it what only the server may read, if the server follows links.
+/// If the server follows links, a user who may write to a folder that is served can read files that only the server may read.
 #[test]
 fn links_out_of_a_folder_are_followed_where_that_is_asked_for_alone() {
     let [folder, outside] = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
@@ -359,7 +359,7 @@ async fn exports_hold_up_no_viewer() {
     let beside = first_commits_after(&mut viewer, 10, pause).await;
     let slowest = beside[beside.len() - 1];
     println!("first commits alone {alone:?}, beside exports {beside:?}");
-    // Wide, for other tests run beside this one. Where exports had no turns of their own, it was 17 s.
+    // The limit is wide, for other tests run beside this one. When exports had no turns of their own, it was 17 s.
     assert!(
         median(&beside) < 5 * median(&alone),
         "{alone:?}, beside exports {beside:?}"

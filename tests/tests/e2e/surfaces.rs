@@ -62,7 +62,7 @@ fn assert_same(one: &HashMap<[u32; 3], Chunk>, other: &HashMap<[u32; 3], Chunk>)
     }
 }
 
-/// Where the budget does not couple them, each surface has the bytes that it has alone.
+/// If the budget does not couple them, each surface has the same bytes as it has alone.
 #[tokio::test]
 async fn surfaces_are_what_they_are_alone() {
     let Some(address) = server::shared() else { return };

@@ -63,7 +63,7 @@ fn an_upload_goes_on_after_lost_connections_and_kills() {
         sent += part;
         assert_eq!(user.offset(&path), sent);
     }
-    // A connection that hangs: asking where to go on ends it, and what it has brought counts.
+    // A connection that hangs: a request for the offset ends it, and the bytes that it has brought count.
     let hanging = send_half(&user, &path, sent, 2_000, &volume[sent..sent + 1_000]);
     std::thread::sleep(Duration::from_millis(100));
     assert_eq!(user.offset(&path), sent + 1_000);
@@ -237,7 +237,7 @@ async fn nobody_sees_what_another_has_brought() {
             bob.post("/api/v1/extract", &export(&id)),
             bob.post("/api/v1/extract", &export(&nothing)),
         ),
-        // Also where the client says that it has the file.
+        // Even if the client says that it has the file.
         (
             bob.ask("GET", &address(&id), &had, b""),
             bob.ask("GET", &address(&nothing), &had, b""),

@@ -70,7 +70,7 @@ export const COLOR_MAPS = {
 /** `vik`, `rdbu` and `puor` are diverging, for values on both sides of one in the middle; the others go from low to high. */
 export type ColorMapName = keyof typeof COLOR_MAPS;
 
-/** From none to far: light where most of a surface lies, so that its shape is seen, and darker all the way. */
+/** From none to far: light at the distances that most of a surface has, so that its shape is seen, and darker all the way. */
 // prettier-ignore
 export const DISTANCE_COLORS: ColorStops = [
   "#f5f992", "#f3e55d", "#f9cb35", "#fcb216", "#fb9906", "#f68013", "#ee6a24", "#e25734", "#d34743", "#c13a50", "#ae305c",

@@ -1,6 +1,6 @@
 /** The boundary of the part of a mesh that is decoded: directed edges, linked to loops (PROTOCOL.md, section 4.1). Pure. */
 
-/** Where the third vertex of a triangle is. */
+/** Kinds of place that the third vertex of a triangle has. */
 export const THIRD = { new: 0, right: 1, left: 2, other: 3 } as const;
 export type Third = (typeof THIRD)[keyof typeof THIRD];
 

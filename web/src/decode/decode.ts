@@ -59,6 +59,6 @@ export function decodeChunk(decoder: MeshDecoder, header: ChunkHeader, frame: Ar
   return { vertices, indices: narrow(indices, vertexCount) };
 }
 
-/** In 16 bits where the vertices allow. */
+/** Indices of 16 bits if there are few enough vertices, else of 32 bits. */
 const narrow = (indices: Uint32Array<ArrayBuffer>, vertexCount: number): DecodedChunk["indices"] =>
   vertexCount <= 0x10000 ? Uint16Array.from(indices) : indices;

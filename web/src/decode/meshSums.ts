@@ -1,9 +1,9 @@
 /**
  * Area and enclosed volume of a surface, summed up over the meshes of its regions. Pure.
  *
- * The volume is that of the divergence theorem: the sum of the tetrahedra between each triangle and one point, with their signs. It is
- * a volume only where the surface has no border. Positions are multiples of one lattice in all regions, so that a border is found
- * exactly: the edges that are not passed as often in one direction as in the other.
+ * The volume is that of the divergence theorem: the sum of the tetrahedra between each triangle and one point, with their signs. It is a
+ * volume only if the surface has no border. Positions are multiples of one lattice in all regions, so that a border is found exactly: the
+ * edges that are not passed as often in one direction as in the other.
  */
 
 import { REGION_CELLS } from "../protocol/generated";
@@ -13,7 +13,7 @@ import { evenOf, type Uneven } from "../world/uneven";
 export interface MeshSums {
   /** World units squared. */
   readonly area: number;
-  /** World units cubed; below 0 where the surface turns its inner side out. It means nothing where there are border edges. */
+  /** World units cubed; below 0 if the surface turns its inner side out. It means nothing if there are border edges. */
   readonly volume: number;
   /** Edges that have more triangles on one side than on the other. */
   readonly borderEdges: number;
@@ -34,12 +34,12 @@ const STRIDE = 6;
 /** Positions that borders have, at most. */
 const MAX_POINTS = 2 ** 26;
 
-/** What a step along each axis of the even grid is in the world. */
+/** World vectors of one step along each axis of the even grid. */
 export type WorldAxes = readonly [Vec3, Vec3, Vec3];
 
 export class MeshSummation {
   private readonly scale: number;
-  /** Where tetrahedra end: near the surface, for the digits. In the even grid. */
+  /** The apex of all tetrahedra: near the surface, for the digits. In the even grid. */
   private origin: Vec3 | undefined;
   private area = 0;
   /** In cells of the even grid, six times. */
@@ -98,7 +98,7 @@ function pointsOf({ vertices, region, lattice }: SummedMesh, uneven: Uneven | un
  * @param count of vertices
  */
 function* openEdges(indices: SummedMesh["indices"], count: number): Generator<readonly [number, number, number]> {
-  // Twice the number of the edge, one more where it is passed backwards. Below 2^53, for a region has less than 2^20 vertices.
+  // Twice the number of the edge, one more if it is passed backwards. Below 2^53, for a region has less than 2^20 vertices.
   const passed = new Float64Array(indices.length);
   for (let i = 0; i < indices.length; i += 1) {
     const from = indices[i] ?? 0;

@@ -9,7 +9,7 @@ const WORDS = 6;
 /** Contexts of positions, and of features. */
 const SIZES = 12;
 const DIFFERENCES = 10;
-/** Triangles around a vertex that are told apart, at most. */
+/** Maximum number of triangles around a vertex that are distinguished. */
 const MAX_COUNT = 7;
 /** Positions that planes predict are within this. */
 const MAX_PREDICTED = 65536;
@@ -274,7 +274,7 @@ class PredictiveDecoder {
     this.vertices[first + x] = this.parallelogram(a, b, o, x) + this.reader.number(this.across, size);
     this.vertices[first + y] = this.parallelogram(a, b, o, y) + this.reader.number(this.across, size);
     const mean = Math.floor((this.inPlane(vertex, a, x, y, depth) + this.inPlane(vertex, b, x, y, depth)) * 0.5 + 0.5);
-    // Where there is no normal it is no number.
+    // If there is no normal, `mean` is not a number, and the comparison is false.
     const predicted = Math.abs(mean) <= MAX_PREDICTED ? mean : this.parallelogram(a, b, o, depth);
     this.vertices[first + depth] = predicted + this.reader.number(this.depth, size);
   }
@@ -283,7 +283,7 @@ class PredictiveDecoder {
     return (7 * (this.position(a, axis) + this.position(b, axis)) - 6 * this.position(o, axis) + 4) >> 3;
   }
 
-  /** Where the plane of one end of the edge is along the axis `depth`, beside a vertex. */
+  /** Coordinate along the axis `depth`, at a vertex' `x` and `y`, of the plane through one end of the edge. */
   private inPlane(vertex: number, end: number, x: number, y: number, depth: number): number {
     const { edgeNormal: normal } = this;
     const rise =

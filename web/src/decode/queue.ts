@@ -69,7 +69,7 @@ export class DecodeQueue {
   /**
    * Area and volume of the surface that these chunks are, which were decoded and not dropped.
    * @param axes what a step along each axis of the index space is in the world
-   * @throws where one of them is not there any more
+   * @throws if one of them is not there any more
    */
   sum(ids: readonly number[], axes: WorldAxes, uneven?: Uneven): Promise<MeshSums> {
     const ticket = ++this.lastTicket;

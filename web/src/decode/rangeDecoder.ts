@@ -9,7 +9,7 @@ const HIGH_BITS = 0xff << 24;
 const SIGN = 1 << 31;
 /** Bits after which a model learns no slower. */
 const MAX_SEEN = 100;
-/** How fast a model learns after so many bits, in units of 1/2¹⁶. */
+/** How fast a model learns, by the number of bits that it has seen, in units of 1/2¹⁶. */
 const RATES = Uint16Array.from({ length: MAX_SEEN + 1 }, (_, seen) => Math.floor((2 << 16) / (2 * seen + 5)));
 
 /** Bits of the largest magnitude of a number. */

@@ -1,4 +1,4 @@
-/** What the decoding worker does: decodes chunks, keeps them as they came while they are in use, and sums up surfaces. */
+/** The decoding worker: decodes chunks, keeps them as they came while they are in use, and sums up surfaces. */
 
 import { readChunkHeader } from "../protocol/chunk";
 import type { Uneven } from "../world/uneven";
@@ -18,7 +18,7 @@ export type DecodeReply =
   | { readonly type: "summed"; readonly ticket: number; readonly sums: MeshSums }
   | { readonly type: "unsummed"; readonly ticket: number; readonly error: string };
 
-/** Sums are made for so long, then chunks that came meanwhile are decoded. */
+/** Longest time for which sums are made before chunks that came meanwhile are decoded. */
 const TURN_MS = 20;
 
 const text = (error: unknown) => (error instanceof Error ? error.message : String(error));

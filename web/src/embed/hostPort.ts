@@ -1,14 +1,14 @@
-/** The line to the page around this one: messages are taken from the origins that may speak, and from its window alone. */
+/** The channel to the embedding page: only messages of its window are accepted, and only from allowed origins. */
 
 import { idOf, isForIsopeel, readRequest, VERSION, type HostRequest } from "./requests";
 
-/** Events that the page around receives. */
+/** Events that the embedding page receives. */
 export type HostEvent =
   /** Requests are answered from now on. */
   | { readonly type: "ready"; readonly volumes: readonly { readonly id: string; readonly title: string }[] }
   /** The final surface is on screen. */
   | ({ readonly type: "settled" } & PageState)
-  /** A token is asked for: there is none, or none that the server takes any more, or none soon. */
+  /** Requests a token: there is none, the server no longer accepts it, or it ends soon. */
   | { readonly type: "token"; readonly reason: "wanted" | "expiring" | "expired" }
   /** A message to the user about something that failed. */
   | { readonly type: "error"; readonly message: string };
@@ -20,7 +20,7 @@ export interface PageState {
   /** The final surface is on screen. */
   readonly settled: boolean;
   readonly triangles: number;
-  /** Of the surface that is not decimated; `null` where it is not known yet. */
+  /** Of the surface that is not decimated; `null` if it is not known yet. */
   readonly fullTriangles: number | null;
 }
 
@@ -35,12 +35,12 @@ const MAX_PENDING = 8;
 
 export class HostPort {
   private pending = 0;
-  /** Origin of the page around, once it is known to be one that may speak. */
+  /** Origin of the embedding page, once it is known to be an allowed one. */
   private host: string | undefined;
 
   /**
-   * @param around origin of the page around, where the browser tells it
-   * @param answer what a request of an origin is answered with; where it throws, its message
+   * @param around origin of the embedding page, if the browser tells it
+   * @param answer returns the answer to a request of an origin; if it throws, the answer is the error's message
    */
   constructor(
     private readonly page: PageWindow,

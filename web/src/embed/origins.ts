@@ -1,6 +1,6 @@
 /** Which pages may speak to an embedded one. Pure. */
 
-/** What the address of an embedded page says: `?embed&origin=https://example.org`. */
+/** Options in the address of an embedded page: `?embed&origin=https://example.org`. */
 export interface EmbedOptions {
   /** Origins of pages that may speak to this one: its own, and those that the address names. */
   readonly origins: readonly string[];
@@ -11,7 +11,7 @@ export interface EmbedOptions {
 /**
  * @param search of the address, with its `?`
  * @param own origin of the page itself
- * @returns `undefined` where the page is not to be embedded
+ * @returns `undefined` if the page is not to be embedded
  */
 export function embedOptions(search: string, own: string): EmbedOptions | undefined {
   const query = new URLSearchParams(search);

@@ -1,4 +1,4 @@
-/** What a page around this one may ask for, read and checked: docs/embedding.md. Pure. */
+/** Requests of the embedding page, read and checked: docs/embedding.md. Pure. */
 
 import type { Pose } from "../state/look";
 import type { Vec3 } from "../protocol/types";
@@ -29,16 +29,16 @@ export type HostRequest =
   | { readonly type: "set"; readonly link: string }
   /** Some names of a link; `null`: as the volume opens. */
   | { readonly type: "change"; readonly values: ReadonlyMap<string, string | null> }
-  /** Where the camera is, or shall be. */
+  /** Moves the camera to a pose or view, if there is one; the answer is the camera's pose. */
   | { readonly type: "camera"; readonly to: Pose | (typeof VIEWS)[number] | undefined }
   | { readonly type: "image"; readonly image: ImageRequest }
   /** To be shown to the server from now on. */
   | { readonly type: "token"; readonly token: string };
 
-/** What the answer names, so that the other page knows to what it belongs. */
+/** Id of a request. The answer repeats it, so that the embedding page can match the two. */
 export type RequestId = string | number;
 
-/** What was wrong with a request, for those who wrote it. */
+/** What was wrong with a request, for the authors of the embedding page. */
 export class RequestError extends Error {
   override readonly name = "RequestError";
 }
@@ -50,7 +50,7 @@ export function isForIsopeel(data: unknown): data is Fields {
   return typeof data === "object" && data !== null && Object.hasOwn(data, "isopeel");
 }
 
-/** `undefined` where there is none that can be given back. */
+/** The request's id; `undefined` if it has none that can be returned. */
 export function idOf({ id }: Fields): RequestId | undefined {
   return typeof id === "string" || typeof id === "number" ? id : undefined;
 }
@@ -128,7 +128,7 @@ function readImage({ scale = 1, transparent = false, colorBar = true, scaleBar =
   };
 }
 
-/** What was sent is not repeated in an error, as it may be most of a token. */
+/** An error does not repeat what was sent, which may be most of a token. */
 function readToken({ token }: Fields): HostRequest {
   if (typeof token !== "string" || token.length > LONGEST_TOKEN || !/^[\x21-\x7e]+$/.test(token)) {
     throw new RequestError("token is none, expected the text that POST /api/v1/embed-tokens has answered with");

@@ -8,7 +8,7 @@ import { composeImage, type ImageParts } from "./compose";
 export interface TurntableRequest {
   /** Pictures of a whole turn. */
   readonly frames: number;
-  /** Where the turn begins; it goes around the world's third axis through the target. */
+  /** First pose of the turn; it goes around the world's third axis through the target. */
   readonly from: CameraPose;
   readonly parts: ImageParts;
   /** Pictures made so far. */

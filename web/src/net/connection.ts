@@ -10,7 +10,7 @@ export interface ConnectionHandlers {
   readonly onOpen: () => void;
   readonly onText: (text: string) => void;
   readonly onBinary: (frame: ArrayBuffer) => void;
-  /** `reason`: for the user, why the socket closed, where that is known. */
+  /** `reason`: for the user, why the socket closed, if that is known. */
   readonly onState: (state: ConnectionState, reason: string | undefined) => void;
 }
 
@@ -46,10 +46,10 @@ export class Connection {
   private openedAt = Infinity;
   private stopped = false;
   private sent = 0;
-  /** Counts the addresses that were asked for: an earlier one is of no use any more. */
+  /** Counts the addresses that were requested: an earlier one is ignored when it comes. */
   private attempt = 0;
 
-  /** @param address where the next socket is opened; rejected where there is no such address now */
+  /** @param address returns the address at which the next socket is opened; it is rejected if there is none now */
   constructor(
     private readonly address: () => string | Promise<string>,
     private readonly handlers: ConnectionHandlers,
@@ -78,7 +78,7 @@ export class Connection {
     return true;
   }
 
-  /** The server sends something within this time, again and again: if it does not, the socket is of no use. */
+  /** The server promises to send something at least this often. If several of these messages are missing, the socket counts as dead. */
   expectWithin(seconds: number): void {
     this.heartbeat.promised(seconds);
   }

@@ -1,6 +1,6 @@
 /**
- * The token that the page around this one has handed over: in the memory of this page alone, never in an address, a cookie or a store. Without one the
- * browser sends its cookie. Whoever asks the server for something does it by `request`.
+ * The token that the embedding page has handed over. It is kept in the memory of this page alone, never in an address, a cookie or a store.
+ * Without a token the browser sends its cookie. All requests to the server go through `request`.
  */
 
 import type { SessionInfo } from "../protocol/types";
@@ -12,7 +12,9 @@ export function holdsToken(): boolean {
   return held !== undefined;
 }
 
-/** `fetch`, with the token if there is one. Then the cookie of somebody who has signed in here before stays out of it: it may be for more. */
+/**
+ * `fetch`, with the token if there is one. With a token the cookie of a user who has signed in here before is not sent: it may allow more.
+ */
 export function request(url: URL, options: RequestInit = {}, token = held): Promise<Response> {
   if (token === undefined) return fetch(url, options);
   const headers = new Headers(options.headers);
@@ -24,7 +26,7 @@ export function request(url: URL, options: RequestInit = {}, token = held): Prom
  * Uses a token from now on.
  *
  * @returns what it is for, and how long
- * @throws where the server does not take it; then the one before stays
+ * @throws if the server does not accept it; then the previous token stays
  */
 export async function hold(base: URL, token: string): Promise<SessionInfo> {
   const response = await request(new URL("api/v1/session", base), {}, token);
@@ -42,12 +44,12 @@ export function streamUrl(base: URL): URL {
   return url;
 }
 
-/** Where a stream is opened. A browser sends no header with it: a ticket, which is of use once, stands for the token. */
+/** Address at which a stream is opened. A browser sends no header with it, so a ticket, which is valid once, stands for the token. */
 export function streamAddress(stream: URL): string | Promise<string> {
   return held === undefined ? stream.href : withTicket(stream);
 }
 
-/** @throws where the server gives none */
+/** @throws if the server issues no ticket */
 async function withTicket(stream: URL): Promise<string> {
   const tickets = new URL("tickets", stream);
   tickets.protocol = stream.protocol === "wss:" ? "https:" : "http:";

@@ -9,7 +9,7 @@ export interface GlbPart {
   readonly file: ArrayBuffer;
 }
 
-/** What the server's files have of glTF 2.0, as far as it is read here. */
+/** The subset of glTF 2.0 that the server writes, as far as it is read here. */
 interface Document {
   readonly asset: { readonly generator?: string; readonly extras?: unknown };
   /** One, which turns the volume's positions into glTF's. */

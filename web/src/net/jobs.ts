@@ -21,13 +21,13 @@ export async function listJobs(base: URL): Promise<readonly JobInfo[]> {
   return (await (await ask(address(base), {})).json()) as readonly JobInfo[];
 }
 
-/** @param key the same request with the same key makes one job, also where the first answer was lost */
+/** @param key the same request with the same key makes one job, even if the first answer was lost */
 export async function submitJob(base: URL, wanted: JobRequest, key: string): Promise<JobInfo> {
   const headers = { "content-type": "application/json", "idempotency-key": key };
   return (await (await ask(address(base), { method: "POST", headers, body: JSON.stringify(wanted) })).json()) as JobInfo;
 }
 
-/** What it has made stays. */
+/** Cancels a job; the results that it has made stay. */
 export async function cancelJob(base: URL, id: string): Promise<void> {
   await ask(address(base, `/${id}/cancel`), { method: "POST" });
 }
@@ -38,10 +38,11 @@ export async function removeJob(base: URL, id: string): Promise<void> {
 }
 
 /**
- * Its results: the file itself where there is one, else a zip of them. Files are named by the volume, their numbers and isovalues.
+ * Fetches the results of a job: the file itself if there is one, else a zip of them. Files are named by the volume, their numbers and
+ * isovalues.
  *
  * @param volume its name in files
- * @throws where there is none, or more than a page holds
+ * @throws if there is none, or there is more than a page holds
  */
 export async function fetchResults(base: URL, { id, extractions, bytes }: JobInfo, volume: string): Promise<{ readonly name: string; readonly file: Blob }> {
   if (bytes > MAX_FETCHED_BYTES) throw new Error(`the results have ${bytes} bytes, more than a page can hold: isopeel jobs fetch ${id}`);

@@ -6,7 +6,7 @@
 import { ASKED_CODINGS } from "../protocol/chunk";
 import type { ClientMessage } from "../protocol/generated";
 
-/** A group, and what it is led again with; known to nobody else. */
+/** A group, and the secret key with which this tab takes the lead of it again. */
 export interface Leading {
   readonly group: string;
   readonly key: string;

@@ -9,7 +9,7 @@ const LIST_LIMIT_MS = 15_000;
 /**
  * Volumes the server has.
  *
- * @throws also where not all of it is there in time
+ * @throws also if the answer is not complete in time
  */
 export async function listVolumes(base: URL, limitMs = LIST_LIMIT_MS): Promise<readonly VolumeSummary[]> {
   const signal = AbortSignal.timeout(limitMs);
@@ -39,7 +39,7 @@ export async function extract(base: URL, volume: string, step: number, format: s
   return response.blob();
 }
 
-/** @throws with the server's own words where it refuses */
+/** @throws with the server's own message if it refuses */
 export async function ask(url: URL, request: RequestInit): Promise<Response> {
   return checked(url, await send(url, request));
 }

@@ -21,7 +21,7 @@ export function withoutToken(href: string): { readonly href: string; readonly to
   return { href: rest, token: value };
 }
 
-/** Why somebody who came back from the issuer was not let in. */
+/** Why a user who came back from the issuer was not let in. */
 let refusal: string | undefined;
 
 /** Takes a refusal out of the page's address. Before that is read as a link. */
@@ -42,7 +42,7 @@ export async function enter(base: URL): Promise<void> {
   await fetch(new URL("api/v1/session", base), shown).catch(() => undefined);
 }
 
-/** By whom people sign in, and where. */
+/** The issuer at which users sign in, and the address for it. */
 export interface SignIn {
   readonly issuer: string;
   readonly href: string;
@@ -58,7 +58,7 @@ export async function signInOf(base: URL): Promise<SignIn | undefined> {
   return signIn === null ? undefined : { issuer: signIn.issuer, href: new URL(signIn.login, base).href, refusal };
 }
 
-/** Ends the session, here and where the issuer says. */
+/** Ends the session here, and at the address that the issuer names. */
 export async function signOut(base: URL): Promise<void> {
   const response = await fetch(new URL("api/v1/session", base), { method: "DELETE" });
   const answer = response.ok ? ((await response.json()) as { endSession: string | null }) : undefined;
@@ -66,7 +66,7 @@ export async function signOut(base: URL): Promise<void> {
   else window.location.reload();
 }
 
-/** What this page may do; `undefined` where the server is away, or older than this. */
+/** What this page may do; `undefined` if the server cannot be reached, or is too old to have this endpoint. */
 export async function sessionOf(base: URL): Promise<SessionInfo | "refused" | undefined> {
   const response = await request(new URL("api/v1/session", base)).catch(() => undefined);
   if (response?.status === 401) return "refused";
@@ -81,7 +81,7 @@ export async function isRefused(base: URL): Promise<boolean> {
 /**
  * Origins of pages that may have this one in a frame, its own among them.
  *
- * @throws where the server is away
+ * @throws if the server cannot be reached
  */
 export async function embedOrigins(base: URL): Promise<readonly string[]> {
   const response = await ask(new URL("api/v1/embed", base), {});

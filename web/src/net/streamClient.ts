@@ -15,7 +15,7 @@ import { Throttle } from "./throttle";
 const EDIT_INTERVAL_MS = 50;
 
 export interface StreamClientHandlers {
-  /** `reason`: why the connection was closed, where that is known. */
+  /** `reason`: why the connection was closed, if that is known. */
   readonly onState: (state: ConnectionState, reason: string | undefined) => void;
   /** To the server this client holds nothing any more: the next prefix is a whole surface. */
   readonly onReset: () => void;
@@ -46,7 +46,7 @@ export class StreamClient {
   private target: { readonly volume: string; readonly step: number } | undefined;
   /** By their numbers; none until the first `opened` of the target. */
   private readonly surfaces = new Map<number, WantedSurface>();
-  /** What a new surface begins with. */
+  /** The view that the volume opens with: the view of a new surface is derived from it. */
   private opening: View | undefined;
   /** The server has answered the last `open`. */
   private opened = false;
@@ -133,7 +133,7 @@ export class StreamClient {
     this.connection.retryNow();
   }
 
-  /** Connects anew, or at once where a pause is running. */
+  /** Connects anew. If a pause before the next attempt is running, it ends at once. */
   reconnect(): void {
     if (this.connection.isWaiting) this.retryNow();
     else this.restart();
@@ -146,8 +146,8 @@ export class StreamClient {
   }
 
   /**
-   * Opens a volume at a time step. Another step of the open volume keeps the edits, and what is held of its surfaces where the server
-   * allows it; another volume starts with its own.
+   * Opens a volume at a time step. Another step of the open volume keeps the edits, and, if the server allows it, what is held of its
+   * surfaces; another volume starts with its own.
    */
   open(volume: string, step: number): void {
     if (this.isLed) return;
@@ -311,7 +311,7 @@ export class StreamClient {
     return true;
   }
 
-  /** Whoever may not edit is shown what the volume opens with, where a link has other values: an edit without any is not refused. */
+  /** Shows the volume's opening view if the user may not edit, even if a link has other values: an edit without values is not refused. */
   private look(): boolean {
     if (!this.opened || this.isShown) return false;
     this.isShown = true;
@@ -319,7 +319,7 @@ export class StreamClient {
     return true;
   }
 
-  /** The server starts from its own values; the user's replace them, where there are any. */
+  /** The server starts from its own values; the user's replace them, if there are any. */
   private repeat(message: Extract<ServerMessage, { type: "opened" }>): void {
     this.opening = message.edit;
     // A server from before time steps had a message of their own does not say it.
@@ -327,7 +327,7 @@ export class StreamClient {
     if (this.isLed) return this.adopt(message);
     const before = this.surfaces.get(0)?.view ?? {};
     const view = { ...message.edit, ...before };
-    // The server has surface 0 alone. Where it was removed, the others are the user's.
+    // The server has surface 0 alone. If it was removed, the remaining surfaces are the user's.
     for (const [surface, wanted] of this.surfaces) wanted.isMade = surface === 0;
     if (this.surfaces.size === 0 || this.surfaces.has(0)) this.surfaces.set(0, { view, unsent: undefined, isMade: true });
     // What the page edits as soon as it knows the volume (a link's values) is part of the first edits.
@@ -344,7 +344,7 @@ export class StreamClient {
     this.leadAgain();
   }
 
-  /** Nothing where all values are those that the volume opens with: whoever may only look is refused an edit that has some. */
+  /** Returns an empty edit if all values are those that the volume opens with: a user who may only look is refused any other edit. */
   private changed(opening: View, edit: Edit): Edit {
     const names = Object.keys(edit) as (keyof Edit)[];
     return names.every((name) => JSON.stringify(edit[name]) === JSON.stringify(opening[name])) ? {} : edit;
@@ -386,7 +386,7 @@ export class StreamClient {
   }
 
   private sendEdit(surface: number, edit: Edit): void {
-    // Surface 0 is meant where none is named.
+    // Without a number, the edit is of surface 0.
     const of = surface === 0 ? {} : { surface };
     if (!this.send({ type: "edit", ...of, ...edit })) return;
     const wanted = this.surfaces.get(surface);

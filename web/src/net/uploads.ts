@@ -37,7 +37,7 @@ export async function removeUpload(base: URL, id: string): Promise<void> {
 /**
  * Sends files and returns the upload that they became. The same files again go on where an earlier page has stopped.
  *
- * @throws with the server's own words where it refuses; an `AbortError` when `signal` ends it, and the upload is removed
+ * @throws with the server's own message if it refuses; an `AbortError` when `signal` ends it, and the upload is removed
  */
 export async function upload(base: URL, files: readonly NamedFile[], signal: AbortSignal, onProgress: (phase: UploadPhase, sent: number) => void): Promise<UploadInfo> {
   onProgress("declaring", 0);
@@ -108,7 +108,7 @@ export function isPassing(status: number): boolean {
 
 const LOST = "the connection to the server was lost for too long; drop the same files again to go on";
 
-/** The server's own words, where it has said some. */
+/** The server's own message, if it has sent one. */
 function wordsOf(error: Error): string {
   const response = (error as Partial<DetailedError>).originalResponse;
   try {

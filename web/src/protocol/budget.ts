@@ -9,7 +9,7 @@ export function hasBudget({ triangles, bytes }: Budget): boolean {
   return triangles !== undefined || bytes !== undefined;
 }
 
-/** The view with another one's budget in place of its own; as it is where no budget is in force for it. */
+/** Returns the view with this budget in place of its own; unchanged if no budget is in force for it. */
 export function withBudget(view: View, { triangles, bytes }: Budget): View {
   return hasBudget(view) ? { ...view, triangles, bytes } : view;
 }

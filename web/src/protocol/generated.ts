@@ -18,17 +18,17 @@ export const EXPRESSION_FUNCTIONS = ["abs", "sqrt", "exp", "log", "log2", "log10
 /** What a surface is annotated with. */
 export type Annotation = "error" | "error-around";
 
-/** What positions along an axis are. */
+/** Meaning of the positions along an axis. */
 export type AxisInfo = {
   /** Name in the file. */
   name: string,
   /** Unit of the positions, as the file says it. */
   unit: string | null,
-  /** What they are: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`. */
+  /** Their kind: `longitude`, `latitude`, `depth`, `height`, `pressure` or `other`. */
   kind: string,
-  /** Position of each sample, where the world's coordinates count samples; null: the world's coordinate along the axis is the position. */
+  /** Position of each sample, if the world's coordinates count samples; null: the world's coordinate along the axis is the position. */
   positions: Array<number> | null,
-  /** Positions grow downwards: where `positions` is null they are the world's coordinates times −1. */
+  /** Whether positions grow downwards: if `positions` is null, they are then the world's coordinates times −1. */
   pointsDown: boolean,
 };
 
@@ -40,7 +40,7 @@ export type Box = {
   max: [number, number, number],
 };
 
-/** Where a camera is and what it looks at, in the world. */
+/** Position and target of a camera, in the world. */
 export type Camera = {
   /** Its own position. */
   position: [number, number, number],
@@ -77,27 +77,27 @@ export type Cause = {
 };
 
 /**
- * Parts of the surface, those that nothing connects. Each position, in world coordinates, chooses the part whose surface is next to it;
- * where there is none in the two cells around, it chooses nothing. 1 to 64 positions.
+ * Parts (connected components) of the surface. Each position, in world coordinates, chooses the part whose surface is nearest to it; if
+ * there is no surface in the two cells around it, the position chooses nothing. 1 to 64 positions.
  */
 export type ChosenParts = { "hide": Array<[number, number, number]> } | { "keep": Array<[number, number, number]> };
 
 /** What a chunk's triangles are; the wire has it as a number in chunks and as text in messages. */
 export type ChunkKind = "cut" | "error";
 
-/** What `clean`, or `cap`, has changed. */
+/** Changes made by `clean` or `cap`. */
 export type Cleaned = {
   /** Pairs of triangles that intersected in the file's numbers, after the cut was refined. */
   intersections: number,
-  /** Triangles before the cut was refined where triangles intersect. The budget holds before and after. */
+  /** Triangles before the cut was refined at intersecting triangles. The budget holds before and after. */
   trianglesBefore: number,
-  /** Triangles after that. */
+  /** Triangles after the refinement. */
   trianglesAfter: number,
-  /** Cuts that were made after the first one; 0 also of a surface that is no cut of the vertex tree. */
+  /** Cuts that were made after the first one; 0 also if the surface is not a cut of the vertex tree. */
   rounds: number,
   /** Vertices that were moved, because their triangles still intersected. */
   movedVertices: number,
-  /** Farthest that one was moved, in the file's unit. */
+  /** Largest distance by which a vertex was moved, in the file's unit. */
   largestMove: number,
 };
 
@@ -161,7 +161,7 @@ export type ClientMessage = { "type": "open",
 
 /** One control point. */
 export type ControlPoint = {
-  /** Where on the blended feature, 0 to 1. */
+  /** Position on the blended feature, 0 to 1. */
   x: number,
   /** Importance there, 0 to 1. */
   importance: number,
@@ -180,15 +180,15 @@ export type CurvePoint = {
 };
 
 /**
- * A feature computed from a field or from three. Its values are described where they were computed before: always those of
- * `gradient-magnitude`.
+ * A feature computed from one field or from three. Its values are described only if they have been computed before; those of
+ * `gradient-magnitude` always are.
  */
 export type DerivedInfo = {
-  /** Unit of the values, where the field's is declared. */
+  /** Unit of the values; null if it depends on units of fields that are not declared, or that differ. */
   unit: string | null,
-  /** Minimum and maximum, where they are known. */
+  /** Minimum and maximum, if they are known. */
   range?: [number, number],
-  /** Distribution of the values, where it is known. */
+  /** Distribution of the values, if it is known. */
   histogram?: Histogram,
 };
 
@@ -202,14 +202,14 @@ export type Edit = {
   /** Field whose isosurface is shown, or an expression over fields such as `log(rho)`. */
   field?: string,
   /**
-   * Where the surface may be: at samples where a field of the volume has certain values, `labels==3`; null: everywhere. Cells that touch
-   * others have no surface, as beside missing samples.
+   * Restricts the surface to samples at which a field of the volume has certain values, `labels==3`; null: no restriction. Cells that
+   * touch other samples have no surface, as beside missing samples.
    */
   mask?: string | null,
   /**
    * Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
-   * fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, the distance to where a condition holds,
-   * such as `distance(labels==3)`, or `none`.
+   * fields such as `divergence(u,v,w)`, an expression over fields such as `magnitude(u,v,w)`, the distance to the nearest sample at
+   * which a condition holds, such as `distance(labels==3)`, or `none`.
    */
   feature?: string,
   /** Feature values that become 0 and 1, in the feature's units; the feature's own range when never given. */
@@ -256,11 +256,11 @@ export type Edit = {
   maxLevel?: number,
   /** Importance and colour over the blended feature. */
   transferFunction?: TransferFunction,
-  /** Regions of interest, at most 64: where importance is raised. They take the place of those before. */
+  /** Regions of interest, in which importance is raised, at most 64. They replace those set before. */
   interest?: Array<Interest>,
 };
 
-/** Who may have the viewer in a frame. */
+/** Pages that may have the viewer in a frame. */
 export type EmbedInfo = {
   /** Origins of pages that may, beside those of the server itself; they alone may hand a token to it. */
   origins: Array<string>,
@@ -277,13 +277,13 @@ export type Estimate = {
 };
 
 /**
- * Distance of a mesh from the surface it stands for, in world units, as the quadrics of its leaves estimate it. Known before
- * anything is measured, and no bound: vertices may be farther away.
+ * Distance of a mesh from the surface it stands for, in world units, as estimated by the quadrics of its leaves. Known before anything is
+ * measured, and not a bound: vertices may be farther away.
  */
 export type EstimatedError = {
   /** Root mean square over the surface. */
   rms: number,
-  /** The root mean square of the leaf with the largest one. */
+  /** Root mean square of the worst leaf. */
   worstLeaf: number,
 };
 
@@ -303,22 +303,19 @@ export type FieldInfo = {
   name: string,
   /** Type of the samples on the device: `u8`, `i8`, `u16`, `i16` or `f32`. */
   type: string,
-  /** Type of the samples in the file, as its format names it; absent where a feature is computed. */
+  /** Type of the samples in the file, as its format names it; absent for computed values. */
   storedType?: string,
-  /** Unit of the values, where the file declares one. */
+  /** Unit of the values, if the file declares one. */
   unit: string | null,
-  /** What values of this field mean, where it is one of labels and the file says it; in ascending order. */
+  /** Meaning of the values, in ascending order, if this is a field of labels and the file describes them. */
   labels?: Array<Label>,
-  /** Least and greatest value. */
+  /** Minimum and maximum. */
   range: [number, number],
   /** Distribution of the values. */
   histogram: Histogram,
-  /** The isovalue that this field opens with, unless the volume brings one along; absent where this is a feature. */
+  /** Isovalue that this field opens with, unless the volume comes with one; absent if this is a feature. */
   openingIso?: OpeningIso,
-  /**
-   * The features that are computed from this field where its isosurface is made, by their names in edits; empty where this
-   * is a feature itself.
-   */
+  /** Features that are computed from this field when its isosurface is made, by their names in edits; empty if this is a feature itself. */
   derivedFeatures: { [key in string]: DerivedInfo },
 };
 
@@ -336,15 +333,15 @@ export type FieldValue = {
 export type Follower = {
   /** Its number in the group, 1 or more. */
   number: number,
-  /** What it has called itself; null where it has not. */
+  /** The name that it has given itself; null if it has given none. */
   name: string | null,
   /** Whether it asks for control. */
   asks: boolean,
 };
 
 /**
- * Where samples lie: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`, with `positions[axis]` of the index in place of
- * `spacing[axis] · index[axis]` where there are any.
+ * Positions of samples: `world = origin + Σ direction[axis] · spacing[axis] · index[axis]`. Along an axis with `positions`, the entry of
+ * `positions[axis]` at the index takes the place of `spacing[axis] · index[axis]`.
  */
 export type Geometry = {
   /** Samples along x (fastest), y, z. */
@@ -352,9 +349,9 @@ export type Geometry = {
   /** World units between samples; along an uneven axis their mean. */
   spacing: [number, number, number],
   /**
-   * Of each sample along the axes x, y, z that are not even, ascending, world units from the first one; null for an even axis. Absent
-   * where all are even. Distances, areas and errors of surfaces are then bounds from above: those in a grid whose cells are all as
-   * large as the largest along each axis.
+   * Position of each sample along the uneven axes among x, y, z, ascending, world units from the first one; null for an even axis.
+   * Absent if all axes are even. If present, distances, areas and errors of surfaces are upper bounds: those in a grid whose cells are
+   * all as large as the largest along each axis.
    */
   positions?: [Array<number> | null, Array<number> | null, Array<number> | null],
   /** World position of sample (0, 0, 0). */
@@ -362,11 +359,11 @@ export type Geometry = {
   /** Unit vectors of the axes x, y, z in the world. */
   direction: [[number, number, number], [number, number, number], [number, number, number]],
   /**
-   * Directions of the world's axes: `LPS` (of a patient: left, back, head), `RAS` (right, front, head), `world` where the file
-   * does not say, `index` where positions count samples.
+   * Directions of the world's axes: `LPS` (of a patient: left, back, head), `RAS` (right, front, head), `world` if the file does not
+   * say, `index` if positions count samples.
    */
   frame: string,
-  /** Unit of lengths in the world, such as `mm`, where the file says it. */
+  /** Unit of lengths in the world, such as `mm`, if the file states it. */
   unit: string | null,
 };
 
@@ -375,11 +372,11 @@ export type GuardName = "max-error" | "topology";
 
 /** How often values occur, in equal bins. */
 export type Histogram = {
-  /** Where the first bin begins. */
+  /** Lower bound of the first bin. */
   min: number,
-  /** Where the last bin ends. */
+  /** Upper bound of the last bin. */
   max: number,
-  /** Samples in each of the 256 bins; of a volume of more than 2^27 samples those of a share of its planes. */
+  /** Samples in each of the 256 bins; for a volume of more than 2^27 samples, only samples of a share of its planes. */
   counts: Array<number>,
 };
 
@@ -402,9 +399,9 @@ export type JobInfo = {
   id: string,
   /** Id of its volume. */
   volume: string,
-  /** Where it is. */
+  /** Its state. */
   state: JobState,
-  /** Why it stands still at the moment, where it does: `disk-full` or `storage`. It goes on by itself. */
+  /** Why it is paused at the moment, if it is: `disk-full` or `storage`. It goes on by itself. */
   paused?: string,
   /** Its extractions. */
   extractions: Progress,
@@ -426,14 +423,14 @@ export type JobInfo = {
   failures?: Array<Failure>,
 };
 
-/** Where a batch job is. */
+/** State of a batch job. */
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
 
 /** A label: a value of a field, and what it means. */
 export type Label = {
   /** Value of the samples, as edits use it. */
   value: number,
-  /** The number in the file, where it is another one: 32-bit floats do not hold all numbers above 16777216. */
+  /** Number in the file, if it differs from `value`: 32-bit floats do not hold all numbers above 16777216. */
   stored?: string,
   /** Name for people. */
   name: string | null,
@@ -444,7 +441,7 @@ export type Label = {
 /** What the leaves of a surface are. */
 export type LeafKind = "cubes" | "tree";
 
-/** A surface of whoever has control. */
+/** A surface of the member in control. */
 export type LedSurface = {
   /** Its number. */
   surface: number,
@@ -455,7 +452,7 @@ export type LedSurface = {
 /** Guard on the error: how far a decimated part may be from the surface it stands for. In JSON a distance, null or `none`, or `auto`. */
 export type MaxError = number | string | null;
 
-/** Distance of a mesh from the surface it stands for, as it was measured, in world units. */
+/** Measured distance of a mesh from the surface it stands for, in world units. */
 export type MeasuredError = {
   /** Root mean square. */
   rms: number,
@@ -488,7 +485,7 @@ export type NearestSurface = {
   blended: number,
   /** Importance. */
   importance: number,
-  /** The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known. */
+  /** The leaf that stands for it in the surface that is shown; null if that surface has none there, or if the leaf is not known. */
   leaf: NearestLeaf | null,
   /**
    * Number of its part in the full surface: the same at all places of one part, as long as isovalue, field and guards stay; null as
@@ -496,8 +493,8 @@ export type NearestSurface = {
    */
   part: number | null,
   /**
-   * Area of its part in the full surface, world units; null where it is of none, and where parts are not known: the surface is no tree
-   * cut, or it is large and no part of it was removed yet.
+   * Area of its part in the full surface, world units; null if it belongs to no part, and if parts are not known: the surface is not a
+   * cut of the tree, or it is large and no part of it has been removed yet.
    */
   partArea: number | null,
 };
@@ -518,7 +515,7 @@ export type OpeningIso = {
 /** Which side of a surface is its outside: the one that its triangles and normals show. */
 export type Outward = "auto" | "high" | "low";
 
-/** What the page of whoever has control shows beside its surfaces. */
+/** What the page of the member in control shows beside its surfaces. */
 export type Pose = {
   /** Its camera. */
   camera?: Camera,
@@ -526,7 +523,7 @@ export type Pose = {
   page?: string,
 };
 
-/** How far a device is with what comes before its first surface. */
+/** Progress of the steps before a device's first surface. */
 export type Preparation = {
   /** Steps that are done. */
   done: number,
@@ -553,7 +550,7 @@ export type Problem = {
    * `uploads-off` or `wrong-offset`.
    */
   code: string,
-  /** With `too-large`, where the surface has too many triangles: a budget (`triangles`) that would be answered. */
+  /** If the surface has more triangles than a limit (`too-large`) or its budget (`over-budget`) allows: a budget (`triangles`) to try. */
   suggestedTriangles?: number,
 };
 
@@ -563,7 +560,7 @@ export type Progress = {
   total: number,
   /** With a result. */
   done: number,
-  /** Without one, after three attempts or at once where others would not help. */
+  /** Without a result, after three attempts, or after the first if others would not help. */
   failed: number,
   /** Without one, because the surface has no triangles. */
   empty: number,
@@ -615,7 +612,7 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "stepped",
   /** Which one. */
   step: number,
-  /** It for people, where the file has times. */
+  /** Its time as text for people, if the file has times. */
   label: string | null,
 } | { "type": "described",
   /** As `GET /api/v1/volumes/{id}` of that step. */
@@ -671,7 +668,7 @@ export type ServerMessage = { "type": "opening",
 } | { "type": "probed",
   /** Number of the surface. */
   surface: number,
-  /** Of which edit; 0 where no surface is shown. */
+  /** Generation of the surface that was probed; 0 if no surface is shown. */
   generation: number,
   /** The position, in the world. */
   position: [number, number, number],
@@ -679,7 +676,7 @@ export type ServerMessage = { "type": "opening",
   inside: boolean,
   /** Every field there; none outside. */
   values: Array<FieldValue>,
-  /** The surface next to it; null where there is none within two cells. */
+  /** The surface next to it; null if there is none within two cells. */
   nearest: NearestSurface | null,
 } | { "type": "distribution",
   /** Number of the surface. */
@@ -692,7 +689,7 @@ export type ServerMessage = { "type": "opening",
   bins: Array<number>,
   /** Of these, those whose leaf stands for others too. */
   coarse: Array<number>,
-  /** Their share in all. */
+  /** Share of `coarse` in all vertices. */
   coarseShare: number,
 } | { "type": "curve",
   /** Number of the surface. */
@@ -766,7 +763,7 @@ export type ServerMessage = { "type": "opening",
   open: boolean,
   /** Number of the surface whose generation failed. */
   surface?: number,
-  /** With `too-large`, where the surface has too many triangles: a budget that is within the limit. */
+  /** With `too-large`, if the surface has too many triangles: a budget that is within the limit. */
   suggestedTriangles?: number,
 };
 
@@ -774,7 +771,7 @@ export type ServerMessage = { "type": "opening",
 export type SessionInfo = {
   /** All that it may do: `edit` has `view` beside it, and `admin` all. */
   roles: Array<Role>,
-  /** Seconds after which its token is of no use any more; `null`: there is no such time. */
+  /** Seconds until its token expires; `null`: it does not expire. */
   expiresSeconds: number | null,
   /** Whether it may have batch jobs made: the server keeps some (`--state-folder`), and the client has the role `export`. */
   jobs: boolean,
@@ -784,17 +781,20 @@ export type SessionInfo = {
 
 /** The shape of the surface in a file. */
 export type Shape = {
-  /** The side that triangles and normals show: that of high or that of low values. */
+  /** The side that triangles and normals face: that of high or that of low values. */
   outward: Outward,
-  /** Vertices of the file beside those of the surface: where sheets touch, each has vertices of its own. */
+  /** Vertices of the file beyond those of the surface: sheets that touch get vertices of their own. */
   splitVertices: number,
   /** Whether each edge has two triangles. */
   isClosed: boolean,
   /** The volume that a closed surface encloses, in cubes of the file's unit. */
   volume: number | null,
-  /** Pairs of triangles that have more in common than corners and edges. Null: not counted, because the error was not measured and neither `clean` nor `cap` asks for the count. */
+  /**
+   * Pairs of triangles that share more than corners and edges. Null: not counted, because the error was not measured and neither `clean`
+   * nor `cap` asks for the count.
+   */
   selfIntersections: number | null,
-  /** What the repair cost, of the whole surface (`clean`) or at its caps (`cap`). Null: neither was asked for. */
+  /** Cost of the repair, of the whole surface (`clean`) or at its caps (`cap`). Null: neither was asked for. */
   cleaned: Cleaned | null,
 };
 
@@ -834,7 +834,7 @@ export type Statistics = {
   topology: TopologyName,
   /** Values of the feature that count as 0 and 1: as given, or its own range. Null: no feature. */
   featureRange: [number, number] | null,
-  /** Guards that were `auto` and gave way to the budget, in this order: first the error, then the topology. */
+  /** Guards that were `auto` and were relaxed to keep the budget, in this order: first the error, then the topology. */
   gaveWay: Array<GuardName>,
   /** Whether this is a cut of the vertex tree, or else of the octree. */
   isTreeCut: boolean,
@@ -850,8 +850,8 @@ export type Statistics = {
   /** Triangles of the undecimated surface by the mesher of this one, without removed parts. Null: not counted. */
   mesherTriangles: number | null,
   /**
-   * Parts that were removed, because of `minPart` or `parts`. Null: none were to be, or this is a cut of the octree, which
-   * has them all.
+   * Parts that were removed, because of `minPart` or `parts`. Null: removal was not asked for, or this is a cut of the octree, which
+   * contains all parts.
    */
   removedParts: number | null,
   /**
@@ -859,7 +859,7 @@ export type Statistics = {
    * `removedParts`.
    */
   removedTriangles: number | null,
-  /** Positions of `parts` with no surface next to them, which chose nothing. Null as `removedParts`. */
+  /** Positions of `parts` with no surface next to them, which selected nothing. Null as `removedParts`. */
   unmatchedPositions: number | null,
   /** Cells that the surface crosses. */
   activeCells: number,
@@ -867,17 +867,17 @@ export type Statistics = {
   leaves: [number, number, number, number, number, number],
   /** Triangles of this surface. */
   triangles: number,
-  /** Different vertices of this surface: what regions share counts once. */
+  /** Distinct vertices of this surface: a vertex shared by regions counts once. */
   vertices: number,
-  /** Decimated cubes whose corners all have one sign: they emit nothing. */
+  /** Decimated cubes whose corners all have the same sign: they emit no triangles. */
   lostCubes: number,
-  /** Vertices on a coarser leaf's face where that leaf has no segment to move to. */
+  /** Vertices on a coarser leaf's face that stayed, because that leaf has no segment there to move to. */
   unpatchedVertices: number,
   /** Device time by stage, milliseconds by the device's own events. */
   stagesMs: { [key in string]: number },
-  /** Milliseconds from the start of the work to the surface; neither waiting for the device nor reading files is in it. */
+  /** Milliseconds from the start of the work to the surface, without time spent waiting for the device or reading files. */
   wallMs: number,
-  /** Most bytes allocated on the device beyond resident volumes. */
+  /** Peak of bytes allocated on the device beyond resident volumes. */
   deviceBytes: number,
   /** Bytes of the resident volumes this surface was made from. */
   volumeBytes: number,
@@ -889,24 +889,24 @@ export type Statistics = {
   notices?: Array<string>,
 };
 
-/** An edit and the number of the surface that it is for, 0 where it is left out. */
+/** An edit and the number of the surface that it is for; 0 if it is left out. */
 export type SurfaceEdit = { surface?: number } & Edit;
 
-/** When the time steps are. */
+/** Times of the steps. */
 export type Times = {
   /** The described step, for people: `1850-01-16`, `12.5 s`, `step 007`. */
   label: string,
-  /** The same of every step, where there are at most 1024. */
+  /** Labels of all steps, if there are at most 1024. */
   labels: Array<string> | null,
-  /** What times count: a unit (`s`), or since when (`days since 1850-01-01`); null where the file does not say. */
+  /** What times count: a unit (`s`), or a unit and a reference date (`days since 1850-01-01`); null if the file does not say. */
   unit: string | null,
-  /** The calendar of dates, as CF names it; null where times are no dates. */
+  /** Calendar of the dates, by its name in CF; null if times are not dates. */
   calendar: string | null,
-  /** Time of step 0; null where it is no number. */
+  /** Time of step 0; null if it is not a finite number. */
   start: number | null,
-  /** Time between steps, where it is always the same. */
+  /** Time between steps, if it is constant. */
   spacing: number | null,
-  /** Time of every step, where that is not even and there are at most 1024 steps; null in it where one is no number. */
+  /** Time of every step, if steps are uneven and there are at most 1024; an entry is null if the time is not a number. */
   values: Array<number> | null,
 };
 
@@ -938,13 +938,13 @@ export type UploadInfo = {
   title: string,
   /** Whose it is. */
   owner: string,
-  /** Where it is. */
+  /** Its state. */
   state: UploadState,
   /** Number of its files. */
   files: number,
   /** Bytes in all, as they were declared. */
   bytes: number,
-  /** Bytes that are there: where to go on. */
+  /** Bytes that are there: the offset at which to continue. */
   receivedBytes: number,
   /** When it was made, RFC 3339. */
   created: string,
@@ -952,7 +952,7 @@ export type UploadInfo = {
   expires: string,
   /** Ids of its volumes, once they are there. */
   volumes: Array<string>,
-  /** Why it could not be read as a volume, where that was tried. */
+  /** Why it could not be read as a volume, if that was tried. */
   error: string | null,
 };
 
@@ -966,7 +966,7 @@ export type UploadList = {
   uploads: Array<UploadInfo>,
 };
 
-/** Where an upload is. */
+/** State of an upload. */
 export type UploadState = "receiving" | "ready";
 
 /** Three fields that are the components of a vector. */
@@ -977,37 +977,34 @@ export type VectorInfo = {
   features: { [key in string]: DerivedInfo },
 };
 
-/** A volume: what the editor needs to know of one time step. */
+/** A volume: the description of one time step for the editor. */
 export type VolumeInfo = {
   /** Stable name in URLs and messages. */
   id: string,
   /** Name for people. */
   title: string,
-  /** Where the samples lie. */
+  /** Positions of the samples. */
   geometry: Geometry,
   /** Time steps, at least 1. */
   steps: number,
-  /** The time step that ranges and histograms speak of. */
+  /** The time step that ranges and histograms describe. */
   step: number,
-  /** What positions along the axes x, y and z are, null where the file does not say it; absent where it says it of none. */
+  /** Meaning of the positions along the axes x, y and z; null for an axis that the file does not describe; absent if it describes none. */
   axes?: [AxisInfo | null, AxisInfo | null, AxisInfo | null],
-  /** When the steps are, where the file says it and there are several. */
+  /** Times of the steps, if the file states them and there are several steps. */
   times: Times | null,
   /** Fields, the main one first. */
   fields: Array<FieldInfo>,
-  /**
-   * Features to choose from besides `none` whose values are known: those derived from a field (here from the main one), then every
-   * field.
-   */
+  /** Features, besides `none`, whose values are known: those derived from a field (here from the main one), then every field. */
   features: Array<FieldInfo>,
   /** Vector fields, known by the names of their components, with the features that are computed from them. */
   vectors: Array<VectorInfo>,
   /**
-   * What is to be shown beside the data, a line each: copyright and source; what the file's reader repaired, assumed or interpolated; and
-   * values that the device's type does not hold, once they were read.
+   * Notices to be shown with the data, one a line: copyright and source; what the file's reader repaired, assumed or interpolated; and
+   * values that the device's type cannot hold, once they were read.
    */
   notice: string | null,
-  /** What the viewer opens with, where the volume brings it along. */
+  /** Edit that the viewer opens with, if the volume comes with one. */
   opening: Edit | null,
 };
 

@@ -17,7 +17,7 @@ export class Asker {
     private readonly ask: (question: Question) => void,
   ) {}
 
-  /** Something changed: what is due is asked a moment later, and later still where that changes. */
+  /** Something changed: questions that are due are asked after a short delay, which starts again if they change meanwhile. */
   follow(): void {
     const due = this.due();
     const waitsFor = due.map(({ question, key }) => question.type + key).join();

@@ -1,4 +1,4 @@
-/** The pointer over the picture: where it rests, and what is clicked. Drags stay the camera's. */
+/** The pointer over the picture: its resting place, and clicks. Drags are left to the camera. */
 
 import type { Place } from "./prober";
 

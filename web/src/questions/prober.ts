@@ -1,4 +1,4 @@
-/** What lies under the pointer: the scene says where on the surface it is, the server what is known of that place. */
+/** Probes the surface under the pointer: the scene finds the position on the surface, the server tells what is known of that position. */
 
 import type { Probed, Question, Vec3 } from "../protocol/types";
 
@@ -15,7 +15,7 @@ export interface ProberHandlers {
   /** The nearest point of a surface at a place of the page. */
   readonly pick: (place: Place) => Promise<Found | undefined>;
   readonly ask: (question: Question) => void;
-  /** What is known of the place last pointed at; `undefined` where no surface is there. */
+  /** What is known of the place last pointed at; `undefined` if there is no surface there. */
   readonly onProbed: (probed: Probed | undefined) => void;
 }
 
@@ -25,7 +25,7 @@ const INTERVAL_MS = 80;
 const GIVE_UP_MS = 3000;
 
 export class Prober {
-  /** Where the pointer is; of several the latest is looked at. */
+  /** Place of the pointer; of several only the latest is probed. */
   private next: Place | undefined;
   /** What is under way is for this turn of the pointer; when it has left, nothing is shown. */
   private turn = 0;
@@ -50,7 +50,7 @@ export class Prober {
     this.handlers.onProbed(undefined);
   }
 
-  /** Where on a surface a place of the page is. */
+  /** Finds the position on a surface at a place of the page. */
   locate(place: Place): Promise<Found | undefined> {
     return this.handlers.pick(place);
   }
@@ -66,7 +66,7 @@ export class Prober {
     }
   }
 
-  /** The numbers of the parts at places of a surface, one after the other; `null` where there is none, or the server does not say. */
+  /** The numbers of the parts at places of a surface, one after the other; `null` if there is none, or the server does not say. */
   async partsAt(places: readonly Vec3[], surface: number): Promise<readonly (number | null)[]> {
     this.clicked += 1;
     try {

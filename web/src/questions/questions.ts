@@ -1,4 +1,4 @@
-/** Joins stream, scene and page where something is asked about the surface on screen. */
+/** Joins stream, scene and page to ask questions about the surface on screen. */
 
 import type { Curve, Distribution, Probed, Question, ServerMessage, Vec3 } from "../protocol/types";
 import { dueQuestions, type DueQuestion } from "../state/answers";
@@ -94,7 +94,10 @@ export class Questions {
     return isCurve || message.type === "probed";
   }
 
-  /** What is not known: for cards of the selected surface, and where colours are to show distances, of the surface that has these colours. */
+  /**
+   * Questions whose answers are missing: for the cards of the selected surface, and, if colours show distances, for the surfaces that have
+   * these colours.
+   */
   private due(): readonly DueQuestion[] {
     const { isEmbedded, look, surfaces, viewer } = this.store;
     return [...(isEmbedded ? [] : dueQuestions(viewer, ["curve", "distribution"])), ...(look.colorBy === "error" ? dueErrors(viewer, surfaces) : [])];

@@ -14,7 +14,7 @@ export interface Annotation {
   readonly values: readonly Float32Array<ArrayBuffer>[];
 }
 
-/** Where one chunk of an annotation belongs. */
+/** The surface and generation of one chunk of an annotation, with its values. */
 interface Part {
   readonly surface: number;
   readonly generation: number;
@@ -43,7 +43,7 @@ export class Annotations {
 
   /**
    * @param id the mesh of the region; `undefined`: this client has none, because it lost its graphics device meanwhile
-   * @throws SequenceError where no annotation was announced that it could be a part of
+   * @throws SequenceError if no annotation was announced that it could be a part of
    */
   add({ surface, generation, values }: Part, id: ChunkId | undefined, isShown: boolean): void {
     const { open } = this;

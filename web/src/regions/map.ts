@@ -80,7 +80,7 @@ export class SequenceError extends Error {
 
 /** State of the map; changed by `reduce` alone. */
 export interface RegionMap {
-  /** What is on screen. */
+  /** The regions on screen. */
   readonly shown: Map<RegionKey, ChunkId>;
   /** Oldest first; only the last may be uncommitted. */
   readonly pending: PendingPrefix[];

@@ -13,7 +13,7 @@ import { Annotations, type Annotation } from "./annotations";
 import { heldChunk, type ChunkId } from "./map";
 import { areSettled, reduceSurfaces, type SurfaceEffects, type SurfaceEvent, type SurfaceMaps, type SurfaceSwap } from "./surfaces";
 
-/** What the pipeline needs of the scene. */
+/** The part of the scene that the pipeline uses. */
 export interface RegionScene {
   /** `surface`: the number of the surface that the mesh is of. */
   upload(id: ChunkId, data: RegionMeshData, surface: number): void;

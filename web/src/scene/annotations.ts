@@ -1,4 +1,4 @@
-/** What is drawn besides the surface and tells where things are: axes cube, scale bar, bounding box, markers, handles. */
+/** What is drawn besides the surface, for orientation: axes cube, scale bar, bounding box, markers, handles. */
 
 import type { Box3, OrthographicCamera, PerspectiveCamera, Scene } from "three";
 import type { AxisName } from "../world/axes";
@@ -22,7 +22,7 @@ export interface AnnotationChoice {
   readonly axes: boolean;
   readonly scale: boolean;
   readonly box: boolean;
-  /** Handles of the clip plane and box, where there are any. */
+  /** Handles of the clip plane and box, if there are any. */
   readonly handles: boolean;
 }
 
@@ -147,7 +147,7 @@ export class Annotations {
   }
 
   /**
-   * Brings all of it to where the camera is.
+   * Brings all of it into line with the camera.
    * @param depth of the surface at the centre, at which the scale bar holds
    */
   update(camera: PerspectiveCamera | OrthographicCamera, box: Box3, clip: Clip, depth: number): void {

@@ -75,8 +75,8 @@ export class BoundingBox {
 }
 
 /**
- * Of the four edges along an axis one at the outline of the box as it is seen, so that its numbers lie beside the picture: the lowest, and of
- * the upright ones the leftmost. None where the axis is seen end on.
+ * Of the four edges along an axis one at the outline of the box as it is seen, so that its numbers lie beside the picture: the lowest, and
+ * of the upright ones the leftmost. None if the axis is seen end on.
  */
 function tickedEdge(axis: 0 | 1 | 2, box: Box3, camera: Camera): { readonly at: Vector3; readonly outward: Vector3 } | undefined {
   const center = box.getCenter(new Vector3());

@@ -96,7 +96,7 @@ export class SceneCamera implements Zooming {
     return this.projectionInUse === "perspective" ? this.perspective : this.orthographic;
   }
 
-  /** A plain object that `restore` takes; while the camera moves, where it is now. */
+  /** A plain object that `restore` takes; while the camera moves, its current pose. */
   get pose(): CameraPose {
     const target = this.controls.getTarget(new Vector3(), false).multiplyScalar(this.unit);
     return { position: this.perspective.position.toArray(), target: this.stretch.undo(target).toArray(), projection: this.projectionInUse };
@@ -204,9 +204,9 @@ export class SceneCamera implements Zooming {
   }
 
   /**
-   * What is shown: sets near and far plane closely around it, for the depth buffer's precision, and keeps the user's moves near it:
-   * the target inside of `box`, the distance between some cells and a small surface in sight. Where the camera is now is within all bounds:
-   * another surface does not move it.
+   * Sets the bounds of what is shown: near and far plane closely around it, for the depth buffer's precision, and the user's moves near it:
+   * the target inside of `box`, the distance between some cells and a small surface in sight. The camera's current pose is always within
+   * the bounds: another surface does not move it.
    * @param around what else is drawn, which may be larger
    */
   bound(box: Box3, around: Box3 = box): void {
@@ -231,7 +231,7 @@ export class SceneCamera implements Zooming {
   }
 
   /**
-   * Looks at the middle of `box` from where all `points` are in view.
+   * Looks at the middle of `box` from a distance at which all `points` are in view.
    * @param back from the target to the camera; without one the direction stays
    */
   fit(box: Box3, points: readonly Vector3[], back?: Vec3, animate = false): void {
@@ -271,7 +271,7 @@ export class SceneCamera implements Zooming {
     this.controls.draggingSmoothTime = reducedMotion.matches ? 0 : DRAG_SECONDS;
   }
 
-  /** Brings both cameras of the picture to where the handled one is. */
+  /** Moves both cameras of the picture to the position of the handled one. */
   private follow(): void {
     const target = this.controls.getTarget(new Vector3(), false).multiplyScalar(this.unit);
     const position = this.handled.position.clone().multiplyScalar(this.unit);

@@ -1,4 +1,4 @@
-/** How far before the camera the surface at the centre of the picture is, where the scale bar holds. It is looked for when the picture is still. */
+/** Depth of the surface at the centre of the picture, at which the scale bar holds. It is measured when the picture is still. */
 
 import { Vector3 } from "three";
 import type { SceneCamera } from "./camera";

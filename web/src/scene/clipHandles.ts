@@ -10,7 +10,7 @@ const KEY_STEP = 0.005;
 
 interface Handle {
   readonly name: string;
-  /** Where it is, and along which unit vector it moves. */
+  /** Its position, and the unit vector along which it moves. */
   readonly at: Vector3;
   readonly along: Vector3;
   /** Its coordinate along that vector. */
@@ -102,7 +102,7 @@ export class ClipHandles {
     return button;
   }
 
-  /** Pixels that a world unit along the handle's axis takes, to the right and down; `undefined` where the axis is seen end on. */
+  /** Pixels that a world unit along the handle's axis takes, to the right and down; `undefined` if the axis is seen end on. */
   private screenDirection({ at, along }: Handle): { readonly right: number; readonly down: number } | undefined {
     const { camera, size, step } = this;
     if (camera === undefined) return undefined;

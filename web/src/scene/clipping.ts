@@ -1,4 +1,4 @@
-/** Clip plane and clip box: planes for the shaders, and caps where they cut through a solid. */
+/** Clip plane and clip box: planes for the shaders, and caps on the cuts through solids. */
 
 import {
   BufferAttribute,
@@ -26,7 +26,7 @@ export interface Clip {
   readonly plane?: { readonly normal: Vec3; readonly offset: number } | undefined;
   /** Keeps what lies inside. */
   readonly box?: { readonly min: Vec3; readonly max: Vec3 } | undefined;
-  /** Closes solids where they are cut; else their inside is seen. */
+  /** Closes solids at the cut; else their inside is seen. */
   readonly caps: boolean;
 }
 
@@ -51,7 +51,7 @@ export interface CappedSurface {
   readonly color: string;
 }
 
-/** A little darker than the surface, so that the cut is seen where the light does not tell it apart. */
+/** A little darker than the surface, so that the cut is visible even if the light does not set it apart. */
 function capColor(color: string): string {
   return `#${new Color(color).multiplyScalar(0.62).getHexString()}`;
 }

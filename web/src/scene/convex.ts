@@ -1,4 +1,4 @@
-/** A box cut by planes: the polygons where the planes cut it. Pure. */
+/** A box cut by planes: the polygons of the cuts. Pure. */
 
 import { Plane, Vector3, type Box3 } from "three";
 
@@ -34,7 +34,8 @@ function around(all: readonly Vector3[], normal: Vector3, tolerance: number): Ve
 }
 
 /**
- * Where each plane cuts the part of the box on the positive side of all of them: a convex polygon a plane, empty where it does not.
+ * Cuts of the planes through the part of the box on the positive side of all of them: a convex polygon for each plane, empty if it does not
+ * cut.
  */
 export function cutFaces(box: Box3, planes: readonly Plane[]): Vector3[][] {
   const tolerance = 1e-9 * box.getSize(new Vector3()).length();

@@ -1,10 +1,10 @@
-/** A crosshair in the volume: a line along each of its axes through one place. Fainter where the surface hides it. */
+/** A crosshair in the volume: a line along each of its axes through one place. Fainter behind the surface. */
 
 import { AlwaysDepth, BufferAttribute, BufferGeometry, Group, LineSegments, Points } from "three";
 import { PlainMaterial } from "./plain";
 import type { Vec3 } from "./world";
 
-/** World positions: where the lines cross, and the two ends of each. */
+/** World positions: the point at which the lines cross, and the two ends of each. */
 export interface CrosshairPlace {
   readonly at: Vec3;
   readonly ends: readonly (readonly [Vec3, Vec3])[];

@@ -11,7 +11,7 @@ const TOLERANCE = 0.01;
 /** It is looked for if no frame was rendered for this time. */
 export const HIDDEN_MS = 220;
 
-/** Whether a place is behind a surface. @param depths of `ACROSS`² points, rows from below, 0 where no surface is */
+/** Whether a place is behind a surface. @param depths of `ACROSS`² points, rows from below, 0 if there is no surface */
 export function isBehind(place: Vector3, camera: Camera, depths: readonly number[]): boolean {
   const depth = -place.clone().applyMatrix4(camera.matrixWorldInverse).z;
   const { x, y } = place.clone().project(camera);

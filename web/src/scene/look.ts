@@ -18,7 +18,7 @@ export interface Look {
   readonly background: Background;
   /** Dark lines where the depth jumps. */
   readonly silhouettes: boolean;
-  /** Ambient occlusion: crevices are darker. Like silhouettes not on screen where a processor renders, but in images. */
+  /** Ambient occlusion: crevices are darker. Like silhouettes, not on screen if a processor renders, but in images. */
   readonly occlusion: boolean;
 }
 
@@ -35,7 +35,7 @@ export const DEFAULT_LOOK: Look = {
 
 /** Light on a material. All are constants of the shader's program: on a processor every instruction costs. */
 export interface Shading {
-  /** Colour where nothing else colours the surface, sRGB. */
+  /** Colour of a surface that nothing else colours, sRGB. */
   readonly color: string;
   /** Ambient light from below and above, linear. */
   readonly ground: readonly [number, number, number];
@@ -46,7 +46,7 @@ export interface Shading {
   readonly head: number;
   /** Light reaches around the surface by this much, as through skin. */
   readonly wrap: number;
-  /** How much darker it is where it is seen at a grazing angle. */
+  /** How much darker it is when seen at a grazing angle. */
   readonly falloff: number;
   /** Highlight: its weight, and the binary logarithm of its exponent. */
   readonly gloss: number;

@@ -30,7 +30,7 @@ export type Pass =
   | "opaque"
   /** One layer of it, translucent. */
   | "peel"
-  /** Its bit in the stencil buffer: set where the nearest of it shows its inside, cleared where its outside. */
+  /** Its bit in the stencil buffer: set at pixels at which its nearest layer shows its inside, cleared at those that show its outside. */
   | "inside"
   | "outside"
   /** View position and surface number. */
@@ -78,7 +78,7 @@ export interface FieldColors {
   /** Values of the first and the last colour. */
   readonly range: readonly [number, number];
   readonly log: boolean;
-  /** Where isolines are between the first colour and the last, 0 to 1. */
+  /** Positions of the isolines between the first colour and the last, 0 to 1. */
   readonly lines: readonly number[];
 }
 
@@ -133,7 +133,7 @@ export class SurfaceMaterials {
     this.recolor();
   }
 
-  /** The material of a pass; one a level, for meshes with a group a level, where colour shows levels. */
+  /** The material of a pass. If colour shows levels, one for each level, for meshes with a group for each level. */
   of(pass: Pass): Material | Material[] {
     const { material, flat } = this.look;
     const { colorMode } = this;
@@ -184,7 +184,7 @@ export class SurfaceMaterials {
     this.recolor();
   }
 
-  /** What has colours of its own where the transfer table gives the others. */
+  /** Regions that have colours of their own, while the transfer table gives the others. */
   set coloredRegions(regions: readonly ColoredRegion[]) {
     this.hasRegions = regions.length > 0;
     this.regions.value.dispose();

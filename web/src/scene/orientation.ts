@@ -1,4 +1,4 @@
-/** Where one is: a cube of axes that sets views, and a bar of a round length. */
+/** Orientation aids: a cube of axes that sets views, and a bar of a round length. */
 
 import { Vector3, type Camera } from "three";
 import { sidesOf, type AxisName } from "../world/axes";

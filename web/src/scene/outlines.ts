@@ -1,4 +1,4 @@
-/** Outlines of regions of the world: three circles a sphere, twelve edges a box. Fainter where the surface hides them. */
+/** Outlines of regions of the world: three circles a sphere, twelve edges a box. Fainter behind the surface. */
 
 import { AlwaysDepth, BufferAttribute, BufferGeometry, Group, LineSegments } from "three";
 import { PlainMaterial } from "./plain";
@@ -8,7 +8,7 @@ import type { Vec3 } from "./world";
 export type Outlined = { readonly center: Vec3; readonly radius: number } | { readonly min: Vec3; readonly max: Vec3 };
 
 const COLOR = "#13a8a4";
-/** Opacities where they are seen and where they are hidden, of all and of the one that is pointed at. */
+/** Opacities of visible and of hidden parts, for all outlines and for the one under the pointer. */
 const FAINT = [0.7, 0.2] as const;
 const STRONG = [1, 0.6] as const;
 const SEGMENTS = 64;

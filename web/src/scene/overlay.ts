@@ -20,7 +20,7 @@ export function onScreen(at: Vector3, camera: Camera, width: number, height: num
   return { x: (0.5 + 0.5 * p.x) * width, y: (0.5 - 0.5 * p.y) * height };
 }
 
-/** Moves an element to a place in the world, and hides it where that is behind the camera. */
+/** Moves an element to a place in the world, and hides it if that is behind the camera. */
 export function placeAt(element: HTMLElement, at: Vector3, camera: Camera, width: number, height: number, raised = 0): void {
   const place = onScreen(at, camera, width, height);
   element.hidden = place === undefined;

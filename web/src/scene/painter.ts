@@ -1,6 +1,6 @@
 /**
- * Paints a frame, on screen or into an image. Where nothing but opaque surfaces is to be seen they are rendered straight into the target;
- * effects, translucent surfaces and caps take a picture with its depth in between.
+ * Paints a frame, on screen or into an image. If nothing but opaque surfaces is to be seen, they are rendered straight into the target;
+ * effects, translucent surfaces and caps take an intermediate picture with its depth.
  */
 
 import {
@@ -26,7 +26,7 @@ import type { Side, Surfaces } from "./surfaces";
 
 /** Half the width of isolines, pixels of the page. */
 const ISOLINE = 0.6;
-/** Samples a pixel of the picture in between, where a GPU renders. */
+/** Samples for each pixel of the intermediate picture, if a GPU renders. */
 const SAMPLES = 4;
 
 export interface FrameRequest {
@@ -37,7 +37,7 @@ export interface FrameRequest {
   readonly height: number;
   readonly camera: PerspectiveCamera | OrthographicCamera;
   readonly look: Look;
-  /** Ambient occlusion and silhouettes, where the look has them. */
+  /** Ambient occlusion and silhouettes, if the look has them. */
   readonly effects: boolean;
   /** Layers of translucent surfaces. */
   readonly layers: number;
@@ -221,9 +221,9 @@ export class Painter {
   }
 
   /**
-   * A solid is cut open where the first of its surface behind the cut shows its inside: sets its bit in the stencil buffer there. Where
-   * only parity counted, a surface that is open at the volume's border would turn the caps of everything before it around. That first of
-   * the surface may lie where another plane has cut it away, so only planes that the camera looks at cut here.
+   * Marks the pixels at which a solid is cut open: if the first layer of its surface behind the cut shows its inside, its bit in the
+   * stencil buffer is set there. If only parity counted, a surface that is open at the volume's border would invert the caps of everything
+   * before it. That first layer may lie at a place that another plane has cut away, so only planes that the camera looks at cut here.
    */
   private markInsides(side: Side, { camera, look }: FrameRequest): void {
     const { webgl, surfaces, clipping } = this;

@@ -33,7 +33,7 @@ export class Picking {
   /**
    * @param x share of the width from the left
    * @param y share of the height from the top
-   * @returns the nearest point of a surface; `undefined` where there is none
+   * @returns the nearest point of a surface; `undefined` if there is none
    */
   async pick(
     webgl: WebGLRenderer,

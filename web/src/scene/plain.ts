@@ -14,7 +14,7 @@ export class PlainMaterial extends ShaderMaterial {
   private readonly pixels: number;
   private readonly forward = { value: 0 };
 
-  /** @param pixels where points are drawn: discs of this diameter in pixels */
+  /** @param pixels if points are drawn: discs of this diameter in pixels */
   constructor(style: string, opacity = 1, pixels = 0) {
     super({
       glslVersion: GLSL3,

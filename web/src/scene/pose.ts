@@ -1,4 +1,4 @@
-/** Where the camera is, as a small plain object, and named directions. Pure. */
+/** The camera's pose, as a small plain object, and named directions. Pure. */
 
 import type { AxisName } from "../world/axes";
 import type { Vec3 } from "./world";
@@ -6,8 +6,8 @@ import type { Vec3 } from "./world";
 export type Projection = "perspective" | "orthographic";
 
 /**
- * Where the camera is: JSON, so that it can stand in a link. The third axis of the world is up. An orthographic camera shows at the
- * target what a perspective one would, so that the distance is the zoom of both.
+ * The camera's pose: JSON, so that it can stand in a link. The third axis of the world is up. An orthographic camera shows at the target
+ * what a perspective one would, so that the distance is the zoom of both.
  */
 export interface CameraPose {
   /** World units. */
@@ -44,7 +44,7 @@ export function axisView(axis: AxisName, frame: string | undefined): Vec3 {
   return [0, -TILT * up * z, z];
 }
 
-/** From where a page just opened shows the surface: from above and, of a patient, from the front and the left. */
+/** Direction from which a page that was just opened shows the surface: from above and, of a patient, from the front and the left. */
 export function homeDirection(frame: string | undefined): Vec3 {
   return frame === "LPS" ? [0.72, -0.58, 0.38] : [-0.72, 0.58, 0.38];
 }

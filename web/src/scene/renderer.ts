@@ -46,7 +46,7 @@ export interface RendererHandlers {
 export class SurfaceRenderer {
   /** Whether a GPU renders. A processor would take twice the time for smooth edges and delay the first frame of an edit. */
   readonly onGpu = hasGpu();
-  /** Where the camera is and how it moves: `pose`, `restore`, `projection`. */
+  /** Pose and motion of the camera: `pose`, `restore`, `projection`. */
   readonly camera: SceneCamera;
   /** Axes cube, scale bar, bounding box, markers: `show`, `unit`, `frame`, `mark`. */
   readonly annotations: Annotations;
@@ -174,7 +174,7 @@ export class SurfaceRenderer {
     this.shownChanged();
   }
 
-  /** Where index space lies in the world. */
+  /** Sets the place of index space in the world. */
   setGrid(grid: Grid): void {
     this.uploads.uneven = this.surfaces.place(grid);
     this.annotations.frame = grid.frame;
@@ -261,7 +261,7 @@ export class SurfaceRenderer {
   }
 
   /**
-   * The nearest point of a surface at a place of the page (`clientX`, `clientY`); `undefined` where there is none.
+   * The nearest point of a surface at a place of the page (`clientX`, `clientY`); `undefined` if there is none.
    * @param through to this surface: translucent ones before it are looked through
    */
   pick(clientX: number, clientY: number, through?: number): Promise<Picked | undefined> {
@@ -282,7 +282,7 @@ export class SurfaceRenderer {
     return takeSnapshot({ webgl, painter, camera, annotations, surfaces, look: this.currentLook, size, swipe: annotations.swipe.value }, request);
   }
 
-  /** Of the volume in the world, or of the surfaces while the grid does not say it: where clip planes and slices make sense. */
+  /** Bounds within which clip planes and slices make sense: of the volume in the world, or of the surfaces until the grid is known. */
   get bounds(): { readonly min: Vec3; readonly max: Vec3 } {
     const { min, max } = this.clipBounds();
     return { min: min.toArray(), max: max.toArray() };
@@ -322,7 +322,7 @@ export class SurfaceRenderer {
     return volumeBox.isEmpty() ? this.box : volumeBox;
   }
 
-  /** The camera's depths are those of the surfaces alone where nothing else is drawn, for the depth buffer's precision. */
+  /** If nothing else is drawn, the camera's depths are those of the surfaces alone, for the depth buffer's precision. */
   private boundCamera(): void {
     const more = this.annotations.fillsVolume || this.slices.object.children.length > 0;
     const around = this.surfaces.keptBox;

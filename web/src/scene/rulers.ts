@@ -6,11 +6,11 @@ import { srgb } from "./plain";
 import type { Vec3 } from "./world";
 
 export interface Ruler {
-  /** World units; lines from each to the next, none where there is one alone. */
+  /** World units; a line leads from each to the next, none if there is one point alone. */
   readonly points: readonly Vec3[];
   /** May be empty. */
   readonly text: string;
-  /** Where the text stands, and by how many pixels of the page above that. */
+  /** Position of the text; it stands `raised` pixels of the page above that. */
   readonly at: Vec3;
   readonly raised: number;
 }

@@ -13,7 +13,7 @@ export interface MiddleDepths {
 /** A scale bar in an image is right to within this share over the middle third. */
 const TOLERANCE = 0.05;
 
-/** Of a square grid of depths, 0 where no surface is. */
+/** Depths of the middle of the picture. @param depths of a square grid, 0 if there is no surface */
 export function middleDepths(depths: readonly number[]): MiddleDepths {
   const found = depths.filter((depth) => depth > 0).sort((a, b) => a - b);
   const centre = depths[(depths.length - 1) / 2] ?? 0;

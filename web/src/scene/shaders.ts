@@ -12,7 +12,7 @@ export interface ProgramVariant {
   readonly peel: boolean;
   /** Regions have colours of their own. */
   readonly regions: boolean;
-  /** There are isolines; only where colours are on a scale. */
+  /** There are isolines; only if colours are on a scale. */
   readonly isolines: boolean;
 }
 
@@ -229,7 +229,7 @@ void main() {
 }
 `;
 
-/** Where the surface is, in view space, and which one it is. */
+/** Writes the position of the surface in view space, and the surface's number. */
 export const PICK_FRAGMENT = /* glsl */ `
 uniform float surface;
 in vec3 viewPosition;

@@ -28,7 +28,7 @@ export interface Slice {
   /** World vectors from a sample to the next one in its row, and to the next row. */
   readonly right: Vec3;
   readonly down: Vec3;
-  /** Of the samples in a row and of the rows, where these are uneven: how many of those steps they are from the first. */
+  /** Positions of the samples in a row and of the rows, if these are uneven: how many of those steps they are from the first. */
   readonly lines?: readonly [readonly number[] | null, readonly number[] | null];
   /** Values that are black and white. */
   readonly window: readonly [number, number];
@@ -84,7 +84,7 @@ export class Slices {
   }
 }
 
-/** Where along an axis the plane has vertices, in steps and in samples: at its ends, and at each sample where these are uneven. */
+/** Vertices of the plane along an axis, in steps and in samples: at its ends if the samples are even, else at each sample. */
 function stations(count: number, uneven: readonly number[] | null | undefined): readonly (readonly [number, number])[] {
   return uneven?.map((at, i) => [at, i] as const) ?? [[0, 0], [count - 1, count - 1]];
 }

@@ -17,7 +17,7 @@ export interface SnapshotRequest {
   readonly scale: number;
   /** Without surroundings: what is no surface is transparent. Else as on screen. */
   readonly transparent: boolean;
-  /** From where; without it from where the camera is. */
+  /** The camera's pose; without it the current one is used. */
   readonly pose?: CameraPose;
 }
 

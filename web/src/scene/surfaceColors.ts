@@ -9,7 +9,7 @@ export class SurfaceColors {
   ) {}
 
   setAlpha(alpha: number, surface = 0): void {
-    // Set after every edit; where α is the same, the frame would be too.
+    // Set after every edit; if α is the same, the frame would be too.
     if (this.surfaces.of(surface).alpha === alpha) return;
     this.surfaces.of(surface).alpha = alpha;
     this.onChange();

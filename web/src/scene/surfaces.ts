@@ -70,7 +70,7 @@ export class Surfaces {
     return this.shown.get(id);
   }
 
-  /** Where index space lies in the world; the axes that are not even, where there are any. */
+  /** Sets the place of index space in the world; returns the axes that are not even, if there are any. */
   place(grid: Grid): Uneven | undefined {
     this.root.matrix.copy(worldFromIndex(grid));
     this.root.matrixWorldNeedsUpdate = true;
@@ -84,7 +84,7 @@ export class Surfaces {
     return uneven;
   }
 
-  /** Of the volume in the world; empty where no grid says how large it is. */
+  /** Bounds of the volume in the world; empty if no grid gives its size. */
   get volumeBox(): Box3 {
     return this.gridBox.clone();
   }
@@ -134,7 +134,7 @@ export class Surfaces {
     const materials = this.of(surface);
     materials.transfer = table;
     materials.coloredRegions = regions;
-    // Other programs, where there were none.
+    // The programs change if there were no such regions before.
     this.applyDisplayToAll();
   }
 

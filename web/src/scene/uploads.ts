@@ -45,7 +45,7 @@ export class UploadQueue {
     this.waiting.clear();
   }
 
-  /** Uploads as many meshes as a frame allows, at least one where any waits, and returns them. */
+  /** Uploads as many meshes as a frame allows, at least one if any waits, and returns them. */
   uploadSome(webgl: WebGLRenderer, camera: Camera): [number, RegionMesh][] {
     const batch: [number, RegionMesh][] = [];
     let bytes = 0;

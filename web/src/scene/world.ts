@@ -14,7 +14,7 @@ export interface Grid {
   readonly dims?: Vec3;
   /** Along the axes that are not even, of each sample, in world units from the first one. */
   readonly positions?: readonly (readonly number[] | null)[];
-  /** What the world's axes are: `LPS`, `RAS`, or another name where nobody knows. */
+  /** What the world's axes are: `LPS`, `RAS`, or another name if that is unknown. */
   readonly frame?: string;
 }
 

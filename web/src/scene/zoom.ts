@@ -4,7 +4,7 @@ import { Vector3 } from "three";
 import type { Projection } from "./pose";
 import type { Vec3 } from "./world";
 
-/** Where a camera is, and what it turns around. */
+/** Position of a camera, and the point that it turns around. */
 export interface Viewpoint {
   readonly position: Vector3;
   readonly target: Vector3;
@@ -49,7 +49,10 @@ const SAME_PLACE = 12;
 const PER_STEP = 0.95;
 const PIXELS = /Mac/.test(navigator.userAgent) ? 10 : 30;
 
-/** Listens to wheel, fingers and middle button. What is dragged, the camera's own controls move; here the target is brought to where they should. */
+/**
+ * Listens to wheel, fingers and middle button. Drags are left to the camera's own controls; the gestures here place the target that those
+ * controls turn around.
+ */
 export class ZoomGestures {
   private at: readonly [number, number] = [0, 0];
   private lastAt = -Infinity;

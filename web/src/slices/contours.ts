@@ -1,6 +1,7 @@
 /**
- * Where the surface of an isovalue crosses a slice. As the server's contours (`server/src/export/contours.rs`): inside is `value >= iso`, edges are crossed
- * at the linear interpolant, two opposite corners inside are separated, and a face that touches a missing sample has no contour. Pure.
+ * Lines along which the surface of an isovalue crosses a slice. As the server's contours (`server/src/export/contours.rs`): inside is
+ * `value >= iso`, edges are crossed at the linear interpolant, two opposite corners inside are separated, and a face that touches a missing
+ * sample has no contour. Pure.
  */
 
 /** By which corners of a face are inside, as bits: the sides that each segment connects. Side `i` is between corners `i` and `i + 1`. */
@@ -39,7 +40,7 @@ export function contourOf(samples: ArrayLike<number>, [width, height]: readonly 
   return Float32Array.from(found);
 }
 
-/** The samples with those missing where another field says so. */
+/** Returns the samples; those for which another field's values do not hold are missing. */
 export function maskedBy(samples: Float32Array, mask: ArrayLike<number>, holds: (value: number) => boolean): Float32Array {
   return samples.map((value, i) => (holds(mask[i] ?? NaN) ? value : NaN));
 }

@@ -21,7 +21,7 @@ export interface SliceView {
   readonly onward: 1 | -1;
   /** Left, right, top and bottom: sides of a patient, or axes of the world. */
   readonly sides: readonly [string, string, string, string];
-  /** Cosine and sine of the angle between the two axes: not a right one where a gantry was tilted. */
+  /** Cosine and sine of the angle between the two axes: not a right angle if a gantry was tilted. */
   readonly skew: readonly [cosine: number, sine: number];
   /** Left, top, right and bottom of the slice. */
   readonly bounds: readonly [number, number, number, number];
@@ -97,7 +97,7 @@ function boundsOf(view: Omit<SliceView, "bounds">): SliceView["bounds"] {
   return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
 }
 
-/** Where on screen indices along the view's two axes are. */
+/** Position on screen of indices along the view's two axes. */
 export function screenOf({ axes, signs, skew, grid }: Omit<SliceView, "bounds">, i: number, j: number): readonly [number, number] {
   const x = signs[0] * alongOf(grid, axes[0], i);
   const y = signs[1] * alongOf(grid, axes[1], j);

@@ -1,4 +1,4 @@
-/** The address of the page: written as the state changes, read when the page opens and when somebody changes it. */
+/** The address of the page: written as the state changes, read when the page opens and when the user changes it. */
 
 import { decodeLink, encodeLink, type Link, type LinkState } from "./link";
 import { LinkError } from "./linkReader";
@@ -9,7 +9,7 @@ const WRITE_DELAY_MS = 400;
 export interface AddressHandlers {
   /** The address asks for this. */
   readonly onLink: (link: Link) => void;
-  /** The address asks for something that nobody understands. */
+  /** The address asks for something that cannot be read. */
   readonly onBroken: (reason: string) => void;
   /** The state now; `undefined` while there is none to link to. */
   readonly link: () => LinkState | undefined;

@@ -47,7 +47,7 @@ function keyOf(state: Asking, about: Asked): string | undefined {
   if (connection !== "connected" || working || finished === undefined || sentView === undefined) return undefined;
   if (statistics === undefined || statistics.triangles === 0) return undefined;
   if (about === "curve") return `${selected} ${curveKey(sentView, statistics.isTreeCut)}`;
-  // Distances are measured after a better surface has come, where there is one.
+  // Distances are measured after a better surface has come, if there is one.
   return about === "annotate" ? String(finished) : `${finished} ${statistics.isTreeCut}`;
 }
 

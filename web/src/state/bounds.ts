@@ -1,4 +1,4 @@
-/** Where the volume lies in the world, and between which values. Pure. */
+/** Bounds of the volume in the world, and of its values. Pure. */
 
 import type { Vec3, VolumeInfo } from "../protocol/types";
 
@@ -37,7 +37,9 @@ export function sampleRange({ fields }: VolumeInfo, field: string | undefined): 
 /** Share of the samples at either end that are black or white alike: metal, and single bright samples, would leave all else in the dark. */
 const TAIL = 0.005;
 
-/** What lies between black and white until somebody says so: a field's values but for the rarest at both ends; all where few are others. */
+/**
+ * The range between black and white until the user sets one: a field's values without the rarest at both ends; all values if few remain.
+ */
 export function usualWindow(volume: VolumeInfo, field: string | undefined): readonly [number, number] {
   const whole = sampleRange(volume, field);
   const counts = volume.fields.find(({ name }) => name === field)?.histogram.counts ?? [];

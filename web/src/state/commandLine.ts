@@ -8,7 +8,7 @@ const quoted = (text: string) => (/^[\w./:,%+-]+$/.test(text) ? text : `'${text.
 const digits = (n: number) => String(Number(n.toPrecision(9)));
 
 /**
- * `isopeel extract …` in a POSIX shell. The page does not know where the volume's file lies: its id stands in its place.
+ * `isopeel extract …` in a POSIX shell. The page does not know the path of the volume's file: the volume's id stands in its place.
  * @param statistics of the surface in force: a share with a limit becomes a number of triangles
  */
 export function commandLine(volume: string, step: number, view: View, statistics: Statistics | undefined): string {

@@ -4,9 +4,9 @@
 export interface Distances {
   /** This share of the vertices is nearer than `upper`. */
   readonly share: number;
-  /** Rounded up to two digits: where the colours end. */
+  /** Rounded up to two digits: the end of the colours. */
   readonly upper: number;
-  /** The farthest; infinite where no isosurface is near. */
+  /** The farthest; infinite if no isosurface is near. */
   readonly farthest: number;
 }
 

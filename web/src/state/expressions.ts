@@ -2,7 +2,7 @@
 
 import type { VolumeInfo } from "../protocol/types";
 
-/** What is wrong with an expression, and at which character, counted from 0; without it where that is not known. */
+/** What is wrong with an expression, and at which character, counted from 0; without `at` if that is not known. */
 export interface Fault {
   readonly why: string;
   readonly at?: number;

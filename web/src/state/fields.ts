@@ -7,13 +7,16 @@ export type Chosen = Pick<View, "feature" | "field">;
 /** Whether a field's values are labels: the file says so, or it opens around labels. */
 export const hasLabels = ({ labels, openingIso }: Pick<VolumeInfo["fields"][number], "labels" | "openingIso">): boolean => labels !== undefined || openingIso?.reason === "labels";
 
-/** The view's feature, where it is derived from the field whose isosurface is shown. */
+/** The view's feature, if it is derived from the field whose isosurface is shown. */
 export function derivedFeature(volume: VolumeInfo, { feature, field }: Chosen): DerivedInfo | undefined {
   const derived = volume.fields.find((f) => f.name === field)?.derivedFeatures ?? {};
   return Object.hasOwn(derived, feature) ? derived[feature] : undefined;
 }
 
-/** The feature's own range, where it is known and not empty. Of a computed one with both signs the server chooses: magnitudes count. */
+/**
+ * The feature's own range, if it is known and not empty. Of a computed feature with both signs the server chooses the range: magnitudes
+ * count.
+ */
 export function ownRange(info: DerivedInfo | undefined): readonly [number, number] | undefined {
   const range = info?.range;
   if (range === undefined || !(range[0] < range[1])) return undefined;
@@ -32,7 +35,9 @@ export function fieldEdit(volume: VolumeInfo, view: Pick<View, "feature" | "iso"
   return { field: name, iso, ...(derived === undefined ? {} : { featureRange: ownRange(derived) }) };
 }
 
-/** An edit of a link that somebody wrote by hand, with another field and no isovalue: that of the field before means nothing there. */
+/**
+ * The edit of a link that a user wrote by hand, with another field and no isovalue: the isovalue of the previous field means nothing there.
+ */
 export function ofItsField(wanted: Edit, opening: View, volume: VolumeInfo | undefined): Edit {
   // A range is one of its feature.
   const isOther = wanted.feature !== undefined && wanted.feature !== "none" && wanted.feature !== opening.feature && wanted.featureRange === undefined;

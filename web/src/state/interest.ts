@@ -11,7 +11,7 @@ type Ball = NonNullable<Region["sphere"]>;
 export const MAX_REGIONS = 64;
 /** Of a painted region: almost nothing is merged there. */
 const IMPORTANCE = 0.95;
-/** Balls are merged where the one around both has at most this many times the space of the two. */
+/** Two balls are merged if the ball around both has at most this many times the volume of the two. */
 const GROWS_BY = 1.3;
 
 const distance = (a: Vec3, b: Vec3) => lengthOf(minus(a, b));
@@ -28,7 +28,7 @@ function around(a: Ball, b: Ball): Ball {
 }
 
 /**
- * Adds a ball. It becomes one with each ball of the same importance near it; where that leaves more than 64, the list stays as it is.
+ * Adds a ball. It is merged with each ball of the same importance near it; if that leaves more than 64, the list stays as it is.
  */
 export function paint(regions: Interest, center: Vec3, radius: number): Interest {
   let ball: Ball = { center, radius };

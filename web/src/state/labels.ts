@@ -11,7 +11,7 @@ export interface LabelEntry {
   readonly number: number;
   readonly name: string;
   readonly color: string;
-  /** Samples with it; `undefined` where the histogram does not tell it apart from others. */
+  /** Samples with it; `undefined` if the histogram does not tell it apart from others. */
   readonly samples: number | undefined;
 }
 
@@ -23,7 +23,7 @@ export const SMOOTHING = 0.8;
 const MAX_JOINED = 16;
 /** As many as a condition takes. */
 const MAX_VALUES = 64;
-/** Where nothing matters any more, as a share of the volume's longest side. */
+/** Distance at which nothing matters any more, as a share of the volume's longest side. */
 const REACH = 0.1;
 /** Of larger volumes a share of the planes is counted. */
 const MAX_COUNTED = 2 ** 27;
@@ -48,7 +48,7 @@ export function labelsIn(field: FieldInfo, { dims }: Pick<VolumeInfo["geometry"]
   });
 }
 
-/** A label that the list does not have, by its number; `undefined` where the field cannot have it. */
+/** A label that the list does not have, by its number; `undefined` if the field cannot have it. */
 export function labelByNumber(field: FieldInfo, text: string): LabelEntry | undefined {
   const number = /^\s*-?\d+\s*$/.test(text) ? Number(text) : NaN;
   const [low, high] = field.range;
@@ -69,14 +69,14 @@ function backgroundOf({ labels, openingIso, range: [low] }: FieldInfo): number |
 
 const isFine = ({ histogram: { min, max, counts } }: FieldInfo) => max - min < counts.length;
 
-/** Whole numbers that the field has, where each has a bin of its own. */
+/** Whole numbers that the field has, if each has a bin of its own. */
 function valuesOf(field: FieldInfo): readonly number[] {
   const [low, high] = field.range;
   if (!isFine(field) || !Number.isInteger(low)) return [];
   return Array.from({ length: high - low + 1 }, (_, i) => low + i).filter((value) => samplesWith(field, value) !== 0);
 }
 
-/** Samples with a value; 0 where there are none, `unknown` where a bin has more values than one. */
+/** Samples with a value; 0 if there are none, `unknown` if a bin has more values than one. */
 function samplesWith(field: FieldInfo, value: number): number | "unknown" {
   const { min, max, counts } = field.histogram;
   if (value < min || value > max) return 0;
@@ -85,7 +85,7 @@ function samplesWith(field: FieldInfo, value: number): number | "unknown" {
   return count === 0 || isFine(field) ? count : "unknown";
 }
 
-/** World units cubed of so many samples; `undefined` where cells differ. */
+/** World units cubed of so many samples; `undefined` if cells differ in size. */
 export function samplesVolume(samples: number, { spacing, direction, positions }: VolumeInfo["geometry"]): number | undefined {
   if (positions?.some((along) => along !== null) === true) return undefined;
   const [a, b, c] = direction;
@@ -120,7 +120,7 @@ export function around({ field, values, smoothing }: LabelChoice): string {
   return `if(${values.split(",").map((value) => `${quote}${field}${quote}==${value}`).join("||")},1,0)`;
 }
 
-/** The labels that the surface of a field is around; `undefined` where it is another surface. Also as the command line writes it. */
+/** The labels that the surface of a field is around; `undefined` if it is another surface. Reads expressions of the command line too. */
 export function labelsAround(expression: string): LabelChoice | undefined {
   const [, sigma, inner] = /^smooth\(\s*([\d.]+)\s*,(.*)\)$/s.exec(expression) ?? [];
   if (sigma !== undefined && inner !== undefined) {
@@ -140,14 +140,14 @@ function joinedLabels(condition: string): Pick<LabelChoice, "field" | "values"> 
   return { field: first.field, values: each.map((mask) => mask?.values).join(",") };
 }
 
-/** The labels of a field to which a feature is the distance; empty where it is none. */
+/** The labels of a field to which a feature is the distance; empty if the feature is none of these. */
 export function labelsNear(feature: string, field: string): string {
   const [, condition] = /^distance\((.*)\)$/s.exec(feature) ?? [];
   const of = condition === undefined ? undefined : joinedLabels(condition);
   return of?.field === field ? of.values : "";
 }
 
-/** The labels of a field that a mask keeps; empty where it does something else. */
+/** The labels of a field that a mask keeps; empty if it does something else. */
 export function labelsKept(mask: string | null, field: string): string {
   const read = mask === null ? undefined : readMask(mask);
   return read?.field === field && read.comparison === "==" ? read.values : "";
@@ -182,7 +182,7 @@ export function importanceEdit(view: View, field: string, label: LabelEntry, all
   };
 }
 
-/** The edit after which the surface is where a label is too, or no longer; of no label it is everywhere. */
+/** The edit that adds a label to those at which the surface may be, or removes it. Without labels the surface is everywhere. */
 export function maskEdit(view: View, field: string, label: LabelEntry, all: readonly LabelEntry[]): Edit {
   const values = withLabel(labelsKept(view.mask, field), label.number, all);
   return { mask: values === "" ? null : maskText({ field, comparison: "==", values }) };
@@ -210,8 +210,8 @@ export interface LabelSurface {
 }
 
 /**
- * The list in which a label's surface is seen, or no longer: it is hidden, shown again, or made; if there are as many surfaces as there can
- * be, in place of a hidden one around labels. `undefined` where there is no place for it.
+ * The list after a label's surface is shown or hidden. A known surface is hidden or shown again, a new one is made. If there are as many
+ * surfaces as there can be, the new one takes the place of a hidden one around labels. `undefined` if there is no place for it.
  */
 export function shownLabel(surfaces: SurfaceList, of: LabelSurface): SurfaceList | undefined {
   const { field, label, max } = of;
@@ -246,7 +246,10 @@ function seenThrough(surfaces: SurfaceList): SurfaceList {
   return surfaces.map((surface) => (surface.style.opacity === 1 ? { ...surface, style: { ...surface.style, opacity: OUTER_OPACITY } } : surface));
 }
 
-/** The list in which the last surface around labels of the field is around this one too; `undefined` where there is none, or it has as many as it can. */
+/**
+ * The list in which the last surface around labels of the field is around this one too; `undefined` if there is none, or it has as many as
+ * it can.
+ */
 export function joinedLabel(surfaces: SurfaceList, { field, label }: Pick<LabelSurface, "field" | "label">): SurfaceList | undefined {
   const last = surfaces.findLast(({ view }) => labelsAround(view.field)?.field === field);
   const of = last && labelsAround(last.view.field);
@@ -264,7 +267,7 @@ export function smoothedLabels(surfaces: SurfaceList, smoothing: number): Surfac
   });
 }
 
-/** What a surface around labels is called; `undefined` where it is another one. */
+/** The name of a surface around labels; `undefined` if it is another surface. */
 export function labelsName(volume: Pick<VolumeInfo, "fields"> | undefined, expression: string): string | undefined {
   const of = labelsAround(expression);
   if (of === undefined) return undefined;

@@ -5,7 +5,7 @@ import type { VolumeInfo } from "../protocol/types";
 /** A server that knows the unit names it beside the grid. */
 type Measured = Pick<VolumeInfo, "geometry"> & { readonly geometry: { readonly unit?: string | null } };
 
-/** Such as `mm`; `undefined` where nobody has said. */
+/** Such as `mm`; `undefined` if the volume has no unit. */
 export function lengthUnit(volume: Measured | undefined): string | undefined {
   const unit = volume?.geometry.unit?.trim() ?? "";
   return unit === "" ? undefined : unit;

@@ -45,8 +45,8 @@ export function encodeLink(state: LinkState): string {
 }
 
 /**
- * The link with other values: `null` where it is to be as the volume opens. Of another volume nothing is kept.
- * @throws LinkError where a link has no such name
+ * The link with other values: `null` means the value that the volume opens with. Of another volume nothing is kept.
+ * @throws LinkError if a link has no such name
  */
 export function changedLink(state: LinkState, values: ReadonlyMap<string, string | null>): string {
   const parts = new Map(linkParts(state));
@@ -86,7 +86,7 @@ const prefixOf = (place: number) => (place === 0 ? "" : `s${place + 1}.`);
 const escape = (text: string) => encodeURIComponent(text).replaceAll("%2C", ",").replaceAll("%3B", ";").replaceAll("%3A", ":");
 
 /**
- * What an address' hash asks for; `undefined` where it names no volume.
+ * What an address' hash asks for; `undefined` if it names no volume.
  * @throws LinkError naming what was wrong with it
  */
 export function decodeLink(hash: string): Link | undefined {

@@ -26,7 +26,7 @@ export interface ClipChoice {
   readonly plane?: { readonly normal: Vec3; readonly offset: number } | undefined;
   /** What lies outside is cut away. */
   readonly box?: { readonly min: Vec3; readonly max: Vec3 } | undefined;
-  /** Solids are closed where they are cut. */
+  /** Solids are closed at the cut. */
   readonly caps: boolean;
 }
 
@@ -102,7 +102,7 @@ export function openingLook({ opening }: VolumeInfo): Look {
   return opening?.transferFunction === undefined ? DEFAULT_LOOK : { ...DEFAULT_LOOK, colorBy: "transfer" };
 }
 
-/** Where the camera is and what it looks at, world units. */
+/** Position and target of the camera, world units. */
 export interface Pose {
   readonly position: Vec3;
   readonly target: Vec3;

@@ -16,7 +16,7 @@ export const COMPARISONS = [
 
 export type Comparison = (typeof COMPARISONS)[number]["symbol"];
 
-/** Where a surface may be: at samples where the field's values are so. */
+/** Restricts a surface to samples at which the field's values satisfy a comparison. */
 export interface Mask {
   readonly field: string;
   readonly comparison: Comparison;
@@ -50,7 +50,7 @@ export function plainValue(text: string): string {
   return typeof typed === "number" ? String(typed) : text.trim();
 }
 
-/** What is wrong with values, for the user; `undefined` where nothing is. */
+/** What is wrong with values, for the user; `undefined` if nothing is. */
 export function refusedValues(comparison: Comparison, values: string): string | undefined {
   if (!takesList(comparison) && typeof readTyped(values) === "object") return `“${values.trim()}” can be read in two ways: write it without a comma`;
   const items = (takesList(comparison) ? values : plainValue(values)).split(",");

@@ -12,7 +12,7 @@ export type Measure =
   | { readonly kind: "distance"; readonly points: readonly [Vec3, Vec3] }
   /** At the second point. */
   | { readonly kind: "angle"; readonly points: readonly [Vec3, Vec3, Vec3] }
-  /** Values of the volume's fields, in their order, as they were read; `null` where there is none. */
+  /** Values of the volume's fields, in their order, as they were read; `null` if there is none. */
   | { readonly kind: "reading"; readonly points: readonly [Vec3]; readonly values: readonly (number | null)[] }
   | { readonly kind: "label"; readonly points: readonly [Vec3]; readonly text: string };
 

@@ -15,7 +15,7 @@ export const PARTS_GESTURE = "parts";
 /** As many as the server takes. */
 export const MAX_PARTS = 64;
 
-/** Where parts were chosen. */
+/** Places at which parts were chosen. */
 export function placesOf(parts: Parts): readonly Vec3[] {
   if (parts === null) return [];
   return "hide" in parts ? parts.hide : parts.keep;
@@ -23,13 +23,13 @@ export function placesOf(parts: Parts): readonly Vec3[] {
 
 export const isKept = (parts: Parts): boolean => parts !== null && "keep" in parts;
 
-/** A part that was clicked: where, and its number; `null` where the server does not say. */
+/** A part that was clicked: its place, and its number; `null` if the server does not say. */
 interface ChosenPart {
   readonly at: Vec3;
   readonly number: number | null;
 }
 
-/** Parts that were chosen before: where, and their numbers, `null` where there is no part now. */
+/** Parts that were chosen before: their places, and their numbers, `null` if there is no part now. */
 interface KeptParts {
   readonly places: readonly Vec3[];
   readonly numbers: readonly (number | null)[];

@@ -11,7 +11,7 @@ function sharers(state: ViewerState): readonly SurfaceState[] {
   return [...surfacesOf(state).values()].filter(({ view }) => view !== undefined && hasBudget(view));
 }
 
-/** How many surfaces share the budget of the selected one; 1 where it has none. */
+/** How many surfaces share the budget of the selected one; 1 if it has none. */
 export function sharerCount(state: ViewerState): number {
   return state.view !== undefined && hasBudget(state.view) ? sharers(state).length : 1;
 }
@@ -33,7 +33,7 @@ export function sharedStatistics(state: ViewerState): Statistics | undefined {
   return { ...statistics, triangles: sum("triangles"), fullTriangles: sum("fullTriangles"), mesherTriangles };
 }
 
-/** The view that makes the selected surface as it is where there are no others: its part of the budget is its own. */
+/** The view that makes the selected surface as it is when there are no others: its part of the budget is its own. */
 export function aloneView(state: ViewerState): View | undefined {
   const { view, statistics } = state;
   const together = sharedStatistics(state);

@@ -25,12 +25,12 @@ export function errorsOf(viewer: ViewerState, surfaces: SurfaceList): readonly (
   return coloredStates(viewer, surfaces).map(({ statistics }) => statistics?.error);
 }
 
-/** Why they are not known; `undefined` where they are, or there is no such surface. */
+/** Why they are not known; `undefined` if they are, or there is no such surface. */
 export function awaitedErrors(viewer: ViewerState, surfaces: SurfaceList): ReturnType<typeof awaitedDistances> {
   return coloredStates(viewer, surfaces).map(awaitedDistances).find((awaited) => awaited !== undefined);
 }
 
-/** The question for the next of them, where it is worth asking: a connection has one such question at a time. */
+/** The question for the next of them, if it is worth asking: a connection has one such question at a time. */
 export function dueErrors(viewer: ViewerState, surfaces: SurfaceList): readonly DueQuestion[] {
   return coloredStates(viewer, surfaces)
     .flatMap((state) => dueQuestions(state, ["annotate"]))

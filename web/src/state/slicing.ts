@@ -1,4 +1,4 @@
-/** Slices beside the picture: which are shown, and where their crosshair is. Pure. */
+/** Slices beside the picture: which are shown, and the place of their crosshair. Pure. */
 
 import type { Plane } from "../net/slices";
 import type { Vec3, VolumeInfo } from "../protocol/types";
@@ -13,7 +13,7 @@ export type Layout = (typeof LAYOUTS)[number];
 
 export interface Slicing {
   readonly layout: Layout;
-  /** The sample where the three slices cross, by its indices; `undefined`: in the middle. */
+  /** The sample at which the three slices cross, by its indices; `undefined`: in the middle. */
   readonly at: Vec3 | undefined;
   /** Field that the slices show; `undefined`: that of the selected surface. */
   readonly field: string | undefined;
@@ -50,7 +50,7 @@ export function crosshairOf({ at }: Pick<Slicing, "at">, dims: Dims): Vec3 {
   return sampleNear(dims, at ?? [(dims[0] - 1) / 2, (dims[1] - 1) / 2, (dims[2] - 1) / 2]);
 }
 
-/** The crosshair at a sample, or as near as there are samples. It is the same object where nothing changes. */
+/** The crosshair at a sample, or as near as there are samples. It is the same object if nothing changes. */
 export function pointed(slicing: Slicing, dims: Dims, index: Vec3): Slicing {
   const at = sampleNear(dims, index);
   return slicing.at !== undefined && at.every((n, axis) => n === slicing.at?.[axis]) ? slicing : { ...slicing, at };
@@ -67,7 +67,7 @@ export function nextLayout({ layout }: Slicing): Layout {
   return LAYOUTS[(LAYOUTS.indexOf(layout) + 1) % LAYOUTS.length] ?? "picture";
 }
 
-/** Slices in the picture are where the crosshair is, while there is one. */
+/** Moves slices in the picture to the crosshair, while there is one. */
 export function planesAt(planes: SliceChoice["planes"], slicing: Slicing, dims: Dims): SliceChoice["planes"] {
   if (slicing.layout === "picture") return planes;
   const at = crosshairOf(slicing, dims);
@@ -75,7 +75,7 @@ export function planesAt(planes: SliceChoice["planes"], slicing: Slicing, dims: 
   return [place(0), place(1), place(2)];
 }
 
-/** The outline of a surface: samples of a field at a value, where a mask holds. */
+/** The outline of a surface: samples of a field at a value, within a mask. */
 export interface Outline {
   readonly surface: number;
   readonly field: string;

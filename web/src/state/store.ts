@@ -60,7 +60,7 @@ interface Player {
   readonly loop: boolean;
 }
 
-/** Slow enough to see each, where nobody has chosen. */
+/** Until the user chooses: slow enough to see each step. */
 const FIRST_PLAYER: Player = { playing: false, speed: 5, loop: true };
 
 /** The radius of the brush until another one is chosen, as a share of the volume's longest side. */
@@ -189,7 +189,7 @@ export class Store {
     if (isOther && layers.tool === "keep-another") this.showOthers();
   }
 
-  /** Slices in the picture stay where the crosshair was. */
+  /** Slices in the picture stay at the last place of the crosshair. */
   private leavePlanes(): void {
     const { history, viewerState: { volume } } = this;
     if (history === undefined || volume === undefined || this.layers.slicing.layout === "picture") return;
@@ -232,7 +232,7 @@ export class Store {
   /**
    * A volume was opened and `dispatch` has taken up its values.
    * @param another it is not the one before: its own work, that of a link, or what is remembered of it begins
-   * @returns where the camera shall be, if that is known
+   * @returns the pose that the camera shall have, if that is known
    */
   opened(another: boolean, wish: Wish | undefined): Pose | undefined {
     const { view, volume, target } = this.viewerState;

@@ -2,7 +2,7 @@
 
 import { checked, shown, StoryError, type Story } from "./story";
 
-/** Larger files are none of ours. */
+/** Larger files are not stories of this page. */
 export const MAX_FILE_BYTES = 4_000_000;
 
 const FORMAT = "isopeel-story";

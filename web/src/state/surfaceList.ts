@@ -107,7 +107,7 @@ export function listOf(opening: View, wanted: readonly { readonly edit: Edit; re
   return first === undefined ? list : sharing(list, first.number);
 }
 
-/** Of a further surface; `undefined` where there are as many as can be. */
+/** The number of a further surface; `undefined` if there are as many as can be. */
 export function freeNumber(list: SurfaceList): number | undefined {
   return Array.from({ length: MAX_SURFACES }, (_, number) => number).find((number) => list.every((surface) => surface.number !== number));
 }

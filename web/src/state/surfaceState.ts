@@ -78,7 +78,7 @@ export function surfacesOf(state: Surfaces): ReadonlyMap<number, SurfaceState> {
   return new Map(all.sort(([a], [b]) => a - b));
 }
 
-/** The state with another surface selected; as it is where there is none of that number. */
+/** The state with another surface selected; unchanged if there is no surface of that number. */
 export function selectSurface<T extends Surfaces>(state: T, selected: number): T {
   const there = state.others.get(selected);
   if (there === undefined) return state;

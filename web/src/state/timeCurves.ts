@@ -6,14 +6,14 @@ import type { Enclosed } from "./enclosed";
 import { lengthUnit, unitWord } from "./lengths";
 import { digits } from "./numbers";
 
-/** More points would be curves that nobody tells apart. */
+/** With more points the curves could not be told apart. */
 export const MAX_CURVE_POINTS = 4;
 
 export interface StepRow {
   readonly step: number;
   /** `undefined`: the step has no surface. */
   readonly sums: Enclosed | undefined;
-  /** At each point; `undefined` outside of the volume, and where no value is known. */
+  /** At each point; `undefined` outside of the volume, and if no value is known. */
   readonly values: readonly (number | undefined)[];
 }
 

@@ -10,7 +10,7 @@ export function stepCount({ volume, volumes }: Known): number {
   return Math.max(volume?.steps ?? 1, listed);
 }
 
-/** A step for people: `1850-01-16`, `12.5 s`; `undefined` where the server has not said it. */
+/** A step for people: `1850-01-16`, `12.5 s`; `undefined` if the server has not said it. */
 export function stepLabel({ volume, stepLabel: shown, target }: Known, step: number): string | undefined {
   const { times } = volume ?? {};
   const listed = times?.labels?.[step];

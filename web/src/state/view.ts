@@ -8,7 +8,7 @@ const CRITERIA = ["beta", "error", "triangles", "bytes"] as const;
 /** Whether an error or a budget decides and the vertex tree is cut: parts can be removed. */
 export const cutsTree = (view: View): boolean => view.mesher === "dual" && view.beta === undefined;
 
-/** The edit with what it puts out of force: other criteria, and what removes parts where cubes are cut. */
+/** The edit, with what it disables reset: the other criteria, and the removal of parts if the cut is one of cubes. */
 export function complete(edit: Edit): Edit {
   const { beta, error, triangles, bytes } = edit;
   const decides = CRITERIA.some((name) => edit[name] !== undefined);
@@ -17,7 +17,7 @@ export function complete(edit: Edit): Edit {
   return cutsCubes ? { minPart: 0, parts: null, ...whole } : whole;
 }
 
-/** The edit that makes `after` of `before`; empty where they are equal. */
+/** The edit that makes `after` of `before`; empty if they are equal. */
 export function difference(before: View, after: View): Edit {
   const names = Object.keys({ ...before, ...after }) as (keyof View)[];
   const differ = (name: keyof View) => JSON.stringify(before[name]) !== JSON.stringify(after[name]);

@@ -21,13 +21,13 @@ export interface ViewerState extends SurfaceState {
   readonly target: Target | undefined;
   /** The server has not answered the last `open` yet. */
   readonly opening: boolean;
-  /** How much of what that takes is done, 0 to 1; `undefined` where the server has not said so. */
+  /** How much of what that takes is done, 0 to 1; `undefined` if the server has not said so. */
   readonly openedShare: number | undefined;
   /** Steps that come before it, while the server prepares its device. */
   readonly preparing: Preparation | undefined;
   /** The open volume. */
   readonly volume: VolumeInfo | undefined;
-  /** The time step that is shown or being made, for people; `undefined` where its times are not known. */
+  /** The time step that is shown or being made, for people; `undefined` if its times are not known. */
   readonly stepLabel: string | undefined;
   /** Volumes and time steps may appear. */
   readonly watches: boolean;
@@ -155,7 +155,7 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
     case "error":
       return isAboutQuestion(message) ? state : refused(state, message);
     case "removed":
-      // Where there is one of that number, the user has made it anew.
+      // If there is a surface of that number, the user has made it anew.
       return inSurface(state, message.surface, (one) => ({ ...one, ...NEW_SURFACE, view: one.view, sentView: one.sentView, working: true }));
     case "group":
     case "led":
@@ -197,7 +197,7 @@ function begun(state: ViewerState, generation: number): ViewerState {
   return { ...state, working: state.working || generation !== state.finished, progress: progressOf(state, generation) };
 }
 
-/** It says of which surface it is where a generation failed, and else is about the last edit, or about `open`. */
+/** An error names its surface if a generation failed. Any other error is about the last edit, or about `open`. */
 function refused(state: ViewerState, message: Extract<ServerMessage, { type: "error" }>): ViewerState {
   const now = { ...state, ...ANSWERED };
   const fail = (one: ViewerState): ViewerState => ({ ...one, working: false, refusal: message });

@@ -53,7 +53,7 @@ export interface Actions {
   /** The address of the state that is shown. */
   readonly address: () => string;
   readonly copyLink: () => void;
-  /** Of the selected surface; `cap`: closed where it leaves the volume. */
+  /** Of the selected surface; `cap`: closed at the faces through which it leaves the volume. */
   readonly copyCommand: (cap?: boolean) => void;
   readonly download: (format: MeshFormat, cap?: boolean) => void;
   /** All visible surfaces as one GLB. */
@@ -82,7 +82,7 @@ export interface ImageRequest {
   readonly transparent: boolean;
   readonly colorBar: boolean;
   readonly scaleBar: boolean;
-  /** Colour and isovalue of each visible surface, where there are several. */
+  /** Colour and isovalue of each visible surface, if there are several. */
   readonly isovalues: boolean;
   /** Slices that are shown beside the picture. */
   readonly slices: boolean;

@@ -37,7 +37,10 @@ function described([volume, step, text]: readonly [string, number, string]): Pro
   return known;
 }
 
-/** Of the open volume at its step; `text` is undefined where nothing is asked. The last answer stays until the next one is there. */
+/**
+ * Describes an expression over the open volume at its step; `text` is undefined if nothing is asked. The last answer stays until the next
+ * one is there.
+ */
 export function useDescribed(text: Accessor<string | undefined>): Accessor<Described | undefined> {
   const { volume } = useModel();
   const asked = () => {

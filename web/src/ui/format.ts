@@ -32,7 +32,7 @@ export function formatMs(ms: number): string {
 const MAX_PLAIN = 8;
 
 /**
- * A value as short as four or five digits allow, whole numbers in full: what a number field shows. With a power of ten, `3.9e-5`, where that
+ * A value as short as four or five digits allow, whole numbers in full: what a number field shows. With a power of ten, `3.9e-5`, if that
  * is shorter than a row of zeros.
  */
 export function formatValue(value: number, digits = 5): string {
@@ -44,7 +44,7 @@ export function formatValue(value: number, digits = 5): string {
   return plain.length <= MAX_PLAIN || plain.length <= power.length ? plain : power;
 }
 
-/** Digits that tell a thousand values between two others apart: more than four where these differ by little, as pressures in Pa do. */
+/** Digits that tell a thousand values between two others apart: more than four if these differ by little, as pressures in Pa do. */
 export function digitsBetween(low: number, high: number): number {
   const size = Math.max(Math.abs(low), Math.abs(high));
   // A 32-bit float has no more than nine.
@@ -52,7 +52,7 @@ export function digitsBetween(low: number, high: number): number {
 }
 
 /**
- * `0.11 mm`, where the unit is known, else `0.11 voxels`, in multiples of the volume's smallest distance between samples, which are true
+ * `0.11 mm` if the unit is known, else `0.11 voxels`, in multiples of the volume's smallest distance between samples, which are true
  * whatever the unit of the world is.
  */
 export function formatLength(length: number, { spacing, unit }: LengthScale, digits = 2): string {
@@ -61,12 +61,12 @@ export function formatLength(length: number, { spacing, unit }: LengthScale, dig
   return `${voxels} ${voxels === "1" ? "voxel" : "voxels"}`;
 }
 
-/** 34 %; 100 % only where nothing is missing. */
+/** 34 %; 100 % only if nothing is missing. */
 export function formatPercent(share: number): string {
   return `${Math.floor(100 * share)} %`;
 }
 
-/** 19 %, 2.4 %, 0.08 %: two digits, whole numbers from 10 on; 100 % only where nothing is missing. */
+/** 19 %, 2.4 %, 0.08 %: two digits, whole numbers from 10 on; 100 % only if nothing is missing. */
 export function formatShare(share: number): string {
   const percent = 100 * share;
   if (percent >= 10) return `${percent >= 100 ? 100 : Math.min(99, Math.round(percent))} %`;

@@ -21,14 +21,14 @@ export interface UploadActions {
   start(files: readonly NamedFile[]): Promise<void>;
   /** Ends the upload that is under way. */
   cancel(): void;
-  /** @throws where the server takes none, or none of this user's */
+  /** @throws if the server takes no uploads, or none of this user's */
   list(): Promise<UploadList>;
   remove(upload: UploadInfo): Promise<void>;
 }
 
 /** What can be done with batch jobs. What fails is said. */
 export interface JobActions {
-  /** @throws where the server does not say */
+  /** @throws if the server does not say */
   list(): Promise<readonly JobInfo[]>;
   /** The view that is shown, for each of these. */
   submit(isovalues: readonly number[], format: MeshFormat): Promise<void>;
@@ -82,16 +82,16 @@ interface Told {
 export interface Toast {
   readonly text: string;
   readonly good: boolean;
-  /** Does once more what has failed, where that may help. */
+  /** Retries what has failed, if that may help. */
   readonly retry?: () => void;
   readonly answers?: readonly Answer[];
 }
 
 export interface Connection {
   readonly isConnected: boolean;
-  /** Why the last one was closed, where that is known. */
+  /** Why the last one was closed, if that is known. */
   readonly reason: string | undefined;
-  /** Where to sign in, where that helps. */
+  /** Address at which to sign in, if that helps. */
   readonly signIn?: string;
   /** Whether people sign in here, and so out. */
   readonly canSignOut?: boolean;
@@ -310,7 +310,7 @@ export class Model {
     this.set.setToasts([...others, toast].slice(-MAX_TOASTS));
   }
 
-  /** Something that the user may not do: it stays beyond the next surface, and the page around hears of it. */
+  /** Something that the user may not do: the message stays beyond the next surface, and the embedding page is told. */
   refuse(reason: string): void {
     this.toast(reason, "lasting");
     this.onError?.(reason);

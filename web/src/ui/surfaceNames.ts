@@ -9,7 +9,7 @@ export function placeOf(surfaces: SurfaceList, number: number): number {
   return surfaces.findIndex((surface) => surface.number === number) + 1;
 }
 
-/** `surface 2`; empty where there is one alone. */
+/** `surface 2`; empty if there is one alone. */
 export function surfaceName(surfaces: SurfaceList, number: number | undefined): string {
   const place = number === undefined ? 0 : placeOf(surfaces, number);
   return surfaces.length > 1 && place > 0 ? `surface ${place}` : "";

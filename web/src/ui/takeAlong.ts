@@ -23,7 +23,7 @@ export function saveFile(name: string, file: Blob): void {
   setTimeout(() => URL.revokeObjectURL(url), 60_000);
 }
 
-/** Puts a text on the clipboard, and says so; where the browser does not allow it, shows it. */
+/** Puts a text on the clipboard, and says so; shows it if the browser does not allow that. */
 export async function copyOut(model: Model, text: string, done: string): Promise<void> {
   try {
     await navigator.clipboard.writeText(text);

@@ -1,4 +1,4 @@
-/** Whether this browser has seen the tour, and where the tour is: it is away while the help is open or the user follows. */
+/** Whether this browser has seen the tour, and the step that the tour is at. It is hidden while the help is open or the user follows. */
 
 import { createSignal } from "solid-js";
 
@@ -8,7 +8,7 @@ export function isTourDue(): boolean {
   try {
     return localStorage.getItem(KEY) === null;
   } catch {
-    // Where storage is forbidden the tour would come each time.
+    // If storage is forbidden, the tour is not due: else it would come each time.
     return false;
   }
 }

@@ -27,7 +27,7 @@ function overallError(all: readonly ErrorsOf[]): { readonly rms: number; readonl
 
 type ErrorsOf = Pick<Statistics, "error" | "estimatedError" | "fullTriangles">;
 
-/** `error ≈ 0.11 voxels (RMS)`, of all surfaces together; with ≈ while some is an estimate. `undefined` where something is not known. */
+/** `error ≈ 0.11 voxels (RMS)`, of all surfaces together; with ≈ while some is an estimate. `undefined` if something is not known. */
 export function errorWords(all: readonly ErrorsOf[], scale: LengthScale): string | undefined {
   const error = overallError(all);
   return error && `error ${error.isEstimate ? "≈ " : ""}${formatLength(error.rms, scale)} (RMS)`;
@@ -41,7 +41,7 @@ export function distanceWords({ share, upper, farthest }: Distances, measured: r
   return farthest <= upper ? `${darkest}${end}` : `${darkest} and more, around ${formatShare(1 - share)} of the vertices${end}`;
 }
 
-/** Why the colours do not show the error; empty where there is no surface that it could be of. */
+/** Why the colours do not show the error; empty if there is no surface that it could be of. */
 export function awaitedWords(state: ReturnType<typeof awaitedErrors>): string {
   if (state === "measuring") return "The error is being measured";
   return state === "unknown" ? "This server does not measure the error of vertices" : "";
@@ -59,7 +59,10 @@ export interface Summary {
   readonly activity: string;
 }
 
-/** The top line: `87,501 of 454,932 triangles (19 %)`, `error ≈ 0.11 voxels (RMS)`, `0.2 s`; before it `2 surfaces` where there are so many. */
+/**
+ * The top line: `87,501 of 454,932 triangles (19 %)`, `error ≈ 0.11 voxels (RMS)`, `0.2 s`; before it `2 surfaces` if there is more than
+ * one.
+ */
 export function summaryOf(state: ViewerState, triangles: number, busy: boolean, scale: LengthScale): Summary {
   return { parts: surfaceParts(state, triangles, busy, scale), activity: activity(state, busy) };
 }
@@ -78,8 +81,8 @@ function surfaceParts(state: ViewerState, triangles: number, busy: boolean, scal
 }
 
 /**
- * `87,501 of 454,932 triangles (19 %)`. Where only the full surface of marching cubes was counted, that of the dual mesher has some more or less: one
- * with as many is all there is.
+ * `87,501 of 454,932 triangles (19 %)`. If only the full surface of marching cubes was counted, that of the dual mesher has some more or
+ * less: a surface with at least as many triangles counts as the full one.
  */
 export function countWords(triangles: number, full: number): string {
   if (full <= 0) return `${formatCount(triangles)} triangles`;
@@ -123,7 +126,7 @@ export function statusRows(state: ViewerState): readonly (readonly [string, stri
   ];
 }
 
-/** Why there is no surface; empty where there is one, or one is not due. */
+/** Why there is no surface; empty if there is one, or one is not due. */
 export function hintText(state: ViewerState, busy: boolean): string {
   const { connection, shown, target, view, volumes } = state;
   if (volumes?.length === 0) return "There are no volumes here. Drop files on the page, or start the server with some: isopeel serve head.nrrd";
@@ -156,7 +159,7 @@ function emptyText({ statistics, volume }: ViewerState, view: View): string {
   return `No surface at isovalue ${formatValue(iso)}: no sample on one side of it${values}`;
 }
 
-/** An error of the server, with the surface that it is about where there are several. */
+/** An error of the server, with the surface that it is about if there are several. */
 export function errorText({ message, surface }: Extract<ServerMessage, { type: "error" }>, surfaces: SurfaceList): string {
   const name = surfaceName(surfaces, surface);
   return name === "" ? message : `${name.charAt(0).toUpperCase()}${name.slice(1)}: ${message}`;
@@ -182,7 +185,7 @@ export function uploadText({ title, files, phase, sent, total }: Uploading): str
   }
 }
 
-/** Of a volume that somebody has removed from the server while it was shown. */
+/** Of a volume that was removed from the server while it was shown. */
 export function removedText(title: string | undefined): string {
   return `${title === undefined ? "This volume" : `“${title}”`} was removed from the server, or has expired there`;
 }

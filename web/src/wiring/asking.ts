@@ -1,4 +1,4 @@
-/** What is asked about the surface, joined to scene, stream and page. */
+/** Joins questions about the surface to scene, stream and page. */
 
 import type { StreamClient } from "../net/streamClient";
 import { Questions } from "../questions/questions";

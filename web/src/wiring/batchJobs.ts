@@ -1,4 +1,4 @@
-/** What the page does about batch jobs: the view that is shown is submitted for chosen isovalues, results are saved. */
+/** Batch jobs of the page: submits the view that is shown for chosen isovalues, and saves results. */
 
 import type { JobRequest } from "../net/jobs";
 import type { JobInfo } from "../protocol/types";

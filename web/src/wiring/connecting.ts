@@ -1,4 +1,4 @@
-/** What the page does as the connection comes and goes: says so, and lists the volumes. */
+/** Shows the state of the connection, and lists the volumes each time that it is made. */
 
 import type { ConnectionState } from "../net/connection";
 import { listUnreadable, listVolumes } from "../net/rest";
@@ -6,7 +6,7 @@ import { isRefused, sessionOf, signInOf } from "../net/session";
 import type { VolumeSummary } from "../protocol/types";
 import type { Model } from "../ui/model";
 
-/** How often the server is asked for new volumes and time steps, where there may be some. */
+/** How often the server is asked for new volumes and time steps, if there may be some. */
 const WATCH_MS = 3000;
 
 const NO_TOKEN = "the server asks for a token: open the address that it printed when it started";
@@ -20,7 +20,7 @@ export class Connecting {
 
   /**
    * @param onVolumes the server's volumes, each time that the connection is made
-   * @param onRefused the server asks for a token; what to tell the user, where another page is to have one
+   * @param onRefused the server asks for a token; returns what to tell the user, if another page is to have one
    */
   constructor(
     private readonly model: Model,
@@ -29,7 +29,7 @@ export class Connecting {
     private readonly onRefused: () => string | undefined,
   ) {}
 
-  /** @param reason why the last connection was closed, where that is known */
+  /** @param reason why the last connection was closed, if that is known */
   changed(state: ConnectionState, reason: string | undefined): void {
     const { model } = this;
     const isConnected = state === "connected";

@@ -27,7 +27,7 @@ const MODES = { material: "material", transfer: "transfer", feature: "transfer",
 /** Colours of a scene that nothing is known of yet. */
 export const FIRST_TABLES = { transfer: transferLut(IDENTITY), importance: rampLut(COLOR_MAPS.batlow), levels: LEVEL_COLORS };
 
-/** What the colours mean; `undefined` where there is nothing to say of them, or the distances are not known yet. */
+/** What the colours mean; `undefined` if there is nothing to say of them, or the distances are not known yet. */
 export function colorBarOf(
   look: Look,
   view: View | undefined,
@@ -67,7 +67,7 @@ function tableOf({ colorBy, map }: Look, points: Points): Uint8Array<ArrayBuffer
   return colorBy === "feature" || colorBy === "importance" ? mappedLut(points, COLOR_MAPS[map], colorBy) : transferLut(points);
 }
 
-/** Regions of interest in the colours of their importance, where colours show that. */
+/** Regions of interest in the colours of their importance, if colours show that. */
 function regionsOf({ colorBy, map }: Look, interest: View["interest"]): readonly ColoredRegion[] {
   if (colorBy !== "importance") return [];
   return interest.map(({ sphere, box, importance }) => ({ ball: sphere, box, importance, color: colorAt(COLOR_MAPS[map], importance) }));
@@ -85,7 +85,7 @@ export class Display {
   private distances: Distances | undefined;
   /** What colours stood for before distances were asked for: they stand for it until these are known. */
   private otherColors: ColorBy = "material";
-  /** What the scene shows of each surface. */
+  /** What the scene shows for each surface. */
   private readonly shown = new Map<number, Surface>();
   /** What the colour bar says: control points, the field that matters and its range, the volume. */
   private bar: readonly unknown[] | undefined;
@@ -105,7 +105,7 @@ export class Display {
   }
 
   /**
-   * What is as before costs no frame, which would delay the one that is waited for.
+   * An unchanged display costs no frame, which would delay the one that is waited for.
    * @param distances those of the surfaces that have the colours of the look, as soon as they are known
    */
   show(wanted: Look, surfaces: SurfaceList, selected: number, source: SliceSource, distances: Distances | undefined): void {
@@ -142,7 +142,7 @@ export class Display {
     if (scene.camera.projection !== projection) scene.camera.projection = projection;
   }
 
-  /** The look, with the former colours where those of the distances are not known. */
+  /** The look; with the former colours if it is to show distances and they are not known. */
   private lookFor(wanted: Look, isMeasured: boolean): Look {
     if (wanted.colorBy !== "error") this.otherColors = wanted.colorBy;
     if (this.look !== undefined && wanted === this.wanted && isMeasured === (this.distances !== undefined)) return this.look;

@@ -6,10 +6,10 @@ import { hold, holdsToken } from "../net/credentials";
 import { embedOrigins } from "../net/session";
 import type { SessionInfo } from "../protocol/types";
 
-/** The next token is asked for this long before the end, or at half time where that is later: its maker may have to be asked. */
+/** The next token is requested this long before the end, or at half time if that is later: its maker may have to be asked. */
 const AHEAD_SECONDS = 60;
 
-/** While the page around has one made, it is not asked again with each attempt to connect: it would have another one made. */
+/** Shortest time between two requests to the embedding page: a request with each attempt to connect would make it fetch another token. */
 const ASK_AGAIN_MS = 5000;
 
 /** What timers take; longer ones would end at once. */
@@ -27,7 +27,7 @@ export class EmbedToken {
     private readonly onTaken: () => void,
   ) {}
 
-  /** Asks the page around, because the server has refused this one. */
+  /** Requests a token from the embedding page, because the server has refused this one. */
   ask(): void {
     const now = performance.now();
     if (now - this.askedAt < ASK_AGAIN_MS) return;
@@ -35,7 +35,7 @@ export class EmbedToken {
     void this.emit(holdsToken() ? "expired" : "wanted");
   }
 
-  /** @throws RequestError where the origin may not hand one over, Error where the server does not take it */
+  /** @throws RequestError if the origin may not hand one over, Error if the server does not accept it */
   async take(token: string, origin: string): Promise<SessionInfo> {
     const allowed = await this.origins();
     if (!allowed.includes(origin)) {
@@ -61,7 +61,10 @@ export class EmbedToken {
     this.port.emit({ type: "token", reason }, allowed);
   }
 
-  /** Those that the server lets have this page in a frame, which its policy tells the browser too. Asked again where the server was away. */
+  /**
+   * The origins that the server lets embed this page, which its policy also tells the browser. Requested again if the server could not be
+   * reached.
+   */
   private origins(): Promise<readonly string[]> {
     this.allowed ??= embedOrigins(this.base).catch((error: unknown) => {
       this.allowed = undefined;

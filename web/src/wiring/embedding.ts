@@ -1,4 +1,4 @@
-/** What an embedded page does for the page around it. */
+/** Serves the requests of the embedding page. */
 
 import { HostPort, type HostEvent, type PageState } from "../embed/hostPort";
 import type { EmbedOptions } from "../embed/origins";
@@ -28,7 +28,7 @@ interface EmbeddingParts {
   readonly reconnect: () => void;
 }
 
-/** The origin of the page around, where the browser tells it. */
+/** The origin of the embedding page, if the browser tells it. */
 function originAround(): string | undefined {
   // Not known to all browsers.
   const { ancestorOrigins } = window.location as { readonly ancestorOrigins?: DOMStringList };
@@ -40,7 +40,7 @@ export class Embedding {
   private readonly port: HostPort;
   private readonly token: EmbedToken;
   private isReady = false;
-  /** What was said to be on screen. */
+  /** What the embedding page was last told to be on screen. */
   private settled = "";
 
   constructor(
@@ -56,7 +56,7 @@ export class Embedding {
   }
 
   /**
-   * The server asks for a token: so is the page around, where there is one.
+   * The server asks for a token: requests one from the embedding page, if there is one.
    *
    * @returns what to tell the user then
    */
@@ -66,7 +66,7 @@ export class Embedding {
     return "the server asks for a token, which the page around this picture has to hand over";
   }
 
-  /** Sends the events that are due to the page around. */
+  /** Sends the events that are due to the embedding page. */
   follow(isSettled: boolean): void {
     const { store } = this.parts;
     const { volumes, target } = store.viewer;

@@ -8,7 +8,7 @@ import type { ShownPrefix } from "../state/surfaceState";
 import type { Model } from "../ui/model";
 import { unevenOf } from "../world/uneven";
 
-/** What a step along each axis of the even grid is in the world. */
+/** World vectors of one step along each axis of the even grid. */
 export function axesOf({ direction, spacing }: Pick<VolumeInfo["geometry"], "direction" | "spacing">): [Vec3, Vec3, Vec3] {
   const step = (axis: 0 | 1 | 2): Vec3 => [direction[axis][0] * spacing[axis], direction[axis][1] * spacing[axis], direction[axis][2] * spacing[axis]];
   return [step(0), step(1), step(2)];

@@ -1,4 +1,4 @@
-/** Where the camera looks when a surface is first shown, and where buttons send it. */
+/** The camera's pose when a surface is first shown, and the poses that buttons set. */
 
 import type { SurfaceRenderer } from "../scene/renderer";
 import type { Vec3 } from "../protocol/types";
@@ -7,7 +7,7 @@ import type { Actions } from "../ui/actions";
 import type { AxisName } from "../world/axes";
 
 export class Framing {
-  /** The next surface on screen is the first of its volume, and the camera is fitted to it, or put where it was. */
+  /** The next surface on screen is the first of its volume, and the camera is fitted to it, or restored to its remembered pose. */
   private due = true;
   private first: Pose | undefined;
   private times = 0;
@@ -18,17 +18,17 @@ export class Framing {
     private readonly onMove: () => void,
   ) {}
 
-  /** How often the camera was sent to where the whole surface is in sight. */
+  /** How often the camera was fitted to the whole surface. */
   get fitted(): number {
     return this.times;
   }
 
-  /** Where the camera is; `undefined` while there is nothing to look at. */
+  /** The camera's pose; `undefined` while there is nothing to look at. */
   get pose(): Pose | undefined {
     return this.scene.regionCount > 0 && !this.due ? this.scene.camera.pose : undefined;
   }
 
-  /** @param pose where the camera shall be then */
+  /** @param pose that the camera shall have then */
   expect(another: boolean, pose: Pose | undefined): void {
     this.first = pose;
     this.due ||= another;
@@ -72,7 +72,7 @@ export class Framing {
   }
 }
 
-/** What the page does with the camera, of which there is none until the page has been made. */
+/** The page's actions on the camera, which does not exist until the page has been made. */
 export function framingActions(framing: () => Framing): Pick<Actions, "fit" | "home" | "lookFrom" | "facing" | "featureSpan"> {
   return {
     fit: () => framing().fit(),

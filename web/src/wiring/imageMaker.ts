@@ -79,7 +79,7 @@ export async function makeTurn(
   return { blob, note: request.scaleBar && withoutBar > 0 ? `${withoutBar} of ${frames} ${WITHOUT_BAR}` : undefined };
 }
 
-/** What is composed with a picture. */
+/** Parts that are composed with a picture. */
 export function imageParts(scene: SurfaceRenderer, store: Store, request: ImageRequest): ImageParts {
   const { look, viewer } = store;
   const surfaces = withRanges(viewer, store.surfaces);
@@ -87,7 +87,7 @@ export function imageParts(scene: SurfaceRenderer, store: Store, request: ImageR
   const colored = request.colorBar ? coloredByLook(surfaces, viewer.selected) : undefined;
   const colors = colored && colorBarOf(look, colored.view, shownErrors(viewer, surfaces), lengthUnit(viewer.volume), viewer.volume);
   const signs = surfaces.filter(({ style }) => style.visible).map((surface) => signOf(surface, store));
-  // On white paper, where nobody knows the background, dark ink is read.
+  // A transparent image gets dark ink, which can be read on white paper: its background is not known.
   const isDark = !request.transparent && (look.background === "black" || (look.background === "page" && page === "dark"));
   return {
     ...(request.transparent ? {} : { background: BACKDROPS[look.background][page] }),

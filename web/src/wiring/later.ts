@@ -1,4 +1,4 @@
-/** What is done once: for many events, a while after the first of them; or when it is first needed. */
+/** Runs something once: for many events, a while after the first of them; or when it is first needed. */
 export class Later {
   private timer: ReturnType<typeof setTimeout> | undefined;
 

@@ -1,4 +1,4 @@
-/** What a link has of the store, and what is said of one that names no volume of this server. */
+/** State of the store for a link, and the message for a link that names no volume of this server. */
 
 import { decodeLink, type Link, type LinkState } from "../state/link";
 import type { Pose } from "../state/look";
@@ -15,7 +15,7 @@ export function linkState(store: Store, pose: Pose | undefined): LinkState | und
 /** The volume that the server brings along, with a part that matters: what importance is for is seen at once. */
 const DEMO = "v=1&volume=mni152&triangles=20000&tf=0,0,3f6f8c;1,0.1,7d2f35&roi=53.7,-26.7,33.5,23,0.95&color=importance&map=ylor&wire=1";
 
-/** What is shown first of a volume that is opened without a link; `undefined`: as the server opens it, or as it was left. */
+/** The first view of a volume that is opened without a link; `undefined`: as the server opens it, or as it was left. */
 export function firstLink(store: Store, volume: string): Link | undefined {
   const demo = decodeLink(DEMO);
   return store.isEmbedded || store.knows(volume) || demo?.volume !== volume ? undefined : demo;

@@ -12,7 +12,7 @@ const middle = (a: Vec3, b: Vec3): Vec3 => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2
 /** Pixels by which texts stand beside their places: those of angles below, so that another one above can be read too. */
 const RAISED = { distance: 16, angle: -18, reading: 16, label: 16 } as const;
 
-/** Where its text stands: at the middle of a distance, at the corner of an angle. */
+/** Place of a measure's text: the middle of a distance, the corner of an angle. */
 function placeOf({ kind, points }: Measure): Vec3 {
   if (kind === "distance") return middle(...points);
   return kind === "angle" ? points[1] : points[0];
@@ -25,11 +25,11 @@ export class Measuring {
 
   /**
    * @param picked points of what is being measured
-   * @param unit of lengths, where it is known
+   * @param unit of lengths, if it is known
    */
   show(measures: readonly Measure[], picked: readonly Vec3[], unit: string | undefined): void {
     const wanted = [measures, picked, unit];
-    // What is as before costs no frame.
+    // If nothing has changed, no frame is rendered.
     if (wanted.every((one, i) => one === this.shown[i])) return;
     const isEmpty = measures.length + picked.length === 0;
     if (isEmpty && this.shown.length === 0) return;

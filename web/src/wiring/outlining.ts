@@ -14,7 +14,7 @@ export class Outlining {
   show(interest: View["interest"], { inspector, outlined }: Pick<PageLayers, "inspector" | "outlined">): void {
     const wanted = inspector && outlined !== undefined ? interest : [];
     const strong = typeof outlined === "number" ? outlined : undefined;
-    // What is as before costs no frame.
+    // If nothing has changed, no frame is rendered.
     if ((wanted === this.shown && strong === this.strong) || wanted.length + this.shown.length === 0) return;
     [this.shown, this.strong] = [wanted, strong];
     this.scene.annotations.outline(wanted.flatMap(({ sphere, box }): Outlined[] => (sphere !== undefined ? [sphere] : box !== undefined ? [box] : [])), strong);

@@ -42,7 +42,7 @@ export class Player {
     }, wait);
   }
 
-  /** Who wants less motion gets a slide show, unless asked otherwise. */
+  /** A user who prefers reduced motion gets a slide show, until they choose another speed. */
   slow(): void {
     this.store.changePage({ player: { ...this.store.page.player, speed: 1 } });
   }

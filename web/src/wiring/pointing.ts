@@ -28,7 +28,7 @@ export class Pointing {
 
   show(slicing: Slicing, volume: VolumeInfo | undefined): void {
     const at = volume === undefined || slicing.layout !== "both" ? undefined : crosshairOf(slicing, volume.geometry.dims);
-    // What is as before costs no frame.
+    // If nothing has changed, no frame is rendered.
     const wanted = at === undefined ? "" : `${volume?.id} ${at.join()}`;
     if (wanted === this.shown) return;
     this.shown = wanted;

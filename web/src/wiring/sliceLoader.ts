@@ -94,7 +94,7 @@ function keyOf(wanted: Wanted | undefined): string {
 
 const sourceOf = (key: string) => key.slice(0, key.indexOf("\n"));
 
-/** Where the samples of a plane are, where they are not even. */
+/** Positions of the samples of a plane, if they are not even. */
 function linesOf({ axes }: Plane, uneven: Uneven | undefined): Pick<Slice, "lines"> {
   const along = (name: "x" | "y" | "z" | undefined) => (name === undefined ? null : uneven?.[AXES.indexOf(name)] ?? null);
   return uneven === undefined || axes === undefined ? {} : { lines: [along(axes[0]), along(axes[1])] };

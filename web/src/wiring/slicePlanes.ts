@@ -7,7 +7,7 @@ import { fetchSlice, type Plane, type PlaneRequest } from "../net/slices";
 import type { Vec3, VolumeInfo } from "../protocol/types";
 import type { LoadedSlice, SliceState } from "../state/slicing";
 
-/** What the slices are to show. */
+/** The slices to show. */
 export interface SlicesWanted {
   readonly volume: VolumeInfo;
   readonly step: number;
@@ -17,7 +17,7 @@ export interface SlicesWanted {
 
 /** Between two requests for the slices across an axis. */
 const INTERVAL_MS = 30;
-/** A request for a slice that is not wanted any more may go on for so long: what it gets is shown while the crosshair moves on. */
+/** Longest time for which a request may go on when its slice is no longer wanted: the slice is shown while the crosshair moves on. */
 const SUPERSEDED_MS = 500;
 /** A server that is busy is asked once more. */
 const AGAIN_MS = 500;
@@ -103,7 +103,7 @@ class AxisLoader {
     this.begin();
   }
 
-  /** Asks again for what is not there: also where a line was cut and nothing comes any more. */
+  /** Requests again what is missing, even if the connection was cut and an answer will not come. */
   retry(): void {
     if (this.flight !== undefined) this.flight.abort.abort();
     else if (!this.state.isCurrent) this.begin();

@@ -1,4 +1,4 @@
-/** What the user does to the store alone; the app sees to the rest. */
+/** Actions of the user that change the store alone; the app does the others. */
 
 import type { Store } from "../state/store";
 import { toWire } from "../transfer/model";
@@ -22,7 +22,7 @@ type Names =
 /**
  * @param change does something, and shows what it has changed
  * @param mayChange whether what is shown is the user's to change; else nothing is done, and it is shown as it is
- * @param mayEdit whether the server lets them change surfaces, where it is theirs
+ * @param mayEdit whether the server lets them change surfaces, if what is shown is theirs
  */
 export function storeActions(store: Store, change: (act: () => void) => void, mayChange: () => boolean, mayEdit: () => boolean): Pick<Actions, Names> {
   const changeShown = (act: () => void) => change(mayChange() ? act : () => undefined);

@@ -27,7 +27,7 @@ export class StoryRecorder {
     recorder.pause();
   }
 
-  /** `undefined` where the browser records no video. */
+  /** Begins to record; `undefined` if the browser records no video. */
   static begin(scene: SurfaceRenderer, store: Store, request: ImageRequest): StoryRecorder | undefined {
     const type = typeof MediaRecorder === "undefined" ? undefined : TYPES.find((type) => MediaRecorder.isTypeSupported(type));
     if (type === undefined) return undefined;
@@ -68,7 +68,7 @@ export class StoryRecorder {
     canvas.getContext("2d")?.drawImage(picture, 0, 0, canvas.width, canvas.height);
   }
 
-  /** What is drawn is recorded for this long. */
+  /** Records what is drawn for this long. */
   private roll(ms: number, signal: AbortSignal | undefined): Promise<void> {
     this.recorder.resume();
     return new Promise((done) => {

@@ -80,7 +80,7 @@ export class Storyteller {
     if (bookmark !== undefined) await this.run((signal) => this.turnTo(bookmark, this.screen(), signal, MOVE_SECONDS / 2));
   }
 
-  /** Whether it was told to its end. */
+  /** Plays the story from a bookmark on; returns whether it was played to its end. */
   private tell(from: number, medium: Medium): Promise<boolean> {
     return this.run(async (signal) => {
       const { model, store: { page: { story } } } = this.parts;
@@ -142,7 +142,7 @@ export class Storyteller {
     signal.throwIfAborted();
   }
 
-  /** The picture on the page. Who wants less motion gets pictures one after the other. */
+  /** The picture on the page. A user who prefers reduced motion gets pictures one after the other. */
   private screen(): Medium {
     const { scene } = this.parts;
     return {

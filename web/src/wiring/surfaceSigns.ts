@@ -11,13 +11,15 @@ import type { Surface } from "../state/surfaceList";
 import { formatValue } from "../ui/format";
 import { colorBarOf } from "./display";
 
-/** The one colour of a surface; `undefined` where its vertices have the transfer function's. What a file cannot show is the material's. */
+/**
+ * The one colour of a surface; `undefined` if its vertices have the transfer function's. For what a file cannot show it is the material's.
+ */
 export function colorOf({ style }: Pick<Surface, "style">, { colorBy, material }: Pick<Look, "colorBy" | "material">): string | undefined {
   if (style.color !== undefined) return style.color;
   return colorBy === "transfer" ? undefined : SHADINGS[material].color;
 }
 
-/** The colours of a surface as they are seen, and its isovalue: `T1 90`, with the unit where the field has one. */
+/** The colours of a surface as they are seen, and its isovalue: `T1 90`, with the unit if the field has one. */
 export function signOf({ number, style, view }: Surface, { look, surfaces, viewer }: Pick<Store, "look" | "surfaces" | "viewer">): SurfaceSign {
   const bar = style.color === undefined ? colorBarOf(look, withRange(viewer, { number, view }), shownErrors(viewer, surfaces), undefined) : undefined;
   const unit = viewer.volume?.fields.find(({ name }) => name === view.field)?.unit ?? "";

@@ -8,7 +8,7 @@ import { difference } from "../state/view";
 import { sameImportance } from "../transfer/model";
 
 export class SurfaceSync {
-  /** @param wanted what the server is asked for where these values are in force */
+  /** @param wanted returns the view that is requested from the server when these values are in force */
   constructor(
     private readonly client: Pick<StreamClient, "edit" | "numbers" | "remember" | "remove" | "view">,
     private readonly pipeline: Pick<RegionPipeline, "event">,
@@ -23,7 +23,7 @@ export class SurfaceSync {
     for (const { number, view } of [...surfaces].sort((a, b) => Number(b.number === first) - Number(a.number === first))) this.edit(number, this.wanted(view));
   }
 
-  /** A volume or step is open: what is on screen of surfaces that are no more has nobody who would remove it. */
+  /** A volume or step is open: removes surfaces from the screen that are no longer in the list, as no later message would do so. */
   opened(surfaces: SurfaceList): void {
     for (let number = 0; number < MAX_SURFACES; number += 1) {
       if (surfaces.every((surface) => surface.number !== number)) this.pipeline.event({ type: "removed", surface: number });

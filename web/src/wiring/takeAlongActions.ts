@@ -1,4 +1,4 @@
-/** What the page's buttons do that take something along: its link, a command line, meshes. */
+/** Actions of the buttons that copy or save something: a link, a command line, meshes. */
 
 import type { Store } from "../state/store";
 import type { Actions } from "../ui/actions";

@@ -18,7 +18,7 @@ export interface TimeMeasuringHandlers {
   readonly fail: (reason: string) => void;
 }
 
-/** What the selected surface is made of. */
+/** Key of the values that make the selected surface. */
 function surfaceKey({ view, viewer }: Pick<Store, "view" | "viewer">): string {
   return JSON.stringify([viewer.volume?.id, { ...view, transferFunction: view?.transferFunction.points.map(({ x, importance }) => [x, importance]) }]);
 }
@@ -54,7 +54,7 @@ export class TimeMeasuring {
     const { curves, store } = this;
     if (curves?.isRunning !== true || this.isBusy) return;
     const next = curves.rows.length;
-    // Somebody else took the controls.
+    // The surface or the time step was changed by other means.
     if (curves.of !== surfaceKey(store) || store.step !== next) return this.giveUp(curves);
     if (store.viewer.target?.step === next && this.on.isShown()) void this.measure(curves, next);
   }

@@ -124,7 +124,7 @@ export class Together {
     return true;
   }
 
-  /** The connection was lost: the client joins or leads the group again on the next one, where there is such a group still. */
+  /** The connection was lost: the client joins or leads the group again on the next one, if the group still exists. */
   lost(): void {
     [this.isIn, this.sentPage, this.sentCamera] = [false, "", ""];
   }
@@ -134,7 +134,7 @@ export class Together {
     if (this.isIn && !this.follows) this.throttle.call();
   }
 
-  /** What is shown there is shown here, where its volume is open. */
+  /** Shows here what the leader is shown, if the leader's volume is open. */
   take(): void {
     const { store, adopt, dispatch } = this.around;
     const { led } = this;
@@ -181,7 +181,7 @@ export class Together {
     if (this.follows && this.group?.isApart === false) this.change({ isApart: true });
   }
 
-  /** From where the other looks. */
+  /** Moves the camera to the leader's pose. */
   private look(): void {
     const { framing, scene } = this.around;
     const camera = this.posed?.camera as CameraPose | undefined;
@@ -191,7 +191,7 @@ export class Together {
     else scene.camera.restore(camera);
   }
 
-  /** The other's look, where it is one of this volume that this page understands. */
+  /** The leader's look, if it is one of this volume that this page can read. */
   private linkOf(volume: string): Link | undefined {
     try {
       const link = decodeLink(this.posed?.page ?? "");

@@ -4,7 +4,7 @@ import { evenOf, unevenOf, type UnevenAxis } from "./uneven";
 
 export type Triple = readonly [number, number, number];
 
-/** What of a volume's geometry says where its samples lie. */
+/** The part of a volume's geometry that gives the positions of its samples. */
 export interface PlacedGrid {
   readonly dims: Triple;
   /** World units between samples; along an uneven axis their mean. */

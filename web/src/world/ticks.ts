@@ -9,7 +9,7 @@ export function roundBelow(value: number): number {
   return digit * power;
 }
 
-/** Round numbers between two others, at most `max` of them, and at least one step of them where there is space. */
+/** Round numbers between two others, at most `max` of them, and at least one step of them if there is space. */
 export function ticks(low: number, high: number, max: number): number[] {
   const range = high - low;
   if (!(range > 0) || !Number.isFinite(range)) return [];

@@ -3,18 +3,18 @@
  * ends. Pure.
  */
 
-/** Even coordinates of the samples along an axis, ascending; null where it is even. */
+/** Even coordinates of the samples along an axis, ascending; null if it is even. */
 export type UnevenAxis = readonly number[] | null;
 export type Uneven = readonly [UnevenAxis, UnevenAxis, UnevenAxis];
 
-/** Of a volume's geometry; `undefined` where all axes are even. */
+/** The uneven axes of a volume's geometry; `undefined` if all axes are even. */
 export function unevenOf({ spacing, positions }: { readonly spacing: readonly number[]; readonly positions?: readonly (readonly number[] | null)[] }): Uneven | undefined {
   if (positions === undefined) return undefined;
   const along = (axis: 0 | 1 | 2) => positions[axis]?.map((position) => position / (spacing[axis] ?? 1)) ?? null;
   return [along(0), along(1), along(2)];
 }
 
-/** The first sample of the cell around an index; `undefined` outside the grid, where distances are even. */
+/** The first sample of the cell around an index; `undefined` outside the grid, since distances are even there. */
 function cellOf(axis: readonly number[], index: number): number | undefined {
   const last = axis.length - 1;
   return index >= 0 && index <= last ? Math.min(Math.floor(index), last - 1) : undefined;

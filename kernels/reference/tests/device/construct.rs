@@ -185,7 +185,7 @@ impl Compared<'_> {
         let length = self.want.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         let along = got.iter().zip(self.want.gradient).map(|(n, g)| -f64::from(*n) * g);
         let cosine = along.sum::<f64>() / length;
-        // Where the gradients below nearly cancel out, rounding decides.
+        // If the gradients below nearly cancel out, rounding decides.
         let is_certain = length > 0.05 * f64::from(self.host.nodes[self.slot].count);
         prop_assert!(
             !is_certain || cosine > 0.998,

@@ -51,7 +51,7 @@ fn check(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCaseErro
     Ok(())
 }
 
-/// Surfaces that the samples resolve. Where noise is as large as what it lies on, or samples have the isovalue itself, the field may come as
+/// Surfaces that the samples resolve. If noise is as large as what it lies on, or samples have the isovalue itself, the field may come as
 /// near to it as one likes without crossing it, and the slope then promises a surface that brute force does not find.
 fn resolved() -> impl Strategy<Value = Pattern> {
     prop_oneof![Just(Pattern::Blocks), Just(Pattern::Waves(0)), Just(Pattern::Waves(15))]

@@ -64,7 +64,7 @@ impl Labels {
         }
     }
 
-    /// Of floats, where there is no missing label.
+    /// Of floats, if there is no missing label.
     fn samples(&self) -> Samples {
         match self.values.contains(&255) {
             true => Samples::U8(self.values.clone()),

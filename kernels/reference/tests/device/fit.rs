@@ -46,7 +46,7 @@ fn budgets_are_kept_and_used() {
             prop_assert_eq!(found, coarsest);
         } else {
             prop_assert!(found <= budget, "{} triangles, expected at most {}", found, budget);
-            // Where that is not enough, no beta in between has more triangles within the budget than a few steps allow.
+            // If that is not enough, no beta in between has more triangles within the budget than a few steps allow.
             if (found as f64) < BUDGET_FIT * budget as f64 {
                 let finer = f32::from_bits((fitted.beta.to_bits().max(1 << 17) as f64 - f64::from(1 << 17)) as u32);
                 let next = triangles(finer);

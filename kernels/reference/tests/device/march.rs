@@ -200,7 +200,7 @@ fn check_packed(
     let (a, b) = (field.gradient(edge.low), field.gradient(edge.high()));
     let steep = (0..3).map(|i| (a[i] + (b[i] - a[i]) * t).abs()).fold(0.0, f32::max);
     let scale = (0..3).map(|i| a[i].abs().max(b[i].abs())).fold(0.0, f32::max);
-    // Where the two gradients nearly cancel out, rounding decides.
+    // If the two gradients nearly cancel out, rounding decides.
     if steep > 1e-3 * scale {
         let (got, want) = (vertex.unit_normal(), twin_pack::normal(field, edge, t));
         let off = (0..3).map(|i| (got[i] - want[i]).abs()).fold(0.0, f32::max);

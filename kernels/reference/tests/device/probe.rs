@@ -164,7 +164,7 @@ fn leaves_of_the_tree_are_the_twins() {
     });
 }
 
-/// Samples are read through slabs of every type; where one that counts is missing, so is the value.
+/// Samples are read through slabs of every type; if one that counts is missing, so is the value.
 #[test]
 fn values_are_the_fields_trilinear_ones() {
     let Some(engine) = device() else { return };

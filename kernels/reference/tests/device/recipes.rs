@@ -69,7 +69,7 @@ impl Recipe {
         }
     }
 
-    /// Grid, samples, the value that counts as missing, and an isovalue that is one of the values where it can be.
+    /// Grid, samples, the value that counts as missing, and an isovalue that is one of the values if it can be.
     pub fn make(&self) -> (Grid, Samples, Option<f32>, f32) {
         let grid = Grid::new(self.dims, self.spacing).expect("a valid grid");
         let mut random = Random(self.seed);

@@ -15,7 +15,7 @@ pub struct Planted {
     pub params: CutParams,
 }
 
-/// Uploads a volume, padded where it is to be capped, and builds its tree.
+/// Uploads a volume, padded if it is to be capped, and builds its tree.
 pub fn plant(engine: &Engine, recipe: &Recipe, cap: bool) -> Planted {
     let (grid, samples, missing, iso) = recipe.make();
     let (grid, samples) = if cap {
@@ -208,7 +208,7 @@ fn merges_hardly_ever_fold_the_surface() {
     );
 }
 
-/// Whoever asks may use the device meanwhile.
+/// Runs other work on the device at each poll, as jobs do to which the device is yielded.
 pub struct Others<'a> {
     pub polls: Cell<usize>,
     /// Gives up at this poll.

@@ -2,7 +2,7 @@
 //!
 //! Volumes of the embedded demo are in the repository, others are made of formulas ([`synthetic`]). Those of
 //! `expected-cuts-volumes.jsonl` are not in the repository: their tests are ignored unless asked for (`make test-volumes`),
-//! and then fail where a file is missing.
+//! and then fail if a file is missing.
 
 mod synthetic;
 

@@ -14,7 +14,7 @@ fn of(value: impl Fn([f64; 3]) -> f64) -> Field {
     sampled(dims, SPACING, |p| value(at(p)) as f32)
 }
 
-/// Samples with their position and value, where the value is known.
+/// Samples with their position and value, if the value is known.
 fn known(field: &Field) -> impl Iterator<Item = ([f64; 3], f64)> + '_ {
     let place = |p: [u32; 3]| {
         [0, 1, 2].map(|i| (f64::from(p[i]) - f64::from(field.grid.dims[i] - 1) / 2.0) * f64::from(SPACING[i]))

@@ -50,7 +50,7 @@ fn inside(field: &Field) -> impl Iterator<Item = ([f64; 3], f64)> + '_ {
     inner.map(move |p| ([0, 1, 2].map(|i| axes[i][p[i] as usize]), f64::from(field.at(p))))
 }
 
-/// Every value inside is near the expected one, where there is one.
+/// Every value inside is near the expected one, if there is one.
 fn check(field: &Field, tolerance: f64, expected: impl Fn([f64; 3]) -> Option<f64>) {
     let mut compared = 0;
     for (p, found) in inside(field) {

@@ -1,4 +1,4 @@
-//! What a request is to the audit log.
+//! The events of the audit log, and which requests cause them.
 
 use axum::http::Method;
 use axum::http::header::{HeaderMap, LOCATION};
@@ -8,9 +8,9 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(in crate::access) enum Event {
-    /// A token was shown for a cookie, or an issuer has sent a user back.
+    /// A token was exchanged for a cookie, or an issuer has sent a user back.
     SignIn,
-    /// The cookie was given back.
+    /// A user has signed out.
     SignOut,
     /// A stream was opened.
     Stream,
@@ -42,7 +42,7 @@ pub(in crate::access) enum Event {
     TokenRevoked,
 }
 
-/// What a request of a path is, and the job or upload it is about.
+/// The event of a request, and the job or upload that it is about.
 pub(super) fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
     let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
     let (event, id) = match (parts.as_slice(), method) {

@@ -1,4 +1,4 @@
-//! Refusals of a kind are counted, so that clients who are refused again and again do not fill the disk with lines.
+//! Counts refusals of one kind, so that clients who are refused repeatedly do not fill the disk with lines.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -11,7 +11,7 @@ use super::Event;
 /// Kinds of refusals that are counted at a time; those beyond count together, without user and peer.
 pub(super) const MAX_KINDS: usize = 1_024;
 
-/// Refusals that differ in nothing that a line says but time and id.
+/// A kind of refusals: their lines differ only in time and id.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Kind {
     pub(super) event: Event,

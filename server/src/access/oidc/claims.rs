@@ -1,4 +1,4 @@
-//! What an issuer says of somebody: an ID token (OpenID Connect Core 1.0, section 2), and whether it is to be believed (3.1.3.7).
+//! Reads and validates ID tokens, an issuer's statements about a user (OpenID Connect Core 1.0, sections 2 and 3.1.3.7).
 
 use jsonwebtoken::jwk::{Jwk, JwkSet, PublicKeyUse};
 use jsonwebtoken::{DecodingKey, Validation, decode, decode_header};
@@ -15,7 +15,7 @@ const LEEWAY: u64 = 30;
 /// Maximum length of `sub`.
 const MAX_SUB_BYTES: usize = 255;
 
-/// Why an ID token is not believed.
+/// Why an ID token is refused.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ClaimsError {
     #[error("the ID token is signed by a key that the issuer does not list")]
@@ -29,7 +29,7 @@ pub(super) enum ClaimsError {
 /// Whom an ID token is for and about.
 #[derive(Debug, Deserialize)]
 pub(super) struct Claims {
-    /// Who it is: unique at the issuer, and never given to somebody else.
+    /// The user's id: unique at the issuer, and never reassigned to another user.
     pub sub: String,
     aud: Audience,
     azp: Option<String>,
@@ -47,7 +47,7 @@ enum Audience {
     Many(Vec<String>),
 }
 
-/// What an ID token has to agree with.
+/// The values that an ID token must have.
 pub(super) struct Expected<'a> {
     pub issuer: &'a str,
     pub client_id: &'a str,
@@ -58,7 +58,7 @@ impl Claims {
     /// Checks signature, issuer, audience, authorized party, expiry and nonce.
     ///
     /// # Errors
-    /// [`ClaimsError`]; [`ClaimsError::UnknownKey`] where newer keys of the issuer may help.
+    /// [`ClaimsError`]; [`ClaimsError::UnknownKey`] if newer keys of the issuer may help.
     pub(super) fn check(token: &str, keys: &JwkSet, expected: &Expected<'_>) -> Result<Self, ClaimsError> {
         signature::install();
         let header = decode_header(token)?;

@@ -1,5 +1,5 @@
-//! Sign-in by an issuer of OpenID Connect: the authorization code flow with PKCE (RFC 7636). Whom the issuer vouches for has the roles that their
-//! groups have here, in a session of their own ([`super::signed_in`]).
+//! Sign-in through an OpenID Connect issuer: the authorization code flow with PKCE (RFC 7636). A user whose sign-in the issuer confirms
+//! gets the roles that their groups have here, and a session of their own ([`super::signed_in`]).
 
 mod claims;
 mod pending;
@@ -26,9 +26,9 @@ use crate::problem::ApiError;
 
 pub(super) use pending::{LIFETIME as TRIP_LIFETIME, random};
 
-/// How long somebody is signed in: a working day.
+/// Lifetime of a signed-in user's session: a working day.
 pub(super) const SESSION_SECONDS: u64 = 10 * 3600;
-/// Where the issuer sends browsers back to, below the address of the server.
+/// The path that the issuer redirects browsers to, below the address of the server.
 const CALLBACK: &str = "api/v1/oidc/callback";
 
 /// Roles of a group at the issuer, as on the command line: `GROUP=view,export`; `*` stands for everybody.
@@ -54,14 +54,14 @@ impl FromStr for GroupRoles {
     }
 }
 
-/// Why nobody can sign in by an issuer.
+/// Why sign-in through an issuer is not available.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OidcError {
     /// The issuer's address.
     #[error("--oidc-issuer {0:?}: expected an address such as https://login.example, as the issuer itself writes it")]
     Issuer(String),
-    /// Nobody would have a role.
+    /// No group is given a role, so no user could do anything.
     #[error("--oidc-role: expected one or more, such as staff=edit,export, or *=view for everybody")]
     NoRoles,
     /// Requests cannot be sent.
@@ -72,18 +72,18 @@ pub enum OidcError {
     Random(TokenError),
 }
 
-/// What an operator says of an issuer.
+/// The operator's configuration of an issuer.
 #[derive(Clone)]
 pub struct OidcOptions {
     /// As the issuer itself writes it.
     pub issuer: String,
-    /// This server's name at the issuer.
+    /// This server's client id at the issuer.
     pub client_id: String,
-    /// What it proves that with; `None`: it is a public client.
+    /// The client secret; `None` for a public client.
     pub client_secret: Option<String>,
-    /// What it is asked for, `openid` among it: some have groups in a scope of their own, others refuse scopes that they do not know.
+    /// The scopes to request, `openid` among them. Some issuers have groups in a scope of their own, others refuse scopes they do not know.
     pub scope: String,
-    /// The claim with names of groups; dots lead into it.
+    /// The claim that has the names of groups; dots separate the names of nested objects.
     pub groups_claim: String,
     /// Roles of groups.
     pub roles: Vec<GroupRoles>,
@@ -108,7 +108,7 @@ pub struct Oidc {
     home: Arc<str>,
 }
 
-/// Somebody whom the issuer vouches for.
+/// A user whose sign-in the issuer has confirmed.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Vouched {
     pub user: String,
@@ -119,7 +119,7 @@ impl Oidc {
     /// For a server that browsers find at `public`.
     ///
     /// # Errors
-    /// [`OidcError`]. Whether the issuer is there is seen when somebody signs in.
+    /// [`OidcError`]. The issuer is not contacted here, so an unreachable one fails only when a user signs in.
     pub fn new(options: OidcOptions, public: &PublicUrl) -> Result<Self, OidcError> {
         let bad = || OidcError::Issuer(options.issuer.clone());
         let address: Url = options.issuer.parse().map_err(|_| bad())?;
@@ -147,12 +147,12 @@ impl Oidc {
         &self.options.issuer
     }
 
-    /// Where browsers find the server.
+    /// The address at which browsers find the server.
     pub fn home(&self) -> &str {
         &self.home
     }
 
-    /// Where somebody signs in, and the secret that their browser brings back.
+    /// Begins a sign-in. Returns the address at the issuer that the browser is sent to, and the secret that it brings back.
     pub(super) async fn begin(&self) -> Result<(String, String), ApiError> {
         let (metadata, _) = self.provider.metadata(false).await.map_err(away)?;
         let (secret, state, trip) = self.pending.begin(Instant::now()).map_err(no_random)?;
@@ -171,7 +171,7 @@ impl Oidc {
         Ok((address.into(), secret))
     }
 
-    /// Somebody comes back with a code, and with the secret in their browser.
+    /// Completes a sign-in: the browser has returned from the issuer with a code, a state and its secret.
     pub(super) async fn end(&self, secret: Option<&str>, state: &str, code: &str) -> Result<Vouched, ApiError> {
         let trip = secret.and_then(|secret| self.pending.end(secret, state, Instant::now()));
         let trip = trip.ok_or_else(|| {
@@ -219,13 +219,14 @@ impl Oidc {
             return Err(ApiError::new(StatusCode::FORBIDDEN, "forbidden", message));
         }
         Ok(Vouched {
-            // What they own is theirs, and nobody's who has a token of that name.
+            // The prefix separates these users from those of named tokens, who may have the same name.
             user: format!("oidc:{}", claims.sub),
             roles: roles.into(),
         })
     }
 
-    /// Where somebody signs out at the issuer too, if it says where (RP-Initiated Logout 1.0).
+    /// The address at which the user also signs out at the issuer (RP-Initiated Logout 1.0). `None` if the issuer states none or cannot be
+    /// reached.
     pub(super) async fn sign_out(&self) -> Option<String> {
         let (metadata, _) = self.provider.metadata(false).await.ok()?;
         let mut address = metadata.end_session_endpoint?.0;

@@ -1,6 +1,6 @@
-//! People on their way to an issuer and back. A browser keeps a secret in a cookie of its own, from which all else of its sign-in follows by a key of the
-//! server: nothing is kept of those who are away, so thousands of strangers who begin a sign-in cannot make one of another user fail. What comes back to another
-//! browser is of no use there.
+//! Sign-ins in progress at an issuer. The browser keeps a secret in a cookie, from which all other values of the sign-in are derived with
+//! a key of the server. The server stores nothing for a sign-in in progress, so thousands of strangers who begin one cannot make that of
+//! another user fail. A response of the issuer that arrives in another browser is refused.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,9 +14,9 @@ use subtle::ConstantTimeEq;
 
 use crate::access::token::TokenError;
 
-/// How long somebody may be away: time for a password and a second factor.
+/// Maximum duration of a sign-in: time for a password and a second factor.
 pub(in crate::access) const LIFETIME: Duration = Duration::from_secs(600);
-/// Maximum of sign-ins that are remembered as used. Of more the oldest are forgotten: issuers take a code once as well.
+/// Maximum sign-ins that are remembered as used. Beyond it the oldest are forgotten, as issuers accept a code only once anyway.
 const MAX_USED: usize = 4_096;
 const RANDOM_BYTES: usize = 32;
 
@@ -57,7 +57,7 @@ impl Pending {
         })
     }
 
-    /// Somebody leaves: the secret for their browser, the state, and what goes to the issuer.
+    /// Begins a sign-in. Returns the secret for the browser, the state, and what is sent to the issuer.
     pub(super) fn begin(&self, now: Instant) -> Result<(String, String, Trip), TokenError> {
         let age = now.saturating_duration_since(self.epoch).as_secs();
         let secret = format!("{}.{age}", random()?);
@@ -66,9 +66,10 @@ impl Pending {
         Ok((secret, state, trip))
     }
 
-    /// Somebody is back, with this secret in their browser: once.
+    /// Ends a sign-in whose browser has brought back this secret. `None` if the state does not belong to the secret, the sign-in took
+    /// longer than [`LIFETIME`], or the secret was used before.
     pub(super) fn end(&self, secret: &str, state: &str, now: Instant) -> Option<Trip> {
-        // Its own state alone says that the server has made a secret, and when.
+        // Only the matching state proves that the server has made this secret, and when.
         let expected = self.derive("state", secret);
         if !bool::from(expected.as_bytes().ct_eq(state.as_bytes())) {
             return None;

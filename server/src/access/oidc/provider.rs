@@ -1,5 +1,5 @@
-//! What an issuer offers (OpenID Connect Discovery 1.0) and the requests to it. It is asked when somebody signs in: where it is away, nobody else
-//! waits for it.
+//! An issuer's metadata (OpenID Connect Discovery 1.0) and the requests to it. The issuer is contacted only when a user signs in or out:
+//! if it cannot be reached, other requests do not wait for it.
 
 use std::time::{Duration, Instant};
 
@@ -16,10 +16,10 @@ use crate::error::chain;
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// Longest answer: keys and addresses.
 const MAX_ANSWER_BYTES: usize = 1 << 20;
-/// How long what the issuer says of itself is kept.
+/// How long the issuer's metadata and keys are cached.
 const LIFETIME: Duration = Duration::from_secs(3600);
 
-/// Why an issuer is of no help.
+/// Why a request to the issuer failed.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ProviderError {
     #[error("the issuer does not answer")]
@@ -56,7 +56,7 @@ impl TryFrom<String> for Endpoint {
     }
 }
 
-/// What the issuer says of itself.
+/// The issuer's metadata.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Metadata {
     issuer: String,
@@ -68,7 +68,7 @@ pub(super) struct Metadata {
     token_endpoint_auth_methods_supported: Vec<String>,
 }
 
-/// What is sent for a code.
+/// What is sent to exchange a code for an ID token.
 pub(super) struct Exchange<'a> {
     pub client_id: &'a str,
     pub client_secret: Option<&'a str>,
@@ -87,7 +87,7 @@ struct Tokens {
 pub(super) struct Provider {
     issuer: String,
     http: Client,
-    /// Held while it is asked, so that many who sign in ask once.
+    /// Locked during a request to the issuer, so that concurrent sign-ins send one request.
     pub(super) known: Mutex<Known>,
 }
 
@@ -95,15 +95,15 @@ pub(super) struct Provider {
 #[derive(Debug, Default)]
 pub(super) struct Known {
     pub answer: Option<(Instant, Metadata, JwkSet)>,
-    /// When it was last asked in vain, and why that was.
+    /// When the last request failed, and why; `None` if it succeeded.
     failure: Option<(Instant, String)>,
 }
 
 impl Provider {
     pub(super) fn new(issuer: String) -> Result<Self, ProviderError> {
-        // Fails where it was done before.
+        // Fails if the process already has a default provider, which is fine.
         let _ = rustls::crypto::ring::default_provider().install_default();
-        // Its answers are for this server: no redirection leads elsewhere.
+        // Do not follow redirections: they could lead to another server.
         let http = Client::builder()
             .timeout(TIMEOUT)
             .redirect(reqwest::redirect::Policy::none());
@@ -114,7 +114,7 @@ impl Provider {
         })
     }
 
-    /// What the issuer says of itself, and its keys; asked anew where that is `stale`.
+    /// Returns the issuer's metadata and keys, from the cache unless it has expired or is `stale`.
     pub(super) async fn metadata(&self, stale: bool) -> Result<(Metadata, JwkSet), ProviderError> {
         let arrived = Instant::now();
         let mut known = self.known.lock().await;
@@ -124,7 +124,7 @@ impl Provider {
         {
             return Ok((metadata.clone(), keys.clone()));
         }
-        // Those who waited meanwhile do not ask one after another.
+        // A request failed while this one waited for the lock: do not repeat it.
         if let Some((when, why)) = &known.failure
             && *when >= arrived
         {

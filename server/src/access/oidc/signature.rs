@@ -20,10 +20,10 @@ static PROVIDER: CryptoProvider = CryptoProvider {
     jwk_utils: JwkUtils::new_unimplemented(),
 };
 
-/// Makes ring what checks signatures in this process.
+/// Installs ring as the process's provider of signature checks.
 pub(super) fn install() {
     static ONCE: Once = Once::new();
-    // Fails where it was done before.
+    // Fails if a provider was installed before, which is fine.
     ONCE.call_once(|| {
         let _ = PROVIDER.install_default();
     });

@@ -48,7 +48,7 @@ impl Client {
         if !matches!(url.scheme(), "http" | "https") {
             return Err(bad());
         }
-        // Fails where it was done before.
+        // Fails if a provider was installed before.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let mut headers = HeaderMap::new();
         if let Some(token) = token {

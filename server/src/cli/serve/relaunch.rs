@@ -62,7 +62,7 @@ pub(super) fn relaunch(listen: &ListenAddress, token: Option<&Token>, next: &Nex
         Ok(file) => file,
         Err(error) => return error,
     };
-    // The program as it was started, also where its file was replaced meanwhile.
+    // The program as it was started, even if its file was replaced meanwhile.
     Command::new("/proc/self/exe")
         .args(std::env::args_os().skip(1))
         .env(VARIABLE, file.as_raw_fd().to_string())

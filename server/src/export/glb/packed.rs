@@ -59,7 +59,7 @@ pub(in crate::export) fn rounding(mesh: &Mesh) -> f64 {
     f64::from(Lattice::of(mesh).step) / 2.0
 }
 
-/// Where positions are whole numbers.
+/// Lattice on which positions are whole numbers.
 struct Lattice {
     low: [f32; 3],
     step: f32,

@@ -65,7 +65,7 @@ fn what_regions_share_is_there_once_and_triangles_are_ordered_by_level() {
 #[test]
 fn a_vertex_outside_its_region_is_the_one_inside_its_neighbour() {
     let mut surface = two_quads();
-    // The first quad ends 3.25 cells into the second region, where the second ends too.
+    // The first quad ends 3.25 cells into the second region, at the end of the second quad.
     for (v, y) in [(1, 1.0), (2, 2.0)] {
         surface.regions[0].vertices.to_mut()[v] = vertex([35.25, y, 0.5]);
     }

@@ -18,7 +18,7 @@ pub enum Answer {
     VertexErrors(Vec<VertexErrors>),
 }
 
-/// Distances of the vertices of a region to the isosurface, world units; infinite where none is near.
+/// Distances of the vertices of a region to the isosurface, world units; infinite if it is not near.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VertexErrors {
     /// The region, as it was made.
@@ -92,13 +92,13 @@ pub struct NearestSurface {
     pub blended: f32,
     /// Importance.
     pub importance: f32,
-    /// The leaf that stands for it in the surface that is shown; null where that has none there, or it is not known.
+    /// The leaf that stands for it in the surface that is shown; null if that surface has none there, or if the leaf is not known.
     pub leaf: Option<NearestLeaf>,
     /// Number of its part in the full surface: the same at all places of one part, as long as isovalue, field and guards stay; null as
     /// `partArea`.
     pub part: Option<u32>,
-    /// Area of its part in the full surface, world units; null where it is of none, and where parts are not known: the surface is no tree
-    /// cut, or it is large and no part of it was removed yet.
+    /// Area of its part in the full surface, world units; null if it belongs to no part, and if parts are not known: the surface is not a
+    /// cut of the tree, or it is large and no part of it has been removed yet.
     pub part_area: Option<f32>,
 }
 
@@ -113,11 +113,11 @@ pub struct Probe {
     pub inside: bool,
     /// Every field there; none outside.
     pub values: Vec<FieldValue>,
-    /// The surface next to it; null where there is none within two cells.
+    /// The surface next to it; null if there is none within two cells.
     pub nearest: Option<NearestSurface>,
 }
 
-/// How the blended feature is distributed over a surface: each vertex of the full surface counts once, with the leaf that stands for it.
+/// Distribution of the blended feature over a surface: each vertex of the full surface counts once, with the leaf that stands for it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(rename_all = "camelCase")]
@@ -128,7 +128,7 @@ pub struct Distribution {
     pub bins: Vec<u32>,
     /// Of these, those whose leaf stands for others too.
     pub coarse: Vec<u32>,
-    /// Their share in all.
+    /// Share of `coarse` in all vertices.
     pub coarse_share: f64,
 }
 

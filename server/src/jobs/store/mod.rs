@@ -1,4 +1,5 @@
-//! Jobs, their extractions and what happened to them, in SQLite. What a method has returned is on the disk (`synchronous = FULL`).
+//! Jobs, their extractions and what happened to them, in SQLite. When a method has returned, its changes are on the disk
+//! (`synchronous = FULL`).
 //!
 //! [`Store`] runs one thing at a time on a blocking thread; [`requests`] is what clients ask for, [`work`] what the runner does.
 
@@ -30,10 +31,10 @@ const JOB_COLUMNS: &str = "id, volume, state, total, done, failed, empty, bytes,
 /// The store. Clones are cheap.
 #[derive(Clone, Debug)]
 pub struct Store {
-    /// One connection: SQLite writes one transaction at a time, and each takes some milliseconds. Those who wait for it are tasks, not
-    /// threads.
+    /// One connection: SQLite writes one transaction at a time, and each takes some milliseconds. Tasks wait for it,
+    /// not threads.
     connection: Arc<Mutex<Connection>>,
-    /// The owner who had the last turn.
+    /// The owner of the last extraction that was taken.
     last_owner: Arc<std::sync::Mutex<String>>,
     reserve: Arc<Path>,
 }
@@ -42,7 +43,7 @@ pub struct Store {
 const RESERVE_BYTES: usize = 1 << 20;
 
 impl Store {
-    /// Opens the store in a file, which is made where there is none.
+    /// Opens the store in a file, which is made if it is missing.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -125,7 +126,7 @@ fn keep_reserve(path: &Path) {
     }
     if let Err(error) = std::fs::write(path, vec![0; RESERVE_BYTES]) {
         tracing::debug!(%error, "there is no space for the reserve of the job store");
-        // What was written of it.
+        // Removes a reserve that was written in part.
         let _ = std::fs::remove_file(path);
     }
 }

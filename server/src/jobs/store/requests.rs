@@ -1,4 +1,4 @@
-//! What clients ask the store for. Each request names an owner, who sees no jobs but their own.
+//! Requests of clients to the store. Each request names an owner, and finds no jobs but those of this owner.
 
 use data_encoding::HEXLOWER;
 use rusqlite::{Row, Transaction};
@@ -18,10 +18,10 @@ const LISTED_FAILURES: u32 = 100;
 /// Events that are read at once: some 10 KiB.
 const EVENT_BATCH: u32 = 100;
 
-/// Who asks, and for which request.
+/// Identity of a request: its user, its idempotency key and its digest.
 #[derive(Clone, Debug)]
 pub struct RequestKey {
-    /// Who.
+    /// The user, who owns the job.
     pub owner: String,
     /// The `Idempotency-Key`.
     pub key: Option<String>,
@@ -55,7 +55,7 @@ pub struct ResultInfo {
     pub checksum: Checksum,
     /// Its format.
     pub format: Format,
-    /// The isovalue of its surface, where it was asked for.
+    /// The isovalue of its surface, if the request has one.
     pub iso: Option<f32>,
 }
 
@@ -371,7 +371,7 @@ fn events(transaction: &Transaction<'_>, job: i64, after: i64) -> Result<Vec<Job
     .collect()
 }
 
-/// A result, or why there is none; `None` where there is no such extraction.
+/// Returns a result, or why there is none; `None` if there is no such extraction.
 fn result(
     transaction: &Transaction<'_>,
     job: i64,

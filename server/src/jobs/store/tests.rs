@@ -98,7 +98,7 @@ async fn owners_take_turns_and_each_ones_jobs_come_in_their_order() {
             assert_eq!(eta, Some(3.0 * 10.0));
         }
         store.finish(&work, done(1)).await.unwrap();
-        // One who comes later waits for no more than one turn of each other.
+        // An owner who comes later waits for at most one turn of each other owner.
         if order.len() == 4 {
             store.submit(of("bb", "bb1", 1), LIMITS).await.unwrap();
         }

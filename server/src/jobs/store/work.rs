@@ -64,8 +64,8 @@ pub enum Outcome {
 }
 
 impl Store {
-    /// Takes the next extraction and counts the attempt. Owners with jobs that are not finished take turns, each with the oldest one: who
-    /// submits many keeps nobody waiting. An extraction that has had all its attempts fails.
+    /// Takes the next extraction and counts the attempt. Owners with unfinished jobs take turns, each with their oldest job, so that an
+    /// owner of many jobs does not delay the others. An extraction that has had all its attempts fails.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -93,7 +93,7 @@ impl Store {
         Ok(begun)
     }
 
-    /// Notes how an attempt ended. False where nobody wants its result any more: the job was cancelled, perhaps deleted.
+    /// Records how an attempt ended. Returns false if its result is no longer wanted, because the job was cancelled and perhaps deleted.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -113,7 +113,7 @@ impl Store {
     }
 }
 
-/// Job, number and attempts of the extraction that comes next: of the owner who follows this one, by name and in a circle.
+/// Job, number and attempts of the next extraction: that of the next owner after this one, by name and round robin.
 fn next(transaction: &Transaction<'_>, after: &str) -> Result<Option<(i64, u32, u32)>, StoreError> {
     // Only jobs are sorted: there are many more extractions.
     let query = "SELECT number FROM jobs WHERE state IN ('queued', 'running')

@@ -20,12 +20,12 @@ use crate::problem::{ApiError, Problem};
 use crate::rest::content_encoding::ContentEncoding;
 use crate::rest::ranges::Asked;
 
-/// Names whose values are text, also where they look like numbers.
+/// Names whose values are text, even if they look like numbers.
 const TEXTS: [&str; 9] = [
     "volume", "format", "field", "feature", "mask", "outward", "unit", "label", "compress",
 ];
 
-/// A cache asks again each time, whoever has asked before: what a volume is may change, and so may who sees it.
+/// A cache revalidates each time, even for the same user: the volume may have changed, and so may the user's access to it.
 const CACHED: [(HeaderName, HeaderValue); 2] = [
     (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
     (
@@ -47,7 +47,7 @@ impl Default for KnownTags {
     }
 }
 
-/// What of a request decides the bytes of its file.
+/// Hash of those parts of a request that decide the bytes of its file.
 type RequestKey = [u8; 32];
 
 fn request_key(surfaces: &[FileSurface], file: &FileRequest) -> RequestKey {
@@ -182,7 +182,7 @@ fn tagged(mut response: Response, tag: &str) -> Result<Response, ApiError> {
     Ok(response)
 }
 
-/// What a query asks for, or what is wrong with it.
+/// Returns the request of a query, or what is wrong with the query.
 fn request_of(query: Vec<(String, String)>) -> Result<ExtractRequest, String> {
     let mut fields = Map::new();
     for (name, text) in query {

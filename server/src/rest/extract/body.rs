@@ -1,5 +1,5 @@
-//! The body of an export: written on a blocking thread, as fast as the client reads. What a slow client has not read yet goes to a temporary file,
-//! so that mesh, permit and thread are free for others.
+//! The body of an export: written on a blocking thread, as fast as the client reads. The bytes that a slow client
+//! has not read yet go to a temporary file, so that mesh, permit and thread are free for other requests.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -24,7 +24,7 @@ const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
 /// Time that a client may let the writer wait altogether before the rest is spooled.
 const SPOOL_AFTER: Duration = Duration::from_secs(2);
 
-/// What of a file is sent.
+/// The part of a file that is sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Part {
     /// All of it, in an encoding.

@@ -70,7 +70,7 @@ impl SpoolFolder {
     }
 }
 
-/// What a client has still to read, in a file without a name.
+/// Bytes that a client has not read yet, in a file without a name.
 #[derive(Debug)]
 pub(super) struct Spool {
     file: File,

@@ -18,10 +18,10 @@ use crate::rest::ApiState;
 /// The last event that a client has seen, which browsers send when they connect again.
 pub const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
 
-/// What happens to a job, until it is finished: an event each time that its state changes or an extraction ends, from the first on, or after the
-/// one that `Last-Event-ID` names. Each has the name of the job's state and an id that increases. While a full disk or one that fails lets no
-/// results be written, there is an event `paused` with the reason, and one with the state when the job goes on; these two have no id, and
-/// whoever connects during a pause gets the first at once.
+/// What happens to a job, until it is finished: an event each time that its state changes or an extraction ends, from the first on, or
+/// after the one that `Last-Event-ID` names. Each has the name of the job's state and an id that increases. While the disk is full or
+/// fails, so that no results can be written, there is an event `paused` with the reason, and one with the state when the job goes on. These
+/// two have no id. A client that connects during a pause gets `paused` at once.
 #[utoipa::path(
     get,
     path = "/api/v1/jobs/{id}/events",
@@ -81,7 +81,7 @@ fn last_event_id(headers: &HeaderMap) -> Result<i64, ApiError> {
     })
 }
 
-/// A job that somebody follows.
+/// A job whose events are sent to a client.
 struct Followed {
     jobs: Jobs,
     who: Identity,
@@ -90,15 +90,15 @@ struct Followed {
     after: i64,
     /// Events that are not sent yet: those of one query.
     waiting: VecDeque<JobEvent>,
-    /// Why the job stands still, as was told last.
+    /// Why the job is paused, as the client was last told.
     paused: Option<String>,
     changes: watch::Receiver<()>,
     _seat: Seat,
 }
 
 impl Followed {
-    /// The next event, as soon as there is one; `None` where the job is finished or gone, who follows it has no token any
-    /// more, or the server stops.
+    /// Returns the next event, as soon as there is one. `None` if the job is finished or gone, the client's token is no longer valid, or
+    /// the server stops.
     async fn next(mut self) -> Option<(Result<Event, Infallible>, Self)> {
         while self.waiting.is_empty() {
             self.changes.mark_unchanged();
@@ -127,7 +127,7 @@ impl Followed {
         Some((Ok(sent.json_data(&event).ok()?), self))
     }
 
-    /// That the job stands still or goes on, where this was not told; `None` where the job is gone.
+    /// Returns an event if the job has been paused or resumed since the client was last told. The outer `None`: the job is gone.
     async fn pause(&mut self) -> Option<Option<JobEvent>> {
         let event = self.jobs.pause(self.who.user(), &self.id, self.paused.as_deref());
         let event = event.await.ok()?;

@@ -35,7 +35,7 @@ pub(super) fn routed() -> OpenApiRouter<ApiState> {
 }
 
 impl ApiState {
-    /// The batch jobs, where the server keeps some.
+    /// Returns the batch jobs, or an error if the server keeps none.
     fn jobs(&self) -> Result<&Jobs, ApiError> {
         self.jobs.as_ref().ok_or_else(|| {
             let message = "this server keeps no batch jobs, expected one that was started with --state-folder DIR";
@@ -97,7 +97,7 @@ async fn submit(
     Ok((status, [(header::LOCATION, location)], Json(job)).into_response())
 }
 
-/// The batch jobs of who asks, the latest first.
+/// The batch jobs of the user, the latest first.
 #[utoipa::path(
     get,
     path = "/api/v1/jobs",

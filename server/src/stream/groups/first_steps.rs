@@ -1,7 +1,7 @@
-//! Who of a group waits for the first step of a surface: further steps come after those.
+//! Orders the steps of a group's members: a follower's further steps wait until no member waits for the first step of a surface.
 //!
-//! With a thousand followers a surface that is at hand is a tenth of a second of copies to sockets. Without an order the first followers would
-//! have all of it before the last have anything.
+//! With a thousand followers, a cached surface takes a tenth of a second of copies to sockets. Without an order the first followers
+//! would have all of it before the last have anything.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,7 +24,7 @@ impl Default for FirstSteps {
     }
 }
 
-/// One that waits; dropped, it has it, or wants it no longer.
+/// Guard of a member that waits for a first step. Dropped when the step is ready to be sent, or is no longer needed.
 pub(in crate::stream) struct FirstStep(Arc<Group>);
 
 impl Drop for FirstStep {
@@ -36,21 +36,21 @@ impl Drop for FirstStep {
     }
 }
 
-/// The others' first steps.
+/// Waits for the first steps of other members.
 pub(in crate::stream) struct OthersFirst(watch::Receiver<usize>);
 
 impl OthersFirst {
-    /// Returns when they are on their way.
+    /// Returns when no member waits for a first step any more, but no later than after [`LONGEST_WAIT`].
     pub(in crate::stream) async fn made(mut self) {
-        // What has woken this member wakes others as well: they come to wait.
+        // The event that woke this member wakes others as well: let them begin to wait first.
         yield_now().await;
-        // Where it takes longer, or the group has ended, nothing is lost but the order.
+        // If it takes longer, or the group has ended, only the order is lost.
         let _ = timeout(LONGEST_WAIT, self.0.wait_for(|waiting| *waiting == 0)).await;
     }
 }
 
 impl Member {
-    /// This one begins to wait.
+    /// Marks this member as waiting for a first step.
     pub(in crate::stream) fn first_step(&self) -> FirstStep {
         self.group.first_steps.0.send_if_modified(|waiting| {
             *waiting += 1;

@@ -1,4 +1,4 @@
-//! The leader of a group, whose connection may be lost: the group waits for it, and knows it by a key.
+//! The leader of a group. If the leader's connection is lost, the group waits for the leader, who authenticates with a key.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,19 +10,20 @@ use tokio_util::sync::CancellationToken;
 use super::{Group, GroupError, Groups, LEADER, Member};
 use crate::access::{Occupant, Seat, Share};
 
-/// How long a group waits for a leader whose connection was lost: a page tries again every eight seconds or sooner.
+/// How long a group waits for a leader whose connection was lost. A page retries every eight seconds or sooner.
 pub(super) const PAUSE: Duration = Duration::from_secs(30);
 
-/// Who leads a group, on whatever connection.
+/// The leader of a group, independent of the connection.
 #[derive(Clone, Debug)]
 pub(in crate::stream) struct Leader {
     pub who: Occupant,
-    /// Random, for the leader alone: who has it and is this user may come back.
+    /// Random; known to the leader alone. A connection of the same user that has the key may resume the lead.
     pub key: String,
 }
 
 impl Groups {
-    /// A seat for a group of this leader. If there is none, the group ends whose leader has been away longest of those that share the seats.
+    /// Takes a seat for a group of this leader. If none is free, ends one of the groups that share the limit: the one whose leader has been
+    /// away longest.
     pub(super) fn seat_for(&self, leader: &Leader) -> Result<Seat, GroupError> {
         let none = match self.seats.take(leader.who.clone()) {
             Ok(seat) => return Ok(seat),
@@ -48,7 +49,7 @@ impl Groups {
         self.seats.take(leader.who.clone()).map_err(GroupError::TooMany)
     }
 
-    /// Leads a group again, on another connection than before.
+    /// Resumes the lead of a group on a new connection.
     pub(in crate::stream) fn resume(&self, id: &str, leader: &Leader) -> Result<Member, GroupError> {
         let group = self.group(id);
         let is_leader = |group: &Arc<Group>| {
@@ -68,7 +69,7 @@ impl Groups {
 }
 
 impl Member {
-    /// The group ends, or waits for the leader.
+    /// Ends the group, or lets it wait for the leader if the connection was lost.
     pub(super) fn drop_leader(&self) {
         let (group, groups, connection) = (&self.group, &self.groups, &self.connection);
         let newest = group.connection();
@@ -82,7 +83,7 @@ impl Member {
         group.members.send_modify(|members| members.away = Some(Instant::now()));
         drop(newest);
         let (group, groups, connection) = (Arc::clone(group), groups.clone(), connection.clone());
-        // One of a group at a time: it ends with the group, or when the leader is back.
+        // At most one such task per group: it ends with the group, or when the leader is back.
         runtime.spawn(async move {
             tokio::select! {
                 () = connection.cancelled() => {}

@@ -34,7 +34,7 @@ impl DrawPause {
         self.until = self.until.filter(|until| *until > Instant::now());
     }
 
-    /// When it lasts long enough; `None` where there is none.
+    /// When the pause ends at the latest; `None` if there is none.
     pub(super) fn until(&self) -> Option<Instant> {
         self.until
     }

@@ -1,4 +1,4 @@
-//! Generations that fail: what is said, and what the client may keep.
+//! Failed generations: the error that is sent, and what the client may keep.
 
 use super::super::backend::Backend;
 use super::Session;
@@ -41,7 +41,8 @@ impl<B: Backend> Session<B> {
         session.is_some_and(|session| session.proven.as_ref() == Some(&session.view))
     }
 
-    /// A budget that would be accepted, and the error's text: where the budget is shared, `suggested` is a part of it.
+    /// Returns a budget that would be accepted, and the error's text. `suggested` is the budget of this surface; if surfaces share the
+    /// budget, the result is the budget of all of them.
     fn explained(&self, surface: u8, suggested: u64, error: &WorkError) -> (Option<u64>, String) {
         let (Some(opened), "over-budget") = (&self.opened, error.code()) else {
             return (Some(suggested), error.to_string());
@@ -54,7 +55,7 @@ impl<B: Backend> Session<B> {
         (Some(whole), message)
     }
 
-    /// The view in force turned out to be none: the one before comes back, to those who follow too.
+    /// Reverts the view in force, which turned out to be invalid, to the one before, for followers too.
     fn take_back(&mut self, surface: u8) {
         self.end_generation(surface);
         let Some(opened) = &mut self.opened else { return };

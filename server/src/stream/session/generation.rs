@@ -59,13 +59,13 @@ pub(super) struct Generation {
     pub stages: Vec<StageTime>,
     /// Until the client has drawn its first prefix.
     pub draw_pause: DrawPause,
-    /// Which of the connection's jobs was the last before it began to wait for its next.
+    /// Number of the connection's last job when this generation began to wait for its next one.
     pub waits_since: u64,
-    /// Why its work failed. It is said when the client holds nothing any more that may not stay.
+    /// Why its work failed. The error is sent once the client holds nothing any more that may not stay.
     pub failure: Option<Box<ServerMessage>>,
-    /// Until its first step is ready to be sent, where the viewer is in a group.
+    /// If the viewer is in a group and its line is not full: held until the first step is ready to be sent.
     pub first_step: Option<FirstStep>,
-    /// When it was begun, where an edit has asked for it; a surface that is improved at rest has none.
+    /// When an edit began it; `None` for a surface that is improved at rest.
     begun: Option<Instant>,
     pub token: CancellationToken,
     /// Cancels `token` when the generation is dropped.
@@ -105,7 +105,7 @@ pub(super) enum Sending {
     Committing(Sent, HeldRegions),
 }
 
-/// What is known of a step that is sent.
+/// The properties of a step that is being sent.
 pub(super) struct Sent {
     pub id: PrefixId,
     pub cut: CutId,
@@ -114,7 +114,7 @@ pub(super) struct Sent {
     pub can_improve: bool,
     /// Triangles of the whole surface once it is committed.
     pub surface_triangles: u64,
-    /// Triangles that were made for this viewer, and the time since their cut was known; `None` where they are another's.
+    /// Triangles that were made for this viewer, and the time since their cut was known; `None` if another viewer's job made them.
     pub own: Option<(u64, Duration)>,
     /// When its comparison began.
     pub began: Instant,
@@ -161,7 +161,7 @@ impl Generation {
         self.begun.is_none() && !self.committed && !self.sent().is_some_and(is_seen)
     }
 
-    /// The same, that an edit has asked for.
+    /// A new generation that an edit has requested.
     pub(super) fn of_edit(surface: u8, number: u32, view: View, key: ViewKey, shown: Shown) -> Self {
         metrics::edit_begun();
         Self {
@@ -201,7 +201,7 @@ impl Generation {
         self.making = Making::Made(offered);
     }
 
-    /// What a client holds that was sent this cut of it.
+    /// What a client holds after this cut was sent to it.
     pub(super) fn held(&self, cut: CutId) -> HeldSurface {
         HeldSurface {
             view: self.view.clone(),
@@ -233,7 +233,7 @@ impl Generation {
         self.steps_made == 0 && matches!(self.making, Making::Waiting)
     }
 
-    /// Its work failed, and the client is to hold nothing: that is its next step, behind the one that is sent.
+    /// Makes an empty surface the next step, behind the one that is being sent: the work failed, and the client is to hold nothing.
     pub(super) fn clear(&mut self, volume: &VolumeStep) {
         self.making = match self.sending {
             Sending::Idle => Making::Made(Offered::nothing(&self.view, volume)),

@@ -1,4 +1,4 @@
-//! What a viewer does in a group: who has control passes on what it shows, the others are shown that.
+//! A session in a group: the member in control broadcasts what it is shown, and the others follow.
 
 use data_encoding::HEXLOWER;
 
@@ -13,7 +13,7 @@ use crate::wire::chunk::Coding;
 use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};
 
-/// Bytes of a group's id, random: who knows it and may look may follow. Its key has as many.
+/// Random bytes of a group's id, which is all that a viewer with the role `view` needs to follow. The leader's key has as many.
 const ID_BYTES: usize = 16;
 
 impl<B: Backend> Session<B> {
@@ -70,7 +70,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Those of a connection that shows what another one opened; without any, what was asked for before stays.
+    /// Sets the coding from those that the client can read. If it lists none, the coding stays as it was.
     fn take_codings(&mut self, codings: &[String]) {
         if !codings.is_empty() {
             self.coding = Coding::asked_for(codings);
@@ -89,7 +89,7 @@ impl<B: Backend> Session<B> {
         if getrandom::fill(&mut id).and(getrandom::fill(&mut key)).is_err() {
             return self.send_error("busy", "the system has no random numbers", true);
         }
-        // One at a time: the one before ends.
+        // A viewer is in one group at a time, so it leaves the one before.
         self.part();
         let leader = self.leader(HEXLOWER.encode(&key));
         match self.common.groups.lead(HEXLOWER.encode(&id), leader) {
@@ -108,7 +108,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Leads a group again that it has led on another connection.
+    /// Resumes the lead of a group that the viewer has led on another connection.
     fn on_resume(&mut self, Resume { group, key }: Resume) {
         self.part();
         match self.common.groups.resume(&group, &self.leader(key)) {
@@ -184,7 +184,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Passes on what is shown here, or shows what is passed on.
+    /// Broadcasts what is shown here if this member has control, and otherwise follows the member that has.
     pub(super) fn lead_or_follow(&mut self) {
         let Some(member) = &mut self.member else { return };
         if let Some(scene) = member.scene() {
@@ -192,7 +192,7 @@ impl<B: Backend> Session<B> {
             return self.follow(&scene);
         }
         let Some(opened) = &self.opened else { return };
-        // Of one that is being opened the isovalue is not known.
+        // While the volume is being opened, its isovalue is not known.
         if member.controls() && opened.phase == OpeningPhase::Open {
             let surfaces = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
             let surfaces = surfaces
@@ -202,7 +202,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Shows what another one shows: whatever this viewer may do, and of volumes that it may see.
+    /// Shows what the member in control shows, whatever this viewer's roles are, but only volumes that it may see.
     fn follow(&mut self, scene: &Scene) {
         let open = self.opened.as_ref();
         let is_volume = open.is_some_and(|opened| opened.volume.dataset().key() == scene.volume.dataset().key());
@@ -214,14 +214,14 @@ impl<B: Backend> Session<B> {
                 volume: scene.volume.clone(),
                 cancelled_after: None,
             }),
-            // What cannot be opened is tried once.
+            // A volume that could not be opened is not tried again.
             _ if open.is_none() && self.tried.as_ref() == Some(&scene.volume.key()) => return,
             _ => {
                 self.tried = Some(scene.volume.key());
                 self.open_led(&scene.volume);
             }
         }
-        // What this viewer has edited or asked for before it followed.
+        // Drop what this viewer has edited or requested before it followed.
         if let Some(opened) = &mut self.opened {
             opened.stepping = None;
             opened.surfaces_mut().for_each(|(_, surface)| surface.pending = None);

@@ -1,14 +1,14 @@
-//! Signs of life both ways, for clients that ask for them: a line that is cut without a word is noticed at both ends within seconds.
+//! Heartbeats in both directions, for clients that request them: both ends notice within seconds if the line is cut silently.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Between two messages `heartbeat`.
+/// Interval between two `heartbeat` messages.
 const BEAT: Duration = Duration::from_millis(1500);
 /// Bytes that may go before a beat: a slow line needs longer for them than between two beats.
 pub(super) const BEFORE_BEAT: u64 = 128 << 10;
-/// Beats without a sign of the other end, after which the line counts as dead.
+/// Heartbeats without an answer after which the line counts as dead.
 const MISSED: u32 = 3;
 
 /// The heartbeat of one connection.
@@ -43,8 +43,9 @@ impl Heartbeat {
         self.next
     }
 
-    /// A beat is due on a line that needs so long for [`BEFORE_BEAT`]. Returns the longest time until the next one, or `None` if the client
-    /// was silent for too long. One behind a proxy that answers no pings may be.
+    /// Called when a beat is due; `line` is the time that the line needs for [`BEFORE_BEAT`]. Returns the longest time until the next beat,
+    /// or `None` if the client was silent for too long. A client that has never answered a ping may be silent: it may be behind a proxy
+    /// that answers none.
     pub(super) fn beat(&mut self, is_listening: bool, line: Duration) -> Option<Duration> {
         self.next = Some(Instant::now() + BEAT);
         let longest = BEAT.max(line);
@@ -52,7 +53,7 @@ impl Heartbeat {
             // Its frames wait to be read.
             self.heard = Instant::now();
         }
-        // The next look is a beat later.
+        // The next check is one beat later.
         let is_dead = self.answers_pings && self.heard.elapsed() + BEAT > MISSED * longest;
         (!is_dead).then_some(longest)
     }

@@ -56,7 +56,7 @@ pub(super) enum PoolDone {
 
 pub(super) type BoxFuture<T> = Pin<Box<dyn Future<Output = T> + Send>>;
 
-/// Resolves with the job's result; never where there is no job.
+/// Resolves with the job's result; never if there is no job.
 pub(super) async fn finished<T>(job: &mut Option<BoxFuture<T>>) -> T {
     match job {
         Some(future) => future.await,
@@ -176,7 +176,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Measuring is a courtesy: where it fails, nothing is said but in the log.
+    /// Sends a measurement to the client. A failed one is only logged, because no viewer depends on it.
     fn on_measured(&mut self, number: u32, result: Outcome<Option<Arc<Measurement>>>) {
         let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_rest(number)) else {
             return;
@@ -389,7 +389,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Begins the generations of views that have come into force; false where there is none.
+    /// Begins the generations of views that have come into force. Returns false if there are none.
     fn begin_generations(&mut self) -> bool {
         let Some(opened) = &mut self.opened else { return false };
         let (engine, volume) = (self.backend.engine(), opened.volume.clone());
@@ -397,7 +397,7 @@ impl<B: Backend> Session<B> {
         for (number, surface) in opened.surfaces_mut() {
             if surface.edit_pending && surface.generation().is_none() {
                 self.last_generation += 1;
-                // Who does not read waits for nothing that is made now.
+                // A client that does not read its line does not wait for this step.
                 let waiting = self.member.as_ref().filter(|_| !self.pace.is_line_full());
                 let key = SurfaceKey::new(engine, &volume, &surface.view);
                 let first_step = waiting.map(Member::first_step);
@@ -465,7 +465,7 @@ impl<B: Backend> Session<B> {
         Some(Box::pin(refine.instrument(span)))
     }
 
-    /// The coding of what is sent next: that for slow lines where the line is known to be one, and the client has asked for it.
+    /// The coding of what is sent next: the client's coding for slow lines, if it has requested one and the line is known to be slow.
     fn line_coding(&self, min_fast: u64) -> Coding {
         match self.line.bytes_within(Duration::from_secs(1)) < min_fast {
             true => self.coding,
@@ -473,8 +473,8 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Bytes of chunks in the coding `meshopt` that the line takes in the time in which it takes these; of a coarse cut on a line that is not very slow,
-    /// which is sent in that coding, half as many more.
+    /// Converts the bytes that the line takes for a step to bytes of chunks in the coding `meshopt`. On a line that uses the coding for
+    /// slow lines these are half as many more, also for a coarse cut that is sent in `meshopt` because the line is not very slow.
     fn meshopt_bytes(&self, bytes: u64) -> u64 {
         match self.line_coding(MIN_FAST_LINE) {
             Coding::Meshopt => bytes,

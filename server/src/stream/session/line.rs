@@ -1,7 +1,9 @@
-//! How much may be on the line: what a client has not confirmed yet, so that a newer edit waits for little of an older surface.
+//! Flow control: bounds the bytes in flight, which the client has not confirmed yet, so that a newer edit waits for little of an older
+//! surface.
 //!
-//! A ping follows each eighth of the window, and its pong says that all before it has arrived. The window is what the line takes in its round trip and
-//! [`QUEUE`]. Without it, buffers of the operating system and of the network take several megabytes, which a slow line needs seconds for.
+//! A ping follows each eighth of the window, and its pong confirms that all before it has arrived. The window is what the line takes in
+//! its round trip plus [`QUEUE`]. Without a window, buffers of the operating system and the network take several megabytes, for which a
+//! slow line needs seconds.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -22,11 +24,11 @@ const MIN_BYTES_PER_PING: u64 = 8 << 10;
 /// Rates of which the highest counts: a pause of the sender or the network makes some of them too low.
 const RATES: usize = 10;
 
-/// Without a pong for so long, the window does not count: a proxy may answer none, and a client that does not read is for the writer's
-/// deadline.
+/// Without a pong for so long, the window is ignored: the client may be behind a proxy that answers no pings. A client that does not read
+/// is closed by the writer's deadline.
 const MAX_PONG_WAIT: Duration = Duration::from_secs(2);
 
-/// Set in the numbers of these pings; others are of [`super::pace`].
+/// Bit that is set in the numbers of these pings, and not in those of [`super::pace`].
 const MARK: u32 = 1 << 31;
 
 /// A ping whose pong is awaited.

@@ -1,19 +1,19 @@
-//! How often a client may open volumes: an opening costs others more than any other message.
+//! Rate limit for opening volumes: an opening costs other viewers more than any other message.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Openings in a row that are read at once: who goes through the volumes of a study by hand.
+/// Burst: openings that are read without a pause, for a user who goes through the volumes of a study by hand.
 const OPENS_AT_ONCE: u32 = 8;
-/// Time between two openings when these are used up. An opening with its first step takes some 50 ms of the device, so that a client that
-/// opens volumes without end has a tenth of it.
+/// Interval between openings once the burst is used up. An opening with its first step takes some 50 ms of the device, so a client that
+/// opens volumes without end takes a tenth of it.
 const OPEN_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Says until when no message is read. What was not read stays in order, and TCP holds back what follows.
+/// Decides until when no message is read. Unread messages stay in order, and TCP gives back-pressure to the client.
 #[derive(Default)]
 pub(super) struct OpenPace {
-    /// When all openings so far would have been read, one an interval.
+    /// When all openings so far would have been read at a rate of one per interval.
     even: Option<Instant>,
 }
 

@@ -116,8 +116,8 @@ impl Outbox {
         Some(frame)
     }
 
-    /// In place of the one before of this kind, where that waits: what was queued after it may follow from it, as `opened` does from
-    /// `led`.
+    /// Replaces the waiting frame of this kind at its place in the queue, because frames queued after it may depend on it, as `opened` does
+    /// on `led`. If none waits, appends the frame.
     pub(super) fn push_newest(&mut self, kind: Newest, text: String) {
         let frame = Frame::Newest(kind, text);
         let Some(at) = self.frames.iter().position(|waiting| waiting.is_newest(kind)) else {

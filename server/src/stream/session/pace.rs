@@ -154,7 +154,7 @@ impl Pace {
         self.last_pong.is_some()
     }
 
-    /// Resolves when the oldest step has waited long enough for its pong; never where there is none.
+    /// Resolves when the oldest step has waited long enough for its pong; never if no step waits.
     pub(super) async fn pong_wait_elapsed(&self) {
         match self.awaited().next() {
             Some(step) => tokio::time::sleep_until(step.last + MAX_PONG_WAIT).await,

@@ -1,7 +1,7 @@
-//! What a viewer asks about a surface that it is shown. Of each kind of question one waits, the newest; one is worked on at a time, when
-//! no generation of any surface is running: so questions wait for edits and never the other way round. One that an edit overtakes is asked
-//! again of the edit's surface. A viewer that rests is worked for meanwhile; that work pauses for the answer. An annotation takes long: it
-//! comes after that work, and an edit drops it.
+//! Questions of a viewer about a surface that it is shown. Of each kind of question only the newest waits. One question is answered at a
+//! time, and only when no generation of any surface is running: questions wait for edits, and edits never wait for questions. If an edit
+//! overtakes a question, the question is repeated for the edit's surface. Work at rest pauses for an answer. An annotation takes long: it
+//! comes after the work at rest, and an edit drops it.
 
 use std::sync::Arc;
 
@@ -80,7 +80,7 @@ impl Questions {
         self.waiting[place(question)] = Some((surface, question));
     }
 
-    /// The next one. What takes long is asked only where all surfaces rest.
+    /// Takes the next question. An annotation, which takes long, is taken only if all surfaces are idle (`rests`).
     fn take(&mut self, rests: bool) -> Option<(u8, Question)> {
         let end = if rests { self.waiting.len() } else { ANNOTATIONS };
         self.waiting[..end].iter_mut().find_map(Option::take)
@@ -111,13 +111,13 @@ impl Questions {
         self.running.take_if(|running| running.surface == surface);
     }
 
-    /// Nobody waits for answers any more.
+    /// Drops all questions: the viewer no longer waits for answers.
     pub(super) fn clear(&mut self) {
         self.waiting = Default::default();
         self.running = None;
     }
 
-    /// What was asked, where nobody has cancelled it meanwhile.
+    /// Takes the running question of this number; `None` if it was cancelled meanwhile.
     fn finish(&mut self, number: u32) -> Option<Running> {
         self.running.take_if(|running| running.number == number)
     }
@@ -133,7 +133,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Starts the next question, where no edit waits and none is worked on.
+    /// Starts the next question, if no other one is being answered and no surface is still to be made.
     pub(super) fn advance_questions(&mut self) {
         let (Some(opened), None) = (&self.opened, &self.questions.job) else {
             return;

@@ -1,9 +1,10 @@
-//! Views on their way into force. A view comes into force when it is resolved: its isovalue and the range of its feature are numbers, and the
-//! samples of its fields, computed and masked ones too, are there. Until then the view before it is in force, and shown. So an edit that turns
-//! out to be bad changes nothing, and neither does a time step of which a surface cannot be made.
+//! Resolves views before they come into force. A view is resolved if its isovalue and the range of its feature are numbers, and if the
+//! samples of its fields, computed and masked ones too, are there. Until then the view before it stays in force and is shown. So an edit
+//! that turns out to be invalid changes nothing, and neither does a time step of which a surface cannot be made.
 //!
-//! Messages count in the order in which they came: values that an edit leaves open are those of the time step that was in force, or on its way,
-//! when the edit came, however soon another step follows. Edits that change nothing that has to be resolved come into force at once.
+//! Messages take effect in the order in which they came. Values that an edit leaves open are those of the time step that was in force, or
+//! pending, when the edit came, even if another step follows soon. Edits that change nothing that has to be resolved come into force at
+//! once.
 
 use tokio_util::sync::CancellationToken;
 
@@ -36,14 +37,14 @@ pub(super) enum Resolved {
 }
 
 impl OpenVolume {
-    /// Whether the device has to look at a view before it may take the place of the one in force.
+    /// Whether the device has to resolve a view before the view may replace the one in force.
     pub(super) fn has_to_resolve(&self, surface: u8, view: &View) -> bool {
         let in_force = self.view_of(surface);
         let inputs = |view: &View| (view.field.clone(), view.mask.clone(), view.feature.clone());
         view.iso.is_none() || view.feature_range.is_none() || inputs(view) != inputs(&in_force)
     }
 
-    /// The step that is in force, or else on its way.
+    /// The pending time step, or else the one in force.
     fn newest_step(&self) -> &VolumeStep {
         self.stepping.as_ref().map_or(&self.volume, |stepping| &stepping.volume)
     }
@@ -60,7 +61,7 @@ impl OpenVolume {
                 .any(|(number, other)| number != surface && is_open_question(other))
     }
 
-    /// Takes the edits of all surfaces that are not in force yet, in the order in which they came. Such a surface is gone then.
+    /// Takes the edits of all surfaces that are not in force yet, in the order in which they came, and removes these surfaces.
     fn take_new_surfaces(&mut self) -> Vec<(u8, Vec<KeptEdit>)> {
         let new = self.surfaces().filter_map(|(number, surface)| {
             let pending = surface.pending.as_ref().filter(|pending| !pending.edits.is_empty())?;
@@ -75,7 +76,7 @@ impl OpenVolume {
         new
     }
 
-    /// The next view to be resolved: one of the step in force, before that is left, or of one that another step has overtaken.
+    /// The next view to be resolved: one of the time step in force, as long as that is, or of a step that another one has overtaken.
     fn next_pending(&self) -> Option<(u8, &PendingView)> {
         let comes = self.stepping.as_ref().map(|stepping| stepping.volume.key());
         let pending = self.surfaces().filter_map(|(number, surface)| {
@@ -100,16 +101,16 @@ impl<B: Backend> Session<B> {
         self.apply(surface, view, kept);
     }
 
-    /// As [`Session::take_edit`], of an edit that was taken before.
+    /// As [`Session::take_edit`], for an edit that was taken before and kept.
     fn apply(&mut self, surface: u8, view: View, kept: KeptEdit) {
         let Some(opened) = &mut self.opened else { return };
         let named = NamedBudget::of(&kept, &view);
-        // Before it is open, nothing can be resolved.
+        // Before the volume is open, nothing can be resolved.
         if opened.phase != OpeningPhase::Open {
             return self.come_into_force(surface, view, named, self.edits, true);
         }
         let pending = opened.surface_mut(surface).and_then(|session| session.pending.as_mut());
-        // What waits comes into force with this edit, the budget that it has named too.
+        // Waiting edits come into force with this one, and so does the budget that they have named.
         let named = named.or(pending.as_ref().and_then(|pending| pending.named));
         if let Some(pending) = pending.filter(|pending| !pending.queue.is_empty()) {
             if pending.queue.len() < MAX_KEPT_EDITS {
@@ -146,7 +147,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// An edit of a surface goes before questions, and before what is done for others that rest.
+    /// Counts an edit of a surface. It takes precedence over questions and over the work at rest of other surfaces.
     pub(super) fn count_edit(&mut self, surface: u8) {
         self.edits += 1;
         self.questions.overtaken();
@@ -158,7 +159,7 @@ impl<B: Backend> Session<B> {
             .for_each(Rest::postpone);
     }
 
-    /// A view takes the place of the one in force.
+    /// Replaces the view in force.
     pub(super) fn come_into_force(
         &mut self,
         surface: u8,
@@ -183,7 +184,7 @@ impl<B: Backend> Session<B> {
         self.allot(Some(surface));
     }
 
-    /// Resolves what is next, where nothing is being resolved.
+    /// Resolves the next edit or time step, if none is being resolved.
     pub(super) fn advance_resolving(&mut self) {
         let Some(opened) = &mut self.opened else { return };
         if self.resolving.is_some() || opened.phase != OpeningPhase::Open {
@@ -214,7 +215,7 @@ impl<B: Backend> Session<B> {
         let Some(session) = opened.surface_mut(surface) else {
             return;
         };
-        // A newer edit has changed what has to be resolved: it is resolved next.
+        // A newer edit has changed what has to be resolved, and is resolved next.
         let Some(pending) = session.pending.as_mut().filter(|pending| pending.resolves_like(asked)) else {
             return;
         };
@@ -230,7 +231,8 @@ impl<B: Backend> Session<B> {
                 } = pending.clone();
                 view.iso = view.iso.or(resolved.iso);
                 view.feature_range = view.feature_range.or(resolved.feature_range);
-                // Its values are those of a step that was overtaken; what it uses has to be there in the one in force.
+                // The values are those of a time step that was overtaken. The samples that the view uses must also be there in the step in
+                // force.
                 if pending.at.key() != here.key() {
                     (pending.view, pending.at) = (view, here);
                     return;
@@ -247,7 +249,7 @@ impl<B: Backend> Session<B> {
                 pending.is_paused = true;
                 self.send_surface_error(surface, error.code(), error.public_message());
             }
-            // Which of them is bad is found one by one.
+            // Apply the edits one by one to find the invalid one.
             Err(_) if pending.edits.len() > 1 => {
                 let edits = std::mem::take(&mut pending.edits);
                 session.pending = None;
@@ -263,7 +265,7 @@ impl<B: Backend> Session<B> {
                 let new = opened.take_new_surfaces();
                 self.send_surface_error(surface, error.code(), error.public_message());
                 self.apply_all(surface, queue);
-                // They may have begun with the budget of the edit that was bad.
+                // These surfaces may have begun with the budget of the invalid edit.
                 for (surface, edits) in new {
                     self.apply_all(surface, edits);
                 }
@@ -331,7 +333,7 @@ impl OpenVolume {
         let before = surface.pending.as_ref();
         let is_derived = |view: &View| matches!(view.feature, FeatureName::Derived(_));
         let feature = |view: &View| (view.feature.clone(), is_derived(view).then(|| view.field.clone()));
-        // What was left open by an edit before gets the values of the step of that edit.
+        // Values that an earlier edit left open are those of that edit's time step.
         let is_still_open =
             |before: &&PendingView| before.view.feature_range.is_none() && feature(&before.view) == feature(&view);
         let at = before.filter(is_still_open).map_or(at, |before| before.at.clone());
@@ -354,7 +356,7 @@ impl OpenVolume {
         });
     }
 
-    /// Views that were to be resolved at a step of which a surface cannot be made are resolved at the one that is in force.
+    /// After a time step has failed: views that were to be resolved at that step are resolved at the one in force instead.
     fn resolve_here(&mut self, failed: &StepKey) {
         let here = self.volume.clone();
         let pending = self.surfaces_mut().filter_map(|(_, surface)| surface.pending.as_mut());

@@ -1,4 +1,4 @@
-//! What is done for a final surface while no edit comes: a better one takes its place where there is one, then its error is measured.
+//! Work at rest, for a final surface that no edit follows: it is replaced by a better one, if there is one, and then its error is measured.
 
 use std::time::Duration;
 
@@ -71,7 +71,7 @@ impl Rest {
         self.is_queued = false;
     }
 
-    /// Another surface of the viewer was edited: the work waits once more, and begins anew where it runs.
+    /// Postpones the work because another surface of the viewer was edited. If it is queued or runs, it is cancelled and starts over.
     pub(super) fn postpone(&mut self) {
         self.due = Instant::now() + REST_AFTER;
         if self.is_queued {

@@ -1,4 +1,4 @@
-//! Which surface's turn it is: one job at a time is on the device, and one step at a time is sent.
+//! The scheduler of a session's surfaces: one job at a time is on the device, and one step at a time is sent.
 
 use std::cmp::Reverse;
 
@@ -22,7 +22,7 @@ pub(super) enum NextJob {
     First,
     /// A further step.
     Further,
-    /// Nobody waits for it.
+    /// Work at rest: the viewer does not wait for it.
     Rest(RestWork),
 }
 
@@ -70,8 +70,8 @@ impl OpenVolume {
         (!is_waiting).then_some(NextJob::Further)
     }
 
-    /// Until the first step of a generation is encoded nothing else even starts where the device would take the processors that the pool
-    /// needs.
+    /// Whether the first step of a generation is being encoded on processors that the device uses too. Until that is done no other job
+    /// starts, as it would take processors from the pool.
     fn encodes_first_step(&self) -> bool {
         let is_encoding = |generation: &Generation| {
             !generation.committed && matches!(generation.sending, Sending::Comparing(_) | Sending::Encoding { .. })
@@ -82,7 +82,7 @@ impl OpenVolume {
                 .any(|(_, surface)| surface.generation().is_some_and(is_encoding))
     }
 
-    /// When the client has had time to draw; `None` where nobody waits for that.
+    /// When the first draw pause ends at the latest; `None` if no generation pauses.
     pub(super) fn draw_pause_until(&self) -> Option<Instant> {
         let pauses = self
             .surfaces()
@@ -102,7 +102,7 @@ impl OpenVolume {
         next.map(|(number, _, work)| (number, NextJob::Rest(work)))
     }
 
-    /// When there is something to do for a surface that rests; `None` where there is nothing.
+    /// When the next work at rest is due; `None` if there is none.
     pub(super) fn rest_due(&self) -> Option<Instant> {
         let rests = self.rests().map(|(_, due, _)| due);
         rests.chain(self.description_due()).min()

@@ -1,9 +1,9 @@
 //! How surfaces share the connection's budget: in proportion to the triangles of their full surfaces, as far as a budget is in force for
 //! them. So a surface's part depends on what decides full surfaces alone, and an edit of anything else changes no other surface.
 //!
-//! Whether a surface can be made changes nothing of that either: one whose generation failed keeps its part, and is tried again when it gets
-//! another one. What the client holds of it goes where others share the budget and it is above its part. A surface whose generation was cancelled
-//! stays as it was, and what the client holds of it is reserved.
+//! Failures do not change the parts either. A surface whose generation failed keeps its part, and is retried when its part changes. If
+//! others share the budget and the client holds more of the failed surface than its part, what it holds is removed. A surface whose
+//! generation was cancelled stays as it was, and what the client holds of it is reserved.
 
 use super::generation::Making;
 use super::open_volume::OpenVolume;
@@ -21,7 +21,7 @@ pub(super) enum Verdict {
     GiveUp,
 }
 
-/// The sum, or the largest number where it is larger.
+/// The sum, saturated at [`u64::MAX`].
 fn total(numbers: impl Iterator<Item = u64>) -> u64 {
     numbers.fold(0, u64::saturating_add)
 }
@@ -51,12 +51,12 @@ impl SurfaceSession {
         self.full.as_ref().map_or(0, |(_, triangles)| *triangles)
     }
 
-    /// What the client holds and others cannot have, as it has no part of the budget: in the budget's unit.
+    /// What the client holds of this surface if it has no part of the budget, in the budget's unit: so much less is left for the others.
     fn reserved(&self) -> u64 {
         if self.shares() { 0 } else { self.held_of_budget() }
     }
 
-    /// Whether it has failed, and what the client holds of it goes.
+    /// Whether it has failed, and what the client holds of it is being removed.
     fn is_leaving(&self) -> bool {
         self.generation().is_some_and(|generation| generation.failure.is_some())
     }
@@ -70,7 +70,7 @@ impl SurfaceSession {
         }
     }
 
-    /// Whether it failed before its triangles were counted, and may be tried again to have a part of a budget that others share.
+    /// Whether it failed before its triangles were counted, and may be retried to get a part of a budget that others share.
     fn lacks_part(&mut self) -> bool {
         let is_uncounted = self.view.budget.is_some() && !self.is_busy() && !self.is_counted();
         let failed = self.failed.as_mut().filter(|_| is_uncounted);
@@ -125,14 +125,14 @@ impl OpenVolume {
         surface.shares() && self.allotments().is_none()
     }
 
-    /// The triangles of all surfaces that share the budget; `None` where there is only one, or not all are counted.
+    /// The triangles of all surfaces that share the budget; `None` if fewer than two share it, or if not all are counted.
     pub(super) fn shared_triangles(&self) -> Option<u64> {
         let sharing = || self.surfaces().filter(|(_, surface)| surface.shares());
         let is_known = self.is_budget_shared() && sharing().all(|(_, surface)| surface.is_counted());
         is_known.then(|| total(sharing().map(|(_, surface)| surface.full_triangles())))
     }
 
-    /// What surfaces hold that have no part of the budget.
+    /// The sum of what the client holds of surfaces without a part of the budget.
     fn reserved(&self) -> u64 {
         total(self.surfaces().map(|(_, surface)| surface.reserved()))
     }
@@ -155,8 +155,8 @@ impl OpenVolume {
         Some(allotments)
     }
 
-    /// Surfaces that failed and are tried again though their parts are as they were: the client may not keep what it holds of them any more, or
-    /// another budget is to be suggested.
+    /// Failed surfaces that are retried although their parts are unchanged, because the client may no longer keep what it holds of them, or
+    /// because another budget is to be suggested.
     pub(super) fn outdated(&self) -> Vec<u8> {
         let all = self.shared_triangles();
         let is_outdated = |number: u8, surface: &SurfaceSession| {
@@ -169,7 +169,7 @@ impl OpenVolume {
         outdated.map(|(number, _)| number).collect()
     }
 
-    /// The budget of all together of which a surface gets a part of so many triangles.
+    /// The budget of all surfaces together that gives this surface a part of so many triangles.
     pub(super) fn whole_of(&self, number: u8, part: u64) -> u64 {
         let whole = match (self.surface(number), self.shared_triangles()) {
             (Some(surface), Some(all)) => Budget::whole_of(part, surface.full_triangles(), all),
@@ -186,13 +186,13 @@ impl OpenVolume {
         held.is_none_or(|surface| !surface.holds_another_step && !is_taken(surface))
     }
 
-    /// Something else than the views of surfaces that failed has changed: those that have no part yet may be tried again for it.
+    /// Allows failed surfaces to be retried. Called when something other than their views has changed.
     pub(super) fn offer_retries(&mut self) {
         let failed = self.surfaces_mut().filter_map(|(_, surface)| surface.failed.as_mut());
         failed.for_each(|failed| failed.may_retry = true);
     }
 
-    /// Surfaces that failed before they were counted, and are to be now that others share the budget.
+    /// Surfaces that failed before they were counted, and are to be counted now because others share the budget.
     pub(super) fn lacking(&mut self) -> Vec<u8> {
         if !self.surfaces().any(|(_, surface)| surface.shares()) {
             return Vec::new();
@@ -203,8 +203,8 @@ impl OpenVolume {
             .collect()
     }
 
-    /// What becomes of a step that was made. A final surface that has more of the budget than the one before waits until those that get less
-    /// are committed, so that all together are never above it.
+    /// Decides whether a step that was made is sent. A final surface that takes more of the budget than the one before waits until the
+    /// surfaces that take less are committed, so that all together never exceed it.
     pub(super) fn verdict(&self, number: u8) -> Verdict {
         let surface = self.surface(number);
         let Some((surface, generation)) = surface.and_then(|surface| Some((surface, surface.generation()?))) else {
@@ -213,7 +213,8 @@ impl OpenVolume {
         let is_final = matches!(&generation.making, Making::Made(made) if made.step.made.is_final);
         let made_with = generation.view.budget;
         let is_superseded = is_final && surface.shares() && surface.edit_pending;
-        // What others got meanwhile is not left for it. Without others it shows something of a budget that is dragged down.
+        // Other surfaces may have got its former part meanwhile. A single surface is sent, so that the viewer sees something while they
+        // drag the budget down.
         if is_superseded && self.surfaces().count() > 1 && surface.exceeds(made_with, surface.allotted) {
             return Verdict::GiveUp;
         }
@@ -225,7 +226,7 @@ impl OpenVolume {
         if !grows || !others_shrink() {
             return Verdict::Send;
         }
-        // Two that wait for each other would wait forever.
+        // Two surfaces that waited for each other would deadlock.
         match surface.exceeds(made_with, surface.allotted) {
             true => Verdict::GiveUp,
             false => Verdict::Wait,

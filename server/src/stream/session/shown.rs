@@ -7,7 +7,7 @@ use crate::view::quality::MesherName;
 /// What a client holds of a surface.
 #[derive(Clone, Debug)]
 pub(super) struct HeldSurface {
-    /// With what was found to keep its budget.
+    /// The view, with the threshold that was fitted to its budget.
     pub view: View,
     /// Of its full surface.
     pub key: SurfaceKey,

@@ -34,11 +34,11 @@ pub(super) struct SurfaceSession {
     pub held_triangles: u64,
     /// The view and the cut of what the client holds.
     pub shown: Option<HeldSurface>,
-    /// The generation that it belongs to; 0 where there is none.
+    /// The generation of the surface shown; 0 if none is shown.
     pub shown_generation: u32,
-    /// Triangles of a full surface, and of which: the newest one of which that is known.
+    /// The newest full surface whose triangles were counted, and their number.
     pub full: Option<(SurfaceKey, u64)>,
-    /// What it gets of the budget: its newest generation is made with this, or the next one will be.
+    /// Its part of the budget, with which its newest generation is made, or the next one will be.
     pub allotted: Option<Budget>,
     /// The budget of the last final surface that the client got, as a number.
     pub kept: Option<Budget>,
@@ -48,12 +48,12 @@ pub(super) struct SurfaceSession {
     pub holds_another_step: bool,
 }
 
-/// The last generation of a surface has failed.
+/// A failure of the last generation of a surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Failed {
-    /// Triangles of all surfaces that shared the budget then: what was suggested depends on them.
+    /// Triangles of all surfaces that shared the budget at that time: the suggested budget depends on them.
     pub shared_triangles: Option<u64>,
-    /// Something has changed since, or another part of the budget may help.
+    /// Whether a retry may help, because something has changed since, or because its part of the budget may change.
     pub may_retry: bool,
 }
 
@@ -145,14 +145,15 @@ impl SurfaceSession {
         self.phase = Phase::Working(Box::new(generation));
     }
 
-    /// The volume is at another time step. Values in force stay, the range of the feature too; what was made once is made anew.
+    /// Switches to another time step of the volume. The values in force stay, the range of the feature too. A surface that an edit has made
+    /// is made anew.
     pub(super) fn step(&mut self) {
         self.holds_another_step |= !self.held.is_empty();
         (self.shown, self.shown_generation, self.full, self.key) = (None, 0, None, None);
         self.edit_pending = self.edited > 0;
     }
 
-    /// Ends what is done. Dropping a generation or a rest cancels its token: the device's job returns later.
+    /// Ends the work for this surface. Dropping a generation or a rest cancels its token; the device's job returns later.
     pub(super) fn stop(&mut self) -> Option<Box<Generation>> {
         match std::mem::replace(&mut self.phase, Phase::Idle) {
             Phase::Working(generation) => Some(generation),

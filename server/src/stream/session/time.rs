@@ -1,5 +1,6 @@
-//! Time steps: a client that goes to another step of the open volume keeps its surfaces, and what of them is equal in both steps is not sent
-//! again. A step comes into force when all surfaces can be made of it (`resolving`). While it goes on in even steps, the next one is read ahead. What a step's values are like is described when the viewer rests.
+//! Time steps. A client that goes to another step of the open volume keeps its surfaces, and regions that are equal in both steps are not
+//! sent again. A step comes into force when all surfaces can be made of it (`resolving`). If the client goes on in equal strides, the
+//! next step is prefetched. The values of a step are described when the viewer rests.
 
 use std::sync::Arc;
 
@@ -22,14 +23,14 @@ use crate::wire::messages::ServerMessage;
 /// Steps between two that are shown one after the other, up to which the next one is expected as far on.
 const MAX_STRIDE: u32 = 4;
 
-/// A time step that is read ahead. Dropping it cancels that.
+/// A time step that is being prefetched. Dropping it cancels that.
 pub(super) struct Ahead {
     step: u32,
     pub job: Option<BoxFuture<()>>,
     _cancel: DropGuard,
 }
 
-/// Resolves when the time step that is read ahead is there; never where there is none.
+/// Resolves when the time step that is being prefetched is there; never if none is.
 pub(super) async fn read_ahead(ahead: &mut Option<Ahead>) {
     match ahead.as_mut().and_then(|ahead| ahead.job.as_mut()) {
         Some(job) => job.await,
@@ -40,7 +41,7 @@ pub(super) async fn read_ahead(ahead: &mut Option<Ahead>) {
     }
 }
 
-/// The step that is expected after going from one to another: as far on, from the last one to the first.
+/// The step that is expected after going from one to another: the same stride further, wrapping from the last step to the first.
 fn expected(from: u32, to: u32, steps: u32) -> Option<u32> {
     if to == 0 && from > 1 && from == steps - 1 {
         return Some(1);
@@ -193,7 +194,7 @@ impl OpenVolume {
         self.stepping.is_some() || self.surfaces().any(|(_, surface)| surface.is_awaited())
     }
 
-    /// When the step is to be described; `None` where it is, or a surface is made.
+    /// When the time step is to be described; `None` if it has been, or while a surface is still to come.
     pub(super) fn description_due(&self) -> Option<Instant> {
         let since = self.undescribed_since.filter(|_| !self.is_awaited())?;
         Some(since + REST_AFTER)

@@ -1,4 +1,4 @@
-//! Jobs that several wait for: who asks for what is being made joins those who wait for it.
+//! Single-flight jobs: a request for a result that is being made waits for the job in flight.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -11,17 +11,18 @@ use tokio_util::sync::CancellationToken;
 
 use crate::extraction::WorkError;
 
-/// A result for all who wait for it.
+/// A job's result, for all of its waiters.
 pub(in crate::stream) type Outcome<T> = Result<T, Arc<WorkError>>;
 
 type Job<T> = future::Shared<Pin<Box<dyn Future<Output = Outcome<T>> + Send>>>;
 
-/// The jobs that run, by what they make. There are no more than those who wait for them: each has one or more, and ends where it has none.
+/// Jobs in flight, by the key of what they make. Each has one waiter or more and is cancelled with its last one, so there are at most as
+/// many jobs as waiters.
 pub(super) struct Joint<K, T: Clone>(Mutex<Jobs<K, T>>);
 
 struct Jobs<K, T: Clone> {
     running: HashMap<K, Running<T>>,
-    /// Counts them, so that one is not taken for another that made the same.
+    /// Number of the last job. Numbers distinguish a job from an earlier one of the same key.
     last: u64,
 }
 
@@ -42,15 +43,17 @@ impl<K, T: Clone> Default for Joint<K, T> {
 }
 
 impl<K, T: Clone> Joint<K, T> {
-    /// A poisoned one too: a panic leaves nothing half updated.
+    /// Locks the jobs. Ignores poisoning: a panic leaves nothing half updated.
     fn jobs(&self) -> MutexGuard<'_, Jobs<K, T>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> Joint<K, T> {
-    /// Waits for the job of this key, which `start` begins where it does not run; and whether it ran already. Where `token` is cancelled,
-    /// others go on; the last who waits ends the job, and returns when it has ended, so that it has never two of them.
+    /// Waits for the job of this key, which `start` begins if it is not in flight. Returns its result, and whether it was in flight.
+    ///
+    /// If `token` is cancelled, this waiter leaves and the others go on waiting. The last waiter cancels the job and returns only when it
+    /// has ended, so that a caller never has two jobs at once.
     pub(super) async fn make<F>(
         &self,
         key: &K,
@@ -103,7 +106,7 @@ impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> Joint<K, T> {
     }
 }
 
-/// One who waits for a job; dropped, it waits no longer.
+/// A waiter of a job. Dropping it leaves the job.
 struct Waiter<'a, K: Eq + Hash, T: Clone> {
     joint: &'a Joint<K, T>,
     key: K,
@@ -112,7 +115,7 @@ struct Waiter<'a, K: Eq + Hash, T: Clone> {
 }
 
 impl<K: Eq + Hash, T: Clone> Waiter<'_, K, T> {
-    /// Waits no longer; true where nobody does, so that the job was told to end, and nobody joins it any more.
+    /// Leaves the job. Returns true if this was the last waiter: then the job was cancelled, and later requests do not join it.
     fn leave(&mut self) -> bool {
         if !std::mem::replace(&mut self.waits, false) {
             return false;
@@ -133,7 +136,7 @@ impl<K: Eq + Hash, T: Clone> Waiter<'_, K, T> {
         true
     }
 
-    /// The job has ended: who asks from now on begins another.
+    /// Removes the job, which has ended: the next request begins another.
     fn end(mut self) {
         self.waits = false;
         let mut jobs = self.joint.jobs();

@@ -1,4 +1,4 @@
-//! What was made for viewers, for those who ask for the same later: within a budget of bytes, and what was used longest ago goes first.
+//! Cache of what was made for viewers, for later equal requests. It has a budget of bytes and evicts the least recently used entry.
 
 use std::hash::Hash;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -12,13 +12,13 @@ use crate::extraction::{MeasuredError, Measurement, Refinement};
 use crate::metrics;
 use crate::volumes::DatasetKey;
 
-/// One in so many bytes of the budget is for what is known of steps, and as much for measured errors; the rest is for chunks.
+/// One in so many bytes of the budget is for steps without their chunks, and as much for measured errors; the rest is for chunks.
 const NOTES_PART: u64 = 16;
 
 /// Bytes that an entry takes beside what is in it: key, links and the table.
 const ENTRY_BYTES: u64 = 160;
 
-/// Chunks, and what is known of the steps that they are of.
+/// The cache of chunks, of the steps that they belong to, and of measured errors.
 pub(in crate::stream) struct Kept(Mutex<Entries>);
 
 struct Entries {
@@ -27,7 +27,7 @@ struct Entries {
     measured: Bounded<RequestKey, Arc<Measurement>>,
 }
 
-/// A step without meshes. While anybody is shown it, it is there as it is.
+/// A cached step without its meshes. While a session still holds the step, `shared` has all of it.
 struct KeptStep {
     made: Refinement,
     volume: Arc<DatasetKey>,
@@ -46,12 +46,12 @@ impl Kept {
         }))
     }
 
-    /// A poisoned one too: a panic leaves nothing half updated.
+    /// Locks the entries. Ignores poisoning: a panic leaves nothing half updated.
     fn entries(&self) -> MutexGuard<'_, Entries> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A step, where it is shown to anybody now, or all of its chunks are there.
+    /// Returns a step if a session still holds it, or if all of its chunks are cached.
     pub(super) fn find_step(&self, key: &RequestKey) -> Option<Arc<SharedStep>> {
         let entries = &mut *self.entries();
         let kept = entries.steps.get(key)?;
@@ -95,7 +95,7 @@ impl Kept {
         self.change(|entries| entries.measured.insert(key, bytes as u64, measured));
     }
 
-    /// Lets all of it go; false where there was nothing.
+    /// Evicts everything. Returns false if there was nothing.
     pub(super) fn clear(&self) -> bool {
         let mut had_any = false;
         self.change(|entries| {

@@ -1,11 +1,12 @@
 //! What viewers of equal views share: one job on the device, and chunks that are encoded once.
 //!
-//! - `joint`: jobs that run, which others join.
-//! - `step`: a step that was made, for all who are shown it.
-//! - `kept`: steps and chunks that were made, within a budget of bytes.
+//! - `joint`: jobs in flight, which equal requests join.
+//! - `step`: a step that was made, shared by all viewers who are sent it.
+//! - `kept`: the cache of steps and chunks, within a budget of bytes.
 //!
-//! Equal are two askers with one volume, time step and view, whatever its colours, who show the same and are on the way to the same. Whoever
-//! asks has opened the volume, so that it may be seen is known before anything is looked for here.
+//! Two requests are equal if they have the same volume, time step and view (colours do not count), and if their clients show the same
+//! surface and are on the way to the same one. There is no access check here: a session requests only volumes that it has opened, which
+//! checked that the viewer may see them.
 
 mod joint;
 mod kept;
@@ -25,17 +26,17 @@ pub(super) use joint::Outcome;
 pub(super) use kept::Kept;
 pub(super) use step::{HeldRegion, HeldRegions, SharedStep};
 
-/// Steps of others that are waited for before one of one's own is made, where none of them fits the line.
+/// Jobs of other viewers that a request waits for before it starts its own, if none of their steps suits its line.
 const MAX_JOINED: usize = 2;
 
-/// A step may have so many times the bytes that its viewer's line is for: it is there, and another one is not.
+/// A step may have so many times the bytes that suit the viewer's line, because it exists already and a smaller one would have to be made.
 const MAX_LINE_FACTOR: u64 = 4;
-/// A step of so few bytes is for any line.
+/// A step of at most so many bytes suits any line.
 const ANY_LINE_BYTES: u64 = 256 << 10;
-/// A step on the way has at least one in so many of the bytes that its viewer's line is for; else it takes steps of its own.
+/// A step that is not final must have at least one in so many of the bytes that suit the viewer's line; else the viewer gets its own.
 const MIN_LINE_PART: u64 = 8;
 
-/// What is asked for.
+/// A request: the view of a surface, with the backend and volume to make it.
 #[derive(Clone)]
 pub(super) struct Wanted<B> {
     pub backend: B,
@@ -45,7 +46,7 @@ pub(super) struct Wanted<B> {
     pub key: ViewKey,
 }
 
-/// A result that is asked for: two requests of one key have the same result, but for how fine a step is.
+/// Key of a requested result. Two requests with the same key have the same result, except for how fine a step is.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct RequestKey {
     view: ViewKey,
@@ -81,10 +82,10 @@ struct Inner {
     kept: Arc<Kept>,
 }
 
-/// A step, and how it was come by.
+/// A step, and its origin.
 pub(super) struct Offered {
     pub step: Arc<SharedStep>,
-    /// Whether it was made for this asker: the time that it took says how fast the next ones are made.
+    /// Whether it was made for this request: then the time that it took predicts how long the next ones take.
     pub is_own: bool,
 }
 
@@ -100,7 +101,7 @@ impl Offered {
 }
 
 impl Shared {
-    /// Keeps what was made within so many bytes; 0: nothing, but jobs that run are joined still.
+    /// Caches results in so many bytes. With 0 nothing is cached, but jobs in flight are still joined.
     pub(super) fn new(budget: u64) -> Self {
         Self(Arc::new(Inner {
             steps: Joint::default(),
@@ -154,7 +155,7 @@ impl Shared {
                 kept.keep_step(own_key, &made);
                 Ok(made)
             };
-            // Where those of others did not fit, nobody else waits for this one.
+            // If the steps of other viewers did not suit, this one is made for this viewer alone: others do not join it.
             let (made, was_joined) = match joined {
                 ..MAX_JOINED => self.0.steps.make(&key, token, make).await,
                 MAX_JOINED.. => (make(token.clone()).await, false),
@@ -171,7 +172,7 @@ impl Shared {
         }
     }
 
-    /// A better surface of the same view; `None` where there is none.
+    /// Makes a better surface of the same view, or finds it in the cache; `None` if there is none.
     pub(super) async fn improve<B: Backend>(
         &self,
         wanted: Wanted<B>,
@@ -198,7 +199,7 @@ impl Shared {
         Ok(made?.map(|step| Offered { step, is_own }))
     }
 
-    /// How far the final surface of a view is from the undecimated one; `None` where nothing measures it.
+    /// How far the final surface of a view is from the undecimated one; `None` as in [`Backend::measure`].
     pub(super) async fn measure<B: Backend>(
         &self,
         wanted: Wanted<B>,
@@ -230,7 +231,7 @@ impl<B: Backend> Wanted<B> {
         }
     }
 
-    /// Makes a step; where there is no memory for it, what is kept goes first.
+    /// Makes a step. If the host has too little memory for it, evicts the cache and tries once more.
     async fn refine(&self, kept: &Kept, step: Step, token: &CancellationToken) -> Outcome<Refinement> {
         let make = || self.backend.refine(&self.volume, &self.view, step, token);
         let made = match make().await {

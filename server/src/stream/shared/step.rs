@@ -1,4 +1,4 @@
-//! A step that was made, for all who are shown it: its regions are hashed and encoded once.
+//! A step that was made, shared by all viewers who are sent it: its regions are hashed and encoded once.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -32,14 +32,14 @@ pub(in crate::stream) struct HeldRegion {
 const REGION_BYTES: u64 = 160;
 const BYTES_OF_100_TRIANGLES: u64 = 450;
 
-/// A step for several viewers. Chunks of its regions are made when the first of them needs them.
+/// A step for several viewers. The chunk of a region is encoded when the first viewer needs it.
 #[derive(Debug)]
 pub(in crate::stream) struct SharedStep {
     /// What was made, without its regions.
     pub made: Refinement,
     /// Those that have triangles.
     pub regions: Vec<SharedRegion>,
-    /// Of which volume, so that no other's chunks are taken for its own.
+    /// The volume, so that chunks of another one are not mistaken for its own.
     volume: Arc<DatasetKey>,
 }
 
@@ -56,7 +56,7 @@ pub(in crate::stream) struct SharedRegion {
     predictive: OnceLock<Result<Bytes, EncodeError>>,
 }
 
-/// What of a region is kept beside its chunk.
+/// What is cached of a region besides its chunk.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RegionNote {
     pub coords: [u32; 3],
@@ -64,7 +64,7 @@ pub(super) struct RegionNote {
     pub triangles: usize,
 }
 
-/// A chunk is looked for by its mesh, within its volume.
+/// Cache key of a chunk: the hash of its mesh, within its volume.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(in crate::stream) struct ChunkKey {
     pub volume: Arc<DatasetKey>,
@@ -72,7 +72,7 @@ pub(in crate::stream) struct ChunkKey {
     pub hash: u64,
 }
 
-/// Where chunks are kept.
+/// A cache of chunks.
 pub(in crate::stream) trait Chunks {
     fn find(&self, key: &ChunkKey) -> Option<Bytes>;
     fn keep(&self, key: ChunkKey, chunk: &Bytes);
@@ -100,7 +100,7 @@ impl SharedStep {
         hashed.map(Arc::new).map_err(Arc::new)
     }
 
-    /// Whether a viewer who asks for such a step may have it.
+    /// Whether this step suits a viewer who has requested `step`: it is neither too large nor too small for the viewer's line.
     pub(super) fn suits(&self, step: Step) -> bool {
         let triangles = self.regions.iter().map(|region| region.triangles as u64).sum::<u64>();
         let bytes = self.regions.len() as u64 * REGION_BYTES + triangles * BYTES_OF_100_TRIANGLES / 100;
@@ -113,7 +113,7 @@ impl SharedStep {
         self.made.is_final || step.shown == Shown::Another || bytes >= line / MIN_LINE_PART
     }
 
-    /// The chunk of one of its regions, which is encoded where nobody has needed it before.
+    /// The chunk of one of its regions, which is encoded if it is not cached.
     ///
     /// # Errors
     /// As [`encode::encode`].

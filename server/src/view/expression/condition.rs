@@ -1,4 +1,4 @@
-//! `distance(CONDITION)` and `smooth(SAMPLES, CONDITION)`: where a condition holds, as numbers that are not 0 there.
+//! `distance(CONDITION)` and `smooth(SAMPLES, CONDITION)`: compiles the condition to a number that is 0 if it does not hold.
 
 use isopeel_kernels::expression::{Comparison, Kind, Op};
 
@@ -54,8 +54,8 @@ fn inside<'a>(text: &'a str, function: &str, form: &str) -> Result<Option<Part<'
 }
 
 impl Program<'_> {
-    /// A number that is 0 where a condition does not hold. The condition, which begins at byte `at` of the text, is what a mask takes, or an
-    /// expression: also one whose value is a number, which holds where it is not 0.
+    /// Adds the operations for a number that is 0 if a condition does not hold. The condition begins at byte `at` of the text. It is a mask
+    /// or an expression; an expression whose value is a number holds if that is not 0.
     pub(super) fn indicator(&mut self, at: usize, condition: &str) -> Result<(), Fault> {
         let node = match Mask::parse(condition, self.known) {
             Ok(mask) => {

@@ -1,4 +1,4 @@
-//! From the text of an expression to a tree, whose parts know where they stand.
+//! Parses the text of an expression into a tree whose nodes know their positions in the text.
 
 use winnow::LocatingSlice;
 use winnow::ascii::multispace0;
@@ -23,7 +23,7 @@ pub(super) struct Tree {
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum What {
-    /// A number, and in full where it is written as a whole one: a float may round it.
+    /// A number. If it is written as a whole number, `integer` has it exactly, as a float may round it.
     Number {
         value: f32,
         integer: Option<i128>,
@@ -98,7 +98,7 @@ fn expected(what: &'static str) -> StrContext {
     StrContext::Expected(StrContextValue::Description(what))
 }
 
-/// One of some symbols, the longer ones first, behind spaces; and where it stands.
+/// Parses one of some symbols, the longer ones first, behind optional spaces. Returns its position and the symbol.
 fn symbol<'a>(
     symbols: &'static [&'static str],
 ) -> impl FnMut(&mut Input<'a>) -> Result<(usize, &'static str), ErrMode<ContextError>> {

@@ -4,7 +4,7 @@ use super::*;
 
 const FIELDS: &[&str] = &["u", "v", "w", "rho", "flow x", "T2"];
 
-/// The value where u, v, w, rho, flow x, T2 are 3, 4, 12, 2, 5, 0.5.
+/// The value of an expression for u, v, w, rho, flow x, T2 = 3, 4, 12, 2, 5, 0.5.
 fn value(text: &str) -> f32 {
     let of = FieldExpression::parse(text, FIELDS, "field").unwrap_or_else(|e| panic!("{e}"));
     let samples = [3.0, 4.0, 12.0, 2.0, 5.0, 0.5];

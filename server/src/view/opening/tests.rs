@@ -132,7 +132,7 @@ fn a_probability_that_is_mostly_zero_opens_at_half() {
 
 #[test]
 fn without_a_background_the_whole_histogram_decides() {
-    // Temperatures of an ocean, with a low and wide peak where it is coldest.
+    // Temperatures of an ocean, with a low and wide peak at the coldest ones.
     let ocean = histogram([-3.0, 30.0], |t| {
         100.0 + peak(t, -1.5, 0.5, 400.0, 0.13) + 500.0 * (-t / 8.0).exp()
     });

@@ -1,7 +1,7 @@
-//! Streams of decoded bytes, one kind for each way in which samples are packed.
+//! Streams of decoded bytes, one type for each encoding of samples.
 //!
-//! Every stream ends with an error where its input goes on behind the end that it states itself. None takes memory for
-//! what a header claims: a buffer grows with what was decoded, or has a size that the stored bytes can fill.
+//! Every stream returns an error if its input continues behind the end that the stream itself states. No stream allocates memory for
+//! what a header claims: a buffer grows with the decoded bytes, or has a size that the stored bytes can fill.
 
 mod vtk;
 mod zstd;
@@ -20,7 +20,7 @@ pub enum Endian {
 }
 
 impl Endian {
-    /// Of this machine.
+    /// Byte order of this machine.
     pub(super) const NATIVE: Self = if cfg!(target_endian = "big") {
         Self::Big
     } else {
@@ -35,7 +35,7 @@ impl Endian {
 /// Maximum ratio of deflate: 258 bytes from two bits, 1032 to 1.
 pub(super) const DEFLATE_RATIO: u64 = 1032;
 
-/// How samples are written.
+/// Encoding of samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// As bytes.
@@ -50,14 +50,14 @@ pub enum Encoding {
     Zstd,
     /// Hexadecimal digits, two a byte, between white space.
     Hex,
-    /// An array of VTK's XML formats, which says its length itself.
+    /// An array of VTK's XML formats, which states its own length.
     Vtk(VtkCoding),
     /// Decimal numbers between white space or commas.
     Text,
 }
 
 impl Encoding {
-    /// Bytes that one stored byte may become at most; `None` where bytes are not decoded.
+    /// Returns the maximum number of bytes that one stored byte decodes to; `None` if bytes are not decoded.
     pub(super) const fn max_ratio(self) -> Option<u64> {
         match self {
             Self::Raw | Self::Text => None,
@@ -66,7 +66,7 @@ impl Encoding {
             Self::Deflate | Self::BareDeflate | Self::Vtk(_) => Some(DEFLATE_RATIO),
             // 128 KiB from a block of four bytes.
             Self::Zstd => Some(32768),
-            // The format has no useful limit. This one refuses volumes that hold next to nothing, and bombs.
+            // The format has no useful limit. This limit refuses volumes without content and decompression bombs.
             Self::Bzip2 => Some(32768),
         }
     }
@@ -92,8 +92,7 @@ pub enum VtkCompressor {
     Lz4,
 }
 
-/// Decoded bytes of `stored`, of which there are at most `stored_bytes`. Of plain samples and text the bytes
-/// themselves.
+/// Returns a reader of the decoded bytes of `stored`, of which at most `stored_bytes` are read. Plain samples and text are passed through.
 pub(super) fn decoder<'a>(
     encoding: Encoding,
     stored: impl Read + Send + 'a,
@@ -138,7 +137,7 @@ impl<R: BufRead> Read for Members<R> {
     }
 }
 
-/// Passes over zeros and white space. Whether the input ends with them; else it is where the next member should begin.
+/// Skips zeros and white space. Returns `true` if the input ends with them; else the input is at the start of the next member.
 fn is_padding(input: &mut impl BufRead) -> io::Result<bool> {
     loop {
         let stored = input.fill_buf()?;
@@ -159,7 +158,7 @@ fn is_padding(input: &mut impl BufRead) -> io::Result<bool> {
     }
 }
 
-/// A decoder of one stream that must end with its input.
+/// A decoder of one stream, which must end at the end of its input.
 struct ToEnd<D>(D);
 
 /// The input of a decoder.
@@ -189,7 +188,7 @@ impl<D: Read + Input> Read for ToEnd<D> {
     }
 }
 
-/// Bytes of hexadecimal digits.
+/// Decodes hexadecimal digits.
 struct Hex<R> {
     digits: R,
 }

@@ -38,7 +38,7 @@ pub(super) fn decoder<'a>(
 struct Blocks<'a> {
     coding: VtkCoding,
     stored: Box<dyn Read + Send + 'a>,
-    /// Compressed bytes of the blocks that were not read yet.
+    /// Compressed sizes of the blocks that were not read yet.
     sizes: std::vec::IntoIter<u64>,
     /// The current block, decoded.
     block: io::Cursor<Vec<u8>>,
@@ -59,7 +59,7 @@ impl Blocks<'_> {
         Ok(u64::from_le_bytes(bytes))
     }
 
-    /// Number of blocks, bytes of one, bytes of a shorter last one or 0, then the compressed bytes of each.
+    /// Reads the number of blocks, the bytes of a block, the bytes of a shorter last block or 0, then the compressed bytes of each block.
     fn read_header(&mut self) -> io::Result<()> {
         let [count, block_bytes, last] = [self.number()?, self.number()?, self.number()?];
         (self.block_bytes, self.last_bytes) = (block_bytes, if last == 0 { block_bytes } else { last });
@@ -82,7 +82,7 @@ impl Blocks<'_> {
         if (packed.len() as u64) < size {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
-        // The maximum of zlib, more than that of LZ4.
+        // The maximum ratio of zlib, which is above that of LZ4.
         if bytes > size.saturating_mul(DEFLATE_RATIO) {
             return Err(invalid(format!("a block of {size} bytes cannot hold {bytes}")));
         }
@@ -124,7 +124,7 @@ impl Read for Blocks<'_> {
     }
 }
 
-/// Bytes of base64 between white space. Padding ends a part, not the stream: VTK encodes header and blocks one by one.
+/// Decodes base64 between white space. Padding ends a section, not the stream: VTK encodes header and blocks separately.
 struct Base64<R> {
     letters: R,
     /// Groups of four letters.

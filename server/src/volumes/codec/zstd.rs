@@ -7,15 +7,15 @@ use ruzstd::decoding::{BlockDecodingStrategy, DEFAULT_MAX_WINDOW_SIZE, FrameDeco
 
 use super::invalid;
 
-/// A window that every file may ask for: that of the compressor's level 19. A larger one must be in proportion to the
-/// file.
+/// Window size that is allowed for every file: that of the compressor's level 19. A larger window must be in proportion to the
+/// file's size.
 const WINDOW: u64 = 8 << 20;
 const WINDOW_RATIO: u64 = 64;
 
 /// The frames of a file, one after the other.
 pub(super) struct Frames<R> {
     stored: R,
-    /// Of the frame that is read.
+    /// Decoder of the current frame.
     frame: Option<FrameDecoder>,
     max_window: u64,
 }

@@ -1,4 +1,4 @@
-//! Chunks of a store over a network, several of which are on their way at once.
+//! Fetches chunks from a store over a network, several at once.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -6,10 +6,10 @@ use std::sync::mpsc::sync_channel;
 
 use crate::volumes::{ReadError, ReadProgress};
 
-/// Requests that are on their way at once.
+/// Maximum requests in flight.
 const MAX_REQUESTS: u64 = 16;
 
-/// The reading of a time step.
+/// The reading of a time step: its progress, and whether it failed.
 pub(super) struct Work<'a> {
     pub(super) progress: &'a ReadProgress,
     /// Whether another chunk has failed.
@@ -24,12 +24,13 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Whether no further chunk is wanted.
+    /// Whether reading has failed or was cancelled, so that no further chunk is fetched.
     pub(super) fn is_over(&self) -> bool {
         self.progress.is_cancelled() || self.failed.load(Ordering::Relaxed)
     }
 
-    /// Gets `count` chunks by their numbers, several at once, and hands them on in the order in which they come. `shown` is for messages.
+    /// Fetches `count` chunks by their numbers, several at once, and passes them to `take` in the order of arrival. `shown` is for
+    /// messages.
     pub(super) fn get_ahead<T: Send>(
         &self,
         shown: &Path,
@@ -41,14 +42,14 @@ impl<'a> Work<'a> {
         let next = AtomicU64::new(0);
         let threads = at_once.clamp(1, MAX_REQUESTS);
         std::thread::scope(|scope| {
-            // Without a queue: a thread holds one chunk at most.
+            // A rendezvous channel: each thread holds at most one chunk.
             let (send, receive) = sync_channel(0);
             for _ in 0..threads.min(count) {
                 let (send, next, get) = (send.clone(), &next, &get);
                 scope.spawn(move || {
                     while !self.is_over() {
                         let number = next.fetch_add(1, Ordering::Relaxed);
-                        // The receiver is gone where another chunk was wrong.
+                        // Sending fails if another chunk had an error: the receiver has been dropped.
                         if number >= count || send.send(get(number)).is_err() {
                             break;
                         }

@@ -89,7 +89,7 @@ pub(super) fn open(location: &FileLocation, bytes: &Bytes<'_>) -> Result<OpenedF
 }
 
 fn stored_type(bytes: &Bytes<'_>, notices: &mut Notices) -> Option<(StoredType, u32, &'static str)> {
-    // Minimum and maximum, where the writer has them.
+    // Maximum and minimum, if the writer stored them.
     let (maximum, minimum) = (bytes.i32(140), bytes.i32(144));
     Some(match bytes.i16(70) {
         2 => (StoredType::U8, 1, "unsigned char"),
@@ -111,7 +111,7 @@ fn stored_type(bytes: &Bytes<'_>, notices: &mut Notices) -> Option<(StoredType, 
     })
 }
 
-/// Distances of samples, of which some writers leave signs.
+/// Returns the distances of samples, without the signs that some writers leave in them.
 fn distances(bytes: &Bytes<'_>, notices: &mut Notices) -> [f64; 3] {
     let pixdim: [f64; 3] = bytes.f32s(80);
     std::array::from_fn(|axis| match pixdim[axis].abs() {
@@ -127,7 +127,7 @@ fn distances(bytes: &Bytes<'_>, notices: &mut Notices) -> [f64; 3] {
     })
 }
 
-/// SPM has the sample at the origin, counted from 1.
+/// Returns the position of the first sample. SPM stores the sample at the origin, counted from 1.
 fn origin(bytes: &Bytes<'_>, dims: [u32; 3], spacing: [f64; 3]) -> [f64; 3] {
     let sample: [i32; 3] = std::array::from_fn(|axis| bytes.i16(253 + 2 * axis));
     let is_inside = sample.iter().zip(dims).all(|(&at, n)| at >= 1 && at as u32 <= n);
@@ -137,7 +137,7 @@ fn origin(bytes: &Bytes<'_>, dims: [u32; 3], spacing: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| 0.0 - f64::from(sample[axis] - 1) * spacing[axis])
 }
 
-/// SPM's factor, or how its calibrated values lie between the minimum and the maximum.
+/// Returns SPM's factor, or the scale by which calibrated values lie between the minimum and the maximum.
 fn scale(bytes: &Bytes<'_>, notices: &mut Notices) -> Option<[f64; 2]> {
     let [factor, intercept] = bytes.f32s::<2>(112);
     let [cal_max, cal_min] = bytes.f32s::<2>(124);

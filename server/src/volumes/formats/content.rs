@@ -1,13 +1,13 @@
-//! What a file is by its first bytes. These decide; where they leave several formats open, or none, the ending of the name does.
+//! Detects the format of a file by its first bytes. If they fit several formats or none, the ending of the name decides.
 
 use super::{EXPECTED, FORMATS, Format};
 use crate::volumes::codec::Encoding;
 use crate::volumes::{FileLocation, ReadError};
 
-/// Bytes that are looked at. HDF5 may begin behind a block of the user's.
+/// Bytes at the beginning of a file that are examined. HDF5 may begin behind a user block.
 const HEAD_BYTES: usize = 8192;
 
-/// Beginnings of files that are no volumes, and what to do about each.
+/// First bytes of files that are no volumes, with advice for each.
 const OTHERS: &[(&[u8], &str)] = &[
     (
         b"version https://git-lfs.github.com/spec/",
@@ -49,12 +49,12 @@ const OTHERS: &[(&[u8], &str)] = &[
     ),
 ];
 
-/// Why a file that begins so is no volume, if that is plain.
+/// Returns why a file that begins with these bytes is no volume, if it is a known other kind of file.
 fn is_other(head: &[u8]) -> Option<&'static str> {
     if head.is_empty() {
         return Some("is empty, expected a volume");
     }
-    // MATLAB writes the same words before HDF5 from version 7.3 on.
+    // From version 7.3 on, MATLAB writes the same words before HDF5.
     let known = OTHERS
         .iter()
         .find(|(magic, _)| head.starts_with(magic) && !is_hdf5(head));
@@ -82,7 +82,7 @@ fn is_other(head: &[u8]) -> Option<&'static str> {
     None
 }
 
-/// Whether HDF5 begins here, or behind a block of the user's.
+/// Whether HDF5 begins here, or behind a user block.
 pub(super) fn is_hdf5(head: &[u8]) -> bool {
     const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
     [0, 512, 1024, 2048, 4096]
@@ -90,12 +90,12 @@ pub(super) fn is_hdf5(head: &[u8]) -> bool {
         .any(|&at| head.get(at..).is_some_and(|rest| rest.starts_with(MAGIC)))
 }
 
-/// Whether it is NetCDF of versions 1, 2 or 5, or HDF5.
+/// Whether it is NetCDF of version 1, 2 or 5, or HDF5.
 pub(super) fn is_variables(head: &[u8]) -> bool {
     is_hdf5(head) || matches!(head, [b'C', b'D', b'F', 1 | 2 | 5, ..])
 }
 
-/// Whether it is a header of NIfTI, or of the same size as one of Analyze 7.5.
+/// Whether it is a header of NIfTI, or one of Analyze 7.5, which has the same size.
 pub(super) fn is_nifti(head: &[u8]) -> bool {
     let size: Option<[u8; 4]> = head.first_chunk().copied();
     let is_size = |size: [u8; 4]| {
@@ -136,7 +136,7 @@ pub(super) fn is_vtk(head: &[u8], types: &[&str]) -> bool {
     quoted.is_some_and(|(name, _)| types.contains(&name))
 }
 
-/// How a file is compressed that begins so.
+/// Returns the compression of a file that begins with these bytes.
 fn packing(head: &[u8]) -> Option<Encoding> {
     match head {
         [0x1f, 0x8b, ..] => Some(Encoding::Deflate),
@@ -146,7 +146,7 @@ fn packing(head: &[u8]) -> Option<Encoding> {
     }
 }
 
-/// The format of a file, and where it is, compressed or not as its bytes say.
+/// Returns the format of a file and its location, which is marked as compressed or not according to its first bytes.
 ///
 /// # Errors
 /// It cannot be read, is of no format, or is known to be something else.
@@ -164,7 +164,7 @@ pub fn format_of(location: &FileLocation) -> Result<(&'static Format, FileLocati
     };
     let head = match packing {
         None => stored,
-        // What is wrong with the compressed file its reader says.
+        // The reader reports what is wrong with the compressed file.
         Some(_) => location.open()?.head(HEAD_BYTES).unwrap_or_default(),
     };
     if packing.is_some()

@@ -1,4 +1,4 @@
-//! What header parsers share: limits, lists of numbers, and the checked [`Geometry`].
+//! Shared by header parsers: limits, lists of numbers, and the checked [`Geometry`].
 
 use std::fmt::Display;
 use std::path::Path;
@@ -19,7 +19,7 @@ pub struct GridFields {
     pub direction: &'static str,
 }
 
-/// Makes a geometry of the file's own axes, or says which field is at fault.
+/// Makes a geometry in the file's own axes. An error names the invalid field.
 pub fn geometry(
     path: &Path,
     names: &GridFields,
@@ -48,7 +48,7 @@ pub fn geometry(
     let [a, b, c] = direction;
     let volume =
         a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
-    // The axes are unit vectors. A smaller volume is 0 up to the rounding of a header.
+    // The axes are unit vectors: a smaller determinant is 0 up to the rounding of a header.
     if volume.is_nan() || volume.abs() < 1e-6 {
         let why = format!("{direction:?}, expected three axes that span space");
         return Err(ReadError::new(path, names.direction, why));
@@ -81,7 +81,7 @@ pub fn split_axes(axes: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
     (spacing, direction)
 }
 
-/// The position of the first sample. Coordinates that are NaN, as they are not known, become 0, with a notice.
+/// Returns the position of the first sample. NaN means unknown: such coordinates become 0, with a notice.
 pub fn known_origin(origin: [f64; 3], notices: &mut Notices) -> [f64; 3] {
     if origin.iter().any(|at| at.is_nan()) {
         notices.add(format!(
@@ -91,8 +91,8 @@ pub fn known_origin(origin: [f64; 3], notices: &mut Notices) -> [f64; 3] {
     origin.map(|at| if at.is_nan() { 0.0 } else { at })
 }
 
-/// Distances of samples and directions of their axes. A distance that is not known is as another one, one below 0 turns its axis; both with
-/// a notice.
+/// Returns the distances of samples and the directions of their axes. An unknown distance is replaced by a known one of another axis; a
+/// negative distance reverses its axis; both with a notice.
 pub fn signed_distances(
     distances: [f64; 3],
     direction: [[f64; 3]; 3],
@@ -119,7 +119,7 @@ pub fn signed_distances(
     (distances.map(f64::abs), turned)
 }
 
-/// Numbers separated by white space, exactly `count` if given.
+/// Parses numbers separated by white space, exactly `count` if given.
 pub fn numbers<T: FromStr>(path: &Path, field: &str, text: &str, count: Option<usize>) -> Result<Vec<T>, ReadError>
 where
     T::Err: Display,
@@ -141,14 +141,14 @@ where
     }
 }
 
-/// Three numbers, as an array.
+/// Converts exactly three numbers to an array.
 pub fn three<T: Copy>(path: &Path, field: &str, values: &[T]) -> Result<[T; 3], ReadError> {
     values
         .try_into()
         .map_err(|_| ReadError::new(path, field, format!("{} numbers, expected 3", values.len())))
 }
 
-/// Axis sizes as 32-bit counts, none of them 0.
+/// Converts the sizes of axes to 32-bit counts, none of which may be 0.
 pub fn sizes(path: &Path, field: &str, values: &[u64]) -> Result<Vec<u32>, ReadError> {
     values
         .iter()
@@ -164,7 +164,7 @@ pub fn sizes(path: &Path, field: &str, values: &[u64]) -> Result<Vec<u32>, ReadE
         .collect()
 }
 
-/// The error for volumes that are not three-dimensional, the same for every format.
+/// Returns the error for volumes that are not three-dimensional, the same for every format.
 pub fn not_3d(path: &Path, field: &str, dimension: impl Display) -> ReadError {
     ReadError::new(
         path,
@@ -173,13 +173,13 @@ pub fn not_3d(path: &Path, field: &str, dimension: impl Display) -> ReadError {
     )
 }
 
-/// A file with more notices than it has.
+/// Adds notices to a file.
 pub fn with_notices(mut file: OpenedFile, notices: impl IntoIterator<Item = String>) -> OpenedFile {
     notices.into_iter().for_each(|notice| file.notices.add(notice));
     file
 }
 
-/// A field of samples in a file.
+/// Makes a field of samples in a file.
 pub fn field(
     name: String,
     samples: StoredSamples,
@@ -207,14 +207,14 @@ pub const MAX_CHANNELS: u64 = 1024;
 /// How the channels of an array become fields.
 #[derive(Clone, Debug)]
 pub enum Channels {
-    /// Each of them one, of this name.
+    /// Each channel becomes a field of this name.
     Fields(Vec<String>),
-    /// All together one: the luminance of the first three.
+    /// The first three channels become one field, their luminance.
     Luminance,
 }
 
 impl Channels {
-    /// One channel is the field itself, two or three are its components along x, y and z, more are numbered.
+    /// One channel is the field itself; two or three channels are its components along x, y and z; more are numbered.
     pub fn vector(name: &str, count: u32) -> Self {
         match count {
             2..=3 => Self::named(name, &["x", "y", "z"][..count as usize]),
@@ -222,7 +222,7 @@ impl Channels {
         }
     }
 
-    /// One channel is the field itself, several are numbered.
+    /// One channel is the field itself; several are numbered.
     pub fn numbered(name: &str, count: u32) -> Self {
         match count {
             1 => Self::Fields(vec![name.to_owned()]),
@@ -230,13 +230,13 @@ impl Channels {
         }
     }
 
-    /// Channels with names of their own.
+    /// Channels with their own names.
     pub fn named(name: &str, channels: &[impl Display]) -> Self {
         Self::Fields(channels.iter().map(|channel| format!("{name} {channel}")).collect())
     }
 
-    /// Fields of `array`, whose channels are `distance` samples apart. `like` has all else of a field; its name is that
-    /// of a luminance.
+    /// Makes the fields of `array`, whose channels are `distance` samples apart. `like` has the fields' other properties; its name is used
+    /// for a luminance.
     pub fn fields(self, array: &StoredSamples, distance: u64, like: &FieldHead) -> Vec<Field> {
         let make = |name: String, first: u64, luminance: Option<u64>| {
             let mut samples = array.clone();
@@ -258,7 +258,7 @@ impl Channels {
     }
 }
 
-/// What the axes of NRRD's `space` are, and the signs that turn its vectors to [`Frame::Lps`] or [`Frame::Ras`].
+/// Returns the frame of NRRD's `space`, and the signs that convert its vectors to [`Frame::Lps`] or [`Frame::Ras`].
 pub fn frame_of_space(space: &str) -> (Frame, [f64; 3]) {
     let space = space.to_ascii_lowercase();
     match space
@@ -273,7 +273,7 @@ pub fn frame_of_space(space: &str) -> (Frame, [f64; 3]) {
     }
 }
 
-/// What a field has beside its samples.
+/// Properties of a field other than its samples.
 #[derive(Clone, Debug)]
 pub struct FieldHead {
     pub name: String,

@@ -1,14 +1,14 @@
-//! Bounds of JPEG that the formats share which have such images in them.
+//! Limits for JPEG images, shared by the formats that contain such images.
 
-/// Maximum scans of an image. Encoders write one a component, or some ten of a progressive image; each takes as long as all of its samples,
-/// however few bytes it has.
+/// Maximum scans of an image. Encoders write one scan a component, or some ten for a progressive image. Decoding a scan takes as long as
+/// decoding all samples, however few bytes it has.
 const MAX_SCANS: usize = 100;
 /// Maximum coefficients that are kept for a progressive image, of 2 bytes each.
 const MAX_COEFFICIENTS: u64 = 1 << 25;
 
 /// Refuses an image of more scans than encoders write.
 pub(super) fn check_scans(encoded: &[u8]) -> Result<(), String> {
-    // Within a scan 0xff is followed by 0 or by a restart. A preview in the header counts as well.
+    // Within a scan, 0xff is followed by 0 or by a restart marker. A preview in the header is counted, too.
     const SCAN: [u8; 2] = [0xff, 0xda];
     let scans = encoded.windows(SCAN.len()).filter(|bytes| *bytes == SCAN).count();
     if scans > MAX_SCANS {
@@ -17,9 +17,9 @@ pub(super) fn check_scans(encoded: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
-/// Refuses a progressive image whose coefficients, which are kept until its last scan, would take too much memory.
+/// Refuses a progressive image whose coefficients would take too much memory: they are kept until the last scan.
 pub(super) fn check_progressive(width: u16, height: u16, channels: u32) -> Result<(), String> {
-    /// Samples on each side of what is encoded together, at most.
+    /// Maximum samples along each side of a unit that is encoded together.
     const UNIT: u64 = 32;
     let [columns, rows] = [width, height].map(|n| u64::from(n).next_multiple_of(UNIT));
     let coefficients = columns * rows * u64::from(channels);

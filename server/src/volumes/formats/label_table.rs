@@ -1,16 +1,16 @@
 //! Names and colours of labels in a file beside the volume: of ITK-SNAP, FreeSurfer, or a table with columns.
 //!
-//! Looked for, of a volume `aseg.nii.gz` of whole numbers: `aseg.label`, `aseg.ctab`, `aseg.lut`, `aseg.txt`, `aseg.tsv`, `aseg.csv`; then
-//! `dseg.tsv` (BIDS) and `FreeSurferColorLUT.txt` in the same folder.
+//! For a volume `aseg.nii.gz` of whole numbers, these files are tried: `aseg.label`, `aseg.ctab`, `aseg.lut`, `aseg.txt`, `aseg.tsv`,
+//! `aseg.csv`; then `dseg.tsv` (BIDS) and `FreeSurferColorLUT.txt` in the same folder.
 
 use super::super::{FileLocation, Label, MAX_LABELS, OpenedFile};
 
-/// Bytes of a table. FreeSurfer's has 70,000.
+/// Maximum bytes of a table. FreeSurfer's has 70,000.
 const MAX_BYTES: usize = 1 << 20;
 const ENDINGS: [&str; 6] = ["label", "ctab", "lut", "txt", "tsv", "csv"];
 const SHARED: [&str; 2] = ["dseg.tsv", "FreeSurferColorLUT.txt"];
 
-/// Names the labels of a file's main field, if it may have labels, and a table is beside it.
+/// Names the labels of a file's main field, if it may have labels and there is a table beside it.
 pub fn name_labels(location: &FileLocation, file: &mut OpenedFile) {
     let Some(field) = file
         .fields
@@ -40,7 +40,7 @@ pub fn name_labels(location: &FileLocation, file: &mut OpenedFile) {
     }
 }
 
-/// Whether stored samples are whole numbers, by the name of their type.
+/// Whether stored samples are whole numbers, judged by the name of their type.
 pub fn may_be_labels(stored_type: &str) -> bool {
     let name = stored_type.to_ascii_lowercase();
     [
@@ -50,7 +50,7 @@ pub fn may_be_labels(stored_type: &str) -> bool {
     .any(|word| name.contains(word))
 }
 
-/// The labels of a table; none where it is another text.
+/// Returns the labels of a table; none if the text is no table of labels.
 fn read(text: &str) -> Vec<Label> {
     let mut lines = text
         .trim_start_matches('\u{feff}')
@@ -68,7 +68,7 @@ fn read(text: &str) -> Vec<Label> {
             Some(columns) => columns.label(line),
             None => of_line(line),
         };
-        // A line that is none makes it another text.
+        // A line that is no label makes the text no table.
         match label {
             Some(label) => labels.push(label),
             None => return Vec::new(),
@@ -80,7 +80,7 @@ fn read(text: &str) -> Vec<Label> {
     labels
 }
 
-/// A line of ITK-SNAP, `1 255 0 0 1 1 1 "Name"`, or of FreeSurfer, `1 Name 255 0 0 0`.
+/// Parses a line of ITK-SNAP, `1 255 0 0 1 1 1 "Name"`, or of FreeSurfer, `1 Name 255 0 0 0`.
 fn of_line(line: &str) -> Option<Label> {
     let (number, rest) = line.split_once(char::is_whitespace)?;
     let value: i64 = number.parse().ok()?;
@@ -108,7 +108,7 @@ fn color(words: &[&str]) -> Option<[u8; 3]> {
     channels.try_into().ok()
 }
 
-/// Which columns of a table are what.
+/// Meaning of the columns of a table.
 struct Columns {
     separator: char,
     index: usize,
@@ -146,7 +146,7 @@ impl Columns {
     }
 }
 
-/// `#ff0000`.
+/// Parses a colour such as `#ff0000`.
 fn of_hex(text: &str) -> Option<[u8; 3]> {
     let digits = text
         .strip_prefix('#')

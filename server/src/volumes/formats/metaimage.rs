@@ -46,7 +46,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     })?;
     let mut notices = Notices::default();
     let (mut geometry, steps, times) = header.geometry(dimension, &mut notices)?;
-    // MetaIO's world is that of ITK; a writer that knows of a patient says how the axes lie.
+    // The world of MetaIO is that of ITK; a writer of patients' data states the directions of the axes.
     if header
         .get(&["AnatomicalOrientation"])
         .is_some_and(|letters| !letters.starts_with('?'))
@@ -74,7 +74,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         missing: None,
         unit: None,
     };
-    // The format does not tell colours from vectors.
+    // The format does not distinguish colours from vectors.
     let fields = Channels::numbered(&like.name, channels).fields(&samples, 1, &like);
     Ok(OpenedFile {
         geometry,
@@ -93,7 +93,7 @@ fn stored_type(name: &str) -> Option<StoredType> {
         "MET_UCHAR" => StoredType::U8,
         "MET_SHORT" => StoredType::I16,
         "MET_USHORT" => StoredType::U16,
-        // A long of MetaIO has 4 bytes on every machine.
+        // MetaIO's long has 4 bytes on every machine.
         "MET_INT" | "MET_LONG" => StoredType::I32,
         "MET_UINT" | "MET_ULONG" => StoredType::U32,
         "MET_LONG_LONG" => StoredType::I64,
@@ -107,7 +107,7 @@ fn stored_type(name: &str) -> Option<StoredType> {
 struct Header<'a> {
     location: &'a FileLocation,
     fields: Vec<(String, String)>,
-    /// Where local samples begin: after the line `ElementDataFile`, the last of the header.
+    /// Offset of samples in the same file: after the line `ElementDataFile`, the last of the header.
     data_offset: u64,
 }
 
@@ -150,7 +150,7 @@ impl<'a> Header<'a> {
         self.location.path()
     }
 
-    /// The value of a field that has several names.
+    /// Returns the value of a field that has several possible names.
     fn get(&self, names: &[&str]) -> Option<&str> {
         names
             .iter()
@@ -183,7 +183,7 @@ impl<'a> Header<'a> {
         })
     }
 
-    /// Says that values are those stored where the header has a function of them, which no reader of ITK applies.
+    /// Adds a notice that values are the stored ones if the header has a function to intensities. No reader of ITK applies that function.
     fn tell_of_intensities(&self, notices: &mut Notices) {
         let number = |name: &str, usual: f64| self.get(&[name]).and_then(|text| text.parse().ok()).unwrap_or(usual);
         let slope: f64 = number("ElementToIntensityFunctionSlope", 1.0);
@@ -279,7 +279,7 @@ impl<'a> Header<'a> {
             Some(m) => std::array::from_fn(|axis| std::array::from_fn(|i| m[axis * dimension + i])),
             None => Geometry::IDENTITY,
         };
-        // The rows should be unit vectors. Those of ITK are multiplied by the spacing whatever their length.
+        // The rows should be unit vectors. ITK multiplies them by the spacing, whatever their length.
         let (lengths, direction) = header::split_axes(axes);
         let first = |v: &[f64]| [v[0], v[1], v[2]];
         let (distances, direction) = header::signed_distances(first(&spacing), direction, notices);
@@ -301,7 +301,7 @@ impl<'a> Header<'a> {
             direction,
         )?;
         let steps = dims.get(3).copied().unwrap_or(1);
-        // The format has no unit, and 1 is what writers put where they know nothing.
+        // The format has no unit of time, and writers put 1 if they do not know the distance of steps.
         let between = spacing.get(3).copied().filter(|between| *between != 1.0);
         let times = between.and_then(|between| TimeAxis::even(origin[3], between, steps, ""));
         Ok((geometry, steps, times))

@@ -1,13 +1,13 @@
 //! MGH and MGZ of FreeSurfer (<https://surfer.nmr.mgh.harvard.edu/fswiki/FsTutorial/MghFormat>): a header of 284 bytes, samples, then tags.
 //!
 //! Read: all types of numbers; frames as time steps; the affine to a patient's right, front and head. What follows the samples (repetition
-//! time, history) is passed over. Big-endian; `.mgz` is compressed.
+//! time, history) is skipped. Big-endian; `.mgz` is compressed.
 
 use super::super::stored::{Begin, Endian, StoredSamples, StoredType};
 use super::super::{FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError};
 use super::header::{self, Channels, FieldHead, GridFields};
 
-/// Where samples begin.
+/// Offset of the samples in bytes.
 const HEADER_BYTES: usize = 284;
 
 const FIELDS: GridFields = GridFields {
@@ -25,7 +25,7 @@ fn floats<const N: usize>(head: &[u8], at: usize) -> [f64; N] {
     std::array::from_fn(|i| f64::from(f32::from_bits(word(head, at + 4 * i).cast_unsigned())))
 }
 
-/// Whether version, sizes and type are possible.
+/// Whether version, sizes and type are valid.
 pub(super) fn is_content(head: &[u8]) -> bool {
     head.len() >= HEADER_BYTES
         && word(head, 0) == 1
@@ -85,7 +85,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         FIELDS.dims,
     )?;
     samples.endian = Endian::Big;
-    // Tags follow. No end is a wrong one, which the check refuses.
+    // Tags follow the samples. If the size overflows, `u64::MAX` is taken as the end, which the check refuses.
     let bytes = samples.total_samples().checked_mul(stored.bytes());
     samples.end = bytes
         .and_then(|bytes| bytes.checked_add(HEADER_BYTES as u64))
@@ -108,7 +108,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     })
 }
 
-/// The grid around the position of its centre, which the header has.
+/// Returns the grid around the position of its centre, which the header states.
 fn placed(
     location: &FileLocation,
     dims: [u32; 3],
@@ -130,7 +130,7 @@ fn placed(
 
 fn geometry(location: &FileLocation, head: &[u8], dims: [u32; 3]) -> Result<Geometry, ReadError> {
     let axes: [[f64; 3]; 3] = [42, 54, 66].map(|at| floats(head, at));
-    // Unit vectors up to rounding.
+    // The axes are unit vectors up to rounding.
     let (_, direction) = header::split_axes(axes);
     placed(location, dims, floats(head, 30), direction, floats(head, 78))
 }

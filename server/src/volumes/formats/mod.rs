@@ -18,7 +18,8 @@
 //! | a folder with `info`, `precomputed://…` | [Neuroglancer precomputed](precomputed) |
 //! | `.json`, or `.raw` with a `.json` beside it | [raw samples](raw) |
 //!
-//! The first bytes of a file decide what it is ([`format_of`]), the ending where they do not. A file may be compressed as a whole: `.gz`, `.bz2` or `.zst` behind its ending.
+//! The first bytes of a file decide its format ([`format_of`]); if they do not, the ending of the name does. A file may be compressed as
+//! a whole: `.gz`, `.bz2` or `.zst` behind its ending.
 //!
 //! A new format is a file here and an entry of [`FORMATS`]. Its parser turns the header into a
 //! [`StoredSamples`](super::stored::StoredSamples), which reads the samples of all formats; `header` has what parsers share.
@@ -59,13 +60,13 @@ use super::{FileLocation, OpenedFile, ReadError};
 
 /// A file format.
 pub struct Format {
-    /// How the names of its files end, in lower case.
+    /// Endings of the names of its files, in lower case.
     pub endings: &'static [&'static str],
     /// Reads the header of a file.
     pub open: fn(&FileLocation) -> Result<OpenedFile, ReadError>,
-    /// Whether a file is of this format by its first bytes; never where the format has no mark.
+    /// Whether a file is of this format by its first bytes; always false if the format has no mark.
     pub is_content: fn(&[u8]) -> bool,
-    /// Whether a file of such a name is one of the volumes in its folder.
+    /// Whether a file with such a name is listed as a volume of its folder.
     pub is_volume: fn(&FileLocation) -> bool,
     /// Whether such a file may hold several volumes, so that a location may name one of them.
     pub has_parts: bool,
@@ -73,19 +74,19 @@ pub struct Format {
 
 /// A format whose volumes are folders.
 pub struct FolderFormat {
-    /// For people.
+    /// Name for display.
     pub name: &'static str,
-    /// Whether this folder, or file, is one, by the names in it and first bytes of files.
+    /// Whether this folder, or file, is one, judged by the names in it and the first bytes of its files.
     pub holds: fn(&Path) -> bool,
     /// Whether an address of a store over a network names one.
     pub is_at: fn(&Address) -> bool,
-    /// The volumes in it, or the one that the location names.
+    /// Opens the volumes in it, or the one that the location names.
     pub open: fn(&FileLocation) -> Result<Vec<FolderVolume>, ReadError>,
 }
 
 /// A volume in a folder.
 pub struct FolderVolume {
-    /// Name for people; of patients' data one that no tag of the patient went into.
+    /// Name for display. For patients' data it contains no value of a tag of the patient.
     pub title: String,
     /// Grid and fields.
     pub file: OpenedFile,
@@ -139,7 +140,7 @@ pub const FORMATS: [Format; 17] = [
         endings: &[".nii", ".hdr", ".img"],
         open: nifti::open,
         is_content: content::is_nifti,
-        // Listed by its header.
+        // Listed by its header file.
         is_volume: |location| !location.stored_name().ends_with(".img"),
         has_parts: false,
     },
@@ -164,7 +165,7 @@ pub const FORMATS: [Format; 17] = [
         is_volume: |_| true,
         has_parts: false,
     },
-    // Of a file on disk [`FOLDERS`] comes first, which gives it a title.
+    // For a file on disk [`FOLDERS`] comes first and gives it a title.
     Format {
         endings: &[".dcm", ".dicom"],
         open: dicom::open,
@@ -178,14 +179,14 @@ pub const FORMATS: [Format; 17] = [
         ],
         open: variables::open,
         is_content: content::is_variables,
-        // Such names are those of other files, too.
+        // Files of other kinds have such names, too.
         is_volume: |location| {
             let name = location.stored_name();
             ![".hdf", ".mat"].iter().any(|end| name.ends_with(end)) || location.begins_as(content::is_variables)
         },
         has_parts: true,
     },
-    // The file that it describes is listed.
+    // The file that the XML names is listed.
     Format {
         endings: &[".xml"],
         open: big_data_viewer::open,
@@ -253,13 +254,13 @@ pub const FORMATS: [Format; 17] = [
     },
 ];
 
-/// The names that a path may have, for messages.
+/// The endings that a path may have, for messages.
 pub const EXPECTED: &str = "expected .nrrd, .nhdr, .mha, .mhd, .nii, .hdr, .img, .mgh, .mgz, .mrc, .map, .ccp4, .rec, .mrcs, .st, .ali, .npy, .npz, \
      .dcm, .dicom, .h5, .hdf5, .he5, .nc, .nc4, .cdf, .hdf, .mat, .ims, .vtkhdf, .tif, .tiff, .btf, .tf8, .vti, .vtr, .pvti, .pvtr, .pvd, .vtk, .xml of BigDataViewer, or .json beside raw samples, each also with .gz, .bz2 or .zst; or a folder \
      of Zarr, Neuroglancer precomputed, DICOM images or TIFF slices";
 
 impl Format {
-    /// The format that a file's name says, that of a compressed file too.
+    /// Returns the format for a file's name, also that of a compressed file.
     pub fn of(path: &Path) -> Option<&'static Self> {
         let whole = path.file_name()?.to_string_lossy().to_ascii_lowercase();
         let name = packing(&whole).map_or(whole.as_str(), |(_, name)| name);

@@ -1,7 +1,7 @@
 //! MRC and CCP4 maps (MRC2014, <https://www.ccpem.ac.uk/mrc_format/mrc2014.php>): `.mrc`, `.map`, `.ccp4`.
 //!
 //! Read: modes 0, 1, 2, 6 and 12; both byte orders, by the machine stamp; columns, rows and sections along any axes; an extended
-//! header, which is passed over; oblique cells; stacks of volumes, which become time steps. Lengths are in ångström. Refused with the
+//! header, which is skipped; oblique cells; stacks of volumes, which become time steps. Lengths are in ångström. Refused with the
 //! reason: complex and 4-bit modes. Repaired with a notice: unusual machine stamps, headers of before 2000, which have no `MAP`, types without
 //! sign that the mode does not say, cells without all lengths.
 
@@ -13,13 +13,13 @@ use super::header::{self, Channels, FieldHead, GridFields};
 
 /// Bytes of the header. The extended one follows it.
 const HEADER_BYTES: usize = 1024;
-/// Where `MAP` stands.
+/// Offset of the word `MAP`.
 const MAP_AT: usize = 208;
-/// What IMOD writes where it says more in the word behind it.
+/// IMOD's stamp. If a header has it, the next word holds IMOD's flags.
 const IMOD_STAMP: i32 = 1_146_047_817;
 /// IMOD's sign that bytes have a sign; without it they have none.
 const IMOD_SIGNED_BYTES: i32 = 1;
-/// Space groups from which on the sections are those of several volumes.
+/// Space groups whose sections are those of several volumes.
 const STACKS: std::ops::RangeInclusive<i32> = 401..=630;
 
 const GRID_FIELDS: GridFields = GridFields {
@@ -29,7 +29,7 @@ const GRID_FIELDS: GridFields = GridFields {
     direction: "CELLB",
 };
 
-/// Whether a file of such a name holds a map: most are also the names of other files.
+/// Whether a file with such a name holds a map: other files have most of these names, too.
 pub fn is_volume(location: &FileLocation) -> bool {
     let name = location.stored_name();
     let is_usual = [".mrc", ".mrcs", ".ccp4"].iter().any(|end| name.ends_with(end));
@@ -78,7 +78,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     })
 }
 
-/// What is read of a header.
+/// The values of a header that are read.
 struct Header {
     endian: Endian,
     /// Columns, rows, sections.
@@ -95,12 +95,13 @@ struct Header {
     space_group: i32,
     extended_bytes: i32,
     origin: [f64; 3],
-    /// Minimum and maximum, where the header says them.
+    /// Minimum and maximum, if the header states them.
     range: Option<[f64; 2]>,
     imod_flags: Option<i32>,
 }
 
-/// The byte order, by the machine stamp if that is one of a known program, and makes sense; else by which order makes sense.
+/// Returns the byte order: that of the machine stamp, if it is a known one and the header is valid in that order; else the order in which
+/// the header is valid.
 fn endian(path: &Path, head: &[u8], notices: &mut Notices) -> Result<Endian, ReadError> {
     let [a, b] = [head[212], head[213]];
     let stamped = match (a, b) {
@@ -141,7 +142,7 @@ fn endian(path: &Path, head: &[u8], notices: &mut Notices) -> Result<Endian, Rea
     Ok(endian)
 }
 
-/// Whether mode, counts and axes are possible in this byte order.
+/// Whether mode, counts and axes are valid in this byte order.
 fn makes_sense(head: &[u8], endian: Endian) -> bool {
     let word = |number: usize| {
         let bytes: [u8; 4] = std::array::from_fn(|i| head[4 * number + i]);
@@ -157,7 +158,7 @@ fn makes_sense(head: &[u8], endian: Endian) -> bool {
     counts && matches!(word(3), 0..=4 | 6 | 12 | 101) && (axes == [0; 3] || sorted == [1, 2, 3])
 }
 
-/// How samples lie in the file.
+/// Layout of the samples in the file.
 struct Layout {
     /// Along x, y, z.
     dims: [u32; 3],
@@ -203,7 +204,7 @@ impl Header {
     }
 
     fn stored_type(&self, path: &Path, notices: &mut Notices) -> Result<(StoredType, &'static str), ReadError> {
-        // Older programs write bytes without sign, and say so in the statistics alone.
+        // Older programs write unsigned bytes and state so only in the statistics.
         let exceeds = |largest: f64| self.range.filter(|&[low, high]| low >= 0.0 && high > largest);
         let mut unsigned = |exceeded: Option<[f64; 2]>, kind: (StoredType, &'static str)| {
             if let Some([low, high]) = exceeded {
@@ -242,7 +243,7 @@ impl Header {
     fn layout(&self, path: &Path) -> Result<Layout, ReadError> {
         let fail = |field: &str, why: String| Err(ReadError::new(path, field, why));
         let axes = match self.axes {
-            // As some programs write where there is nothing to say.
+            // Some programs write zeros instead of the usual order.
             [0, 0, 0] => [0, 1, 2],
             axes => {
                 let mut sorted = axes;
@@ -272,7 +273,7 @@ impl Header {
         Ok(Layout { dims, steps, axes })
     }
 
-    /// Volumes among the sections.
+    /// Returns the number of volumes among the sections.
     fn volumes(&self, path: &Path, sections: u32, axis: usize) -> Result<u32, ReadError> {
         if !STACKS.contains(&self.space_group) {
             return Ok(1);
@@ -308,7 +309,7 @@ impl Header {
         axes: [usize; 3],
         notices: &mut Notices,
     ) -> Result<Geometry, ReadError> {
-        // Cells without lengths are those of images whose scale nobody knew.
+        // Images of unknown scale have cells without lengths.
         let has_lengths = self.cell_lengths != [0.0; 3];
         let spacing = if has_lengths {
             self.spacing(path, dims, notices)?
@@ -336,7 +337,7 @@ impl Header {
         })
     }
 
-    /// Lengths of the cell over its intervals. An axis without either has the distance of another one, with a notice.
+    /// Returns the lengths of the cell divided by its intervals. An axis without either gets the distance of another one, with a notice.
     fn spacing(&self, path: &Path, dims: [u32; 3], notices: &mut Notices) -> Result<[f64; 3], ReadError> {
         if self
             .cell_lengths
@@ -351,7 +352,7 @@ impl Header {
                 n if n > 0 => f64::from(n),
                 _ => f64::from(dims[axis]),
             };
-            // Lengths are in single precision: a quotient is, too.
+            // Lengths are in single precision, so the quotient is, too.
             Some(self.cell_lengths[axis] / intervals).filter(|&size| size > 0.0)
         };
         let known = [0, 1, 2].map(along);
@@ -372,7 +373,7 @@ impl Header {
         Ok(known.map(|size| size.unwrap_or(other)))
     }
 
-    /// Directions of the cell's axes: x along the world's, y in its plane of x and y.
+    /// Returns the directions of the cell's axes: x along the world's x, y in the plane of the world's x and y.
     fn direction(&self, path: &Path) -> Result<[[f64; 3]; 3], ReadError> {
         let angles = self.cell_angles;
         if angles == [0.0; 3] || angles == [90.0; 3] {

@@ -1,10 +1,10 @@
-//! Which axes of an array are x, y and z, which one is time, and which one has channels: by what a file says of each.
+//! Assigns roles to the axes of an array, x, y, z, time and channels, by what a file states about each axis.
 //!
-//! The strongest statement counts: one of the format (`axis` of CF, `axistags`, the type of an OME axis), then `standard_name`, units and
-//! `positive` of the positions, then the axis' name. Axes of which nothing is known get the roles that are left, in the order time, z, y, x,
-//! and a notice says so.
+//! The strongest evidence counts: a statement of the format (`axis` of CF, `axistags`, the type of an OME axis), then `standard_name`,
+//! units and `positive` of the positions, then the axis' name. Axes without evidence get the remaining roles, in the order time, z, y, x,
+//! with a notice.
 
-/// What an axis is.
+/// Role of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     X,
@@ -29,12 +29,12 @@ impl Role {
     }
 }
 
-/// What a file says of an axis.
+/// What a file states about an axis.
 #[derive(Clone, Debug, Default)]
 pub struct AxisFacts<'a> {
     pub size: u64,
     pub name: Option<&'a str>,
-    /// What the format itself says it is.
+    /// The role that the format itself states.
     pub stated: Option<Role>,
     /// Attributes of its positions: `standard_name`, `units`, `positive`.
     pub standard_name: Option<&'a str>,
@@ -42,20 +42,20 @@ pub struct AxisFacts<'a> {
     pub positive: Option<&'a str>,
 }
 
-/// The axes of an array, by their role.
+/// The axes of an array, by role.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AxisRoles {
     /// x, y and z.
     pub space: [usize; 3],
     pub time: Option<usize>,
     pub channel: Option<usize>,
-    /// Whether one of x, y and z is time, as there are only two axes in space.
+    /// Whether one of x, y and z is a time axis, because there are only two axes in space.
     pub has_time_in_space: bool,
     /// What was assumed.
     pub notices: Vec<String>,
 }
 
-/// How sure a role is: later ones are surer.
+/// Strength of the evidence for a role, in increasing order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Evidence {
     Name,
@@ -83,7 +83,7 @@ impl AxisFacts<'_> {
         role.map(|role| (Evidence::Name, role))
     }
 
-    /// For messages.
+    /// Returns the axis for messages.
     fn shown(&self, axis: usize) -> String {
         match self.name {
             Some(name) => format!("{name:?}"),
@@ -153,7 +153,7 @@ pub fn is_pressure(units: &str) -> bool {
     )
 }
 
-/// By names of dimensions as programs write them; `name` is in lower case.
+/// Returns the role for a name of a dimension that programs use; `name` is in lower case.
 fn role_of_name(name: &str) -> Option<Role> {
     // xarray and GRIB converters count equal names: `lon_2`.
     let name = match name.rsplit_once('_') {
@@ -253,10 +253,10 @@ fn role_of_name(name: &str) -> Option<Role> {
     })
 }
 
-/// Which axes longer than 1 are what.
+/// Assigns the roles to all axes longer than 1.
 ///
 /// # Errors
-/// These are no volume; the message says what they are.
+/// The array is no volume; the message lists its axes.
 pub fn assign(axes: &[AxisFacts<'_>]) -> Result<AxisRoles, String> {
     let long: Vec<usize> = (0..axes.len()).filter(|&axis| axes[axis].size != 1).collect();
     if long.len() < 3 {
@@ -278,7 +278,7 @@ pub fn assign(axes: &[AxisFacts<'_>]) -> Result<AxisRoles, String> {
     } else if let ([missing], []) = (missing.as_slice(), rest.as_slice())
         && let Some(time) = found[TIME].take()
     {
-        // Two axes in space and one in time: a volume all the same, whose third axis is said to be time.
+        // Two axes in space and one in time: also a volume, whose third axis is time.
         found[*missing] = Some(time);
         notices.push(format!(
             "axis {} is time and there are two others: {} of the volume is time",
@@ -314,7 +314,7 @@ pub fn assign(axes: &[AxisFacts<'_>]) -> Result<AxisRoles, String> {
     Ok(roles(found, notices))
 }
 
-/// Numbers of roles in [`Role::ALL`].
+/// Indices of roles in [`Role::ALL`].
 const TIME: usize = 3;
 const CHANNEL: usize = 4;
 
@@ -351,7 +351,8 @@ fn claim(axes: &[AxisFacts<'_>], axis: usize) -> Option<Role> {
     axes[axis].role(width_is_named(axes)).map(|(_, role)| role)
 }
 
-/// The axis of each role that the file says something of. Where it says the same of two, neither is taken.
+/// Returns for each role the axis that the file gives it to. If two axes have the same evidence for a role, neither is taken, with a
+/// notice.
 fn claims(axes: &[AxisFacts<'_>], long: &[usize], notices: &mut Vec<String>) -> [Option<usize>; 5] {
     let width = width_is_named(axes);
     Role::ALL.map(|role| {
@@ -378,7 +379,7 @@ fn claims(axes: &[AxisFacts<'_>], long: &[usize], notices: &mut Vec<String>) -> 
     })
 }
 
-/// What to say if nothing is known of any axis.
+/// Returns the notices if nothing is known of any axis.
 fn assumption(axes: &[AxisFacts<'_>], found: [Option<usize>; 5]) -> Vec<String> {
     let sizes: Vec<u64> = axes.iter().map(|axis| axis.size).collect();
     let order = if found[TIME].is_some() {
@@ -391,7 +392,7 @@ fn assumption(axes: &[AxisFacts<'_>], found: [Option<usize>; 5]) -> Vec<String> 
     notices
 }
 
-/// What to say of an array without names of axes, taken as (time,) z, y, x, whose last axis looks like one of channels.
+/// Returns a notice if an array without names of axes, taken as (time,) z, y, x, has a last axis that looks like channels.
 pub fn doubt_of_order(sizes: &[u64]) -> Option<String> {
     let mut long = sizes.iter().copied().filter(|&size| size != 1);
     let count = long.clone().count();
@@ -401,7 +402,7 @@ pub fn doubt_of_order(sizes: &[u64]) -> Option<String> {
         return Some("the last axis has one sample and was left out".to_owned());
     }
     let is_short = match count {
-        // A volume with so few samples along x is rarer than channels in the wrong place.
+        // Volumes with so few samples along x are rarer than channels in this place.
         4.. => smallest_other > last,
         _ => smallest_other >= last.saturating_mul(2),
     };

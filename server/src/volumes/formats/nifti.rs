@@ -29,7 +29,7 @@ const INTENT_RGB: [i32; 2] = [2003, 2004];
 /// # Errors
 /// What is wrong with it, by field.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
-    // A file may be compressed whatever its name says.
+    // A file may be compressed whatever its name states.
     if location.packing().is_none() && location.open()?.head(2)? == [0x1f, 0x8b] {
         return open(&location.clone().packed(Encoding::Deflate));
     }
@@ -47,7 +47,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let mut notices = Notices::default();
     let stored = stored_type(path, &header, &mut notices)?;
     let mut geometry = header.geometry(path, shape.dims, &mut notices)?;
-    // A patient's lengths are in millimetres unless the file says otherwise.
+    // A patient's lengths are in millimetres unless the file states another unit.
     let usual = geometry.frame.is_anatomical().then_some(LengthUnit::Millimetre);
     geometry.unit = length_unit(header.xyzt_units).or(usual);
     let (data, begin) = header.samples_begin(location, &mut notices)?;
@@ -94,7 +94,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     })
 }
 
-/// The header of Analyze 7.5, which has the size of NIfTI-1's, and no mark.
+/// Returns the header of Analyze 7.5, which has the size of NIfTI-1's and no mark.
 fn analyze_header(head: &[u8]) -> Option<Bytes<'_>> {
     let orders = [Endian::Little, Endian::Big].into_iter();
     let of = |endian| Bytes { bytes: head, endian };
@@ -102,10 +102,10 @@ fn analyze_header(head: &[u8]) -> Option<Bytes<'_>> {
     (head.len() >= HEADER_BYTES[0]).then(|| orders.map(of).find(is_analyze))?
 }
 
-/// What is read of a header, of either version.
+/// The values of a header of either version that are read.
 struct Header {
     endian: Endian,
-    /// Whether the samples follow it in the same file.
+    /// Whether the samples follow the header in the same file.
     is_one_file: bool,
     header_bytes: usize,
     dim: [i64; 8],
@@ -216,17 +216,17 @@ impl Header {
         }
     }
 
-    /// The file with the samples, and where they begin in it.
+    /// Returns the file with the samples, and the offset at which they begin in it.
     fn samples_begin(
         &self,
         location: &FileLocation,
         notices: &mut Notices,
     ) -> Result<(FileLocation, Begin), ReadError> {
         let path = location.path();
-        // After the header stand at least four bytes that say whether extensions follow.
+        // At least four bytes follow the header; they state whether extensions follow.
         let minimum = if self.is_one_file { self.header_bytes + 4 } else { 0 };
         let mut offset = self.vox_offset;
-        // What other readers take where a writer has left it out.
+        // Other readers take this offset, too, if the writer left it out.
         if self.is_one_file && offset == 0.0 {
             offset = minimum as f64;
             notices.add(format!(
@@ -283,7 +283,7 @@ impl Header {
         })
     }
 
-    /// When the steps are, where the file has a unit of time.
+    /// Returns the times of the steps, if the file has a unit of time.
     fn times(&self, steps: u32) -> Option<TimeAxis> {
         let unit = match self.xyzt_units & 0x38 {
             8 => "s",
@@ -295,7 +295,7 @@ impl Header {
         TimeAxis::even(self.time_offset, self.pixdim[4], steps, unit).filter(|_| steps > 1)
     }
 
-    /// What the fifth axis is.
+    /// Returns the meaning of the fifth axis.
     fn channels(&self, name: &str, count: u32) -> Channels {
         match self.intent {
             INTENT_VECTOR | INTENT_DISPLACEMENT => Channels::vector(name, count),
@@ -317,7 +317,7 @@ impl Header {
         Ok(Some([slope, inter]))
     }
 
-    /// The grid by `sform`, else by `qform`, else by `pixdim` alone. One that cannot be is passed over with a notice.
+    /// Returns the grid by `sform`, else by `qform`, else by `pixdim` alone. Invalid ones are skipped with a notice.
     fn geometry(&self, path: &Path, dims: [u32; 3], notices: &mut Notices) -> Result<Geometry, ReadError> {
         let mut failed = None;
         if self.sform > 0 {
@@ -345,7 +345,7 @@ impl Header {
         Ok(geometry)
     }
 
-    /// Says so if `qform`, which other readers prefer, has another place for the samples.
+    /// Adds a notice if `qform`, which other readers prefer, gives the samples other positions.
     fn compare_with_qform(&self, path: &Path, by_sform: Option<&Geometry>, notices: &mut Notices) {
         let pixdim = self.distances(&mut Notices::default());
         let (Some(by_sform), 1..) = (by_sform, self.qform) else {
@@ -364,7 +364,7 @@ impl Header {
         }
     }
 
-    /// Whether `sform` has no vector at all.
+    /// Whether all vectors of `sform` are 0.
     fn is_sform_empty(&self) -> bool {
         self.rows.iter().all(|row| row[..3] == [0.0; 3])
     }
@@ -382,23 +382,23 @@ impl Header {
         let names = names("quatern_b, quatern_c, quatern_d");
         let [b, c, d] = self.quaternion;
         let rest = 1.0 - (b * b + c * c + d * d);
-        // In single precision the vector may be a little too long; if it is longer, it is no rotation.
+        // Single precision may make the vector a little too long. If it is longer than that, it is no rotation.
         if rest.is_nan() || rest < -1e-4 {
             let why = format!("({b}, {c}, {d}) is longer than 1, expected a part of a unit quaternion");
             return Err(ReadError::new(path, names.direction, why));
         }
-        // Half a turn has a = 0; a smaller rest than this is rounding.
+        // A half turn has a = 0; a smaller remainder than this is rounding.
         let a = if rest < 1e-7 { 0.0 } else { rest.sqrt() };
         let direction = self.rotation(a);
         let origin = self.quaternion_offset;
         ras(header::geometry(path, &names, dims, pixdim, origin, direction))
     }
 
-    /// Distances of samples along x, y, z, which are above 0.
+    /// Returns the distances of samples along x, y, z, which are above 0.
     fn distances(&self, notices: &mut Notices) -> [f64; 3] {
         std::array::from_fn(|axis| {
             let stored = self.pixdim[axis + 1];
-            // Single precision, without the digits of rounding.
+            // In single precision, to leave out digits of rounding.
             let shown = stored as f32;
             let number = axis + 1;
             match stored.abs() {
@@ -419,7 +419,7 @@ impl Header {
         })
     }
 
-    /// Directions of the axes by the quaternion whose first number is `a`.
+    /// Returns the directions of the axes by the quaternion whose first number is `a`.
     fn rotation(&self, a: f64) -> [[f64; 3]; 3] {
         let [b, c, d] = self.quaternion;
         let norm = (a * a + b * b + c * c + d * d).sqrt();
@@ -455,7 +455,7 @@ struct Shape {
 /// A type of samples.
 struct SampleKind {
     stored: StoredType,
-    /// Red, green and blue, perhaps alpha; of numbers 1.
+    /// Number of components of a colour: red, green, blue, perhaps alpha; 1 for numbers.
     colours: u32,
     name: &'static str,
 }
@@ -496,7 +496,7 @@ fn stored_type(path: &Path, header: &Header, notices: &mut Notices) -> Result<Sa
     Ok(SampleKind { stored, colours, name })
 }
 
-/// The unit that the low three bits of `xyzt_units` name.
+/// Returns the unit that the low three bits of `xyzt_units` name.
 fn length_unit(code: u8) -> Option<LengthUnit> {
     match code & 7 {
         1 => Some(LengthUnit::Metre),
@@ -506,7 +506,7 @@ fn length_unit(code: u8) -> Option<LengthUnit> {
     }
 }
 
-/// `sform` and `qform` say where a patient's right, front and head are.
+/// Sets the frame to RAS: the world's axes in `sform` and `qform` point to a patient's right, front and head.
 fn ras(geometry: Result<Geometry, ReadError>) -> Result<Geometry, ReadError> {
     geometry.map(|geometry| Geometry {
         frame: Frame::Ras,

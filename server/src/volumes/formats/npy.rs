@@ -1,6 +1,6 @@
 //! NumPy's `.npy`, format versions 1 to 3 (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>).
 //!
-//! An array of shape `(z, y, x)` is a volume, `(t, z, y, x)` one with time steps; axes of one sample are passed over. C and Fortran order,
+//! An array of shape `(z, y, x)` is a volume, `(t, z, y, x)` one with time steps; axes of one sample are ignored. C and Fortran order,
 //! both byte orders. The format has neither spacing nor origin nor missing value: samples are 1 apart from 0. Nothing in the header is
 //! evaluated.
 
@@ -31,7 +31,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(header::with_notices(file, array.doubt))
 }
 
-/// What the header of an array says.
+/// Properties of an array that its header states.
 #[derive(Debug)]
 pub(super) struct Array {
     pub(super) descr: String,
@@ -41,7 +41,7 @@ pub(super) struct Array {
     /// Along x, y and z.
     pub(super) dims: [u32; 3],
     pub(super) steps: u32,
-    /// Why its axes may be others than they were taken for.
+    /// Why its axes may have other meanings than assumed.
     pub(super) doubt: Option<String>,
     /// Bytes before the samples.
     pub(super) header_bytes: u64,
@@ -61,7 +61,7 @@ impl Array {
             return Err(ReadError::new(path, "descr", why));
         };
         let mut sizes = header::sizes(path, "shape", &shape)?;
-        // Axes of one sample are none, as long as three others remain.
+        // Axes of one sample are removed while more than three axes remain.
         while let Some(one) = sizes.iter().rposition(|&n| n == 1).filter(|_| sizes.len() > 3) {
             sizes.remove(one);
         }
@@ -86,7 +86,7 @@ impl Array {
         header::geometry(path, &FIELDS, self.dims, [1.0; 3], [0.0; 3], Geometry::IDENTITY)
     }
 
-    /// Its samples, which begin in `location` behind its header.
+    /// Describes the samples, which begin in `location` behind the header.
     pub(super) fn samples(
         &self,
         location: &FileLocation,
@@ -105,7 +105,7 @@ impl Array {
     }
 }
 
-/// The dictionary as text, and the bytes up to its end.
+/// Reads the dictionary as text, and returns the number of bytes up to its end.
 fn header_text(path: &Path, mut stream: impl Read) -> Result<(String, u64), ReadError> {
     let fail = |field: &str, why: String| Err(ReadError::new(path, field, why));
     let mut take = |count: u64, field: &str| {
@@ -188,7 +188,7 @@ impl Dict {
             take(&mut rest, ":")?;
             match key {
                 "descr" if descr.is_none() => {
-                    // A list is a structured type, which is refused by this `descr`.
+                    // A list is a structured type, which is refused because of this `descr`.
                     descr = Some(
                         if rest.starts_with('[') {
                             "[...]"

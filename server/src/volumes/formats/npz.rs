@@ -1,7 +1,7 @@
 //! NumPy's `.npz`: a zip file of `.npy` arrays (<https://numpy.org/doc/stable/reference/generated/numpy.savez.html>).
 //!
 //! Arrays of one shape are fields of one dataset; a part names one of several (`a.npz:ct`). Stored members are read
-//! like plain samples, deflated ones as a stream. Arrays that are no volume are passed over. The crate `zip` reads the
+//! like plain samples, deflated ones as a stream. Arrays that are no volume are skipped. The crate `zip` reads the
 //! directory of the file.
 
 use std::path::Path;
@@ -20,7 +20,7 @@ const MAX_MEMBERS: usize = 1024;
 /// Reads the headers of the arrays in an `.npz` file.
 ///
 /// # Errors
-/// What is wrong with it, by field; several shapes, none of them named.
+/// What is wrong with the file, by field; arrays of several shapes if none is named.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let path = location.path();
     let blob = location.open()?;
@@ -70,7 +70,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(header::with_notices(file, first.doubt.clone()))
 }
 
-/// The error where shapes differ.
+/// Returns the error for arrays of different shapes.
 fn several(path: &Path, volumes: &[(&Member, npy::Array)]) -> ReadError {
     let of = |(member, array): &(&Member, npy::Array)| format!("{} {:?} x {}", member.name, array.dims, array.steps);
     let shapes: Vec<String> = volumes.iter().map(of).collect();
@@ -83,7 +83,7 @@ fn several(path: &Path, volumes: &[(&Member, npy::Array)]) -> ReadError {
     ReadError::new(path, "shape", why)
 }
 
-/// The error where no member is a volume, or none has the name that was asked for.
+/// Returns the error for a file without an array, or without one of the requested name.
 fn none(location: &FileLocation, members: &[Member]) -> ReadError {
     let names: Vec<&str> = members.iter().map(|member| member.name.as_str()).collect();
     let why = match location.part() {
@@ -102,7 +102,7 @@ struct Member {
 }
 
 impl Member {
-    /// What its header says.
+    /// Reads the header of the array.
     fn array(&self, path: &Path, blob: &Blob<'_>) -> Result<npy::Array, ReadError> {
         let stream = codec::decoder(self.encoding, blob.reader(self.begin), self.end - self.begin);
         let stream = stream.map_err(|e| ReadError::io(path, "header", format!("cannot be read: {e}"), e))?;
@@ -113,7 +113,7 @@ impl Member {
     }
 }
 
-/// The arrays of the file, from its directory.
+/// Lists the arrays of the file, from its directory.
 fn members(path: &Path, blob: &Blob<'_>) -> Result<Vec<Member>, ReadError> {
     let fail = |why: String| ReadError::new(path, "zip", why);
     let mut archive = ZipArchive::new(blob.reader(0)).map_err(|e| fail(format!("{e}, expected a file of np.savez")))?;

@@ -91,7 +91,7 @@ struct Header<'a> {
     location: &'a FileLocation,
     fields: Vec<(String, String)>,
     pairs: Vec<(String, String)>,
-    /// Where attached samples begin: after the empty line, or at the end of the bytes.
+    /// Offset of samples in the same file: after the empty line, or at the end of the bytes.
     data_offset: usize,
 }
 
@@ -109,7 +109,7 @@ impl<'a> Header<'a> {
             let line = line.strip_suffix(b"\n").unwrap_or(line);
             let line = line.strip_suffix(b"\r").unwrap_or(line);
             if number == 0 {
-                // The first version had another name.
+                // The first version used another magic word.
                 if !matches!(
                     line,
                     b"NRRD00.01" | [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5']
@@ -123,7 +123,7 @@ impl<'a> Header<'a> {
                 break;
             }
             if header.get("data file").is_some_and(|file| file.starts_with("LIST")) {
-                // Names of files, one a line, up to the end.
+                // Names of files follow, one a line, up to the end.
                 break;
             }
             let line = String::from_utf8_lossy(line);
@@ -170,7 +170,7 @@ impl<'a> Header<'a> {
             .transpose()
     }
 
-    /// A key's value.
+    /// Returns the value of a key.
     fn pair(&self, key: &str) -> Option<&str> {
         self.pairs
             .iter()
@@ -178,17 +178,17 @@ impl<'a> Header<'a> {
             .map(|(_, value)| value.as_str())
     }
 
-    /// Whether it is a segmentation of 3D Slicer, whose axis of kind `list` has layers.
+    /// Whether the file is a segmentation of 3D Slicer, whose axis of kind `list` has layers.
     fn is_segmentation(&self) -> bool {
         self.pair("Segment0_ID").or(self.pair("Segment0_Name")).is_some()
     }
 
-    /// The segments of a layer.
+    /// Returns the segments of a layer.
     fn segments(&self, layer: usize) -> Vec<Label> {
         let value = |i: usize, name: &str| self.pair(&format!("Segment{i}_{name}"));
         let is_there = |i: &usize| value(*i, "ID").or(value(*i, "Name")).is_some();
         let segments = (0..MAX_LABELS).take_while(is_there).filter_map(|i| {
-            // Files of before layers have one of each segment, with the value 1.
+            // Files from before layers existed have one layer for each segment, with the value 1.
             let number = |name: &str| value(i, name).and_then(|text| text.parse::<i64>().ok());
             let own = number("Layer").map_or(i, |own| usize::try_from(own).unwrap_or(usize::MAX));
             let color = value(i, "Color").and_then(|text| {
@@ -251,7 +251,7 @@ impl<'a> Header<'a> {
         Ok(samples)
     }
 
-    /// The file with the samples: this one, or the one that `data file` names.
+    /// Returns the file with the samples: this one, or the one that `data file` names.
     fn data_file(&self) -> Result<FileLocation, ReadError> {
         match self.get("data file") {
             None if self.data_offset == MAX_HEADER_BYTES => {
@@ -287,7 +287,7 @@ impl<'a> Header<'a> {
         }
     }
 
-    /// Offset after `lines` line ends of the data file.
+    /// Returns the offset after `lines` line ends of the data file.
     fn skip_lines(&self, data: &FileLocation, first: u64, lines: u64) -> Result<u64, ReadError> {
         use std::io::BufRead;
         let blob = data.open()?;
@@ -346,7 +346,7 @@ impl<'a> Header<'a> {
         Ok(self.framed(geometry, axes, notices))
     }
 
-    /// Numbers of the axes in space, of a field with one for each axis.
+    /// Returns the numbers for the axes in space, from a field with one number for each axis.
     fn of_space(&self, field: &str, axes: &Axes) -> Option<[f64; 3]> {
         let words: Vec<&str> = self.get(field)?.split_whitespace().collect();
         let number = |axis: usize| words.get(axis)?.parse::<f64>().ok().filter(|number| number.is_finite());
@@ -354,7 +354,8 @@ impl<'a> Header<'a> {
         Some([x?, y?, z?])
     }
 
-    /// Positions of the first samples, by `axis mins`: where cells begin, if samples are at the centres of cells.
+    /// Returns the positions of the first samples by `axis mins`. If samples are at the centres of cells, `axis mins` states the beginning
+    /// of the first cell, and half a cell is added.
     fn axis_mins(&self, axes: &Axes) -> Option<[f64; 3]> {
         let mins = self.of_space("axis mins", axes)?;
         let half = self.half_cells(axes);
@@ -363,7 +364,7 @@ impl<'a> Header<'a> {
         Some(std::array::from_fn(|axis| mins[axis] + half[axis] * distances[axis]))
     }
 
-    /// Half a cell for each axis whose samples are at the centres of cells.
+    /// Returns half a cell for each axis whose samples are at the centres of cells, 0 for other axes.
     fn half_cells(&self, axes: &Axes) -> [f64; 3] {
         let words: Vec<&str> = self
             .get("centers")
@@ -373,7 +374,7 @@ impl<'a> Header<'a> {
             .map(|is_cell| if is_cell { 0.5 } else { 0.0 })
     }
 
-    /// Distances by `axis mins` and `axis maxs`.
+    /// Returns the distances of samples by `axis mins` and `axis maxs`.
     fn axis_distances(&self, axes: &Axes) -> Option<[f64; 3]> {
         let (mins, maxs) = (self.of_space("axis mins", axes)?, self.of_space("axis maxs", axes)?);
         let half = self.half_cells(axes);
@@ -383,10 +384,11 @@ impl<'a> Header<'a> {
         }))
     }
 
-    /// When the steps are, where the time axis has a distance: `spacings`, `axis mins` and `units`.
+    /// Returns the times of the steps, if the file states their distance: in `space directions` with four components, else in `spacings`
+    /// with `axis mins` and `units`.
     fn times(&self, axes: &Axes) -> Option<TimeAxis> {
         let axis = axes.time?;
-        // Of a world with time its vectors have it last.
+        // In a world with time, it is the last component of the vectors.
         let last = |text: &str, at: usize| match vectors(text)?.get(at) {
             Some(Some(vector)) if vector.len() == 4 => Some(vector[3]),
             _ => None,
@@ -405,8 +407,8 @@ impl<'a> Header<'a> {
         TimeAxis::even(start, number("spacings")?, axes.steps, unit)
     }
 
-    /// The grid in the frame that `space` names. Lengths are in `space units`, else in `units` where these agree, else
-    /// in the millimetres of a patient's frame.
+    /// Returns the grid in the frame that `space` names. Lengths are in `space units`, or in `units` if there are none, provided that the
+    /// units of the axes agree; else in millimetres if the frame is a patient's.
     fn framed(&self, mut geometry: Geometry, axes: &Axes, notices: &mut Notices) -> Geometry {
         let (frame, signs) = self
             .get("space")
@@ -438,7 +440,7 @@ impl<'a> Header<'a> {
     }
 }
 
-/// The units of axes. Those of axes without one, beside others that agree, are taken to be theirs.
+/// Returns the units of axes. Axes without a unit get that of the others if these agree, with a notice.
 fn named_units<'a>(units: Vec<&'a str>, notices: &mut Notices) -> Vec<&'a str> {
     let is_named = |unit: &&str| !matches!(unit.trim(), "" | "???");
     let named: Vec<&str> = units.iter().copied().filter(is_named).collect();
@@ -455,7 +457,7 @@ fn named_units<'a>(units: Vec<&'a str>, notices: &mut Notices) -> Vec<&'a str> {
     }
 }
 
-/// An axis in space of a world that may have time as well.
+/// Returns the space components of an axis, in a world that may include time.
 fn in_space(vector: &[f64]) -> &[f64] {
     match vector {
         [space @ .., 0.0] if space.len() == 3 => space,
@@ -463,7 +465,7 @@ fn in_space(vector: &[f64]) -> &[f64] {
     }
 }
 
-/// A place of a world that may have time as well.
+/// Returns the space components of a position, in a world that may include time.
 fn at_a_time(place: &[f64]) -> &[f64] {
     match place {
         [space @ .., _] if space.len() == 3 => space,
@@ -476,12 +478,12 @@ fn malformed(text: &str) -> String {
     format!("{shown:?}, expected vectors like (1,0,0)")
 }
 
-/// The words of `"mm" "mm" ""`.
+/// Returns the words of a list such as `"mm" "mm" ""`.
 fn quoted(text: &str) -> impl Iterator<Item = &str> {
     text.split('"').skip(1).step_by(2)
 }
 
-/// Field names in the first spelling of the format's specification.
+/// Returns a field name in the first spelling of the format's specification.
 fn canonical(name: &str) -> String {
     match name.trim().to_ascii_lowercase().as_str() {
         "datafile" => "data file".into(),
@@ -496,7 +498,7 @@ fn canonical(name: &str) -> String {
     }
 }
 
-/// `(1,0,0) none (0, 1, 0)` as numbers.
+/// Parses vectors such as `(1,0,0) none (0, 1, 0)`.
 fn vectors(text: &str) -> Option<Vec<Option<Vec<f64>>>> {
     let mut out = Vec::new();
     let mut rest = text.trim_start();
@@ -518,7 +520,7 @@ fn vectors(text: &str) -> Option<Vec<Option<Vec<f64>>>> {
     Some(out)
 }
 
-/// The axes of the array that are space, time and channels.
+/// The axes of the array by role: space, time and channels.
 struct Axes {
     count: usize,
     space: [usize; 3],
@@ -526,7 +528,7 @@ struct Axes {
     dims: [u32; 3],
     steps: u32,
     strides: [u64; 4],
-    /// The kind of the channels' axis, in lower case; empty where there is none.
+    /// The kind of the channels' axis, in lower case; empty if it has none.
     channel_kind: String,
     channel_count: u32,
     /// Samples between channels.
@@ -575,7 +577,7 @@ impl Axes {
         })
     }
 
-    /// What the channels become.
+    /// Returns how the channels become fields.
     fn channels(&self, name: &str) -> Channels {
         let is_vector = ["vector", "normal", "gradient"]
             .iter()
@@ -592,12 +594,12 @@ impl Axes {
     }
 }
 
-/// What each axis is.
+/// Roles of the axes.
 struct Roles {
     space: Vec<usize>,
     time: Option<usize>,
     channels: Option<usize>,
-    /// In lower case, of every axis.
+    /// Kind of every axis, in lower case.
     kinds: Vec<String>,
 }
 

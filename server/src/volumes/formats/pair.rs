@@ -1,9 +1,9 @@
-//! What NIfTI and Analyze 7.5 share: pairs of a header, `.hdr`, and samples, `.img`; numbers at fixed places of a header.
+//! Shared by NIfTI and Analyze 7.5: pairs of a header, `.hdr`, and samples, `.img`; numbers at fixed offsets of a header.
 
 use super::super::stored::Endian;
 use super::super::{FileLocation, ReadError};
 
-/// Numbers of a header in its byte order.
+/// Reads numbers of a header in its byte order.
 pub(super) struct Bytes<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) endian: Endian,
@@ -39,7 +39,7 @@ impl Bytes<'_> {
     }
 }
 
-/// The file with the samples of a header, `.img`.
+/// Returns the file with the samples of a header, `.img`.
 pub(super) fn image_of_pair(location: &FileLocation) -> Result<FileLocation, ReadError> {
     of_pair(location, "img").ok_or_else(|| {
         let name = format!("{}.img", location.stem());
@@ -48,7 +48,7 @@ pub(super) fn image_of_pair(location: &FileLocation) -> Result<FileLocation, Rea
     })
 }
 
-/// The header of a file with samples, `.hdr`.
+/// Returns the header of a file with samples, `.hdr`.
 pub(super) fn header_of_pair(location: &FileLocation) -> Result<FileLocation, ReadError> {
     of_pair(location, "hdr").ok_or_else(|| {
         let name = format!("{}.hdr", location.stem());
@@ -57,7 +57,7 @@ pub(super) fn header_of_pair(location: &FileLocation) -> Result<FileLocation, Re
     })
 }
 
-/// The other file of a pair, plain or compressed.
+/// Returns the other file of a pair, plain or compressed.
 fn of_pair(location: &FileLocation, ending: &str) -> Option<FileLocation> {
     let stem = location.stem();
     let endings = [ending.to_owned(), ending.to_ascii_uppercase()];

@@ -74,7 +74,7 @@ fn identity() -> [[f64; 3]; 3] {
     Geometry::IDENTITY
 }
 
-/// Whether a JSON file is a sidecar: an object with `file` and `dims`. Folders have other JSON files too.
+/// Whether a JSON file is a sidecar: an object with `file` and `dims`. Folders may have other JSON files.
 pub fn is_sidecar(location: &FileLocation) -> bool {
     let text = location.open().and_then(|blob| blob.head(MAX_HEADER_BYTES));
     let value: Option<serde_json::Value> = text.ok().and_then(|text| serde_json::from_slice(&text).ok());
@@ -84,7 +84,7 @@ pub fn is_sidecar(location: &FileLocation) -> bool {
 /// Reads the sidecar beside a file of samples.
 ///
 /// # Errors
-/// There is none, or what is wrong with it.
+/// There is no sidecar, or it is invalid.
 pub fn open_samples(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let name = format!("{}.json", location.stem());
     let sidecar = location.sibling(&name, "file").map_err(|_| {

@@ -1,4 +1,4 @@
-//! BigDataViewer's XML (`SpimData`): which file has the samples, its views, and where each of them is in the world.
+//! BigDataViewer's XML (`SpimData`): the file with the samples, its views, and the position of each view in the world.
 
 use std::collections::BTreeMap;
 
@@ -11,17 +11,17 @@ use crate::volumes::{FileLocation, LengthUnit, ReadError};
 
 /// Maximum bytes of such a file.
 const MAX_BYTES: usize = 16 << 20;
-/// Elements in each other, at most.
+/// Maximum nesting of elements.
 const MAX_DEPTH: usize = 64;
 
-/// What the XML says.
+/// Contents of the XML.
 #[derive(Debug, Default)]
 pub(super) struct SpimData {
     /// `bdv.hdf5`, `bdv.n5`, …
     pub(super) format: String,
     pub(super) file: String,
     pub(super) setups: BTreeMap<u64, Setup>,
-    /// Transformations of pixels to the world by time point and setup: the rows of a matrix.
+    /// Transformations from pixels to the world by time point and setup: the rows of a matrix.
     registrations: BTreeMap<(u64, u64), [f64; 12]>,
 }
 
@@ -33,7 +33,7 @@ pub(super) struct Setup {
     unit: Option<String>,
 }
 
-/// Where the samples of a view are.
+/// Grid of the samples of a view in the world.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ViewGrid {
     pub(super) spacing: [f64; 3],
@@ -42,7 +42,7 @@ pub(super) struct ViewGrid {
     pub(super) unit: Option<LengthUnit>,
 }
 
-/// The description beside a file or folder with the samples, of the same name but for its ending.
+/// Reads the description beside a file or folder with samples, whose name differs only in its ending.
 pub(super) fn beside(location: &FileLocation) -> Option<SpimData> {
     let name = format!("{}.xml", location.stem());
     let xml = location.sibling(&name, "file").ok()?;
@@ -60,15 +60,15 @@ pub(super) fn read(location: &FileLocation) -> Result<SpimData, ReadError> {
     parse(text).map_err(fail)
 }
 
-/// What is being read.
+/// State of the parser.
 #[derive(Default)]
 struct Reading {
     data: SpimData,
-    /// Names of the elements around what is read.
+    /// Names of the enclosing elements.
     path: Vec<String>,
     text: String,
     setup: u64,
-    /// Time point, setup, and the transformations so far.
+    /// Time point and setup of the current view.
     view: Option<(u64, u64)>,
 }
 
@@ -156,8 +156,8 @@ impl Reading {
     }
 }
 
-/// What brings lengths of the world to the unit of the voxels' size; `None` if it is not the same along each axis, and what to say then.
-/// Programs write registrations in voxels as well as in that unit.
+/// Returns the factor from lengths of the world to the unit of the voxels' size; `None` with a notice if it is not the same along each
+/// axis. Programs write registrations in voxels as well as in that unit.
 fn scale_of_world(lengths: [f64; 3], voxel: [f64; 3]) -> (Option<f64>, Option<String>) {
     let ratios: [f64; 3] = std::array::from_fn(|axis| voxel[axis] / lengths[axis]);
     let first = ratios[0];
@@ -179,7 +179,7 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     numbers.ok_or_else(|| format!("{text:?}, expected {N} numbers"))
 }
 
-/// Applies `b`, then `a`.
+/// Returns the transformation that applies `b`, then `a`.
 fn product(a: &[f64; 12], b: &[f64; 12]) -> [f64; 12] {
     std::array::from_fn(|i| {
         let (row, column) = (i / 4, i % 4);
@@ -189,12 +189,12 @@ fn product(a: &[f64; 12], b: &[f64; 12]) -> [f64; 12] {
 }
 
 impl SpimData {
-    /// Where the samples of a view are, whose level has every `step`th sample along x, y and z; and what is not known of it.
+    /// Returns the grid of a view, and a notice of what is not known about it. The level has every `step`th sample along x, y and z.
     pub(super) fn place(&self, time: u64, setup: u64, step: [f64; 3]) -> (ViewGrid, Option<String>) {
         let own = self.setups.get(&setup);
         let unit = own.and_then(|own| own.unit.as_deref()).and_then(LengthUnit::parse);
         let voxel = own.and_then(|own| own.voxel_size);
-        // A sample of a coarser level is the mean of those that it stands for.
+        // A sample of a coarser level is the mean of the samples that it replaces.
         let shift = step.map(|step| 0.5 * (step - 1.0));
         let Some(affine) = self.registrations.get(&(time, setup)) else {
             let size = voxel.unwrap_or([1.0; 3]);
@@ -230,10 +230,10 @@ impl SpimData {
         (grid, notice)
     }
 
-    /// The view that a location names by its number or name, or the only one.
+    /// Returns the view that a location names by its number or name, or the only view.
     ///
     /// # Errors
-    /// There are several, or none of that name.
+    /// There are several views and none is named, or none has that name.
     pub(super) fn choose(&self, part: Option<&str>, found: &[u64]) -> Result<u64, String> {
         let name = |setup: &u64| self.setups.get(setup).and_then(|setup| setup.name.clone());
         let shown = |setup: &u64| match name(setup) {

@@ -1,4 +1,4 @@
-//! Addresses of stores, as an operator writes them.
+//! Addresses of stores, as operators write them.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -6,26 +6,26 @@ use object_store::HeaderValue;
 use percent_encoding::percent_decode_str;
 use reqwest::Url;
 
-/// Schemes of addresses; all else is a path on disk.
+/// Schemes of addresses. Any other text is a path on disk.
 const SCHEMES: [&str; 3] = ["https://", "http://", "s3://"];
 const EXPECTED: &str = "expected https://host/path, http://host/path or s3://bucket/path";
 
-/// What Neuroglancer writes before the address of a precomputed volume.
+/// Neuroglancer's prefix of the address of a precomputed volume.
 const PRECOMPUTED: &str = "precomputed://";
-/// Buckets of Google Cloud Storage, as Neuroglancer names them, and where they are.
+/// The scheme that Neuroglancer uses for buckets of Google Cloud Storage, and the address of these.
 const GOOGLE: [&str; 2] = ["gs://", "https://storage.googleapis.com/"];
 
-/// Where a store is: `https://host/path`, `http://host/path` or `s3://bucket/path`; of a precomputed volume behind `precomputed://`, where
-/// `gs://bucket/path` is known, too.
+/// Address of a store: `https://host/path`, `http://host/path` or `s3://bucket/path`. The address of a precomputed volume has the prefix
+/// `precomputed://` and may also be `gs://bucket/path`.
 #[derive(Clone)]
 pub struct Address {
     shown: String,
     is_precomputed: bool,
-    /// Or what is wrong with it, which is said when it is opened.
+    /// The parsed target, or the error that opening returns.
     pub(super) target: Result<Target, String>,
 }
 
-/// What an address says.
+/// Target of an address.
 #[derive(Clone)]
 pub(super) enum Target {
     Http {
@@ -35,13 +35,13 @@ pub(super) enum Target {
     },
     S3 {
         bucket: String,
-        /// What all keys of objects begin with.
+        /// Prefix of all keys of objects.
         prefix: String,
     },
 }
 
 impl Address {
-    /// What an argument names, and which of the volumes in it (`https://host/x.zarr:labels/cells`); `None` of a path on disk.
+    /// Parses an argument into an address and the name of a volume in it (`https://host/x.zarr:labels/cells`); `None` for a path on disk.
     pub fn named(argument: &str) -> Option<(Self, Option<String>)> {
         let Some(inner) = argument.strip_prefix(PRECOMPUTED) else {
             return Self::of_zarr(argument);
@@ -50,7 +50,7 @@ impl Address {
             Some(rest) => format!("{}{rest}", GOOGLE[1]),
             None => inner.to_owned(),
         };
-        // Behind the last name of the path, where no port is.
+        // The name of the part follows a colon in the path; a colon before the path begins the port.
         let end = inner.find(['?', '#']).unwrap_or(inner.len());
         let path = inner
             .find("://")
@@ -72,7 +72,7 @@ impl Address {
         Some((precomputed, part))
     }
 
-    /// Whether it names a precomputed volume.
+    /// Whether the address is that of a precomputed volume.
     pub fn is_precomputed(&self) -> bool {
         self.is_precomputed
     }
@@ -105,7 +105,7 @@ impl Address {
         Some((address, part))
     }
 
-    /// For messages: without credentials and query.
+    /// Returns the address for messages, without credentials and query.
     pub fn shown(&self) -> &str {
         &self.shown
     }
@@ -130,7 +130,7 @@ impl Target {
     fn of_http(text: &str) -> Result<Self, String> {
         let mut url = Url::parse(text).map_err(|e| format!("{e}, {EXPECTED}"))?;
         let authorization = authorization(&url)?;
-        // Neither fails of a URL with a host.
+        // Neither can fail for a URL with a host.
         let _ = url.set_username("");
         let _ = url.set_password(None);
         url.set_fragment(None);
@@ -138,7 +138,7 @@ impl Target {
     }
 }
 
-/// The header for `https://user:password@host`.
+/// Returns the `Authorization` header for `https://user:password@host`.
 fn authorization(url: &Url) -> Result<Option<HeaderValue>, String> {
     if url.username().is_empty() && url.password().is_none() {
         return Ok(None);

@@ -1,4 +1,4 @@
-//! The HTTP client under every store: where it may be sent on to, how long it waits, and how much it keeps of what no one asked for.
+//! HTTP client of all stores: which redirects it follows, its time limits, and which response bodies it drops or bounds.
 
 use std::time::Duration;
 
@@ -11,18 +11,18 @@ use object_store::client::{
 use object_store::{BackoffConfig, HeaderMap, HeaderValue, RetryConfig};
 use reqwest::redirect::{Attempt, Policy};
 
-/// Redirects within the store that are followed, one after another.
+/// Maximum consecutive redirects, all of which must stay within the store.
 const MAX_REDIRECTS: usize = 5;
 /// Maximum bytes of a page of a listing, which has 1000 names at most.
 const MAX_LISTING_BYTES: usize = 8 << 20;
 
-/// How long is waited.
+/// Time limits and retries.
 #[derive(Clone, Debug)]
 pub(crate) struct Limits {
     pub(super) connect: Duration,
-    /// Without a byte.
+    /// Maximum time without a byte.
     pub(super) idle: Duration,
-    /// From the request to the last byte of its answer.
+    /// Maximum time from the request to the last byte of the response.
     pub(super) whole: Duration,
     pub(super) retry: RetryConfig,
 }
@@ -47,19 +47,19 @@ impl Default for Limits {
     }
 }
 
-/// Makes the clients of a store.
+/// Makes the HTTP clients of a store.
 #[derive(Debug)]
 pub(super) struct Connector {
     pub(super) limits: Limits,
     /// Credentials in the address.
     pub(super) authorization: Option<HeaderValue>,
-    /// Whether the store is on this machine: what proxies are for does not hold for it.
+    /// Whether the store is on this machine, so that no proxy is used.
     pub(super) is_local: bool,
 }
 
 impl HttpConnector for Connector {
     fn connect(&self, options: &ClientOptions) -> object_store::Result<HttpClient> {
-        // Fails where it was done before.
+        // Fails if a provider is already installed, which is then used.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let allow_http = options.get_config_value(&ClientConfigKey::AllowHttp);
         let headers = self.authorization.iter();
@@ -115,7 +115,7 @@ impl HttpService for Service {
     async fn call(&self, request: HttpRequest) -> Result<HttpResponse, HttpError> {
         let is_listing = request.uri().query().is_some_and(|query| query.contains("list-type="));
         let (parts, body) = self.0.call(request).await?.into_parts();
-        // Bodies of errors, and listings, are collected whole by the stores.
+        // The stores read bodies of errors and listings as a whole, so errors are dropped and listings are bounded.
         let body = if !parts.status.is_success() {
             Vec::new().into()
         } else if is_listing {

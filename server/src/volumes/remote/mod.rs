@@ -1,6 +1,6 @@
 //! Objects of a store over a network: by HTTP, or from S3. Only the operator names such a store, on the command line.
 //!
-//! Calls block; requests run on two threads of their own. Each is bounded in time and in bytes, and tried again after a pause where
+//! Calls block; requests run on two threads of their own. Each request has limits of time and of bytes, and is retried after a pause if
 //! that may help. Redirects to another origin are refused.
 
 mod address;
@@ -25,52 +25,52 @@ use address::Target;
 pub(crate) use client::Limits;
 use client::{Connector, Redirect};
 
-/// Time between two looks at whether a request is still wanted.
+/// Interval at which a waiting caller checks for cancellation.
 const POLL: Duration = Duration::from_millis(50);
-/// Bytes that are allocated because a header says so; more are as they come.
+/// Maximum bytes that are allocated because a header claims them; the buffer grows with the received bytes beyond that.
 const FIRST_BYTES: u64 = 1 << 20;
-/// Names that are asked for at once.
+/// Number of names that are requested at once.
 const PAGE: usize = 1000;
 
 /// A store.
 #[derive(Debug)]
 pub(super) struct Remote {
     store: Arc<dyn ObjectStore>,
-    /// The same, where it can be listed.
+    /// The same store, if it can be listed.
     listed: Option<AmazonS3>,
-    /// Of all keys.
+    /// Prefix of all keys.
     prefix: String,
 }
 
-/// Which bytes of an object are read.
+/// Range of an object that is read.
 #[derive(Clone, Debug)]
 pub(super) enum Part {
     Whole,
     At(Range<u64>),
-    /// So many before its end.
+    /// This many bytes before its end.
     End(u64),
 }
 
-/// Bytes that were read of an object.
+/// An object, or a part of it, that was read.
 #[derive(Debug)]
 pub(super) struct Object {
     pub(super) bytes: Vec<u8>,
-    /// Bytes that the whole object has.
+    /// Bytes of the whole object.
     pub(super) size: u64,
 }
 
-/// Why nothing was read.
+/// Why an object was not read.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Fault {
     /// There is no such object.
     Missing,
-    /// The store does not let it be read. Some say so of objects that do not exist.
+    /// The store refuses to let it be read. Some stores also do so for objects that do not exist.
     Forbidden,
     Other(String),
 }
 
 impl Remote {
-    /// Asks for nothing yet.
+    /// Opens a store. Sends no request yet.
     pub(super) fn open(address: &Address, limits: Limits) -> Result<Self, String> {
         match address.target.clone()? {
             Target::Http { url, authorization } => {
@@ -110,7 +110,7 @@ impl Remote {
         }
     }
 
-    /// Reads an object, or a part of it, of `limit` bytes at most. Ends early where `stop` says so.
+    /// Reads an object, or a part of it, of `limit` bytes at most. Is cancelled when `stop` returns true.
     pub(super) fn get(&self, relative: &str, part: Part, limit: u64, stop: &dyn Fn() -> bool) -> Result<Object, Fault> {
         let key = ObjectPath::parse(self.key(relative));
         let key = key.map_err(|_| Fault::Other("no key of an object, expected a plain relative path".to_owned()))?;
@@ -118,7 +118,7 @@ impl Remote {
         wait(stop, async move { fetch(&*store, &key, part, limit).await })
     }
 
-    /// Names of what is below a key, up to `limit`; `None` where the store cannot be listed.
+    /// Returns the names of what is below a key, up to `limit`; `None` if the store cannot be listed.
     pub(super) fn folders(&self, relative: &str, limit: usize) -> Option<Result<Vec<String>, Fault>> {
         let store = self.listed.clone()?;
         let mut prefix = self.key(relative);
@@ -148,7 +148,7 @@ fn s3(bucket: &str, limits: Limits) -> Result<AmazonS3, String> {
     store.build().map_err(|error| reason(&error))
 }
 
-/// Whether the host of an address is this machine, for which proxies are not.
+/// Whether the host of an address is this machine: then no proxy is used.
 pub fn is_this_machine(host: &str) -> bool {
     let address = host.trim_start_matches('[').trim_end_matches(']');
     host == "localhost"
@@ -157,7 +157,7 @@ pub fn is_this_machine(host: &str) -> bool {
             .is_ok_and(|address| address.is_loopback())
 }
 
-/// Runs a request on the threads for them.
+/// Runs a request on the threads for requests, and waits for its result.
 fn wait<T: Send + 'static>(
     stop: &dyn Fn() -> bool,
     request: impl Future<Output = Result<T, Fault>> + Send + 'static,
@@ -172,7 +172,7 @@ fn wait<T: Send + 'static>(
     let runtime = runtime.as_ref().map_err(|why| Fault::Other(why.clone()))?;
     let (reply, answer) = sync_channel(1);
     let task = runtime.spawn(async move {
-        // Nobody waits where it was cancelled.
+        // Fails if the caller no longer waits, because it was cancelled.
         let _ = reply.send(request.await);
     });
     loop {
@@ -222,7 +222,7 @@ async fn fetch(store: &dyn ObjectStore, key: &ObjectPath, part: Part, limit: u64
 async fn list(store: &AmazonS3, prefix: &str, limit: usize) -> Result<Vec<String>, Fault> {
     let mut names = Vec::new();
     let mut page_token = None;
-    // As a page may be empty.
+    // Bounded, as a page may be empty.
     for _ in 0..limit.div_ceil(PAGE) {
         let options = PaginatedListOptions {
             delimiter: Some("/".into()),
@@ -254,7 +254,7 @@ fn fault(error: &object_store::Error) -> Fault {
     }
 }
 
-/// What went wrong, without addresses: these may hold secrets.
+/// Returns the error text without addresses, as these may hold secrets.
 fn reason(error: &object_store::Error) -> String {
     let mut innermost: &dyn std::error::Error = error;
     let mut prefix = "";

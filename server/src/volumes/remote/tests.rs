@@ -1,4 +1,4 @@
-//! Stores that behave badly: each answer is written byte by byte.
+//! Stores that misbehave: each response is written byte by byte.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
@@ -10,7 +10,7 @@ use object_store::{BackoffConfig, ObjectStoreExt, RetryConfig};
 
 use super::*;
 
-/// Short ones.
+/// Short time limits.
 fn limits() -> Limits {
     Limits {
         connect: Duration::from_secs(2),
@@ -28,7 +28,7 @@ fn limits() -> Limits {
     }
 }
 
-/// Answers each connection's request, given its lines and how many came before it; a pause stands for each line `~`.
+/// Serves one request per connection. `answer` gets the request's lines and the number of earlier requests; a line `~` is a pause.
 fn serve(answer: impl Fn(&[String], usize) -> String + Send + Sync + 'static) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = listener.local_addr().expect("an address");

@@ -4,7 +4,7 @@ use std::fmt;
 
 const DAY_MS: i64 = 86_400_000;
 
-/// Days around the epoch that are turned to dates: some ten million years.
+/// Maximum days around the epoch that are converted to dates: some ten million years.
 const MAX_DAYS: f64 = 4e9;
 
 /// Days before each month of a year that is no leap year.
@@ -50,7 +50,7 @@ impl Unit {
         }
     }
 
-    /// As it is shown behind a number.
+    /// Returns the symbol that is shown behind a number.
     pub fn symbol(self) -> &'static str {
         match self {
             Self::Exact { symbol, .. } | Self::Months { symbol, .. } => symbol,
@@ -58,7 +58,7 @@ impl Unit {
     }
 }
 
-/// How years have days.
+/// Rules for the lengths of years and months.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Calendar {
     /// Gregorian since 15 October 1582, Julian before.
@@ -68,12 +68,12 @@ pub enum Calendar {
     NoLeap,
     AllLeap,
     Days360,
-    /// Times are lengths only.
+    /// No dates: times are only durations.
     None,
 }
 
 impl Calendar {
-    /// By its name in CF; the standard one where none is given.
+    /// Returns a calendar by its name in CF; the standard one if the name is empty, [`Self::None`] if it is unknown.
     pub fn named(name: &str) -> Self {
         match name.trim().to_ascii_lowercase().as_str() {
             "" | "standard" | "gregorian" => Self::Standard,
@@ -98,8 +98,8 @@ impl Calendar {
         }
     }
 
-    /// Days from the calendar's own beginning to a date; those of the Gregorian and Julian calendars from one day, 1 January 1970
-    /// of the former.
+    /// Returns the days from the calendar's own epoch to a date. The Gregorian and Julian calendars share an epoch, 1 January 1970 of the
+    /// Gregorian calendar.
     fn days(self, [year, month, day]: [i64; 3]) -> i64 {
         match self {
             Self::Days360 => year * 360 + (month - 1) * 30 + day - 1,
@@ -121,7 +121,7 @@ impl Calendar {
         }
     }
 
-    /// The date of [`Self::days`].
+    /// Returns the date of a day: the inverse of [`Self::days`].
     fn date(self, days: i64) -> [i64; 3] {
         let within = |year: i64, day: i64, leap: bool| {
             let before = |month: i64| DAYS_BEFORE[month as usize] + i64::from(leap && month >= 2);
@@ -143,7 +143,7 @@ impl Calendar {
                 } else {
                     Self::ProlepticGregorian
                 };
-                // A year that begins no later than the day; mostly it is the one.
+                // A year that begins no later than the day; mostly the right one.
                 let mut year = 1970 + (days as f64 / 365.2425).floor() as i64 - 1;
                 year -= (calendar.days([year, 1, 1]) - days).max(0) / 365 + 1;
                 while calendar.days([year + 1, 1, 1]) <= days {
@@ -187,7 +187,7 @@ pub struct Since {
     calendar: Calendar,
 }
 
-/// How much of a point in time is shown.
+/// Precision with which times are shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Precision {
     Day,
@@ -197,7 +197,7 @@ pub enum Precision {
 }
 
 impl Precision {
-    /// What these times need.
+    /// Returns the precision that these times need.
     pub fn of(since: &Since, values: &[f64]) -> Self {
         let of = |ms: i64| match ms {
             ms if ms % DAY_MS == 0 => Self::Day,
@@ -211,11 +211,11 @@ impl Precision {
 }
 
 impl Since {
-    /// Reads `days since 1850-01-01 12:00:00 +1:00`; `None` of anything else, and where the calendar has no dates.
+    /// Parses a text such as `days since 1850-01-01 12:00:00 +1:00`; `None` for any other text, and if the calendar has no dates.
     pub fn parse(text: &str, calendar: Calendar) -> Option<Self> {
         let (unit, rest) = text.trim().split_once(" since ")?;
         let rest = rest.trim();
-        // Between date and time stands a space, or a T.
+        // A space or a T separates date and time.
         let (day, rest) = rest.split_at(rest.find([' ', 'T']).unwrap_or(rest.len()));
         let date = date(day, calendar)?;
         let mut words = rest.strip_prefix('T').unwrap_or(rest).split_whitespace();
@@ -237,7 +237,7 @@ impl Since {
         self.calendar
     }
 
-    /// Days and milliseconds of the day of a value; `None` far off.
+    /// Returns the days and the milliseconds of the day of a value; `None` for values out of range.
     fn point(&self, value: f64) -> Option<(i64, i64)> {
         let epoch = self.calendar.days(self.date);
         let (days, ms) = match self.unit {
@@ -265,7 +265,7 @@ impl Since {
         Some((days + ms.div_euclid(DAY_MS), ms.rem_euclid(DAY_MS)))
     }
 
-    /// A value for people: `1850-01-16`, `1850-01-16 12:00`.
+    /// Returns a value as a date for display: `1850-01-16`, `1850-01-16 12:00`.
     pub fn label(&self, value: f64, precision: Precision) -> Option<String> {
         let (days, ms) = self.point(value)?;
         let [year, month, day] = self.calendar.date(days);
@@ -307,7 +307,7 @@ impl fmt::Display for Since {
     }
 }
 
-/// A date that the calendar has.
+/// Parses a date that exists in the calendar.
 fn date(text: &str, calendar: Calendar) -> Option<[i64; 3]> {
     let (sign, text) = match text.strip_prefix('-') {
         Some(rest) => (-1, rest),
@@ -324,7 +324,7 @@ fn date(text: &str, calendar: Calendar) -> Option<[i64; 3]> {
     fits.then_some([year, month, day])
 }
 
-/// Milliseconds of `12:30:15.5`.
+/// Parses a time such as `12:30:15.5` into milliseconds.
 fn clock_ms(text: &str) -> Option<i64> {
     let mut parts = text
         .split(':')
@@ -338,7 +338,7 @@ fn clock_ms(text: &str) -> Option<i64> {
         .then(|| (((hours * 60.0 + minutes) * 60.0 + seconds) * 1000.0).round() as i64)
 }
 
-/// Milliseconds before UTC of `Z`, `UTC`, `+01:00`, `-6` or `+0130`; 0 of nothing.
+/// Parses a time zone, `Z`, `UTC`, `+01:00`, `-6` or `+0130`, into milliseconds before UTC; 0 for the empty text.
 fn zone_ms(text: &str) -> Option<i64> {
     let (sign, text) = match text.as_bytes() {
         [] | b"Z" | b"UTC" | b"GMT" => return Some(0),

@@ -1,4 +1,4 @@
-//! When the time steps of a volume are: numbers of files, lengths of time, or dates; and how that is said.
+//! Times of the steps of a volume: numbers of files, durations, or dates; and their labels.
 
 mod calendar;
 
@@ -6,21 +6,21 @@ use std::sync::Arc;
 
 use calendar::{Calendar, Precision, Since};
 
-/// Steps up to which a label of each is sent and printed: some 20 kB.
+/// Maximum steps whose labels are all sent and printed: some 20 kB.
 pub const MAX_LABELS: u32 = 1024;
 
-/// Largest deviation from even times, in parts of their distance, that is taken for rounding.
+/// Largest deviation from even times, relative to their distance, that is taken for rounding.
 const EVEN: f64 = 1e-6;
 
 /// Longest unit that is shown, in characters.
 const MAX_UNIT: usize = 24;
 
-/// When the time steps are.
+/// Times of the steps of a volume.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimeAxis {
     values: Values,
     meaning: Meaning,
-    /// Distance of neighbours that decides how many decimals are shown.
+    /// Distance of neighbours, from which the number of decimals follows.
     resolution: f64,
 }
 
@@ -32,21 +32,21 @@ enum Values {
 
 #[derive(Clone, Debug, PartialEq)]
 enum Meaning {
-    /// Numbers that files have in their names, written with so many digits.
+    /// Numbers in the names of files, written with this many digits.
     Number(usize),
-    /// Lengths of time; the unit may be empty.
+    /// Durations; the unit may be empty.
     Elapsed(String),
     Date(Since, Precision),
 }
 
 impl TimeAxis {
-    /// Numbers of files, written with so many digits.
+    /// Numbers of files, written with this many digits.
     pub fn numbers(numbers: &[u64], digits: usize) -> Option<Self> {
         let values = numbers.iter().map(|&number| number as f64).collect();
         Self::new(values, Meaning::Number(digits.min(MAX_UNIT)))
     }
 
-    /// Steps at even distances. `None` where these are no times: not finite, or not after each other.
+    /// Steps at even distances. `None` if the numbers are no times: they must be finite, and the distance above 0.
     pub fn even(start: f64, spacing: f64, steps: u32, unit: &str) -> Option<Self> {
         let is_time = start.is_finite() && spacing.is_finite() && spacing > 0.0 && steps > 0;
         is_time.then(|| Self {
@@ -56,8 +56,8 @@ impl TimeAxis {
         })
     }
 
-    /// Times in the order of the steps. A unit may say since when they count (`days since 1850-01-01`), in a calendar of CF; another
-    /// unit is one of lengths of time. `None` of no times.
+    /// Times in the order of the steps. A unit may contain a reference date (`days since 1850-01-01`), in a calendar of CF; any other unit
+    /// is one of durations. `None` if the values are no times.
     pub fn listed(values: Vec<f64>, unit: &str, calendar: Option<&str>) -> Option<Self> {
         let since = Since::parse(unit, Calendar::named(calendar.unwrap_or_default()));
         let meaning = match since {
@@ -101,7 +101,7 @@ impl TimeAxis {
         }
     }
 
-    /// Time of a step in the axis' unit; `None` where there is no such step.
+    /// Returns the time of a step in the axis' unit; `None` if there is no such step.
     pub fn value(&self, step: u32) -> Option<f64> {
         match &self.values {
             Values::Even { start, spacing, steps } => (step < *steps).then(|| start + f64::from(step) * spacing),
@@ -109,7 +109,7 @@ impl TimeAxis {
         }
     }
 
-    /// Time between neighbours, where it is always the same.
+    /// Returns the time between neighbours, if it is constant.
     pub fn spacing(&self) -> Option<f64> {
         match &self.values {
             Values::Even { spacing, .. } => Some(*spacing),
@@ -117,7 +117,7 @@ impl TimeAxis {
         }
     }
 
-    /// What values count: the symbol of a unit (`s`), or since when (`days since 1850-01-01`); `None` where nobody says.
+    /// Returns what values count: the symbol of a unit (`s`), or a reference date (`days since 1850-01-01`); `None` if that is not known.
     pub fn unit(&self) -> Option<String> {
         match &self.meaning {
             Meaning::Number(_) => None,
@@ -126,7 +126,7 @@ impl TimeAxis {
         }
     }
 
-    /// Name of the calendar that dates are in, as CF names it.
+    /// Returns the name of the calendar of dates, as CF names it.
     pub fn calendar(&self) -> Option<&'static str> {
         match &self.meaning {
             Meaning::Date(since, _) => Some(since.calendar().name()),
@@ -134,7 +134,7 @@ impl TimeAxis {
         }
     }
 
-    /// A step for people: `1850-01-16`, `12.5 s`, `step 007`.
+    /// Returns the label of a step for display: `1850-01-16`, `12.5 s`, `step 007`.
     pub fn label(&self, step: u32) -> String {
         let counted = || format!("step {step}");
         let Some(value) = self.value(step).filter(|value| value.is_finite()) else {
@@ -148,12 +148,12 @@ impl TimeAxis {
         }
     }
 
-    /// The label of each step, where there are at most [`MAX_LABELS`].
+    /// Returns the label of each step, if there are at most [`MAX_LABELS`].
     pub fn labels(&self) -> Option<Vec<String>> {
         (self.steps() <= MAX_LABELS).then(|| (0..self.steps()).map(|step| self.label(step)).collect())
     }
 
-    /// Times that are not even, where there are at most [`MAX_LABELS`].
+    /// Returns times that are not even, if there are at most [`MAX_LABELS`].
     pub fn uneven_values(&self) -> Option<&[f64]> {
         match &self.values {
             Values::Listed(values) if self.steps() <= MAX_LABELS => Some(values),
@@ -161,7 +161,7 @@ impl TimeAxis {
         }
     }
 
-    /// With a thousandth of the distance between neighbours, and no more digits than a number has.
+    /// Formats a value to a thousandth of the distance between neighbours, with at most 9 decimals.
     fn rounded(&self, value: f64) -> String {
         if value != 0.0 && !(1e-6..1e12).contains(&value.abs()) {
             return format!("{value:.6e}");
@@ -176,7 +176,7 @@ impl TimeAxis {
     }
 }
 
-/// A unit of time as it is shown.
+/// Returns a unit of time as it is shown.
 fn symbol(unit: &str) -> String {
     let unit = unit.trim();
     match calendar::Unit::parse(unit) {
@@ -236,7 +236,7 @@ mod tests {
         assert_eq!(axis.calendar(), Some("noleap"));
         let axis = TimeAxis::listed(vec![0.0, 31.0], "days since 2000-01-01 00:00:00", None).unwrap();
         assert_eq!(axis.labels().unwrap(), ["2000-01-01", "2000-02-01"]);
-        // No date: as lengths of time.
+        // An invalid reference date: the unit is taken for one of durations.
         let axis = TimeAxis::listed(vec![0.0, 31.0], "days since the flood", None).unwrap();
         assert_eq!(axis.label(1), "31 d");
     }

@@ -20,7 +20,7 @@ pub(super) struct Edge {
     pub is_border: bool,
 }
 
-/// Where the third vertex of a triangle behind an edge is.
+/// Position of the third vertex of a triangle behind an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Third {
     /// Not used yet.

@@ -149,7 +149,7 @@ impl Ahead {
             f64::from(end[depth]) - rise / n[depth]
         };
         let mean = ((plane(self.ends[0]) + plane(self.ends[1])) * 0.5 + 0.5).floor();
-        // Where there is no normal it is no number.
+        // If there is no normal, the mean is NaN or infinite and the comparison false.
         if mean.abs() <= MAX_PREDICTED {
             mean as i32
         } else {

@@ -162,7 +162,7 @@ pub fn regions(found: &Regions, expected: &Regions) -> Result<(), Difference> {
     Err(Difference::new(kind, detail))
 }
 
-/// What differs in a region's mesh, where something does.
+/// Returns the difference between two meshes of a region, if there is one.
 fn region(found: &Chunk, expected: &Chunk) -> Option<String> {
     if !found.same_mesh(expected) {
         let [of_found, of_expected] = [found, expected].map(triangles);

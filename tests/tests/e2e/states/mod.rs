@@ -110,7 +110,7 @@ impl Tester {
     }
 }
 
-/// What a variable of the environment says, where it is set and not empty.
+/// Returns the value of an environment variable, if it is set and not empty.
 fn variable<T: FromStr>(name: &str) -> Option<T> {
     let text = std::env::var(name).ok().filter(|text| !text.is_empty())?;
     let value = text.parse().ok();

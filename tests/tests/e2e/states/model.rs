@@ -152,7 +152,7 @@ impl Model {
         view
     }
 
-    /// Applies an edit; false where it is answered with `bad-edit`.
+    /// Applies an edit; returns false if the server is to answer it with `bad-edit`.
     pub fn edit(&mut self, edit: &Value) -> bool {
         let edit = edit.as_object().expect("an edit");
         let edit: Map<_, _> = edit

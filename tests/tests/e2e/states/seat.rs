@@ -25,7 +25,7 @@ const QUIET: Duration = Duration::from_secs(2);
 const RECEIVE_BUFFER: u32 = 4096;
 /// Edges that are named if a surface is not closed.
 const SHOWN_EDGES: usize = 4;
-/// Frames that are named where an outcome is not as expected.
+/// Number of the last frames that are listed if an outcome is not as expected.
 const SHOWN_FRAMES: usize = 40;
 
 /// A final surface.
@@ -68,7 +68,7 @@ pub struct Measured {
 pub struct Failed {
     pub code: String,
     pub suggested_triangles: Option<u64>,
-    /// That of the generation, where the error names it.
+    /// The surface of the generation, if the error names it.
     pub surface: Option<u8>,
 }
 
@@ -76,7 +76,7 @@ pub struct Failed {
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     generation: u32,
-    /// The first prefix, where it is above level 0 and all of its regions were sent: its level, and what was shown.
+    /// The first prefix, if it is above level 0 and all of its regions were sent: its level, and what was shown.
     pub first: Option<(u8, Regions)>,
     /// The first, and the better one.
     pub finals: Vec<Final>,
@@ -91,7 +91,7 @@ pub struct Seat {
     pub outcomes: [Outcome; 4],
     /// The last `opened` has come.
     is_open: bool,
-    /// A `cancel` may have left work that nobody has asked for again.
+    /// A `cancel` may have discarded work that was not requested again since.
     pub is_cancelled: bool,
     line: Option<u32>,
     /// `bad-edit` so far, and how many were expected.
@@ -112,7 +112,7 @@ pub struct Seat {
     /// `volume-removed` has come, and no volume was opened since.
     is_removed: bool,
     dims: [u32; 3],
-    /// Surfaces that had a mask since the volume was opened: they end where it does.
+    /// Surfaces that had a mask since the volume was opened: they end at the border of the mask.
     had_mask: [bool; 4],
     /// Whether marching cubes made the prefix at hand.
     is_marched: bool,
@@ -511,7 +511,7 @@ fn check_budget(surface: u8, of: &Final, name: &str, budget: &Value) -> Result<(
             (bytes, budget.as_u64().expect("a number"))
         }
         (_, None) => (of.triangles(), budget.as_u64().expect("a number")),
-        // Of a cut of cubes where parts are to be removed, the share is one of the surface with all parts.
+        // If parts are to be removed from a cut of cubes, the share is one of the surface with all parts.
         (_, Some(share)) => {
             let full = of.statistics["fullTriangles"].as_f64().expect("a number");
             (of.triangles(), ((share * full + 1e-3) as u64).max(1))

@@ -22,7 +22,7 @@ pub struct Volume {
     pub steps: u64,
 }
 
-/// The volume where samples are missing: surfaces end there.
+/// A volume with missing samples: surfaces end at these.
 pub const MISSING: &str = "missing";
 
 const DERIVED: &[&str] = &[

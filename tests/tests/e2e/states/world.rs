@@ -32,7 +32,7 @@ pub struct World {
 }
 
 impl World {
-    /// `None` where there is no device.
+    /// Starts the server and opens each volume once; `None` if there is no device.
     pub async fn start() -> Option<Self> {
         let folder = tempfile::tempdir().expect("a folder");
         let paths = write_all(folder.path());

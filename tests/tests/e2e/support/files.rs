@@ -134,7 +134,7 @@ fn glb(bytes: &[u8]) -> FileMesh {
     mesh
 }
 
-/// Where a node puts a position: scaled, then turned by its quaternion, then moved.
+/// Applies a node's transform to a position: scaled, then turned by its quaternion, then moved.
 fn placed(node: &Value, position: [f64; 3]) -> [f64; 3] {
     assert!(node.get("matrix").is_none());
     let numbers = |key: &str| -> Vec<f64> { serde_json::from_value(node[key].clone()).expect(key) };

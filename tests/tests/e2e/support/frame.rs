@@ -57,7 +57,7 @@ pub enum Frame {
         volume: Value,
         step: u64,
     },
-    /// Who is in the group.
+    /// The members of the group.
     Group(Value),
     /// What the member in control shows.
     Led(Value),
@@ -83,7 +83,7 @@ pub enum Frame {
         code: String,
         message: String,
         open: bool,
-        /// Where a generation failed: that of its surface.
+        /// The surface of the generation, if a generation failed.
         surface: Option<u8>,
         suggested_triangles: Option<u64>,
     },

@@ -9,14 +9,14 @@ use serde_json::Value;
 pub struct Answer {
     pub status: u16,
     pub content_type: String,
-    /// `isopeel-slice`, where there is one.
+    /// The header `isopeel-slice`, `null` if there is none.
     pub slice: Value,
     headers: ureq::http::HeaderMap,
     pub body: Vec<u8>,
 }
 
 impl Answer {
-    /// A header, empty where there is none.
+    /// Returns a header, empty if there is none.
     pub fn header(&self, name: &str) -> &str {
         let value = self.headers.get(name);
         value.map_or("", |value| value.to_str().expect("ASCII"))
@@ -103,7 +103,7 @@ pub fn post_json(address: SocketAddr, path: &str, body: &Value) -> Answer {
     post(address, path, "application/json", body.to_string())
 }
 
-/// A request with headers; `None` where the server ends meanwhile.
+/// Sends a request with headers; `None` if the server ends meanwhile.
 pub fn send(address: SocketAddr, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Option<Answer> {
     let mut request = ureq::http::Request::builder()
         .method(method)

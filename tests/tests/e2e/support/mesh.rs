@@ -35,8 +35,8 @@ pub fn assert_bounds(chunk: &Chunk) {
     }
 }
 
-/// Edges that are not met by as many triangles in one direction as in the other, by the bits of their ends' positions
-/// across all regions; edges in the volume's own faces, where a surface may end, are left out.
+/// Edges that are not met by as many triangles in one direction as in the other, by the bits of their ends' positions across all regions.
+/// Edges in the volume's own faces, at which a surface may end, are left out.
 pub fn open_edges<'a>(chunks: impl IntoIterator<Item = &'a Chunk>, dims: [u32; 3]) -> Vec<Edge> {
     let last = dims.map(|n| (n as i32 - 1) * LATTICE);
     let on_the_rim =

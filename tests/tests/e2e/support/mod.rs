@@ -52,11 +52,11 @@ pub mod demo {
     pub const LEAVES_AT_0_02: [u64; 6] = [108_627, 16_006, 2_091, 256, 22, 1];
     /// Leaves of levels 0 to 5 at β = 0.1.
     pub const LEAVES_AT_0_1: [u64; 6] = [28_451, 11_892, 2_901, 725, 132, 17];
-    /// Leaves of levels 0 to 5 at β = 0.15 where α = 0.35 and the feature is grey matter from 0 to 255.
+    /// Leaves of levels 0 to 5 at β = 0.15 if α = 0.35 and the feature is grey matter from 0 to 255.
     pub const LEAVES_GREY_AT_0_15: [u64; 6] = [80_163, 12_719, 2_377, 442, 57, 4];
 }
 
-/// Leaves agree within 0.1 % of each level (float32 rounds at the threshold), one leaf allowed where that is less.
+/// Asserts that leaves agree within 0.1 % of each level (float32 rounds at the threshold), or within one leaf if 0.1 % is less.
 #[track_caller]
 pub fn assert_leaves(found: &serde_json::Value, expected: [u64; 6]) {
     let found: Vec<u64> = serde_json::from_value(found.clone()).expect("leaves are six counts");

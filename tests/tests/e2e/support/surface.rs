@@ -13,7 +13,7 @@ pub struct Pending {
     pub chunks: HashMap<[u32; 3], Chunk>,
 }
 
-/// Where the newest generation stands.
+/// Progress of the newest generation.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Stage {
     /// Prefixes come; the last committed one, and whether it was final.

@@ -17,7 +17,7 @@ pub struct Setting {
     pub volume: Vec<u8>,
 }
 
-/// Somebody with a token.
+/// A user, who has a token.
 pub struct User {
     pub address: SocketAddr,
     pub bearer: String,
@@ -106,7 +106,7 @@ impl User {
         self.ask("PATCH", path, &headers, bytes)
     }
 
-    /// Where to go on.
+    /// Returns the offset at which to continue an upload.
     pub fn offset(&self, path: &str) -> usize {
         let answer = self.ask("HEAD", path, &[("tus-resumable", "1.0.0")], b"");
         assert_eq!((answer.status, answer.header("tus-resumable")), (200, "1.0.0"));

@@ -24,7 +24,7 @@ export function inSpacings(distance: number | string, spacing: number): number {
   return Number(multiples.toPrecision(6));
 }
 
-/** A budget as a number of triangles; `undefined` where it is a share of a full surface that is not known yet. */
+/** A budget as a number of triangles; `undefined` if it is a share of a full surface that is not known yet. */
 export function trianglesOf(budget: TriangleBudget, fullTriangles: number | undefined): number | undefined {
   if (typeof budget === "number") return budget;
   if (fullTriangles === undefined) return budget.max;

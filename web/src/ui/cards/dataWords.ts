@@ -60,7 +60,7 @@ export function affineOf({ direction, spacing, origin }: Geometry): readonly (re
   return [0, 1, 2].map((world) => [...direction.map((axis, i) => (axis[world] ?? 0) * (spacing[i] ?? 1)), origin[world] ?? 0].map((value) => formatValue(Math.abs(value) < 1e-9 ? 0 : value)));
 }
 
-/** `1.2 % of the samples`; `undefined` where the histogram does not tell. */
+/** `1.2 % of the samples`; `undefined` if the histogram does not tell. */
 export function missingText({ histogram }: Pick<FieldInfo, "histogram">, geometry: Pick<Geometry, "dims">): string | undefined {
   const all = samplesOf(geometry);
   if (all > MAX_COUNTED) return undefined;

@@ -10,10 +10,10 @@ function amount(value: number): string {
   return value < 1000 ? formatValue(value, 4) : formatCount(Number(value.toPrecision(4)));
 }
 
-/** `4,310 mm³`. @param unit of lengths, where it is known */
+/** `4,310 mm³`. @param unit of lengths, if it is known */
 export const amountText = (value: number, unit: string | undefined, power: 2 | 3) => `${amount(value)} ${unitWord(unit, power)}`;
 
-/** @param unit of lengths, where it is known */
+/** @param unit of lengths, if it is known */
 export function enclosedRows({ area, volume }: Enclosed, unit: string | undefined): readonly Row[] {
   const size = volume === undefined ? "none, it is open" : amountText(Math.abs(volume), unit, 3);
   return [

@@ -8,7 +8,7 @@ export const NO_FEATURE = "none";
 /** The magnitude of the gradient of the field whose surface is shown. */
 export const GRADIENT = "gradient-magnitude";
 
-/** What is known of a view's feature; `undefined` where the server does not know it. */
+/** What is known of a view's feature; `undefined` if the server does not know it. */
 export function featureInfo(volume: VolumeInfo, view: Chosen): DerivedInfo | undefined {
   const named = (list: VolumeInfo["fields"]) => list.find((f) => f.name === view.feature);
   return derivedFeature(volume, view) ?? named(volume.fields) ?? named(volume.features) ?? vectorFeature(volume, view.feature);

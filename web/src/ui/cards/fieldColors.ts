@@ -37,7 +37,7 @@ export function logProblem(look: Look, view: View): "begins-above-0" | "linear" 
   return high > 0 ? "begins-above-0" : "linear";
 }
 
-/** Where a value lies between the first colour and the last: 0 to 1 within the range. */
+/** Position of a value between the first colour and the last: 0 to 1 within the range. */
 function positionOf({ range: [low, high], log }: FieldScale, value: number): number {
   return log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
 }
@@ -51,8 +51,8 @@ export function valueAt({ range: [low, high], log }: FieldScale, position: numbe
 const STEPS = 65535 / 256;
 
 /**
- * Where isolines are between the first colour and the last. A value that whole triangles may have, because the feature comes in steps, is left by
- * a quarter of a step: else all of such a triangle would be line.
+ * Positions of isolines between the first colour and the last. The feature comes in steps, so whole triangles may have the same value. An
+ * isoline at such a value is moved by a quarter of a step: else all of such a triangle would be line.
  */
 export function linePlaces(scale: FieldScale): readonly number[] {
   const { known: [from, to], lines } = scale;
@@ -63,7 +63,7 @@ export function linePlaces(scale: FieldScale): readonly number[] {
   });
 }
 
-/** What the legend says of a field: `texts` from the lowest up, equidistant, and where isolines are. */
+/** What the legend says of a field: `texts` from the lowest up, equidistant, and the positions of isolines. */
 export interface FieldBar {
   readonly title: string;
   readonly texts: readonly string[];

@@ -23,7 +23,7 @@ const PAUSES: Readonly<Record<string, string>> = {
   storage: "the server’s disk takes no results",
 };
 
-/** Where a job is. */
+/** The state of a job, in words. */
 export function jobText({ state, paused, extractions, bytes, etaSeconds, error }: JobInfo): string {
   const { total, done, failed, empty } = extractions;
   const made = `${formatCount(done)} of ${files(total)}`;

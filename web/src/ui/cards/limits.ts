@@ -18,7 +18,7 @@ interface Refusal {
   readonly suggestedTriangles?: number;
 }
 
-/** Where no other surface has a budget. */
+/** The budget if no other surface has one. */
 const FIRST_BUDGET: Edit = { triangles: { share: 0.25 } };
 
 /**

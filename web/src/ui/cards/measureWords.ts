@@ -5,7 +5,7 @@ import type { LengthScale } from "../../state/lengths";
 import { amountOf, type Measure } from "../../state/measure";
 import { formatValue } from "../format";
 
-/** `34.2`, `34.2 mm` where the unit is known, `41.3°`, `1.24`: as short as beside a line. */
+/** `34.2`, `34.2 mm` if the unit is known, `41.3°`, `1.24`: short enough to stand beside a line. */
 export function amountWords(measure: Measure, unit: string | undefined): string {
   if (measure.kind === "reading") return measure.values.map((value) => (value === null ? "–" : formatValue(value, 4))).join(" · ");
   if (measure.kind === "label") return measure.text;

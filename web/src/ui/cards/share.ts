@@ -14,7 +14,7 @@ export const SHARE_SCALE: Scale = {
 
 export const SHARE_TICKS = [0.01, 0.05, 0.25, 1].map((share) => ({ at: SHARE_SCALE.toPosition(share), text: `${100 * share} %` }));
 
-/** The share that the view asks for, or has where an error or β decides; `undefined` where nothing is known yet. */
+/** The share that the view asks for, or, if an error or β decides, the one that it has; `undefined` if nothing is known yet. */
 export function shareOf(view: View, statistics: Statistics | undefined, spacing: number): number | undefined {
   const full = statistics?.fullTriangles ?? 0;
   if (view.triangles !== undefined && criterion(view, statistics, spacing) === "triangles") {
@@ -33,7 +33,7 @@ export function budgetOf(share: number, view: View): TriangleBudget {
   return { share, ...(max === undefined ? {} : { max }) };
 }
 
-/** Triangles in the field beside the slider: the budget where it decides, else those there are. */
+/** Triangles in the field beside the slider: the budget if it decides, else those there are. */
 export function trianglesShown(view: View, statistics: Statistics | undefined, spacing: number): number {
   const { triangles } = view;
   const decides = criterion(view, statistics, spacing) === "triangles";

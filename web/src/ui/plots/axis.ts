@@ -1,4 +1,4 @@
-/** Axes of a histogram: where counts and values lie. Pure. */
+/** Axes of a histogram: positions of counts and values. Pure. */
 
 import type { Histogram } from "../../protocol/types";
 

@@ -5,7 +5,7 @@ import { SHARE_SCALE } from "../cards/share";
 
 /** Ends of the axis of the error, in voxels. */
 const ERRORS = [0.005, 5] as const;
-/** The error that is marked on the curve, in voxels: hardly anybody sees it. */
+/** The error that is marked on the curve, in voxels: it is hardly visible. */
 export const FINE_ERROR = 0.1;
 
 type Points = Curve["points"];
@@ -31,10 +31,10 @@ export function corrected(points: Points, { factor, added }: Correction): Points
   return points.map((point) => ({ ...point, rms: Math.hypot(factor * point.rms, added) }));
 }
 
-/** Where a number lies between two others whose equal steps are equal factors. */
+/** Position of a number between two others, on a scale whose equal steps are equal factors. */
 const between = (low: number, high: number, value: number) => Math.log(value / low) / Math.log(high / low);
 
-/** The error expected of a number of triangles; `undefined` where there is no surface of so few. */
+/** The error expected of a number of triangles; `undefined` if there is no surface of so few. */
 export function errorAt(points: Points, triangles: number): number | undefined {
   const after = points.findIndex((point) => point.triangles <= triangles);
   if (after < 0) return undefined;
@@ -46,7 +46,7 @@ export function errorAt(points: Points, triangles: number): number | undefined {
   return coarse.rms * (fine.rms / coarse.rms) ** t;
 }
 
-/** The fewest triangles with which the error, or the threshold, is at most this one; `undefined` where the curve does not cross it. */
+/** The fewest triangles with which the error, or the threshold, is at most this one; `undefined` if the curve does not cross it. */
 export function trianglesFor(points: Points, value: number, of: "rms" | "threshold" = "rms"): number | undefined {
   const after = points.findIndex((point) => point[of] > value);
   const [fine, coarse] = [points[after - 1], points[after]];
@@ -90,8 +90,8 @@ export function meetsAxisText(axisText: string, text: string, x: number, error: 
 }
 
 /**
- * On which side of a line at `x` its text is, as an anchor; `undefined` where there is no place for it.
- * @param besides where a line goes down from the curve, which the text leaves free
+ * On which side of a line at `x` its text is, as an anchor; `undefined` if there is no place for it.
+ * @param besides `x` of a line that goes down from the curve, which the text leaves free
  */
 export function fineSide(text: string, x: number, besides: number, { width }: Size): "start" | "end" | undefined {
   const own = widthOf(text);

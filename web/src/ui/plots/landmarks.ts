@@ -22,7 +22,7 @@ const STANDS_OUT = 1.25;
 /** Bins to each side over which counts are averaged: less is noise. */
 const SMOOTH = 3;
 
-/** Where surfaces of the body begin in computed tomography, Hounsfield units. */
+/** Isovalues at which surfaces of the body begin in computed tomography, Hounsfield units. */
 const HOUNSFIELD: readonly Landmark[] = [
   { name: "lung", iso: -600, why: "Air and lung against tissue, −600 HU" },
   { name: "skin", iso: -200, why: "The body against the air around it, −200 HU" },
@@ -42,7 +42,7 @@ export function landmarks(field: FieldInfo, brought?: number): readonly Landmark
     return { name: `peak ${formatValue(iso, digitsBetween(histogram.min, histogram.max) - 1)}`, iso, why: "Values that occur often: a material, or noise around one" };
   });
   const { min, max } = histogram;
-  // Where tissues have names, what separates the values best has none.
+  // If tissues have names, the value that separates the values best is left out: it has no name.
   const known = isHounsfield(field) ? HOUNSFIELD.filter(({ iso }) => iso > min && iso < max) : [...otsu(histogram, width), ...peaked];
   for (const mark of [...thresholds(field, brought), ...known]) {
     if (found.every(({ iso }) => Math.abs(iso - mark.iso) > APART * width)) found.push(mark);
@@ -67,15 +67,15 @@ function thresholds({ openingIso }: FieldInfo, brought: number | undefined): rea
   return found;
 }
 
-/** Between two classes of values; none where there is one. */
+/** The threshold between two classes of values; empty if there is one class. */
 function otsu(histogram: Histogram, width: number): readonly Landmark[] {
   const threshold = otsuThreshold(histogram);
   return threshold === undefined ? [] : [{ name: "Otsu threshold", iso: readable(threshold, width), why: "Separates the values into two classes (Otsu's threshold)" }];
 }
 
 /**
- * Where a further surface shows something else: at a threshold between classes of values, or in the middle of the widest gap between the
- * surfaces there are.
+ * An isovalue at which a further surface shows something else: a threshold between classes of values, or the middle of the widest gap
+ * between the surfaces there are.
  * @param taken their isovalues
  */
 export function furtherIsovalue(field: FieldInfo, brought: number | undefined, taken: readonly number[]): number {
@@ -107,7 +107,7 @@ function readable(value: number, width: number): number {
 
 const centre = ({ min, max, counts }: Histogram, bin: number) => min + ((max - min) * (bin + 0.5)) / counts.length;
 
-/** The threshold with the minimum spread within the two classes that it parts; `undefined` where there is one class. */
+/** The threshold with the minimum spread within the two classes that it separates; `undefined` if there is one class. */
 function otsuThreshold(histogram: Histogram): number | undefined {
   const { counts } = histogram;
   const total = counts.reduce((sum, n) => sum + n, 0);
@@ -125,7 +125,7 @@ function otsuThreshold(histogram: Histogram): number | undefined {
   return at < 0 ? undefined : centre(histogram, at + 0.5);
 }
 
-/** Values of local maxima that stand out, the highest first; not the ends, where values are cut off or missing. */
+/** Values of local maxima that stand out, the highest first; not the ends, at which values are cut off or missing. */
 function peaks(histogram: Histogram): readonly number[] {
   const { counts } = histogram;
   const smooth = counts.map((_, bin) => {

@@ -71,7 +71,7 @@ export function outlineIn({ planes }: LoadedSlice, { field, iso, mask }: Outline
   return contourOf(samples, plane.size, iso);
 }
 
-/** @param scale pixels of the canvas for one of the page  @param onPage where the slice is, pixels of the page */
+/** @param scale pixels of the canvas for one of the page  @param onPage place of the slice, pixels of the page */
 export function drawSlice(canvas: HTMLCanvasElement, width: number, height: number, scale: number, drawing: Drawing | undefined, onPage: Fit): void {
   const density = Math.min(scale, Math.sqrt(MAX_PIXELS / (width * height)));
   const [w, h] = [Math.max(1, Math.round(width * density)), Math.max(1, Math.round(height * density))];

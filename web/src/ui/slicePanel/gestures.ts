@@ -40,7 +40,7 @@ export function wheelZoom({ deltaY, deltaMode }: Pick<WheelEvent, "deltaY" | "de
   return Math.exp(-deltaY * (deltaMode === 0 ? ZOOM_A_PIXEL : ZOOM_A_LINE));
 }
 
-/** Two fingers: how far they move apart, and where to. */
+/** Two fingers: how far they move apart, and their centre. */
 class Pinch {
   private readonly fingers = new Map<number, Place>();
 

@@ -33,7 +33,7 @@ export function valueWords(value: number, field: FieldInfo | undefined): string 
   return `${text} ${field?.unit ?? ""}`.trim();
 }
 
-/** Why the slices are not those that are asked for; empty where there is nothing to say. */
+/** Why the slices are not those that were requested; empty if there is nothing to say. */
 export function problemWords(problems: readonly (string | undefined)[], isAllCurrent: boolean, connection: ConnectionState, hasSome: boolean): string {
   const before = hasSome ? ". What is marked as old is from before" : "";
   const problem = problems.find((one) => one !== undefined);
@@ -42,7 +42,7 @@ export function problemWords(problems: readonly (string | undefined)[], isAllCur
   return problem === undefined ? "" : `The slices cannot be shown: ${problem}${before}`;
 }
 
-/** Where a patient's left is. */
+/** Sides of a slice on which a patient's left may be shown. */
 export const SIDES: readonly { readonly value: string; readonly text: string; readonly hint: string }[] = [
   { value: "right", text: "on the right", hint: "As radiologists have it: seen from the patient's feet, and from the front" },
   { value: "left", text: "on the left", hint: "As neurologists have it: seen from above, and from behind" },

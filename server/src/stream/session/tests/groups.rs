@@ -1,4 +1,4 @@
-//! Groups: followers are shown what another does, whoever may edit, and control is handed over.
+//! Groups: followers are shown what the member in control does, whether or not they may edit, and control is handed over.
 
 use std::time::{Duration, Instant};
 
@@ -233,7 +233,7 @@ async fn control_is_given_to_who_asks_and_comes_back() {
     ann.quiet().await;
 }
 
-/// Somebody who leads.
+/// A leader with this user name.
 fn key_of(user: &str) -> Leader {
     Leader {
         who: Occupant {
@@ -272,7 +272,7 @@ async fn a_leader_whose_connection_was_lost_comes_back() {
         "nobody else has the key"
     );
 
-    // Who has the id alone, or is somebody else, leads nothing.
+    // A viewer with the group's id and a wrong key, or another user with the right key, cannot resume the lead.
     let resume = |key: &Value| json!({"type": "lead", "resume": {"group": group, "key": key}}).to_string();
     looks.say(&resume(&json!("0".repeat(32)))).await;
     assert_eq!(looks.until("error").await["code"], "unknown-group");
@@ -309,7 +309,7 @@ async fn a_leader_whose_connection_was_lost_comes_back() {
     shown_by(&mut again, job, 6.0).await;
     follows(&mut looks, 0, 6.0).await;
 
-    // A connection that nobody has closed yet leads no longer, and ends nothing.
+    // The leader resumes on a third connection. The second one, still open, no longer leads, and its end does not end the group.
     let mut third = unmeasured(Viewer::among(&common, Identity::without_token()));
     third.say(&resume(&key)).await;
     assert_eq!(group_message(&mut third, "group").await["you"], 0);

@@ -47,7 +47,7 @@ struct Wanted {
     iso: f32,
     /// In tenths.
     alpha: u64,
-    /// In hundredths, where it decides.
+    /// In hundredths; `None` if an error or a budget decides instead.
     beta: Option<u64>,
     budget: Option<Budget>,
 }
@@ -70,7 +70,7 @@ impl Wanted {
         }
     }
 
-    /// The shapes of eight regions; 0 where there is none.
+    /// The shapes of eight regions; 0 stands for no region.
     fn shapes(&self) -> [i32; 8] {
         // In the low bits, from which all others follow.
         let mut hash =

@@ -88,7 +88,7 @@ async fn a_job_goes_on_for_those_who_stay() {
     let mut viewers = viewers(3, &common).await;
     for viewer in &viewers {
         viewer.say(r#"{"type":"edit"}"#).await;
-        // Each has come to the job before who asks first goes.
+        // All viewers have joined the job before the first one leaves.
         tokio::task::yield_now().await;
     }
     let [first, second, third] = &mut viewers[..] else {
@@ -113,7 +113,7 @@ async fn a_job_goes_on_for_those_who_stay() {
     assert!(job.token.is_cancelled(), "nobody waits for it");
 }
 
-/// What fails, fails for all who wait, and is tried again by who asks again.
+/// A job that fails fails for all its waiters and is not cached: the next request retries it.
 #[tokio::test]
 async fn an_error_is_for_all_who_wait_and_is_not_kept() {
     let common = Common::new(1 << 20);

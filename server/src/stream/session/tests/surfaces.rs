@@ -24,7 +24,8 @@ impl Viewer {
         assert_eq!(self.until("done").await["surface"], surface);
     }
 
-    /// The next improvement, which comes after a rest from now and no later. Where the clock stands still while there is something to do.
+    /// Waits for the next improvement, which must come [`REST_AFTER`] from now. Tokio's clock must be paused, so that it stands still while
+    /// a task has work to do.
     async fn improvement_after_rest(&mut self) -> Job<Option<Refinement>> {
         let now = Instant::now();
         let job = self.improvements.recv().await.expect("an improvement");
@@ -120,7 +121,7 @@ async fn first_steps_come_before_further_ones_and_then_surfaces_take_turns() {
     assert_eq!(order.len(), 8, "{order:?}");
 }
 
-/// As `Viewer::text_or_chunk`, where jobs are waited for at the same time.
+/// As `Viewer::text_or_chunk`, for tests that wait for jobs at the same time.
 async fn read(
     frames: &mut tokio::sync::mpsc::Receiver<super::super::Outgoing>,
     inbox: Option<&tokio::sync::mpsc::Sender<super::super::Incoming>>,

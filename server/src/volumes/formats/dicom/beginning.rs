@@ -1,4 +1,4 @@
-//! How a file of DICOM begins: with a preamble and `DICM` (part 10, chapter 7), or without, as archives and old programs leave files.
+//! Detects the beginning of a DICOM file: with a preamble and `DICM` (part 10, chapter 7), or without, as archives and old programs write.
 
 use super::super::super::FileLocation;
 use super::super::super::location::Blob;
@@ -7,7 +7,7 @@ use super::elements::Writing;
 /// Bytes of the preamble with the magic number behind it.
 const PREAMBLE_BYTES: usize = 132;
 const MAGIC: &[u8] = b"DICM";
-/// Bytes that are looked at.
+/// Bytes at the beginning of a file that are examined.
 const HEAD_BYTES: usize = 256;
 /// Group of the file meta elements, and of the first elements of a data set.
 const META: u16 = 2;
@@ -18,7 +18,7 @@ const IDENTIFYING: u16 = 8;
 pub enum Beginning {
     /// The file meta elements, at this offset.
     Meta { at: u64, has_preamble: bool },
-    /// The data set itself, of which nothing says how it is written.
+    /// The data set itself, with an assumed encoding.
     DataSet(Writing),
 }
 
@@ -56,7 +56,7 @@ impl Beginning {
         writings.into_iter().find(begins_so).map(Self::DataSet)
     }
 
-    /// What was assumed, where the file does not say it.
+    /// Returns what was assumed because the file does not state it; `None` if nothing was.
     pub const fn repair(self) -> Option<&'static str> {
         match self {
             Self::Meta { has_preamble: true, .. } => None,
@@ -69,7 +69,8 @@ impl Beginning {
     }
 }
 
-/// What follows the first element, if that is one of `group` and another one of it follows: two in order are no accident.
+/// Returns what follows the first element, if that is one of `group` and another one of the group follows: two in ascending order are no
+/// coincidence.
 fn next(head: &[u8], group: u16, implicit: bool) -> Option<&[u8]> {
     let short = |at: usize| Some(u16::from_le_bytes([*head.get(at)?, *head.get(at + 1)?]));
     let (first_group, first, low, high) = (short(0)?, short(2)?, short(4)?, short(6)?);

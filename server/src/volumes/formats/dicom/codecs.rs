@@ -1,7 +1,7 @@
 //! Compressed images: run lengths are decoded here, the kinds of JPEG by libraries without unsafe code.
 //!
-//! Sizes that a compressed image claims are compared with the header's before a library is called. The libraries still
-//! panic on some false streams, which is caught: no other state is involved.
+//! The size that a compressed image claims is compared with the header's before a library is called. The libraries panic on some invalid
+//! streams. The panic is caught: no other state is involved.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -13,7 +13,7 @@ use super::samples::{Color, SampleFormat};
 use super::syntax::Codec;
 use crate::volumes::formats::jpeg::check_scans;
 
-/// The samples of a compressed image, words with the least significant byte first, and the order of their components.
+/// Decodes a compressed image. Returns its samples, words with the least significant byte first, and the order of their components.
 pub fn decode(codec: Codec, encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fault> {
     let decode = || match codec {
         Codec::RunLength => run_lengths(encoded, format),
@@ -28,10 +28,10 @@ fn fault(why: impl Into<String>) -> Fault {
     Fault::of(tag::PIXELS, why)
 }
 
-/// Run lengths (part 5, annex G): a segment for each byte of a sample, the most significant first; components one after
+/// Decodes run lengths (part 5, annex G): a segment for each byte of a sample, the most significant first; one component after
 /// the other.
 fn run_lengths(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fault> {
-    /// Two bytes make at most 128.
+    /// Two bytes decode to at most 128.
     const MAX_RATIO: usize = 64;
     const HEAD_BYTES: usize = 64;
     let bytes = format.frame_bytes() as usize;
@@ -79,7 +79,7 @@ fn run_lengths(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color)
     Ok((frame, planes(format.color)))
 }
 
-/// Fills `bytes_left` from runs; what follows is padding.
+/// Decodes runs into `bytes_left` until it is full; the rest is padding.
 fn unpack<'a>(mut packed: &[u8], bytes_left: &mut impl ExactSizeIterator<Item = &'a mut u8>) {
     while let [control, rest @ ..] = packed {
         let literal = usize::from(*control) + 1;
@@ -103,7 +103,7 @@ fn unpack<'a>(mut packed: &[u8], bytes_left: &mut impl ExactSizeIterator<Item = 
     }
 }
 
-/// The same components, each in a plane of its own.
+/// Returns the same components, each in a plane of its own.
 fn planes(color: Color) -> Color {
     match color {
         Color::Grey => Color::Grey,
@@ -112,7 +112,7 @@ fn planes(color: Color) -> Color {
     }
 }
 
-/// What the frame header of a kind of JPEG says.
+/// The values of a JPEG frame header that are used.
 struct FrameHeader {
     precision: u8,
     components: u8,
@@ -144,7 +144,7 @@ fn frame_header(encoded: &[u8], markers: &[u8], format: &SampleFormat) -> Result
     ))
 }
 
-/// Baseline, extended of 8 bits, and lossless.
+/// Decodes baseline, extended of 8 bits, and lossless JPEG.
 fn jpeg(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fault> {
     let header = frame_header(encoded, &[0xc0, 0xc1, 0xc3], format)?;
     let color = match format.color {
@@ -192,7 +192,7 @@ fn jpeg(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fault
     Ok((widened(frame, header.precision, format)?, color))
 }
 
-/// Samples of up to 8 bits in words of the file's width, which may be larger.
+/// Checks the size of decoded samples, and widens those of up to 8 bits if the file's words are larger.
 fn widened(frame: Vec<u8>, precision: u8, format: &SampleFormat) -> Result<Vec<u8>, Fault> {
     let width = if precision > 8 { 2 } else { 1 };
     let samples = format.frame_bytes() as usize / format.bytes;
@@ -210,7 +210,7 @@ fn widened(frame: Vec<u8>, precision: u8, format: &SampleFormat) -> Result<Vec<u
     Ok(words)
 }
 
-/// JPEG-LS, lossless and nearly so, of one component.
+/// Decodes JPEG-LS, lossless or near-lossless, of one component.
 fn jpeg_ls(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fault> {
     let header = frame_header(encoded, &[0xf7], format)?;
     if header.components != 1 || format.color != Color::Grey || usize::from(header.precision) > 8 * format.bytes {
@@ -224,7 +224,7 @@ fn jpeg_ls(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fa
     let (words, ..) = jpegls::decode(encoded, format.columns, format.rows)
         .map_err(|e| fault(format!("is no JPEG-LS that is read: {e}")))?;
     let frame = words.into_iter().flat_map(u16::to_le_bytes).collect();
-    // The library has 16 bits for all.
+    // The library returns 16 bits for all samples.
     let frame = widened(
         frame,
         16,
@@ -239,17 +239,17 @@ fn jpeg_ls(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fa
     Ok((frame.into_iter().step_by(2).collect(), Color::Grey))
 }
 
-/// What the size marker of a JPEG 2000 stream says of each component.
+/// What the size marker of a JPEG 2000 stream states about a component.
 struct SizedComponent {
     precision: u32,
     signed: bool,
 }
 
-/// The components of a JPEG 2000 stream, whose size must be that of the header.
+/// Returns the components of a JPEG 2000 stream, whose size must be that of the header.
 fn sized_components(encoded: &[u8], format: &SampleFormat) -> Result<Vec<SizedComponent>, Fault> {
     const SIZES_AT: usize = 8;
     const COMPONENTS_AT: usize = 40;
-    /// Each has its own tables; real images have one.
+    /// Each tile has its own tables; real images have one tile.
     const MAX_TILES: u64 = 256;
     let no_stream = || fault("is no JPEG 2000 stream, expected one");
     let head = encoded
@@ -294,8 +294,8 @@ fn sized_components(encoded: &[u8], format: &SampleFormat) -> Result<Vec<SizedCo
     Ok(read)
 }
 
-/// Refuses precincts and code blocks that are small. Each takes some hundred bytes of memory, however few of the
-/// stream's it has, so that a short stream with the smallest ones would take a gigabyte.
+/// Refuses small precincts and code blocks. Each takes some hundred bytes of memory, however few bytes of the stream it has, so
+/// that a short stream with the smallest ones would take a gigabyte.
 fn check_blocks(stream: &[u8]) -> Result<(), Fault> {
     const TILE: u8 = 0x90;
     const CODING: u8 = 0x52;
@@ -341,11 +341,11 @@ fn check_blocks(stream: &[u8]) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Checks a coding style: whether precincts are given, and the parameters from the number of levels on.
+/// Checks a coding style. `parameters`: from the number of levels on.
 fn check_style(style: Option<&u8>, parameters: Option<&[u8]>) -> Result<(), Fault> {
-    /// 16 samples, less 2.
+    /// Exponent of 16 samples, less 2.
     const MIN_BLOCK: u8 = 2;
-    /// 32 samples.
+    /// Exponent of 32 samples.
     const MIN_PRECINCT: u8 = 5;
     let (Some(style), Some([_, width, height, _, _, precincts @ ..])) = (style, parameters) else {
         return Err(fault("is no JPEG 2000 stream, expected a coding style"));
@@ -359,10 +359,10 @@ fn check_style(style: Option<&u8>, parameters: Option<&[u8]>) -> Result<(), Faul
     Ok(())
 }
 
-/// JPEG 2000, lossless and not.
+/// Decodes JPEG 2000, lossless or lossy.
 fn jpeg_2000(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), Fault> {
     const BEGIN: &[u8] = &[0xff, 0x4f, 0xff, 0x51];
-    // Some writers put a container around the stream, which says nothing that the header does not.
+    // Some writers put the stream into a container, which adds nothing to the header.
     let at = encoded.windows(BEGIN.len()).position(|bytes| bytes == BEGIN);
     let encoded = &encoded[at.unwrap_or(0)..];
     let components = sized_components(encoded, format)?;
@@ -377,7 +377,7 @@ fn jpeg_2000(encoded: &[u8], format: &SampleFormat) -> Result<(Vec<u8>, Color), 
     let decoded = image.decode(&mut context).map_err(failed)?;
     let mut frame = Vec::new();
     for (component, of) in decoded.components().iter().zip(&components) {
-        // The library takes all components as unsigned.
+        // The library treats all components as unsigned.
         let middle = if of.signed { 1i64 << (of.precision - 1) } else { 0 };
         for sample in component.samples() {
             let stored = sample.round_ties_even() as i64 - middle;
@@ -407,7 +407,7 @@ mod tests {
         }
     }
 
-    /// One segment of run lengths behind its table.
+    /// A frame of one segment of run lengths behind its table.
     fn run_length_frame(packed: &[u8]) -> Vec<u8> {
         let mut frame = vec![0; 64];
         (frame[0], frame[4]) = (1, 64);
@@ -417,10 +417,10 @@ mod tests {
 
     #[test]
     fn runs_copies_and_fillers_are_unpacked() {
-        // Two as they are, a filler, three times 7, and padding.
+        // Two literal bytes, a filler, three times 7, and padding.
         let frame = run_length_frame(&[1, 5, 6, 128, 254, 7, 0]);
         assert_eq!(run_lengths(&frame, &bytes(5)).unwrap().0, [5, 6, 7, 7, 7]);
-        // A run that goes on after the last sample.
+        // A run that exceeds the last sample.
         assert_eq!(run_lengths(&frame, &bytes(4)).unwrap().0, [5, 6, 7, 7]);
         let error = run_lengths(&frame, &bytes(6)).unwrap_err();
         assert!(error.why.contains("lacks 1 of 6 bytes"), "{}", error.why);

@@ -1,4 +1,4 @@
-//! The values of a data set that are read, by tag; and what to say where one is wrong.
+//! The values of a data set that are read, by tag; and the error of an invalid value.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -13,7 +13,7 @@ macro_rules! tags {
         pub mod tag {
             $(pub const $name: super::Tag = $tag;)*
         }
-        /// Their names.
+        /// Names of the tags.
         const NAMES: &[(Tag, &str)] = &[$(($tag, $text)),*];
     };
 }
@@ -91,7 +91,7 @@ tags! {
     PIXELS = 0x7fe0_0010, "PixelData";
 }
 
-/// The name of a tag, for messages.
+/// Returns the name of a tag, for messages.
 pub fn name(tag: Tag) -> &'static str {
     match NAMES.binary_search_by_key(&tag, |(tag, _)| *tag) {
         Ok(at) => NAMES[at].1,
@@ -99,12 +99,12 @@ pub fn name(tag: Tag) -> &'static str {
     }
 }
 
-/// Whether its value is read.
+/// Whether the value of a tag is read.
 pub fn is_kept(tag: Tag) -> bool {
     NAMES.binary_search_by_key(&tag, |(tag, _)| *tag).is_ok()
 }
 
-/// Of the tags that are read those whose value is a sequence, which implicit value representations do not say.
+/// Whether the value of a tag that is read is a sequence, which implicit value representations do not state.
 pub fn is_sequence(tag: Tag) -> bool {
     use tag::*;
     matches!(
@@ -152,7 +152,7 @@ impl From<io::Error> for Fault {
     }
 }
 
-/// Values by tag. Of a sequence the data sets of its items.
+/// Values by tag. The value of a sequence is the data sets of its items.
 #[derive(Debug, Default)]
 pub struct DataSet {
     pub big: bool,
@@ -161,7 +161,7 @@ pub struct DataSet {
 }
 
 impl DataSet {
-    /// Text, without padding; `None` where it is absent or empty.
+    /// Returns the text of a tag without padding; `None` if it is absent or empty.
     pub fn text(&self, tag: Tag) -> Option<String> {
         let bytes = self.values.get(&tag)?;
         let text = String::from_utf8_lossy(bytes);
@@ -169,7 +169,7 @@ impl DataSet {
         (!text.is_empty()).then(|| text.to_owned())
     }
 
-    /// Numbers written as text (DS, IS).
+    /// Returns numbers that are written as text (DS, IS).
     pub fn numbers(&self, tag: Tag) -> Result<Option<Vec<f64>>, Fault> {
         let Some(text) = self.text(tag) else {
             return Ok(None);
@@ -177,12 +177,12 @@ impl DataSet {
         let parsed: Result<Vec<f64>, _> = text.split('\\').map(|word| word.trim().parse()).collect();
         match parsed {
             Ok(values) if values.iter().all(|v| v.is_finite()) => Ok(Some(values)),
-            // The text itself is not shown: it may be anything.
+            // The text itself is not shown, as it may identify a patient.
             _ => Err(Fault::of(tag, "is no list of numbers, expected finite decimal numbers")),
         }
     }
 
-    /// `N` numbers written as text.
+    /// Returns `N` numbers that are written as text.
     pub fn array<const N: usize>(&self, tag: Tag) -> Result<Option<[f64; N]>, Fault> {
         let Some(values) = self.numbers(tag)? else {
             return Ok(None);
@@ -194,12 +194,12 @@ impl DataSet {
             .map_err(|_| Fault::of(tag, format!("{found} numbers, expected {N}")))
     }
 
-    /// One number written as text.
+    /// Returns one number that is written as text.
     pub fn number(&self, tag: Tag) -> Result<Option<f64>, Fault> {
         Ok(self.array::<1>(tag)?.map(|[v]| v))
     }
 
-    /// The bytes of a binary value, least significant first.
+    /// Returns the bytes of a binary value, the least significant first.
     fn binary<const N: usize>(&self, tag: Tag) -> Result<Option<[u8; N]>, Fault> {
         let Some(bytes) = self.values.get(&tag).filter(|bytes| !bytes.is_empty()) else {
             return Ok(None);
@@ -214,12 +214,12 @@ impl DataSet {
         Ok(Some(value))
     }
 
-    /// A 16-bit number (US).
+    /// Returns a 16-bit number (US).
     pub fn short(&self, tag: Tag) -> Result<Option<u16>, Fault> {
         Ok(self.binary(tag)?.map(u16::from_le_bytes))
     }
 
-    /// 16-bit numbers (US).
+    /// Returns 16-bit numbers (US).
     pub fn shorts(&self, tag: Tag) -> Option<Vec<f64>> {
         let order = if self.big {
             u16::from_be_bytes
@@ -234,22 +234,22 @@ impl DataSet {
         Some(numbers.collect())
     }
 
-    /// A 32-bit number (UL).
+    /// Returns a 32-bit number (UL).
     pub fn long(&self, tag: Tag) -> Result<Option<u32>, Fault> {
         Ok(self.binary(tag)?.map(u32::from_le_bytes))
     }
 
-    /// A floating-point number (FL).
+    /// Returns a floating-point number (FL).
     pub fn single(&self, tag: Tag) -> Result<Option<f32>, Fault> {
         Ok(self.binary(tag)?.map(f32::from_le_bytes))
     }
 
-    /// A floating-point number (FD).
+    /// Returns a floating-point number (FD).
     pub fn double(&self, tag: Tag) -> Result<Option<f64>, Fault> {
         Ok(self.binary(tag)?.map(f64::from_le_bytes))
     }
 
-    /// The items of a sequence.
+    /// Returns the items of a sequence.
     pub fn items(&self, tag: Tag) -> &[Self] {
         self.sequences.get(&tag).map_or(&[], Vec::as_slice)
     }

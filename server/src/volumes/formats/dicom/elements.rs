@@ -1,9 +1,8 @@
 //! Data elements: tag, length and value, nested in sequences (DICOM part 5, chapter 7).
 //!
-//! Only the values of the tags in [`tag`] are kept. All else, the patient's name and numbers among it, is passed over
-//! unread: what is not in memory cannot be shown. Reading is bounded by the file: lengths are compared with what
-//! follows before anything is allocated, and nesting has a limit. The crates that read whole objects allocate what a
-//! length claims and call themselves for every level of nesting.
+//! Only the values of the tags in [`tag`] are kept. All others, such as the patient's name and numbers, are skipped unread: what is not
+//! in memory cannot be shown. Reading is bounded by the file: lengths are compared with the remaining bytes before anything is allocated,
+//! and nesting has a limit. The crates that read whole objects allocate what a length claims, and recurse for every level of nesting.
 
 use std::io::{self, BufReader, Read};
 
@@ -15,19 +14,19 @@ use super::data_set::{DataSet, Fault, Tag, is_kept, is_sequence, tag};
 const ITEM: Tag = 0xfffe_e000;
 const ITEM_END: Tag = 0xfffe_e00d;
 const SEQUENCE_END: Tag = 0xfffe_e0dd;
-/// The length of what ends with a delimiter.
+/// Length of a value that ends with a delimiter.
 const UNDEFINED: u32 = u32::MAX;
-/// Sequences in sequences; real files have about five.
+/// Maximum nesting of sequences; real files have about five levels.
 const MAX_DEPTH: u32 = 16;
-/// Bytes of a value that is kept; the longest is a list of offsets, of some thousand frames.
+/// Maximum bytes of a value that is kept; the longest is a list of offsets, of some thousand frames.
 const MAX_VALUE_BYTES: u32 = 1 << 17;
 
-/// How elements are written.
+/// Encoding of elements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Writing {
-    /// Without value representations.
+    /// Whether value representations are left out.
     pub implicit: bool,
-    /// In big-endian order.
+    /// Whether numbers are big-endian.
     pub big: bool,
 }
 
@@ -35,15 +34,15 @@ pub struct Writing {
 #[derive(Clone, Copy, Debug)]
 pub struct PixelElement {
     pub tag: Tag,
-    /// Whether it was written in 16-bit words, which in big-endian files swaps bytes.
+    /// Whether the samples were written in 16-bit words, whose bytes are swapped in big-endian files.
     pub words: bool,
     /// Offset of the value in the stream.
     pub at: u64,
-    /// `None`: fragments up to a delimiter.
+    /// Bytes of the value. `None`: fragments up to a delimiter.
     pub bytes: Option<u32>,
 }
 
-/// A stream that can pass over bytes.
+/// A stream that can skip bytes.
 pub trait Stream: Read {
     fn pass(&mut self, bytes: u64) -> io::Result<()>;
 }
@@ -63,7 +62,7 @@ impl Stream for DeflateDecoder<BufReader<BlobReader<'_>>> {
     }
 }
 
-/// The head of an element.
+/// Header of an element: tag, value representation and length.
 struct Head {
     tag: Tag,
     representation: Option<[u8; 2]>,
@@ -84,14 +83,14 @@ impl Head {
 pub struct Elements<S> {
     stream: S,
     writing: Writing,
-    /// Bytes that were read or passed over.
+    /// Bytes that were read or skipped.
     at: u64,
-    /// Bytes of the stream, where they are known.
+    /// Largest possible value of `at`.
     end: u64,
 }
 
 impl<S: Stream> Elements<S> {
-    /// `end`: bytes of the stream, `u64::MAX` where only reading tells.
+    /// `end`: length of the stream in bytes, or an upper bound of it if only reading tells (a deflated stream).
     pub fn new(stream: S, writing: Writing, at: u64, end: u64) -> Self {
         Self {
             stream,
@@ -133,7 +132,7 @@ impl<S: Stream> Elements<S> {
         Ok(())
     }
 
-    /// Compares a length with what follows.
+    /// Checks that a length does not exceed the remaining bytes.
     fn check(&self, tag: Tag, bytes: u32) -> Result<(), Fault> {
         let left = self.end.saturating_sub(self.at);
         if u64::from(bytes) > left {
@@ -142,7 +141,7 @@ impl<S: Stream> Elements<S> {
         Ok(())
     }
 
-    /// The next head; `None` where the stream ends before it.
+    /// Reads the next head; `None` if the stream ends before it.
     fn head(&mut self) -> Result<Option<Head>, Fault> {
         let mut first = [0];
         if self.stream.read(&mut first)? == 0 {
@@ -188,14 +187,14 @@ impl<S: Stream> Elements<S> {
         }))
     }
 
-    /// The group of file meta elements, which begins a file, and the offset of what follows it.
+    /// Reads the group of file meta elements at the beginning of a file. Also returns the offset of what follows it.
     pub fn meta(mut self) -> Result<(DataSet, u64), Fault> {
         let mut meta = DataSet::default();
         loop {
             let at = self.at;
             match self.head() {
                 Ok(Some(head)) if head.tag >> 16 == 2 => self.element(&head, Some(&mut meta), 0)?,
-                // The data set after it may be written otherwise.
+                // The data set that follows may have another encoding.
                 Ok(_) => return Ok((meta, at)),
                 Err(_) if self.at > at => return Ok((meta, at)),
                 Err(fault) => return Err(fault),
@@ -203,7 +202,7 @@ impl<S: Stream> Elements<S> {
         }
     }
 
-    /// The data set up to its pixel data, which `None` is where it has none.
+    /// Reads the data set up to its pixel data. The second value is `None` if it has no pixel data.
     pub fn data_set(mut self) -> Result<(DataSet, Option<PixelElement>), Fault> {
         let mut set = DataSet {
             big: self.writing.big,
@@ -226,14 +225,14 @@ impl<S: Stream> Elements<S> {
         Ok((set, None))
     }
 
-    /// The value behind a head, which is kept in `set`, where that is given and the tag is one that is read.
+    /// Reads or skips the value behind a head. Keeps it in `set` if `set` is given and the tag is one that is kept.
     fn element(&mut self, head: &Head, set: Option<&mut DataSet>, depth: u32) -> Result<(), Fault> {
         let set = set.filter(|_| is_kept(head.tag));
         if head.is_sequence() {
             if set.is_none() && head.bytes != UNDEFINED {
                 return self.pass(head.tag, head.bytes);
             }
-            // Of an unknown representation and length: implicit inside, whatever the file is (part 5, 6.2.2).
+            // An unknown representation and length: the encoding inside is implicit, whatever that of the file (part 5, 6.2.2).
             let outside = self.writing;
             self.writing.implicit |= head.representation == Some(*b"UN");
             let items = self.sequence(head, set.is_some(), depth + 1)?;
@@ -258,7 +257,7 @@ impl<S: Stream> Elements<S> {
         Ok(())
     }
 
-    /// The items of a sequence; none where they are not kept.
+    /// Reads the items of a sequence. Returns none if `keep` is false.
     fn sequence(&mut self, head: &Head, keep: bool, depth: u32) -> Result<Vec<DataSet>, Fault> {
         if depth > MAX_DEPTH {
             return Err(Fault::of(
@@ -272,7 +271,7 @@ impl<S: Stream> Elements<S> {
             let item = self.head()?.ok_or(io::Error::from(io::ErrorKind::UnexpectedEof))?;
             match item.tag {
                 SEQUENCE_END if end.is_none() => break,
-                // Fragments, which only hold bytes.
+                // Fragments contain only bytes.
                 ITEM if matches!(head.tag, tag::PIXELS) && item.bytes != UNDEFINED => {
                     self.pass(head.tag, item.bytes)?
                 }
@@ -308,7 +307,7 @@ impl<S: Stream> Elements<S> {
         Ok(set)
     }
 
-    /// Where a sequence or an item ends, if its length says so.
+    /// Returns the offset at which a sequence or an item ends, if its head states the length.
     fn end_of(&self, head: &Head) -> Result<Option<u64>, Fault> {
         if head.bytes == UNDEFINED {
             return Ok(None);
@@ -317,8 +316,7 @@ impl<S: Stream> Elements<S> {
         Ok(Some(self.at + u64::from(head.bytes)))
     }
 
-    /// The fragments of encapsulated pixel data: offset and length of each. The first, a table of offsets, is among
-    /// them.
+    /// Returns offset and length of the fragments of encapsulated pixel data. The first one is a table of offsets.
     pub fn fragments(mut self) -> Result<Vec<(u64, u32)>, Fault> {
         let mut found = Vec::new();
         loop {
@@ -366,7 +364,7 @@ mod tests {
         [&group, &element, representation, &length, value].concat()
     }
 
-    /// A sequence, of unknown length where `length` says so.
+    /// A sequence whose head has this length, which may be the mark of an unknown one.
     fn sequence(tag: Tag, representation: &[u8], length: u32, content: &[u8]) -> Vec<u8> {
         let mut head = short(tag, representation, &[]);
         head.truncate(6);
@@ -387,7 +385,7 @@ mod tests {
         let inside = short(tag::PIXEL_SPACING, b"DS", b"1\\2 ");
         let open = [&OPEN_ITEM[..], &inside, &ITEM_END_BYTES, &END].concat();
         let closed = bare(ITEM, &inside);
-        // Of an unknown representation it is implicit inside.
+        // The encoding inside of an unknown representation is implicit.
         let unknown = [
             &OPEN_ITEM[..],
             &bare(tag::PIXEL_SPACING, b"1\\2 "),

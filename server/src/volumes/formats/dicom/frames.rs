@@ -1,5 +1,5 @@
-//! Place, time and scale of each image of a file: of one image, of frames at even distances, or of frames that each
-//! say their own (functional groups of enhanced images, part 3, C.7.6.16).
+//! Position, time and scale of each image of a file: of a single image, of frames at even distances, or of frames that each state their
+//! own (functional groups of enhanced images, part 3, C.7.6.16).
 
 use super::data_set::{DataSet, Fault, Tag, tag};
 use super::increments::Increments;
@@ -12,13 +12,13 @@ pub struct Image {
     pub plane: Plane,
     /// Value = `scale[0]` · stored + `scale[1]`.
     pub scale: [f64; 2],
-    /// What may tell times apart: temporal position, acquisition, trigger time.
+    /// Values that may distinguish times: temporal position, acquisition, trigger time.
     pub times: [Option<f64>; 3],
     /// Name of its stack. Never shown.
     pub stack: String,
-    /// The segment that a frame of a segmentation is of.
+    /// The segment of a frame of a segmentation.
     pub segment: Option<u16>,
-    /// Distance of slices, where it is stated.
+    /// Distance between slices, if it is stated.
     pub distance: Option<f64>,
 }
 
@@ -29,13 +29,13 @@ pub struct Plane {
     pub position: [f64; 3],
     /// Directions of increasing column and row.
     pub axes: [[f64; 3]; 2],
-    /// Distances of columns and of rows.
+    /// Distances between columns and between rows.
     pub spacing: [f64; 2],
-    /// Whether positions are those of a patient.
+    /// Whether positions are in a patient's frame.
     pub is_patient: bool,
 }
 
-/// The images of a file. None where their place in space is not said, as of films and photographs.
+/// Returns the images of a file; none if the file does not state their position in space, as films and photographs.
 pub fn images(set: &DataSet, count: u32) -> Result<Vec<Image>, Fault> {
     let groups = set.items(tag::FRAME_GROUPS);
     if groups.is_empty() {
@@ -47,7 +47,7 @@ pub fn images(set: &DataSet, count: u32) -> Result<Vec<Image>, Fault> {
     }
     let shared = set.items(tag::SHARED_GROUPS).first();
     let images = (0..).zip(groups).map(|(frame, own)| enhanced(set, shared, own, frame));
-    // One frame without a place is an error where others have one.
+    // If some frames have a position, it is an error if others have none.
     let images: Vec<Option<Image>> = images.collect::<Result<_, _>>()?;
     if images.iter().all(Option::is_none) {
         return Ok(Vec::new());
@@ -59,7 +59,7 @@ pub fn images(set: &DataSet, count: u32) -> Result<Vec<Image>, Fault> {
     })
 }
 
-/// Images that the elements of the file itself describe.
+/// Returns the images that the elements of the file itself describe.
 fn classic(set: &DataSet, count: u32) -> Result<Vec<Image>, Fault> {
     let times = [
         set.number(tag::TEMPORAL_POSITION)?,
@@ -101,12 +101,12 @@ fn classic(set: &DataSet, count: u32) -> Result<Vec<Image>, Fault> {
     Ok(images.collect())
 }
 
-/// The first of frames at even distances. Without position and orientation the axes are the file's own.
+/// Returns the plane of the first of several frames. Without position and orientation, the axes are the file's own.
 fn first_plane(set: &DataSet) -> Result<Option<Plane>, Fault> {
     if let Some(plane) = plane(set, set, set)? {
         return Ok(Some(plane));
     }
-    // Nuclear medicine says it of the detector.
+    // In nuclear medicine, the detector has the position.
     if let Some(detector) = set.items(tag::DETECTORS).first()
         && let Some(plane) = plane(detector, detector, set)?
     {
@@ -121,14 +121,14 @@ fn first_plane(set: &DataSet) -> Result<Option<Plane>, Fault> {
     }))
 }
 
-/// Distances of frames from the first one, along the normal.
+/// Returns the distances of frames from the first one, along the normal.
 fn offsets(set: &DataSet, increments: &Increments, count: u32) -> Result<Option<Vec<f64>>, Fault> {
     if let Some(offsets) = set.numbers(tag::FRAME_OFFSETS)? {
         if offsets.len() != count as usize {
             let why = format!("{} numbers, expected one for each of {count} frames", offsets.len());
             return Err(Fault::of(tag::FRAME_OFFSETS, why));
         }
-        // Relative ones begin at 0; the others are positions.
+        // Relative offsets begin at 0, absolute ones are positions: both become distances from the first.
         return Ok(Some(offsets.iter().map(|offset| offset - offsets[0]).collect()));
     }
     let spacing = set.number(tag::SPACING_BETWEEN_SLICES)?;
@@ -140,7 +140,7 @@ fn offsets(set: &DataSet, increments: &Increments, count: u32) -> Result<Option<
     Ok(spacing.map(|spacing| (0..count).map(|frame| slice(frame) * spacing).collect()))
 }
 
-/// A frame that functional groups describe: its own ones, else those that all frames share.
+/// Returns a frame that functional groups describe: its own groups, else those that all frames share.
 fn enhanced(set: &DataSet, shared: Option<&DataSet>, own: &DataSet, frame: u32) -> Result<Option<Image>, Fault> {
     let empty = DataSet::default();
     let group = |tag: Tag| {
@@ -177,7 +177,7 @@ fn enhanced(set: &DataSet, shared: Option<&DataSet>, own: &DataSet, frame: u32) 
     }))
 }
 
-/// Position, orientation and spacing; `None` where one of them is missing.
+/// Returns position, orientation and spacing; `None` if one of them is missing.
 fn plane(position: &DataSet, orientation: &DataSet, measures: &DataSet) -> Result<Option<Plane>, Fault> {
     let position = position.array::<3>(tag::POSITION)?;
     let orientation = orientation.array::<6>(tag::ORIENTATION)?;
@@ -189,19 +189,19 @@ fn plane(position: &DataSet, orientation: &DataSet, measures: &DataSet) -> Resul
     Ok(Some(Plane {
         position,
         axes: axes([[a, b, c], [d, e, f]])?,
-        // Rows come first in the file.
+        // The file lists the distance of rows first.
         spacing: [columns, rows],
         is_patient: true,
     }))
 }
 
-/// The axes as unit vectors, which they are up to rounding.
+/// Returns the axes as unit vectors, which they must be up to rounding.
 fn axes(axes: [[f64; 3]; 2]) -> Result<[[f64; 3]; 2], Fault> {
     const ROUNDING: f64 = 1e-3;
     let lengths = axes.map(|axis| dot(axis, axis).sqrt());
     let is_unit = lengths.iter().all(|length| (length - 1.0).abs() < ROUNDING);
     let is_right = dot(axes[0], axes[1]).abs() < ROUNDING;
-    // NaN is neither.
+    // The conditions are also false for NaN.
     if !is_unit || !is_right {
         let why = format!("{axes:?}, expected two unit vectors at a right angle");
         return Err(Fault::of(tag::ORIENTATION, why));
@@ -210,7 +210,7 @@ fn axes(axes: [[f64; 3]; 2]) -> Result<[[f64; 3]; 2], Fault> {
     Ok([axes[0].map(|v| v / x), axes[1].map(|v| v / y)])
 }
 
-/// Slope and intercept of the values.
+/// Returns slope and intercept of the values.
 fn scale(set: &DataSet) -> Result<[f64; 2], Fault> {
     let slope = set.number(tag::SLOPE)?.unwrap_or(1.0);
     if slope == 0.0 {

@@ -1,8 +1,8 @@
-//! What grids of images share: the elements that say where images are, and how far they may be from even places.
+//! Constants of image grids: the elements that state the positions of images, and the largest allowed deviation from even positions.
 
 use super::super::header::GridFields;
 
-/// How far an image may lie beside its place in the grid, in parts of the distance: positions are often written with one or two decimals.
+/// Maximum deviation of an image from its place in the grid, relative to the distance: positions often have only one or two decimals.
 pub const OFF_GRID: f64 = 0.1;
 
 pub const POSITION: &str = "ImagePositionPatient";

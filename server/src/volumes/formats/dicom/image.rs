@@ -1,4 +1,4 @@
-//! The images of one file: what its header says of their samples.
+//! The images of one file, and the properties of their samples in its header.
 
 use std::io::BufReader;
 use std::sync::Arc;
@@ -17,35 +17,35 @@ use super::samples::{Kind, SampleFormat};
 use super::segments::Segmentation;
 use super::syntax::{Packing, Syntax};
 
-/// A header is a few kilobytes, of which only parts are read.
+/// A header has a few kilobytes, only parts of which are read.
 const BUFFER_BYTES: usize = 1 << 13;
-/// Frames of a file, each of which takes some hundred bytes beside its samples.
+/// Maximum frames of a file; each takes some hundred bytes beside its samples.
 const MAX_FRAMES: f64 = 65_536.0;
 
-/// A file with images. Not to be printed, as it holds identifiers.
+/// A file with images. Must not be printed, as it holds identifiers.
 pub struct ImageFile {
     pub location: FileLocation,
     pub label: FileLabel,
     /// Bytes of the file when its header was read.
     pub file_bytes: u64,
-    /// Identifies its series. Never shown.
+    /// Identifier of the series. Never shown.
     pub series: String,
-    /// Identifies it. Never shown.
+    /// Identifier of the file. Never shown.
     pub instance: String,
     pub series_number: Option<i32>,
     pub modality: &'static str,
     /// Unit of the values.
     pub unit: Option<&'static str>,
     pub format: SampleFormat,
-    /// Of a segmentation what its segments are.
+    /// For a segmentation: its segments.
     pub segmentation: Option<Segmentation>,
     pub syntax: Syntax,
     pub pixels: Pixels,
-    /// Notices of what was repaired or is not used.
+    /// Notices of repairs, and of elements that are not used.
     pub repairs: Vec<&'static str>,
 }
 
-/// Where the samples are.
+/// Location of the samples in the file.
 pub enum Pixels {
     /// All frames, one behind the other.
     Plain { at: u64, words: bool },
@@ -57,10 +57,10 @@ pub enum Pixels {
 
 /// What a file holds.
 pub enum Found {
-    /// Nothing that has a place in space: a report, a directory, a photograph.
+    /// No image with a position in space: a report, a directory, a photograph.
     Nothing,
     Images(Arc<ImageFile>, Vec<Image>),
-    /// Images that are not read. Their series lacks them, others do not.
+    /// Images that cannot be read. Their series is refused, others are not.
     Refused {
         series: String,
         error: ReadError,
@@ -70,10 +70,10 @@ pub enum Found {
 /// Reads the header of a file.
 ///
 /// # Errors
-/// It cannot be read, so that nobody knows what series it is of.
+/// The file cannot be read, so its series is unknown.
 pub fn read(location: &FileLocation, label: &FileLabel) -> Result<Found, ReadError> {
     let fail = |fault: Fault| label.error(fault.field, fault.why);
-    // The error's own path would be that of a file in the folder.
+    // The path in the error would be that of a file in the folder, which may identify a patient.
     let blob = location.open().map_err(|e| label.error("file", e.why))?;
     let beginning = Beginning::of_blob(&blob);
     let beginning = beginning.ok_or_else(|| label.error("magic", "expected DICM behind the first 128 bytes"))?;
@@ -107,7 +107,7 @@ fn buffered<'a>(blob: &'a Blob<'_>, at: u64) -> BufReader<BlobReader<'a>> {
     BufReader::with_capacity(BUFFER_BYTES, blob.reader(at))
 }
 
-/// How the elements of a file are written, where they begin, and they up to the samples.
+/// Returns the transfer syntax, the offset of the data set, the elements before the samples, and the element with the samples.
 fn elements(blob: &Blob<'_>, beginning: Beginning) -> Result<(Syntax, u64, DataSet, Option<PixelElement>), Fault> {
     let (syntax, from) = match beginning {
         Beginning::Meta { at, .. } => {
@@ -134,7 +134,7 @@ fn elements(blob: &Blob<'_>, beginning: Beginning) -> Result<(Syntax, u64, DataS
 struct Header<'a> {
     blob: &'a Blob<'a>,
     syntax: Syntax,
-    /// Where the data set begins.
+    /// Offset at which the data set begins.
     from: u64,
     set: &'a DataSet,
     beginning: Beginning,
@@ -169,14 +169,14 @@ impl Header<'_> {
         Ok((file, frames::images(set, count)?))
     }
 
-    /// What other programs may show otherwise.
+    /// Returns notices of what other programs may show differently.
     fn repairs(&self) -> Vec<&'static str> {
         let has_table = !self.set.items(tag::MODALITY_TABLE).is_empty();
         let table = has_table.then_some("values are those stored: ModalityLUTSequence, a table of values, is not used");
         self.beginning.repair().into_iter().chain(table).collect()
     }
 
-    /// Finds the samples, and compares their size with what the header says.
+    /// Locates the samples, and compares their size with the header.
     fn pixels(&self, element: &PixelElement, format: &SampleFormat, count: u32) -> Result<Pixels, Fault> {
         match (self.syntax.packing, element.bytes) {
             (Packing::Other(name), _) => {
@@ -217,7 +217,7 @@ fn count(set: &DataSet) -> Result<u32, Fault> {
 fn plain(element: &PixelElement, format: &SampleFormat, count: u32) -> Result<Pixels, Fault> {
     let expected = format.stored_bytes(count);
     let found = u64::from(element.bytes.unwrap_or(0));
-    // Some writers fill up the last block; a whole image more is another matter.
+    // Some writers pad the last block, but a whole further image is an error.
     if found < expected || found - expected >= format.frame_bytes().max(2) {
         let why = format!("{found} bytes, expected {expected}: {}", format.describe(count));
         return Err(Fault::of(element.tag, why));
@@ -236,7 +236,7 @@ fn deflated(
     count: u32,
 ) -> Result<Pixels, Fault> {
     if count > 1 {
-        // Each would be decoded from the start of the file.
+        // Each frame would be decoded from the start of the file.
         let why = format!("{count} in a deflated file, expected 1");
         return Err(Fault::of(tag::FRAMES, why));
     }
@@ -280,7 +280,7 @@ fn fragments<S: Stream>(
     };
     for frame in &frames {
         let bytes: u64 = frame.iter().map(|(_, bytes)| u64::from(*bytes)).sum();
-        // What the best codec makes of an empty image; beyond that a false header would claim any memory.
+        // The best codec reaches this ratio for an empty image. Beyond it, an invalid header could claim any amount of memory.
         if format.frame_bytes() > bytes.saturating_mul(1000).max(2 << 20) {
             let why = format!("{bytes} compressed bytes of a frame cannot hold {}", format.describe(1));
             return Err(Fault::of(tag::PIXELS, why));
@@ -289,7 +289,7 @@ fn fragments<S: Stream>(
     Ok(Pixels::Fragments(frames))
 }
 
-/// Fragments of frames that begin at the table's offsets, which count from the first fragment's head.
+/// Groups fragments to frames by the table's offsets, which count from the first fragment's head.
 fn by_table(starts: &[u32], fragments: &[(u64, u32)]) -> Result<Vec<Vec<(u64, u32)>>, Fault> {
     let first = fragments.first().map_or(0, |f| f.0);
     let mut frames: Vec<Vec<(u64, u32)>> = Vec::new();
@@ -312,7 +312,7 @@ fn by_table(starts: &[u32], fragments: &[(u64, u32)]) -> Result<Vec<Vec<(u64, u3
     Ok(frames)
 }
 
-/// Kinds of images, by the names of the standard. Another text is not shown, as it may be anything.
+/// Returns the kind of image, by the names of the standard. Any other text is not shown, as it may identify a patient.
 fn modality(set: &DataSet) -> &'static str {
     const KNOWN: [&str; 18] = [
         "CT", "MR", "PT", "NM", "US", "XA", "RF", "CR", "DX", "MG", "RTDOSE", "RTIMAGE", "SEG", "OT", "OPT", "IVUS",
@@ -322,7 +322,7 @@ fn modality(set: &DataSet) -> &'static str {
     KNOWN.into_iter().find(|known| **known == text).unwrap_or("image")
 }
 
-/// The unit of the values: of doses, of the rescaled values, of PET. Another text than the standard's is not shown.
+/// Returns the unit of the values: of doses, of the rescaled values, of PET. Only texts of the standard are shown.
 fn unit(set: &DataSet, modality: &str) -> Option<&'static str> {
     const KNOWN: [&str; 26] = [
         "HU",
@@ -360,7 +360,7 @@ fn unit(set: &DataSet, modality: &str) -> Option<&'static str> {
         .chain(nested)
         .filter_map(|set| set.text(tag::RESCALE_TYPE));
     if modality == "CT" {
-        // What it is where nothing is said; an unspecified unit is said as US.
+        // HU is the default of CT. A file states an unspecified unit as US.
         return types.next().map_or(Some("HU"), |text| known(&text));
     }
     let other = [tag::UNITS, tag::DOSE_UNITS].into_iter().find_map(|tag| set.text(tag));

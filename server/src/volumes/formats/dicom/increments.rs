@@ -1,18 +1,18 @@
-//! In what the frames of an image of nuclear medicine differ: `FrameIncrementPointer` names a vector for each of it, with a number for each
-//! frame (part 3, C.8.4.8).
+//! Differences between the frames of an image of nuclear medicine: `FrameIncrementPointer` names vectors with a number for each frame
+//! (part 3, C.8.4.8).
 
 use super::data_set::{DataSet, Fault, Tag, name, tag};
 
-/// Slice and time of each frame, as numbers that count. `None`: frames do not differ in it.
+/// Slice and time of each frame, as counting numbers. `None` if all frames have the same.
 #[derive(Debug, Default)]
 pub struct Increments {
     pub slices: Option<Vec<f64>>,
     pub times: Option<Vec<f64>>,
 }
 
-/// Vectors of times, of which frames may differ in one.
+/// Vectors of times. Frames may differ in one of them.
 const TIMES: [Tag; 3] = [tag::TIME_SLOTS, tag::INTERVALS, tag::TIME_SLICES];
-/// Frames that differ in one of these are no slices of one volume.
+/// If frames differ in one of these, they are no slices of one volume.
 const OTHERS: [Tag; 5] = [
     tag::ENERGY_WINDOWS,
     tag::DETECTOR_NUMBERS,
@@ -22,7 +22,7 @@ const OTHERS: [Tag; 5] = [
 ];
 
 impl Increments {
-    /// Those of a file of `count` frames.
+    /// Reads the vectors of a file of `count` frames.
     pub fn of(set: &DataSet, count: u32) -> Result<Self, Fault> {
         let pointer = set.shorts(tag::FRAME_INCREMENT).unwrap_or_default();
         let named: Vec<Tag> = pointer

@@ -1,11 +1,11 @@
-//! How errors name a file.
+//! Names of files in errors.
 
 use std::path::{Path, PathBuf};
 
 use super::super::super::ReadError;
 
-/// The file or folder that was asked for, and which file of it. Names in a folder of images may be those of patients,
-/// so that an error says the folder, and the number of the file among all in the order of their names.
+/// The requested file or folder, and the number of a file in it. Names of files in a folder of images may be those of patients, so errors
+/// give the folder, and the number of the file in the order of the names.
 #[derive(Clone, Debug)]
 pub struct FileLabel {
     pub asked: PathBuf,
@@ -13,7 +13,7 @@ pub struct FileLabel {
 }
 
 impl FileLabel {
-    /// A file that was asked for itself, or a folder as a whole.
+    /// Label of a file that was requested itself, or of a folder as a whole.
     pub fn of(asked: &Path) -> Self {
         Self {
             asked: asked.to_owned(),

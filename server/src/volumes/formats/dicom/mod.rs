@@ -1,13 +1,13 @@
 //! DICOM: a folder with the images of one or more series, or a file with several images
 //! (<https://www.dicomstandard.org>).
 //!
-//! - [`beginning`]: how a file begins. [`elements`]: the data elements of a file, of which a [`data_set`] is kept; [`syntax`]: how they are written.
-//! - [`image`], [`frames`]: what the header says of each image.
-//! - [`samples`], [`codecs`]: stored samples and the values that they stand for.
-//! - [`segments`], [`segmentation`]: segments, and their labels. [`series`]: from images to volumes; [`source`] reads their samples.
+//! - [`beginning`]: first bytes of a file. [`elements`]: data elements, some of which a [`data_set`] keeps; [`syntax`]: their encoding.
+//! - [`image`], [`frames`]: properties of each image in the header.
+//! - [`samples`], [`codecs`]: stored samples and their values.
+//! - [`segments`], [`segmentation`]: segments, and their labels. [`series`]: makes volumes of images; [`source`] reads their samples.
 //!
-//! What identifies a patient is not read, or not shown: a volume is named by its series' number and its modality, an
-//! error names the folder and the number of a file. Unknown values of tags are not repeated, as they may be anything.
+//! What identifies a patient is not read, or not shown. A volume is named by the number of its series and its modality; an error names the
+//! folder and the number of a file. Unknown values of tags are not shown, as they may identify a patient.
 
 mod beginning;
 mod codecs;
@@ -40,17 +40,17 @@ use beginning::Beginning;
 use image::Found;
 use label::FileLabel;
 
-/// Files of a folder that are looked at to know whether it holds DICOM.
+/// Files of a folder that are examined to detect DICOM.
 const PROBED_FILES: usize = 32;
-/// Folders below a folder that are looked at for that.
+/// Folders below a folder that are examined to detect DICOM.
 const PROBED_FOLDERS: usize = 64;
-/// Files of a folder and of those below it, and such folders.
+/// Maximum files of a folder and of those below it, and maximum number of such folders.
 const MAX_FILES: usize = 200_000;
-/// Folders in folders: archives write one a patient, study and series.
+/// Maximum depth of folders: archives write one for each patient, study and series.
 const MAX_DEPTH: usize = 6;
 
-/// Whether a path is a DICOM file by its first bytes, or a folder with some: in it or in folders below it, as archives write them.
-/// Looks at the first files only. A folder with volumes of other formats is none.
+/// Whether a path is a DICOM file by its first bytes, or a folder that has some, also in folders below it, as archives write them.
+/// Examines only the first files. A folder with volumes of other formats does not count.
 pub fn holds(path: &Path) -> bool {
     let is_dicom = |file: &PathBuf| Beginning::of_file(&FileLocation::disk(file)).is_some();
     if !path.is_dir() {
@@ -69,7 +69,7 @@ pub fn holds(path: &Path) -> bool {
                 .any(|files| files.is_ok_and(|files| some(&files)))
 }
 
-/// The volumes of a folder or a file, or the one that is named by its number.
+/// Opens the volumes of a folder or a file, or the one that is named by its number.
 ///
 /// # Errors
 /// What is wrong with a file, or with each series.
@@ -101,7 +101,7 @@ pub fn open_all(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError>
 /// Reads the header of a file with several images.
 ///
 /// # Errors
-/// What is wrong with it, or that it holds several volumes and none was named.
+/// What is wrong with the file; several volumes, none of which is named.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let mut volumes = open_all(location)?;
     if volumes.len() > 1 {
@@ -111,8 +111,8 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(volumes.swap_remove(0).file)
 }
 
-/// The files of a folder and of those below it, folder by folder, the upper ones first. Sorted; without hidden ones. Links to folders
-/// are not followed, which may go round; nor links to files that are not below the first folder.
+/// Iterates over the folders with their files, the upper ones first. Sorted; without hidden files. Links to folders are not followed, as
+/// they may form cycles; nor are links to files that are not below the first folder.
 struct Folders {
     root: PathBuf,
     next: VecDeque<(PathBuf, usize)>,
@@ -156,7 +156,7 @@ impl Iterator for Folders {
     }
 }
 
-/// What is in the files of a folder and of the folders below it.
+/// Reads the headers of the files of a folder and of the folders below it.
 fn read_folder(asked: &FileLabel) -> Result<Vec<Found>, ReadError> {
     let fail = |e| ReadError::io(&asked.asked, "folder", "cannot be listed", e);
     let mut files = Vec::new();

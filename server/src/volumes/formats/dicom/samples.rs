@@ -1,4 +1,4 @@
-//! Samples as a file stores them, and the values that they stand for.
+//! Stored samples of a file, and their values.
 
 use isopeel_kernels::{SampleType, Samples};
 
@@ -13,21 +13,21 @@ pub struct SampleFormat {
     pub bytes: usize,
     pub kind: Kind,
     pub color: Color,
-    /// Stored values that stand for no sample, from and to.
+    /// Range of stored values that mean "no sample here".
     pub padding: Option<[f64; 2]>,
 }
 
-/// What a component is.
+/// Type of a component.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
-    /// `bits` of the word, above `shift` others, which may hold anything.
+    /// `bits` of a word, above `shift` other bits, which may have any value.
     Integer {
         bits: u32,
         shift: u32,
         signed: bool,
     },
     Float,
-    /// One bit, eight of which are in a byte of the file, the first one the least significant. A byte of a frame that was read.
+    /// One bit. In the file, a byte has eight, the first one the least significant; in a frame that was read, each has a byte.
     Bit,
 }
 
@@ -39,14 +39,14 @@ pub enum Color {
     Rgb {
         planes: bool,
     },
-    /// Brightness and differences of colors, in the full range.
+    /// Luma and differences of colours, in the full range.
     Ybr {
         planes: bool,
     },
 }
 
 impl SampleFormat {
-    /// What a header says.
+    /// Reads the format from a header.
     pub fn of(set: &DataSet, pixels: Tag) -> Result<Self, Fault> {
         let size = |tag| match set.short(tag)? {
             Some(size) if size > 1 => Ok(u32::from(size)),
@@ -72,17 +72,17 @@ impl SampleFormat {
         if self.color == Color::Grey { 1 } else { 3 }
     }
 
-    /// Samples of an image.
+    /// Returns the number of samples of an image.
     pub fn samples(&self) -> u64 {
         u64::from(self.rows) * u64::from(self.columns)
     }
 
-    /// Bytes of an image.
+    /// Returns the bytes of an image.
     pub fn frame_bytes(&self) -> u64 {
         self.samples() * self.components() as u64 * self.bytes as u64
     }
 
-    /// Bytes of so many images in a file, one behind the other.
+    /// Returns the bytes of this many images in a file, one behind the other.
     pub fn stored_bytes(&self, count: u32) -> u64 {
         match self.kind {
             Kind::Bit => (self.samples() * u64::from(count)).div_ceil(8),
@@ -90,7 +90,7 @@ impl SampleFormat {
         }
     }
 
-    /// The type as other formats name it.
+    /// Returns the type, named as in other formats.
     pub fn type_name(&self) -> String {
         let letter = match self.kind {
             Kind::Float => 'f',
@@ -101,14 +101,14 @@ impl SampleFormat {
         format!("{letter}{}", 8 * self.bytes)
     }
 
-    /// Size and type, for messages.
+    /// Returns size and type, for messages.
     pub fn describe(&self, frames: u32) -> String {
         let of = if self.color == Color::Grey { "" } else { "3 x " };
         let (name, columns, rows) = (self.type_name(), self.columns, self.rows);
         format!("{columns} x {rows} x {frames} samples of {of}{name}")
     }
 
-    /// The smallest and largest integer that can be stored; `None` of floating-point samples.
+    /// Returns the smallest and largest integer that can be stored; `None` for floating-point samples.
     pub fn range(&self) -> Option<[i64; 2]> {
         match self.kind {
             Kind::Float => None,
@@ -118,7 +118,7 @@ impl SampleFormat {
         }
     }
 
-    /// The word of a component, least significant byte first.
+    /// Returns the word of a component, whose least significant byte comes first.
     fn word(&self, frame: &[u8], component: usize) -> u64 {
         let at = component * self.bytes;
         let bytes = &frame[at..at + self.bytes];
@@ -141,7 +141,7 @@ impl SampleFormat {
         }
     }
 
-    /// The stored integer of a sample; of colors the luminance, rounded.
+    /// Returns the stored integer of a sample; for colours the luminance, rounded.
     fn stored(&self, frame: &[u8], sample: usize) -> i64 {
         let of = |planes: bool| -> [f64; 3] {
             std::array::from_fn(|component| {
@@ -179,7 +179,7 @@ impl SampleFormat {
         }
     }
 
-    /// The values of an image, whose bytes must be [`Self::frame_bytes`].
+    /// Returns the values of an image, whose bytes must be [`Self::frame_bytes`].
     pub fn values(&self, frame: &[u8], scale: [f64; 2], target: Target) -> Samples {
         let whole = |sample| {
             let stored = self.stored(frame, sample);
@@ -218,7 +218,7 @@ fn luminance([red, green, blue]: [f64; 3]) -> f64 {
 
 fn integer(set: &DataSet) -> Result<(usize, Kind), Fault> {
     let allocated = set.short(tag::BITS_ALLOCATED)?.unwrap_or(0);
-    // Other images of one bit are no measurements.
+    // One bit per sample is read only in segmentations: other such images are no measurements.
     if allocated == 1 && !set.items(tag::SEGMENTS).is_empty() {
         return Ok((1, Kind::Bit));
     }
@@ -254,11 +254,11 @@ fn color(set: &DataSet) -> Result<Color, Fault> {
     let name = set.text(tag::PHOTOMETRIC).unwrap_or_default();
     Ok(match (components, name.as_str()) {
         (1, "MONOCHROME1" | "MONOCHROME2" | "") => Color::Grey,
-        // The codecs turn their own kinds of color to red, green and blue.
+        // The codecs convert these kinds of colour to red, green and blue.
         (3, "RGB" | "YBR_RCT" | "YBR_ICT") => Color::Rgb { planes },
         (3, "YBR_FULL" | "YBR_FULL_422") => Color::Ybr { planes },
         _ => {
-            // The text is not shown: it may be anything.
+            // The text is not shown, as it may identify a patient.
             let why = format!(
                 "another one, of {components} components; expected MONOCHROME1 or MONOCHROME2 of 1, RGB or YBR_FULL \
                  of 3"
@@ -268,7 +268,7 @@ fn color(set: &DataSet) -> Result<Color, Fault> {
     })
 }
 
-/// The stored values that stand for no sample.
+/// Returns the range of stored values that mean "no sample here".
 fn padding(set: &DataSet, pixels: Tag, kind: Kind) -> Result<Option<[f64; 2]>, Fault> {
     let read = |tag| -> Result<Option<f64>, Fault> {
         match tag {
@@ -296,13 +296,13 @@ fn padding(set: &DataSet, pixels: Tag, kind: Kind) -> Result<Option<[f64; 2]>, F
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Target {
     pub sample_type: SampleType,
-    /// Integer for "no sample here"; NaN says so in floating-point values.
+    /// Integer that means "no sample here"; in floating-point values NaN does.
     pub missing: Option<i64>,
 }
 
 impl Target {
-    /// The smallest type for the values of images with these formats and scales: integers where all are offset alike
-    /// and fit.
+    /// Returns the smallest type for the values of images with these formats and scales: an integer type if all have the same format and
+    /// scale, the slope is 1, the offset is a whole number, and the values fit; else 32-bit floats.
     pub fn of<'a>(images: impl Iterator<Item = (&'a SampleFormat, [f64; 2])> + Clone) -> Self {
         let float = Self {
             sample_type: SampleType::F32,
@@ -331,7 +331,7 @@ impl Target {
             () if fits(0, 0xffff) => SampleType::U16,
             () => return float,
         };
-        // Of the padded values those that can be stored.
+        // Limited to values that can be stored.
         let padded = format
             .padding
             .map(|[from, to]| [(from as i64).max(low), (to as i64).min(high)]);

@@ -1,4 +1,4 @@
-//! Segmentations (part 3, C.8.20): frames of segments, most of which are sparse, become one field of labels with names and colours.
+//! Segmentations (part 3, C.8.20): the frames of segments, which are mostly sparse, become one field of labels with names and colours.
 
 use std::sync::Arc;
 
@@ -17,10 +17,10 @@ use super::samples::Target;
 use super::segments::Segmentation;
 use super::source::StoredImage;
 
-/// Slices of a volume at most: a frame far away would claim any memory.
+/// Maximum slices of a volume: a frame far away could claim any amount of memory.
 const MAX_SLICES: f64 = 65_536.0;
 
-/// Frames by the slices that they lie in, with the segment of each.
+/// Frames by their slices, with the segment of each.
 struct SegmentSource {
     label: FileLabel,
     slices: Vec<Vec<StoredImage>>,
@@ -30,13 +30,13 @@ struct SegmentSource {
 }
 
 impl std::fmt::Debug for SegmentSource {
-    /// Without the identifiers of series and images.
+    /// Omits the identifiers of series and images.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "SegmentSource({} slices)", self.slices.len())
     }
 }
 
-/// The volume of all frames of a segmentation.
+/// Opens the volume of all frames of a segmentation.
 pub(super) fn open(
     label: &FileLabel,
     images: Vec<StoredImage>,
@@ -190,7 +190,7 @@ impl Source for SegmentSource {
 }
 
 impl SegmentSource {
-    /// The labels of a slice, and how many samples are of several segments.
+    /// Returns the labels of a slice, and the number of samples that are in several segments.
     fn slice(&self, frames: &[StoredImage], progress: &ReadProgress) -> Result<(Vec<u16>, u64), ReadError> {
         let Some(first) = self.slices.iter().flatten().next() else {
             return Ok((Vec::new(), 0));

@@ -1,19 +1,19 @@
-//! What a segmentation says of its segments (part 3, C.8.20.2): numbers, names, colours.
+//! Description of the segments of a segmentation (part 3, C.8.20.2): numbers, names, colours.
 
 use super::super::super::{Label, MAX_LABELS};
 use super::data_set::{DataSet, Fault, tag};
 use super::frames::dot;
 
-/// What a file says of its segments.
+/// Segments of a file.
 #[derive(Clone, Debug)]
 pub struct Segmentation {
     pub labels: Vec<Label>,
-    /// Stored value from which on a sample belongs to its frame's segment; `None` where stored values are the segments.
+    /// Smallest stored value of samples that belong to the segment of their frame; `None` if stored values are the numbers of segments.
     pub threshold: Option<u32>,
 }
 
 impl Segmentation {
-    /// `None` of other files.
+    /// Reads the segments. `None` for a file without segments.
     pub fn of(set: &DataSet) -> Result<Option<Self>, Fault> {
         let segments = set.items(tag::SEGMENTS);
         if segments.is_empty() {
@@ -42,7 +42,7 @@ impl Segmentation {
         Ok(Some(Self { labels, threshold }))
     }
 
-    /// What the samples of fractions become.
+    /// Returns the notice of the threshold, if samples are fractions.
     pub fn notice(&self) -> Option<String> {
         let threshold = self.threshold.filter(|&threshold| threshold > 1)?;
         Some(format!(
@@ -51,7 +51,7 @@ impl Segmentation {
     }
 }
 
-/// The colour that the file recommends, of CIE L*a*b* (D50) in sRGB.
+/// Returns the colour that the file recommends, converted from CIE L*a*b* (D50) to sRGB.
 fn color(segment: &DataSet) -> Option<[u8; 3]> {
     let stored: [f64; 3] = segment.shorts(tag::SEGMENT_COLOR)?.try_into().ok()?;
     let [l, a, b] = [stored[0] * 100.0, stored[1] * 255.0, stored[2] * 255.0].map(|v| v / 65535.0);

@@ -1,4 +1,4 @@
-//! From the images of a folder to volumes: series, stacks, steps and the grid.
+//! Makes volumes of the images of a folder: series, stacks, steps and the grid.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
@@ -17,10 +17,10 @@ use super::source::{DicomSamples, StoredImage};
 
 /// Relative rounding of positions, spacings and directions.
 const ROUNDING: f64 = 1e-3;
-/// Stacks of a series; real ones have a few.
+/// Maximum stacks of a series; real ones have a few.
 const MAX_STACKS: usize = 100;
 
-/// Which of an image's times is one, in milliseconds; the others are numbers.
+/// Index of the only one of an image's times that is in milliseconds; the others are numbers.
 const TRIGGER_TIME: usize = 2;
 
 /// Images that lie behind each other.
@@ -57,12 +57,12 @@ impl Stack {
 #[derive(Default)]
 struct Series {
     stacks: Vec<Stack>,
-    /// Why it is none.
+    /// Why the series is refused, if it is.
     refused: Option<ReadError>,
 }
 
-/// The volumes that images make, in the order of their series' numbers. A series that makes none is passed over with a
-/// warning, as long as there are others.
+/// Makes volumes of images, in the order of the numbers of their series. A series without a volume is skipped with a notice, if there are
+/// others.
 ///
 /// # Errors
 /// There is no volume among them.
@@ -108,7 +108,7 @@ pub fn volumes(label: &FileLabel, files: Vec<Found>) -> Result<Vec<FolderVolume>
     Ok(titled(volumes))
 }
 
-/// Names volumes by number and kind, which say nothing of the patient.
+/// Names volumes by number and modality, which do not identify the patient.
 fn titled(mut volumes: Vec<(Option<i32>, &'static str, OpenedFile)>) -> Vec<FolderVolume> {
     volumes.sort_by_key(|(number, modality, _)| (number.is_none(), *number, *modality));
     let mut counts: HashMap<String, u32> = HashMap::new();
@@ -209,7 +209,7 @@ fn open(label: &FileLabel, stack: Stack) -> Result<OpenedFile, ReadError> {
     })
 }
 
-/// When the steps are: trigger times in milliseconds, or numbers. No tag with a date is read.
+/// Returns the times of the steps: trigger times in milliseconds, or numbers. No tag with a date is read.
 fn times(images: &[StoredImage], slices: usize, kind: usize) -> Option<TimeAxis> {
     let firsts = images.iter().step_by(slices);
     let values: Vec<f64> = firsts.map(|first| first.image.times[kind]).collect::<Option<_>>()?;
@@ -220,7 +220,8 @@ fn times(images: &[StoredImage], slices: usize, kind: usize) -> Option<TimeAxis>
     TimeAxis::numbers(&numbers, 1)
 }
 
-/// Images in the order of steps, and in each along the normal; the number of steps, and which of their times tells them apart.
+/// Orders images by step, and within a step along the normal. Returns them with the number of steps, and the kind of time that
+/// distinguishes the steps.
 fn arrange(
     mut images: Vec<StoredImage>,
     notices: &mut Notices,
@@ -231,7 +232,7 @@ fn arrange(
     images.sort_by(|a, b| height(a).total_cmp(&height(b)));
     let same = ROUNDING * plane.spacing[0].min(plane.spacing[1]);
     let before = images.len();
-    // The position belongs to it: some writers give all their images one identifier.
+    // The position is a part of the identity: some writers give all their images the same identifier.
     let mut seen = HashSet::new();
     images.retain(|StoredImage { file, image }| {
         let identity = (
@@ -262,7 +263,7 @@ fn arrange(
     Ok((ordered, steps, kind))
 }
 
-/// Sorts the images at each position by time, and says by which. Each time must have an image at every position.
+/// Sorts the images at each position by time, and returns the kind of time. Each time must have an image at every position.
 fn sort_times(heights: &mut [Vec<StoredImage>]) -> Result<usize, Fault> {
     let times = |group: &[StoredImage], kind: usize| -> Option<Vec<f64>> {
         let mut times = group
@@ -295,7 +296,7 @@ fn sort_times(heights: &mut [Vec<StoredImage>]) -> Result<usize, Fault> {
     Ok(kind)
 }
 
-/// The vector from an image to the next one. Positions, not thicknesses, tell it.
+/// Returns the vector from an image to the next one, by their positions, not by their thickness.
 fn step_between(images: &[StoredImage], plane: &Plane, notices: &mut Notices) -> Result<[f64; 3], Fault> {
     let position = |i: usize| images[i].image.plane.position;
     let last = images.len() - 1;
@@ -334,12 +335,12 @@ fn step_between(images: &[StoredImage], plane: &Plane, notices: &mut Notices) ->
     Ok(step)
 }
 
-/// How far a position may be off, between images of that distance: by three decimals of a millimetre in any case.
+/// Returns the allowed deviation of a position, between images at this distance: at least three decimals of a millimetre.
 fn rounding(distance: f64) -> f64 {
     (ROUNDING * distance).max(1e-3)
 }
 
-/// Whether images are missing between others: a gap is about a multiple of the usual one.
+/// Checks that no images are missing between others: a gap that is about a multiple of the usual distance is an error.
 fn check_gaps(heights: &[f64]) -> Result<(), Fault> {
     let gaps: Vec<f64> = heights.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut sorted = gaps.clone();
@@ -366,7 +367,7 @@ fn check_gaps(heights: &[f64]) -> Result<(), Fault> {
     Err(Fault::new(POSITION, why))
 }
 
-/// Whether another step's images lie where those of the first one do.
+/// Checks that the images of another step are at the positions of those of the first step.
 fn same_positions(first: &[StoredImage], other: &[StoredImage], step: [f64; 3]) -> Result<(), Fault> {
     let length = dot(step, step).sqrt();
     let limit = (OFF_GRID * length).max(rounding(length));

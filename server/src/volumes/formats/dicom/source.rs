@@ -41,14 +41,14 @@ pub struct DicomSamples {
 }
 
 impl std::fmt::Debug for DicomSamples {
-    /// Without the identifiers of series and images.
+    /// Omits the identifiers of series and images.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "DicomSamples({} images, {} a step)", self.images.len(), self.slices)
     }
 }
 
 impl DicomSamples {
-    /// `images`: step by step, `slices` each.
+    /// `images`: step by step, `slices` images each.
     pub fn new(label: FileLabel, images: Vec<StoredImage>, slices: usize, target: Target) -> Self {
         Self {
             label,
@@ -86,7 +86,7 @@ impl Source for DicomSamples {
         };
         let samples = images[0].file.format.samples();
         let sample_type = self.target.sample_type;
-        // Images are converted one by one, as each has its own scale.
+        // Each image is converted on its own, as it has its own scale.
         let conversion = Conversion::default();
         let mut pieces = Pieces::new(
             &self.label.asked,
@@ -130,7 +130,7 @@ fn stored_type(samples: &Samples) -> StoredType {
 }
 
 impl StoredImage {
-    /// Bytes of the file that hold it.
+    /// Returns the bytes of the file that hold the image.
     pub fn bytes(&self) -> u64 {
         match &self.file.pixels {
             Pixels::Plain { .. } => self.file.format.stored_bytes(1),
@@ -170,7 +170,7 @@ impl StoredImage {
         if !self.file.syntax.writing.big {
             return exactly(bytes, blob.reader(at + first));
         }
-        // Whole words: the ends of an odd image lie in those of its neighbors.
+        // Read whole words: the first and last byte of an image of odd length share a word with its neighbours.
         let width = if words { format.bytes.max(2) } else { format.bytes };
         let before = first % width as u64;
         let all = (before + bytes).next_multiple_of(width as u64);
@@ -181,7 +181,7 @@ impl StoredImage {
         Ok(frame)
     }
 
-    /// A byte for each bit of a frame, which may begin inside of a byte.
+    /// Unpacks the bits of a frame, one a byte. A frame may begin inside a byte.
     fn bits(&self, blob: &Blob<'_>, at: u64) -> Result<Vec<u8>, Fault> {
         let samples = self.file.format.samples();
         let first = u64::from(self.image.frame) * samples;
@@ -194,7 +194,7 @@ impl StoredImage {
         Ok((0..samples).map(bit).collect())
     }
 
-    /// The stored samples, words with the least significant byte first, and the order of their components.
+    /// Reads the stored samples, words with the least significant byte first. Also returns the order of their components.
     fn frame(&self, blob: &Blob<'_>) -> Result<(Vec<u8>, Color), Fault> {
         let format = &self.file.format;
         let bytes = format.frame_bytes();
@@ -219,7 +219,7 @@ impl StoredImage {
     }
 }
 
-/// So many bytes of a stream. Memory grows with what is there.
+/// Reads exactly this many bytes of a stream. Memory grows with the bytes that are read.
 fn exactly(bytes: u64, stream: impl Read) -> Result<Vec<u8>, Fault> {
     let mut read = Vec::new();
     stream.take(bytes).read_to_end(&mut read)?;

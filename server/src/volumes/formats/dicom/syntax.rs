@@ -1,4 +1,4 @@
-//! Transfer syntaxes: how a file's elements are written and its samples are packed.
+//! Transfer syntaxes: encoding of a file's elements, and packing of its samples.
 
 use super::data_set::{Fault, tag};
 use super::elements::Writing;
@@ -10,29 +10,29 @@ pub struct Syntax {
     pub packing: Packing,
 }
 
-/// How samples are packed.
+/// Packing of samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Packing {
     Plain,
-    /// With the whole data set.
+    /// Compressed with the whole data set.
     Deflated,
     Encoded(Codec),
-    /// In a way that is not read, by its name.
+    /// An unsupported packing, by its name.
     Other(&'static str),
 }
 
-/// A compression of images.
+/// Compression of images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Codec {
     RunLength,
-    /// Baseline, extended and lossless.
+    /// Baseline, extended and lossless JPEG.
     Jpeg,
     JpegLs,
     Jpeg2000,
 }
 
 impl Syntax {
-    /// The syntax of a unique identifier.
+    /// Returns the syntax with a unique identifier.
     pub fn of(identifier: Option<&str>) -> Result<Self, Fault> {
         let of = |packing, implicit, big| Self {
             writing: Writing { implicit, big },

@@ -1,4 +1,4 @@
-//! From the bytes of a chunk to its samples: x fastest, then y, z, channel.
+//! Decodes a chunk to samples: x fastest, then y, z, channel.
 
 use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -10,19 +10,19 @@ use crate::volumes::codec::decoder;
 use crate::volumes::formats::jpeg::{check_progressive, check_scans};
 use crate::volumes::stored::{self, StoredType};
 
-/// What gzip begins with.
+/// First bytes of gzip.
 const GZIP: [u8; 2] = [0x1f, 0x8b];
 
-/// How the samples of a chunk are written.
+/// Encoding of the samples of a chunk.
 #[derive(Clone, Debug)]
 pub(super) enum Encoding {
     Raw,
     Jpeg,
-    /// Labels in blocks of so many voxels, each of which has a table.
+    /// Labels in blocks of this many voxels, each of which has a table.
     CompressedSegmentation([u64; 3]),
 }
 
-/// Voxels of a chunk, and what they are.
+/// Size of a chunk in voxels, and the samples of a voxel.
 #[derive(Clone, Copy)]
 pub(super) struct Shape {
     pub(super) size: [u64; 3],
@@ -52,7 +52,7 @@ impl Encoding {
             )),
             "compressed_segmentation" if matches!(stored, StoredType::U32 | StoredType::U64) => {
                 match scale.compressed_segmentation_block_size {
-                    // A block is no larger than it has to be: its voxels are counted in 64 bits.
+                    // The size of blocks is limited, so that their voxels can be counted in 64 bits.
                     Some(block) if block.iter().all(|n| (1..=1024).contains(n)) => {
                         Ok(Self::CompressedSegmentation(block))
                     }
@@ -69,7 +69,7 @@ impl Encoding {
         }
     }
 
-    /// The samples of a chunk, whose stored bytes may be compressed once more as a whole.
+    /// Decodes the samples of a chunk, whose stored bytes may also be compressed as a whole.
     pub(super) fn decode(&self, stored: Vec<u8>, shape: Shape) -> Result<Vec<u8>, String> {
         let expected = shape.bytes() as usize;
         let is_raw = matches!(self, Self::Raw);
@@ -83,7 +83,7 @@ impl Encoding {
             Self::Raw if stored.len() == expected => Ok(stored),
             Self::Raw => Err(format!("{} bytes of samples, expected {expected}", stored.len())),
             Self::Jpeg => {
-                // The library panics on some false images; no other state is involved.
+                // The library panics on some invalid images; no other state is involved.
                 let decoded = catch_unwind(AssertUnwindSafe(|| jpeg(&stored, shape)));
                 decoded.unwrap_or_else(|_| Err("a false JPEG, its decoder gave up".to_owned()))
             }
@@ -92,12 +92,12 @@ impl Encoding {
     }
 }
 
-/// Maximum bytes of a stored chunk. One that is far larger than its samples is none; tables of labels take more than small chunks.
+/// Returns the maximum bytes of a stored chunk. Far more than the samples is invalid; for small chunks, tables of labels take more.
 pub(super) fn max_stored(shape: Shape) -> u64 {
     shape.bytes().saturating_mul(4).saturating_add(1 << 16)
 }
 
-/// Decodes gzip up to so many bytes.
+/// Decodes gzip to at most `limit` bytes.
 pub(super) fn gunzip(packed: &[u8], limit: u64) -> Result<Vec<u8>, String> {
     let stream = decoder(stored::Encoding::Deflate, packed, packed.len() as u64);
     let mut bytes = Vec::new();
@@ -109,7 +109,7 @@ pub(super) fn gunzip(packed: &[u8], limit: u64) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// An image of any width whose rows, one after the other, are the voxels.
+/// Decodes an image of any width whose rows, one after the other, are the voxels.
 fn jpeg(encoded: &[u8], shape: Shape) -> Result<Vec<u8>, String> {
     check_scans(encoded)?;
     let failed = |e: jpeg_decoder::Error| format!("no JPEG that is read: {e}");
@@ -142,7 +142,7 @@ fn jpeg(encoded: &[u8], shape: Shape) -> Result<Vec<u8>, String> {
     Ok((0..channels).flat_map(plane).collect())
 }
 
-/// Labels in blocks, channel by channel.
+/// Decodes labels in blocks, channel by channel.
 fn labels(stored: &[u8], block: [u64; 3], shape: Shape) -> Result<Vec<u8>, String> {
     let words: Vec<u32> = stored
         .chunks_exact(4)
@@ -165,7 +165,7 @@ fn labels(stored: &[u8], block: [u64; 3], shape: Shape) -> Result<Vec<u8>, Strin
     Ok(out)
 }
 
-/// One block of labels, whose first voxel is `first`; `None` where its header is false.
+/// Decodes one block of labels, whose first voxel is `first`; `None` if its header is invalid or its data end too early.
 fn decode_block(
     words: &[u32],
     index: usize,

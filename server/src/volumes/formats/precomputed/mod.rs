@@ -2,9 +2,9 @@
 //! (<https://github.com/google/neuroglancer/blob/master/src/datasource/precomputed/volume.md>): a folder with a file `info`, or
 //! `precomputed://` before the address of a store over a network.
 //!
-//! Read: `raw`, `jpeg` and `compressed_segmentation` chunks, each plain or gzip; chunks in files of their own or in shards. Opened is the
-//! finest scale of at most 2^31 samples, or the one that is named by its key or number: `folder:8_8_8`. Channels become fields. Samples
-//! are at the centres of voxels; lengths are in nanometres.
+//! Read: `raw`, `jpeg` and `compressed_segmentation` chunks, each plain or gzip; chunks in files of their own or in shards. The finest
+//! scale of at most 2^31 samples is opened, or the scale that is named by its key or number: `folder:8_8_8`. Channels become fields.
+//! Samples are at the centres of voxels; lengths are in nanometres.
 
 mod encoding;
 mod samples;
@@ -35,14 +35,14 @@ const FIELDS: GridFields = GridFields {
 
 /// Name of the file of metadata.
 const INFO: &str = "info";
-/// Maximum bytes of it, far above any real one.
+/// Maximum bytes of `info`, far above any real one.
 const MAX_INFO_BYTES: u64 = 1 << 20;
-/// Maximum samples of a scale that is chosen without being named.
+/// Maximum samples of a scale that is opened without being named.
 const MAX_SCALE_SAMPLES: u64 = 1 << 31;
 /// Maximum bytes of a decoded chunk.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
 
-/// `info`. Members that say nothing of samples are passed over.
+/// `info`. Members that do not describe samples are ignored.
 #[derive(Deserialize)]
 struct Info {
     #[serde(rename = "@type", default)]
@@ -66,7 +66,7 @@ struct Scale {
     sharding: Option<Sharding>,
 }
 
-/// Whether a folder has an `info` of scales.
+/// Whether a folder has an `info` with scales.
 pub fn holds(folder: &Path) -> bool {
     let has_scales =
         |text: &[u8]| serde_json::from_slice::<serde_json::Value>(text).is_ok_and(|info| info.get("scales").is_some());
@@ -78,10 +78,10 @@ pub fn holds(folder: &Path) -> bool {
         && std::fs::read(info).is_ok_and(|text| has_scales(&text))
 }
 
-/// Reads `info`.
+/// Reads `info` and opens a scale.
 ///
 /// # Errors
-/// What is wrong with it, by member.
+/// What is wrong with `info`, by member.
 pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
     let store = Arc::new(Store::plain(location, INFO)?);
     let shown = store.path(INFO);
@@ -134,7 +134,7 @@ impl Info {
         })
     }
 
-    /// The scale that is named, or the finest one that is not too large.
+    /// Returns the scale that is named, or the finest one that is not too large.
     fn scale(&self, shown: &Path, part: Option<&str>) -> Result<&Scale, ReadError> {
         let fail = |why: String| Err(ReadError::new(shown, "scales", why));
         let keys: Vec<&str> = self.scales.iter().map(|scale| scale.key.as_str()).collect();
@@ -216,7 +216,7 @@ fn open_scale(store: &Arc<Store>, info: &Info, scale: &Scale, name: &str) -> Res
 }
 
 impl Scale {
-    /// Voxels of a chunk along x, y, z. Of several sizes the first one is read.
+    /// Returns the voxels of a chunk along x, y, z. If there are several sizes of chunks, those of the first size are read.
     fn chunk(&self, shown: &Path, voxel_bytes: u64) -> Result<[u64; 3], ReadError> {
         let fail = |why: String| Err(ReadError::new(shown, "chunk_sizes", why));
         let Some(&chunk) = self.chunk_sizes.first() else {

@@ -18,18 +18,18 @@ use crate::volumes::{FileLocation, Findings, LabelRanks, Notices, ReadError, Rea
 
 /// Maximum chunks of a scale.
 const MAX_CHUNKS: u64 = 1 << 19;
-/// Bytes of samples to one stored byte at most, as of Zarr. A volume with fewer chunks is next to empty.
+/// Maximum ratio of samples to stored bytes, as for Zarr. A volume with fewer chunks is almost empty.
 const MAX_RATIO: u64 = 32768;
-/// Decoded chunks that are held at once, in bytes.
+/// Maximum bytes of decoded chunks that are held at once.
 const HELD_BYTES: u64 = 256 << 20;
 
-/// What `info` says of a scale.
+/// Layout of a scale, as `info` states it.
 #[derive(Debug)]
 pub(super) struct Layout {
     /// Folder of its chunks.
     pub(super) key: String,
     pub(super) dims: [u32; 3],
-    /// Index of the first voxel, which names of chunks count from.
+    /// Index of the first voxel. The names of chunks count from it.
     pub(super) offset: [i64; 3],
     pub(super) chunk: [u64; 3],
     pub(super) channels: u32,
@@ -47,18 +47,18 @@ pub(super) struct PrecomputedSamples {
     findings: Findings,
 }
 
-/// What is known of a minishard once its index was read.
+/// The chunks of a minishard, known after its index was read.
 type Known = Mutex<Option<Arc<Vec<Entry>>>>;
 
-/// What is remembered between the chunks of a reading.
+/// State that the chunks of one reading share.
 struct Reading<'a> {
     work: Work<'a>,
     minishards: Mutex<HashMap<Minishard, Arc<Known>>>,
-    /// Chunks in the indices that were read.
+    /// Number of chunks in the indices that were read.
     indexed: AtomicU64,
 }
 
-/// A chunk of the grid: where it begins, and its voxels, which are fewer at the ends of the volume.
+/// A chunk of the grid: its index, its first voxel, and its size in voxels, which is smaller at the ends of the volume.
 #[derive(Clone, Copy)]
 struct Chunk {
     at: [u64; 3],
@@ -84,7 +84,7 @@ impl Layout {
         Chunk { at, first, shape }
     }
 
-    /// Name of a chunk's own file: its first voxel and the one behind its last, along each axis.
+    /// Returns the name of a chunk's own file: along each axis its first voxel and the one behind its last.
     fn file(&self, chunk: &Chunk) -> String {
         let range = |axis: usize| {
             let first = i128::from(self.offset[axis]) + i128::from(chunk.first[axis]);
@@ -131,7 +131,7 @@ impl PrecomputedSamples {
         voxels * u64::from(self.layout.channels) * self.layout.stored.bytes()
     }
 
-    /// Bytes of the files with the chunks, on disk.
+    /// Returns the total bytes of the files with the chunks, on disk.
     fn file_bytes(&self) -> Result<u64, ReadError> {
         let bytes = |name: String| -> Result<u64, ReadError> {
             let plain = self.store.disk_bytes(&name)?;
@@ -152,7 +152,7 @@ impl PrecomputedSamples {
         files.map(bytes).try_reduce(|| 0, sum)
     }
 
-    /// Compares what `info` claims with what is stored.
+    /// Compares the size that `info` claims with the stored bytes.
     fn check(&self, have: u64) -> Result<(), ReadError> {
         let needed = self.decoded_bytes();
         if have == 0 {
@@ -166,7 +166,7 @@ impl PrecomputedSamples {
         Ok(())
     }
 
-    /// All samples, which are `S` in the file and `T` on the device. Chunks that are not stored are 0.
+    /// Reads all samples, which are `S` in the file and `T` on the device. Samples of chunks that are not stored are 0.
     fn read_as<S: Scalar, T: Scalar>(
         &self,
         progress: &ReadProgress,
@@ -175,7 +175,7 @@ impl PrecomputedSamples {
         if !self.store.is_remote() {
             self.check(self.file_bytes()?)?;
         }
-        // Untouched memory takes no place: what is claimed, and not there, costs nothing.
+        // Zeroed memory that is not written takes no physical memory: claimed samples that are not stored cost nothing.
         let samples = self.layout.dims.iter().map(|&n| n as usize).product::<usize>();
         let mut values = bytemuck::allocation::try_zeroed_vec(samples)
             .map_err(|_| self.error(format!("no memory for {:?} samples", self.layout.dims)))?;
@@ -192,7 +192,7 @@ impl PrecomputedSamples {
         Ok(values)
     }
 
-    /// Hands on all chunks, decoded, with their stored bytes; `None` of one that is not stored.
+    /// Decodes all chunks and hands them on with their stored bytes; `None` for a chunk that is not stored.
     fn read_chunks(
         &self,
         progress: &ReadProgress,
@@ -241,7 +241,7 @@ impl PrecomputedSamples {
         Ok(())
     }
 
-    /// The stored bytes of a chunk; `None` where it is not stored.
+    /// Returns the stored bytes of a chunk; `None` if it is not stored.
     fn stored(&self, chunk: &Chunk, reading: &Reading<'_>) -> Result<Option<Vec<u8>>, ReadError> {
         if let Some(sharding) = &self.layout.sharding {
             return self.in_shard(sharding, chunk, reading);
@@ -249,14 +249,14 @@ impl PrecomputedSamples {
         let (name, limit) = (self.layout.file(chunk), max_stored(chunk.shape));
         let read = |name: &str| self.store.read(name, Part::Whole, limit, &|| reading.work.is_over());
         let mut object = read(&name)?;
-        // As programs write it to a disk, which keeps no header of its encoding.
+        // Programs write gzip chunks to a disk with this ending, as a file has no header with its encoding.
         if object.is_none() && !self.store.is_remote() {
             object = read(&format!("{name}.gz"))?;
         }
         Ok(object.map(|object| object.bytes))
     }
 
-    /// Number of a chunk in shards.
+    /// Returns the number of a chunk in shards.
     fn id(&self, chunk: &Chunk) -> u64 {
         compressed_morton(chunk.at, self.layout.grid())
     }
@@ -287,7 +287,7 @@ impl PrecomputedSamples {
         Ok(object.map(|object| object.bytes))
     }
 
-    /// The chunks of a minishard, whose index is read once.
+    /// Returns the chunks of a minishard. Its index is read once.
     fn entries(
         &self,
         sharding: &Sharding,
@@ -340,7 +340,7 @@ impl PrecomputedSamples {
             .map_err(|_| fail("no index of minishards".to_owned()))?;
         let range =
             [u64::from_le_bytes(*first), u64::from_le_bytes(second)].map(|n| n.checked_add(sharding.index_bytes()));
-        // One chunk more than there are, so that too many are seen.
+        // One chunk more than there are, so that an index with too many is detected.
         let limit = 24 * (self.count() + 1);
         let (Some(from), Some(to)) = (range[0], range[1]) else {
             return Err(fail("an index beyond 2^64".to_owned()));
@@ -363,7 +363,7 @@ impl PrecomputedSamples {
         sharding.entries(&index).map_err(fail)
     }
 
-    /// Makes values of the samples of a chunk, where they belong. `fill` makes those of a row.
+    /// Converts the samples of a chunk and writes them to their places in `values`. `fill` converts a row.
     fn scatter<S: Scalar, T: Scalar>(
         &self,
         chunk: &Chunk,
@@ -392,7 +392,7 @@ impl PrecomputedSamples {
         }
     }
 
-    /// All samples, in the type that they are stored in.
+    /// Reads all samples, in the type in which they are stored.
     fn as_stored<T: DeviceScalar>(&self, progress: &ReadProgress) -> Result<Samples, ReadError> {
         let fill = |stored: &dyn Fn(usize) -> T, values: &mut [T]| {
             values.iter_mut().enumerate().for_each(|(i, value)| *value = stored(i));

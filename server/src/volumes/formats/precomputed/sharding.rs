@@ -1,4 +1,4 @@
-//! Chunks in shards: which file a chunk is in, and where
+//! Chunks in shards: finds the file of a chunk, and its place in that file
 //! (<https://github.com/google/neuroglancer/blob/master/src/datasource/precomputed/sharded.md>).
 
 use serde::Deserialize;
@@ -6,7 +6,7 @@ use serde::Deserialize;
 /// Maximum bits of the numbers of shards and minishards: more than any volume that is read has chunks.
 const MAX_BITS: u32 = 40;
 
-/// How chunks are spread over shards.
+/// Distribution of chunks over shards.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Sharding {
     #[serde(rename = "@type")]
@@ -21,18 +21,18 @@ pub(super) struct Sharding {
     data_encoding: Option<String>,
 }
 
-/// Where a chunk is looked for.
+/// Shard and minishard in which a chunk is looked up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Minishard {
     pub(super) shard: u64,
     pub(super) number: u64,
 }
 
-/// A chunk in its shard.
+/// Position of a chunk in its shard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Entry {
     id: u64,
-    /// From the beginning of the file.
+    /// Offset from the beginning of the file.
     pub(super) start: u64,
     pub(super) bytes: u64,
 }
@@ -70,7 +70,7 @@ impl Sharding {
         self.minishard_index_encoding.as_deref() == Some("gzip")
     }
 
-    /// Bytes of the index at the beginning of a shard.
+    /// Returns the bytes of the index at the beginning of a shard.
     pub(super) fn index_bytes(&self) -> u64 {
         16 << self.minishard_bits
     }
@@ -87,12 +87,12 @@ impl Sharding {
         }
     }
 
-    /// Name of a shard's file.
+    /// Returns the name of a shard's file.
     pub(super) fn file(&self, shard: u64) -> String {
         format!("{shard:0width$x}.shard", width = self.shard_bits.div_ceil(4) as usize)
     }
 
-    /// The chunks of a minishard by their numbers, from its decoded index.
+    /// Parses the decoded index of a minishard: its chunks by their numbers.
     pub(super) fn entries(&self, index: &[u8]) -> Result<Vec<Entry>, String> {
         if !index.len().is_multiple_of(24) {
             return Err(format!("an index of {} bytes, expected 24 for each chunk", index.len()));
@@ -105,7 +105,7 @@ impl Sharding {
         let (mut id, mut end) = (0u64, self.index_bytes());
         let mut entries = Vec::with_capacity(count);
         for i in 0..count {
-            // The numbers of chunks and their positions are differences, as positions modulo 2^64.
+            // The numbers of chunks are stored as differences, and so are their positions; sums are modulo 2^64.
             id = id.wrapping_add(number(0, i));
             let (start, bytes) = (end.wrapping_add(number(1, i)), number(2, i));
             end = start.wrapping_add(bytes);
@@ -116,13 +116,13 @@ impl Sharding {
     }
 }
 
-/// The entry of a chunk, among those in the order of numbers.
+/// Finds the entry of a chunk. The entries must be sorted by number.
 pub(super) fn find(entries: &[Entry], id: u64) -> Option<Entry> {
     let at = entries.binary_search_by_key(&id, |entry| entry.id).ok()?;
     Some(entries[at])
 }
 
-/// The number of a chunk: bits of its position in turns, without those that are 0 for all positions of the grid.
+/// Returns the number of a chunk: the bits of its position interleaved, without bits that are 0 for all positions of the grid.
 pub(super) fn compressed_morton(at: [u64; 3], grid: [u64; 3]) -> u64 {
     let (mut code, mut next) = (0, 0);
     for bit in 0..64 {
@@ -136,7 +136,7 @@ pub(super) fn compressed_morton(at: [u64; 3], grid: [u64; 3]) -> u64 {
     code
 }
 
-/// The low 64 bits of MurmurHash3_x86_128 of eight bytes, seed 0 (Austin Appleby, public domain).
+/// Returns the low 64 bits of MurmurHash3_x86_128 of eight bytes, seed 0 (Austin Appleby, public domain).
 fn murmurhash3_x86_128(key: u64) -> u64 {
     fn mix(mut h: u32) -> u32 {
         h ^= h >> 16;
@@ -145,7 +145,7 @@ fn murmurhash3_x86_128(key: u64) -> u64 {
         h = h.wrapping_mul(0xc2b2_ae35);
         h ^ h >> 16
     }
-    // Eight bytes are no whole block of 16: they are the tail of the first two of four lanes.
+    // Eight bytes are less than a block of 16: they are the tail, for the first two of four lanes.
     let (low, high) = (key as u32, (key >> 32) as u32);
     let mut h1 = low.wrapping_mul(0x239b_961b).rotate_left(15).wrapping_mul(0xab0e_9789);
     let mut h2 = high.wrapping_mul(0xab0e_9789).rotate_left(16).wrapping_mul(0x38b3_4ae5);
@@ -169,7 +169,7 @@ fn murmurhash3_x86_128(key: u64) -> u64 {
 mod tests {
     use super::*;
 
-    /// As mmh3 5.3 of Python has them: `mmh3.hash_bytes(n.to_bytes(8, "little"), x64arch=False)[:8]`.
+    /// Values by mmh3 5.3 of Python: `mmh3.hash_bytes(n.to_bytes(8, "little"), x64arch=False)[:8]`.
     #[test]
     fn hashes_are_those_of_another_program() {
         for (key, hash) in HASHES {
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn bits_that_no_position_has_are_left_out() {
         assert_eq!(compressed_morton([1, 1, 1], [2, 2, 2]), 7);
-        // The second bit of x alone.
+        // Only the second bit of x.
         assert_eq!(compressed_morton([2, 1, 0], [4, 2, 1]), 0b110);
         assert_eq!(compressed_morton([0, 0, 5], [1, 1, 6]), 5);
         let all: std::collections::BTreeSet<u64> = (0..5 * 3 * 6)

@@ -10,10 +10,10 @@ use crate::volumes::ReadError;
 use crate::volumes::beneath::{self, leaves};
 use crate::volumes::remote::{Object, Part};
 
-/// A folder. Paths are relative to it; beside each stands what messages call it.
+/// A folder. Paths are relative to it; each comes with the path for messages.
 #[derive(Debug)]
 pub(super) struct Folder {
-    /// Without links.
+    /// Path without links.
     root: PathBuf,
 }
 
@@ -25,7 +25,7 @@ impl Folder {
         Ok(Self { root })
     }
 
-    /// Opens a file; `None` where there is none.
+    /// Opens a file; `None` if it does not exist.
     fn file(&self, shown: &Path, relative: &str) -> Result<Option<File>, ReadError> {
         let named = Path::new(relative);
         let fail = |why: &str| Err(ReadError::new(shown, "file", why));
@@ -34,7 +34,7 @@ impl Folder {
         }
         let io_fail = |e: io::Error| ReadError::io(shown, "file", "cannot be opened", e);
         let path = self.root.join(named);
-        // Of most chunks that are not stored nothing more than this is asked.
+        // For most chunks that are not stored, this is the only system call.
         match path.symlink_metadata() {
             Ok(_) => {}
             Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => return Ok(None),
@@ -44,7 +44,7 @@ impl Folder {
         if leaves(&self.root, &whole) {
             return fail("a link out of the folder, expected one that stays below it");
         }
-        // Asked before opening: to open a named pipe would wait for its writer.
+        // Checked before opening: opening a named pipe would block until it has a writer.
         if !whole.metadata().map_err(io_fail)?.is_file() {
             return fail("not a regular file, expected one");
         }
@@ -83,7 +83,7 @@ impl Folder {
         }
         let mut bytes = Vec::new();
         if from == 0 && to == size {
-            // A file that grows meanwhile is cut off.
+            // If the file grows meanwhile, the excess is cut off.
             file.take(limit).read_to_end(&mut bytes).map_err(io_fail)?;
         } else {
             bytes = vec![0; length as usize];

@@ -1,4 +1,4 @@
-//! Where volumes in chunks are: a folder, or a store over a network. Both hold objects that are named by relative paths.
+//! Stores of chunked volumes: a folder, or a store over a network. Both hold objects that are named by relative paths.
 
 mod folder;
 mod network;
@@ -11,18 +11,18 @@ use network::Network;
 use crate::volumes::remote::{Limits, Object, Part};
 use crate::volumes::{FileLocation, ReadError};
 
-/// Maximum bytes of a file of metadata. Those of a group may have those of all arrays in them.
+/// Maximum bytes of a file of metadata. That of a group may contain those of all arrays in it.
 const MAX_METADATA_BYTES: u64 = 16 << 20;
-/// Maximum folders of a group that are looked at.
+/// Maximum folders of a group that are listed.
 const MAX_FOLDERS: usize = 4096;
 
 /// A folder of objects: a Zarr group or array, or a precomputed volume.
 #[derive(Debug)]
 pub(super) struct Store {
-    /// As it was named; its path is for messages.
+    /// The location as it was named; its path is for messages.
     location: FileLocation,
     kind: Kind,
-    /// Field of the errors.
+    /// Name of the field in errors.
     field: &'static str,
 }
 
@@ -32,7 +32,7 @@ enum Kind {
     Network(Network),
 }
 
-/// Path of `name` in a group.
+/// Returns the path of `name` in a group.
 pub(super) fn join(group: &str, name: &str) -> String {
     match group {
         "" => name.to_owned(),
@@ -41,7 +41,7 @@ pub(super) fn join(group: &str, name: &str) -> String {
 }
 
 impl Store {
-    /// A Zarr folder or store.
+    /// Opens a Zarr folder or store.
     pub(super) fn open(location: &FileLocation, field: &'static str) -> Result<Self, ReadError> {
         let mut store = Self::plain(location, field)?;
         if let Kind::Network(network) = &mut store.kind {
@@ -50,7 +50,7 @@ impl Store {
         Ok(store)
     }
 
-    /// A folder or store of which nothing is known. `field` is that of errors.
+    /// Opens a folder or store without reading metadata. `field` is the name of the field in errors.
     pub(super) fn plain(location: &FileLocation, field: &'static str) -> Result<Self, ReadError> {
         let kind = match location.address() {
             Some(address) => Kind::Network(Network::open(address, Limits::default())?),
@@ -71,7 +71,7 @@ impl Store {
         &self.location
     }
 
-    /// For messages.
+    /// Returns the path of an object for messages.
     pub(super) fn path(&self, relative: &str) -> PathBuf {
         if relative.is_empty() {
             self.shown().to_owned()
@@ -80,17 +80,17 @@ impl Store {
         }
     }
 
-    /// An error in a node.
+    /// Returns an error in a node.
     pub(super) fn error(&self, relative: &str, why: impl Into<String>) -> ReadError {
         ReadError::new(&self.path(relative), self.field, why)
     }
 
-    /// Whether each request takes its time, so that several should be on their way.
+    /// Whether requests have latency, so that several should be in flight.
     pub(super) fn is_remote(&self) -> bool {
         matches!(self.kind, Kind::Network(_))
     }
 
-    /// Bytes of an object on disk; `None` where there is none.
+    /// Returns the size of an object on disk in bytes; `None` if it does not exist, or the store is not on disk.
     pub(super) fn disk_bytes(&self, relative: &str) -> Result<Option<u64>, ReadError> {
         match &self.kind {
             Kind::Folder(folder) => folder.size(&self.path(relative), relative),
@@ -98,7 +98,7 @@ impl Store {
         }
     }
 
-    /// An object, or a part of it, of `limit` bytes at most; `None` where there is none.
+    /// Reads an object, or a part of it, of `limit` bytes at most; `None` if it does not exist.
     pub(super) fn read(
         &self,
         relative: &str,
@@ -113,7 +113,7 @@ impl Store {
         }
     }
 
-    /// A file of metadata; `None` where there is none.
+    /// Reads a file of metadata; `None` if it does not exist.
     pub(super) fn json<T: serde::de::DeserializeOwned>(&self, relative: &str) -> Result<Option<T>, ReadError> {
         let text = match &self.kind {
             Kind::Folder(folder) => folder.read(&self.path(relative), relative, Part::Whole, MAX_METADATA_BYTES),
@@ -126,7 +126,7 @@ impl Store {
         value.map(Some).map_err(|e| self.error(relative, e.to_string()))
     }
 
-    /// Names of the folders in a group, sorted.
+    /// Returns the names of the folders in a group, sorted.
     pub(super) fn folders(&self, relative: &str) -> Result<Vec<String>, ReadError> {
         match &self.kind {
             Kind::Folder(folder) => folder.folders(&self.path(relative), relative),
@@ -134,7 +134,7 @@ impl Store {
         }
     }
 
-    /// What to say where there is neither an array nor a group.
+    /// Returns the error text for a path at which there is neither an array nor a group.
     pub(super) fn nothing_there(&self) -> String {
         let expected = "no array or group there, expected zarr.json, .zarray or .zgroup";
         match &self.kind {
@@ -147,7 +147,7 @@ impl Store {
     }
 }
 
-/// Reading that nobody cancels.
+/// Cancellation check for reads that are never cancelled.
 pub(super) fn never() -> bool {
     false
 }

@@ -1,6 +1,6 @@
-//! Objects of a store over a network: by HTTP, where nothing can be listed, or in S3.
+//! Objects of a store over a network: by HTTP, which cannot list objects, or in S3.
 //!
-//! Of Zarr consolidated metadata are asked for first. They are taken for all that there are, and say what is in a group.
+//! For Zarr, the consolidated metadata are requested first. If they exist, they are taken as complete: they also list the groups.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -17,13 +17,13 @@ use crate::volumes::remote::{Address, Fault, Limits, Object, Part, Remote};
 #[derive(Debug)]
 pub(super) struct Network {
     remote: Remote,
-    /// Metadata by path, where the root has those of all below it.
+    /// Metadata by path, if the root has consolidated metadata.
     consolidated: Option<BTreeMap<String, Box<RawValue>>>,
-    /// Whether the store has said of an object that it may not be read.
+    /// Whether the store has refused to let an object be read.
     forbidden: AtomicBool,
 }
 
-/// `.zmetadata`, and what is in `zarr.json`.
+/// `.zmetadata`, and the consolidated metadata in `zarr.json`.
 #[derive(Deserialize)]
 struct Consolidated {
     metadata: BTreeMap<String, Box<RawValue>>,
@@ -47,7 +47,7 @@ impl Network {
         })
     }
 
-    /// Reads the consolidated metadata of Zarr, where there are some.
+    /// Reads the consolidated metadata of Zarr, if the store has them.
     pub(super) fn read_consolidated(&mut self, shown: &Path) -> Result<(), ReadError> {
         let (third, second) = (shown.join("zarr.json"), shown.join(".zmetadata"));
         let wrong = |name: &Path, e: serde_json::Error| ReadError::new(name, "zarr", e.to_string());
@@ -91,8 +91,8 @@ impl Network {
         }
     }
 
-    /// A file of metadata. One that may not be read is taken for one that is not there: where a store may not be listed, it says the
-    /// same of both.
+    /// Reads a file of metadata; `None` if it does not exist or may not be read. The two cases cannot be told apart in a store that may not
+    /// be listed: it gives the same answer to both.
     pub(super) fn metadata(&self, shown: &Path, relative: &str) -> Result<Option<Object>, ReadError> {
         if let Some(known) = &self.consolidated {
             let bytes = known.get(relative).map(|text| text.get().as_bytes().to_vec());
@@ -113,7 +113,7 @@ impl Network {
         }
     }
 
-    /// Names of the folders in a group, sorted.
+    /// Returns the names of the folders in a group, sorted.
     pub(super) fn folders(&self, shown: &Path, relative: &str) -> Result<Vec<String>, ReadError> {
         if let Some(known) = &self.consolidated {
             let prefix = join(relative, "");

@@ -1,4 +1,4 @@
-//! The directories of a TIFF or BigTIFF file, one a page, in the order of their chain.
+//! The directories of a TIFF or BigTIFF file, one for each page, in the order of their chain.
 
 use std::collections::HashSet;
 
@@ -35,7 +35,7 @@ pub mod tag {
     pub const NO_DATA: u16 = 42113;
 }
 
-/// First bytes of a file, and how its numbers are written.
+/// Byte order and version of a file, from its first bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct Header {
     pub endian: Endian,
@@ -46,7 +46,7 @@ pub struct Header {
 
 /// One directory.
 pub struct Directory<'a> {
-    /// Where it is in the file.
+    /// Offset of the directory in the file.
     pub offset: u64,
     file: &'a Chain<'a>,
     entries: Vec<Entry>,
@@ -57,7 +57,7 @@ struct Entry {
     tag: u16,
     kind: u16,
     count: u64,
-    /// Its values, if they fit; else where they are.
+    /// Bytes of the values, if they fit into the entry; else the offset of the values.
     value: Vec<u8>,
 }
 
@@ -66,16 +66,16 @@ fn sizes(is_big: bool) -> (u64, u64, u64) {
     if is_big { (8, 20, 8) } else { (2, 12, 4) }
 }
 
-/// The directories of a file, and how much of it their values may still take.
+/// The chain of directories of a file.
 pub struct Chain<'a> {
     blob: &'a Blob<'a>,
     pub header: Header,
-    /// Values of directories do not overlap in a true file: all together they are at most as long as it.
+    /// Bytes that values may still take. In a valid file, values do not overlap, so all together are at most as long as the file.
     left: std::cell::Cell<u64>,
 }
 
 impl<'a> Chain<'a> {
-    /// Reads the first bytes.
+    /// Reads the header of the file.
     pub fn open(blob: &'a Blob<'a>) -> Result<Self, String> {
         let head = blob.head(16).map_err(|e| e.to_string())?;
         let endian = match head.get(..2) {
@@ -94,7 +94,7 @@ impl<'a> Chain<'a> {
         Ok(Self { blob, header, left })
     }
 
-    /// Hands over every directory of the chain, but not those that they name themselves: reduced copies, thumbnails.
+    /// Calls `page` with every directory of the chain, but not with subdirectories: reduced copies, thumbnails.
     pub fn for_each(&self, mut page: impl FnMut(Directory<'_>) -> Result<(), String>) -> Result<(), String> {
         let (mut offset, mut seen) = (self.header.first, HashSet::new());
         while offset != 0 {
@@ -169,7 +169,7 @@ impl Directory<'_> {
         Ok(Some((entry.kind, bytes)))
     }
 
-    /// Numbers without a sign; none where the tag is not there.
+    /// Returns the unsigned numbers of a tag; none if the tag is absent.
     pub fn numbers(&self, tag: u16) -> Result<Vec<u64>, String> {
         match self.values(tag)? {
             None => Ok(Vec::new()),
@@ -182,7 +182,7 @@ impl Directory<'_> {
         }
     }
 
-    /// Refuses a tag of more than `max` values, before they are read.
+    /// Refuses a tag with more than `max` values, before they are read.
     pub fn check_max_values(&self, tag: u16, max: u64) -> Result<(), String> {
         let mut entries = self.entries.iter().filter(|entry| entry.tag == tag);
         match entries.find(|entry| entry.count > max) {
@@ -191,12 +191,12 @@ impl Directory<'_> {
         }
     }
 
-    /// The first number of a tag.
+    /// Returns the first number of a tag.
     pub fn number(&self, tag: u16, default: u64) -> Result<u64, String> {
         Ok(self.numbers(tag)?.first().copied().unwrap_or(default))
     }
 
-    /// Position in the file of the only number of a tag, a SHORT or LONG, and its bytes. `None` of other tags.
+    /// Returns the offset in the file of the only number of a tag, if it is a SHORT or LONG, and its bytes. `None` for other tags.
     pub fn place_of(&self, tag: u16) -> Option<(u64, usize)> {
         let index = self.entries.iter().position(|entry| entry.tag == tag)?;
         let entry = &self.entries[index];
@@ -208,7 +208,7 @@ impl Directory<'_> {
         is_there.then_some((end - word, bytes))
     }
 
-    /// A quotient of two numbers.
+    /// Returns a quotient of two numbers.
     pub fn rational(&self, tag: u16) -> Result<Option<f64>, String> {
         let endian = self.file.header.endian;
         Ok(match self.values(tag)? {
@@ -220,7 +220,7 @@ impl Directory<'_> {
         })
     }
 
-    /// A text, to its first 0.
+    /// Returns a text, up to its first 0.
     pub fn text(&self, tag: u16) -> Result<Option<String>, String> {
         let text = self.values(tag)?.map(|(_, bytes)| {
             let end = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
@@ -230,14 +230,14 @@ impl Directory<'_> {
     }
 }
 
-/// Bytes of a value, by its type.
+/// Returns the bytes of a value of this type.
 fn bytes_of(kind: u16) -> u64 {
     match kind {
         1 | 2 | 6 | 7 => 1,
         3 | 8 => 2,
         4 | 9 | 11 | 13 => 4,
         5 | 10 | 12 | 16 | 17 | 18 => 8,
-        // Not known: nothing is read of it.
+        // An unknown type: its values are not read.
         _ => 0,
     }
 }

@@ -9,9 +9,9 @@ use super::source::Pages;
 use super::stack::{Resolution, Stack};
 use super::{Opened, ome, read_pages, volume};
 
-/// Files of a folder that are slices, by their numbers.
+/// Slices of a folder, by their numbers.
 struct Series {
-    /// What their names share, without what separates it from the number.
+    /// The common part of their names, without the separator before the number.
     name: String,
     files: Vec<(u64, FileLocation)>,
 }
@@ -76,7 +76,7 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
     }])
 }
 
-/// What ImageJ says of slices that it has written one by one.
+/// Evaluates ImageJ's descriptions of slices that it has written one by one.
 fn describe_slices(stack: &mut Stack, slices: &[(Option<String>, Resolution)]) -> Result<(), String> {
     let of_imagej = |(description, _): &(Option<String>, Resolution)| {
         let text = description.as_deref().filter(|text| text.starts_with("ImageJ="));
@@ -101,7 +101,7 @@ fn describe_slices(stack: &mut Stack, slices: &[(Option<String>, Resolution)]) -
     Ok(())
 }
 
-/// Refuses a number that is missing, or there twice.
+/// Refuses missing numbers and duplicates.
 fn check_numbers(series: &Series) -> Result<(), String> {
     for pair in series.files.windows(2) {
         let [(number, file), (next, other)] = pair else {
@@ -126,7 +126,7 @@ fn check_numbers(series: &Series) -> Result<(), String> {
     Ok(())
 }
 
-/// Whether a file is one slice, and not a volume itself or a part of one.
+/// Whether a file is a single slice, and not a volume or a part of one.
 fn is_slice(opened: &Opened) -> bool {
     let description = opened.description.as_deref().unwrap_or_default();
     let is_stack = description
@@ -135,7 +135,7 @@ fn is_slice(opened: &Opened) -> bool {
     opened.pages.pages.len() == 1 && !is_stack && !ome::is_ome(description)
 }
 
-/// The first and the last name of TIFF slices whose names differ in several numbers, and in how many.
+/// If the names of TIFF slices differ in several numbers, returns the first and the last name, and the count of these numbers.
 fn several_numbers(folder: &Path) -> Option<(String, String, usize)> {
     let files = tiff_files(folder)?;
     let (first, others) = files.split_first()?;
@@ -154,7 +154,7 @@ fn several_numbers(folder: &Path) -> Option<(String, String, usize)> {
     (count > 1 && is_slice(&opened)).then_some((name(&first.1)?, name(&others.last()?.1)?, count))
 }
 
-/// The TIFF files of a folder, with the parts of their names, in the order of these.
+/// Returns the TIFF files of a folder, sorted by the parts of their names.
 fn tiff_files(folder: &Path) -> Option<Vec<(Vec<Part>, PathBuf)>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).ok()? {
@@ -170,7 +170,7 @@ fn tiff_files(folder: &Path) -> Option<Vec<(Vec<Part>, PathBuf)>> {
     Some(files)
 }
 
-/// The TIFF files of a folder in the order of the number in which their names differ; `None` where they differ in anything else.
+/// Returns the TIFF files of a folder, ordered by the number in which their names differ; `None` if the names differ in anything else.
 fn series(folder: &Path) -> Option<Series> {
     let files = tiff_files(folder)?;
     let (first, others) = files.split_first()?;
@@ -225,7 +225,7 @@ impl Part {
     }
 }
 
-/// Splits a name into numbers and what is between them; a number past 64 bits is text.
+/// Splits a name into numbers and the text between them. A number above 64 bits is text.
 fn parts(name: &str) -> Vec<Part> {
     let mut parts = Vec::new();
     let mut rest = name;

@@ -1,8 +1,8 @@
 //! TIFF: stacks of pages, ImageJ's hyperstacks, OME-TIFF, and folders of numbered slices.
 //!
-//! - [`directory`]: the directories of a file; [`page`]: the image of one, which the crate `tiff` decodes where it is compressed.
-//! - [`stack`]: which pages are slices, channels and time steps, by ImageJ; [`ome`]: by OME's XML.
-//! - [`source`] reads them; [`folder`]: a file a slice.
+//! - [`directory`]: the directories of a file; [`page`]: the image of a directory; the crate `tiff` decodes it if it is compressed.
+//! - [`stack`]: assigns pages to slices, channels and time steps, by ImageJ's description; [`ome`]: by OME's XML.
+//! - [`source`] reads the pages; [`folder`]: one file for each slice.
 
 mod directory;
 pub mod folder;
@@ -30,12 +30,12 @@ const FIELDS: GridFields = GridFields {
     direction: "resolution",
 };
 
-/// Pages of a file, and what its first one says of them.
+/// Pages of a file, with the properties that the first page states.
 struct Opened {
     pages: Pages,
     description: Option<String>,
     resolution: Resolution,
-    /// As the specification numbers it: 1 is the first row at the top, the first column on the left.
+    /// Orientation as the specification numbers it: 1 is the first row at the top, the first column on the left.
     orientation: u64,
     /// The stored value of pixels without a measurement.
     missing: Option<f64>,
@@ -44,7 +44,7 @@ struct Opened {
 /// Reads the directories of a file.
 ///
 /// # Errors
-/// What is wrong with them, or which volumes the file holds where there are several.
+/// What is wrong with the directories; the list of volumes if the file holds several.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let Opened {
         mut pages,
@@ -108,7 +108,7 @@ fn read_pages(location: &FileLocation) -> Result<Opened, ReadError> {
                     directory.rational(tag::X_RESOLUTION)?,
                     directory.rational(tag::Y_RESOLUTION)?,
                 ],
-                // Without the tag it is the inch.
+                // The default unit is the inch.
                 is_of_file: directory.number(tag::RESOLUTION_UNIT, 2)? == 1,
             };
         }
@@ -120,7 +120,7 @@ fn read_pages(location: &FileLocation) -> Result<Opened, ReadError> {
     Ok(opened)
 }
 
-/// ImageJ writes one directory for more than 4 GB: the samples of all slices follow those of the first.
+/// Adds the pages of a file of more than 4 GB by ImageJ, which has one directory: the samples of all slices follow those of the first.
 fn extend_imagej(pages: &mut Pages, description: &str) -> Result<(), String> {
     let images = description
         .lines()
@@ -159,7 +159,7 @@ fn extend_imagej(pages: &mut Pages, description: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// The volumes of an OME-TIFF, and the files that their planes are in.
+/// Reads the volumes of an OME-TIFF, and opens the files that contain their planes.
 fn ome_stacks(location: &FileLocation, xml: &str, own: Pages) -> Result<(Vec<Stack>, Vec<Pages>), ReadError> {
     let mut files = vec![own];
     let mut failed = None;
@@ -175,7 +175,7 @@ fn ome_stacks(location: &FileLocation, xml: &str, own: Pages) -> Result<(Vec<Sta
         let opened = location
             .sibling(name, "TiffData")
             .and_then(|sibling| read_pages(&sibling));
-        // The error says more than its text.
+        // Keep the error: it has more fields than its text.
         let opened = opened.map_err(|e| {
             let text = e.why.clone();
             failed = Some(e);
@@ -190,7 +190,7 @@ fn ome_stacks(location: &FileLocation, xml: &str, own: Pages) -> Result<(Vec<Sta
     }
 }
 
-/// The only volume, or the one that is named: by its name, or its number from 1.
+/// Returns the only volume, or the one that is named by its name or by its number from 1.
 fn chosen(location: &FileLocation, mut stacks: Vec<Stack>) -> Result<Stack, ReadError> {
     let found = match location.part() {
         Some(part) => {
@@ -222,7 +222,7 @@ fn chosen(location: &FileLocation, mut stacks: Vec<Stack>) -> Result<Stack, Read
     Err(ReadError::new(location.path(), "file", why))
 }
 
-/// What all slices are, if they are one.
+/// Returns the common size and type of all slices, or an error if they differ.
 fn image_of(location: &FileLocation, stack: &Stack, files: &[Pages]) -> Result<Image, ReadError> {
     let fail = |why: String| Err(ReadError::new(location.path(), "pages", why));
     let page = |&(file, page): &(usize, usize)| files[file].pages[page].image;
@@ -304,7 +304,7 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
     })
 }
 
-/// Names of the fields, each with its channel and what is read of a pixel.
+/// Returns the names of the fields, each with its channel and the component of a pixel that is read.
 fn fields(location: &FileLocation, stack: &Stack, image: Image) -> Vec<(String, usize, Pick)> {
     let picks: Vec<Pick> = if image.is_rgb {
         vec![Pick::Luminance]

@@ -1,4 +1,4 @@
-//! OME-TIFF: XML in the first page says which page of which file is which slice (<https://docs.openmicroscopy.org/ome-model/>).
+//! OME-TIFF: XML in the first page assigns pages of one or more files to slices (<https://docs.openmicroscopy.org/ome-model/>).
 
 use std::collections::{HashMap, HashSet};
 
@@ -8,10 +8,10 @@ use quick_xml::events::{BytesStart, Event};
 use super::super::super::{LengthUnit, Notices};
 use super::stack::{Index, Stack};
 
-/// Finds a file of a set by its name, `None` the file itself: its number among the files, and how many pages it has.
+/// Finds a file of a set by its name, or the file itself for `None`. Returns its index among the files, and its number of pages.
 pub type FindFile<'a> = dyn FnMut(Option<&str>) -> Result<(usize, usize), String> + 'a;
 
-/// `Pixels`, and what stands in it.
+/// `Pixels` and its child elements.
 #[derive(Default)]
 struct Pixels {
     name: Option<String>,
@@ -20,7 +20,7 @@ struct Pixels {
     blocks: Vec<Block>,
 }
 
-/// `TiffData`: planes one after the other.
+/// `TiffData`: consecutive planes.
 #[derive(Default)]
 struct Block {
     attributes: HashMap<String, String>,
@@ -92,7 +92,7 @@ fn attributes(element: &BytesStart<'_>) -> Result<HashMap<String, String>, Strin
     element.attributes().map(read).collect()
 }
 
-/// A number among the attributes.
+/// Returns a number among the attributes.
 fn number(attributes: &HashMap<String, String>, name: &str, default: Option<u32>) -> Result<u32, String> {
     match (attributes.get(name), default) {
         (Some(text), _) => text
@@ -110,14 +110,14 @@ fn stack(pixels: &Pixels, find: &mut FindFile<'_>) -> Result<Stack, String> {
         n => Ok(n),
     };
     let (slices, samples, frames) = (size("SizeZ")?, size("SizeC")?, size("SizeT")?);
-    // A channel may have several samples, which are in one plane: RGB.
+    // A channel may have several samples in one plane: RGB.
     let channels = match pixels.channels.len() as u32 {
         0 => samples,
         n => n.min(samples),
     };
     let sizes = [slices, channels, frames];
     let placed = place(pixels, sizes, find)?;
-    // Planes that were placed are pages that are there: so many may be allocated.
+    // Placed planes are existing pages, so this many can be allocated.
     if let Some([z, channel, frame]) = first_missing(&placed, sizes) {
         return Err(format!(
             "no page for slice {z} of channel {channel} at time {frame}, expected one for each"
@@ -159,7 +159,7 @@ fn first_missing(placed: &Placed, [slices, channels, frames]: [u32; 3]) -> Optio
     planes.into_iter().find(|plane| !placed.contains_key(plane))
 }
 
-/// Where every plane is. `sizes` are those of Z, C and T.
+/// Finds the file and page of every plane. `sizes` are those of Z, C and T.
 fn place(pixels: &Pixels, sizes: [u32; 3], find: &mut FindFile<'_>) -> Result<Placed, String> {
     let order = pixels.attributes.get("DimensionOrder").map_or("XYZCT", String::as_str);
     let axes: Vec<usize> = order.chars().skip(2).filter_map(|axis| "ZCT".find(axis)).collect();
@@ -182,7 +182,7 @@ fn place(pixels: &Pixels, sizes: [u32; 3], find: &mut FindFile<'_>) -> Result<Pl
             [first("FirstZ")?, first("FirstC")?, first("FirstT")?],
             first("IFD")? as usize,
         );
-        // A page was named: one plane. Nothing was: all.
+        // If a page is named, one plane is meant, else all.
         let default = if attributes.contains_key("IFD") {
             1
         } else {
@@ -197,7 +197,7 @@ fn place(pixels: &Pixels, sizes: [u32; 3], find: &mut FindFile<'_>) -> Result<Pl
                 return Err(format!("page {} has several planes, expected one", page + 1));
             }
             placed.insert(at, (file, page));
-            // The next one, as an odometer; past the last one it stops.
+            // Advance like an odometer; it stops after the last plane.
             for (i, &axis) in axes.iter().enumerate() {
                 at[axis] += 1;
                 if at[axis] < sizes[axis] || i == 2 {
@@ -210,14 +210,14 @@ fn place(pixels: &Pixels, sizes: [u32; 3], find: &mut FindFile<'_>) -> Result<Pl
     Ok(placed)
 }
 
-/// Time between frames, in seconds unless the file says otherwise.
+/// Returns the time between frames, in seconds unless the file states another unit.
 fn interval(attributes: &HashMap<String, String>) -> Option<(f64, String)> {
     let increment = attributes.get("TimeIncrement")?.trim().parse().ok()?;
     let unit = attributes.get("TimeIncrementUnit").map_or("s", String::as_str);
     Some((increment, unit.to_owned()))
 }
 
-/// Distances of samples in the unit of the first axis that has one. Axes without a distance are as the others, with a notice.
+/// Returns the distances of samples in the unit of the first axis that has one. A missing distance is taken from the others, with a notice.
 fn spacing(attributes: &HashMap<String, String>, slices: u32, notices: &mut Notices) -> ([f64; 3], Option<LengthUnit>) {
     let along = |axis: &str| {
         let size = attributes

@@ -8,13 +8,13 @@ use super::super::super::location::{Blob, BlobReader};
 use super::super::super::stored::{DEFLATE_RATIO, Endian, StoredType};
 use super::directory::{Directory, Header, tag};
 
-/// What all pages of a volume share.
+/// Properties that all pages of a volume share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Image {
     pub width: u32,
     pub height: u32,
     pub stored: StoredType,
-    /// Samples of a pixel.
+    /// Number of samples of a pixel.
     pub samples: u16,
     /// Whether they are red, green and blue.
     pub is_rgb: bool,
@@ -24,30 +24,30 @@ pub struct Image {
 #[derive(Clone, Copy, Debug)]
 pub struct Page {
     pub image: Image,
-    /// Where its directory is.
+    /// Offset of its directory.
     pub directory: u64,
-    /// Where its samples are, if they lie there one after the other as they are.
+    /// Offset of its samples, if they are contiguous in the file and need no decoding.
     pub plain: Option<u64>,
-    /// Whether the samples of a pixel lie apart, each kind in a plane of its own.
+    /// Whether each component of the pixels is in a plane of its own.
     pub is_planar: bool,
-    /// Whether 0 is shown white. The samples stay as they are; the library turns them.
+    /// Whether 0 is shown white. The samples stay as they are stored; the library inverts them, which is undone.
     pub is_white_zero: bool,
-    /// What is decoded in its place, if the library cannot decode it as it is.
+    /// The wider page that is decoded in its place, if the library cannot decode the page itself.
     pub whole: Option<WholeTiles>,
     pub header: Header,
 }
 
-/// A page that is as wide as its tiles: of tiles in LZW that reach beyond the page the library finds no end
+/// A page as wide as its whole tiles. The library cannot decode tiles in LZW that extend beyond the page
 /// (<https://github.com/image-rs/image-tiff/issues/395>).
 #[derive(Clone, Copy, Debug)]
 pub struct WholeTiles {
     width: u32,
-    /// Where the file says how wide it is, and in how many bytes.
+    /// Offset of the image's width in the file, and the number of bytes of that entry.
     place: (u64, usize),
 }
 
 impl WholeTiles {
-    /// What may be decoded in the place of a small page, in bytes; of larger ones twice as many as they have.
+    /// Maximum bytes that are decoded in the place of a small page; for larger pages twice their size.
     const MAX_BYTES: u64 = 16 << 20;
 
     fn of(directory: &Directory<'_>, image: &Image, compression: u64) -> Result<Option<Self>, String> {
@@ -74,7 +74,7 @@ impl WholeTiles {
         Ok((tiles.bytes(image) <= limit).then_some(tiles))
     }
 
-    /// Decoded bytes.
+    /// Returns the decoded bytes.
     fn bytes(self, image: &Image) -> u64 {
         let wide = Image {
             width: self.width,
@@ -83,7 +83,7 @@ impl WholeTiles {
         wide.bytes().unwrap_or(u64::MAX)
     }
 
-    /// The rows of a page of which these are wider ones.
+    /// Cuts the rows of the page out of the wider ones.
     fn crop(self, image: &Image, samples: Vec<u8>) -> Vec<u8> {
         let wide = samples.len() / image.height as usize;
         let row = wide / self.width as usize * image.width as usize;
@@ -96,7 +96,7 @@ impl WholeTiles {
 }
 
 impl Image {
-    /// Bytes of a page; `None` past 64 bits.
+    /// Returns the bytes of a page; `None` above 64 bits.
     pub fn bytes(&self) -> Option<u64> {
         (u64::from(self.width) * u64::from(self.height)).checked_mul(u64::from(self.samples) * self.stored.bytes())
     }
@@ -114,7 +114,7 @@ impl Image {
 }
 
 impl Page {
-    /// Checks a page; `None` of a copy in a lower resolution, or a mask. `file_bytes` is the file's length.
+    /// Checks a page; `None` for a copy in a lower resolution, or a mask. `file_bytes` is the file's length.
     pub fn read(directory: &Directory<'_>, header: Header, file_bytes: u64) -> Result<Option<Self>, String> {
         if directory.number(tag::NEW_SUBFILE_TYPE, 0)? & 0b101 != 0 {
             return Ok(None);
@@ -150,10 +150,10 @@ impl Page {
         }))
     }
 
-    /// The samples of the page as they are stored, in the byte order that is returned with them. Of RGB those that are no colour
-    /// may be left out.
+    /// Returns the samples of the page as they are stored, and their byte order. Of an RGB page, samples beside the colours may be
+    /// left out.
     pub fn samples(&self, blob: &Blob<'_>) -> Result<(Vec<u8>, Endian), String> {
-        // Checked when the page was.
+        // The size was checked when the page was opened.
         let bytes = self.image.bytes().unwrap_or(u64::MAX);
         if let Some(begin) = self.plain {
             let mut samples = vec![0; usize::try_from(bytes).map_err(|e| e.to_string())?];
@@ -185,7 +185,7 @@ impl Page {
     }
 }
 
-/// The library sets aside 32 bytes for each value that a tag claims, before it looks whether the file has it.
+/// Limits the counts of tags: the library allocates 32 bytes for each value that a tag claims, before it checks that the file has them.
 fn check_counts(directory: &Directory<'_>) -> Result<(), String> {
     let once = [
         tag::IMAGE_WIDTH,
@@ -243,9 +243,9 @@ fn stored_type(directory: &Directory<'_>) -> Result<StoredType, String> {
 struct Chunks {
     offsets: Vec<u64>,
     bytes: Vec<u64>,
-    /// Whether one after the other makes the page: strips of one plane.
+    /// Whether the chunks, one after another, are the page: strips of one plane.
     are_rows: bool,
-    /// Decoded bytes of one.
+    /// Decoded bytes of a chunk.
     decoded: Option<u64>,
 }
 
@@ -293,7 +293,7 @@ impl Chunks {
         })
     }
 
-    /// Where the chunks begin, if each one follows the one before.
+    /// Returns the offset of the first chunk, if each chunk begins at the end of the one before.
     fn begin(&self) -> Option<u64> {
         let ends = self
             .offsets
@@ -322,7 +322,7 @@ fn check(
     let have = chunks.bytes.iter().fold(0u64, |n, bytes| n.saturating_add(*bytes));
     let have = have.min(file_bytes);
     let reach = have.saturating_mul(ratio(compression)?);
-    // A small image may lie in a tile that is larger.
+    // The tile of a small image may be larger than the image.
     let is_too_much = |bytes: Option<u64>, limit: u64| bytes.is_none_or(|bytes| bytes > limit);
     if is_too_much(image.bytes(), reach) || is_too_much(chunks.decoded, reach.max(1 << 20)) {
         return Err(format!(
@@ -357,7 +357,7 @@ fn check_colours(photometric: u64, image: &Image) -> Result<(), String> {
     }
 }
 
-/// How many bytes one of a compression can become at most.
+/// Returns the maximum number of bytes that a byte of this compression decodes to.
 fn ratio(compression: u64) -> Result<u64, String> {
     Ok(match compression {
         1 => 1,
@@ -382,10 +382,10 @@ fn ratio(compression: u64) -> Result<u64, String> {
     })
 }
 
-/// The file as if a page were its first and only one that is read: the library reads the first one without the others.
+/// The file, presented as if the page were its first one: the library reads the first page without the others.
 struct OnePage<'a> {
     head: Vec<u8>,
-    /// Bytes that take the place of the file's.
+    /// Bytes that replace those of the file at an offset.
     other: Option<(u64, Vec<u8>)>,
     file: BlobReader<'a>,
     at: u64,

@@ -22,17 +22,17 @@ const BATCH_BYTES: u64 = 16 << 20;
 #[derive(Debug)]
 pub struct Pages {
     pub location: FileLocation,
-    /// Its length when they were read.
+    /// Length of the file when its pages were read.
     pub file_bytes: u64,
     pub pages: Vec<Page>,
 }
 
-/// Which samples of a pixel make a field.
+/// Selects the samples of a pixel that a field is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pick {
-    /// The one of this index.
+    /// The sample of this index.
     Sample(u16),
-    /// The luminance of the first three, by Rec. 709.
+    /// The luminance of the first three samples, by Rec. 709.
     Luminance,
 }
 
@@ -42,7 +42,7 @@ pub struct PageSource {
     pub files: Arc<Vec<Pages>>,
     pub image: Image,
     pub pick: Pick,
-    /// What ImageJ makes of the stored numbers.
+    /// ImageJ's calibration of the stored numbers.
     pub calibration: Option<Calibration>,
     /// File and page of the slices of every time step.
     pub steps: Vec<Vec<(usize, usize)>>,
@@ -62,7 +62,7 @@ impl PageSource {
         }
     }
 
-    /// Value = `scale[0]` · stored + `scale[1]`, if that is another one.
+    /// Returns the scale, value = `scale[0]` · stored + `scale[1]`, if the calibration is linear.
     fn scale(&self) -> Option<[f64; 2]> {
         match self.calibration {
             Some(Calibration::Line { slope, intercept }) => Some([slope, intercept]),
@@ -70,7 +70,7 @@ impl PageSource {
         }
     }
 
-    /// Samples of a slice, and their type and byte order.
+    /// Reads the samples of a slice, and returns them with their type and byte order.
     fn slice(&self, (file, page): (usize, usize)) -> Result<(Vec<u8>, StoredType, Endian), ReadError> {
         let Pages {
             location,
@@ -159,7 +159,7 @@ impl Source for PageSource {
             let why = format!("{step}, expected 0 to {}", self.steps.len() - 1);
             return Err(ReadError::new(path, "step", why));
         };
-        // The pages were compared with the file, so that the product fits.
+        // The product fits: the pages were compared with the file.
         let slice_bytes = self.image.bytes().unwrap_or(u64::MAX);
         let expected = u64::from(self.image.width) * u64::from(self.image.height) * planes.len() as u64;
         let at_once = (BATCH_BYTES / slice_bytes).max(1) as usize;

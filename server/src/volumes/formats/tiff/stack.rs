@@ -1,33 +1,33 @@
-//! Which pages are the slices of a volume, its channels and its time steps, and how far apart they are.
+//! Assigns pages to the slices, channels and time steps of a volume, and determines the distances of samples.
 
 use super::super::super::{LengthUnit, Notices};
 
 /// A volume in pages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stack {
-    /// Its name in a file with several.
+    /// Name of the volume, in a file with several.
     pub name: Option<String>,
     pub slices: u32,
-    /// Names of the channels, where they have any; at least one.
+    /// Names of the channels, `None` for a channel without a name; at least one channel.
     pub channels: Vec<Option<String>>,
     pub frames: u32,
-    /// Time between frames, and its unit, where the file has them.
+    /// Time between frames, and its unit, if the file states them.
     pub interval: Option<(f64, String)>,
     pub spacing: [f64; 3],
     pub unit: Option<LengthUnit>,
-    /// What ImageJ makes of the stored numbers.
+    /// ImageJ's calibration of the stored numbers.
     pub calibration: Option<Calibration>,
     /// Unit of the values.
     pub value_unit: Option<String>,
     /// The stored value of pixels without a measurement.
     pub missing: Option<f64>,
-    /// What was assumed.
+    /// Notices of assumptions.
     pub notices: Notices,
     /// File and page of every slice: by frame, then channel, then slice.
     pub planes: Vec<(usize, usize)>,
 }
 
-/// What ImageJ makes of numbers of 8 and 16 bits, which it stores without sign.
+/// ImageJ's calibration of numbers of 8 and 16 bits, which it stores unsigned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Calibration {
     /// Signed 16-bit numbers: 32768 less than stored.
@@ -39,7 +39,7 @@ pub enum Calibration {
 }
 
 impl Calibration {
-    /// The same for numbers of another type than 16 bits.
+    /// Returns the same calibration as a line, for numbers of another type than 16 bits.
     pub fn as_line(self) -> Self {
         match self {
             Self::Signed => Self::Line {
@@ -51,21 +51,21 @@ impl Calibration {
     }
 }
 
-/// Pixels along x and y in a unit of length.
+/// Resolution: pixels along x and y in a unit of length.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Resolution {
     pub pixels: [Option<f64>; 2],
-    /// Whether the unit is one of the file's own, not inch or centimetre.
+    /// Whether the unit is the file's own, not inch or centimetre.
     pub is_of_file: bool,
 }
 
-/// A value of ImageJ's description.
+/// Returns a value of ImageJ's description.
 fn imagej_value<'a>(description: &'a str, name: &str) -> Option<&'a str> {
     let mut lines = description.lines().filter_map(|line| line.split_once('='));
     lines.find(|(n, _)| *n == name).map(|(_, value)| value.trim())
 }
 
-/// Place of a slice among the planes.
+/// Slice, channel and frame of a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Index {
     pub z: u32,
@@ -74,7 +74,7 @@ pub struct Index {
 }
 
 impl Stack {
-    /// A page is a slice.
+    /// A stack in which every page is a slice.
     pub fn of_pages(pages: usize) -> Self {
         Self {
             name: None,
@@ -92,8 +92,8 @@ impl Stack {
         }
     }
 
-    /// What ImageJ wrote into the first page: lines of names and values. The channel is the fastest index of the pages, the frame
-    /// the slowest.
+    /// Reads the description that ImageJ writes into the first page: lines of names and values. The channel is the fastest index of the
+    /// pages, the frame the slowest.
     pub fn of_imagej(description: &str, pages: usize, resolution: Resolution) -> Result<Self, String> {
         let value = |name: &str| imagej_value(description, name);
         let is_plain = ["channels", "slices", "frames"]
@@ -132,7 +132,7 @@ impl Stack {
         Ok(stack)
     }
 
-    /// Pages in an order of `c`, `z` and `t`, the fastest index first.
+    /// Orders the pages by `c`, `z` and `t`; the first letter of `order` is the fastest index.
     fn order_pages(&mut self, order: &str) -> Result<(), &'static str> {
         let sizes = [self.channels.len() as u32, self.slices, self.frames];
         let (mut strides, mut stride, mut seen) = ([0; 3], 1, [false; 3]);
@@ -150,7 +150,7 @@ impl Stack {
         Ok(())
     }
 
-    /// Says that rows and columns are not turned. `orientation`: as the specification numbers it.
+    /// Adds a notice if an orientation would turn rows and columns, which is not done. `orientation`: as the specification numbers it.
     pub fn tell_of_orientation(&mut self, orientation: u64) {
         if orientation != 1 {
             self.notices.add(format!(
@@ -159,7 +159,7 @@ impl Stack {
         }
     }
 
-    /// Pixels that are no squares, of a file that does not say how far slices are apart.
+    /// Sets the ratio of the pixels' sides if they are not square, for a file that does not state the distance of slices.
     pub fn keep_ratio(&mut self, resolution: Resolution) {
         let is_known = |pixels: &f64| pixels.is_finite() && *pixels > 0.0;
         let [Some(x), Some(y)] = resolution.pixels.map(|pixels| pixels.filter(is_known)) else {
@@ -174,7 +174,7 @@ impl Stack {
         }
     }
 
-    /// Distances of samples as ImageJ has them. What it assumes without a word is a notice.
+    /// Sets the distances of samples as ImageJ does. Its tacit assumptions become notices.
     pub fn place_imagej(&mut self, description: &str, resolution: Resolution) {
         let value = |name: &str| imagej_value(description, name);
         let named = value("unit").filter(|unit| !unit.is_empty() && !matches!(*unit, "pixel" | "pixels" | "null"));
@@ -213,7 +213,7 @@ impl Stack {
         }
     }
 
-    /// The calibration function of ImageJ, which it applies to numbers of 8 and 16 bits.
+    /// Sets ImageJ's calibration function, which applies to numbers of 8 and 16 bits.
     pub fn calibrate_imagej(&mut self, description: &str) {
         let value = |name: &str| imagej_value(description, name);
         let number = |name: &str| value(name)?.parse::<f64>().ok().filter(|number| number.is_finite());
@@ -238,9 +238,9 @@ impl Stack {
         }
     }
 
-    /// What tifffile wrote into the first page: the array's shape, slowest axis first, and the letters of its axes, if they were given. Of
-    /// four axes without letters the first one is time, as in `.npy`. `None` where another program wrote it, or the pages are another
-    /// array's.
+    /// Reads the description that tifffile writes into the first page: the array's shape, slowest axis first, and the letters of its axes,
+    /// if they were given. Of four axes without letters the first one is time, as in `.npy`. `None` if another program wrote the
+    /// description, or if the pages are of another array.
     pub fn of_tifffile(description: &str, pages: usize) -> Option<Self> {
         let value: serde_json::Value = serde_json::from_str(description).ok()?;
         let sizes = value.get("shape")?.as_array()?.iter().map(serde_json::Value::as_u64);
@@ -267,7 +267,7 @@ impl Stack {
         }
     }
 
-    /// Pages of an array whose axes have these letters, the slowest first: the last two are those of a page.
+    /// Orders the pages of an array by the letters of its axes, the slowest first. The last two letters are the axes of a page.
     fn of_letters(axes: &str, sizes: &[u64], pages: usize) -> Self {
         let of_page = if axes.ends_with("yxs") { 3 } else { 2 };
         let (above, below) = axes.split_at(axes.len().saturating_sub(of_page));
@@ -299,7 +299,7 @@ impl Stack {
         stack
     }
 
-    /// Planes in their order, each where `place` says.
+    /// Lists the planes, ordered by frame, channel and slice; `place` maps the index of a plane to its file and page.
     pub fn order(&self, mut place: impl FnMut(Index) -> (usize, usize)) -> Vec<(usize, usize)> {
         let mut planes = Vec::new();
         for frame in 0..self.frames {
@@ -310,7 +310,7 @@ impl Stack {
         planes
     }
 
-    /// The planes of a channel's time step.
+    /// Returns the planes of a channel's time step.
     pub fn step(&self, channel: usize, frame: u32) -> &[(usize, usize)] {
         let slices = self.slices as usize;
         let first = (frame as usize * self.channels.len() + channel) * slices;

@@ -1,4 +1,4 @@
-//! Which axes of a variable are space and which is time, and where its samples are, by the conventions of CF.
+//! Axes of a variable by the conventions of CF: which are space, which is time, and the positions of the samples.
 
 use std::ops::Range;
 use std::path::Path;
@@ -11,7 +11,7 @@ use super::super::named_axes::{self, AxisFacts, AxisRoles, Role};
 use super::file::{Variable, VariableFile};
 use super::scale::{MAX_POSITIONS, Scale, last_name};
 
-/// The axes of a variable as those of a volume.
+/// Assignment of the axes of a variable to those of a volume.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
     /// Samples along x, y, z.
@@ -20,18 +20,18 @@ pub struct Layout {
     pub steps: u32,
     /// Channels, at least 1.
     pub channels: u32,
-    /// Which axes of the variable are x, y, z.
+    /// The axes of the variable that are x, y, z.
     pub axes: [usize; 3],
-    /// Which one is time.
+    /// The axis that is time.
     pub time: Option<usize>,
-    /// Along which one the channels are.
+    /// The axis of the channels.
     pub channel: Option<usize>,
     /// Samples along each axis of the variable; those that are neither space, time nor channels have length 1.
     pub sizes: Vec<u64>,
 }
 
 impl Layout {
-    /// The axes in their roles.
+    /// Assigns the axes by their roles.
     pub fn new(sizes: Vec<u64>, roles: &AxisRoles) -> Result<Self, String> {
         let size = |axis: usize| {
             // Attributes may name more axes than the variable has.
@@ -70,7 +70,8 @@ impl Layout {
         (0..3).min_by_key(|&axis| self.axes[axis]).unwrap_or(2)
     }
 
-    /// The box of a channel of a step that has the samples `range` along x, y or z (`along`: 0, 1, 2), and all along the others.
+    /// Returns the box of a channel of a step that has the samples `range` along x, y or z (`along`: 0, 1, 2), and all samples along the
+    /// others.
     pub fn selection(&self, step: u32, channel: u32, along: usize, range: Range<u64>) -> Vec<Range<u64>> {
         let mut selection = vec![0..1; self.sizes.len()];
         for (axis, size) in self.axes.into_iter().zip(self.dims) {
@@ -85,7 +86,7 @@ impl Layout {
         selection
     }
 
-    /// Distance in samples between neighbours along x, y, z and time, and between channels; `None` past 64 bits.
+    /// Returns the distance in samples between neighbours along x, y, z and time, and between channels; `None` above 64 bits.
     pub fn strides(&self) -> Option<([u64; 4], u64)> {
         let mut strides = vec![1u64; self.sizes.len()];
         for axis in (1..self.sizes.len()).rev() {
@@ -98,7 +99,7 @@ impl Layout {
     }
 }
 
-/// What a file says of the axes of a variable; `scales` are the variables with the positions along them.
+/// Assigns roles to the axes of a variable; `scales` are the variables with the positions along them.
 pub fn roles(variable: &Variable, scales: &[Option<Variable>]) -> Result<AxisRoles, String> {
     let facts = variable.axes.iter().zip(scales).map(|(axis, scale)| {
         let text = |name: &str| scale.as_ref().and_then(|scale| scale.text(name));
@@ -118,7 +119,7 @@ pub fn roles(variable: &Variable, scales: &[Option<Variable>]) -> Result<AxisRol
     named_axes::assign(&facts)
 }
 
-/// The role that the attribute `_CoordinateAxisType` of Unidata's libraries states.
+/// Returns the role for a value of the attribute `_CoordinateAxisType`, which Unidata's libraries write.
 fn role_of_coordinate_type(text: &str) -> Option<Role> {
     Some(match text {
         "Lon" | "GeoX" => Role::X,
@@ -130,26 +131,26 @@ fn role_of_coordinate_type(text: &str) -> Option<Role> {
     })
 }
 
-/// Where a variable's samples are.
+/// Layout, positions and times of a variable's samples.
 pub struct Grid {
     pub layout: Layout,
     pub placed: Placed,
     pub times: Option<TimeAxis>,
 }
 
-/// A grid, and what it does not say of where samples are.
+/// A grid, and notices of what is not known about the positions of its samples.
 pub struct Placed {
-    /// Of the samples as they are stored; uneven ones at their mean distance.
+    /// Grid of the samples as they are stored; uneven ones at their mean distance.
     pub geometry: Geometry,
     pub notices: Vec<String>,
-    /// Along x, y and z, where there are all; see [`Placed::finish`].
+    /// Positions along x, y and z, if all three are known; see [`Placed::finish`].
     positions: Option<[Positions; 3]>,
-    /// What the positions are.
+    /// Meaning of the positions.
     axes: AxisScales,
 }
 
 impl Placed {
-    /// A file whose samples lie so, on an even grid.
+    /// Places the samples of a file at these positions, on an even grid if possible.
     pub fn finish(self, path: &Path, mut file: OpenedFile) -> Result<OpenedFile, ReadError> {
         file.axes = Some(self.axes)
             .filter(|axes| axes.iter().any(Option::is_some))
@@ -163,7 +164,7 @@ impl Placed {
     }
 }
 
-/// The variables with the positions along the axes of one.
+/// Returns the variables with the positions along the axes of a variable.
 pub fn scales(file: &dyn VariableFile, variable: &Variable) -> Vec<Option<Variable>> {
     let axes = variable.axes.iter();
     axes.map(|axis| axis.scale.as_ref().and_then(|scale| file.variable(scale).ok()))
@@ -184,7 +185,7 @@ pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result
     Ok(Grid { layout, placed, times })
 }
 
-/// Where samples are that have `dims` along the `axes` x, y, z of a variable, by these scales; and what the grid does not say of that.
+/// Returns the grid of samples that have `dims` along the `axes` x, y, z of a variable, by these scales, with notices of what is not known.
 pub fn place_grid(
     path: &Path,
     file: &dyn VariableFile,
@@ -240,7 +241,7 @@ pub fn place_grid(
     })
 }
 
-/// What positions along the axes are. `is_counted`: the world's coordinates count samples. `unit`: that of the world, if it has one.
+/// Describes the positions along the axes. `is_counted`: the world's coordinates count samples. `unit`: that of the world, if it has one.
 fn axes_of(scales: &[Option<Result<Scale, String>>; 3], unit: Option<LengthUnit>, is_counted: bool) -> AxisScales {
     [0, 1, 2].map(|axis| {
         let scale = scales[axis].as_ref()?.as_ref().ok()?;
@@ -256,9 +257,9 @@ fn axes_of(scales: &[Option<Result<Scale, String>>; 3], unit: Option<LengthUnit>
     })
 }
 
-/// Spacing of a variable without positions, and what is not known of it.
+/// Sets the spacing of a variable without positions. Returns notices of what is not known.
 fn without_positions(variable: &Variable, axes: [usize; 3], geometry: &mut Geometry) -> Vec<String> {
-    // The convention of Fiji and ilastik, in the order of the axes as stored.
+    // The convention of Fiji and ilastik, in the order in which the axes are stored.
     if let &[z, y, x] = variable.numbers("element_size_um").as_slice() {
         let mut stored = axes;
         stored.sort_unstable();
@@ -272,7 +273,7 @@ fn without_positions(variable: &Variable, axes: [usize; 3], geometry: &mut Geome
         geometry.spacing = spacing;
         return notice.into_iter().collect();
     }
-    // Of these attributes no two programs write the same order of axes and unit.
+    // These attributes are not used: programs differ in their order of axes and in their unit.
     let unread = [
         "resolution",
         "spacing",
@@ -295,7 +296,7 @@ fn without_positions(variable: &Variable, axes: [usize; 3], geometry: &mut Geome
     )]
 }
 
-/// Spacing along x, y and z, of which one at least is known, and what is said of the others; `None` if none is known.
+/// Returns the spacing along x, y and z, with a notice of unknown ones, which get a known one; `None` if none is known.
 pub fn known_spacing(spacing: [Option<f64>; 3]) -> Option<([f64; 3], Option<String>)> {
     let known = spacing.iter().flatten().next().copied()?;
     let unknown: Vec<&str> = ["x", "y", "z"]
@@ -324,7 +325,8 @@ fn is_on_earth(scales: &[Option<&Variable>; 3]) -> bool {
     scales[..2].iter().flatten().any(is_geographic)
 }
 
-/// What `place` says, if samples may be interpolated where they are uneven.
+/// Returns the grid of `place` with the positions of its samples. An error if positions are missing, or neither only increase nor only
+/// decrease along an axis.
 fn even_grid(path: &Path, geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Result<Placed, String> {
     let [Some(Ok(x)), Some(Ok(y)), Some(Ok(z))] = axes else {
         return Err("positions are missing".to_owned());
@@ -339,7 +341,7 @@ fn even_grid(path: &Path, geometry: Geometry, axes: &[Option<Result<Scale, Strin
     })
 }
 
-/// When the steps are, where the positions along their axis say it.
+/// Returns the times of the steps, if the positions along their axis are times.
 pub fn times(file: &dyn VariableFile, scale: &Variable, steps: u64) -> Option<TimeAxis> {
     let read = file
         .read_line(scale, MAX_POSITIONS)
@@ -362,7 +364,7 @@ pub fn times(file: &dyn VariableFile, scale: &Variable, steps: u64) -> Option<Ti
     TimeAxis::listed(values, scale.text("units").unwrap_or_default(), scale.text("calendar"))
 }
 
-/// Positions that count samples, in the directions of the axes' own: north stays north, and depth is down.
+/// Returns the grid whose positions count samples in the direction of each axis: north stays north, and depth points down.
 fn counted(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Geometry {
     for (i, axis) in axes.iter().enumerate() {
         if let Some(Ok(Scale { positions, .. })) = axis {
@@ -372,14 +374,14 @@ fn counted(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) ->
     geometry
 }
 
-/// The unit of positions along several axes, and what brings those of each to it; `None` if they have no common one.
+/// Returns the common unit of positions along several axes, and the factor of each axis to it; `None` if there is no common unit.
 fn common_unit(found: &[&Scale]) -> Option<(Option<LengthUnit>, Vec<f64>)> {
     let units: Vec<&str> = found
         .iter()
         .map(|axis| axis.unit.as_deref().unwrap_or("none"))
         .collect();
     let parsed: Vec<Option<LengthUnit>> = units.iter().map(|unit| LengthUnit::parse(unit)).collect();
-    // Lengths in different units become lengths in the first one.
+    // Lengths in different units are converted to the first one.
     let metres: Option<Vec<f64>> = parsed.iter().map(|unit| unit.and_then(LengthUnit::metres)).collect();
     let first = parsed.first().copied()?;
     match metres {
@@ -393,7 +395,8 @@ fn common_unit(found: &[&Scale]) -> Option<(Option<LengthUnit>, Vec<f64>)> {
     }
 }
 
-/// Puts samples where their scales say, if they say it of all axes, in one unit; uneven ones at their mean distance.
+/// Places samples at the positions of their scales, uneven ones at their mean distance. An error unless all axes have positions, in one
+/// common unit.
 fn place(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Result<Geometry, String> {
     let failed = axes.iter().flatten().filter_map(|axis| axis.as_ref().err().cloned());
     let mut wrong: Vec<String> = failed.collect();
@@ -431,8 +434,8 @@ fn place(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> R
     Ok(geometry)
 }
 
-/// Puts samples where their scales say if these are even, in one unit, and along one or two axes there are none; with what is said of
-/// these.
+/// Places samples at the positions of their scales if these are even and have a common unit, and one or two axes have no scale. Also
+/// returns the notice about the axes without a scale.
 fn place_known(mut geometry: Geometry, axes: &[Option<Result<Scale, String>>; 3]) -> Option<(Geometry, String)> {
     let found: Vec<&Scale> = axes
         .iter()
@@ -548,7 +551,7 @@ mod tests {
             (lon.positions.as_deref(), lon.unit.as_deref()),
             (Some(&[1.0, 3.0][..]), Some("degrees_east"))
         );
-        // The file's own, which grow downwards.
+        // The file's own positions, which grow downwards.
         let depth = counted[2].as_ref().expect("depths");
         assert_eq!(
             (depth.positions.as_deref(), depth.kind),

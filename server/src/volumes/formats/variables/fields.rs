@@ -1,4 +1,4 @@
-//! A variable whose grid is known becomes fields, one a channel.
+//! Makes fields of a variable whose grid is known, one a channel.
 
 use std::sync::Arc;
 
@@ -42,7 +42,7 @@ pub(super) fn fields_of(
 
 /// The samples of a variable's channels.
 enum ChannelSamples {
-    /// In one piece of the file; channels are so many samples apart.
+    /// Contiguous in the file; channels are this many samples apart.
     Plain(StoredSamples, u64),
     Decoded(VariableSource),
 }
@@ -90,7 +90,7 @@ impl ChannelSamples {
     }
 }
 
-/// Samples that lie in the file in one piece, each step in the order of the grid.
+/// Describes contiguous samples, if each step is in the order of the grid.
 fn plain_samples(
     location: &FileLocation,
     variable: &Variable,
@@ -111,7 +111,7 @@ fn plain_samples(
         &variable.path,
     )?;
     let samples = samples.with_channels(layout.channels, &variable.path)?;
-    // Something else may follow in the file. No end is a wrong one, which the check refuses.
+    // Something else may follow in the file. If the size overflows, `u64::MAX` is taken as the end, which the check refuses.
     let bytes = samples.array_samples().checked_mul(values.stored.bytes());
     let samples = StoredSamples {
         end: bytes.and_then(|bytes| begin.checked_add(bytes)).or(Some(u64::MAX)),

@@ -1,4 +1,4 @@
-//! What HDF5 and NetCDF files have in common: named arrays with named axes and attributes.
+//! Common model of HDF5 and NetCDF files: named arrays with named axes and attributes.
 
 use std::ops::Range;
 
@@ -9,44 +9,44 @@ use super::super::named_axes::Role;
 /// A named array of a file.
 #[derive(Clone, Debug)]
 pub struct Variable {
-    /// From the root group, as `/group/name`.
+    /// Path from the root group, as `/group/name`.
     pub path: String,
-    /// Slowest first, as stored.
+    /// Axes, the slowest first, as stored.
     pub axes: Vec<Axis>,
-    /// Type of its samples; or why they cannot be read.
+    /// Type of its samples, or why they cannot be read.
     pub stored: Result<StoredType, String>,
     pub endian: Endian,
     /// The attributes that [`ATTRIBUTES`] lists.
     pub attributes: Attributes,
-    /// Samples along the axes of the pieces that are decoded at once, where there are such.
+    /// Size of a chunk along the axes, if the variable is chunked: the samples of a chunk are decoded at once.
     pub chunk: Option<Vec<u64>>,
-    /// Where its samples are in the file and in which byte order, if they lie there in one piece as they are.
+    /// Offset in the file and byte order of its samples, if they are contiguous there and need no decoding.
     pub plain: Option<(u64, Endian)>,
-    /// Whether it holds the positions along an axis of others.
+    /// Whether it holds the positions along an axis of other variables.
     pub is_scale: bool,
-    /// Whether the file follows NetCDF, in which samples that nobody wrote have a value of their own.
+    /// Whether the file follows NetCDF, in which samples that were never written have a value of their own.
     pub is_netcdf: bool,
 }
 
 /// One axis of a variable.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
-    /// Path of its dimension, where it has one: the same in every variable that shares it.
+    /// Path of its dimension, if it has one: the same in every variable that shares it.
     pub dimension: Option<String>,
     /// Path of the variable with the positions along it.
     pub scale: Option<String>,
-    /// What the file says of it beside its dimension.
+    /// What the file states about the axis beside its dimension.
     pub label: AxisLabel,
     pub size: u64,
     /// Whether the file may grow along it.
     pub is_unlimited: bool,
 }
 
-/// What a file says of an axis: HDF5's label of a dimension, `axistags`.
+/// Description of an axis: HDF5's label of a dimension, `axistags`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AxisLabel {
     pub name: Option<String>,
-    /// What it is, if the file says it so that nothing else counts.
+    /// Role of the axis, if the file states it in a way that overrides all else.
     pub role: Option<Role>,
     /// Distance of neighbours; not 0.
     pub resolution: Option<f64>,
@@ -93,7 +93,7 @@ pub const ATTRIBUTES: [&str; 24] = [
 ];
 
 impl Attributes {
-    /// A text, trimmed, unless it is empty. Imaris writes a text as a list of letters.
+    /// Returns a text, trimmed; `None` if it is empty, or no text.
     pub fn text(&self, name: &str) -> Option<&str> {
         match self.get(name)? {
             Attribute::Text(text) => Some(text.trim().trim_end_matches('\0')).filter(|text| !text.is_empty()),
@@ -101,7 +101,7 @@ impl Attributes {
         }
     }
 
-    /// The texts of a list of these; of a text that one.
+    /// Returns a list of texts; a single text is a list of one.
     pub fn texts(&self, name: &str) -> &[String] {
         match self.get(name) {
             Some(Attribute::Texts(texts)) => texts,
@@ -110,7 +110,7 @@ impl Attributes {
         }
     }
 
-    /// Numbers, also if they are written as text; none if there is no such attribute.
+    /// Returns numbers, also those that are written as text; none if there is no such attribute.
     pub fn numbers(&self, name: &str) -> Vec<f64> {
         match self.get(name) {
             Some(Attribute::Numbers(numbers)) => numbers.clone(),
@@ -119,12 +119,12 @@ impl Attributes {
         }
     }
 
-    /// So many numbers.
+    /// Returns exactly `N` numbers.
     pub fn array<const N: usize>(&self, name: &str) -> Option<[f64; N]> {
         self.numbers(name).try_into().ok()
     }
 
-    /// The value of an attribute.
+    /// Returns the value of an attribute.
     pub fn get(&self, name: &str) -> Option<&Attribute> {
         self.0.iter().find(|(own, _)| own == name).map(|(_, value)| value)
     }
@@ -138,23 +138,23 @@ impl Attributes {
 }
 
 impl Variable {
-    /// A text attribute, trimmed, unless it is empty.
+    /// Returns a text attribute, trimmed; `None` if it is empty, or no text.
     pub fn text(&self, name: &str) -> Option<&str> {
         self.attributes.text(name)
     }
 
-    /// Value = `[0]` · stored + `[1]`.
+    /// Returns the scale: value = `[0]` · stored + `[1]`.
     pub fn packing(&self) -> [f64; 2] {
         let first = |name: &str, default: f64| self.numbers(name).first().copied().unwrap_or(default);
         [first("scale_factor", 1.0), first("add_offset", 0.0)]
     }
 
-    /// The numbers of an attribute, also if they are written as text; none if it is absent.
+    /// Returns the numbers of an attribute, also those that are written as text; none if it is absent.
     pub fn numbers(&self, name: &str) -> Vec<f64> {
         self.attributes.numbers(name)
     }
 
-    /// Those of the attributes which should be numbers and are none, for a notice.
+    /// Returns notices of the attributes that should be numbers and are not.
     pub fn unread_numbers(&self) -> Vec<String> {
         let names = [
             "_FillValue",
@@ -179,30 +179,30 @@ impl Variable {
         names.into_iter().filter(|name| unread(name)).map(shown).collect()
     }
 
-    /// Samples along each axis, slowest first.
+    /// Returns the samples along each axis, the slowest first.
     pub fn sizes(&self) -> Vec<u64> {
         self.axes.iter().map(|axis| axis.size).collect()
     }
 
-    /// Its size, as `6 x 5 x 7`, slowest first.
+    /// Returns the size for display, as `6 x 5 x 7`, slowest first.
     pub fn shape(&self) -> String {
         let sizes: Vec<String> = self.axes.iter().map(|axis| axis.size.to_string()).collect();
         sizes.join(" x ")
     }
 
-    /// Bytes of its samples; `None` past 64 bits.
+    /// Returns the bytes of its samples; `None` above 64 bits.
     pub fn bytes(&self) -> Option<u64> {
         let width = self.stored.as_ref().map_or(1, |stored| stored.bytes());
         self.axes.iter().try_fold(width, |n, axis| n.checked_mul(axis.size))
     }
 }
 
-/// Numbers that are written as text, with white space or commas between them; `None` if something else is in it.
+/// Parses numbers with white space or commas between them; `None` if the text has anything else.
 fn numbers_of_text(text: &str) -> Option<Vec<f64>> {
     let words = text
         .split([',', ' ', '[', ']', '\t', '\n', '\0'])
         .filter(|word| !word.is_empty());
-    // Fortran's and C's endings of constants, as in `-999.f` or `1d20`.
+    // Suffixes of constants in Fortran and C, as in `-999.f` or `1d20`.
     let number = |word: &str| {
         let word = word.to_lowercase();
         let plain = word
@@ -217,26 +217,26 @@ fn numbers_of_text(text: &str) -> Option<Vec<f64>> {
 
 /// A file of variables.
 pub trait VariableFile: Send + Sync {
-    /// All variables that were found, those that cannot be read too.
+    /// Returns all variables, including those that cannot be read.
     fn variables(&self) -> Vec<Variable>;
 
-    /// The variable of that path.
+    /// Returns the variable with this path.
     fn variable(&self, path: &str) -> Result<Variable, String>;
 
-    /// The samples of a box of it, in the order and type in which they are stored. `selection` has a range for every axis.
+    /// Reads the samples of a box, in the order and type in which they are stored. `selection` has a range for every axis.
     fn read(&self, variable: &Variable, selection: &[Range<u64>]) -> Result<Vec<u8>, String>;
 
-    /// All attributes of a group or a variable; none if there is neither, or the format has no groups.
+    /// Returns all attributes of a group or a variable; none if there is neither, or the format has no groups.
     fn attributes_of(&self, _path: &str) -> Attributes {
         Attributes::default()
     }
 
-    /// Names of the groups and of the variables in a group, sorted; none if there is no such group.
+    /// Returns the names of the groups and of the variables in a group, sorted; none if there is no such group.
     fn members(&self, _path: &str) -> [Vec<String>; 2] {
         [Vec::new(), Vec::new()]
     }
 
-    /// All values of a variable with one axis, at most `limit`.
+    /// Reads all values of a variable with one axis, at most `limit`.
     fn read_line(&self, variable: &Variable, limit: u64) -> Result<Vec<f64>, String> {
         let stored = variable.stored.clone()?;
         match variable.axes.as_slice() {

@@ -1,6 +1,6 @@
-//! HDF5, and NetCDF-4 in it, by the crate `hdf5-reader`.
+//! HDF5 and NetCDF-4, by the crate `hdf5-reader`.
 //!
-//! Groups are walked here, every object once: links may form cycles. Samples in other files are not followed.
+//! Groups are walked here, and every object is visited once: links may form cycles. Samples in other files are not read.
 
 use std::cell::LazyCell;
 use std::collections::{HashMap, HashSet};
@@ -24,7 +24,7 @@ use super::labels::labels;
 use super::long_float::LongFloat;
 use super::lzf;
 
-/// Groups and datasets that are looked at; a file with more has to be asked for one by name.
+/// Maximum groups and datasets that are visited. In a file with more, the location must name one.
 const MAX_OBJECTS: usize = 10_000;
 
 /// Filters that are read, by their numbers: deflate, shuffle, Fletcher's checksum, szip, n-bit, scale-offset, LZ4, LZF.
@@ -42,7 +42,7 @@ impl Hdf5 {
         let file_bytes = storage.len();
         let mut filters = FilterRegistry::new();
         filters.register(lzf::FILTER, Box::new(|_, data, _| lzf::decode(data)));
-        // A chunk is as large as its bytes can become; the caches would be held for nothing, as no chunk is read twice.
+        // A chunk may be as large as its bytes can decode to. The caches are off: no chunk is read twice.
         let largest = usize::try_from(file_bytes.saturating_mul(DEFLATE_RATIO)).unwrap_or(usize::MAX);
         let options = OpenOptions::default()
             .with_filter_registry(filters)
@@ -58,7 +58,7 @@ impl Hdf5 {
         self.file.dataset(path).map_err(|e| explain(&e))
     }
 
-    /// Every group and dataset, once, by path; the second part are groups that cannot be listed.
+    /// Returns every group's datasets, each once, by path; and the groups that cannot be listed.
     fn walk(&self) -> (Vec<(String, Dataset)>, Vec<Variable>) {
         let (mut found, mut failed) = (Vec::new(), Vec::new());
         let mut seen = HashSet::new();
@@ -81,7 +81,7 @@ impl Hdf5 {
             let child = |name: &str| format!("{path}/{}", name.rsplit('/').next().unwrap_or(name));
             match group.members() {
                 Ok((groups, datasets)) => {
-                    // The first one is looked at next.
+                    // The first group is visited next.
                     waiting.extend(groups.into_iter().rev().map(|group| (child(group.name()), group)));
                     for dataset in datasets {
                         if seen.insert(dataset.address()) {
@@ -92,7 +92,7 @@ impl Hdf5 {
                 Err(e) => failed.push(unreadable(&format!("{path}/"), explain(&e))),
             }
         }
-        // Old groups list their members in an order of their own.
+        // Groups of the old format list their members in an order of their own.
         found.sort_by(|a, b| a.0.cmp(&b.0));
         (found, failed)
     }
@@ -137,7 +137,8 @@ impl Hdf5 {
         variable
     }
 
-    /// Compares what the dataset claims with the file, and names what is not read. Where its samples begin, if they are one piece.
+    /// Compares what the dataset claims with the file, and reports features that are not read. Returns the offset of its samples, if they
+    /// are contiguous.
     fn check(&self, variable: &Variable, dataset: &Dataset) -> Result<Option<u64>, String> {
         let bytes = variable
             .bytes()
@@ -165,7 +166,7 @@ impl Hdf5 {
         Ok(begin)
     }
 
-    /// Where samples in one piece begin in the file; `None` where none was written, so that all are the dataset's fill value.
+    /// Returns the offset of contiguous samples in the file; `None` if none was written, so that all have the dataset's fill value.
     fn contiguous(&self, address: u64, bytes: u64) -> Result<Option<u64>, String> {
         let superblock = self.file.superblock();
         if Cursor::is_undefined_offset(address, superblock.offset_size) {
@@ -194,10 +195,10 @@ fn check_filters(pipeline: &FilterPipelineMessage) -> Result<(), String> {
     Err(format!("filter {} ({name}), {expected}", filter.id))
 }
 
-/// A dataset that other datasets share an axis with: HDF5's dimension scale.
+/// A dataset whose axis other datasets share: HDF5's dimension scale.
 struct Scale {
     path: String,
-    /// Its own name beside that of the dataset.
+    /// Its name, beside that of the dataset.
     name: Option<String>,
     /// Whether it has the positions along the axis, not only its size.
     has_values: bool,
@@ -277,7 +278,7 @@ fn read_box<const N: usize>(dataset: &Dataset, selection: &[Range<u64>]) -> Resu
     Ok(AsStored::peel_slice(&samples).as_flattened().to_vec())
 }
 
-/// A sample as its bytes, in the file's order.
+/// A sample as bytes in the file's byte order.
 #[derive(Clone, Copy, TransparentWrapper)]
 #[repr(transparent)]
 struct AsStored<const N: usize>([u8; N]);
@@ -306,13 +307,13 @@ impl<const N: usize> H5Type for AsStored<N> {
         Some(Ok(samples.to_vec()))
     }
 
-    /// Always: every pattern of bytes is one of these.
+    /// Always true: every pattern of bytes is valid.
     fn native_copy_compatible(_: &Datatype) -> bool {
         true
     }
 }
 
-/// What the library says, in a reader's words where it uses the format's numbers.
+/// Returns the library's error text, with words for the format's numbers in the messages that are known here.
 fn explain(error: &hdf5_reader::error::Error) -> String {
     error
         .to_string()
@@ -333,12 +334,12 @@ fn unreadable(path: &str, why: String) -> Variable {
     }
 }
 
-/// The type of a sample. `encoded`: its bytes in the file, which say more of it than the library does.
+/// Returns the type of a sample. `encoded`: the type's bytes in the file, which are more precise than the library's type.
 fn stored_type(
     kind: &Datatype,
     encoded: impl FnOnce() -> hdf5_reader::error::Result<Vec<u8>>,
 ) -> Result<(StoredType, Endian), String> {
-    // Names of numbers are not kept.
+    // An enumeration is read as its numbers, without the names.
     let (kind, begin) = match kind {
         Datatype::Enum { base, .. } => (&**base, NUMBER_HEADER_BYTES),
         kind => (kind, 0),
@@ -395,17 +396,17 @@ fn stored_type(
     Ok((stored, endian))
 }
 
-/// Of a number's type as in the file: its class and version, 24 bits of flags, 4 bytes of size.
+/// Header of a number's type in the file: class and version, 24 bits of flags, 4 bytes of size.
 const NUMBER_HEADER_BYTES: usize = 8;
 
-/// What follows in the types of IEEE's floats: 2 bytes each for the first bit and the count of bits, 1 each for where the exponent is and its
-/// bits, where the mantissa is and its bits, 4 for the exponent's bias.
+/// Second half of the type of an IEEE float: first bit and count of bits (2 bytes each), first bit and count of bits of the exponent (1
+/// byte each), of the mantissa (1 byte each), and the exponent's bias (4 bytes).
 type FloatLayout = [u8; 12];
 const HALF: FloatLayout = [0, 0, 16, 0, 10, 5, 0, 10, 15, 0, 0, 0];
 const SINGLE: FloatLayout = [0, 0, 32, 0, 23, 8, 0, 23, 127, 0, 0, 0];
 const DOUBLE: FloatLayout = [0, 0, 64, 0, 52, 11, 0, 52, 0xff, 3, 0, 0];
 
-/// Whether all bits of an integer are its number, or those above it are 0 and it has no sign.
+/// Checks that an integer uses all of its bits, or that it is unsigned and the bits above it are 0.
 ///
 /// `encoded`: the type as in the file; its flags have byte order, padding below and above, sign, and the first bit and the count of bits follow.
 fn check_bits(encoded: &[u8], bytes: u8) -> Result<(), String> {
@@ -423,15 +424,15 @@ fn check_bits(encoded: &[u8], bytes: u8) -> Result<(), String> {
     ))
 }
 
-/// Whether a float is laid out as one of IEEE. Others are as wide: bfloat16 has the exponent of a float.
+/// Checks that a float has the layout of IEEE 754. Others have the same width: bfloat16 has the exponent of a 32-bit float.
 ///
-/// `encoded`: the type as in the file; its flags have byte order and how the mantissa is normalized, then where the sign is.
+/// `encoded`: the type as in the file; its flags have byte order and how the mantissa is normalized, then the position of the sign bit.
 fn check_float(encoded: &[u8], layout: &FloatLayout) -> Result<(), String> {
     let [_, flags, sign, _, _, _, _, _, properties @ ..] = encoded else {
         return Err("a type that is cut off, expected floats of IEEE 754".into());
     };
     let bits = layout[2];
-    // The mantissa's first bit is left out, as it is 1; the byte order is not a VAX's.
+    // The first bit of the mantissa is implied, as it is 1; the byte order is not that of a VAX.
     if flags & 0x70 == 0x20 && *sign == bits - 1 && properties.starts_with(layout) {
         return Ok(());
     }
@@ -443,13 +444,13 @@ fn check_float(encoded: &[u8], layout: &FloatLayout) -> Result<(), String> {
     ))
 }
 
-/// Those of the attributes that are read. `raw`: all of them as they are in the file.
+/// Returns the attributes that are read, by [`ATTRIBUTES`]. `raw`: all attributes as they are in the file.
 fn known_attributes(
     all: Vec<hdf5_reader::Attribute>,
     raw: impl FnOnce() -> hdf5_reader::error::Result<Vec<hdf5_reader::RawAttribute>>,
 ) -> Attributes {
     let known = all.into_iter().filter(|a| ATTRIBUTES.contains(&a.name.as_str()));
-    // One that cannot be read is passed over, whatever the reason.
+    // Attributes that cannot be read are skipped, whatever the reason.
     let raw = LazyCell::new(|| raw().unwrap_or_default());
     let encoded = |name: &str| {
         let named = raw.iter().find(|attribute| attribute.name() == name);
@@ -462,7 +463,7 @@ fn known_attributes(
     Attributes(read.collect())
 }
 
-/// The value of an attribute; `encoded`: its type as in the file.
+/// Returns the value of an attribute; `encoded`: its type as in the file.
 fn value(
     attribute: &hdf5_reader::Attribute,
     encoded: impl FnOnce() -> hdf5_reader::error::Result<Vec<u8>>,
@@ -499,14 +500,14 @@ fn scale(path: &str, dataset: &Dataset) -> Option<Scale> {
         .is_some_and(|name| name.starts_with("This is a netCDF dimension"));
     Some(Scale {
         path: path.to_owned(),
-        // NetCDF has the name of the dataset there, or a remark.
+        // NetCDF stores the name of the dataset or a remark there.
         name: name.filter(|name| !has_size_only && name.len() <= 256),
         has_values: !has_size_only && dataset.ndim() == 1,
         is_netcdf: dataset.attribute("_Netcdf4Dimid").is_ok() || has_size_only,
     })
 }
 
-/// Addresses of the dataset's scales, axis by axis; 0 where an axis has none.
+/// Returns the addresses of the dataset's scales, one for each axis; 0 for an axis without a scale.
 fn dimensions(dataset: &Dataset, offset_bytes: u8) -> Vec<u64> {
     let Ok(list) = dataset.attribute("DIMENSION_LIST") else {
         return Vec::new();

@@ -1,9 +1,9 @@
-//! What HDF5 files say of axes beside scales of dimensions.
+//! Descriptions of axes in HDF5 files other than dimension scales.
 
 use super::super::named_axes::Role;
 use super::file::{Attributes, AxisLabel};
 
-/// What labels of dimensions and `axistags` say of `count` axes.
+/// Evaluates labels of dimensions and `axistags` for `count` axes.
 pub(super) fn labels(attributes: &Attributes, count: usize) -> Vec<AxisLabel> {
     if let Some(text) = attributes.text("axistags")
         && let Some(tags) = axistags(text).filter(|tags| tags.len() == count)
@@ -18,7 +18,7 @@ pub(super) fn labels(attributes: &Attributes, count: usize) -> Vec<AxisLabel> {
     (0..count).map(|axis| label(names.get(axis))).collect()
 }
 
-/// The axes as vigra and ilastik write them: a list of keys in JSON, the slowest axis first.
+/// Parses the axes as vigra and ilastik write them: a list of keys in JSON, the slowest axis first.
 fn axistags(text: &str) -> Option<Vec<AxisLabel>> {
     let tags: serde_json::Value = serde_json::from_str(text).ok()?;
     let label = |tag: &serde_json::Value| {

@@ -6,17 +6,17 @@ use hdf5_reader::ByteOrder;
 pub(super) struct LongFloat {
     pub(super) bytes: usize,
     order: ByteOrder,
-    /// First bit and count of bits.
+    /// First bit and count of bits of the exponent; the mantissa's follow.
     exponent: [u32; 2],
     mantissa: [u32; 2],
     sign: u32,
     bias: i32,
-    /// Whether the first digit, which is 1, is among the bits.
+    /// Whether the leading digit, which is 1, is stored.
     has_first_digit: bool,
 }
 
 impl LongFloat {
-    /// From a type as in the file, see `check_half` of the reader.
+    /// Parses a type as in the file; see `check_float` in `hdf5`.
     pub(super) fn parse(encoded: &[u8], order: ByteOrder) -> Option<Self> {
         let &[
             _,

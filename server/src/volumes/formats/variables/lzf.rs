@@ -2,10 +2,10 @@
 
 use hdf5_reader::error::{Error, Result};
 
-/// Its number among HDF5's registered filters.
+/// The filter's number in HDF5's registry.
 pub const FILTER: u16 = 32000;
 
-/// Decodes a chunk. A copy makes at most 264 bytes of 3.
+/// Decodes a chunk. A copy of 3 bytes makes at most 264 bytes.
 pub fn decode(data: &[u8]) -> Result<Vec<u8>> {
     decode_bytes(data).ok_or_else(|| Error::DecompressionError("lzf: the chunk is cut off or damaged".into()))
 }
@@ -31,7 +31,7 @@ fn decode_bytes(mut data: &[u8]) -> Option<Vec<u8>> {
         data = rest;
         let distance = (control & 31) << 8 | usize::from(low);
         let start = decoded.len().checked_sub(distance + 1)?;
-        // One by one: a copy may reach into what it appends.
+        // Byte by byte: a copy may overlap its own output.
         for at in start..start + length + 2 {
             decoded.push(decoded[at]);
         }

@@ -1,14 +1,14 @@
 //! HDF5 and NetCDF: files of named variables.
 //!
-//! A location names one (`file.h5:/group/name`, `file.nc:name`). Else the largest variable that can be a volume is opened, with all
-//! others on its grid as fields. What its axes are say positions, names of dimensions, labels and `axistags`
+//! A location names one variable (`file.h5:/group/name`, `file.nc:name`). Otherwise the largest variable that can be a volume is opened,
+//! with all others on its grid as fields. Positions, names of dimensions, labels and `axistags` give the roles of its axes
 //! ([`named_axes`](super::named_axes)); channels are fields. Positions and units are those of CF's coordinate variables, which are HDF5's
-//! dimension scales; missing values, scale and offset those of NetCDF.
+//! dimension scales; missing values, scale and offset are those of NetCDF.
 //!
-//! - [`file`]: variables; the two kinds of files: [`hdf5`], [`netcdf3`]; [`reader`] knows which.
-//! - [`kinds`]: HDF5 files whose groups say where samples are.
-//! - [`fields`]: a variable becomes fields.
-//! - [`axes`]: grid, positions and time; [`values`]: what samples mean; [`source`] reads them.
+//! - [`file`]: variables; the two kinds of files: [`hdf5`], [`netcdf3`]; [`reader`] detects the kind.
+//! - [`kinds`]: HDF5 files whose groups follow a convention for the positions of samples.
+//! - [`fields`]: makes fields of a variable.
+//! - [`axes`]: grid, positions and time; [`values`]: meaning of samples; [`source`] reads them.
 
 pub(super) mod axes;
 mod fields;
@@ -36,13 +36,13 @@ use super::super::{FileLocation, Notices, OpenedFile, ReadError};
 use super::header;
 use super::spim_data::SpimData;
 
-/// Variables that a message lists at most.
+/// Maximum variables that a message lists.
 const MAX_LISTED: usize = 20;
 
 /// Reads the headers of a file's variables.
 ///
 /// # Errors
-/// What is wrong with it, or which variables it has where none can be a volume.
+/// What is wrong with the file; the list of its variables if none of them can be a volume.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let file = open_file(location)?;
     if let Some(opened) = kinds::open(location, file.as_ref()) {
@@ -80,15 +80,15 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     Ok(header::with_notices(placed.finish(location.path(), file)?, notices))
 }
 
-/// Opens a view of BigDataViewer, which is described elsewhere.
+/// Opens a view of BigDataViewer, with the description in `data`.
 ///
 /// # Errors
-/// What is wrong with the file, or which views it has if one must be named.
+/// What is wrong with the file, or the list of views if one must be named.
 pub(super) fn open_views(location: &FileLocation, data: &SpimData) -> Result<OpenedFile, ReadError> {
     kinds::open_views(location, open_file(location)?.as_ref(), data)
 }
 
-/// The variable that a location names.
+/// Returns the variable that a location names.
 fn named(
     location: &FileLocation,
     file: &dyn VariableFile,
@@ -99,7 +99,7 @@ fn named(
     let fail = |why: String| ReadError::new(location.path(), &path, why);
     let variable = match all.iter().find(|variable| variable.path == path) {
         Some(variable) => variable.clone(),
-        // Its group may be one that cannot be listed.
+        // It may be in a group that cannot be listed.
         None => file
             .variable(&path)
             .map_err(|why| fail(format!("{why}, expected one of {}", list(all))))?,
@@ -110,7 +110,8 @@ fn named(
     }
 }
 
-/// The largest variable that can be a volume, and all others on its grid. One whose third axis is time is a volume if there is no other.
+/// Returns the largest variable that can be a volume, and all others on its grid. A variable whose third axis is time is chosen only if
+/// there is no other.
 fn on_one_grid(location: &FileLocation, all: Vec<Variable>) -> Result<Vec<Variable>, ReadError> {
     let size = |variable: &Variable| variable.axes.iter().fold(1u64, |n, axis| n.saturating_mul(axis.size));
     let by_path: HashMap<&str, &Variable> = all.iter().map(|variable| (variable.path.as_str(), variable)).collect();
@@ -127,7 +128,7 @@ fn on_one_grid(location: &FileLocation, all: Vec<Variable>) -> Result<Vec<Variab
     };
     let ranks: Vec<Option<(bool, u64)>> = all.iter().map(rank).collect();
     let best = ranks.iter().flatten().max().copied();
-    // The first one of the best.
+    // The first of equally good ones.
     let main = best.and_then(|best| ranks.iter().position(|rank| *rank == Some(best)));
     let Some(main) = main.map(|at| &all[at]) else {
         let why = format!(
@@ -148,19 +149,19 @@ fn on_one_grid(location: &FileLocation, all: Vec<Variable>) -> Result<Vec<Variab
     if !others.is_empty() {
         tracing::info!(path = %location.path().display(), "not on the grid of {path}: {}", list(&others));
     }
-    // The main one first.
+    // The largest one first.
     chosen.sort_by_key(|variable| variable.path != path);
     Ok(chosen)
 }
 
-/// Whether a variable has these axes.
+/// Whether a variable has the same axes.
 fn is_on_grid(variable: &Variable, axes: &[file::Axis]) -> bool {
     let is_same =
         |(a, b): (&file::Axis, &file::Axis)| (&a.dimension, a.size, &a.label) == (&b.dimension, b.size, &b.label);
     variable.axes.len() == axes.len() && variable.axes.iter().zip(axes).all(is_same)
 }
 
-/// Last parts of the paths; whole paths where two are equal.
+/// Names the fields by the last parts of the paths; by whole paths if two last parts are equal.
 fn field_names(variables: &[Variable]) -> Vec<String> {
     let last = |variable: &Variable| variable.path.rsplit('/').next().unwrap_or_default().to_owned();
     let names: Vec<String> = variables.iter().map(last).collect();
@@ -175,7 +176,7 @@ fn field_names(variables: &[Variable]) -> Vec<String> {
     variables.iter().zip(&names).map(name).collect()
 }
 
-/// Variables for a message: path, shape and type, or why it cannot be read.
+/// Lists variables for a message: path, shape and type, or why a variable cannot be read.
 fn list(variables: &[Variable]) -> String {
     let describe = |variable: &Variable| match &variable.stored {
         Ok(stored) => format!("{} ({} {})", variable.path, variable.shape(), stored.name()),

@@ -17,7 +17,7 @@ use super::file::{ATTRIBUTES, Attribute, Attributes, Axis, AxisLabel, Variable, 
 pub struct NetCdf3 {
     file: ClassicFile,
     file_bytes: u64,
-    /// Names of the variables that hold the positions along the dimension of that name.
+    /// Names of the variables with the positions along the dimension of the same name.
     scales: HashSet<String>,
 }
 
@@ -54,7 +54,7 @@ impl NetCdf3 {
             path: format!("/{}", variable.name),
             axes: axes.collect(),
             stored: stored_type(&variable.dtype),
-            // The library turns samples to the machine's order.
+            // The library converts samples to the machine's byte order.
             endian: Endian::NATIVE,
             attributes: Attributes(
                 attributes

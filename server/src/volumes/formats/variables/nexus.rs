@@ -1,14 +1,14 @@
-//! NeXus in HDF5 (<https://manual.nexusformat.org/classes/base_classes/NXdata.html>): which datasets have the positions along the axes of
-//! another one.
+//! NeXus in HDF5 (<https://manual.nexusformat.org/classes/base_classes/NXdata.html>): finds the datasets with the positions along the axes
+//! of another one.
 //!
-//! The attribute `axes` of a group of class `NXdata`, or of its signal in files of before 2014, names a dataset beside the signal for each
-//! axis, the slowest one first.
+//! The attribute `axes` of a group of class `NXdata`, or of its signal in files from before 2014, names for each axis a dataset beside the
+//! signal, the slowest axis first.
 
 use std::collections::HashMap;
 
 use super::file::{Attributes, Variable, VariableFile};
 
-/// Gives the variables of NXdata groups their scales. Those that have scales already keep them.
+/// Sets the scales of the variables in NXdata groups. Variables that have scales keep them.
 pub(super) fn find_axes(file: &dyn VariableFile, variables: &mut [Variable]) {
     let mut groups: HashMap<String, Attributes> = HashMap::new();
     let lines: HashMap<String, u64> = variables
@@ -53,7 +53,7 @@ pub(super) fn find_axes(file: &dyn VariableFile, variables: &mut [Variable]) {
     }
 }
 
-/// The names that `axes` lists: texts, or one text with `:` or `,` between names, in brackets or not.
+/// Parses the names in `axes`: several texts, or one text with `:` or `,` between names, with or without brackets.
 fn names_of(attributes: &Attributes) -> Vec<String> {
     let texts = attributes.texts("axes");
     let split = |text: &String| {

@@ -1,4 +1,4 @@
-//! Which of the libraries reads a file.
+//! Selects the library that reads a file.
 
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::FileExt;
@@ -29,10 +29,10 @@ pub fn open_file(location: &FileLocation) -> Result<Box<dyn VariableFile>, ReadE
     }
 }
 
-/// What the libraries read: the file itself, which stays open as long as this is held; of a compressed one what is in it, in a
-/// temporary file.
+/// Opens the storage that the libraries read: the file itself, which stays open while the storage exists. A compressed file is decompressed
+/// to a temporary file.
 fn storage(location: &FileLocation) -> Result<Arc<dyn Storage>, ReadError> {
-    // Says what is wrong with the file better than the library, and refuses a pipe.
+    // Opening the file reports errors better than the library does, and refuses a pipe.
     let blob = location.open()?;
     if location.is_in_memory() {
         return Ok(Arc::new(hdf5_reader::BytesStorage::new(blob.head(usize::MAX)?)));
@@ -59,7 +59,7 @@ fn storage(location: &FileLocation) -> Result<Arc<dyn Storage>, ReadError> {
     Ok(Arc::new(open(decoded.path())?))
 }
 
-/// A file on disk. The library's own gives up where a signal interrupts a read.
+/// A file on disk. The library's own storage fails if a signal interrupts a read.
 struct DiskStorage<F> {
     file: F,
     len: u64,
@@ -80,7 +80,7 @@ impl<F: FileExt + Send + Sync> Storage for DiskStorage<F> {
 
     fn read_range(&self, offset: u64, len: usize) -> hdf5_reader::error::Result<StorageBuffer> {
         let available = self.len.saturating_sub(offset);
-        // Before anything is allocated for it.
+        // Checked before the buffer is allocated.
         if len as u64 > available {
             return Err(hdf5_reader::error::Error::UnexpectedEof {
                 offset,
@@ -100,7 +100,7 @@ mod tests {
 
     use super::*;
 
-    /// Ten bytes, of which each other read is interrupted, and the others have three.
+    /// Ten bytes. Every other read is interrupted; the others return at most three bytes.
     #[derive(Default)]
     struct Interrupted(AtomicBool);
 

@@ -1,14 +1,14 @@
-//! Positions along an axis: their values, whether they go on across a full turn, and whether they point down.
+//! Positions along an axis: their values, across a full turn if necessary, and whether they point down.
 
 use super::super::super::rectilinear::Positions;
 use super::super::super::{AxisKind, LengthUnit};
 use super::super::named_axes;
 use super::file::{Variable, VariableFile};
 
-/// Positions along an axis that are read at most; no volume has so many samples along one.
+/// Maximum positions along an axis that are read; no volume has that many samples along one.
 pub(super) const MAX_POSITIONS: u64 = 1 << 22;
 
-/// The last part of a dimension's path.
+/// Returns the last component of a dimension's path.
 pub(super) fn last_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
@@ -17,16 +17,16 @@ pub(super) fn last_name(path: &str) -> &str {
 pub(super) struct Scale {
     pub(super) positions: Positions,
     pub(super) unit: Option<String>,
-    /// What they are.
+    /// Kind of the positions.
     pub(super) kind: AxisKind,
-    /// The file's positions grow downwards: `positions` are theirs times −1.
+    /// Whether the file's positions grow downwards. Then `positions` are theirs times −1.
     pub(super) points_down: bool,
-    /// What was repaired or guessed.
+    /// Notices of repairs and assumptions.
     pub(super) notices: Vec<String>,
 }
 
 impl Scale {
-    /// Reads a scale; why not, if its values are none. `is_vertical`: along z, on the Earth.
+    /// Reads a scale, or returns why its values are no positions. `is_vertical`: along z, on the Earth.
     pub(super) fn read(
         file: &dyn VariableFile,
         scale: &Variable,
@@ -54,7 +54,7 @@ impl Scale {
                 values[values.len() - 1]
             ));
         }
-        // Depth grows downwards; the world's z does not.
+        // Depth grows downwards, but the world's z grows upwards.
         let (is_down, notice) = points_down(scale, &values, is_vertical);
         if is_down {
             values.iter_mut().for_each(|value| *value = -*value);
@@ -76,7 +76,7 @@ impl Scale {
     }
 }
 
-/// What positions are, by the attributes of CF and their units. `is_below`: they grow downwards, on the Earth.
+/// Returns the kind of positions, by the attributes of CF and their units. `is_below`: they grow downwards, on the Earth.
 fn kind_of(units: &str, standard_name: &str, name: &str, is_below: bool) -> AxisKind {
     let (units, name) = (units.to_lowercase(), name.to_lowercase());
     let is_north = matches!(
@@ -106,7 +106,7 @@ fn kind_of(units: &str, standard_name: &str, name: &str, is_below: bool) -> Axis
     AxisKind::Other
 }
 
-/// A full turn in the unit of positions around the Earth; `None` of other positions.
+/// Returns a full turn in the unit of positions around the Earth; `None` for other positions.
 fn full_turn(scale: &Variable) -> Option<f64> {
     let units = scale.text("units").unwrap_or_default().to_lowercase();
     let name = last_name(&scale.path).to_lowercase();
@@ -127,7 +127,7 @@ fn is_east(units: &str) -> bool {
     )
 }
 
-/// Adds or takes full turns if neighbours are more than half a turn apart. Returns whether it changed any.
+/// Adds or subtracts full turns if neighbours are more than half a turn apart. Returns whether any value changed.
 fn unwrap_turns(values: &mut [f64], turn: f64) -> bool {
     let mut turns = 0.0;
     let mut before = values[0];
@@ -142,8 +142,8 @@ fn unwrap_turns(values: &mut [f64], turn: f64) -> bool {
     turns != 0.0
 }
 
-/// Whether positions grow downwards, and what to say if the file does not say so. By CF's attribute `positive`, else by what the
-/// positions are: pressure and sigma decrease upwards, a depth is below the surface.
+/// Whether positions grow downwards, with a notice if the file does not state it. CF's attribute `positive` decides, else the kind of
+/// positions: pressure and sigma decrease upwards, a depth is below the surface.
 fn points_down(scale: &Variable, values: &[f64], is_vertical: bool) -> (bool, Option<String>) {
     let is_pressure = scale.text("units").is_some_and(named_axes::is_pressure);
     if let Some(positive) = scale.text("positive") {

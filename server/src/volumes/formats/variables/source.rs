@@ -17,7 +17,7 @@ use super::file::Variable;
 use super::reader::open_file;
 use super::values::Values;
 
-/// Decoded bytes of a box, where chunks do not decide: enough for all threads, little beside the volume.
+/// Decoded bytes of a box, unless a row of chunks needs more: enough for all threads, little beside the volume.
 const BOX_BYTES: u64 = 8 << 20;
 
 /// Samples of a channel of a variable.
@@ -48,7 +48,7 @@ impl VariableSource {
         samples * self.values.stored.bytes()
     }
 
-    /// Slices across x, y or z that are read at once: whole chunks, so that none is decoded twice.
+    /// Returns the number of slices across x, y or z that are read at once: whole chunks, so that none is decoded twice.
     fn slices_at_once(&self, along: usize) -> u64 {
         let axis = self.layout.axes[along];
         let chunk = self.variable.chunk.as_ref().and_then(|chunk| chunk.get(axis));
@@ -86,7 +86,7 @@ impl VariableSource {
         Ok(())
     }
 
-    /// Appends samples as they are stored.
+    /// Appends samples to the pieces, and converts them if needed.
     fn push(&self, pieces: &mut Pieces<'_>, bytes: &[u8]) -> Result<(), ReadError> {
         if self.values.needs_nan() {
             let values = self.values.decode(bytes, self.variable.endian);
@@ -95,7 +95,7 @@ impl VariableSource {
         pieces.push(bytes, self.values.stored, self.variable.endian, self.values.scale)
     }
 
-    /// A step whose samples are stored in another order than x fastest, then y, z.
+    /// Reads a step whose samples are stored in another order than x fastest, then y, z.
     fn read_turned(&self, step: u32, progress: &ReadProgress, conversion: &Conversion) -> Result<Samples, ReadError> {
         let along = self.layout.slowest();
         let mut order = [0, 1, 2];

@@ -1,4 +1,4 @@
-//! What the samples of a variable mean, by the conventions of NetCDF and CF: scale and offset, missing values, unsigned bytes.
+//! Meaning of the samples of a variable, by the conventions of NetCDF and CF: scale and offset, missing values, unsigned bytes.
 
 use half::f16;
 use isopeel_kernels::SampleType;
@@ -7,21 +7,21 @@ use super::super::super::scalar::numbers;
 use super::super::super::stored::{Endian, StoredType};
 use super::file::Variable;
 
-/// From stored samples to values.
+/// Converts stored samples to values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Values {
-    /// Type of the stored samples; not the variable's where its attributes say that its integers have no sign.
+    /// Type of the stored samples. Differs from the variable's type if the attribute `_Unsigned` changes the sign of its integers.
     pub stored: StoredType,
     /// Value = `scale[0]` · stored + `scale[1]`.
     pub scale: Option<[f64; 2]>,
-    /// Stored values that mean "no sample".
+    /// Stored values that mean "no sample here".
     pub holes: Vec<f64>,
-    /// Stored values outside mean "no sample" too.
+    /// Range of valid stored values: those outside mean "no sample here", too.
     pub valid: Option<[f64; 2]>,
 }
 
 impl Values {
-    /// As the attributes say. `stored` is the variable's type.
+    /// Evaluates the attributes. `stored` is the variable's type.
     pub fn of(variable: &Variable, stored: StoredType) -> Result<Self, String> {
         let says = |what: &str| {
             variable
@@ -69,12 +69,12 @@ impl Values {
         })
     }
 
-    /// Whether samples have to become floats, in which NaN says what is missing.
+    /// Whether samples have to become floats, in which NaN marks the missing ones.
     pub fn needs_nan(&self) -> bool {
         self.holes.len() > 1 || self.valid.is_some()
     }
 
-    /// The value of a sample that is missing, where one value says it.
+    /// Returns the value of a missing sample, if a single value means that.
     pub fn missing(&self) -> Option<f32> {
         let hole = self.holes.first().filter(|_| !self.needs_nan())?;
         Some(match self.scale {
@@ -91,7 +91,7 @@ impl Values {
         self.stored.on_device()
     }
 
-    /// The value of a stored sample, NaN where that is none.
+    /// Returns the value of a stored sample. If [`Values::needs_nan`], NaN for a missing one.
     pub fn value(&self, stored: f64) -> f32 {
         let outside = |[min, max]: [f64; 2]| stored < min || stored > max;
         if self.needs_nan() && (self.holes.contains(&stored) || self.valid.is_some_and(outside)) {
@@ -103,7 +103,7 @@ impl Values {
         }
     }
 
-    /// Values of stored samples, NaN where there is none.
+    /// Returns the values of stored samples, as [`Values::value`].
     pub fn decode(&self, bytes: &[u8], endian: Endian) -> Vec<f32> {
         let stored = numbers(bytes, self.stored, endian).into_iter();
         stored.map(|stored| self.value(stored)).collect()
@@ -140,13 +140,13 @@ fn can_be(value: f64, stored: StoredType) -> bool {
     !value.is_nan() && limits(stored).is_none_or(in_limits)
 }
 
-/// Whether a range leaves out values of the type.
+/// Whether a range excludes any value of the type.
 fn excludes(min: f64, max: f64, stored: StoredType) -> bool {
     let [lowest, highest] = limits(stored).unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
     min > lowest || max < highest
 }
 
-/// What NetCDF puts where nobody wrote; of single bytes, all of which may be values, nothing.
+/// Returns the value that NetCDF stores for samples that were never written. None for single bytes: all of their values may be data.
 fn default_fill(stored: StoredType) -> Option<f64> {
     Some(match stored {
         StoredType::U8 | StoredType::I8 => return None,
@@ -156,7 +156,7 @@ fn default_fill(stored: StoredType) -> Option<f64> {
         StoredType::U32 => 4_294_967_295.0,
         StoredType::I64 => -9_223_372_036_854_775_806.0,
         StoredType::U64 => 18_446_744_073_709_551_614.0,
-        // Of a half float nothing: the number is too large for it.
+        // The fill value is too large for a half float.
         StoredType::F16 => return None,
         StoredType::F32 | StoredType::F64 => f64::from(9.969_21e36_f32),
     })

@@ -1,7 +1,7 @@
 //! ParaView's collections: `.pvd`, a list of `.vti`, `.vtr`, `.pvti` and `.pvtr` files with the time of each (<https://www.paraview.org/Wiki/ParaView/Data_formats>).
 //!
-//! Files are time steps, in the order of the times; those of one time are parts of it. Refused with the reason: other data sets, files outside
-//! the collection's folder.
+//! Files are time steps, in the order of their times; files with the same time are parts of one step. Refused with the reason: other data
+//! sets, files outside the collection's folder.
 
 use std::path::{Path, PathBuf};
 
@@ -28,10 +28,10 @@ struct Entry {
 /// Reads a collection and the headers of its files.
 ///
 /// # Errors
-/// What is wrong with it, by element or attribute, or with which of its files.
+/// What is wrong with the collection, by element or attribute, or with one of its files.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let mut entries = entries(location)?;
-    // Parts of a time stay in the order of the list.
+    // The sort is stable: parts of a time stay in the order of the list.
     entries.sort_by(|a, b| a.time.total_cmp(&b.time));
     let groups: Vec<&[Entry]> = entries.chunk_by(|a, b| a.time == b.time).collect();
     let times = groups.iter().map(|group| group[0].time).collect();
@@ -39,7 +39,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     join_steps(files.collect::<Result<_, _>>()?, TimeAxis::listed(times, "", None))
 }
 
-/// The files of one time, with where the first one is.
+/// Opens the files of one time. Also returns the location of the first file.
 fn step(location: &FileLocation, group: &[Entry]) -> Result<(FileLocation, OpenedFile), ReadError> {
     let at = |entry: &Entry| Ok(location.sibling(&entry.file, "file")?.packed_by_name());
     let first = at(&group[0])?;
@@ -65,14 +65,14 @@ fn step(location: &FileLocation, group: &[Entry]) -> Result<(FileLocation, Opene
     Ok((first, opened?))
 }
 
-/// The files of a collection on disk, as far as it can be read.
+/// Lists the files of a collection on disk, as far as it can be read.
 pub fn members(collection: &Path) -> Vec<PathBuf> {
     let folder = collection.parent().unwrap_or(Path::new(""));
     let entries = entries(&FileLocation::disk(collection).packed_by_name()).unwrap_or_default();
     entries.into_iter().map(|entry| folder.join(entry.file)).collect()
 }
 
-/// The files in the order of the collection; at least one.
+/// Returns the files in the order of the collection; at least one.
 fn entries(location: &FileLocation) -> Result<Vec<Entry>, ReadError> {
     let fail = |field: &str, why: String| ReadError::new(location.path(), field, why);
     let bytes = location.open()?.head(MAX_BYTES + 1)?;
@@ -120,7 +120,7 @@ fn entries(location: &FileLocation) -> Result<Vec<Entry>, ReadError> {
     Ok(entries)
 }
 
-/// `number`: how many come before.
+/// Reads an entry. `number`: the number of entries before it.
 fn entry(path: &Path, element: &BytesStart<'_>, number: usize) -> Result<Entry, ReadError> {
     let fail = |field: &str, why: String| ReadError::new(path, field, why);
     let file = attribute(path, element, "file")?;

@@ -2,7 +2,7 @@
 //! (<https://docs.vtk.org/en/latest/vtk_file_formats/vtk_legacy_file_format.html>).
 //!
 //! Read: text and binary (big-endian) files; scalars, vectors, normals, texture coordinates, tensors and arrays of
-//! `FIELD`. Lookup tables and metadata are passed over. Refused with the reason: other data sets.
+//! `FIELD`. Lookup tables and metadata are skipped. Refused with the reason: other data sets.
 
 mod coordinates;
 
@@ -23,7 +23,7 @@ const FIELDS: GridFields = GridFields {
     direction: "SPACING",
 };
 
-/// Maximum bytes of a line that is no data.
+/// Maximum bytes of a line outside the data.
 const MAX_LINE_BYTES: u64 = 4096;
 
 /// Reads the keywords of a legacy VTK file.
@@ -74,7 +74,7 @@ fn samples(
     Ok(samples)
 }
 
-/// The first byte of an array, and the one behind its last.
+/// Offsets of the first byte of an array, and of the byte behind its last.
 struct Span {
     begin: u64,
     end: u64,
@@ -83,17 +83,17 @@ struct Span {
 struct Parser<'a> {
     blob: &'a Blob<'a>,
     stream: BufReader<BlobReader<'a>>,
-    /// Bytes of the file before the stream.
+    /// Offset in the file of the stream's next byte.
     at: u64,
     text: bool,
     grid: Grid,
     is_rectilinear: bool,
-    /// Of a rectilinear grid, by axis.
+    /// For a rectilinear grid: positions by axis.
     positions: BTreeMap<String, Positions>,
     world: World,
     notices: Notices,
     arrays: Arrays<Span>,
-    /// Whether the attributes are those of cells, and how many values an array has; before the first of them `None`.
+    /// Whether the current attributes are those of cells, and how many tuples an array has. `None` before the first section.
     section: Option<(bool, u64)>,
 }
 
@@ -171,7 +171,7 @@ impl<'a> Parser<'a> {
             "METADATA" => self.skip_metadata()?,
             "FIELD" => self.fields(rest)?,
             "LOOKUP_TABLE" => {
-                // Four bytes a colour, as text four numbers.
+                // A colour has four bytes in a binary file, four numbers in a text file.
                 let count = self.number(keyword, rest.get(1))?;
                 self.skip_values(count.saturating_mul(4), 1)?;
             }
@@ -180,7 +180,7 @@ impl<'a> Parser<'a> {
         Ok(())
     }
 
-    /// An array that a keyword of its own announces.
+    /// Reads an array that has a keyword of its own.
     fn attribute(&mut self, keyword: &str, rest: &[&str]) -> Result<(), ReadError> {
         let name = rest.first().copied().unwrap_or_default();
         let (components, kind) = match keyword {
@@ -189,7 +189,7 @@ impl<'a> Parser<'a> {
                     None => 1,
                     some => self.number(keyword, some)?,
                 };
-                // The line `LOOKUP_TABLE name` is a part of the keyword, which some writers leave out.
+                // The line `LOOKUP_TABLE name` is a part of the keyword; some writers leave it out.
                 if self.peek(12)?.eq_ignore_ascii_case(b"LOOKUP_TABLE") {
                     self.line()?;
                 }
@@ -200,7 +200,7 @@ impl<'a> Parser<'a> {
             "TENSORS6" => (6, rest.get(1)),
             "TEXTURE_COORDINATES" => (self.number(keyword, rest.get(1))?, rest.get(2)),
             "GLOBAL_IDS" | "PEDIGREE_IDS" => (1, rest.get(1)),
-            // Bytes, as text numbers from 0 to 1.
+            // Bytes in a binary file, numbers from 0 to 1 in a text file.
             "COLOR_SCALARS" => {
                 if self.text {
                     self.notices.add(format!(
@@ -222,13 +222,13 @@ impl<'a> Parser<'a> {
         self.array(name, kind, components, tuples, keyword == "SCALARS")
     }
 
-    /// The arrays of `FIELD`: of the data set, the points or the cells.
+    /// Reads the arrays of `FIELD`: those of the data set, the points or the cells.
     fn fields(&mut self, rest: &[&str]) -> Result<(), ReadError> {
         let count = self.number("FIELD", rest.get(1))?;
         for _ in 0..count {
             let line = self.next_line("FIELD")?;
             let words: Vec<&str> = line.split_whitespace().collect();
-            // An array of the data set may have metadata, which stand behind it.
+            // Metadata may follow an array of the data set.
             if words == ["METADATA"] {
                 self.skip_metadata()?;
             }
@@ -255,7 +255,7 @@ impl<'a> Parser<'a> {
         Ok(())
     }
 
-    /// Strings of the data set, of which the first may say what positions are.
+    /// Reads strings of the data set. The first one may state the meaning of positions.
     fn strings(&mut self, name: &str, count: u64) -> Result<(), ReadError> {
         for i in 0..count {
             let value = if self.text {
@@ -270,7 +270,7 @@ impl<'a> Parser<'a> {
         Ok(())
     }
 
-    /// A length, of which the first two bits say how wide it is, and so many bytes.
+    /// Reads a string: its length, whose first two bits give the width of the length, then that many bytes.
     fn binary_string(&mut self) -> Result<String, ReadError> {
         let first = self.bytes(1)?[0];
         let more: usize = match first >> 6 {
@@ -290,7 +290,7 @@ impl<'a> Parser<'a> {
         Ok(String::from_utf8_lossy(&self.bytes(length as usize)?).into_owned())
     }
 
-    /// Notes an array and passes over its values.
+    /// Records an array and skips its values.
     fn array(&mut self, name: &str, kind: &str, components: u64, tuples: u64, active: bool) -> Result<(), ReadError> {
         let kind = kind.to_ascii_lowercase();
         let values = components.checked_mul(tuples).ok_or_else(|| {
@@ -342,7 +342,7 @@ impl<'a> Parser<'a> {
             .map_err(|_| self.error(field, format!("{word:?}, expected a number")))
     }
 
-    /// The next line without its end; `None` at the end of the file.
+    /// Reads the next line, without its end; `None` at the end of the file.
     fn line(&mut self) -> Result<Option<String>, ReadError> {
         let mut line = Vec::new();
         let read = (&mut self.stream).take(MAX_LINE_BYTES).read_until(b'\n', &mut line);
@@ -354,7 +354,7 @@ impl<'a> Parser<'a> {
         Ok((n > 0).then(|| String::from_utf8_lossy(&line).trim_end().to_owned()))
     }
 
-    /// The next line that is not empty.
+    /// Reads the next line that is not empty.
     fn next_line(&mut self, field: &str) -> Result<String, ReadError> {
         loop {
             match self.line()? {
@@ -365,7 +365,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// Bytes that come next, without passing over them; fewer near the end of a buffer or the file.
+    /// Returns the next bytes without consuming them; fewer near the end of a buffer or the file.
     fn peek(&self, count: usize) -> Result<Vec<u8>, ReadError> {
         let mut bytes = Vec::new();
         let mut stream = self.blob.reader(self.at).take(count as u64);
@@ -380,7 +380,7 @@ impl<'a> Parser<'a> {
         Ok(bytes)
     }
 
-    /// Metadata end with an empty line.
+    /// Skips metadata, which end with an empty line.
     fn skip_metadata(&mut self) -> Result<(), ReadError> {
         while self.line()?.is_some_and(|line| !line.is_empty()) {}
         Ok(())
@@ -409,7 +409,7 @@ impl<'a> Parser<'a> {
         Ok(())
     }
 
-    /// Passes over numbers and the white space behind them.
+    /// Skips numbers and the white space behind them.
     fn skip_words(&mut self, count: u64) -> Result<(), ReadError> {
         let (mut words, mut inside) = (0, false);
         loop {
@@ -459,7 +459,7 @@ fn stored_type(name: &str) -> Option<StoredType> {
         "unsigned_short" | "vtktypeuint16" => StoredType::U16,
         "int" | "vtktypeint32" => StoredType::I32,
         "unsigned_int" | "vtktypeuint32" => StoredType::U32,
-        // A long of the writers that are in use has 8 bytes. An id is written as an int.
+        // A long has 8 bytes in the writers that are in use. An id is written as an int.
         "long" | "vtktypeint64" => StoredType::I64,
         "unsigned_long" | "vtktypeuint64" => StoredType::U64,
         "vtkidtype" => StoredType::I32,
@@ -469,7 +469,7 @@ fn stored_type(name: &str) -> Option<StoredType> {
     })
 }
 
-/// A name, in which `%20` is a space.
+/// Decodes a name, in which `%20` is a space.
 fn decoded(name: &str) -> String {
     let mut bytes = Vec::new();
     let mut rest = name.as_bytes();

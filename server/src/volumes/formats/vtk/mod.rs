@@ -1,8 +1,8 @@
-//! VTK's images: the XML format [`.vti`](xml), the same with positions along each axis (`.vtr`), both in [pieces](pieces), lists of such files with a time of each,
-//! [`.pvd`](collection), of which several may be parts of one time, and [`.vtk`](legacy), the older format.
+//! VTK's images: the XML format [`.vti`](xml), the same with positions along each axis (`.vtr`), both in [pieces](pieces), lists of such
+//! files with a time for each, [`.pvd`](collection), in which several may be parts of one time, and the older format, [`.vtk`](legacy).
 //!
 //! Images hold arrays of point data or cell data on one grid, of which each component is a field, the active scalars
-//! first. Cell data are read where there are no point data; their grid is that of the cells' centres. Positions are in
+//! first. Cell data are read if there are no point data; their grid is that of the cells' centres. Positions are in
 //! the file's own world, without a unit; arrays `frame` and `unit` in the field data, as isopeel's own VTP has them,
 //! are read back. The format has no missing value.
 
@@ -19,10 +19,10 @@ use crate::volumes::rectilinear::{self, Positions};
 use crate::volumes::stored::{StoredSamples, StoredType};
 use crate::volumes::{Field, FileLocation, Frame, Geometry, LengthUnit, Notices, OpenedFile, ReadError};
 
-/// Arrays that say which points and cells are copies of another piece's: no samples of the volume.
+/// Arrays that mark points and cells as copies of another piece's. They are no samples of the volume.
 const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
 
-/// Notices of arrays that other programs show otherwise.
+/// Notices of features that other programs treat differently.
 pub(super) const UNUSED_GHOSTS: &str = "vtkGhostType is not used: points and cells that it hides are shown";
 pub(super) const CELL_DATA: &str = "there are no point data: cell data are read, at the cells' centres";
 
@@ -32,7 +32,7 @@ struct Grid {
     spacing: [f64; 3],
     origin: [f64; 3],
     direction: [[f64; 3]; 3],
-    /// Of the samples along the axes, where the file lists them.
+    /// Positions of the samples along the axes, if the file lists them.
     positions: Option<[Positions; 3]>,
 }
 
@@ -60,15 +60,15 @@ impl Grid {
 struct Array {
     name: String,
     components: u64,
-    /// Names of the components, where the file has them.
+    /// Names of the components, if the file has them.
     component_names: Vec<String>,
     stored: StoredType,
     type_name: String,
-    /// Whether it is the one of its kind that programs show first.
+    /// Whether it is the active array of its kind, which programs show first.
     active: bool,
 }
 
-/// What the field data say of the positions.
+/// Meaning of the positions, as the field data state it.
 #[derive(Default)]
 struct World {
     frame: Frame,
@@ -76,7 +76,7 @@ struct World {
 }
 
 impl World {
-    /// A string of the field data.
+    /// Evaluates a string of the field data.
     fn set(&mut self, name: &str, value: &str) {
         match name {
             "frame" => {
@@ -89,7 +89,7 @@ impl World {
     }
 }
 
-/// Arrays on points or on cells, each with what its format knows of where it is.
+/// Arrays on points or on cells, each with what its format knows about its place in the file.
 struct Arrays<P> {
     point: Vec<(Array, P)>,
     cell: Vec<(Array, P)>,
@@ -104,7 +104,7 @@ impl<P> Default for Arrays<P> {
     }
 }
 
-/// The grid of the cells' centres.
+/// Returns the grid of the cells' centres.
 fn of_cells(mut grid: Grid) -> Result<Grid, String> {
     if let Some(positions) = &grid.positions {
         return Grid::of_positions([0, 1, 2].map(|axis: usize| positions[axis].between()));
@@ -119,14 +119,15 @@ fn of_cells(mut grid: Grid) -> Result<Grid, String> {
     Ok(grid)
 }
 
-/// A file as it is stored: with the positions of its samples along the axes where it lists them, or else on its grid.
+/// A file as it is stored. If it lists the positions of its samples along the axes, these are in `positions`; else the grid of `file`
+/// holds.
 struct AsStored {
     file: OpenedFile,
     positions: Option<[Positions; 3]>,
 }
 
 impl AsStored {
-    /// The file with its samples where they are. `field`: what says where, for messages.
+    /// Returns the file with its samples at their positions. `field` names the source of the positions in error messages.
     fn placed(self, path: &Path, field: &str) -> Result<OpenedFile, ReadError> {
         match &self.positions {
             Some(positions) => {
@@ -138,7 +139,7 @@ impl AsStored {
     }
 }
 
-/// Makes fields of the arrays; `samples` makes the samples of one, whose number of components it need not know.
+/// Makes fields of the arrays, one for each component. `samples` describes the samples of an array as if it had one component.
 fn opened<P>(
     location: &FileLocation,
     names: &GridFields,
@@ -197,7 +198,7 @@ fn opened<P>(
     })
 }
 
-/// The components of an array.
+/// Makes a field for each component of an array.
 fn fields(path: &Path, size_field: &str, array: &Array, samples: StoredSamples) -> Result<Vec<Field>, ReadError> {
     if !(1..=MAX_CHANNELS).contains(&array.components) {
         let why = format!("{} of {:?}, expected 1 to {MAX_CHANNELS}", array.components, array.name);

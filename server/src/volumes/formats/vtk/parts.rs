@@ -6,13 +6,13 @@ use super::AsStored;
 use super::pieces::{Box3, first_free, joined};
 use crate::volumes::{FileLocation, Geometry, OpenedFile, ReadError};
 
-/// Part of a sample by which parts may be off the common grid: the rounding of a header.
+/// Maximum deviation of a part from the common grid, relative to the distance of samples: the rounding of a header.
 const OFF_GRID: f64 = 1e-3;
 
-/// One volume of parts, of which there are two at least. `path` is the collection's. Where parts overlap, the later one's samples count.
+/// Joins at least two parts to one volume. `path` is the collection's. If parts overlap, the samples of the later one are taken.
 ///
 /// # Errors
-/// Which part is on no common grid with the first one, or which sample is in none.
+/// Which part does not fit the grid of the first one, or which sample is in no part.
 pub(super) fn join(path: &Path, parts: Vec<(FileLocation, AsStored)>) -> Result<OpenedFile, ReadError> {
     let Some((_, first)) = parts.first() else {
         return Err(ReadError::new(path, "part", "none, expected one at least"));
@@ -75,7 +75,7 @@ pub(super) fn join(path: &Path, parts: Vec<(FileLocation, AsStored)>) -> Result<
     })
 }
 
-/// Where a part's first sample is on the grid of the first part.
+/// Returns the index of a part's first sample on the grid of the first part.
 fn offset(at: &FileLocation, part: &AsStored, first: &Geometry) -> Result<[i64; 3], ReadError> {
     let fail = |field: &str, why: String| ReadError::new(at.path(), field, why);
     if part.positions.is_some() {

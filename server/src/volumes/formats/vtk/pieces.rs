@@ -1,7 +1,7 @@
 //! VTK's images in pieces, `.pvti`, and rectilinear grids in pieces, `.pvtr`, as programs with several processes write them.
 //!
 //! The file names `.vti` or `.vtr` files beside it, each with the part of the extent that it holds. Pieces share the samples on their
-//! borders, and more where there are ghost levels: those of the later piece count. All samples must be in a piece.
+//! borders, and more if there are ghost levels: then those of the later piece are taken. All samples must be in a piece.
 
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -19,15 +19,15 @@ use crate::volumes::rectilinear::{self, Positions};
 use crate::volumes::{Field, FileLocation, Geometry, Notices, OpenedFile, ReadError, ReadProgress, Source};
 use element::{Extent, GridAttributes};
 
-/// Pieces of an image, one a process.
+/// Maximum pieces of an image; programs write one for each process.
 const MAX_PIECES: usize = 1 << 16;
-/// Boxes that the pieces that were looked at leave free; a regular division leaves a few for each of its layers.
+/// Maximum boxes that remain free while pieces are subtracted. A regular division leaves a few for each of its layers.
 const MAX_FREE_BOXES: usize = 1 << 14;
 
 /// Reads the markup of a PVTI or PVTR file, and those of its pieces.
 ///
 /// # Errors
-/// What is wrong with it or with a piece, by element or attribute.
+/// What is wrong with the file or with a piece, by element or attribute.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let path = location.path();
     let image = Image::parse(location)?;
@@ -45,7 +45,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         return Err(ReadError::new(path, "Piece", "none, expected one at least"));
     };
     let of_points = element::dims(path, first.extent)?;
-    // Cell data lie between the points.
+    // Cells have one sample fewer than points along each axis.
     let shrink = u32::from(first.stored.file.geometry.dims != of_points);
     let dims = element::dims(path, image.extent)?.map(|n| n - shrink.min(n));
     let boxes: Vec<Box3> = pieces
@@ -91,20 +91,21 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     stored.placed(path, names.spacing)
 }
 
-/// A piece as it is stored, with the extent that the image's file says, and its own.
+/// A piece as it is stored, with its location and with the extent that the image's file states.
 struct Piece {
     extent: Extent,
     stored: AsStored,
     at: FileLocation,
 }
 
-/// The grid of all pieces, by the positions of each; the error of the whole inside. Where two have a sample, both must say where.
+/// Returns the grid of all pieces, by the positions of each. The inner error is one of the whole grid. The outer error: two pieces share a
+/// sample and give different positions for it.
 fn joined_positions(dims: [u32; 3], pieces: &[Piece], boxes: &[Box3]) -> Result<Result<Grid, String>, ReadError> {
     let mut axes = dims.map(|n| vec![f64::NAN; n as usize]);
     for (Piece { stored, at, .. }, of_box) in pieces.iter().zip(boxes) {
         for (axis, positions) in stored.positions.iter().flatten().enumerate() {
             let whole = &mut axes[axis][of_box.low[axis] as usize..of_box.high[axis] as usize];
-            // A thousandth of a step is rounding, as where positions are even.
+            // Differences up to a thousandth of a step are rounding, as for even positions.
             let rounding = rectilinear::EVEN * positions.step().abs();
             for (i, (to, from)) in whole.iter_mut().zip(positions.values()).enumerate() {
                 if (*to - from).abs() > rounding {
@@ -125,7 +126,7 @@ fn joined_positions(dims: [u32; 3], pieces: &[Piece], boxes: &[Box3]) -> Result<
     ]))
 }
 
-/// The pieces of an image on disk, as far as it can be read.
+/// Lists the pieces of an image on disk, as far as it can be read.
 pub fn members(image: &Path) -> Vec<PathBuf> {
     let folder = image.parent().unwrap_or(Path::new(""));
     let parsed = Image::parse(&FileLocation::disk(image).packed_by_name());
@@ -133,7 +134,7 @@ pub fn members(image: &Path) -> Vec<PathBuf> {
     pieces.into_iter().map(|(_, name)| folder.join(name)).collect()
 }
 
-/// What the file itself says.
+/// Contents of the image's file.
 struct Image {
     kind: GridKind,
     extent: Extent,
@@ -197,7 +198,7 @@ impl Image {
     }
 }
 
-/// Which kind of grid the file holds, else an error.
+/// Returns the kind of grid that the file holds, or an error.
 fn kind_of(path: &Path, element: &BytesStart<'_>) -> Result<GridKind, ReadError> {
     let name = element::attribute(path, element, "type")?.unwrap_or_default();
     let is_of = |kind: &GridKind| name.strip_prefix('P') == Some(kind.name());
@@ -215,7 +216,7 @@ fn piece(path: &Path, element: &BytesStart<'_>) -> Result<(Extent, String), Read
     Ok((element::extent(path, "Extent", &numbers)?, source))
 }
 
-/// Where a piece's samples go. `shrink`: by how much fewer samples than points there are along an axis.
+/// Returns the box of a piece's samples in the whole. `shrink`: by how much fewer samples than points there are along an axis.
 fn place(path: &Path, image: &Image, shrink: u32, piece: &Piece) -> Result<Box3, ReadError> {
     let (extent, file, at) = (piece.extent, &piece.stored.file, &piece.at);
     let dims = element::dims(path, extent)?.map(|n| n - shrink.min(n));
@@ -242,7 +243,7 @@ fn place(path: &Path, image: &Image, shrink: u32, piece: &Piece) -> Result<Box3,
     })
 }
 
-/// A field of all pieces. Each must have it, of one type.
+/// Joins a field of all pieces. Each piece must have it, in the same type.
 pub(super) fn joined(
     path: &Path,
     field: &Field,
@@ -275,7 +276,7 @@ pub(super) fn joined(
     })
 }
 
-/// Samples from `low` up to before `high`.
+/// A box of samples, from `low` up to but not including `high`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Box3 {
     pub low: [u32; 3],
@@ -290,7 +291,7 @@ impl Box3 {
         }
     }
 
-    /// What another box leaves of this one, in up to six boxes.
+    /// Adds to `rest` what remains of this box without the other one: up to six boxes.
     fn without(self, other: Self, rest: &mut Vec<Self>) {
         let is_apart = (0..3).any(|a| other.low[a] >= self.high[a] || other.high[a] <= self.low[a]);
         if is_apart {
@@ -315,7 +316,7 @@ impl Box3 {
     }
 }
 
-/// A sample that no box has; also where the boxes leave too many pieces free to tell.
+/// Returns a sample that is in no box. Also returns a sample, which may be in a later box, if the boxes leave too many free boxes to tell.
 pub(super) fn first_free(whole: Box3, boxes: &[Box3]) -> Option<[u32; 3]> {
     let mut free = vec![whole];
     for &taken in boxes {
@@ -371,7 +372,7 @@ macro_rules! typed {
 typed!(as_u8: U8(u8), as_i8: I8(i8), as_u16: U16(u16), as_i16: I16(i16), as_f32: F32(f32));
 
 impl JoinedPieces {
-    /// Reads piece after piece, so that no more than one is in memory beside the whole.
+    /// Reads one piece after another, so that at most one is in memory beside the whole.
     fn join<T: Pod>(
         &self,
         step: u32,

@@ -15,7 +15,8 @@ const SHUFFLE_BYTES: u8 = 1;
 const COPIED: u8 = 2;
 const SHUFFLE_BITS: u8 = 4;
 const WHOLE_BLOCKS: u8 = 16;
-/// A block is compressed in as many parts as a sample has bytes, up to this number, in parts of so many bytes at least.
+/// A whole block is compressed in as many parts as a sample has bytes, if these are at most `MAX_PARTS` and each part has at least
+/// `MIN_PART_BYTES`; else in one part.
 const MAX_PARTS: usize = 16;
 const MIN_PART_BYTES: usize = 128;
 
@@ -68,7 +69,7 @@ fn number(bytes: &[u8], at: usize) -> usize {
     u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i])) as usize
 }
 
-/// Decodes one part of a block: its length, then so many bytes.
+/// Decodes one part of a block: its length, then that many bytes.
 fn part(rest: &mut &[u8], compressor: u8, size: usize, plain: &mut Vec<u8>) -> Result<(), String> {
     let (length, after) = rest.split_first_chunk().ok_or("ends before a part of a block")?;
     let (packed, after) = after
@@ -103,7 +104,7 @@ fn part(rest: &mut &[u8], compressor: u8, size: usize, plain: &mut Vec<u8>) -> R
     Ok(())
 }
 
-/// The bytes of samples side by side again.
+/// Undoes the shuffling: returns the bytes of each sample side by side.
 fn unshuffled(plain: Vec<u8>, flags: u8, width: usize) -> Vec<u8> {
     let count = plain.len() / width;
     let mut bytes = plain.clone();
@@ -125,10 +126,10 @@ fn unshuffled(plain: Vec<u8>, flags: u8, width: usize) -> Vec<u8> {
     bytes
 }
 
-/// Distance from which on it is written in 16 bits.
+/// Distances from this one on are written in 16 bits.
 const FAR: usize = 8191;
 
-/// BloscLZ: runs of literal bytes, and copies of what came before.
+/// Decodes BloscLZ: runs of literal bytes, and copies of earlier bytes.
 fn blosclz(packed: &[u8], size: usize) -> Result<Vec<u8>, String> {
     let mut stored = packed.iter().copied();
     let mut next = || stored.next().map(usize::from).ok_or("ends in a code of BloscLZ");

@@ -1,7 +1,7 @@
-//! From the bytes of a chunk to its samples.
+//! Decodes the bytes of a chunk to its samples.
 //!
-//! Read: `bytes`, `transpose`, `gzip`, `zlib`, `zstd`, `bz2`, `lz4`, `blosc` (see `blosc` for what it holds), `crc32c`,
-//! `sharding_indexed`. No codec gives more bytes than a chunk should have, whatever its input.
+//! Read: `bytes`, `transpose`, `gzip`, `zlib`, `zstd`, `bz2`, `lz4`, `blosc` (see `blosc` for its compressors), `crc32c`,
+//! `sharding_indexed`. Whatever its input, no codec returns more bytes than a chunk should have.
 
 use std::io::Read;
 
@@ -11,14 +11,14 @@ use super::blosc;
 use crate::volumes::codec::decoder;
 use crate::volumes::stored::{Encoding, Endian};
 
-/// What is not read of a chunk beyond its samples: headers and checksums of codecs inside of others.
+/// Maximum bytes beside the samples between two codecs: headers and checksums.
 const OVERHEAD: usize = 1 << 12;
 
 /// A codec from bytes to bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bytes {
     Stream(Encoding),
-    /// As numcodecs writes it: behind its decoded length.
+    /// As numcodecs writes it: its decoded length comes first.
     Lz4,
     Blosc,
     Crc32c,
@@ -30,14 +30,15 @@ pub(super) struct Pipeline {
     /// Axes of the array in the order in which they are stored, the last of them fastest.
     order: Vec<usize>,
     pub(super) endian: Endian,
-    /// In the order of writing.
+    /// Codecs from bytes to bytes, in the order of writing.
     bytes: Vec<Bytes>,
     pub(super) shard: Option<Box<Shard>>,
-    /// Of blocks of N5, which have a header and may be smaller at the end: samples of a whole one along each axis, and bytes of a sample.
+    /// For blocks of N5, which have a header and may be smaller at the end: samples of a whole block along each axis, and bytes of a
+    /// sample.
     n5: Option<(Vec<u64>, usize)>,
 }
 
-/// Chunks in a chunk.
+/// A chunk that contains inner chunks.
 #[derive(Clone, Debug)]
 pub(super) struct Shard {
     /// Samples of an inner chunk along each axis.
@@ -45,12 +46,12 @@ pub(super) struct Shard {
     pub(super) pipeline: Pipeline,
     /// Whether the index ends with its checksum.
     checksum: bool,
-    /// Whether the index stands behind the chunks.
+    /// Whether the index follows the chunks.
     pub(super) at_end: bool,
 }
 
 impl Pipeline {
-    /// Of version 2: one compressor.
+    /// Returns the pipeline of an array of version 2, with one compressor.
     pub(super) fn second(compressor: &Value, endian: Endian, fortran: bool, axes: usize) -> Result<Self, String> {
         let mut order: Vec<usize> = (0..axes).collect();
         if fortran {
@@ -70,7 +71,7 @@ impl Pipeline {
         })
     }
 
-    /// Of a dataset of N5, from its attributes.
+    /// Returns the pipeline of a dataset of N5, by its attributes.
     pub(super) fn of_n5(attributes: &Value, chunks: &[u64], width: u64) -> Result<Self, String> {
         let compression = attributes.get("compression");
         let name = compression.and_then(|own| own.get("type")).and_then(Value::as_str);
@@ -98,7 +99,7 @@ impl Pipeline {
         })
     }
 
-    /// Of version 3.
+    /// Returns the pipeline of an array of version 3.
     pub(super) fn third(codecs: &[Value], axes: usize) -> Result<Self, String> {
         let mut pipeline = Self {
             order: (0..axes).collect(),
@@ -159,7 +160,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Distance in samples between neighbours along each axis of a chunk.
+    /// Returns the distance in samples between neighbours along each axis of a chunk.
     pub(super) fn strides(&self, chunks: &[u64]) -> Vec<usize> {
         let mut strides = vec![0; chunks.len()];
         let mut next = 1;
@@ -170,7 +171,7 @@ impl Pipeline {
         strides
     }
 
-    /// The samples of a chunk, which are `size` bytes.
+    /// Decodes the samples of a chunk, which must be `size` bytes.
     pub(super) fn decode(&self, stored: Vec<u8>, size: usize) -> Result<Vec<u8>, String> {
         let limit = size + size / 8 + OVERHEAD;
         let mut bytes = stored;
@@ -186,7 +187,7 @@ impl Pipeline {
         Ok(bytes)
     }
 
-    /// What the codecs give, of `limit` bytes at most.
+    /// Applies the codecs. No codec may return more than `limit` bytes.
     fn unpacked(&self, mut bytes: Vec<u8>, limit: usize) -> Result<Vec<u8>, String> {
         for codec in self.bytes.iter().rev() {
             bytes = codec.decode(&bytes, limit)?;
@@ -195,8 +196,8 @@ impl Pipeline {
     }
 }
 
-/// Samples of a block along each axis, the slowest first, and the bytes of its header: how it is written, the count of axes, samples along
-/// each of them.
+/// Parses the header of a block: its mode, the number of axes, the samples along each of them. Returns the samples along each axis, the
+/// slowest first, and the bytes of the header.
 fn n5_header(stored: &[u8], chunks: &[u64]) -> Result<(Vec<u64>, usize), String> {
     let begin = 4 + 4 * chunks.len();
     let header = stored.get(..begin).ok_or("a block that is shorter than its header")?;
@@ -216,7 +217,7 @@ fn n5_header(stored: &[u8], chunks: &[u64]) -> Result<(Vec<u64>, usize), String>
     Ok((sizes, begin))
 }
 
-/// A block with as many samples as a whole one; those that it has not are 0.
+/// Extends a block to the size of a whole one. The samples that it does not have are 0.
 fn padded(block: &[u8], sizes: &[u64], chunks: &[u64], width: usize) -> Result<Vec<u8>, String> {
     let count = |sizes: &[u64]| sizes.iter().map(|&n| n as usize).product::<usize>() * width;
     if block.len() != count(sizes) {
@@ -287,7 +288,7 @@ impl Bytes {
     }
 }
 
-/// Bytes before their checksum.
+/// Verifies the checksum at the end and returns the bytes before it.
 fn checked(stored: &[u8]) -> Result<&[u8], String> {
     let (bytes, sum) = stored.split_last_chunk().ok_or("too short for its checksum")?;
     if crc32c::crc32c(bytes) != u32::from_le_bytes(*sum) {
@@ -332,12 +333,12 @@ impl Shard {
         })
     }
 
-    /// Bytes of the index of so many chunks.
+    /// Returns the bytes of the index for this many chunks.
     pub(super) fn index_bytes(&self, chunks: u64) -> u64 {
         16 * chunks + if self.checksum { 4 } else { 0 }
     }
 
-    /// Offset and length of each chunk; `None` of those that are not stored.
+    /// Parses the index: offset and length of each chunk; `None` for a chunk that is not stored.
     pub(super) fn index(&self, stored: &[u8]) -> Result<Vec<Option<[u64; 2]>>, String> {
         let bytes = if self.checksum { checked(stored)? } else { stored };
         let number = |at: &[u8]| at.iter().rev().fold(0, |n, &b| n << 8 | u64::from(b));
@@ -349,12 +350,12 @@ impl Shard {
     }
 }
 
-/// A list of whole numbers.
+/// Parses a list of whole numbers.
 pub(super) fn integers(value: Option<&Value>) -> Option<Vec<u64>> {
     value?.as_array()?.iter().map(Value::as_u64).collect()
 }
 
-/// Byte order of a name in the configuration of a codec.
+/// Parses the byte order in the configuration of a codec.
 fn endian(value: Option<&Value>) -> Result<Endian, String> {
     match value.and_then(Value::as_str) {
         None | Some("little") => Ok(Endian::Little),

@@ -1,5 +1,5 @@
-//! Arrays whose dimensions have names, as xarray writes them: the positions along a dimension are an array of its name in the same
-//! group. The conventions are those of NetCDF, see `variables::axes` and `variables::values`.
+//! Arrays whose dimensions have names, as xarray writes them: an array in the same group with the name of a dimension has the positions
+//! along it. The conventions are those of NetCDF, see `variables::axes` and `variables::values`.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use crate::volumes::formats::variables::file::{
 use crate::volumes::remote::Part;
 use crate::volumes::stored::StoredType;
 
-/// Bytes of a chunk of positions at most, decoded.
+/// Maximum bytes of a decoded chunk of positions.
 const MAX_CHUNK_BYTES: u64 = 64 << 20;
 
-/// The arrays of a group as variables.
+/// Provides the arrays of a group as variables.
 pub(super) struct Variables {
     pub(super) store: Arc<Store>,
     /// Path of the group.
@@ -25,7 +25,7 @@ pub(super) struct Variables {
 }
 
 impl Variables {
-    /// Of the group that an array is in.
+    /// Returns the variables of the group that contains an array.
     pub(super) fn beside(store: &Arc<Store>, path: &str) -> Self {
         Self {
             store: Arc::clone(store),
@@ -33,7 +33,7 @@ impl Variables {
         }
     }
 
-    /// What an array is as a variable.
+    /// Describes an array as a variable.
     pub(super) fn describe(&self, path: &str, array: &Array) -> Variable {
         let name = path.rsplit('/').next().unwrap_or_default();
         let is_scale = array.shape.len() == 1 && array.names.first().is_some_and(|own| own == name);
@@ -68,7 +68,7 @@ impl Variables {
         }
     }
 
-    /// All bytes of an array with one axis.
+    /// Reads all bytes of an array with one axis.
     fn line(&self, path: &str, array: &Array) -> Result<Vec<u8>, String> {
         let (size, chunk, width) = (array.shape[0], array.chunks[0], array.stored.bytes());
         if array.pipeline.shard.is_some() || chunk * width > MAX_CHUNK_BYTES {
@@ -78,7 +78,7 @@ impl Variables {
         for first in (0..size).step_by(chunk as usize) {
             let key = join(path, &array.key(&[first / chunk]));
             let wanted = ((size - first).min(chunk) * width) as usize;
-            // More is no chunk of so many samples.
+            // A chunk with more bytes than this is invalid.
             let limit = 2 * chunk * width + (1 << 16);
             let object = self.store.read(&key, Part::Whole, limit, &never);
             let Some(object) = object.map_err(|error| error.why)? else {
@@ -111,12 +111,12 @@ impl VariableFile for Variables {
     }
 }
 
-/// The attributes that say what samples mean.
+/// Returns the attributes that give the meaning of samples.
 fn attributes(array: &Array) -> Attributes {
     let value = |name: &str| {
         let found = array.attributes.get(name).unwrap_or(&Value::Null);
         match (name, found) {
-            // Version 2 has it as the array's own.
+            // In version 2 it is a property of the array, not an attribute.
             ("_FillValue", Value::Null) => array.missing.map(|value| Attribute::Numbers(vec![value])),
             ("_FillValue", Value::String(text)) => Some(match packed_number(text, array.stored) {
                 Some(value) => Attribute::Numbers(vec![value]),
@@ -131,7 +131,7 @@ fn attributes(array: &Array) -> Attributes {
     Attributes(named.filter_map(|(name, value)| Some((name, value?))).collect())
 }
 
-/// A list of numbers, or of texts.
+/// Converts a list of numbers or of texts.
 fn list_of(list: &[Value]) -> Option<Attribute> {
     let numbers: Option<Vec<f64>> = list.iter().map(Value::as_f64).collect();
     if let Some(numbers) = numbers {
@@ -141,7 +141,7 @@ fn list_of(list: &[Value]) -> Option<Attribute> {
     texts.map(Attribute::Texts)
 }
 
-/// A floating-point number in JSON as xarray writes it: the eight bytes of a double, little endian, in base64. Or its name.
+/// Parses a floating-point number in JSON as xarray writes it: the eight bytes of a double, little-endian, in base64; or its name.
 fn packed_number(text: &str, stored: StoredType) -> Option<f64> {
     use base64::Engine;
     let is_float = matches!(stored, StoredType::F16 | StoredType::F32 | StoredType::F64);

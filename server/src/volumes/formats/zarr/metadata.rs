@@ -9,14 +9,14 @@ use super::codecs::{Pipeline, integers};
 use crate::volumes::ReadError;
 use crate::volumes::stored::StoredType;
 
-/// What is at a path.
+/// An array or a group.
 pub(super) enum Node {
     Array(Box<Array>),
-    /// Its attributes.
+    /// A group, with its attributes.
     Group(Value),
 }
 
-/// What the metadata of an array say.
+/// Metadata of an array.
 #[derive(Debug)]
 pub(super) struct Array {
     pub(super) shape: Vec<u64>,
@@ -27,25 +27,25 @@ pub(super) struct Array {
     /// Value of samples that are not stored.
     pub(super) fill: f64,
     pub(super) pipeline: Pipeline,
-    /// What stands before the numbers of a chunk's name, and between them.
+    /// Prefix of the name of a chunk, and the separator of its numbers.
     pub(super) key_prefix: &'static str,
     pub(super) key_separator: String,
-    /// Whether the name has the number along the last axis first.
+    /// Whether the number along the last axis comes first in the name.
     pub(super) is_key_reversed: bool,
     pub(super) attributes: Value,
-    /// Names of the axes, where they have some.
+    /// Names of the axes; empty if the array has none.
     pub(super) names: Vec<String>,
-    /// The fill value, where xarray takes it for that of missing samples.
+    /// The fill value, if it is also the value of missing samples, as xarray takes it.
     pub(super) missing: Option<f64>,
 }
 
 impl Array {
-    /// Whether one of its axes at least has a name.
+    /// Whether at least one axis has a name, and `names` has an entry for every axis.
     pub(super) fn has_names(&self) -> bool {
         self.names.len() == self.shape.len() && self.names.iter().any(|name| !name.is_empty())
     }
 
-    /// Name of a chunk's file.
+    /// Returns the name of a chunk's file.
     pub(super) fn key(&self, chunk: &[u64]) -> String {
         let mut numbers: Vec<String> = chunk.iter().map(u64::to_string).collect();
         if self.is_key_reversed {
@@ -102,7 +102,7 @@ struct Second {
     dimension_separator: Option<String>,
 }
 
-/// Reads what is at a path; `None` where there is neither an array nor a group.
+/// Reads the node at a path; `None` if there is neither an array nor a group.
 pub(super) fn node(store: &Store, path: &str) -> Result<Option<Node>, ReadError> {
     if let Some(third) = store.json::<Third>(&join(path, "zarr.json"))? {
         return third.node(store, path).map(Some);
@@ -176,7 +176,7 @@ impl Third {
 }
 
 impl Third {
-    /// What stands before the numbers of a chunk's name, and between them.
+    /// Returns the prefix of the name of a chunk, and the separator of its numbers.
     fn keys(&self) -> Result<(&'static str, String), String> {
         let encoding = self.chunk_key_encoding.as_ref();
         let named = encoding
@@ -259,7 +259,7 @@ impl Array {
         if self.chunks.contains(&0) {
             return fail(format!("chunks {:?}, expected numbers above 0", self.chunks));
         }
-        // The piece that is decoded at once.
+        // The unit that is decoded at once.
         let piece = self.pipeline.shard.as_ref().map_or(&self.chunks, |shard| &shard.chunks);
         let bytes = piece
             .iter()
@@ -305,7 +305,7 @@ pub(super) fn third_type(name: &str) -> Option<StoredType> {
     })
 }
 
-/// A fill value: a number, its name, or its bits; 0 where there is none.
+/// Parses a fill value: a number, its name, or its bits; 0 if there is none.
 fn fill(value: &Value, stored: StoredType) -> f64 {
     match value {
         Value::Bool(value) => f64::from(u8::from(*value)),

@@ -3,14 +3,14 @@
 //! of a store over a network.
 //!
 //! - A multiscale image: its finest level of at most 2^31 samples. Axes t and c are time steps and fields, named by
-//!   `omero`; spacing and origin are what the scales and translations say. `x.zarr:1` names another level,
+//!   `omero`; spacing and origin are those of the scales and translations. `x.zarr:1` names another level,
 //!   `x.zarr:labels/NAME` an image of labels.
-//! - An array: axes are what names of dimensions and positions along them say, see `named_axes`; without names `z, y, x`, `t, z, y, x`
+//! - An array: names of dimensions and positions along them give the axes, see `named_axes`; without names they are `z, y, x`, `t, z, y, x`
 //!   or `t, c, z, y, x`. Positions are those of `coordinates`.
 //! - A group of arrays of one shape: each is a field. `x.zarr:NAME` names one of several.
 //!
-//! A chunk that is not stored has the fill value. Links are followed below the folder only. `codecs` lists what chunks
-//! may be packed with.
+//! A chunk that is not stored has the fill value. Links are followed only below the folder. `codecs` lists the encodings of chunks that
+//! are read.
 
 mod blosc;
 mod codecs;
@@ -45,13 +45,13 @@ const FIELDS: GridFields = GridFields {
     direction: "axes",
 };
 
-/// Bytes of an `attributes.json` that are looked at to recognize N5.
+/// Bytes of an `attributes.json` that are examined to detect N5.
 const MAX_ATTRIBUTES: usize = 1 << 20;
 
-/// Maximum arrays of a group that are opened together.
+/// Maximum arrays of a group that are opened as fields of one volume.
 const MAX_ARRAYS: usize = 64;
 
-/// Maximum samples of a level that is chosen without being named.
+/// Maximum samples of a level that is opened without being named.
 const MAX_LEVEL_SAMPLES: u64 = 1 << 31;
 
 /// Whether a folder is a Zarr array or group.
@@ -73,10 +73,10 @@ fn is_n5(folder: &Path) -> bool {
     ends || ["n5", "dimensions"].iter().any(|name| value.get(name).is_some())
 }
 
-/// Opens a view of BigDataViewer in an N5 folder, which is described elsewhere.
+/// Opens a view of BigDataViewer in an N5 folder, with the description in `data`.
 ///
 /// # Errors
-/// What is wrong with it, or which views there are if one must be named.
+/// What is wrong with the folder, or the list of views if one must be named.
 pub(super) fn open_views(location: &FileLocation, data: &SpimData) -> Result<OpenedFile, ReadError> {
     n5::open_views(&Arc::new(Store::open(location, "n5")?), location.part(), data)
 }
@@ -84,7 +84,7 @@ pub(super) fn open_views(location: &FileLocation, data: &SpimData) -> Result<Ope
 /// Reads the metadata of a Zarr folder.
 ///
 /// # Errors
-/// What is wrong with it, by field; several arrays or images, none of them named.
+/// What is wrong with the metadata, by field; several arrays or images of which none is named.
 pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
     let store = Arc::new(Store::open(location, "zarr")?);
     let part = location.part().unwrap_or_default().trim_matches('/').to_owned();
@@ -94,7 +94,7 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
         Some(Node::Group(attributes)) => open_group(&store, &part, &attributes),
     }?;
     let mut title = match location.address() {
-        // A folder's name, as of one on disk.
+        // The name of the folder, as for a folder on disk.
         Some(address) => address.shown().rsplit('/').next().unwrap_or_default().to_owned(),
         None => title_of(location.path()),
     };
@@ -107,7 +107,7 @@ pub fn open(location: &FileLocation) -> Result<Vec<FolderVolume>, ReadError> {
     Ok(vec![FolderVolume { title, file }])
 }
 
-/// An array that was named: perhaps a level of an image above it.
+/// Opens an array that was named. It may be a level of an image in a group above it.
 fn open_array(store: &Arc<Store>, path: &str, array: Array) -> Result<OpenedFile, ReadError> {
     for (at, _) in path.match_indices('/').chain((!path.is_empty()).then_some((0, ""))) {
         let (group, level) = (&path[..at], path[at..].trim_start_matches('/'));
@@ -143,7 +143,7 @@ fn open_array(store: &Arc<Store>, path: &str, array: Array) -> Result<OpenedFile
     Ok(header::with_notices(file, roles.notices.into_iter().chain(notices)))
 }
 
-/// An array in which 0 is a value, even if it is the fill value of version 2, which programs write by default for images too.
+/// Treats a fill value of 0 as a value, with a notice: in version 2, programs write it by default, also for images.
 fn with_fill_as_value(array: Array, notices: &mut Vec<String>) -> Array {
     if array.missing != Some(0.0) {
         return array;
@@ -152,7 +152,7 @@ fn with_fill_as_value(array: Array, notices: &mut Vec<String>) -> Array {
     Array { missing: None, ..array }
 }
 
-/// A group: an image, or arrays side by side.
+/// Opens a group: an image, or arrays side by side.
 fn open_group(store: &Arc<Store>, path: &str, attributes: &Value) -> Result<OpenedFile, ReadError> {
     let Some(image) = ome::image(store, path, attributes)? else {
         return open_arrays(store, path);
@@ -182,7 +182,7 @@ fn open_group(store: &Arc<Store>, path: &str, attributes: &Value) -> Result<Open
     Err(store.error(path, why))
 }
 
-/// Arrays of one shape are fields; with several shapes one must be named.
+/// Opens the arrays of a group. Arrays of one shape are fields; with several shapes one must be named.
 fn open_arrays(store: &Arc<Store>, path: &str) -> Result<OpenedFile, ReadError> {
     let mut found: Vec<(String, Array)> = Vec::new();
     let mut names = Vec::new();
@@ -212,7 +212,7 @@ fn open_arrays(store: &Arc<Store>, path: &str) -> Result<OpenedFile, ReadError> 
     let mut files = found
         .into_iter()
         .map(|(name, array)| open_array(store, &store::join(path, &name), array));
-    // There is a first one.
+    // There is at least one file.
     let mut file = files.next().unwrap_or_else(|| Err(store.error(path, "no array")))?;
     for other in files {
         let other = other?;
@@ -225,7 +225,7 @@ fn open_arrays(store: &Arc<Store>, path: &str) -> Result<OpenedFile, ReadError> 
     Ok(file)
 }
 
-/// What the axes of an image's level are, and what was guessed.
+/// Returns the roles of the axes of an image's level, with notices of assumptions.
 fn layout_of(store: &Store, path: &str, axes: &[Axis], array: &Array) -> Result<(Layout, Vec<String>), ReadError> {
     let fail = |why: String| ReadError::new(&store.path(path), "axes", why);
     let roles = ome::roles(axes, &array.shape).map_err(fail)?;
@@ -233,7 +233,7 @@ fn layout_of(store: &Store, path: &str, axes: &[Axis], array: &Array) -> Result<
     Ok((layout, roles.notices))
 }
 
-/// One array with what is known of its axes.
+/// Opens an array with the known properties of its axes.
 fn open_level(
     store: &Arc<Store>,
     path: &str,
@@ -248,7 +248,7 @@ fn open_level(
         let unit = axes[axis].time_unit.as_deref()?;
         TimeAxis::even(level.translation[axis], level.scale[axis], layout.steps, unit)
     });
-    // In an image no sample is missing, whatever the fill value is.
+    // No sample of an image is missing, whatever the fill value.
     let array = Array { missing: None, ..array };
     let mut file = open_samples(store, path, array, Axes::of_layout(&layout), geometry, &image.channels)?;
     for field in &mut file.fields {
@@ -257,7 +257,7 @@ fn open_level(
     Ok(header::with_notices(OpenedFile { times, ..file }, notices))
 }
 
-/// The fields of an array.
+/// Makes the fields of an array.
 fn open_samples(
     store: &Arc<Store>,
     path: &str,
@@ -303,7 +303,7 @@ fn open_samples(
     Ok(header::with_notices(file, notices))
 }
 
-/// The grid of a level, and what is not known of it. Lengths are in the unit of x, or of the first axis that has one.
+/// Returns the grid of a level, with notices of what is not known. Lengths are in the unit of x, or of the first axis that has one.
 fn geometry(
     shown: &Path,
     axes: &[Axis],
@@ -331,13 +331,13 @@ fn geometry(
     Ok(Geometry { unit, ..placed })
 }
 
-/// Names of the channels: those of `omero` where they differ, else numbers.
+/// Returns the names of the channels: those of `omero` if every channel has one of its own, else numbers.
 fn channel_names(store: &Store, path: &str, count: u32, labels: &[String]) -> Vec<String> {
     let distinct = (1..labels.len()).all(|i| !labels[..i].contains(&labels[i]));
     if labels.len() == count as usize && distinct && labels.iter().all(|label| !label.is_empty()) {
         return labels.to_vec();
     }
-    // Of a level, whose name is a number, the name of its image.
+    // The name of a level is a number: use the name of its image.
     let own = path
         .rsplit('/')
         .find(|word| !word.is_empty() && word.parse::<u32>().is_err());

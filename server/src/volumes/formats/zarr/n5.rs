@@ -1,7 +1,7 @@
-//! N5 (<https://github.com/saalfeldlab/n5>): `attributes.json` of groups and datasets, whose blocks have a header each. The first axis is x.
+//! N5 (<https://github.com/saalfeldlab/n5>): `attributes.json` for groups and datasets; each block has a header. The first axis is x.
 //!
-//! A dataset is opened by name (`a.n5:volumes/raw`), of a container with one alone without; of several levels (`s0`, `s1`, …) the finest. A
-//! container of BigDataViewer (`setup0/timepoint0/s0`) is placed by the XML beside it.
+//! A dataset is opened by name (`a.n5:volumes/raw`); the only dataset of a container also without a name; of several levels (`s0`, `s1`,
+//! …) the finest. The XML beside a container of BigDataViewer (`setup0/timepoint0/s0`) gives the position of its views.
 
 use std::sync::Arc;
 
@@ -28,12 +28,12 @@ const FIELDS: GridFields = GridFields {
 
 /// Levels of groups below the root that are searched for datasets.
 const MAX_DEPTH: usize = 5;
-/// Datasets that a message lists at most.
+/// Maximum datasets that a message lists.
 const MAX_LISTED: usize = 20;
-/// Steps at most.
+/// Maximum time steps.
 const MAX_STEPS: usize = 1 << 16;
 
-/// Opens what is at a path of an N5 container; `None` if the store is none.
+/// Opens the dataset, view or group at a path of an N5 container; `None` if the store is no N5.
 pub(super) fn open(store: &Arc<Store>, path: &str) -> Result<Option<OpenedFile>, ReadError> {
     let root: Option<Value> = store.json("attributes.json")?;
     let own = attributes(store, path)?;
@@ -43,7 +43,7 @@ pub(super) fn open(store: &Arc<Store>, path: &str) -> Result<Option<OpenedFile>,
     if root.is_none_or(|root| root.get("n5").is_none()) {
         return Ok(None);
     }
-    // A path may be the name of a view, which is no folder.
+    // The path may be the name of a view, which is no folder.
     let folders = store.folders(path).unwrap_or_default();
     if folders.iter().any(|name| name == "s0") {
         let finest = join(path, "s0");
@@ -76,7 +76,7 @@ pub(super) fn open(store: &Arc<Store>, path: &str) -> Result<Option<OpenedFile>,
     }
 }
 
-/// The number in `setup0`.
+/// Parses the number in `setup0`.
 fn setup_number(name: &str) -> Option<u64> {
     name.strip_prefix("setup")?.parse().ok()
 }
@@ -85,7 +85,7 @@ fn attributes(store: &Store, path: &str) -> Result<Value, ReadError> {
     Ok(store.json(&join(path, "attributes.json"))?.unwrap_or_default())
 }
 
-/// Paths of the datasets below a group; of levels of one image the group of these.
+/// Collects the paths of the datasets below a group. Of the levels `s0`, `s1`, … of an image only `s0`.
 fn search(store: &Store, path: &str, depth: usize, found: &mut Vec<String>) -> Result<(), ReadError> {
     for name in store.folders(path)? {
         let whole = join(path, &name);
@@ -160,7 +160,7 @@ fn open_dataset(store: &Arc<Store>, path: &str, attributes: &Value) -> Result<Op
     Ok(header::with_notices(file, notices))
 }
 
-/// A dataset as an array whose last axis is fastest: N5 lists its axes the other way round.
+/// Describes a dataset as an array whose last axis is fastest: N5 lists the fastest axis first.
 fn array(store: &Store, path: &str, attributes: &Value) -> Result<Array, ReadError> {
     let fail = |why: String| store.error(path, why);
     let list = |name: &str| {
@@ -194,7 +194,7 @@ fn array(store: &Store, path: &str, attributes: &Value) -> Result<Array, ReadErr
     array.checked(store, path)
 }
 
-/// What the axes are: those that the file names, or else z, y, x as they are stored.
+/// Returns the roles of the axes: those that the file names, else z, y, x in the order of storage.
 fn layout(store: &Store, path: &str, array: &Array, attributes: &Value) -> Result<(Layout, Vec<String>), ReadError> {
     let mut names: Vec<String> = texts(attributes.get("axes"));
     names.reverse();
@@ -222,7 +222,7 @@ fn texts(value: Option<&Value>) -> Vec<String> {
         .collect()
 }
 
-/// The grid, by `resolution` and `units` or `pixelResolution`, which list x first.
+/// Returns the grid, by `resolution` and `units` or by `pixelResolution`, which list x first.
 fn geometry(
     store: &Store,
     path: &str,

@@ -12,14 +12,14 @@ use crate::volumes::{Label, LengthUnit, MAX_LABELS, ReadError};
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     pub(super) name: String,
-    /// What its type says it is; of an axis in space its name says which one.
+    /// Role by the axis' type, if that is time or channel. `None` for an axis in space, which its name identifies.
     role: Option<Role>,
-    /// Its type, if that is none of space, time and channel.
+    /// Type of the axis, if it is not space, time or channel.
     other_type: Option<String>,
     pub(super) unit: Option<LengthUnit>,
-    /// Of an axis in space, as the file names it, if that is no unit of length that is known.
+    /// For an axis in space: its unit in the file, if it is no known unit of length.
     unknown_unit: Option<String>,
-    /// Of an axis of time, as the file names it.
+    /// For a time axis: its unit in the file.
     pub(super) time_unit: Option<String>,
 }
 
@@ -35,7 +35,7 @@ impl Axis {
         }
     }
 
-    /// An object of `axes`; up to version 0.3 a name.
+    /// Parses an entry of `axes`: an object, up to version 0.3 a name.
     fn parse(value: &Value) -> Self {
         let text = |key: &str| value.get(key).and_then(Value::as_str);
         let name = value.as_str().or_else(|| text("name")).unwrap_or_default();
@@ -58,10 +58,10 @@ impl Axis {
     }
 }
 
-/// What the axes of an array of that shape are.
+/// Assigns roles to the axes of an array of this shape.
 ///
 /// # Errors
-/// No volume, with what it is.
+/// The array is no volume; the message lists its axes.
 pub(super) fn roles(axes: &[Axis], shape: &[u64]) -> Result<AxisRoles, String> {
     if axes.len() != shape.len() {
         return Err(format!("{} names for {} axes", axes.len(), shape.len()));
@@ -85,7 +85,7 @@ pub(super) fn roles(axes: &[Axis], shape: &[u64]) -> Result<AxisRoles, String> {
     named_axes::assign(&facts.collect::<Vec<_>>())
 }
 
-/// The unit of lengths along x, y and z, what brings those along each axis to it, and what is said of units that are not known.
+/// Returns the unit of lengths along x, y and z, the factor of each axis to it, and notices of unknown units.
 pub(super) fn length_unit(axes: &[Axis], space: [usize; 3]) -> (Option<LengthUnit>, [f64; 3], Vec<String>) {
     let units = space.map(|axis| axes[axis].unit);
     let unit = units.into_iter().flatten().next();
@@ -107,19 +107,19 @@ pub(super) fn length_unit(axes: &[Axis], space: [usize; 3]) -> (Option<LengthUni
     (unit, factors, notices)
 }
 
-/// One resolution.
+/// One level of resolution.
 pub(super) struct Level {
-    /// Of its array, below the image.
+    /// Path of its array, below the image.
     pub(super) path: String,
-    /// Of each axis.
+    /// Scale of each axis.
     pub(super) scale: Vec<f64>,
     pub(super) translation: Vec<f64>,
-    /// Whether the file says the scale.
+    /// Whether the file states the scale.
     pub(super) has_scale: bool,
 }
 
 impl Level {
-    /// An array without an image: samples 1 apart from 0.
+    /// The level of an array without an image: samples 1 apart from 0.
     pub(super) fn plain(axes: usize) -> Self {
         Self {
             path: String::new(),
@@ -160,20 +160,20 @@ impl Level {
     }
 }
 
-/// What the attributes of a group say of an image.
+/// An image, as the attributes of a group describe it.
 pub(super) struct Image {
     pub(super) axes: Vec<Axis>,
-    /// The finest first.
+    /// Levels of resolution, the finest first.
     pub(super) levels: Vec<Level>,
-    /// Names of the channels, where they have some.
+    /// Names of the channels; empty if the attributes have none.
     pub(super) channels: Vec<String>,
-    /// Names and colours of labels, of an image of these.
+    /// Names and colours of labels, if it is an image of labels.
     pub(super) labels: Vec<Label>,
 }
 
-/// The image of a group; `None` where it is none. Of several the first.
+/// Returns the first image of a group; `None` if the group has none.
 pub(super) fn image(store: &Store, path: &str, attributes: &Value) -> Result<Option<Image>, ReadError> {
-    // From version 0.5 on the attributes have a name of their own.
+    // From version 0.5 on, the attributes are below `ome`.
     let attributes = attributes.get("ome").unwrap_or(attributes);
     let Some(list) = attributes.get("multiscales").and_then(Value::as_array) else {
         return Ok(None);
@@ -228,7 +228,7 @@ pub(super) fn image(store: &Store, path: &str, attributes: &Value) -> Result<Opt
     }))
 }
 
-/// Names and colours of labels. The specification leaves open what a property is called that has the name.
+/// Parses names and colours of labels. The specification does not define which property holds the name.
 fn labels(described: &Value) -> Vec<Label> {
     let list = |name: &str| described.get(name).and_then(Value::as_array).into_iter().flatten();
     let value = |entry: &Value| entry.get("label-value").and_then(Value::as_i64);

@@ -1,4 +1,4 @@
-//! Samples in chunks of their own.
+//! Samples of Zarr and N5 arrays, which are stored in chunks.
 
 mod chunks;
 
@@ -20,12 +20,12 @@ use crate::volumes::{FileLocation, Findings, LabelRanks, Notices, ReadError, Rea
 
 /// Maximum chunks of a time step.
 const MAX_CHUNKS: u64 = 1 << 19;
-/// Bytes of samples to one stored byte at most: what Zstandard gives. A volume with fewer chunks is next to empty.
+/// Maximum ratio of samples to stored bytes: that of Zstandard. A volume with fewer chunks is almost empty.
 const MAX_RATIO: u64 = 32768;
-/// Decoded chunks that are held at once, in bytes.
+/// Maximum bytes of decoded chunks that are held at once.
 const HELD_BYTES: u64 = 256 << 20;
 
-/// What the axes of an array are.
+/// The axes of an array by role.
 #[derive(Clone, Debug)]
 pub(super) struct Axes {
     /// x, y and z.
@@ -38,7 +38,7 @@ pub(super) struct Axes {
 }
 
 impl Axes {
-    /// Those of a layout.
+    /// Returns the axes of a layout.
     pub(super) fn of_layout(layout: &Layout) -> Self {
         Self {
             space: layout.axes,
@@ -60,7 +60,7 @@ pub(super) struct ZarrSamples {
     axes: Arc<Axes>,
     channel: u32,
     values: Arc<Values>,
-    /// Samples along each axis of what is decoded at once: a chunk, or one in a shard.
+    /// Samples along each axis of the unit that is decoded at once: a chunk, or an inner chunk of a shard.
     block: Arc<Vec<u64>>,
     stored_bytes: OnceLock<u64>,
     findings: Findings,
@@ -125,7 +125,7 @@ impl ZarrSamples {
         self.values.sample_type()
     }
 
-    /// The value that means "no sample here", where one value says it.
+    /// Returns the value that means "no sample here", if it is a single one.
     pub(super) fn missing(&self) -> Option<f32> {
         self.values.missing()
     }
@@ -139,7 +139,7 @@ impl ZarrSamples {
         ReadError::new(&self.store.path(&self.path), "data", why)
     }
 
-    /// Index of the first sample of a time step along each axis.
+    /// Returns the index of the first sample of a time step along each axis.
     fn at(&self, step: u32) -> Vec<u64> {
         let mut at = vec![0; self.array.shape.len()];
         if let Some(axis) = self.axes.time {
@@ -151,12 +151,12 @@ impl ZarrSamples {
         at
     }
 
-    /// Pieces of `size` along x, y and z.
+    /// Returns the number of pieces of `size` along x, y and z.
     fn counts(&self, size: &[u64]) -> [u64; 3] {
         self.axes.space.map(|axis| self.array.shape[axis].div_ceil(size[axis]))
     }
 
-    /// Number along each axis of the `index`th piece of `size` of a time step.
+    /// Returns the number along each axis of the `index`th piece of `size` of a time step.
     fn piece(&self, step: u32, size: &[u64], index: u64) -> Vec<u64> {
         let mut piece: Vec<u64> = self.at(step).iter().zip(size).map(|(at, size)| at / size).collect();
         let [nx, ny, _] = self.counts(size);
@@ -167,7 +167,7 @@ impl ZarrSamples {
         piece
     }
 
-    /// One time step, whose samples are `S` in the file and `T` on the device. `convert` makes the values of a row.
+    /// Reads one time step, whose samples are `S` in the file and `T` on the device. `convert` computes the values of a row.
     fn read_as<S: Scalar, T: Scalar>(
         &self,
         step: u32,
@@ -179,7 +179,7 @@ impl ZarrSamples {
         if !self.store.is_remote() {
             self.check(step, self.chunk_bytes(step)?)?;
         }
-        // Untouched memory takes no place: what is claimed, and not there, costs nothing.
+        // Zeroed memory that is not written takes no physical memory: claimed samples that are not stored cost nothing.
         let count = self.axes.dims.iter().map(|&n| n as usize).product::<usize>();
         let mut values = bytemuck::allocation::try_zeroed_vec(count)
             .map_err(|_| self.error(format!("no memory for {:?} samples", self.axes.dims)))?;
@@ -205,7 +205,7 @@ impl ZarrSamples {
         Ok(values)
     }
 
-    /// Hands on the chunks of a time step, decoded, with their stored bytes; `None` of one that is not stored.
+    /// Decodes the chunks of a time step and hands them on with their stored bytes; `None` for a chunk that is not stored.
     fn read_blocks(
         &self,
         step: u32,
@@ -250,7 +250,7 @@ impl ZarrSamples {
         Ok(())
     }
 
-    /// Compares what the metadata claim with what is stored.
+    /// Compares the size that the metadata claim with the stored bytes.
     fn check(&self, step: u32, have: u64) -> Result<(), ReadError> {
         let samples = self.axes.dims.iter().map(|&n| u64::from(n)).product::<u64>();
         let needed = samples.saturating_mul(self.array.stored.bytes());
@@ -265,7 +265,7 @@ impl ZarrSamples {
         Ok(())
     }
 
-    /// Rows of the volume that a chunk has samples of: where they are in it, and the first one's y and z in the chunk.
+    /// Returns the rows of the volume that a chunk has samples of: the range of each in the volume, and its y and z in the chunk.
     fn rows(&self, block: &[u64]) -> impl Iterator<Item = (Range<usize>, [usize; 2])> {
         let first = self.axes.space.map(|axis| (block[axis] * self.block[axis]) as usize);
         let dims = self.axes.dims.map(|n| n as usize);
@@ -278,7 +278,7 @@ impl ZarrSamples {
         })
     }
 
-    /// Copies the samples of a chunk to where they belong.
+    /// Copies the samples of a chunk to their places in the volume.
     fn scatter<S: Scalar, T: Scalar>(
         &self,
         step: u32,
@@ -320,7 +320,7 @@ impl ZarrSamples {
         }
     }
 
-    /// One time step, in the type that its samples are stored in.
+    /// Reads one time step, in the type in which its samples are stored.
     fn as_stored<T: DeviceScalar>(&self, step: u32, progress: &ReadProgress, fill: T) -> Result<Samples, ReadError> {
         let convert = |stored: &dyn Fn(usize) -> T, values: &mut [T]| {
             values.iter_mut().enumerate().for_each(|(x, value)| *value = stored(x));
@@ -350,10 +350,10 @@ impl ZarrSamples {
 impl Source for ZarrSamples {
     fn stored_bytes(&self) -> u64 {
         if self.store.is_remote() {
-            // To ask for the size of each chunk would take as many requests as to read them: decoded bytes.
+            // Requesting the size of each chunk takes as many requests as reading the chunks, so decoded bytes are counted.
             return self.counts(&self.block).iter().product::<u64>() * self.block_bytes();
         }
-        // Of the first step; what cannot be opened is an error when it is read.
+        // Bytes of the first step. If they cannot be determined, reading returns the error.
         *self.stored_bytes.get_or_init(|| self.chunk_bytes(0).unwrap_or(0))
     }
 

@@ -1,8 +1,8 @@
-//! BigDataViewer in HDF5 (<https://imagej.net/plugins/bdv>): views (setups), time points and levels of resolution are groups. Where a view
-//! is in the world, the XML beside the file says.
+//! BigDataViewer in HDF5 (<https://imagej.net/plugins/bdv>): views (setups), time points and levels of resolution are groups. The XML
+//! beside the file gives the position of a view in the world.
 //!
-//! The finest level is opened. Of several views one is named: `file.h5:0`, or by the name in the XML. Samples of 16 bits have no sign,
-//! though their type has one.
+//! The finest level is opened. If there are several views, the location names one: `file.h5:0`, or by the name in the XML. Samples of 16
+//! bits are unsigned, though their type is signed.
 
 use std::collections::BTreeSet;
 

@@ -1,7 +1,7 @@
 //! Imaris 5.5, `.ims`: levels of resolution, time points and channels are groups, positions are attributes of `DataSetInfo`.
 //!
-//! The finest level of at most 2^31 samples is opened, `file.ims:1` names another one. The extent of the image is that of the voxels' outer
-//! faces. Datasets may be larger than the image, which `ImageSizeX` and so on say.
+//! The finest level of at most 2^31 samples is opened; `file.ims:1` names another one. The extent of the image is that of the voxels' outer
+//! faces. Datasets may be larger than the image, whose size is in `ImageSizeX` and so on.
 
 use super::{Array, MAX_STEPS, World, numbered, of_index, roles_in_order, volume};
 use crate::volumes::formats::header::{self, Channels, GridFields};
@@ -16,7 +16,7 @@ const FIELDS: GridFields = GridFields {
     direction: "ExtMax0",
 };
 
-/// Samples of a level that is chosen without being named, at most.
+/// Maximum samples of a level that is opened without being named.
 const MAX_LEVEL_SAMPLES: u64 = 1 << 31;
 
 pub(super) fn open(location: &FileLocation, file: &dyn VariableFile) -> Result<OpenedFile, ReadError> {
@@ -49,11 +49,11 @@ pub(super) fn open(location: &FileLocation, file: &dyn VariableFile) -> Result<O
         let opened = open_point(location, file, &format!("/DataSet/{level}/{point}"), &info)?;
         files.push((location.clone(), opened));
     }
-    // The times are dates of an examination, which may identify a patient: steps are counted.
+    // The times are dates of an examination, which may identify a patient, so steps are counted.
     join_steps(files, None)
 }
 
-/// Whether the first array of a level has at most so many samples as are opened without being asked for.
+/// Whether the first array of a level is small enough to be opened without being named.
 fn is_fair(file: &dyn VariableFile, level: &str) -> bool {
     let path = format!("/DataSet/{level}/TimePoint 0/Channel 0/Data");
     let size = |sizes: Vec<u64>| sizes.into_iter().fold(1u64, u64::saturating_mul);
@@ -61,7 +61,7 @@ fn is_fair(file: &dyn VariableFile, level: &str) -> bool {
         .is_ok_and(|variable| size(variable.sizes()) <= MAX_LEVEL_SAMPLES)
 }
 
-/// The channels of a time point.
+/// Opens the channels of a time point.
 fn open_point(
     location: &FileLocation,
     file: &dyn VariableFile,
@@ -109,7 +109,7 @@ fn open_point(
     Ok(opened)
 }
 
-/// Leaves out what a dataset has beyond the image.
+/// Limits the dimensions of an array to the image: datasets may be larger.
 fn crop(array: &mut Array, attributes: &Attributes) -> Result<(), String> {
     for (axis, name) in ["ImageSizeX", "ImageSizeY", "ImageSizeZ"].into_iter().enumerate() {
         let Some(text) = letters(attributes, name) else {
@@ -126,7 +126,7 @@ fn crop(array: &mut Array, attributes: &Attributes) -> Result<(), String> {
     Ok(())
 }
 
-/// Where the samples of an image of that many are.
+/// Returns the grid of an image with these dimensions in the world.
 fn world(info: &Attributes, dims: [u32; 3]) -> Option<World> {
     let mut world = of_index();
     for (axis, size) in dims.into_iter().enumerate() {
@@ -140,7 +140,7 @@ fn world(info: &Attributes, dims: [u32; 3]) -> Option<World> {
     Some(world)
 }
 
-/// Names of the channels, if they have different ones.
+/// Returns the names of the channels, if they differ.
 fn channel_names(file: &dyn VariableFile, channels: &[(u64, String)]) -> Vec<String> {
     let name = |channel: &str| letters(&file.attributes_of(&format!("/DataSetInfo/{channel}")), "Name");
     let names: Vec<String> = channels
@@ -157,7 +157,7 @@ fn channel_names(file: &dyn VariableFile, channels: &[(u64, String)]) -> Vec<Str
         .collect()
 }
 
-/// A text that Imaris writes as a list of letters.
+/// Returns a text, which Imaris writes as a list of letters.
 fn letters(attributes: &Attributes, name: &str) -> Option<String> {
     let text: String = attributes.texts(name).concat();
     (!text.is_empty()).then_some(text)

@@ -1,7 +1,7 @@
-//! HDF5 files whose groups follow a convention that says where samples are: [VTKHDF](vtkhdf), [openPMD](openpmd), [Imaris](imaris) and
+//! HDF5 files whose groups follow a convention for the positions of samples: [VTKHDF](vtkhdf), [openPMD](openpmd), [Imaris](imaris) and
 //! [BigDataViewer](big_data_viewer).
 //!
-//! A location may name a dataset of such a file by its path, which then is read as that of any HDF5 file.
+//! If a location names a dataset of such a file by its path, the dataset is read as that of any HDF5 file.
 
 mod big_data_viewer;
 mod imaris;
@@ -20,10 +20,10 @@ use super::axes::Layout;
 use super::fields::fields_of;
 use super::file::{Variable, VariableFile};
 
-/// Steps of a file at most.
+/// Maximum time steps of a file.
 const MAX_STEPS: usize = 1 << 16;
 
-/// Opens a view of BigDataViewer that is described elsewhere.
+/// Opens a view of BigDataViewer, with the description in `data`.
 pub(super) fn open_views(
     location: &FileLocation,
     file: &dyn VariableFile,
@@ -32,7 +32,7 @@ pub(super) fn open_views(
     big_data_viewer::open_described(location, file, data)
 }
 
-/// Opens a file of one of the kinds; `None` of another one.
+/// Opens a file of one of these kinds; `None` for any other file.
 pub(super) fn open(location: &FileLocation, file: &dyn VariableFile) -> Option<Result<OpenedFile, ReadError>> {
     let [groups, _] = file.members("/");
     let is_named = location
@@ -55,7 +55,7 @@ pub(super) fn open(location: &FileLocation, file: &dyn VariableFile) -> Option<R
     is_openpmd.then(|| openpmd::open(location, file))
 }
 
-/// Where the samples of arrays are.
+/// Grid of the samples of arrays in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct World {
     spacing: [f64; 3],
@@ -71,7 +71,7 @@ struct Array {
 }
 
 impl Array {
-    /// The dataset of that path, whose axes are these.
+    /// Describes a dataset whose axes have these roles.
     fn new(location: &FileLocation, variable: Variable, roles: &AxisRoles) -> Result<Self, ReadError> {
         let fail = |why: String| ReadError::new(location.path(), &variable.path, why);
         let layout = Layout::new(variable.sizes(), roles).map_err(fail)?;
@@ -84,7 +84,7 @@ impl Array {
     }
 }
 
-/// The roles of axes that are stored in this order: time, if there is one, then z, y, x, and channels, if there are any.
+/// Returns the roles of axes in this order: time, if there is one, then z, y, x, and channels, if there are any.
 fn roles_in_order(has_time: bool, has_channels: bool) -> AxisRoles {
     let first = usize::from(has_time);
     AxisRoles {
@@ -96,7 +96,7 @@ fn roles_in_order(has_time: bool, has_channels: bool) -> AxisRoles {
     }
 }
 
-/// The volume that arrays on one grid are.
+/// Makes a volume of arrays on one grid.
 fn volume(
     location: &FileLocation,
     arrays: &[Array],
@@ -148,7 +148,7 @@ fn volume(
     })
 }
 
-/// The same field with other steps: the `i`th is the one of that number in the file.
+/// A field with selected steps: step `i` is step `steps[i]` of the source.
 #[derive(Debug)]
 struct ChosenSteps {
     source: Arc<dyn Source>,
@@ -157,7 +157,7 @@ struct ChosenSteps {
 
 impl ChosenSteps {
     fn number(&self, step: u32) -> u32 {
-        // What is beyond the steps, the source refuses.
+        // The source refuses steps beyond the last one.
         self.steps.get(step as usize).copied().unwrap_or(u32::MAX)
     }
 }
@@ -199,7 +199,7 @@ fn seconds(times: Option<Vec<f64>>) -> Option<TimeAxis> {
     times.and_then(|times| TimeAxis::listed(times, "s", None))
 }
 
-/// Names that end in a number behind `prefix`, in the order of the numbers.
+/// Returns the names that consist of `prefix` and a number, in the order of the numbers.
 fn numbered(names: Vec<String>, prefix: &str) -> Vec<(u64, String)> {
     let number = |name: String| {
         let number = name.strip_prefix(prefix)?.trim().parse().ok()?;
@@ -210,7 +210,7 @@ fn numbered(names: Vec<String>, prefix: &str) -> Vec<(u64, String)> {
     found
 }
 
-/// Samples 1 apart from 0.
+/// A grid of samples 1 apart from 0.
 fn of_index() -> World {
     World {
         spacing: [1.0; 3],

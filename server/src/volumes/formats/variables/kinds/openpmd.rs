@@ -1,8 +1,9 @@
 //! openPMD in HDF5 (<https://github.com/openPMD/openPMD-standard>): meshes of three axes, whose components are fields and whose iterations
 //! are time steps.
 //!
-//! A mesh says how far apart samples are (`gridSpacing`, `gridUnitSI`), where they begin (`gridGlobalOffset`), what its axes are
-//! (`axisLabels`, in the order of `dataOrder`), a component where in its cell it lies (`position`) and what brings it to SI (`unitSI`).
+//! A mesh states the distance of samples (`gridSpacing`, `gridUnitSI`), the position of the first one (`gridGlobalOffset`) and the names of
+//! its axes (`axisLabels`, in the order of `dataOrder`). A component states its position in the cell (`position`) and its factor to SI
+//! units (`unitSI`).
 //! The largest mesh is opened, with all others on its grid; `file.h5:E` names one.
 
 use super::{Array, MAX_STEPS, World, numbered, of_index, seconds, volume};
@@ -58,7 +59,7 @@ pub(super) fn open(location: &FileLocation, file: &dyn VariableFile) -> Result<O
     join_steps(files, seconds(times.into_iter().collect()))
 }
 
-/// The meshes of an iteration, by name.
+/// Reads the meshes of an iteration, sorted by name.
 fn meshes(file: &dyn VariableFile, group: &str) -> Vec<Mesh> {
     let [records, scalars] = file.members(group);
     let read = |path: String| {
@@ -104,7 +105,7 @@ impl Mesh {
             .unwrap_or_default()
     }
 
-    /// Why it is no volume.
+    /// Returns why the mesh is no volume, if it is none.
     fn refusal(&self) -> Option<String> {
         let geometry = self.attributes.text("geometry").unwrap_or("cartesian");
         if geometry != "cartesian" {
@@ -119,7 +120,7 @@ impl Mesh {
             .find_map(|(_, variable)| variable.stored.clone().err())
     }
 
-    /// What the axes are, the attributes that list something of each in the order in which they are stored, and what was guessed.
+    /// Returns the numbers of an attribute with one number for each axis, in the order in which the axes are stored.
     fn listed(&self, name: &str) -> Vec<f64> {
         let mut numbers = self.attributes.numbers(name);
         if self.is_fastest_first() {
@@ -153,7 +154,7 @@ impl Mesh {
         named_axes::assign(&facts)
     }
 
-    /// Where the samples of a component are; what is not known of that.
+    /// Returns the grid of a component's samples, and a notice of what is not known about it.
     fn world(&self, space: [usize; 3], component: &Variable) -> (World, Option<String>) {
         let (spacing, offset) = (self.listed("gridSpacing"), self.listed("gridGlobalOffset"));
         let mut position = component.attributes.numbers("position");
@@ -184,7 +185,7 @@ impl Mesh {
     }
 }
 
-/// Names of the meshes that are opened.
+/// Returns the names of the meshes that are opened, the largest one first.
 fn choose(location: &FileLocation, meshes: &[Mesh]) -> Result<Vec<String>, ReadError> {
     let fail = |why: String| ReadError::new(location.path(), "meshes", why);
     let shown = |mesh: &Mesh| match mesh.refusal() {
@@ -223,7 +224,7 @@ fn choose(location: &FileLocation, meshes: &[Mesh]) -> Result<Vec<String>, ReadE
     Ok(chosen)
 }
 
-/// The volume that meshes of an iteration are.
+/// Makes a volume of the meshes of an iteration.
 fn open_meshes(location: &FileLocation, meshes: Vec<Mesh>) -> Result<OpenedFile, ReadError> {
     let mut notices = Vec::new();
     let mut arrays = Vec::new();
@@ -276,7 +277,7 @@ fn open_meshes(location: &FileLocation, meshes: Vec<Mesh>) -> Result<OpenedFile,
     Ok(header::with_notices(opened, notices))
 }
 
-/// The unit of SI that has these powers of length, mass, time, current, temperature, amount and luminous intensity.
+/// Returns the unit of SI with these powers of length, mass, time, current, temperature, amount and luminous intensity.
 fn unit_of(powers: &[f64]) -> Option<String> {
     let symbols = ["m", "kg", "s", "A", "K", "mol", "cd"];
     let factors = symbols.iter().zip(powers).filter(|(_, power)| **power != 0.0);

@@ -1,7 +1,7 @@
 //! VTKHDF, VTK's format in HDF5 (<https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html>): `ImageData`, with time.
 //!
 //! Arrays of point data are fields, their last axis has components; without point data those of cells, at the cells' centres. Arrays of a
-//! file with `Steps` have time as their first axis, in which `PointDataOffsets` say where each step is.
+//! file with `Steps` have time as their first axis, and `PointDataOffsets` gives the index of each step along it.
 
 use std::sync::Arc;
 
@@ -93,7 +93,7 @@ pub(super) fn open(location: &FileLocation, file: &dyn VariableFile) -> Result<O
     Ok(header::with_notices(opened, left_out))
 }
 
-/// Samples along x, y and z of an extent.
+/// Returns the samples along x, y and z of an extent.
 fn points(extent: &[f64; 6]) -> Option<[u64; 3]> {
     let count = |axis: usize| {
         let count = extent[2 * axis + 1] - extent[2 * axis] + 1.0;
@@ -123,7 +123,7 @@ fn world(attributes: &crate::volumes::formats::variables::file::Attributes, exte
     }
 }
 
-/// The arrays of a section that are on the grid, the active scalars first, and what is said of the others.
+/// Returns the arrays of a section that are on the grid, the active scalars first, and notices of the others.
 fn arrays(
     location: &FileLocation,
     file: &dyn VariableFile,
@@ -163,7 +163,7 @@ struct Steps {
     times: Option<TimeAxis>,
 }
 
-/// The steps of a file with time; `None` of another one.
+/// Returns the steps of a file with time; `None` for a file without.
 fn steps(location: &FileLocation, file: &dyn VariableFile) -> Result<Option<Steps>, ReadError> {
     let attributes = file.attributes_of("/VTKHDF/Steps");
     let Some(&count) = attributes.numbers("NSteps").first() else {
@@ -184,7 +184,7 @@ fn steps(location: &FileLocation, file: &dyn VariableFile) -> Result<Option<Step
     }))
 }
 
-/// Where each step of an array is along its first axis.
+/// Returns the index of each step along the first axis of an array.
 fn offsets(
     location: &FileLocation,
     file: &dyn VariableFile,

@@ -8,11 +8,11 @@ use crate::volumes::rectilinear::Positions;
 use crate::volumes::scalar;
 use crate::volumes::stored::Endian;
 
-/// Maximum bytes of positions along an axis: no volume has so many samples along one.
+/// Maximum bytes of positions along an axis: no volume has that many samples along one.
 const MAX_POSITION_BYTES: u64 = 32 << 20;
 
 impl Parser<'_> {
-    /// `X_COORDINATES number type`, and so for the other axes.
+    /// Reads `X_COORDINATES number type`, or the same for another axis.
     pub(super) fn coordinates(&mut self, keyword: &str, rest: &[&str]) -> Result<(), ReadError> {
         let count = self.number(keyword, rest.first())?;
         let kind = rest.get(1).copied().unwrap_or_default().to_ascii_lowercase();
@@ -39,7 +39,7 @@ impl Parser<'_> {
         Ok(())
     }
 
-    /// The grid at the positions that were read, which `DIMENSIONS` counts.
+    /// Returns the grid at the positions that were read. Their number must match `DIMENSIONS`.
     pub(super) fn rectilinear_grid(&mut self) -> Result<Grid, ReadError> {
         let dims = self.grid.dims;
         let positions = ["x", "y", "z"].map(|axis| {

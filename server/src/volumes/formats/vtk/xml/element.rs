@@ -1,4 +1,4 @@
-//! Attributes of elements, and the grid that those of an image describe.
+//! Attributes of elements, and the grid that the attributes of an image describe.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use super::super::Grid;
 use crate::volumes::ReadError;
 use crate::volumes::formats::header;
 
-/// The text of an attribute, where it is there.
+/// Returns the text of an attribute, if the element has it.
 pub(in crate::volumes::formats::vtk) fn attribute(
     path: &Path,
     element: &BytesStart<'_>,
@@ -24,7 +24,7 @@ pub(in crate::volumes::formats::vtk) fn attribute(
     text.transpose().map_err(|e| error(e.to_string()))
 }
 
-/// The numbers of an attribute, where it is there: `count` of them.
+/// Returns the `count` numbers of an attribute, if the element has it.
 pub(in crate::volumes::formats::vtk) fn list<T: std::str::FromStr>(
     path: &Path,
     element: &BytesStart<'_>,
@@ -42,7 +42,7 @@ where
 /// First and last index along x, y and z.
 pub(in crate::volumes::formats::vtk) type Extent = [[i64; 2]; 3];
 
-/// The extent that six numbers are, as `name` has them.
+/// Converts six numbers to an extent. Errors name the attribute `name`.
 pub(in crate::volumes::formats::vtk) fn extent(path: &Path, name: &str, numbers: &[i64]) -> Result<Extent, ReadError> {
     let &[x0, x1, y0, y1, z0, z1] = numbers else {
         let why = "missing, expected the first and last index along x, y and z";
@@ -51,7 +51,7 @@ pub(in crate::volumes::formats::vtk) fn extent(path: &Path, name: &str, numbers:
     Ok([[x0, x1], [y0, y1], [z0, z1]])
 }
 
-/// Samples along each axis of an extent.
+/// Returns the samples along each axis of an extent.
 pub(in crate::volumes::formats::vtk) fn dims(path: &Path, extent: Extent) -> Result<[u32; 3], ReadError> {
     let mut sizes = [0; 3];
     for (size, [first, last]) in sizes.iter_mut().zip(extent) {
@@ -65,12 +65,12 @@ pub(in crate::volumes::formats::vtk) fn dims(path: &Path, extent: Extent) -> Res
     Ok([sizes[0], sizes[1], sizes[2]])
 }
 
-/// Where the sample of index 0 lies and how far others are from it.
+/// Position of the sample of index 0, and the distances and directions of the others from it.
 #[derive(Clone, Debug)]
 pub(in crate::volumes::formats::vtk) struct GridAttributes {
     pub spacing: Vec<f64>,
     pub origin: Vec<f64>,
-    /// Rows of a matrix, whose columns are the axes.
+    /// Rows of the matrix whose columns are the axes.
     pub direction: Vec<f64>,
 }
 
@@ -85,7 +85,7 @@ impl Default for GridAttributes {
 }
 
 impl GridAttributes {
-    /// Takes what the attributes of an image say; the rest stays as it is.
+    /// Sets the properties that the attributes of an image state; others keep their values.
     pub fn read(&mut self, path: &Path, element: &BytesStart<'_>) -> Result<(), ReadError> {
         let named = [
             ("Origin", 3, &mut self.origin),
@@ -100,7 +100,7 @@ impl GridAttributes {
         Ok(())
     }
 
-    /// The grid of an extent, whose first sample need not have the index 0.
+    /// Returns the grid of an extent, whose first sample may have another index than 0.
     pub fn grid(&self, path: &Path, extent: Extent) -> Result<Grid, ReadError> {
         let columns = std::array::from_fn(|axis| std::array::from_fn(|row| self.direction[3 * row + axis]));
         let (scale, direction) = header::split_axes(columns);

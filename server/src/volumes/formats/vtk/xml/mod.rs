@@ -39,10 +39,10 @@ pub(super) const RECTILINEAR_FIELDS: GridFields = GridFields {
 /// Maximum bytes of a string of the field data.
 const MAX_TEXT_BYTES: u64 = 4096;
 
-/// Reads the markup of a VTI or VTR file. Some rectilinear grids call themselves `.vti`.
+/// Reads the markup of a VTI or VTR file. Some rectilinear grids have the ending `.vti`.
 ///
 /// # Errors
-/// What is wrong with it, by element or attribute.
+/// What is wrong with the file, by element or attribute.
 pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let blob = location.open()?;
     let markup = Markup::parse(&blob)?;
@@ -50,10 +50,10 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     opened(location, &blob, markup)?.placed(location.path(), field)
 }
 
-/// As [`open`], of a piece of a larger grid, as it is stored.
+/// As [`open`], for a piece of a larger grid, as it is stored.
 ///
 /// # Errors
-/// As of [`open`]; a grid of the other kind.
+/// As for [`open`]; a grid of the other kind.
 pub(super) fn open_piece(location: &FileLocation, kind: GridKind) -> Result<AsStored, ReadError> {
     let blob = location.open()?;
     let markup = Markup::parse(&blob)?;
@@ -68,7 +68,7 @@ pub(super) fn open_piece(location: &FileLocation, kind: GridKind) -> Result<AsSt
     opened(location, &blob, markup)
 }
 
-/// How a file says where its samples are.
+/// How a file gives the positions of its samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum GridKind {
     /// By a distance along each axis.
@@ -80,7 +80,7 @@ pub(super) enum GridKind {
 impl GridKind {
     pub const ALL: [Self; 2] = [Self::Image, Self::Rectilinear];
 
-    /// The format's name.
+    /// Returns the format's name of the kind.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Image => "ImageData",
@@ -102,7 +102,7 @@ fn opened(location: &FileLocation, blob: &Blob<'_>, markup: Markup<'_>) -> Resul
     })
 }
 
-/// Which element's arrays are read.
+/// Elements whose arrays are read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Section {
     Point,
@@ -111,7 +111,7 @@ enum Section {
     Coordinates,
 }
 
-/// An element of an array that was opened and not closed.
+/// An array element that was opened and not closed yet.
 struct OpenArray {
     section: Section,
     array: Option<Array>,
@@ -121,7 +121,7 @@ struct OpenArray {
     content: Option<(u64, u64)>,
 }
 
-/// All of the file but the numbers.
+/// Everything in the file except the numbers.
 struct Markup<'a> {
     blob: &'a Blob<'a>,
     endian: Endian,
@@ -133,15 +133,15 @@ struct Markup<'a> {
     pieces: usize,
     world: World,
     arrays: Arrays<Numbers>,
-    /// Of a rectilinear grid: the positions along x, y and z.
+    /// For a rectilinear grid: the positions along x, y and z.
     coordinates: Option<Vec<(Array, Numbers)>>,
-    /// The section that was opened.
+    /// The section that is open.
     section: Option<Section>,
     /// Name of its active array.
     active: Option<String>,
-    /// The array that was opened.
+    /// The array that is open.
     open: Option<OpenArray>,
-    /// Where appended data begin, and whether they are in base64.
+    /// Offset at which appended data begin, and whether they are in base64.
     appended: Option<(u64, bool)>,
 }
 
@@ -194,7 +194,7 @@ impl<'a> Markup<'a> {
                 Event::Eof => break,
                 _ => {}
             }
-            // Numbers are passed over without being held.
+            // Numbers are skipped without being held in memory.
             if let Some(array) = self.open.as_mut().filter(|array| array.content.is_none()) {
                 array.content =
                     skip_text(&mut reader).map_err(|e| ReadError::io(self.blob.path(), "XML", "cannot be read", e))?;
@@ -256,7 +256,7 @@ impl<'a> Markup<'a> {
         element::list(self.blob.path(), element, name, count)
     }
 
-    /// `VTKFile`.
+    /// Evaluates `VTKFile`.
     fn file(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
         let kind = self.attribute(element, "type")?.unwrap_or_default();
         match kind.as_str() {
@@ -291,7 +291,7 @@ impl<'a> Markup<'a> {
         Ok(())
     }
 
-    /// `ImageData`.
+    /// Evaluates `ImageData`.
     fn image(&mut self, element: &BytesStart<'_>) -> Result<(), ReadError> {
         self.whole_extent = self.list(element, "WholeExtent", 6)?.unwrap_or_default();
         self.grid_attributes.read(self.blob.path(), element)
@@ -311,14 +311,14 @@ impl<'a> Markup<'a> {
         Ok(())
     }
 
-    /// `PointData` and `CellData`.
+    /// Opens a section, such as `PointData` or `CellData`.
     fn begin(&mut self, section: Section, element: &BytesStart<'_>) -> Result<(), ReadError> {
         self.active = self.attribute(element, "Scalars")?;
         self.section = Some(section);
         Ok(())
     }
 
-    /// `DataArray`, and `Array` of strings.
+    /// Evaluates `DataArray`, and `Array` of strings.
     fn array(&self, section: Section, element: &BytesStart<'_>) -> Result<OpenArray, ReadError> {
         let kind = self.attribute(element, "type")?.unwrap_or_default();
         let name = self.attribute(element, "Name")?.unwrap_or_else(|| "values".to_owned());
@@ -348,7 +348,7 @@ impl<'a> Markup<'a> {
         })
     }
 
-    /// The end of an array.
+    /// Evaluates the end of an array.
     fn close(&mut self, open: OpenArray) -> Result<(), ReadError> {
         if open.section == Section::Field {
             return self.field(&open);
@@ -381,7 +381,7 @@ impl<'a> Markup<'a> {
         Ok(())
     }
 
-    /// A string of the field data: numbers of its bytes, the last of them 0.
+    /// Reads a string of the field data, written as the numbers of its bytes, the last of which is 0.
     fn field(&mut self, open: &OpenArray) -> Result<(), ReadError> {
         let Some((begin, end)) = open.content.filter(|_| open.format == "ascii" && open.array.is_none()) else {
             return Ok(());
@@ -397,7 +397,7 @@ impl<'a> Markup<'a> {
         Ok(())
     }
 
-    /// `AppendedData`, whose bytes begin behind an underscore.
+    /// Evaluates `AppendedData`, whose bytes begin behind an underscore.
     fn append(
         &mut self,
         element: &BytesStart<'_>,
@@ -462,7 +462,7 @@ impl<'a> Markup<'a> {
     }
 }
 
-/// Passes over text up to the next markup. Where it is more than white space: its first byte and the one behind its
+/// Skips text up to the next markup. If it is more than white space, returns the offsets of its first byte and of the byte behind its
 /// last.
 fn skip_text<R: BufRead>(reader: &mut Reader<R>) -> std::io::Result<Option<(u64, u64)>> {
     let begin = reader.buffer_position();

@@ -1,4 +1,4 @@
-//! Where the numbers of an array are in a VTI file.
+//! Finds the numbers of an array in a VTI file.
 
 use std::io::Read;
 
@@ -11,15 +11,15 @@ use crate::volumes::scalar;
 use crate::volumes::stored::{Begin, Encoding, Endian, StoredSamples, StoredType};
 use crate::volumes::{FileLocation, Geometry, ReadError};
 
-/// Maximum bytes of positions along an axis: no volume has so many samples along one.
+/// Maximum bytes of positions along an axis: no volume has that many samples along one.
 const MAX_POSITION_BYTES: u64 = 32 << 20;
 
-/// Where the numbers of an array are.
+/// Place of the numbers of an array in the file.
 #[derive(Clone, Debug)]
 pub(super) enum Numbers {
-    /// In the element, as text or base64: the first byte and the one behind the last.
+    /// In the element, as text or base64: offsets of the first byte and of the byte behind the last.
     Inline { text: bool, begin: u64, end: u64 },
-    /// In the appended data, behind so many bytes.
+    /// In the appended data, at this offset.
     Appended { offset: u64 },
 }
 
@@ -41,7 +41,7 @@ impl Markup<'_> {
         Ok(samples)
     }
 
-    /// The numbers of an array, of which there should be `count`.
+    /// Reads the numbers of an array. An error unless there are `count`.
     pub(super) fn values(&self, array: &Array, place: &Numbers, count: u64) -> Result<Vec<f64>, ReadError> {
         let (begin, end, mut encoding) = self.find(self.blob, array, place)?;
         if let (Encoding::Vtk(coding), Some(compressor)) = (&mut encoding, self.compressor) {
@@ -70,7 +70,7 @@ impl Markup<'_> {
         Ok(values)
     }
 
-    /// Where the bytes of an array begin and end, and how they are written.
+    /// Returns the offset at which the bytes of an array begin, the offset of their end if it is known, and their encoding.
     fn find(&self, blob: &Blob<'_>, array: &Array, place: &Numbers) -> Result<(u64, Option<u64>, Encoding), ReadError> {
         let coded = |base64: bool| {
             let (header_bytes, endian) = (self.header_bytes, self.endian);
@@ -106,7 +106,7 @@ impl Markup<'_> {
         if self.endian == Endian::Big {
             length.reverse();
         }
-        // It was read there.
+        // The length was read from there.
         let begin = begin + self.header_bytes as u64;
         Ok((
             begin,
@@ -116,7 +116,7 @@ impl Markup<'_> {
     }
 }
 
-/// The type of that name.
+/// Returns the sample type with this name.
 pub(super) fn stored_type(name: &str) -> Option<StoredType> {
     Some(match name {
         "Int8" => StoredType::I8,

@@ -1,4 +1,4 @@
-//! Stored bytes of chunks.
+//! Reads and decodes stored chunks, also those in shards.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,29 +11,29 @@ use super::ZarrSamples;
 use crate::volumes::remote::Part;
 use crate::volumes::{ReadError, ReadProgress};
 
-/// A chunk as it is stored, or one in a shard.
+/// Stored bytes of a chunk, or of an inner chunk of a shard.
 pub(super) struct Stored {
     /// Name of its object.
     key: String,
     bytes: Vec<u8>,
 }
 
-/// What a shard says of the chunks in it.
+/// Index of the chunks in a shard.
 #[derive(Debug)]
 struct Index {
-    /// Offsets and lengths of the chunks; `None` of those that are not stored.
+    /// Offset and length of each chunk; `None` for a chunk that is not stored.
     chunks: Vec<Option<[u64; 2]>>,
     /// Bytes of the shard.
     size: u64,
 }
 
-/// The index of a shard once it was read; `None` of a shard that is not stored.
+/// The index of a shard after it was read; the inner `None` means that the shard is not stored.
 type Known = Mutex<Option<Option<Arc<Index>>>>;
 
-/// What is remembered between the chunks of a time step.
+/// State that the chunks of one time step share.
 pub(super) struct Reading<'a> {
     pub(super) work: Work<'a>,
-    /// By the names of shards.
+    /// Indices by the names of shards.
     indices: Mutex<HashMap<String, Arc<Known>>>,
 }
 
@@ -47,12 +47,12 @@ impl<'a> Reading<'a> {
 }
 
 impl ZarrSamples {
-    /// Bytes of a decoded chunk, or of one in a shard.
+    /// Returns the bytes of a decoded chunk, or of a decoded inner chunk of a shard.
     pub(super) fn block_bytes(&self) -> u64 {
         self.block.iter().product::<u64>() * self.array.stored.bytes()
     }
 
-    /// Bytes of the files with the chunks of a time step.
+    /// Returns the total bytes of the files with the chunks of a time step.
     pub(super) fn chunk_bytes(&self, step: u32) -> Result<u64, ReadError> {
         let files = &self.array.chunks;
         let bytes = |index: u64| -> Result<u64, ReadError> {
@@ -63,7 +63,7 @@ impl ZarrSamples {
         (0..count).into_par_iter().map(bytes).try_reduce(|| 0, |a, b| Ok(a + b))
     }
 
-    /// The stored bytes of a chunk; `None` where it is not stored.
+    /// Returns the stored bytes of a chunk; `None` if it is not stored.
     pub(super) fn stored(&self, block: &[u64], reading: &Reading<'_>) -> Result<Option<Stored>, ReadError> {
         if self.array.pipeline.shard.is_some() {
             return self.in_shard(block, reading);
@@ -79,12 +79,12 @@ impl ZarrSamples {
         }))
     }
 
-    /// Maximum bytes of a stored chunk. One that is far larger than its samples is none.
+    /// Returns the maximum bytes of a stored chunk. Far more than its samples is invalid.
     fn max_stored(&self) -> u64 {
         self.block_bytes().saturating_mul(2).saturating_add(1 << 16)
     }
 
-    /// The samples of a chunk.
+    /// Decodes the samples of a chunk.
     pub(super) fn decode(&self, stored: Stored) -> Result<Vec<u8>, ReadError> {
         let shard = self.array.pipeline.shard.as_ref();
         let pipeline = shard.map_or(&self.array.pipeline, |shard| &shard.pipeline);
@@ -92,7 +92,7 @@ impl ZarrSamples {
         decoded.map_err(|why| self.error(format!("chunk {}: {why}", stored.key)))
     }
 
-    /// A chunk in a shard.
+    /// Returns the stored bytes of a chunk in a shard.
     fn in_shard(&self, block: &[u64], reading: &Reading<'_>) -> Result<Option<Stored>, ReadError> {
         let sizes = self.array.chunks.iter().zip(self.block.iter());
         let per_shard: Vec<u64> = sizes.map(|(shard, chunk)| shard / chunk).collect();
@@ -115,7 +115,7 @@ impl ZarrSamples {
         }
         let (path, part) = (join(&self.path, &key), Part::At(offset..end));
         let object = self.store.read(&path, part, length, &|| reading.work.is_over())?;
-        // It was there when its index was read.
+        // The shard existed when its index was read.
         let object = object.ok_or_else(|| self.error(format!("shard {key} is there no more")))?;
         Ok(Some(Stored {
             key,
@@ -123,7 +123,7 @@ impl ZarrSamples {
         }))
     }
 
-    /// The index of a shard, which is read once.
+    /// Returns the index of a shard. It is read once.
     fn index(&self, key: &str, count: u64, reading: &Reading<'_>) -> Result<Option<Arc<Index>>, ReadError> {
         let known = {
             let mut indices = reading.indices.lock().unwrap_or_else(PoisonError::into_inner);
