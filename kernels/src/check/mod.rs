@@ -66,8 +66,8 @@ pub const STEPS: &[Step] = &[
     step("minmax", Scope::FirstSurface, |check| check.upload()),
     step("construct", Scope::FirstSurface, |check| check.construct()),
     step("dual", Scope::FirstSurface, |check| check.dual()),
-    step("cut", Scope::FirstSurface, |check| check.cut()),
     step("histogram", Scope::FirstSurface, |check| check.histogram()),
+    step("cut", Scope::Rest, |check| check.cut()),
     step("fit", Scope::Rest, |check| check.fit()),
     step("tree", Scope::Rest, |check| check.tree()),
     step("tree_cut", Scope::Rest, |check| check.tree_cut()),
@@ -288,8 +288,8 @@ impl<'a> Check<'a> {
         let measured = self
             .engine
             .measure_error(self.volume(), self.pyramid(), &params, &Never)?;
-        near("mean error", measured.whole.rms, ERROR[0])?;
-        near("largest error", measured.whole.max, ERROR[1])?;
+        roughly("mean error", measured.whole.rms, ERROR[0])?;
+        roughly("largest error", measured.whole.max, ERROR[1])?;
         // Cubes are wider than bricks where the surface does not matter.
         let params = CutParams {
             beta: WIDE_BETA,
@@ -298,8 +298,8 @@ impl<'a> Check<'a> {
         let measured = self
             .engine
             .measure_error(self.volume(), self.pyramid(), &params, &Never)?;
-        near("mean error of wide cubes", measured.whole.rms, WIDE_ERROR[0])?;
-        near("largest error of wide cubes", measured.whole.max, WIDE_ERROR[1])?;
+        roughly("mean error of wide cubes", measured.whole.rms, WIDE_ERROR[0])?;
+        roughly("largest error of wide cubes", measured.whole.max, WIDE_ERROR[1])?;
         let measured = self.engine.measure_tree_error(
             self.volume(),
             self.pyramid(),
@@ -308,7 +308,7 @@ impl<'a> Check<'a> {
             &tree_goal(),
             &Never,
         )?;
-        near("mean error of a tree's cut", measured.whole.rms, TREE_ERROR)
+        roughly("mean error of a tree's cut", measured.whole.rms, TREE_ERROR)
     }
 
     fn shown_cut(&self) -> Result<ShownCut<'_>, Finding> {
@@ -361,9 +361,9 @@ impl<'a> Check<'a> {
         let sum = |bins: &[u32]| bins.iter().map(|&n| n as f32).sum::<f32>();
         exact("number of points", sum(&counts.all), points)?;
         // Equal costs are merged in an order that depends on the compiler's rounding.
-        near("number of merged points", sum(&counts.coarse), coarse)?;
+        roughly("number of merged points", sum(&counts.coarse), coarse)?;
         let weighted = (0u16..).zip(&counts.all).map(|(bin, &n)| f32::from(bin) * n as f32);
-        near("mean bin", weighted.sum::<f32>() / points, bin)
+        roughly("mean bin", weighted.sum::<f32>() / points, bin)
     }
 
     fn curve(&mut self) -> Result<(), Finding> {
@@ -376,7 +376,7 @@ impl<'a> Check<'a> {
         let (volume, pyramid) = (self.volume(), self.pyramid());
         let curve = self.engine.error_curve(volume, pyramid, params, cut, &Never)?;
         let ends = [curve.first(), curve.last()].map(|point| point.map_or(0, |point| point.triangles) as f32);
-        near("triangles at the lower end", ends[0], full)?;
+        roughly("triangles at the lower end", ends[0], full)?;
         exact(
             "the curve descends",
             curve.is_sorted_by(|a, b| a.triangles >= b.triangles),
@@ -384,7 +384,7 @@ impl<'a> Check<'a> {
         )?;
         // What is left last depends on rounding.
         exact("few triangles are left at the upper end", ends[1] <= end, true)?;
-        near("error of half the triangles", error_at(&curve, full / 2.0), error)
+        roughly("error of half the triangles", error_at(&curve, full / 2.0), error)
     }
 
     fn march(&mut self) -> Result<(), Finding> {
@@ -409,7 +409,7 @@ impl<'a> Check<'a> {
         let distances: Vec<f32> = distances.into_iter().flatten().collect();
         let finite = distances.iter().filter(|distance| distance.is_finite()).count();
         exact("number of vertices that have a distance", finite, distances.len())?;
-        near(
+        roughly(
             "largest distance of a vertex",
             distances.into_iter().fold(0.0, f32::max),
             VERTEX_DISTANCE,

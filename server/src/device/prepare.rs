@@ -181,7 +181,10 @@ struct Chosen {
 /// [`Unprepared`].
 pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepared, Unprepared> {
     if let Some(chosen) = chosen_before() {
-        return Ok(prepared_as(chosen));
+        return Ok(Prepared {
+            is_trusted: wanted.trusts,
+            ..prepared_as(chosen)
+        });
     }
     let as_is = || Prepared {
         selector: wanted.selector.clone(),

@@ -142,6 +142,23 @@ fn a_device_that_fails_is_used_only_if_it_is_trusted() {
     assert_eq!(trusted.status.code(), None, "{trusted:?}");
 }
 
+#[test]
+fn a_trusted_device_that_is_wrong_is_used_and_logged() {
+    let Some(broken) = Broken::new("wrong histogram") else {
+        return;
+    };
+    let volume = broken.folder.path().join("ball.npy");
+    crate::support::ball::write(&volume);
+    let volume = volume.to_str().expect("text");
+    let edit = ["extract", volume, "--iso", "0.5", "--beta", "-1", "--stats"];
+    let refused = broken.run(&edit);
+    assert_eq!(refused.status.code(), Some(1), "{refused:?}");
+    let trusted = broken.run(&[&edit[..], &["--device", "0", "--trust-device"]].concat());
+    let text = String::from_utf8_lossy(&trusted.stderr);
+    assert_eq!(trusted.status.code(), Some(0), "{text}");
+    says(&text, &["the trusted device is wrong", "stage histogram"]);
+}
+
 /// Folder of compiled kernels that all tests use.
 fn compiled_kernels() -> PathBuf {
     let home = std::env::var_os("HOME").expect("a home");
