@@ -144,7 +144,7 @@ fn a_device_that_fails_is_used_only_if_it_is_trusted() {
 
 #[test]
 fn a_trusted_device_that_is_wrong_is_used_and_logged() {
-    let Some(broken) = Broken::new("wrong histogram") else {
+    let Some(broken) = Broken::new("wrong histogram_bins") else {
         return;
     };
     let volume = broken.folder.path().join("ball.npy");
