@@ -37,7 +37,7 @@
 //               missing: 1 or 2 each (count_inner_polygon)
 //   region      none                                                  all
 //
-// `parts` and `made_regions`: which parts and regions the groups of a launch work on. If a surface is made anew in part, those of
+// `parts` and `made_regions`: which parts and regions the groups of a launch work on. If a part of a surface is made again, those of
 // other regions have no groups.
 //
 // plain_polygon: four cells, known without a search. edge_polygon: the leaves around are looked up (see lib/polygon.h).

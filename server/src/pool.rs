@@ -12,7 +12,7 @@ use tokio::sync::oneshot;
 #[error("the encoder failed, the server's log says why")]
 pub struct Panicked;
 
-/// One in so many processors is left to the sockets and the device's thread, because what the pool encodes has to be sent meanwhile.
+/// Processors for each one that is reserved for the sockets and the device's thread, because what the pool encodes has to be sent meanwhile.
 const PROCESSORS_PER_SOCKET_THREAD: usize = 8;
 
 /// Starts rayon's pool, with as many threads as there are processors, except those that the sockets need; or with `RAYON_NUM_THREADS`. To
@@ -29,7 +29,7 @@ pub fn start() -> Result<(), rayon::ThreadPoolBuildError> {
     pool.build_global()
 }
 
-/// One in so many processors runs exports.
+/// Processors for each thread that runs exports.
 const PROCESSORS_PER_EXPORT_THREAD: usize = 4;
 
 /// Niceness of exports, readers and compilers that run beside viewers: if processors are short, they get a tenth of what others get.

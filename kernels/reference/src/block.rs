@@ -230,7 +230,7 @@ impl Block {
         !self.turns_triangle(a, b, to) && !self.turns_triangle(b, a, to)
     }
 
-    /// Whether a triangle around a cluster, but for those with `other`, turns too far if the cluster moves to `to`.
+    /// Whether a triangle around a cluster, except those with `other`, turns too far if the cluster moves to `to`.
     fn turns_triangle(&self, at: usize, other: usize, to: Vector) -> bool {
         let from = self.position(at);
         self.fans[at].iter().filter(|t| !t.contains(&other)).any(|&[p, q]| {

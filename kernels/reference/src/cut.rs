@@ -52,7 +52,7 @@ pub fn normalised_feature(f: f32, params: &CutParams) -> f32 {
     ((f.abs() - lo) / (hi - lo)).clamp(0.0, 1.0)
 }
 
-/// Importance of a node above level 0 in a volume of so many samples: eq. 3, raised if its cube meets a region of interest.
+/// Importance of a node above level 0 in a volume of `dims` samples: eq. 3, raised if its cube meets a region of interest.
 pub fn importance(node: &Node, leaf: Leaf, dims: [u32; 3], params: &CutParams) -> f32 {
     let cube = CellBox::cube(leaf.level, leaf.cube, dims);
     raise(importance_of(node.s, node.f, params), params, cube)

@@ -172,7 +172,7 @@ impl Cutter<'_> {
         self.tolerance_of(keys, max_triangles)
     }
 
-    /// The minimum tolerance whose cut has at most so many triangles before repairs; the maximum if none has.
+    /// The minimum tolerance whose cut has at most `max_triangles` before repairs; the maximum if none has.
     pub fn tolerance_of(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
         let wanted = self.full_triangles().saturating_sub(max_triangles);
         let mut sum = 0;
@@ -243,7 +243,7 @@ impl Cutter<'_> {
     }
 
     /// Cuts to a tolerance, and beyond it to a number of triangles; again without the nodes that change the topology until there are
-    /// none. The tolerance grows only if these are so many that the budget is exceeded. `None` if that takes too long.
+    /// none. The tolerance grows only if repairs exceed the budget. `None` if that takes too long.
     /// `importances`: those of [`Self::importances`]; none if all are 0.
     pub fn cut(&self, importances: Option<&OfNodes>, goal: &TreeGoal) -> Option<TreeCut> {
         // Finite, for keys of nodes in `marks` are not.

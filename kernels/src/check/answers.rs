@@ -103,29 +103,26 @@ pub(super) struct Known {
 impl Known {
     /// Checks a surface that has the same counts on every device.
     pub fn check(&self, surface: &Surface) -> Result<(), Finding> {
-        self.check_within(surface, 0, 0)?;
-        near("volume inside", Self::of(surface).volume as f32, self.volume as f32)
+        self.check_within(surface, 0, 0, ROUNDING)
     }
 
     /// Checks a surface whose counts depend on rounding in comparisons.
     pub fn check_nearly(&self, surface: &Surface) -> Result<(), Finding> {
-        self.check_within(surface, (self.triangles as f64 * CHOICE) as u64, EDGE_SLACK)?;
-        roughly("volume inside", Self::of(surface).volume as f32, self.volume as f32)
+        self.check_within(surface, (self.triangles as f64 * CHOICE) as u64, EDGE_SLACK, CHOICE)
     }
 
-    fn check_within(&self, surface: &Surface, slack: u64, edge_slack: u64) -> Result<(), Finding> {
+    /// `slack`, `edge_slack`: of counts, and of open edges and the Euler characteristic; `share`: of the volume.
+    fn check_within(&self, surface: &Surface, slack: u64, edge_slack: u64, share: f64) -> Result<(), Finding> {
         let (found, stated) = (Self::of(surface), &surface.statistics);
         exact("number of triangles", stated.triangles, found.triangles)?;
         exact("number of vertices", stated.vertices, found.vertices)?;
-        within("number of triangles", found.triangles, self.triangles, slack)?;
-        within("number of vertices", found.vertices, self.vertices, slack)?;
-        within("number of open edges", found.open_edges, self.open_edges, edge_slack)?;
-        let is_near = found.euler.abs_diff(self.euler) <= edge_slack;
-        exact(
-            "Euler characteristic",
-            if is_near { self.euler } else { found.euler },
-            self.euler,
-        )
+        let count =
+            |what, found: u64, expected: u64, slack| within(what, found.cast_signed(), expected.cast_signed(), slack);
+        count("number of triangles", found.triangles, self.triangles, slack)?;
+        count("number of vertices", found.vertices, self.vertices, slack)?;
+        count("number of open edges", found.open_edges, self.open_edges, edge_slack)?;
+        within("Euler characteristic", found.euler, self.euler, edge_slack)?;
+        within_share("volume inside", found.volume as f32, self.volume as f32, share)
     }
 
     fn of(surface: &Surface) -> Self {
@@ -177,7 +174,7 @@ pub(super) fn exact<T: PartialEq + std::fmt::Debug>(what: &'static str, found: T
     })
 }
 
-fn within(what: &'static str, found: u64, expected: u64, slack: u64) -> Result<(), Finding> {
+fn within(what: &'static str, found: i64, expected: i64, slack: u64) -> Result<(), Finding> {
     if found.abs_diff(expected) <= slack {
         return Ok(());
     }
@@ -186,7 +183,8 @@ fn within(what: &'static str, found: u64, expected: u64, slack: u64) -> Result<(
 
 /// As [`exact`], of a count that depends on rounding in comparisons.
 pub(super) fn nearly(what: &'static str, found: u64, expected: u64) -> Result<(), Finding> {
-    within(what, found, expected, (expected as f64 * CHOICE) as u64)
+    let slack = (expected as f64 * CHOICE) as u64;
+    within(what, found.cast_signed(), expected.cast_signed(), slack)
 }
 
 /// Compares a value that depends on rounding.

@@ -290,7 +290,7 @@ impl<'a> Check<'a> {
             .measure_error(self.volume(), self.pyramid(), &params, &Never)?;
         roughly("mean error", measured.whole.rms, ERROR[0])?;
         roughly("largest error", measured.whole.max, ERROR[1])?;
-        // Cubes are wider than bricks where the surface does not matter.
+        // Outside the region of interest cubes are wider than bricks.
         let params = CutParams {
             beta: WIDE_BETA,
             ..tree_params()
@@ -382,7 +382,7 @@ impl<'a> Check<'a> {
             curve.is_sorted_by(|a, b| a.triangles >= b.triangles),
             true,
         )?;
-        // What is left last depends on rounding.
+        // The coarsest cut depends on rounding.
         exact("few triangles are left at the upper end", ends[1] <= end, true)?;
         roughly("error of half the triangles", error_at(&curve, full / 2.0), error)
     }
@@ -466,7 +466,7 @@ impl<'a> Check<'a> {
     }
 }
 
-/// Error of the cut with so many triangles, interpolated between the points of a curve. NaN if no cut has so few.
+/// Returns the error of a cut with `triangles`, interpolated between the points of a curve. NaN if the curve ends above it.
 fn error_at(curve: &[CurvePoint], triangles: f32) -> f32 {
     let beyond = |two: &&[CurvePoint]| two[1].triangles as f32 <= triangles;
     let Some([before, after]) = curve.windows(2).find(beyond) else {

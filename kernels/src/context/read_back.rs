@@ -102,7 +102,7 @@ unsafe impl Send for Lent {}
 
 impl AsRef<[u8]> for Lent {
     fn as_ref(&self) -> &[u8] {
-        // SAFETY: `memory` holds at least so many bytes there, initialised, and no thread writes to them before it is returned.
+        // SAFETY: `memory` has at least `bytes` initialised bytes at this address, and no thread writes to them before it is returned.
         unsafe { std::slice::from_raw_parts(self.address.as_ptr(), self.bytes) }
     }
 }

@@ -74,7 +74,7 @@ impl Default for Bracket {
 }
 
 impl Bracket {
-    /// Leaves to ask for next: so many, or the middle of the bracket if the outcome of so many is already known.
+    /// Number of leaves to try next: `leaves`, or the middle of the bracket if the outcome of `leaves` is already known.
     fn within(&self, leaves: f64) -> f64 {
         let is_open = self.fits < leaves && leaves < self.exceeds;
         if is_open || self.exceeds.is_infinite() {
@@ -186,7 +186,7 @@ impl Engine {
         Ok((with(threshold), cut, triangles))
     }
 
-    /// Threshold of the finest cut with at most so many leaves; -1 if all may stay, `None` if no cut has so few.
+    /// Threshold of the finest cut within the given number of leaves; -1 if all may stay, `None` if every cut has more.
     fn threshold_of(
         &self,
         volume: &Volume,

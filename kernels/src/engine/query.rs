@@ -90,7 +90,7 @@ pub struct CurvePoint {
 }
 
 impl Engine {
-    /// Returns the cut of the last surface that [`Engine::tree_surface`] made; makes it anew if that surface had another cut.
+    /// Returns the cut of the last surface that [`Engine::tree_surface`] made; makes it again if that surface had another cut.
     ///
     /// # Errors
     /// As [`Engine::tree_surface`].

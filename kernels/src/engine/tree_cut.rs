@@ -340,7 +340,7 @@ impl Engine {
         Ok(self.tolerance_of(cutter, work, max_triangles)?.0)
     }
 
-    /// The minimum tolerance whose cut has at most so many triangles before repairs, and how many; the maximum if none has. Marked nodes
+    /// The minimum tolerance whose cut has at most `max_triangles` before repairs, and its triangles; the maximum if none has. Marked nodes
     /// have an infinite key.
     fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<(f32, u64)> {
         let full = cutter.full_triangles();

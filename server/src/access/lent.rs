@@ -101,7 +101,7 @@ impl LentTokens {
 }
 
 impl Access {
-    /// Delegates some of the roles of `who` to a new token that lasts for so many seconds.
+    /// Delegates some of the roles of `who` to a new token that expires after `seconds`.
     ///
     /// # Errors
     /// [`LendError`].

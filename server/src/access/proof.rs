@@ -165,7 +165,7 @@ impl CookieName {
         cookies(headers, &self.name).find_map(|value| value.strip_prefix(SIGNED_IN)?.strip_prefix('.'))
     }
 
-    /// The header that stores the secret of a sign-in in the user's browser for so many seconds.
+    /// The header that stores the secret of a sign-in in the user's browser for `seconds`.
     pub(super) fn of_trip(&self, secret: &str, seconds: u64) -> HeaderValue {
         self.header(&self.trip(), secret, &format!("; Max-Age={seconds}"))
     }

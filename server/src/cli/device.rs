@@ -39,14 +39,12 @@ pub enum NoDevice {
 }
 
 impl DeviceArgs {
-    /// `serves`: for a server, whose volumes may come later.
-    fn wanted(&self, types: Vec<SampleType>, serves: bool) -> Wanted {
+    fn wanted(&self, types: Vec<SampleType>, early: bool) -> Wanted {
         Wanted {
             selector: self.device.clone(),
             types,
-            all_types: serves,
             trusts: self.trust_device,
-            early: serves,
+            early,
             folder: cache::folder(),
         }
     }
@@ -58,7 +56,7 @@ impl DeviceArgs {
             let progress =
                 |done: usize, of: usize| say(&format!("preparing the device: {done} of {of} steps are done"));
             match prepare(&wanted, &progress) {
-                Ok(prepared) => Ok(choice(&prepared)),
+                Ok(prepared) => Ok(choice(&prepared, wanted.trusts)),
                 Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
                 Err(Unprepared::NewProcess(environment)) => Err(NoChoice::Refused(
                     NoDevice::NewProcess(start_again(&environment)).to_string(),
@@ -81,7 +79,7 @@ impl DeviceArgs {
                 let proven = rest.map(|rest| checked_meanwhile(rest, report.clone(), next));
                 Ok(Choice {
                     proven,
-                    ..choice(&prepared)
+                    ..choice(&prepared, wanted.trusts)
                 })
             }
             Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
@@ -135,11 +133,11 @@ fn checked_meanwhile(rest: Rest, report: Report, next: NextEnvironment) -> Arc<P
     proven
 }
 
-fn choice(prepared: &Prepared) -> Choice {
+fn choice(prepared: &Prepared, is_trusted: bool) -> Choice {
     Choice {
         selector: prepared.selector.clone(),
         tuning: prepared.tuning,
-        is_trusted: prepared.is_trusted,
+        is_trusted,
         proven: None,
     }
 }

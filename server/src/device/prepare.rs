@@ -36,11 +36,9 @@ pub struct Wanted {
     pub selector: Option<String>,
     /// Types of the samples to be computed with.
     pub types: Vec<SampleType>,
-    /// Whether volumes of other types may come later.
-    pub all_types: bool,
     /// Use it without a check.
     pub trusts: bool,
-    /// Return when a first surface can be made, and check the rest meanwhile.
+    /// Return when a first surface can be made, and check the rest meanwhile: all sample types, as volumes of other types may come later.
     pub early: bool,
     /// Folder of verdicts; `None`: nothing is kept.
     pub folder: Option<PathBuf>,
@@ -52,8 +50,6 @@ pub struct Prepared {
     pub selector: Option<String>,
     /// How its kernels are built and launched, if not by default.
     pub tuning: Option<Tuning>,
-    /// Whether it is used without a check.
-    pub is_trusted: bool,
     /// The rest of the check, which still runs.
     pub rest: Option<Rest>,
 }
@@ -181,15 +177,11 @@ struct Chosen {
 /// [`Unprepared`].
 pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepared, Unprepared> {
     if let Some(chosen) = chosen_before() {
-        return Ok(Prepared {
-            is_trusted: wanted.trusts,
-            ..prepared_as(chosen)
-        });
+        return Ok(prepared_as(chosen));
     }
     let as_is = || Prepared {
         selector: wanted.selector.clone(),
         tuning: None,
-        is_trusted: wanted.trusts,
         rest: None,
     };
     let listed = list(wanted.folder.as_deref());
@@ -209,14 +201,10 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
         return Ok(as_is());
     }
     if wanted.trusts {
-        let prepared = with_environment(&listed, candidates[0], Workaround::None, None)?;
-        return Ok(Prepared {
-            is_trusted: true,
-            ..prepared
-        });
+        return with_environment(&listed, candidates[0], Workaround::None, None);
     }
     let verdicts = Verdicts::new(wanted.folder.as_deref());
-    let types = Types::new(&wanted.types, wanted.all_types);
+    let types = Types::new(&wanted.types, wanted.early);
     let mut reports = Vec::new();
     for device in candidates {
         let id = DeviceId::of(device);
@@ -304,7 +292,7 @@ struct Types {
 }
 
 impl Types {
-    /// `all`: also those of volumes that may come later.
+    /// `all`: the other types too, after those that are wanted.
     fn new(wanted: &[SampleType], all: bool) -> Self {
         let computed = type_name(SampleType::F32);
         let mut first: Vec<_> = wanted.iter().map(|&one| type_name(one).to_owned()).collect();
@@ -471,7 +459,6 @@ fn with_environment(
         return Ok(Prepared {
             selector: Some(device.index.to_string()),
             tuning: workaround.tuning(device),
-            is_trusted: false,
             rest,
         });
     }
@@ -507,7 +494,6 @@ fn prepared_as(chosen: Chosen) -> Prepared {
     Prepared {
         selector: Some(chosen.index.to_string()),
         tuning: device.and_then(|device| chosen.workaround.tuning(device)),
-        is_trusted: false,
         rest: None,
     }
 }

@@ -31,8 +31,7 @@ impl DeviceId {
 impl DeviceId {
     /// Whether both are the same device, or devices of one kind with one driver.
     pub(super) fn is_like(&self, other: &Self) -> bool {
-        let named = |id: &Self| (id.platform.clone(), id.name.clone(), id.driver.clone());
-        named(self) == named(other)
+        (&self.platform, &self.name, &self.driver) == (&other.platform, &other.name, &other.driver)
     }
 }
 

@@ -17,7 +17,7 @@ const AIM: f64 = (1.0 + FILLED) / 2.0;
 const LARGE_REGIONS: f64 = 0.25;
 const CAUTION: f64 = 0.3;
 
-/// If two trials exceed the budget, the next one has at most one in so many of their triangles.
+/// If two trials exceed the budget, their triangles are divided by this for the next one.
 const SHRINK: u64 = 4;
 
 /// A surface that was encoded.

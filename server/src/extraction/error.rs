@@ -19,7 +19,7 @@ pub enum OpenError {
     #[error(transparent)]
     Device(#[from] isopeel_kernels::Error),
     /// It computes wrong results.
-    #[error("{device} (driver {driver}): {}; `isopeel devices --check` checks it anew, and looks for a workaround", chain(.why))]
+    #[error("{device} (driver {driver}): {}; `isopeel devices --check` checks it again and looks for a workaround", chain(.why))]
     Check {
         /// Name of the device.
         device: String,

@@ -112,7 +112,7 @@ impl HostMemory {
             .saturating_sub(self.available)
     }
 
-    /// Checks whether so many bytes may be allocated.
+    /// Checks whether `needed_bytes` may be allocated.
     ///
     /// # Errors
     /// [`WorkError::HostBusy`] if they may be later, [`WorkError::TooLargeForHost`] if they never may.

@@ -13,7 +13,7 @@ use super::worker_state::WorkerState;
 /// Memory that fields leave free for the next surfaces, within the limit of what surfaces may keep.
 const SURFACE_RESERVE_BYTES: u64 = 128 << 20;
 
-/// Bytes to leave free beyond those that are needed, and a function that evicts at least so many bytes, if there are so many.
+/// Bytes to leave free beyond those that are needed, and a function that evicts a number of bytes, or all that it can if there are fewer.
 type Eviction = (u64, fn(&mut WorkerState, u64));
 
 impl DeviceWorker {

@@ -31,7 +31,7 @@ const TRIANGLES_PER_LEAF: u64 = 2;
 /// A step is the last one up to this share of its triangles, in percent, so that no small remainder needs one more.
 const LAST_STEP_PERCENT: u64 = 150;
 
-/// If an error alone decides, the final surface is expected to have one in so many of the full surface's triangles.
+/// If an error alone decides, the final surface is expected to have the full surface's triangles divided by this.
 const EXPECTED_SHARE: u64 = 4;
 
 /// A prefix that comes before its budget is fitted has at most this share of the budget's triangles, in percent.
@@ -41,7 +41,7 @@ const UNFITTED_PERCENT: u64 = 20;
 /// once, and look uneven meanwhile.
 const NEXT_PREFIX_STEPS: u64 = 6;
 
-/// A step takes at least one in so many of the target's leaves. Each step sends the regions at its border again: on a slow line, small
+/// A step takes at least the target's leaves divided by this. Each step sends the regions at its border again: on a slow line, small
 /// steps would send everything three times.
 const MAX_STEPS: u64 = 12;
 
@@ -314,7 +314,7 @@ impl Next<'_> {
         bytes_of(leaves, self.regions(), BYTES_OF_100_COARSE_TRIANGLES)
     }
 
-    /// Whether so many leaves of the target, in so many regions, are sent within one step.
+    /// Whether one step can send `leaves` of the target in `regions`.
     fn is_sent_in_a_step(&self, leaves: u64, regions: u64) -> bool {
         bytes_of(leaves, regions, BYTES_OF_100_TRIANGLES) <= self.step.bytes
     }

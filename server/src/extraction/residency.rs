@@ -22,7 +22,7 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         }
     }
 
-    /// Keeps at least so many entries, the most recently used, even if they cost more than the budget.
+    /// Keeps at least the `min_entries` most recently used, even if they cost more than the budget.
     pub(super) fn keeping(self, min_entries: usize) -> Self {
         Self { min_entries, ..self }
     }

@@ -21,7 +21,7 @@ use crate::view::View;
 use crate::view::quality::{Fitted, MaxError};
 use crate::volumes::VolumeStep;
 
-/// Full surfaces of more triangles are first shown as cubes, before their tree is built: on an H200 a tree of so many takes about 20 ms.
+/// Full surfaces of more triangles are first shown as cubes, before their tree is built: on an H200 a tree of this size takes about 20 ms.
 const MAX_FULL_TRIANGLES: u64 = 1_500_000;
 
 impl WorkerState {

@@ -76,7 +76,7 @@ pub(super) struct Permits {
 }
 
 impl Permits {
-    /// Allows so many short jobs of viewers in the queue; further ones wait in order, so that requests find space.
+    /// Allows `viewers` short jobs of viewers in the queue; further ones wait in order, so that requests find space.
     pub(super) fn new(viewers: usize) -> Self {
         Self {
             viewers: Arc::new(Semaphore::new(viewers)),

@@ -275,7 +275,7 @@ impl WorkerState {
         &self.engine
     }
 
-    /// Evicts the least recently used volumes that no job waits for, until so many bytes fit beside the rest.
+    /// Evicts the least recently used volumes that no job waits for, until `bytes` fit beside the rest.
     pub(super) fn evict_for(&mut self, bytes: u64) {
         let pins = &self.pins;
         self.volumes.evict_for(bytes, |key| !pins.holds(key));

@@ -104,7 +104,7 @@ async fn create(
     Ok((status, [(header::LOCATION, location)], Json(upload)).into_response())
 }
 
-/// The uploads of the user, the latest first, and what is left of their quota. An administrator sees those of all users.
+/// The uploads of the user, the latest first, and the rest of their quota. An administrator sees those of all users.
 #[utoipa::path(
     get,
     path = "/api/v1/uploads",

@@ -34,7 +34,7 @@ impl ReadPace {
         Poll::Ready(())
     }
 
-    /// Records that so many bytes were read at `now`.
+    /// Records that `bytes` were read at `now`.
     pub(super) fn read(&mut self, bytes: usize, now: Instant) {
         let time = Duration::from_secs_f64(bytes as f64 / f64::from(BYTES_A_SECOND));
         self.even = Some(self.even.map_or(now, |even| even.max(now)) + time);

@@ -18,7 +18,7 @@
 //! - **Scheduling.** First steps come before further steps of other surfaces, and the surface that was edited last before others. A
 //!   surface that has waited for a few jobs of others comes before all (`schedule`).
 //! - **Budget.** A connection has one budget. Surfaces share it in proportion to their full triangles, which are counted first if two
-//!   or more share. A surface whose part changes is made anew, and surfaces that shrink are shown before those that grow (`sharing`).
+//!   or more share. A surface whose part changes is made again, and surfaces that shrink are shown before those that grow (`sharing`).
 //! - **Outbox.** Frames wait here until the writer takes them. [`super::viewers::Viewers::ahead_bytes`] bounds what is encoded ahead.
 //!   [`HIGH_WATER`] bounds what a client that sends and does not read can cause.
 //! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between

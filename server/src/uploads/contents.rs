@@ -44,7 +44,7 @@ impl Contents {
         self.folder.join(&self.files[file].name)
     }
 
-    /// Returns the file that contains an offset: the first one that is incomplete when so many bytes are there.
+    /// Returns the file that contains an offset: the first incomplete file once `offset` bytes have arrived.
     pub(super) fn file_at(&self, offset: u64) -> usize {
         // Empty files share their start with the one behind them.
         self.starts.partition_point(|&start| start <= offset).saturating_sub(1)

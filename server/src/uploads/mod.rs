@@ -262,7 +262,7 @@ impl Uploads {
         Ok((self.shown(&upload), true))
     }
 
-    /// Returns the uploads that a user may see, the latest first, and what is left of the user's own quota.
+    /// Returns the uploads that a user may see, the latest first, and the rest of the user's own quota.
     pub fn list(&self, who: Reader<'_>) -> UploadList {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
         let own: Vec<_> = all.iter().filter(|upload| upload.owner == who.user()).collect();

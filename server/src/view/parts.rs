@@ -27,7 +27,7 @@ impl Budget {
         }
     }
 
-    /// What is left of the budget after so much is reserved; at least 1. A share without a maximum is a share of each surface, so that
+    /// Returns the budget less `reserved`; at least 1. A share without a maximum is a share of each surface, so that
     /// nothing reserved for another surface is taken from it.
     #[must_use]
     pub fn without(self, reserved: u64) -> Self {

@@ -1,5 +1,5 @@
 //! Files written by independent programs, with the contents that these programs report: `tests/fixtures/volumes`, or the folder that
-//! `FIXTURES` names, into which `make test-formats` has written them anew.
+//! `FIXTURES` names, into which `make test-formats` has written them again.
 
 use std::path::{Path, PathBuf};
 

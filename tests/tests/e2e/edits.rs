@@ -1,4 +1,4 @@
-//! Edits on top of edits: what is sent again and what is not, and which edit supersedes which.
+//! Edits on top of edits: which regions are sent again, and which edit supersedes which.
 
 use std::collections::{HashMap, HashSet};
 use std::time::Duration;

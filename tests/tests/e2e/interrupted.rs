@@ -254,7 +254,7 @@ fn a_job_that_a_full_disk_stops_says_so_and_goes_on() {
     let job = http::get(address, &path).json();
     assert_eq!(job["state"], "running", "{job}");
     assert!(job["extractions"]["done"].as_u64() < Some(EXTRACTIONS as u64), "{job}");
-    // A client that connects during the pause is told too.
+    // A client that connects during the pause is notified too.
     let during = follow();
     std::thread::sleep(Duration::from_millis(500));
     std::fs::remove_file(&full).expect("removed");

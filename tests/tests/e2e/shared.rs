@@ -194,7 +194,7 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     assert_eq!(shown(path, "*").problem(400), "bad-request");
 }
 
-/// If nothing is cached, the surface is made anew for a later viewer.
+/// If nothing is cached, the surface is made again for a later viewer.
 #[tokio::test(flavor = "multi_thread")]
 async fn without_memory_for_it_nothing_is_kept() {
     let folder = tempfile::tempdir().expect("a folder");

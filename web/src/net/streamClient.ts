@@ -133,7 +133,7 @@ export class StreamClient {
     this.connection.retryNow();
   }
 
-  /** Connects anew. If a pause before the next attempt is running, it ends at once. */
+  /** Reconnects. If a pause before the next attempt is running, it ends at once. */
   reconnect(): void {
     if (this.connection.isWaiting) this.retryNow();
     else this.restart();

@@ -1,6 +1,6 @@
 /**
  * How finely frames are painted while the camera moves: if they take long, effects, translucent layers and then pixels are given up until
- * it rests. The next move begins with the quality that was sufficient for the last one. Pure but for its clock.
+ * it rests. The next move begins with the quality that was sufficient for the last one. Pure, except for its clock.
  */
 
 /** What a frame is painted with. */

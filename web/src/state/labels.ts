@@ -85,7 +85,7 @@ function samplesWith(field: FieldInfo, value: number): number | "unknown" {
   return count === 0 || isFine(field) ? count : "unknown";
 }
 
-/** World units cubed of so many samples; `undefined` if cells differ in size. */
+/** Volume of `samples` samples, in cubed world units; `undefined` if cells differ in size. */
 export function samplesVolume(samples: number, { spacing, direction, positions }: VolumeInfo["geometry"]): number | undefined {
   if (positions?.some((along) => along !== null) === true) return undefined;
   const [a, b, c] = direction;

@@ -155,7 +155,7 @@ function receive(state: ViewerState, message: ServerMessage): ViewerState {
     case "error":
       return isAboutQuestion(message) ? state : refused(state, message);
     case "removed":
-      // If there is a surface of that number, the user has made it anew.
+      // If there is a surface of that number, the user has made it again.
       return inSurface(state, message.surface, (one) => ({ ...one, ...NEW_SURFACE, view: one.view, sentView: one.sentView, working: true }));
     case "group":
     case "led":

@@ -310,7 +310,7 @@ export class Model {
     this.set.setToasts([...others, toast].slice(-MAX_TOASTS));
   }
 
-  /** Something that the user may not do: the message stays beyond the next surface, and the embedding page is told. */
+  /** Something that the user may not do: the message stays beyond the next surface, and the embedding page is notified. */
   refuse(reason: string): void {
     this.toast(reason, "lasting");
     this.onError?.(reason);

@@ -44,7 +44,7 @@ use recipes::{Random, Recipe};
 use std::collections::HashMap;
 
 /// Few cases of large volumes rather than many of tiny ones; a failure prints its recipe, no file of seeds. They are the same in each run,
-/// unless the variable `ISOPEEL_TEST_TIMES` asks for so many times more of them, as `make fuzz` does.
+/// unless the variable `ISOPEEL_TEST_TIMES` multiplies their number, as in `make fuzz`.
 fn config(cases: u32) -> ProptestConfig {
     let times: Option<u32> = std::env::var("ISOPEEL_TEST_TIMES").ok().and_then(|t| t.parse().ok());
     ProptestConfig {

@@ -222,21 +222,18 @@ impl OpenVolume {
     /// Takes a view that edits have changed; `named`: and with it the connection's budget, unless a later edit has changed it.
     pub(super) fn set_view(&mut self, number: u8, mut view: View, named: Option<NamedBudget>) {
         if let Some(named) = named {
-            match self.newer_budget(named) {
-                Some(newer) => view.budget = view.budget.and(Some(newer.budget)),
-                None => self.set_budget_of_others(number, named),
-            }
+            let newest = self.name_budget(number, named);
+            view.budget = view.budget.and(Some(newest.budget));
         }
         let surface = self.surface_or_new(number, view.clone());
         surface.view = view;
     }
 
-    /// The budget in force, where a later edit has named it.
-    fn newer_budget(&self, named: NamedBudget) -> Option<NamedBudget> {
-        self.named.filter(|newer| newer.edit > named.edit)
-    }
-
-    fn set_budget_of_others(&mut self, number: u8, named: NamedBudget) {
+    /// Gives the other surfaces the budget that an edit of this one has named, unless a later edit has named another. Returns the latest.
+    fn name_budget(&mut self, number: u8, named: NamedBudget) -> NamedBudget {
+        if let Some(newer) = self.named.filter(|newer| newer.edit > named.edit) {
+            return newer;
+        }
         self.named = Some(named);
         for (_, other) in self.surfaces_mut().filter(|(other, _)| *other != number) {
             other.view.budget = other.view.budget.and(Some(named.budget));
@@ -246,6 +243,7 @@ impl OpenVolume {
                 pending.view.budget = pending.view.budget.and(Some(named.budget));
             }
         }
+        named
     }
 
     /// A surface; one that is not there yet is made with a view.
@@ -258,14 +256,14 @@ impl OpenVolume {
         &self.view
     }
 
-    /// Forgets a surface at its user's wish. A budget that an edit of it has named stays that of the others, though nothing is left to be
-    /// checked of that edit.
+    /// Removes a surface for its user. The other surfaces keep a budget that one of its edits has named, even if that edit is still being
+    /// checked.
     pub(super) fn remove_at_wish(&mut self, number: u8) {
         let fields = self.volume.dataset().field_names();
         let pending = self.surface(number).and_then(|surface| surface.pending.as_ref());
         let named = pending.and_then(|pending| pending.last_named(&fields));
-        if let Some(named) = named.filter(|&named| self.newer_budget(named).is_none()) {
-            self.set_budget_of_others(number, named);
+        if let Some(named) = named {
+            self.name_budget(number, named);
         }
         self.remove(number);
     }

@@ -70,18 +70,24 @@ pub(super) struct PendingStep {
 impl PendingView {
     /// The view once all edits are applied that wait.
     pub(super) fn last_view(&self, fields: &[&str]) -> View {
-        let applied = |view: View, kept: &KeptEdit| view.apply(&kept.edit, fields).unwrap_or(view);
-        self.queue.iter().fold(self.view.clone(), applied)
+        self.with_queue(fields).0
     }
 
-    /// The last budget that one of the edits has named, those behind it included.
+    /// The last budget that one of the edits that wait has named.
     pub(super) fn last_named(&self, fields: &[&str]) -> Option<NamedBudget> {
+        self.with_queue(fields).1
+    }
+
+    /// The view and the last named budget once all edits are applied that wait. A bad one among them changes nothing.
+    fn with_queue(&self, fields: &[&str]) -> (View, Option<NamedBudget>) {
         let (mut view, mut named) = (self.view.clone(), self.named);
         for kept in &self.queue {
-            view = view.apply(&kept.edit, fields).unwrap_or(view);
-            named = NamedBudget::of(kept, &view).or(named);
+            if let Ok(edited) = view.apply(&kept.edit, fields) {
+                named = NamedBudget::of(kept, &edited).or(named);
+                view = edited;
+            }
         }
-        named
+        (view, named)
     }
 
     /// Number of the first edit that waits, or of the last one where there were too many.

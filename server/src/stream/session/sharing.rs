@@ -169,7 +169,7 @@ impl OpenVolume {
         outdated.map(|(number, _)| number).collect()
     }
 
-    /// The budget of all surfaces together that gives this surface a part of so many triangles.
+    /// The budget of all surfaces together that gives this surface `part` triangles.
     pub(super) fn whole_of(&self, number: u8, part: u64) -> u64 {
         let whole = match (self.surface(number), self.shared_triangles()) {
             (Some(surface), Some(all)) => Budget::whole_of(part, surface.full_triangles(), all),

@@ -146,7 +146,7 @@ impl SurfaceSession {
     }
 
     /// Switches to another time step of the volume. The values in force stay, the range of the feature too. A surface that an edit has made
-    /// is made anew.
+    /// is made again.
     pub(super) fn step(&mut self) {
         self.holds_another_step |= !self.held.is_empty();
         (self.shown, self.shown_generation, self.full, self.key) = (None, 0, None, None);

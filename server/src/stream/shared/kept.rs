@@ -12,7 +12,7 @@ use crate::extraction::{MeasuredError, Measurement, Refinement};
 use crate::metrics;
 use crate::volumes::DatasetKey;
 
-/// One in so many bytes of the budget is for steps without their chunks, and as much for measured errors; the rest is for chunks.
+/// The budget divided by this is for steps without their chunks, and as much for measured errors; the rest is for chunks.
 const NOTES_PART: u64 = 16;
 
 /// Bytes that an entry takes beside what is in it: key, links and the table.

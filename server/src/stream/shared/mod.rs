@@ -29,11 +29,11 @@ pub(super) use step::{HeldRegion, HeldRegions, SharedStep};
 /// Jobs of other viewers that a request waits for before it starts its own, if none of their steps suits its line.
 const MAX_JOINED: usize = 2;
 
-/// A step may have so many times the bytes that suit the viewer's line, because it exists already and a smaller one would have to be made.
+/// A step may exceed the bytes that suit the viewer's line by this factor, because it exists already: a smaller one would have to be made.
 const MAX_LINE_FACTOR: u64 = 4;
-/// A step of at most so many bytes suits any line.
+/// A step of at most this size suits any line.
 const ANY_LINE_BYTES: u64 = 256 << 10;
-/// A step that is not final must have at least one in so many of the bytes that suit the viewer's line; else the viewer gets its own.
+/// A step that is not final must have at least the bytes that suit the viewer's line divided by this; else the viewer gets its own.
 const MIN_LINE_PART: u64 = 8;
 
 /// A request: the view of a surface, with the backend and volume to make it.
@@ -101,7 +101,7 @@ impl Offered {
 }
 
 impl Shared {
-    /// Caches results in so many bytes. With 0 nothing is cached, but jobs in flight are still joined.
+    /// Caches results within `budget` bytes. With 0 nothing is cached, but jobs in flight are still joined.
     pub(super) fn new(budget: u64) -> Self {
         Self(Arc::new(Inner {
             steps: Joint::default(),

@@ -189,7 +189,7 @@ fn product(a: &[f64; 12], b: &[f64; 12]) -> [f64; 12] {
 }
 
 impl SpimData {
-    /// Returns the grid of a view, and a notice of what is not known about it. The level has every `step`th sample along x, y and z.
+    /// Returns the grid of a view, and a notice of its unknown properties. The level has every `step`th sample along x, y and z.
     pub(super) fn place(&self, time: u64, setup: u64, step: [f64; 3]) -> (ViewGrid, Option<String>) {
         let own = self.setups.get(&setup);
         let unit = own.and_then(|own| own.unit.as_deref()).and_then(LengthUnit::parse);

@@ -48,7 +48,7 @@ pub enum Event {
     Follow,
     /// The device is lost.
     LoseDevice,
-    /// The server is killed and started again; all viewers connect and open anew, and none follows.
+    /// The server is killed and started again; all viewers reconnect and reopen, and none follows.
     Restart,
     /// The sequence's own file is replaced, and viewers that look at it open it again.
     Replace { content: u64 },

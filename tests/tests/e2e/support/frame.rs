@@ -138,7 +138,7 @@ impl Frame {
         let message = Message(serde_json::from_str(text).expect("a text frame is JSON"));
         match message.text("type").as_str() {
             "opening" => {
-                message.has(&["bytes", "totalBytes"], &[]);
+                message.has(&["bytes", "totalBytes"], &["device"]);
                 Self::Opening {
                     bytes: message.number("bytes"),
                     total_bytes: message.number("totalBytes"),

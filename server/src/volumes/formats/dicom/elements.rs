@@ -1,8 +1,8 @@
 //! Data elements: tag, length and value, nested in sequences (DICOM part 5, chapter 7).
 //!
-//! Only the values of the tags in [`tag`] are kept. All others, such as the patient's name and numbers, are skipped unread: what is not
-//! in memory cannot be shown. Reading is bounded by the file: lengths are compared with the remaining bytes before anything is allocated,
-//! and nesting has a limit. The crates that read whole objects allocate what a length claims, and recurse for every level of nesting.
+//! Only the values of the tags in [`tag`] are kept. All others, such as the patient's name and numbers, are skipped unread: data
+//! that is not in memory cannot be shown. Reading is bounded by the file: lengths are compared with the remaining bytes before anything is
+//! allocated, and nesting has a limit. The crates that read whole objects allocate what a length claims, and recurse for every level of nesting.
 
 use std::io::{self, BufReader, Read};
 

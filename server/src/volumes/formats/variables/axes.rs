@@ -138,7 +138,7 @@ pub struct Grid {
     pub times: Option<TimeAxis>,
 }
 
-/// A grid, and notices of what is not known about the positions of its samples.
+/// A grid, and notices of unknown properties of its samples' positions.
 pub struct Placed {
     /// Grid of the samples as they are stored; uneven ones at their mean distance.
     pub geometry: Geometry,
@@ -185,7 +185,7 @@ pub fn grid(path: &Path, file: &dyn VariableFile, variable: &Variable) -> Result
     Ok(Grid { layout, placed, times })
 }
 
-/// Returns the grid of samples that have `dims` along the `axes` x, y, z of a variable, by these scales, with notices of what is not known.
+/// Returns the grid of samples that have `dims` along the `axes` x, y, z of a variable, by these scales, with notices of unknown properties.
 pub fn place_grid(
     path: &Path,
     file: &dyn VariableFile,
@@ -257,7 +257,7 @@ fn axes_of(scales: &[Option<Result<Scale, String>>; 3], unit: Option<LengthUnit>
     })
 }
 
-/// Sets the spacing of a variable without positions. Returns notices of what is not known.
+/// Sets the spacing of a variable without positions. Returns notices of unknown properties.
 fn without_positions(variable: &Variable, axes: [usize; 3], geometry: &mut Geometry) -> Vec<String> {
     // The convention of Fiji and ilastik, in the order in which the axes are stored.
     if let &[z, y, x] = variable.numbers("element_size_um").as_slice() {

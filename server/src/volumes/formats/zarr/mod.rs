@@ -303,7 +303,7 @@ fn open_samples(
     Ok(header::with_notices(file, notices))
 }
 
-/// Returns the grid of a level, with notices of what is not known. Lengths are in the unit of x, or of the first axis that has one.
+/// Returns the grid of a level, with notices of unknown properties. Lengths are in the unit of x, or of the first axis that has one.
 fn geometry(
     shown: &Path,
     axes: &[Axis],

@@ -154,7 +154,7 @@ impl Mesh {
         named_axes::assign(&facts)
     }
 
-    /// Returns the grid of a component's samples, and a notice of what is not known about it.
+    /// Returns the grid of a component's samples, and a notice of its unknown properties.
     fn world(&self, space: [usize; 3], component: &Variable) -> (World, Option<String>) {
         let (spacing, offset) = (self.listed("gridSpacing"), self.listed("gridGlobalOffset"));
         let mut position = component.attributes.numbers("position");
