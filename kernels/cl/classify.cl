@@ -103,7 +103,7 @@ INLINED CornerBits load_corner_bits(__local const ushort *inside) {
 // Faces whose corners are inside across, `a` and `d`, and outside, `b` and `c`, or the other way round.
 INLINED cell_bits ambiguous_face(cell_bits a, cell_bits b, cell_bits c, cell_bits d) { return (a ^ b) & ~(a ^ d) & ~(b ^ c); }
 
-// Cells that may have several sheets: those with an ambiguous face, and those whose corners but for two opposite ones are alike.
+// Cells that may have several sheets: those with an ambiguous face, and those in which only two opposite corners differ from the others.
 INLINED cell_bits intricate_cells(const CornerBits *b) {
     const cell_bits faces = ambiguous_face(b->c0, b->c1, b->c2, b->c3) | ambiguous_face(b->c4, b->c5, b->c6, b->c7)
         | ambiguous_face(b->c0, b->c1, b->c4, b->c5) | ambiguous_face(b->c2, b->c3, b->c6, b->c7)

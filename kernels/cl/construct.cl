@@ -3,7 +3,7 @@
 //
 // construct: levels 0 to 3 and extra sheets. One work-group a brick.
 //   In: samples, feature, regions, bricks. Out: nodes, vertex records, and of every brick its moments, quadric and whether it may
-//   be merged. Where the pyramid is not wanted as a whole, cells alone, which is what a surface in full detail needs.
+//   be merged. If the whole pyramid is not requested, only cells are made, which is all that a surface in full detail needs.
 // construct_top: levels 4 and 5, and the triangles of each region. One work-item a region.
 // link: the 27 bricks around each brick. 9 work-items a brick.
 //

@@ -1,11 +1,11 @@
-// cut: which nodes are the leaves of the cut (docs/algorithm.md#4-importance-and-cut), and how cuts differ.
+// cut: decides which nodes are leaves of the cut (docs/algorithm.md#4-importance-and-cut), and compares and mixes cuts.
 //
 // cut: one work-group a region, from level 5 down. In: parameters, control points of the transfer function, regions of interest,
 //   nodes, vertex records. Out: state[slot], the level of the leaf that covers the node (its own level: it is a leaf) or INTERNAL
-//   where leaves are below it; what the leaves of the region add up to.
-// cut_compare: one work-group a region. In: two cuts. Out: where the region's states differ, one bit for each neighbour that it
-//   touches there.
-// cut_mix: one work-group a region. In: two cuts, which of the two each region takes. Out: that cut.
+//   if the leaves are below it; sums over the leaves of the region.
+// cut_compare: one work-group a region. In: two cuts. Out: for each region, one bit per neighbour that a node with different states
+//   touches.
+// cut_mix: one work-group a region. In: two cuts, and for each region which of the two it takes. Out: the mixed cut.
 
 #include "lib/precision.h"
 #include "lib/args.h"

@@ -111,8 +111,8 @@ INLINED uint cube_sample(uint cube) {
 // Parts of LANES samples of a brick's plane, those of its block between its first and last sample.
 #define PLANE_PARTS ((9 * BLOCK_ROW - 2 + LANES - 1) / LANES)
 
-// Phases: computes the feature at samples of the brick into the last block, which it returns, where the components have been loaded: at those
-// of the rows `wanted`, and at what lies beside them in the same part.
+// Phases: computes the feature at samples of the brick and writes it to the last block, which it returns. Computes whole parts of LANES
+// samples: those that contain samples of the rows `wanted`, for which the components have been loaded.
 INLINED __local float *derive_block(DeriveArgs args, LENGTHS int3 origin, __local const uint *wanted, __local float *blocks) {
     const uint lid = get_local_id(0);
     __local float *values = blocks + args.components * DERIVE_BLOCK, *tables = values + DERIVE_BLOCK;

@@ -50,8 +50,8 @@ inline float distance_to_bricks(Grid grid, __global const uint *region_index, __
 // Residuals of found points, in smallest spacings, below which no crossing is looked for.
 #define ON_SURFACE 1e-3f
 
-// Whether the field crosses the isovalue where the steps have come. Next to an extreme value or an end of the volume the slope promises a
-// surface that is not there.
+// Whether the field crosses the isovalue near `x`, the end of the steps. Next to an extreme value or an end of the volume, the slope can
+// predict a surface that does not exist.
 inline bool crosses_surface(Grid grid, SLAB, const FieldBox *box, float3 x) {
     const float4 here = field_at(grid, SLAB_ARGS, box, x);
     const float3 way = -here.w / dot(here.xyz, here.xyz) * here.xyz / box->spacing;

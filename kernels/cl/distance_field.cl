@@ -1,9 +1,9 @@
 // distance_field: distances to the nearest sample that is inside, one axis after another: along z the nearest one before and after each
-// sample, then along y and x the minimum over each line of (what was found there)² + (the way along the line)², which is the lower envelope of
-// parabolas (Meijster, Roerdink and Hesselink, 2000; Felzenszwalb and Huttenlocher, 2012). One work-item a line, whose work is that of a few
-// operations a sample.
+// sample, then along y and x the minimum over each line of (distance from the axes before)² + (distance along the line)², which is the lower
+// envelope of parabolas (Meijster, Roerdink and Hesselink, 2000; Felzenszwalb and Huttenlocher, 2012). One work-item a line, with a few
+// operations per sample.
 //
-// In: values, inside where they are neither 0 nor NaN; positions of the samples along the axis. Lengths are in `unit`s until the end.
+// In: values, which are inside if they are neither 0 nor NaN; positions of the samples along the axis. Lengths are in `unit`s until the end.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -19,8 +19,8 @@ inline uint count_columns(const DistanceColumnsArgs args, ulong item) {
 
 inline bool is_inside(float value) { return value != 0.0f && !isnan(value); }
 
-// Way from each sample to the last one inside at or before it, along columns of a slab. `last`: where that is of each column, at the slab's first
-// plane, and then at `keep`, where the next slab begins.
+// Distance from each sample to the last inside sample at or before it, along columns of a slab. `last`: position of that sample for each
+// column; in: at the slab's first plane, out: at plane `keep`, at which the next slab begins.
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
 void distance_field_before(const DistanceColumnsArgs args, __global const float *positions, __global const float *values,
                            __global float *out, __global float *last) {
@@ -41,7 +41,7 @@ void distance_field_before(const DistanceColumnsArgs args, __global const float 
     }
 }
 
-// The square of the smaller way, of that and of the one to the next sample inside. `next` as `last` above, from the slab's end.
+// The square of the smaller of that distance and the distance to the next inside sample. `next`: as `last` above, from the slab's end.
 __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
 void distance_field_after(const DistanceColumnsArgs args, __global const float *positions, __global const float *values,
                           __global float *out, __global float *next) {

@@ -1,10 +1,10 @@
-// distribution: how the blended feature of a cut's leaves is distributed over the surface. One work-group a region.
+// distribution: histogram of the blended feature of a cut's leaves over the surface. One work-group a region.
 //
 //   kernel              counts
-//   distribution_cut    active cells, by the leaf of the octree that stands for them
-//   distribution_tree   points, by the leaf of the vertex tree that stands for them
+//   distribution_cut    active cells, by the leaf of the octree that represents them
+//   distribution_tree   points, by the leaf of the vertex tree that represents them
 //
-// In: parameters, the cut. Out: counts[bin], of all; counts[args.bins + bin], of those whose leaf stands for others too.
+// In: parameters, the cut. Out: counts[bin], of all; counts[args.bins + bin], of those whose leaf represents others too.
 
 #include "lib/precision.h"
 #include "lib/args.h"

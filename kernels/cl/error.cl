@@ -1,9 +1,9 @@
-// error: how far a dual mesh is from the surface it stands for, in both directions (docs/algorithm.md#67-measured-error).
+// error: distance of a dual mesh from the surface that it represents, in both directions (docs/algorithm.md#67-measured-error).
 // Positions are in world units from the volume's first sample.
 //
 //   kernel            work-item              computes
 //   error_positions   a slot                 position of each slot's vertex
-//   error_leaves      a region, a corner     of a cut of the vertex tree: which vertex stands for each slot's, where merged vertices are;
+//   error_leaves      a region, a corner     of a cut of the vertex tree: the vertex that replaces each slot's, positions of merged vertices;
 //   error_corners                            the vertex of each corner
 //   error_link        a corner               for each slot its fan: a chain of the corners of triangles at its vertex
 //   error_seeds       a level-2 cube         a vertex in it that has triangles: a seed
@@ -13,8 +13,8 @@
 //   error_crossings   GROUP of a task        distances of crossings of lines through the cells to the mesh
 //   error_samples     GROUP of a task        distances of vertices and of points on triangles to the surface
 //
-// A cut of the vertex tree has vertices beside those of slots: a node's has the number of slots added to its own. `stand_ins` has the
-// vertex that stands for that of each slot, NONE where its part was removed: then its crossings are not measured.
+// A cut of the vertex tree also has vertices of nodes, numbered after the slots: the number of slots plus the node's number. `stand_ins`
+// has the vertex that replaces that of each slot, or NONE if its part was removed; then its crossings are not measured.
 //
 // A task is a work-group's share of a region: some of its cells, or some of its triangles. The last two kernels write sums and the
 // maximum of each task. All work is bounded by the numbers of slots, crossings and triangles.

@@ -1,7 +1,7 @@
-// evaluate: a field that an expression over others gives. The expression is a list of operations, which each work-item interprets for LANES
-// samples at a time: one program serves all expressions, so that none has to be compiled. In: the operations as pairs of words
+// evaluate: a field computed by an expression over other fields. The expression is a list of operations, which each work-item interprets for
+// LANES samples at a time: one program serves all expressions, so that no expression is compiled. In: the operations as pairs of words
 // (src/expression.rs), the samples of up to eight fields of any types. Out: floats, NaN if a field is missing or the value is not finite.
-// Fields that the expression does not have stand for the first one, and are not read.
+// For fields that the expression does not use, the host passes the first one; they are not read.
 
 #include "lib/precision.h"
 #include "lib/any_samples.h"

@@ -1,10 +1,10 @@
-// fit: how many leaves a cut has as a function of its threshold, for budgets of triangles (docs/algorithm.md#42-budgets). One work-group a
+// fit: number of leaves of a cut as a function of its threshold, for budgets of triangles (docs/algorithm.md#42-budgets). One work-group a
 // region, from level 5 down.
-// In: parameters, control points of the transfer function, regions of interest, nodes, vertex records. Out: changes[bin], leaves that
-// are added less leaves that go once the threshold passes the bin; keys[slot], working memory.
+// In: parameters, control points of the transfer function, regions of interest, nodes, vertex records. Out: changes[bin], the change of
+// the number of leaves when the threshold passes the bin; keys[slot], working memory.
 //
-// A *key* is the bit pattern of what is compared with the threshold (decimation_key): keys are ordered as these numbers are. A node is a leaf from its own key
-// on, up to the minimum of the keys of the cubes above it.
+// A *key* is the bit pattern of the number that is compared with the threshold (decimation_key): keys are ordered as these numbers are. A
+// node is a leaf from its own key on, up to the minimum of the keys of the cubes above it.
 
 #include "lib/precision.h"
 #include "lib/args.h"

@@ -1,8 +1,8 @@
 // march: the paper's mesher, marching cubes on every leaf (docs/algorithm.md#5-marching-cubes-mesher). One work-group a region.
 //
 //   kernel            computes
-//   march_mark        which fine grid edges carry vertices (leaf.h: owners), and for leaves of level 1 and above where on their
-//                     edges the vertices lie (docs/algorithm.md#51-refinement)
+//   march_mark        which fine grid edges carry vertices (leaf.h: owners), and for leaves of level 1 and above the positions of
+//                     the vertices on their edges (docs/algorithm.md#51-refinement)
 //   march_count       vertices and triangles of each region
 //   march_vertices    positions
 //   march_triangles   indices

@@ -1,4 +1,4 @@
-// mask: a field whose samples are missing where another field, of labels, has other values than a mask asks for. A work-item takes LANES samples.
+// mask: a field whose samples are missing if their label, a sample of another field, is not in the mask. A work-item takes LANES samples.
 // In: samples and labels of any types, ranges of labels. Out: samples of a type that has the value of missing ones.
 
 #include "lib/precision.h"

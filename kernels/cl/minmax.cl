@@ -14,7 +14,7 @@
 
 #define COLUMNS (32 * RUN)
 
-// Minimum and maximum of LANES columns without their missing samples; `gap` is 1 where one is missing.
+// Minimum and maximum of LANES columns without their missing samples; `gap` is 1 if a sample is missing.
 typedef struct {
     real low, high, gap;
 } Extent;
@@ -35,14 +35,14 @@ inline void widen(Extent *extent, real v, float missing) {
 }
 
 // Widens the extent by LANES columns of a layer's rows, from `from` on. All rows are loaded before the first is used, which hides
-// the latency of memory. Where there are fewer than nine rows the last one is used again.
+// the latency of memory. If there are fewer than nine rows, the last one is used again.
 inline void widen_by_rows(Extent *extent, __global const SAMPLE *from, uint rows_y, ulong width, float missing) {
     real rows[9];
     for (uint dy = 0; dy < 9; dy++) rows[dy] = LOAD_SAMPLES(from + min(dy, rows_y - 1) * width);
     for (uint dy = 0; dy < 9; dy++) widen(extent, rows[dy], missing);
 }
 
-// The samples under a row of bricks. Where `rows_y` or `rows_z` is below 2 there are no cells, and no sample is read.
+// The samples under a row of bricks. If `rows_y` or `rows_z` is below 2, there are no cells, and no sample is read.
 typedef struct {
     __global const SAMPLE *from; // the first sample
     ulong width, plane;          // samples from a row to the next, and from a plane to the next
@@ -105,7 +105,7 @@ INLINED void scan_columns(const RowOfBricks *row, const Columns *out) {
         set_column(row, out, COLUMNS + dz, row->from + dz * row->plane + COLUMNS, 1);
 }
 
-// Extent of a brick's columns; an empty one where the brick has no cells. `x`: of the brick in the row.
+// Extent of a brick's columns; empty if the brick has no cells. `x`: of the brick in the row.
 INLINED float3 brick_extent(const RowOfBricks *row, const Columns *in, uint x) {
     float3 extent = (float3)(INFINITY, -INFINITY, 0.0f); // low, high, gap
     if (!has_cells(row) || 8 * x + 1 >= row->columns) return extent;

@@ -86,7 +86,7 @@ void patch_level(const Grid grid, __global const uint *region_index, __global co
     }
 }
 
-// Where the vertices of leaves are found.
+// Buffers in which the vertices of leaves are looked up.
 typedef struct {
     __global const uint *owners;
     __global const RegionMesh *meshes;

@@ -1,7 +1,7 @@
-// probe: the active cell whose vertex is nearest to a position, of the 5^3 cells around it. One work-item a position: it looks at 125
+// probe: the active cell whose vertex is nearest to a position, of the 5^3 cells around it. One work-item a position: it tests 125
 // cells.
-// In: positions inside the volume, parameters, control points of the transfer function, regions of interest, the pyramid. Out: of each
-// position the cell and what is known of it.
+// In: positions inside the volume, parameters, control points of the transfer function, regions of interest, the pyramid. Out: a
+// ProbedCell for each position.
 
 #include "lib/precision.h"
 #include "lib/args.h"

@@ -12,7 +12,7 @@
 //   tree_gather    how many triangles have a corner in the region; then these triangles
 //   tree_collapse  the node that each triangle collapses with
 //   tree_corners   the corners of the full mesh at each point
-//   tree_lives     when each leaf was there while the tree was built
+//   tree_lives     the rounds during which each leaf existed while the tree was built
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -59,7 +59,7 @@ void tree_points(const TreePointsArgs args, __global const Region *regions, __gl
     }
 }
 
-// Number in the block of a point of the surface, or that it is of another region.
+// Number of a point of the surface in the block, or FOREIGN with its number if it belongs to another region.
 inline uint block_corner(__global const Region *region, __global const TreeRegion *tree, uint cell_points, uint point) {
     if (point - region->point_base < cell_points) return point - region->point_base;
     if (point - tree->border_base < tree->border_points) return cell_points + point - tree->border_base;
@@ -103,7 +103,7 @@ void tree_gather(const TreeGatherArgs args, __global const uint *region_index, _
         const uint first = meshes[other].triangle_base, count = meshes[other].triangles[0];
         for (uint begin = 0; begin < count; begin += GROUP) {
 #if GROUP == 1
-            // Most of the triangles of other regions.
+            // Skips most of the triangles of other regions.
             while (begin % 16 == 0 && begin + 16 <= count && n > 0 && !any_corner_here(corners + 3 * (first + begin), region, tree, cell_points))
                 begin += 16;
             if (begin == count) break;
@@ -125,9 +125,10 @@ void tree_gather(const TreeGatherArgs args, __global const uint *region_index, _
     tree->beside_count = found - own;
 }
 
-// The lowest node above two corners of a triangle, or NONE: a cut that merges it has no such triangle.
+// The lowest node that is above two corners of a triangle, or NONE: if a cut merges it, the triangle degenerates.
 inline uint collapsing_node(__global const uint *node_parents, uint a, uint b, uint c) {
-    // A node's number is above those of the nodes below it, NONE above all: the lowest of three is not above where any two meet.
+    // A node's number is above those of its descendants, and NONE is above all. So the lowest of the three is not above the node at which
+    // any two meet, and may be replaced by its parent.
     while (a != b && b != c && c != a) {
         const uint lowest = min(a, min(b, c)), above = node_parents[lowest];
         a = a == lowest ? above : a;
@@ -155,8 +156,8 @@ inline uint nth_corner(const RegionMesh mesh, __global const TreeRegion *tree, _
     return 3 * (i < own ? mesh.triangle_base + i : beside[tree->beside_base + i - own]) + k % 3;
 }
 
-// `corner_ends`: of each point, where its corners end in `point_corners`. A region's begin behind as many as the triangles of regions
-// before it have, and those beside these.
+// `corner_ends`: for each point, the end of its corners in `point_corners`. A region's range begins after as many entries as there are
+// corners of the triangles of all regions before it, including the triangles beside those regions.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_corners(const uint points, __global const Region *regions, __global const TreeRegion *tree_regions,
                   __global const RegionMesh *meshes, __global const uint *corners, __global const uint *beside,

@@ -3,7 +3,7 @@
 //   kernel      writes
 //   tree_build  the nodes, the parents of nodes and points
 //
-// A region is a *block*: points merge with points of the same block alone, so that blocks do not wait for each other.
+// A region is a *block*: points merge only with points of the same block, so that blocks do not wait for each other.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -20,7 +20,7 @@
 #include "lib/tree_leaf.h"
 #include "lib/tree_rounds.h"
 
-#define MIN_PROGRESS 64 // the last round is the one that merges less than one in so many clusters
+#define MIN_PROGRESS 64 // the last round is the first that merges less than 1 / MIN_PROGRESS of the clusters
 
 inline void add_plane(Quadric *q, float3 normal, float weight) {
     q->a[0] += weight * normal.x * normal.x;
@@ -54,8 +54,8 @@ inline uint point_flags(const TreeBuildArgs args, uint kind, uint at, uint cell_
     return CLUSTER_BORDER | low | high << CLUSTER_HIGH;
 }
 
-// What the triangles around a point say: its ring, its quadric, and whether it is on a border or may not merge. `last`: of the
-// volume's samples.
+// Derives a point's ring, its quadric and its flags (on a border, may not merge) from the triangles around it. `last`: of the volume's
+// samples.
 INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, const TreeFans *fans, uint at, uint cell_points,
                             int3 position, int3 last) {
     __global TreeCluster *cluster = block->clusters + at;
@@ -87,7 +87,7 @@ INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, co
         add_border_plane(block, &quadric, at, beside, begin_normal);
         add_border_plane(block, &quadric, at, end, end_normal);
     }
-    // Others still read the position, which the flags will be beside.
+    // Not yet into the position's w: other work-items still read the position.
     block->best[at] = flags;
     for (uint i = 0; i <= count; i++) block->costs[ring + i] = INFINITY;
     cluster->quadric = quadric;
@@ -95,7 +95,7 @@ INLINED void classify_point(const TreeBuildArgs args, const TreeBlock *block, co
     cluster->ring_count = flags & CLUSTER_LOCKED ? 0 : count + (flags & CLUSTER_BORDER ? 1 : 0);
 }
 
-// A point as a cluster, but for what its triangles say.
+// Begins the cluster of a point. The data that depends on its triangles is added later.
 INLINED void begin_cluster(const TreeBlock *block, __global const Node *nodes, __global const VertexRecord *vertex_records, uint at,
                            int4 point) {
     __global TreeMembers *members = block->members + at;
@@ -162,7 +162,7 @@ INLINED TreeBlock find_block(const Grid grid, const TreeBuffers *all, uint group
     return block;
 }
 
-// Where the nodes of a region go. `last`: the volume's last sample.
+// Output buffers for the nodes of a region. `last`: the volume's last sample.
 INLINED TreeOutput find_output(const TreeBuildArgs args, const TreeBuffers *all, uint group, uint cell_points, int3 origin, int3 last) {
     __global const TreeRegion *tree = all->tree_regions + group;
     const int3 margin = (int3)(args.params.cap ? 1 : 0);
@@ -254,8 +254,8 @@ void tree_build(const TreeBuildArgs args, __global const Region *regions, __glob
         lists, tree_nodes, node_errors, node_levels, node_parents, point_parents, round_ends,
     };
 #if WIDE_GROUP == 1
-    // One region after another until none of the launch is left, those that take longest first: a driver may give half of the work-groups to
-    // one core of two beforehand, whatever they take.
+    // Takes one region of the launch after another, the longest first. Work-groups are not bound to regions, because a driver may assign half
+    // of the work-groups to one core of two in advance, however long they take.
     for (;;) {
         const uint n = atomic_inc(claimed + args.first_region);
         if (n >= get_num_groups(0)) return;

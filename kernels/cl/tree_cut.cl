@@ -4,12 +4,12 @@
 //   kernel          writes
 //   tree_weigh      of each node the maximum importance of its points
 //   tree_keys       of each node its key
-//   tree_histogram  triangles that are taken away as the tolerance grows
+//   tree_histogram  triangles that are removed as the tolerance grows
 //   tree_leaves     the leaf of each point
-//   tree_sum        what the leaves add up to
+//   tree_sum        sums over the leaves
 //
 // A node's *key* is the tolerance from which on it is merged: the minimum of error over weight, of its own and of the nodes above
-// it. So the topmost node that the tolerance allows is the leaf. Nodes that are marked are merged by no tolerance.
+// it. So the topmost node that the tolerance allows is the leaf. No tolerance merges marked nodes.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -84,7 +84,7 @@ void tree_keys(const uint weighted, __global const TreeRegion *tree_regions, __g
     }
 }
 
-// removed[bin]: triangles that go where the tolerance passes the bin. `keys`: above infinity where there is no node. Any number of
+// removed[bin]: triangles that are removed when the tolerance passes the bin. `keys`: above infinity if there is no node. Any number of
 // work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_histogram(const TreeHistogramArgs args, __global const uint *keys, __global uint *removed) {
@@ -102,11 +102,11 @@ void tree_histogram(const TreeHistogramArgs args, __global const uint *keys, __g
         if (bins[i]) atomic_add(&removed[i], bins[i]);
 }
 
-// The leaf of each node that is merged, from the top down, then of each point. `removed`: whether the part of a point is
-// (tree_part_remove); not read where `removes` is 0. `renewed`: regions whose keys are not those of the cut before; not read for the
-// first cut of a tolerance, which is made everywhere. `tops`: of each node its leaf, or NONE where it is not merged. `changed`: region by
-// region, from TreeRegion::node_base on, which of its points have another leaf than in the cut before; `changed_counts`: how many.
-// `merged`: triangles that the merged nodes take away.
+// Finds the leaf of each merged node, from the top down, then of each point. `removed`: whether the part of a point is removed
+// (tree_part_remove); not read if `removes` is 0. `renewed`: regions whose keys differ from those of the previous cut; not read for the
+// first cut of a tolerance, which covers all regions. `tops`: for each node its leaf, or NONE if it is not merged. `changed`: region by
+// region, from TreeRegion::node_base on, the points whose leaf differs from that in the previous cut; `changed_counts`: how many.
+// `merged`: triangles that the merged nodes remove.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_leaves(const TreeLeavesArgs args, __global const Region *regions, __global const TreeRegion *tree_regions,
                  __global const uchar *node_levels, __global const uint *node_parents, __global const uint *round_ends,

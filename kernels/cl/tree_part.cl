@@ -1,4 +1,4 @@
-// tree_part: the connected parts of the full dual mesh, and what goes with those that are removed (docs/algorithm.md#81-removed-parts).
+// tree_part: the connected parts of the full dual mesh, and the removal of some of them (docs/algorithm.md#81-removed-parts).
 //
 //   kernel              work-item   writes
 //   tree_part_begin     a point     labels: each point is a part of its own
@@ -7,16 +7,16 @@
 //   tree_part_add       a triangle  area of each part, beside its first point
 //   tree_part_spread    a point     area of each point's part
 //   tree_part_remove    a point     whether its part is removed: small ones, and those that were chosen
-//   tree_part_sum       a point     of each region, what the removed parts add up to, and the area that is left
+//   tree_part_sum       a point     of each region, sums over the removed parts, and the remaining area
 //   tree_part_mark      a point     marks the nodes of removed parts
 //
 // A *label* is the number of a point of the same part, the point's own or a smaller one. So labels lead to the first point of a part,
-// whichever work-item comes first, and work-items join parts without waiting for each other: a label is replaced by a smaller one of the
-// same part alone, and that of a point which leads to itself only where it still does. While parts are joined, labels are read and written
-// by atomic operations.
+// whichever work-item comes first, and work-items join parts without waiting for each other: a label is only replaced by a smaller one of the
+// same part, and a label that equals its own point only by compare-and-exchange, if it still does. While parts are joined, labels are read
+// and written by atomic operations.
 //
-// Areas are summed as whole numbers, for sums of these do not depend on the order: of `quantum`, two words each. A triangle counts
-// for one or more, so that only points without triangles have none.
+// Areas are summed as whole numbers of `quantum`, two words each, because such sums do not depend on the order. A triangle counts
+// for at least one, so that only points without triangles have an area of 0.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -34,7 +34,7 @@ __kernel void tree_part_begin(const uint count, __global uint *labels, __global 
 
 inline uint read_label(__global uint *labels, uint point) { return atomic_or(&labels[point], 0u); }
 
-// The first point that a point's label leads to. Shortens the way for those who come after.
+// The first point that a point's label leads to. Shortens the chain of labels for later look-ups.
 inline uint first_of_part(__global uint *labels, uint point) {
     uint label = read_label(labels, point);
     while (label != point) {
@@ -176,7 +176,7 @@ void tree_part_sum(__global const Region *regions, __global const TreeRegion *tr
     sums[group] = sum;
 }
 
-// Nodes of removed parts are merged by no tolerance, so that they count for no budget.
+// No tolerance merges nodes of removed parts, so they do not count for a budget.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tree_part_mark(__global const Region *regions, __global const TreeRegion *tree_regions,
                     __global const uint *node_parents, __global const uint *point_parents, __global const uchar *removed,

@@ -102,7 +102,7 @@ INLINED Real3 scaled_difference(Real3 a, Real3 b, float3 scale) {
 }
 
 // Measures the offsets of triangles: how high above their plane the centroid of the full mesh's triangle is, smallest spacings /
-// OFFSET_STEPS. 0 where they have no plane.
+// OFFSET_STEPS. 0 if they have no plane.
 INLINED void measure_offsets(LaneTriangles *lanes, Grid grid) {
     const float3 scale = (float3)(grid.spacing[0], grid.spacing[1], grid.spacing[2]) / (smallest_spacing(grid) * VERTEX_LATTICE);
     const Real3 a = LOAD_REAL3(lanes->leaves, LANES), b = LOAD_REAL3(lanes->leaves + 3 * LANES, LANES);

@@ -1,16 +1,16 @@
-// tree_test: whether a cut of the vertex tree has the surface's topology (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group a
-// region.
+// tree_test: tests whether a cut of the vertex tree has the surface's topology (docs/algorithm.md#8-cuts-of-the-vertex-tree). One work-group
+// a region.
 //
 //   kernel       writes
-//   tree_test    the triangles that are left; marks nodes beside an edge of more than two of them, or with too few of them around
+//   tree_test    the remaining triangles; marks nodes beside an edge of more than two of them, or with too few of them around
 //   tree_retest  the same marks, after a repair
-//   tree_list    the triangles that are left, after all repairs
+//   tree_list    the remaining triangles, after all repairs
 //
-// A cut is made again until none of its merges changes the topology. What may be wrong with a cut after the first one is beside leaves
-// that the one before did not have, so only triangles with such a corner are looked at.
+// The cut is repeated until none of its merges changes the topology. After the first cut, faults are only possible beside leaves that the
+// previous cut did not have, so only triangles with such a corner are tested.
 //
-// Each region tests what is around its own leaves, in its own triangles and those beside it: it waits for no other region, and all that
-// it reads and counts is near in memory.
+// Each region tests the surroundings of its own leaves, in its own triangles and those beside it. So it does not wait for other regions,
+// and all that it reads and counts is near in memory.
 
 #include "lib/precision.h"
 #include "lib/args.h"
@@ -28,7 +28,7 @@
 #define NEAR 1u   // in the region or in one before it, as a region's triangles have corners in these
 #define AROUND 2u // in any of the 27 regions
 
-// Where numbers are not 0. Called by all work-items.
+// Returns NEAR and AROUND, whichever hold: whether `numbers` is not 0 for a region near or around this one. Called by all work-items.
 INLINED uint find_near(const Grid grid, __local uint *found, __global const uint *region_index, __global const uint *numbers, uint region) {
     const int3 coords = convert_int3(region_coords(grid, region));
     if (get_local_id(0) == 0) *found = 0;
@@ -81,7 +81,7 @@ INLINED void set_table(EdgeTable *table, const CutView *cut, uint group, uint li
     table->local_edges = local_edges;
 }
 
-// Counts a triangle around its first corner where that is the region's, and tests the edge that begins there.
+// If the first corner of a triangle is the region's, counts the triangle around it and tests the edge that begins there.
 INLINED void test_corner(const OwnLeaves *own, const EdgeTable *table, Faults *faults, uint corner, const TestedCorner *a,
                          const TestedCorner *b, uint c) {
     if (a->index == NONE) return;
@@ -99,8 +99,8 @@ INLINED void test_triangle(const OwnLeaves *own, const EdgeTable *table, Faults 
     test_corner(own, table, faults, 3 * number + 2, &c, &a, b.leaf);
 }
 
-// Lists the triangles of a region that a cut has, counts them by level, and marks nodes whose merging changes the topology: what is
-// around the region's own leaves is looked at, in all triangles that have one as a corner. `meshes`: of the full mesh. `left`: numbers of
+// Lists the triangles of a region that remain in a cut, counts them by level, and marks nodes whose merging changes the topology. Tests the
+// surroundings of the region's own leaves, in all triangles that have one as a corner. `meshes`: of the full mesh. `left`: numbers of
 // triangles, in order; `broken`: regions with points that have too few triangles around them, of themselves; `stale`: cleared; `around`,
 // `edges`: working memory.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
@@ -150,13 +150,13 @@ void tree_test(const TreeTestArgs args, __global const Region *regions, __global
     if (faults.any) *failed = 1;
 }
 
-// The region's points whose leaves the cut before did not have.
+// The region's points whose leaves are new: the previous cut did not have them.
 typedef struct {
     __global const uint *points; // which of the region's
     uint count;
 } ChangedPoints;
 
-// Clears what is around their leaves. Returns how many corners of the full mesh this work-item's ones have.
+// Clears the counts around these leaves. Returns the number of corners of the full mesh at the points of this work-item.
 INLINED uint clear_changed(const CutView *cut, const OwnLeaves *own, const PointCorners *at, const ChangedPoints *changed) {
     uint corners = 0;
     for (uint n = get_local_id(0); n < changed->count; n += WIDE_GROUP) {
@@ -168,8 +168,8 @@ INLINED uint clear_changed(const CutView *cut, const OwnLeaves *own, const Point
     return corners;
 }
 
-// Counts the triangles around these leaves, and tests the edges that begin or end there. An edge between two of them is tested where it
-// begins.
+// Counts the triangles around these leaves, and tests the edges that begin or end there. An edge between two of them is tested once, at the
+// leaf at which it begins.
 INLINED void test_changed(const CutView *cut, const OwnLeaves *own, const EdgeTable *table, Faults *faults, const PointCorners *at,
                           const ChangedPoints *changed) {
     for (uint n = get_local_id(0); n < changed->count; n += WIDE_GROUP) {
@@ -190,8 +190,8 @@ INLINED void test_changed(const CutView *cut, const OwnLeaves *own, const EdgeTa
     }
 }
 
-// Marks those of these leaves that are nodes and have too few triangles around them, or where the border has closed. Whether the same is
-// true of a point.
+// Marks those of these leaves that are nodes and have too few triangles around them, or at which the border has closed. Returns whether a
+// point has the same fault.
 INLINED bool mark_broken_changed(const CutView *cut, const OwnLeaves *own, Faults *faults, const ChangedPoints *changed) {
     bool is_any_point = false;
     for (uint n = get_local_id(0); n < changed->count; n += WIDE_GROUP) {
@@ -207,9 +207,9 @@ INLINED bool mark_broken_changed(const CutView *cut, const OwnLeaves *own, Fault
     return is_any_point;
 }
 
-// Marks nodes whose merging changes the topology, after a repair: what is around leaves that the cut before did not have is looked at, as
-// a repair takes no triangle from any other. `renewed`: regions that may have such leaves; `changed`, `changed_counts`: of tree_leaves.
-// `stale`: set where the region's triangles that are left may be others than those listed.
+// Marks nodes whose merging changes the topology, after a repair. Only the surroundings of new leaves are tested, because a repair removes no
+// triangle from any other leaf. `renewed`: regions that may have new leaves; `changed`, `changed_counts`: from tree_leaves. `stale`: set if
+// the list of the region's remaining triangles may be outdated.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_retest(const TreeTestArgs args, __global const uint *region_index, __global const uint *renewed,
                  __global const Region *regions, __global const TreeRegion *tree_regions, __global const TreeNode *tree_nodes,
@@ -240,7 +240,7 @@ void tree_retest(const TreeTestArgs args, __global const uint *region_index, __g
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
     EdgeTable table;
     set_table(&table, &cut, group, base, edges, local_edges);
-    // Two edges a corner, and no more than there are.
+    // Two edges per corner of changed points, but at most all edges of the region's lists.
     clear_edges(&table, min(2 * changed_corners, 3 * (mesh->triangles[0] + tree->beside_count)) + 1);
     Faults faults = {tree_nodes, lives, marks, marked, false};
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
@@ -253,7 +253,7 @@ void tree_retest(const TreeTestArgs args, __global const uint *region_index, __g
     if (faults.any) *failed = 1;
 }
 
-// Lists the triangles of a region that a cut has, and counts them by level, where `stale` says that repairs have changed them.
+// For regions that repairs have changed (`stale`), lists the triangles that remain in a cut, and counts them by level.
 __kernel __attribute__((reqd_work_group_size(WIDE_GROUP, 1, 1)))
 void tree_list(const TreeTestArgs args, __global const TreeRegion *tree_regions, __global const RegionMesh *meshes,
                __global const uint *corners, __global const uint *collapsed_by, __global const uint *keys,

@@ -60,7 +60,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Labels of which one sample in so many is 1, and the one in the middle.
+/// Labels in which one sample in `rarity` is 1, and also the one in the middle.
 fn labels(engine: &Engine, grid: &RectilinearGrid, rarity: u64) -> Result<Volume> {
     let count = grid.grid().sample_count();
     let is_in = |i: u64| i == count / 2 || ((i + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 20).is_multiple_of(rarity);

@@ -17,7 +17,7 @@ struct Small {
     spacing: [f32; 3],
     pattern: Pattern,
     stored: Stored,
-    /// Every so many samples one is missing; 0: none.
+    /// Period in samples at which one is missing; 0: none.
     missing_every: usize,
     /// Largest allocation in bytes, so that the volume is stored in several slabs.
     limit_bytes: Option<u64>,

@@ -1,4 +1,4 @@
-//! Device memory: typed buffers that count what they take, from a pool.
+//! Device memory: typed buffers from a pool that accounts for them.
 
 use crate::{Error, Result};
 use opencl3::context::Context;
@@ -12,19 +12,19 @@ use std::rc::Rc;
 /// Bytes allocated on a device; on a CPU they are the host's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DeviceMemory {
-    /// Of volumes, pyramids, cuts and stages.
+    /// Bytes of volumes, pyramids, cuts and stages.
     pub in_use: u64,
-    /// Freed, and kept for the next allocations.
+    /// Bytes that were freed and are cached for the next allocations.
     pub idle: u64,
-    /// Of surfaces that share the device's memory, or pinned memory of the host, until they are sent.
+    /// Bytes of surfaces that share the device's memory, or pinned memory of the host, until they are sent.
     pub lent: u64,
 }
 
-/// Accounting of a device's allocations, and a cache of freed ones for the next of about their size: drivers are slow to
-/// allocate, and so is a CPU's operating system to map fresh pages.
+/// Accounts for a device's allocations and caches freed ones for later allocations of about the same size: drivers allocate
+/// slowly, and on a CPU the operating system maps fresh pages slowly.
 pub(crate) struct Pool {
     now: Cell<u64>,
-    /// Of what [`Buffer::lend`] took out and did not come back yet.
+    /// Bytes that [`Buffer::lend`] took out and that are not back yet.
     lent: Cell<u64>,
     peak: Cell<u64>,
     /// Freed allocations and their bytes, least recently used first.
@@ -45,7 +45,7 @@ impl Pool {
         }
     }
 
-    /// Keeps at most `bytes` of what is freed from now on, or what it kept until now, if that is less.
+    /// Lowers the limit of idle bytes to `bytes`. A limit that is already lower stays.
     pub fn limit_idle(&self, bytes: u64) {
         self.idle_limit.set(self.idle_limit.get().min(bytes));
     }
@@ -66,7 +66,7 @@ impl Pool {
         self.peak.get()
     }
 
-    /// Bytes that buffers have, that freed ones kept, and that are lent.
+    /// Bytes in use, idle and lent.
     pub fn memory(&self) -> DeviceMemory {
         DeviceMemory {
             in_use: self.now.get(),
@@ -75,7 +75,7 @@ impl Pool {
         }
     }
 
-    /// Lent memory is back.
+    /// Takes back lent memory.
     pub fn take_back(&self, bytes: u64, memory: opencl3::memory::Buffer<u8>) {
         self.lent.set(self.lent.get() - bytes);
         self.put_back(bytes, memory);
@@ -117,14 +117,14 @@ pub(crate) struct Buffer<T> {
     /// Released by the pool.
     inner: ManuallyDrop<opencl3::memory::Buffer<T>>,
     len: usize,
-    /// What was allocated: `len` elements or a little more.
+    /// Size of the allocation: that of `len` elements or a little more.
     allocated_bytes: u64,
     pool: Rc<Pool>,
 }
 
 impl<T> Buffer<T> {
-    /// A buffer of `len` elements (at least one, as OpenCL has no empty buffers); contents are undefined. And whether its memory
-    /// is new, not of an earlier buffer.
+    /// Returns a buffer of `len` elements (at least one, as OpenCL has no empty buffers) with undefined contents, and whether its
+    /// memory is new instead of reused.
     pub fn new(
         context: &Context,
         pool: &Rc<Pool>,
@@ -175,7 +175,7 @@ impl<T> Buffer<T> {
         self.len.max(1) as u64 * size_of::<T>() as u64
     }
 
-    /// Bytes that the pool holds for it: an allocation that is used again may be larger than what is asked for.
+    /// Bytes that the pool holds for it: a reused allocation may be larger than the buffer.
     pub fn allocated_bytes(&self) -> u64 {
         self.allocated_bytes
     }
@@ -192,7 +192,7 @@ impl<T> Buffer<T> {
         self.inner.get()
     }
 
-    /// Takes the memory out of the pool: bytes allocated, memory. It returns by [`Pool::take_back`].
+    /// Takes the memory out of the pool; returns the bytes allocated and the memory. [`Pool::take_back`] takes it back.
     pub fn lend(self) -> (u64, opencl3::memory::Buffer<u8>) {
         let this = ManuallyDrop::new(self);
         this.pool.subtract(this.allocated_bytes);

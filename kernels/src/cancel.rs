@@ -1,10 +1,10 @@
-//! Work that its caller may no longer want.
+//! Cancellation of work.
 
 use crate::{Error, Result};
 
-/// Cancellation, polled between stages and between the launches of what takes long: every 50 ms or so.
+/// Cancellation, polled between stages and between the launches of long stages: about every 50 ms.
 pub trait Cancel {
-    /// True when the result is no longer wanted. Others may use the engine before this returns.
+    /// Returns true if the result is no longer wanted. The implementation may yield the engine to other jobs before it returns.
     fn cancelled(&self) -> bool;
 }
 
@@ -17,7 +17,7 @@ impl Cancel for Never {
     }
 }
 
-/// Stops between two stages when the result is no longer wanted.
+/// Returns [`Error::Cancelled`] if the result is no longer wanted.
 pub(crate) fn check(cancel: &dyn Cancel) -> Result<()> {
     if cancel.cancelled() {
         Err(Error::Cancelled)

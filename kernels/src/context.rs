@@ -1,4 +1,4 @@
-//! A device at work: its queue, its programs, its memory, and the time its stages took.
+//! An open device: its queue, programs, memory and stage times.
 
 use crate::buffer::{Buffer, Pool, allocation_error};
 use crate::cancel::{Cancel, check};
@@ -30,7 +30,7 @@ use read_back::{Blocks, Returned};
 pub(crate) trait Arg {
     fn set(&self, kernel: &Kernel, index: u32) -> std::result::Result<(), ClError>;
 
-    /// What the device holds for this argument, if it is a buffer.
+    /// The device memory of this argument, if it is a buffer.
     #[cfg(feature = "testing")]
     fn contents(&self, _context: &Context) -> Option<Result<Vec<u8>>> {
         None
@@ -71,7 +71,7 @@ macro_rules! value_args {
 }
 value_args!(u32, f32);
 
-/// A struct whose layout the device's compiler sees in the same way: the test of layouts compares them.
+/// A struct that has the same layout in the device's compiler: the test of layouts compares them.
 pub(crate) trait ByValue {}
 
 impl<T: ByValue> Arg for T {
@@ -84,13 +84,13 @@ impl<T: ByValue> Arg for T {
 impl ByValue for layout::Grid {}
 impl ByValue for layout::CutParams {}
 
-/// One part in so many of a device's memory may be kept idle between edits.
+/// The share 1 / `IDLE_SHARE` of a device's memory may stay idle between edits.
 const IDLE_SHARE: u64 = 16;
 
-/// Stage of a program of any text, and its name to a gate.
+/// Stage name of a program of any text; also the name that a gate gets.
 const CUSTOM: &str = "custom program";
 
-/// Events that are kept until their times are asked for.
+/// Maximum number of events that are kept before their times are added up.
 const MAX_EVENTS: usize = 4096;
 
 /// An open device. Lives on one thread.
@@ -116,8 +116,8 @@ pub(crate) struct Context {
 }
 
 impl Context {
-    /// Opens a device; `limit_bytes` lowers the largest allocation (tests force several slabs with it). `tuning`: that of the
-    /// device's kind where there is none. `sources`: what its programs are made of.
+    /// Opens a device. `limit_bytes` lowers the largest allocation (tests force several slabs with it). `tuning`: by default that of
+    /// the device's kind. `sources`: the sources of its programs.
     pub fn open(
         selector: Option<&str>,
         limit_bytes: Option<u64>,
@@ -152,10 +152,10 @@ impl Context {
         })
     }
 
-    /// The kernel of that name for samples of a type. Its stage's program is built if it is the first one wanted of it.
+    /// Returns the kernel of that name for samples of a type. Builds its stage's program at the first use.
     ///
     /// # Errors
-    /// [`Error::Build`], or what the device says.
+    /// [`Error::Build`], or an error of the device.
     pub fn kernel(&self, sample_type: SampleType, name: &str) -> Result<Rc<Kernel>> {
         self.find_kernel(name, Some(sample_type))
     }
@@ -323,7 +323,7 @@ impl Context {
     /// Starts `groups` work-groups of `local` work-items of a kernel.
     ///
     /// # Panics
-    /// Another number of arguments than the kernel has: those that are left out would be the last launch's.
+    /// The number of arguments differs from the kernel's: missing arguments would keep the values of the last launch.
     pub fn launch(
         &self,
         stage: &'static str,
@@ -368,12 +368,12 @@ impl Context {
         Ok(())
     }
 
-    /// Waits until everything that was started is done.
+    /// Waits until all enqueued commands are done.
     pub fn finish(&self, stage: &'static str) -> Result<()> {
         self.queue.finish().map_err(|source| Error::Launch { stage, source })
     }
 
-    /// Launches `units` of a piece of work and waits for their end, from which `pace` sizes the next launch.
+    /// Launches `units` of a piece of work, waits for their end, and lets `pace` choose the size of the next launch from their time.
     pub fn paced(
         &self,
         stage: &'static str,
@@ -397,7 +397,7 @@ impl Context {
     pub fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {
         let event = event.map_err(|e| allocation_error(stage, bytes, self.limit_bytes, e))?;
         self.events.borrow_mut().push((stage, event));
-        // Not all work asks for its times: expressions and histograms never do.
+        // Some jobs never take their times, such as expressions and histograms.
         if self.events.borrow().len() >= MAX_EVENTS {
             self.sum_times()?;
         }
@@ -415,7 +415,7 @@ impl Context {
         self.finish("timing")?;
         let mut times = self.times.borrow_mut();
         for (stage, event) in self.events.borrow_mut().drain(..) {
-            // A driver without profiling answers with an error; a time of zero would be a lie, so the stage is left out.
+            // A driver without profiling returns an error. A time of zero would be false, so the stage is left out.
             let (Ok(start), Ok(end)) = (event.profiling_command_start(), event.profiling_command_end()) else {
                 continue;
             };

@@ -6,19 +6,19 @@ use crate::stages::dual::Counted;
 use crate::{ErrorEstimate, Level, Mesher, Pyramid};
 use std::cell::{Cell, RefCell};
 
-/// Which nodes of a pyramid are leaves (`docs/algorithm.md#4-importance-and-cut`), on the device: one byte a node. It knows the meshes
-/// that were made of it, so that another cut of the same pyramid is meshed only where the two differ.
+/// The leaves of a pyramid (`docs/algorithm.md#4-importance-and-cut`), on the device: one byte per node. The cut keeps the sizes of its
+/// meshes, so that for another cut of the same pyramid only the differing regions are meshed.
 pub struct Cut {
-    /// Which pyramid it belongs to.
+    /// Id of its pyramid.
     pub(crate) pyramid: u64,
     pub(crate) params: layout::CutParams,
     pub(crate) mesher: Mesher,
     pub(crate) prefix: Level,
-    /// Of each slot the level of the leaf that stands for it, or `INTERNAL`.
+    /// For each slot the level of the leaf that represents it, or `INTERNAL`.
     pub(crate) state: Buffer<u8>,
-    /// What the leaves of each active region add up to.
+    /// Sums over the leaves of each active region.
     pub(crate) regions: Vec<RegionCut>,
-    /// Counts that wait for the mesh.
+    /// Results of the counting passes, kept for meshing.
     pub(crate) counted: RefCell<Option<(Counted, Vec<RegionMesh>)>>,
     /// Vertices and triangles of each active region, once all of them are known.
     pub(crate) meshes: RefCell<Option<Vec<RegionMesh>>>,
@@ -32,7 +32,7 @@ impl Cut {
         sum_levels(self.regions.iter().map(|region| &region.leaves))
     }
 
-    /// Leaves that the prefix of a level of this cut would have. For the marching-cubes mesher, without those beside missing samples.
+    /// Number of leaves of this cut's prefix at a level. For the marching-cubes mesher, without those beside missing samples.
     pub fn prefix_leaves(&self, level: Level) -> u64 {
         let from = usize::from(level.get());
         self.regions
@@ -46,7 +46,7 @@ impl Cut {
         region_prefix_leaves(&self.regions[region], 0)
     }
 
-    /// The prefix that it is, or [`Level::FINEST`] if undecided cubes are no leaves.
+    /// Level of the prefix, or [`Level::FINEST`] if undecided cubes are not leaves.
     pub fn prefix(&self) -> Level {
         self.prefix
     }
@@ -61,7 +61,7 @@ impl Cut {
         self.regions.iter().map(|region| u64::from(region.lost_cubes)).sum()
     }
 
-    /// How far its surface may be from the undecimated one.
+    /// Estimated distance of its surface from the undecimated one.
     pub fn estimate(&self) -> ErrorEstimate {
         let (mut error2, mut weight, mut worst_leaf) = (0.0, 0u64, 0f32);
         for region in &self.regions {

@@ -1,5 +1,5 @@
-//! Tests of the crate's inside that need a device: what its compiler makes of shared structs and of indices past 2³², and
-//! memory that meshes are read to.
+//! Tests of the crate's internals that need a device: how its compiler treats shared structs and indices past 2³², and the memory
+//! that meshes are read into.
 
 use crate::check::{self, Check};
 use crate::context::read_back::Blocks;
@@ -277,7 +277,8 @@ fn the_check_finds_nothing_with_kernels_of_the_other_kind_or_small_groups() {
     }
 }
 
-/// What the server relies on where a driver loses the device: that this is seen, and that it is said when it takes a new process to open it again.
+/// The server relies on this when a driver loses the device: `answers` notices the loss, and if only a new process can open the device
+/// again, the error says so.
 #[test]
 #[ignore = "a CPU's driver would end the process: on a GPU, cargo test -p isopeel-kernels -- --ignored lost"]
 fn a_gpu_that_is_lost_is_noticed() {
@@ -297,7 +298,7 @@ fn a_gpu_that_is_lost_is_noticed() {
     }
 }
 
-/// Compiling the interpreter of expressions takes seconds on PoCL, which others would wait for.
+/// Compiling the interpreter of expressions takes seconds on PoCL; other jobs would be blocked for that time.
 #[test]
 fn a_large_field_of_an_expression_takes_the_variant_that_a_small_one_has() {
     let Some(engine) = device() else { return };

@@ -70,19 +70,19 @@ impl Engine {
         self.cx.programs.names()
     }
 
-    /// Asks `gate` before a program is built. What needs one that it does not let pass ends with [`Error::NotYet`], or with [`Error::Refused`] if the
-    /// gate returns an error.
+    /// Calls `gate` before a program is built. A call that needs a program that the gate does not allow yet fails with [`Error::NotYet`],
+    /// or with [`Error::Refused`] if the gate returns an error.
     pub fn set_gate(&self, gate: Gate) {
         self.cx.programs.set_gate(gate);
     }
 
-    /// Asks `check` before the driver's compiler runs. If it returns an error, so does every call that needs a kernel that is not compiled yet, with
-    /// [`Error::Refused`].
+    /// Calls `check` before the driver's compiler runs. If it returns an error, every call that needs a kernel that is not compiled yet
+    /// fails with [`Error::Refused`].
     pub fn check_compiler(&self, check: CompilerCheck) {
         self.cx.programs.check_compiler(check);
     }
 
-    /// Whether the device still does what it is asked for: it gives back a byte that it holds.
+    /// Whether the device still works: reads one byte back from it.
     pub fn answers(&self) -> bool {
         self.cx.read("answers", &self.cases, 1).is_ok()
     }
@@ -92,10 +92,10 @@ impl Engine {
         stages::SOURCES.iter().map(|source| source.stage)
     }
 
-    /// Builds the program of a stage for samples of a type, which else happens when the stage is first used.
+    /// Builds the program of a stage for samples of a type. Otherwise it is built when the stage is first used.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if there is no such stage, [`Error::Build`], or what the device says.
+    /// [`Error::Invalid`] if there is no such stage, [`Error::Build`], or an error of the device.
     pub fn build_stage(&self, stage: &str, sample_type: SampleType) -> Result<()> {
         let source = stages::SOURCES.iter().find(|source| source.stage == stage);
         let kernel = source.and_then(|source| source.kernel_names().next());
@@ -107,12 +107,12 @@ impl Engine {
         Ok(())
     }
 
-    /// Keeps at most so many bytes that were freed, for the next surfaces; or a sixteenth of the device's memory, if that is less.
+    /// Limits the freed memory that is cached for the next surfaces to `bytes`, or to a sixteenth of the device's memory if that is less.
     pub fn limit_idle(&self, bytes: u64) {
         self.cx.pool.limit_idle(bytes);
     }
 
-    /// Gives memory that was freed and kept for the next surfaces back to the driver.
+    /// Releases the cached freed memory to the driver.
     pub fn release_idle(&self) {
         self.cx.pool.release_idle();
     }
@@ -120,7 +120,7 @@ impl Engine {
     /// Bytes that are allocated on the device, and on the host for surfaces.
     ///
     /// # Errors
-    /// What the device says.
+    /// An error of the device.
     pub fn memory(&self) -> Result<DeviceMemory> {
         self.cx.reclaim()?;
         let memory = self.cx.pool.memory();
@@ -139,7 +139,7 @@ impl Engine {
     /// Range and 256-bin histogram of a field (`Feature::None` or `Field`) or of a derived feature.
     ///
     /// # Errors
-    /// What the device says.
+    /// An error of the device.
     pub fn histogram(&self, volume: &Volume, feature: Feature<'_>) -> Result<Histogram> {
         let mut work = HistogramWork::default();
         loop {
@@ -153,7 +153,7 @@ impl Engine {
     /// Does the next part of a histogram, one launch of some milliseconds. The parts before it may have been done by another engine.
     ///
     /// # Errors
-    /// What the device says; `work` is as before.
+    /// An error of the device; `work` is as before.
     pub fn continue_histogram(&self, volume: &Volume, feature: Feature<'_>, work: &mut HistogramWork) -> Result<()> {
         let (volume, feature) = match feature {
             Feature::Field(field) => (field, Feature::None),
@@ -166,7 +166,7 @@ impl Engine {
     /// device to others ([`crate::Cancel`]) calls this first, so that its times stay its own.
     ///
     /// # Errors
-    /// What the device says.
+    /// An error of the device.
     pub fn take_times(&self) -> Result<Vec<StageTime>> {
         self.cx.take_times()
     }

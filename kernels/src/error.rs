@@ -1,4 +1,4 @@
-//! What can go wrong on the way from samples to surface, by stage.
+//! Errors of the crate.
 
 use opencl3::error_codes::{CL_DEVICE_NOT_AVAILABLE, CL_DEVICE_NOT_FOUND};
 
@@ -21,12 +21,12 @@ pub enum Error {
          for a GPU its vendor's driver"
     )]
     NoDriver,
-    /// Drivers, but none of them offers a device that fits.
+    /// Drivers are installed, but none of them offers a matching device.
     #[error("{}", no_device(wanted.as_deref(), found))]
     NoDevice {
-        /// The selector that was given, if any.
+        /// The given selector, if any.
         wanted: Option<String>,
-        /// Names of the devices that are there.
+        /// Names of the available devices.
         found: Vec<String>,
     },
     /// A program did not compile.
@@ -36,7 +36,7 @@ pub enum Error {
         stage: &'static str,
         /// Build options.
         options: String,
-        /// The compiler's own words.
+        /// Log of the compiler.
         log: String,
     },
     /// A kernel could not be started or failed while running.
@@ -48,39 +48,39 @@ pub enum Error {
         #[source]
         source: opencl3::error_codes::ClError,
     },
-    /// A buffer could not be had.
+    /// A buffer could not be allocated.
     #[error("stage {stage} needs {needed_bytes} bytes of device memory, the limit is {limit_bytes}")]
     OutOfDeviceMemory {
-        /// Stage that asked.
+        /// Stage that requested the buffer.
         stage: &'static str,
-        /// Bytes asked for.
+        /// Requested bytes.
         needed_bytes: u64,
-        /// Bytes the device allows (one allocation, or in all).
+        /// Bytes the device allows (for one allocation, or in total).
         limit_bytes: u64,
     },
-    /// What was asked for makes no sense; the text says what was expected.
+    /// A parameter or input is invalid; the text says what was expected.
     #[error("{what}: {why}")]
     Invalid {
         /// The parameter.
         what: &'static str,
-        /// What was wrong and what was expected.
+        /// The value found and the value expected.
         why: String,
     },
-    /// No further program of the device is built; the text says why.
+    /// No more programs are built for the device; the text gives the reason.
     #[error("the device is not used any more: {0}")]
     Refused(String),
-    /// The gate does not let this program be built yet.
+    /// The gate does not allow this program to be built yet.
     #[error("the program {0} is still being checked on this device")]
     NotYet(String),
-    /// The caller's [`crate::Cancel`] said stop, between two stages.
+    /// The caller's [`crate::Cancel`] cancelled the call between two stages.
     #[error("cancelled")]
     Cancelled,
 }
 
 impl Error {
-    /// Whether a device that does not open is there, and its driver is of no use to this process any more. NVIDIA's says so after a fault of a kernel: "any
-    /// further CUDA work will return the same error. To continue using CUDA, the process must be terminated and relaunched" (CUDA driver API,
-    /// `CUDA_ERROR_ILLEGAL_ADDRESS`).
+    /// Whether the device exists but its driver no longer works in this process, so that only a new process can open it. NVIDIA's
+    /// documentation states this for a fault of a kernel: "any further CUDA work will return the same error. To continue using CUDA, the
+    /// process must be terminated and relaunched" (CUDA driver API, `CUDA_ERROR_ILLEGAL_ADDRESS`).
     pub fn needs_new_process(&self) -> bool {
         matches!(self, Self::Launch { stage: OPEN, source }
             if ![CL_DEVICE_NOT_FOUND, CL_DEVICE_NOT_AVAILABLE].contains(&source.0))

@@ -1,5 +1,5 @@
-//! Expressions over fields: a list of operations, each of which uses results of earlier ones. Without loops and addresses, nothing in it can
-//! run long or read anything but a sample of each field.
+//! Expressions over fields: a list of operations, each of which uses results of earlier ones. They have no loops and no addresses, so
+//! they end soon and read only one sample of each field.
 
 use crate::{Error, Result, constants};
 
@@ -164,7 +164,7 @@ pub enum Op {
     Select(Node, Node, Node),
 }
 
-/// What an operation results in.
+/// Type of an operation's result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A number.
@@ -174,7 +174,7 @@ pub enum Kind {
 }
 
 impl Op {
-    /// The operations that it uses, and what they must result in.
+    /// Returns the operations whose results it uses, and the required types of these results.
     fn operands(self) -> Vec<(Node, Kind)> {
         use Kind::{Condition, Number};
         match self {
@@ -187,7 +187,7 @@ impl Op {
         }
     }
 
-    /// What it results in.
+    /// Returns the type of its result.
     pub fn kind(self) -> Kind {
         match self {
             Self::Compare(..) | Self::And(..) | Self::Or(..) | Self::Not(_) => Kind::Condition,
@@ -195,13 +195,13 @@ impl Op {
         }
     }
 
-    /// What `cl/evaluate.cl` reads: number of the operation and its operands, a byte each; a number's bits or a field's place.
+    /// Encoding that `cl/evaluate.cl` reads: the number of the operation and its operands, a byte each; a number's bits or a field's place.
     fn encoded(self) -> [u32; 2] {
         let word = |operation: u32, [a, b, c]: [Node; 3]| {
             operation | u32::from(a) << 8 | u32::from(b) << 16 | u32::from(c) << 24
         };
         let [word, value] = match self {
-            // By its bits: no decimal is rounded.
+            // As bits, so that nothing is rounded.
             Self::Number(x) => [constants::OPERATION_NUMBER, x.to_bits()],
             Self::Field(i) => [constants::OPERATION_FIELD, i.into()],
             Self::Unary(function, x) => [word(UNARY + function as u32, [x, 0, 0]), 0],
@@ -227,7 +227,7 @@ const COMPARISON: u32 = BINARY + Binary::ALL.len() as u32;
 pub(crate) struct Encoded {
     /// Its operations.
     pub operations: Vec<[u32; 2]>,
-    /// How many fields it has.
+    /// Number of fields.
     pub fields: u32,
 }
 
@@ -263,8 +263,8 @@ impl Expression {
     /// The expression whose value is that of the last operation.
     ///
     /// # Errors
-    /// No operation or too many, one that uses another which is not before it or of the other kind, a condition at the end, numbers that
-    /// are not finite, no field or more than eight.
+    /// No operation or too many; an operand that is not an earlier operation or has the wrong type; a condition as the result; a number
+    /// that is not finite; no field or more than eight.
     pub fn new(ops: Vec<Op>) -> Result<Self> {
         let fail = |why: String| {
             Err(Error::Invalid {
@@ -307,7 +307,8 @@ impl Expression {
         &self.ops
     }
 
-    /// Its value at a sample of each field, of which missing ones are NaN: NaN if one is, or if the value is not finite.
+    /// Evaluates the expression for one sample of each field; a missing sample is NaN. Returns NaN if a sample is missing or the value is
+    /// not finite.
     pub fn value(&self, fields: &[f32]) -> f32 {
         if fields[..self.fields()].iter().any(|v| v.is_nan()) {
             return f32::NAN;

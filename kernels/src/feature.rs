@@ -1,4 +1,4 @@
-//! What importance looks at beside smoothness, and how its values are distributed.
+//! Features that importance blends with smoothness, and histograms of their values.
 
 use crate::{Error, Result, Volume, constants};
 
@@ -26,7 +26,7 @@ impl<'a> Feature<'a> {
         }
     }
 
-    /// The fields that it needs beside the one whose surface is made.
+    /// Returns the fields that it needs in addition to the one whose surface is extracted.
     fn fields(self) -> Vec<&'a Volume> {
         match self {
             Self::None | Self::Derived(_) => Vec::new(),
@@ -35,7 +35,7 @@ impl<'a> Feature<'a> {
         }
     }
 
-    /// Its fields have as many samples along each axis as `volume`.
+    /// Checks that its fields have as many samples along each axis as `volume`.
     pub(crate) fn check_grid(self, volume: &Volume) -> Result<()> {
         let expected = volume.grid.dims;
         match self.fields().iter().find(|field| field.grid.dims != expected) {
@@ -47,17 +47,18 @@ impl<'a> Feature<'a> {
         }
     }
 
-    /// Bytes of the samples of its fields, `volume` left out.
+    /// Bytes of the samples of its fields, without `volume`.
     pub(crate) fn sample_bytes_beside(self, volume: &Volume) -> u64 {
         let others = self.fields().into_iter().filter(|field| !std::ptr::eq(*field, volume));
         others.map(Volume::sample_bytes).sum()
     }
 
-    /// Its number in `cl/construct.cl` and `cl/histogram.cl`, which find the features of `derive` computed. `volume`: whose surface is made.
+    /// Its number in `cl/construct.cl` and `cl/histogram.cl`, for which `derive` has computed its features before. `volume`: the field
+    /// whose surface is extracted.
     pub(crate) fn kind_after_derive(self, volume: &Volume) -> u32 {
         match self.kind() {
             constants::FEATURE_MEAN_CURVATURE.. => constants::FEATURE_STORED,
-            // `construct` computes that of even axes alone.
+            // `construct` computes the gradient only for even axes.
             constants::FEATURE_GRADIENT if volume.inverse_lengths.is_some() => constants::FEATURE_STORED,
             kind => kind,
         }
@@ -100,7 +101,7 @@ computed_features! {
     DerivedFeature {
         /// Magnitude of the field's gradient, in the field's units per world unit.
         GradientMagnitude, "gradient-magnitude", FEATURE_GRADIENT;
-        /// Mean curvature of the isosurface, per world unit: positive where the inside is convex.
+        /// Mean curvature of the isosurface, per world unit; positive at points where the inside is convex.
         MeanCurvature, "mean-curvature", FEATURE_MEAN_CURVATURE;
         /// Gaussian curvature of the isosurface, per square of a world unit.
         GaussianCurvature, "gaussian-curvature", FEATURE_GAUSSIAN_CURVATURE;
@@ -118,11 +119,11 @@ computed_features! {
         Divergence, "divergence", FEATURE_DIVERGENCE;
         /// Length of the curl, in the fields' unit per world unit.
         VorticityMagnitude, "vorticity-magnitude", FEATURE_VORTICITY;
-        /// Q-criterion, in squares of the fields' unit per world unit: positive where rotation exceeds strain.
+        /// Q-criterion, in squares of the fields' unit per world unit; positive if rotation exceeds strain.
         QCriterion, "q-criterion", FEATURE_Q_CRITERION;
         /// λ₂, in squares of the fields' unit per world unit: negative in the cores of vortices.
         Lambda2, "lambda2", FEATURE_LAMBDA_2;
-        /// Helicity density, in squares of the fields' unit, per world unit: positive where the vector turns right-handed about itself.
+        /// Helicity density, in squares of the fields' unit, per world unit; positive if the vector turns right-handed about itself.
         Helicity, "helicity", FEATURE_HELICITY;
     }
 }

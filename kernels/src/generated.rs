@@ -4,7 +4,7 @@ use crate::tables::sheets::Sheets;
 use crate::{constants, expression, stages};
 use std::path::PathBuf;
 
-/// Compares a generated file with the committed one, or writes it where `UPDATE_GENERATED` is set.
+/// Compares a generated file with the committed one, or writes it if `UPDATE_GENERATED` is set.
 fn check(name: &str, what: &str, body: &str) {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("cl/lib").join(name);
     let guard = format!("ISOPEEL_{}", name.to_uppercase().replace('.', "_"));
@@ -86,7 +86,7 @@ fn sheet_tables() -> String {
     for (signs, sheets) in cases.iter().enumerate() {
         let faces = sheets.joined_faces();
         rows.push(flipped.len() as u32);
-        // One entry for each set of those faces, their bits pushed together.
+        // One entry for each set of those faces, indexed by their packed bits.
         let chosen = |set: u32| {
             (0..6)
                 .filter(|&f| faces >> f & 1 == 1)

@@ -1,11 +1,11 @@
-//! Regions of interest: parts of space where the surface matters more (`docs/algorithm.md#44-regions-of-interest`).
+//! Regions of interest: parts of space in which importance is raised (`docs/algorithm.md#44-regions-of-interest`).
 
 use crate::{Error, Result};
 
 /// Most regions of interest that a cut may have; bounds the constant memory that its kernels need.
 pub const MAX_INTERESTS: usize = 64;
 
-/// What a region of interest is once it was moved to the origin and scaled.
+/// Shape of a region of interest after it was moved to the origin and scaled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InterestShape {
     /// The unit ball.
@@ -14,12 +14,12 @@ pub enum InterestShape {
     Cube,
 }
 
-/// A region of interest. Importance is at least its own wherever it reaches.
+/// A region of interest. Inside it, importance is at least the region's importance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interest {
     /// Its centre, in index space.
     pub centre: [f32; 3],
-    /// What maps it from there to its shape: the rows of a matrix, over cells.
+    /// Rows of the matrix that maps cells, relative to the centre, to the shape.
     pub rows: [[f32; 3]; 3],
     /// The shape.
     pub shape: InterestShape,

@@ -1,5 +1,5 @@
-//! Rust's side of `cl/lib/layout.h`: every struct that crosses between host and device. What the fields mean is said
-//! there; `device_tests.rs` compares sizes and offsets on the real driver.
+//! Rust's side of `cl/lib/layout.h`: every struct that host and device exchange. The fields are documented there;
+//! `device_tests.rs` compares sizes and offsets on the real driver.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -15,7 +15,7 @@ macro_rules! layout {
             pub struct $name { $(pub $field: $kind),* }
         )*
 
-        /// Of every struct its name, its fields, and its size and their offsets.
+        /// Name, fields, size and field offsets of every struct.
         #[cfg(test)]
         pub(crate) fn structs() -> Vec<(&'static str, Vec<&'static str>, Vec<usize>)> {
             vec![$((
@@ -55,32 +55,32 @@ layout! {
     }
     /// A region of interest.
     Interest { centre: [f32; 3], rows: [f32; 9], importance: f32, is_cube: u32 }
-    /// Where a region's part of a mesh begins.
+    /// Counts of a region's mesh, and the start of its vertices and triangles.
     RegionMesh { vertices: u32, triangles: [u32; 6], distinct_vertices: u32, vertex_base: u32, triangle_base: u32 }
     /// A vertex while the mesh is made.
     WorkVertex { position: [i32; 3], key: u32 }
     /// A vertex as it leaves the device; the same bytes as [`crate::Vertex`].
     Vertex { position: [i32; 3], normal: u32, attributes: u32 }
-    /// What the vertex tree has in a region.
+    /// Ranges of the vertex tree in a region.
     TreeRegion {
         border_base: u32, border_points: u32, triangle_count: u32, triangle_base: u32, cluster_base: u32, node_base: u32, nodes: u32,
         rounds: u32, beside_count: u32, beside_base: u32, area: f32,
     }
     /// A cluster of points while the vertex tree is built.
     TreeCluster { quadric: Quadric, ring_first: u32, ring_count: u32 }
-    /// What nodes need of a cluster's points.
+    /// Data of a cluster's points that nodes need.
     TreeMembers { normal: [f32; 3], s: f32, f: f32, node: u32, extent: u32, changes: u32 }
     /// A merge of two clusters of points.
     TreeNode { position: [u32; 2], normal_s: u32, f: f32, meta: u32 }
-    /// What the leaves of a cut of the vertex tree add up to in a region.
+    /// Sums over a region's leaves of a cut of the vertex tree.
     TreeCutRegion { leaves: [u32; 6], error2: f32, worst: f32 }
-    /// What the removed parts have in a region, and the area of those that are left.
+    /// Sums over the removed parts in a region, and the area of the remaining ones.
     TreePartSum { parts: u32, triangles: u32, full_triangles: u32, area_left: f32 }
     /// Some cells or triangles of a region.
     ErrorTask { region: u32, first: u32, count: u32 }
     /// Distances of a task.
     ErrorSum { sum2: f32, weight: f32, max: f32 }
-    /// What the leaves of a region add up to.
+    /// Sums over the leaves of a region.
     RegionCut { leaves: [u32; 6], undecided: [u32; 6], lost_cubes: u32, error2: f32, worst: f32, weight: u32 }
     /// The active cell whose vertex is nearest to a position.
     ProbedCell { slots: [u32; 6], region: u32, point: u32, distance: f32, s: f32, f: f32, blended: f32, importance: f32 }
@@ -89,7 +89,7 @@ layout! {
 }
 
 impl Region {
-    /// Vertices of the full dual mesh in it, but for those on the volume's faces: one a cell and one an extra sheet.
+    /// Vertices of the full dual mesh in the region, one per cell and one per extra sheet, not including those on the volume's faces.
     pub(crate) fn cell_points(&self) -> u32 {
         self.level_base[1] + self.level_base[7] - self.level_base[6]
     }

@@ -2,19 +2,19 @@
 //!
 //! In reading order:
 //!
-//! - [`device`]: which OpenCL devices there are, and which one is taken.
+//! - [`device`]: lists OpenCL devices and selects one.
 //! - [`volume`]: sample types, grids, and volumes resident on the device.
-//! - [`transfer`], [`interest`], [`params`]: what a user may ask for.
+//! - [`transfer`], [`interest`], [`params`]: the user's parameters.
 //! - [`engine`]: a device with its programs; loads volumes, builds pyramids, peels surfaces.
-//! - [`Cut`]: which nodes of a pyramid are leaves.
+//! - [`Cut`]: the leaves of a pyramid.
 //! - [`surface`]: the result, regions of indexed triangles.
-//! - [`check`]: whether a device computes what it should.
-//! - [`error`]: everything that can go wrong, by stage.
-//! - [`synthetic`]: volumes made of formulas, and the device's own speed: for benches.
-//! - [`tuning`]: what a CPU and a GPU are built and launched with.
-//! - [`layout`]: the structs that cross between host and device.
+//! - [`check`]: checks that a device computes correct results.
+//! - [`error`]: the errors of the crate.
+//! - [`synthetic`]: volumes generated from formulas, and the device's own speed, for benches.
+//! - [`tuning`]: work-group sizes and other settings for a CPU and a GPU.
+//! - [`layout`]: the structs that host and device exchange.
 //! - [`tables`]: the case tables of a cube.
-//! - `testing`: what tests outside the crate need of its inside, behind the feature of that name.
+//! - `testing`: access to internals for tests outside the crate, behind the feature of that name.
 //!
 //! This crate knows nothing of tokio, sockets, JSON or files.
 

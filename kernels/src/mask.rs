@@ -1,13 +1,13 @@
-//! Masks: samples of a field are missing where another field, of labels, has other values than those asked for.
+//! Masks: a sample of a field is missing if the field of labels has another value than the selected ones there.
 
 use crate::{SampleType, Samples};
 
-/// Numbers in ranges, or those in none of them.
+/// A set of numbers: those in some ranges, or those in none of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ValueSet {
     /// Minimum and maximum of each range, both included.
     pub ranges: Vec<[f32; 2]>,
-    /// Whether the numbers outside of all ranges are meant.
+    /// Whether the set holds the numbers outside of all ranges.
     pub is_complement: bool,
 }
 
@@ -20,8 +20,9 @@ impl ValueSet {
 }
 
 impl Samples {
-    /// The samples with those outside a mask missing, and the value that then counts as missing: the given one, if there is one, else
-    /// NaN, or an integer that no sample has, for which the type is widened if it has none. `is_inside`: of a sample's index.
+    /// Returns the samples with those outside a mask missing, and the value of missing samples. That value is `missing` if given, otherwise
+    /// NaN for floats, or for integers a value that no sample has; the type is widened if it has no such value. `is_inside` takes a
+    /// sample's index.
     pub fn masked(self, missing: Option<f32>, is_inside: impl Fn(usize) -> bool) -> (Self, Option<f32>) {
         let (samples, missing) = match missing {
             Some(value) => (self, value),
@@ -60,8 +61,8 @@ impl Samples {
 }
 
 impl SampleType {
-    /// A type that holds all samples of this one and a value that none of them has, and that value: NaN, or an integer next to them.
-    /// `extent`: minimum and maximum of the samples.
+    /// Returns a type that can hold all samples of this type and one free value, and that value: NaN, or an integer next to the samples'
+    /// range. `extent`: minimum and maximum of the samples.
     pub(crate) fn with_free_value(self, [low, high]: [f32; 2]) -> (Self, f32) {
         let ends = match self {
             Self::U8 => [0.0, f32::from(u8::MAX)],
@@ -82,7 +83,7 @@ impl SampleType {
     }
 }
 
-/// Samples with those outside replaced by `value`.
+/// Replaces the samples outside by `value`.
 fn masked<T: Copy>(mut samples: Vec<T>, value: T, is_inside: impl Fn(usize) -> bool) -> Vec<T> {
     for (i, sample) in samples.iter_mut().enumerate() {
         if !is_inside(i) {

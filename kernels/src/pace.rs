@@ -1,11 +1,12 @@
-//! Sizes of launches, from the time that those before them took: other jobs wait for the end of a launch, whatever the device and the work.
+//! Chooses the sizes of launches from the times of earlier ones. Other jobs wait until a launch ends, so launches must be short on any
+//! device and for any work.
 
 use std::time::Duration;
 
-/// Time that a launch is sized for. Half of what others may wait, as work is not even and the processors are shared.
+/// Target time of a launch. Half of the time that other jobs may wait, because work is uneven and the processors are shared.
 const TARGET: Duration = Duration::from_millis(15);
 
-/// Maximum ratio of the size of a launch to that of the one before.
+/// Maximum ratio of the size of a launch to that of the previous one.
 const GROWTH: u64 = 4;
 
 /// Sizes of the launches of one piece of work, in any unit.
@@ -31,7 +32,7 @@ impl Pace {
         self.next
     }
 
-    /// Notes that a launch of `units` took so long.
+    /// Records that a launch of `units` took `time`.
     pub fn took(&mut self, units: u64, time: Duration) {
         let fitting = units as f64 * TARGET.as_secs_f64() / time.as_secs_f64().max(1e-6);
         let largest = units.saturating_mul(GROWTH);
@@ -43,7 +44,7 @@ impl Pace {
 mod tests {
     use super::*;
 
-    /// Units of the launches of `work` units that take `each` apiece.
+    /// Returns the launch sizes for `work` units that take `each` per unit.
     fn launches(work: u64, each: Duration) -> Vec<u64> {
         let (mut pace, mut done, mut all) = (Pace::new(100, 10, 1_000_000), 0, Vec::new());
         while done < work {

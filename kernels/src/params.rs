@@ -1,4 +1,4 @@
-//! What a user can ask for.
+//! The user's parameters.
 
 use crate::{Error, Interest, Result, TransferFunction, interest};
 
@@ -74,7 +74,7 @@ pub enum Topology {
     Free,
 }
 
-/// What decides where the surface may be coarse; changing it never reads the volume again.
+/// Parameters of a cut: they decide how coarse the surface may be. Changing them never reads the volume again.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CutParams {
     /// Weight of the user's feature against smoothness in eq. 3, in [0, 1].
@@ -90,18 +90,18 @@ pub struct CutParams {
     pub max_level: Level,
     /// Importance over the blended feature.
     pub transfer: TransferFunction,
-    /// Where importance is raised; at most [`interest::MAX_INTERESTS`].
+    /// Regions in which importance is raised; at most [`interest::MAX_INTERESTS`].
     pub interest: Vec<Interest>,
-    /// Largest distance, root mean square in world units, of a decimated cube's vertex to the surface it stands for;
+    /// Maximum distance, root mean square in world units, of a decimated cube's vertex to the surface that it represents;
     /// `None`: no guard.
     pub max_error: Option<f32>,
     /// Whether decimation may change the surface's topology.
     pub topology: Topology,
     /// Which mesher turns the cut into triangles.
     pub mesher: Mesher,
-    /// Measure how far the mesh is from the surface it stands for; the dual mesher alone can.
+    /// Measure the distance of the mesh from the full surface. Only the dual mesher supports this.
     pub state_error: bool,
-    /// The volume was padded by one sample on every side: move what lies in the padding onto the volume's faces.
+    /// The volume was padded by one sample on every side: move vertices in the padding onto the volume's faces.
     pub cap: bool,
 }
 
@@ -130,7 +130,7 @@ impl CutParams {
             || self.interest.iter().any(|interest| interest.importance > 0.0)
     }
 
-    /// Whether what importance depends on is as in `other`.
+    /// Whether importance depends on the same values as in `other`.
     pub(crate) fn has_importance_of(&self, other: &Self) -> bool {
         self.alpha == other.alpha
             && self.feature_range == other.feature_range

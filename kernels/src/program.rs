@@ -1,5 +1,5 @@
-//! Device programs: one for each stage in `cl/`, built when one of its kernels is first wanted, so that a driver with a slow
-//! compiler compiles only what a surface needs.
+//! Device programs: one for each stage in `cl/`, built at the first use of one of its kernels, so that a driver with a slow
+//! compiler compiles only the stages that a surface needs.
 
 use crate::device::Found;
 use crate::sources::{self, Source};
@@ -57,14 +57,14 @@ impl Program {
     /// The kernel of that name.
     ///
     /// # Panics
-    /// The program has none of that name: every name in this crate is a literal that stands in its source.
+    /// The program has no kernel of that name. Every name in this crate is a literal from its source.
     pub fn get(&self, name: &str) -> &Rc<Kernel> {
         let kernel = self.kernels.get(name);
         kernel.unwrap_or_else(|| panic!("no kernel named {name} in its program"))
     }
 }
 
-/// What a stage's program is built for.
+/// Variant of a stage's program.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 enum Variant {
     /// Samples of a type.
@@ -79,7 +79,7 @@ impl Variant {
     fn options(self) -> String {
         match self {
             Self::Samples(sample_type) => format!("-DSAMPLE={}", sample_type_name(sample_type)),
-            // Of any type: headers want one.
+            // Any type: the headers need one.
             Self::Shared => "-DSAMPLE=float".to_owned(),
             Self::Uneven => "-DUNEVEN -DSAMPLE=float".to_owned(),
         }
@@ -90,26 +90,27 @@ fn name_of((file, variant): &(&'static str, Variant)) -> String {
     format!("{file} {}", variant.options())
 }
 
-/// The kernels of a device's stages. A stage's program is built when one of its kernels is first wanted.
+/// The kernels of a device's stages. A stage's program is built at the first use of one of its kernels.
 pub(crate) struct Programs {
     /// The source of each kernel.
     source_of: HashMap<&'static str, &'static Source>,
     built: RefCell<HashMap<(&'static str, Variant), Rc<Program>>>,
-    /// What lets a program be built.
+    /// Gate that allows a program to be built.
     gate: RefCell<Option<Gate>>,
-    /// Whether anything more may be compiled.
+    /// Check before the driver's compiler runs.
     check: RefCell<Option<CompilerCheck>>,
-    /// Variants of kernels that were launched: kernel, work-items of a group, and whether there are few work-items.
+    /// Launched variants of kernels: kernel, work-items of a group, and whether there are few work-items.
     launched: RefCell<HashSet<(usize, usize, bool)>>,
 }
 
 /// PoCL compiles one variant of a kernel for launches of at most this many work-items, and another one for more.
 pub(crate) const FEW_WORK_ITEMS: usize = u16::MAX as usize;
 
-/// Whether the program of that name may be built ([`crate::Engine::programs`]) already, or why it never may.
+/// Returns whether the program of that name ([`crate::Engine::programs`]) may be built already, or an error with the reason if it never
+/// may.
 pub type Gate = Box<dyn Fn(&str) -> std::result::Result<bool, String>>;
 
-/// Says why the driver's compiler is not to run, before it does.
+/// Called before the driver's compiler runs; returns an error with the reason if it must not run.
 pub type CompilerCheck = Box<dyn Fn() -> std::result::Result<(), String>>;
 
 impl Programs {
@@ -124,12 +125,12 @@ impl Programs {
         }
     }
 
-    /// No further program is built before `gate` lets it.
+    /// Sets the gate that must allow each further program before it is built.
     pub fn set_gate(&self, gate: Gate) {
         self.gate.replace(Some(gate));
     }
 
-    /// Nothing more is compiled if `check` says why.
+    /// Sets the check that is called before the compiler runs.
     pub fn check_compiler(&self, check: CompilerCheck) {
         self.check.replace(Some(check));
     }
@@ -144,7 +145,7 @@ impl Programs {
     /// Checks that the program of that name may be built.
     ///
     /// # Errors
-    /// [`Error::NotYet`]; [`Error::Refused`]: what the gate or the check of the compiler says.
+    /// [`Error::NotYet`], or [`Error::Refused`] with the reason of the gate or of the compiler check.
     pub fn pass(&self, name: &str) -> Result<()> {
         if let Some(gate) = &*self.gate.borrow()
             && !gate(name).map_err(Error::Refused)?
@@ -154,11 +155,11 @@ impl Programs {
         self.may_compile()
     }
 
-    /// Checks before the first launch of a variant of a kernel, which PoCL compiles only then: one for each size of work-groups, for few
-    /// work-items and for many.
+    /// Calls the compiler check before the first launch of a variant of a kernel, because PoCL compiles variants at their first launch: one
+    /// for each work-group size, for few work-items and for many.
     ///
     /// # Errors
-    /// [`Error::Refused`]: what the check of the compiler says.
+    /// [`Error::Refused`] with the reason of the compiler check.
     pub fn pass_launch(&self, kernel: &Kernel, global: usize, local: usize) -> Result<()> {
         let variant = (kernel.get() as usize, local, global <= FEW_WORK_ITEMS);
         if self.launched.borrow().contains(&variant) {
@@ -180,7 +181,7 @@ impl Programs {
     /// As [`Program::build`].
     ///
     /// # Panics
-    /// No stage has a kernel of that name: every name in this crate is a literal that stands in `cl/`.
+    /// No stage has a kernel of that name. Every name in this crate is a literal from `cl/`.
     pub fn of_kernel(
         &self,
         name: &str,
@@ -205,11 +206,11 @@ impl Programs {
     }
 }
 
-/// In PoCL's log of a build that a signal interrupted: LLVM's handler of SIGHUP, SIGINT and SIGTERM removes the compiler's temporary files,
-/// and then calls the handler of the process, which may go on.
+/// Text in PoCL's log of a build that a signal interrupted: LLVM's handler of SIGHUP, SIGINT and SIGTERM removes the compiler's
+/// temporary files and then calls the handler of the process, which may continue.
 const INTERRUPTED: &str = "unable to rename temporary";
 
-/// Maximum times that an interrupted build is begun again.
+/// Maximum number of retries of an interrupted build.
 const BUILD_RETRIES: usize = 3;
 
 fn build(
@@ -240,7 +241,7 @@ fn build(
     }
 }
 
-/// Programs that this process has built. Tests open the device again and again, and not every driver keeps what it compiled.
+/// Cache of the programs that this process has built. Tests open the device many times, and some drivers do not cache compiled programs.
 #[cfg(feature = "testing")]
 mod built {
     use super::{Context, Found};
@@ -250,7 +251,7 @@ mod built {
 
     static BUILT: LazyLock<Mutex<HashMap<Key, Vec<u8>>>> = LazyLock::new(Mutex::default);
 
-    /// What a program depends on: driver, options and text.
+    /// Cache key of a program: driver, options and text.
     #[derive(Clone, PartialEq, Eq, Hash)]
     pub(super) struct Key([String; 3]);
 
@@ -264,13 +265,13 @@ mod built {
         pub(super) fn program(&self, context: &Context, device: &Found, options: &str) -> Option<Program> {
             let built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
             let binary = built.get(self)?;
-            // SAFETY: the binary is one that this driver gave for this device.
+            // SAFETY: this driver produced the binary for this device.
             let mut program = unsafe { Program::create_from_binary(context, &[device.handle], &[binary]) }.ok()?;
             program.build(&[device.handle], options).ok()?;
             Some(program)
         }
 
-        /// Keeps a program, but not one of PoCL: that driver keeps more than the binary itself, the kernels of each work-group size too.
+        /// Caches a program, except with PoCL: PoCL's own cache holds more than the binary, namely the kernels of each work-group size too.
         pub(super) fn keep(self, program: &Program, device: &Found) {
             if device.info.platform == crate::device::POCL {
                 return;

@@ -1,17 +1,17 @@
-//! What depends on the isovalue and the feature alone.
+//! The pyramid: all data that depends on the isovalue and the feature alone.
 
 use crate::buffer::Buffer;
 use crate::layout::{self, Brick, Node, VertexRecord};
 use crate::{Grid, Level, StageTime};
 
-/// What depends on the isovalue and the feature alone: active bricks and nodes of levels 0 to 5
-/// (`docs/algorithm.md#3-pyramid`). Peel it as often as α, β or the transfer function change.
+/// Active bricks and nodes of levels 0 to 5 (`docs/algorithm.md#3-pyramid`). Depends on the isovalue and the feature alone: if α, β
+/// or the transfer function change, the same pyramid is peeled again.
 pub struct Pyramid {
-    /// Which of its engine's pyramids it is.
+    /// Id, unique in the process.
     pub(crate) id: u64,
     pub(crate) iso: f32,
     pub(crate) grid: Grid,
-    /// Whether levels 1 to 5 are there.
+    /// Whether levels 1 to 5 were built.
     pub(crate) whole: bool,
     /// Compact index of every region of the grid, or [`layout::NONE`].
     pub(crate) region_index: Buffer<u32>,
@@ -23,7 +23,7 @@ pub struct Pyramid {
     pub(crate) near: Buffer<u32>,
     pub(crate) nodes: Buffer<Node>,
     pub(crate) vertex_records: Buffer<VertexRecord>,
-    /// The active regions once more, on the host.
+    /// Copy of the active regions on the host.
     pub(crate) host_regions: Vec<layout::Region>,
     pub(crate) full_triangles: u64,
     pub(crate) active_cells: u64,
@@ -38,7 +38,7 @@ impl Pyramid {
         self.iso
     }
 
-    /// Whether any surface can be peeled from it: from one of [`Engine::build_cells`] only the full one.
+    /// Whether any surface can be peeled from it. From a pyramid of [`Engine::build_cells`] only the full surface can.
     pub fn is_whole(&self) -> bool {
         self.whole
     }
@@ -58,7 +58,7 @@ impl Pyramid {
         self.host_regions.len()
     }
 
-    /// Nodes of a level: cubes that the surface crosses, but for those above missing samples.
+    /// Nodes of a level: cubes that the surface crosses, except those above missing samples.
     pub fn nodes(&self, level: Level) -> u64 {
         let level = usize::from(level.get());
         let of = |region: &layout::Region| u64::from(region.level_base[level + 1] - region.level_base[level]);
@@ -83,7 +83,7 @@ impl Pyramid {
         self.bricks.len() as u64
     }
 
-    /// What building it took.
+    /// Stage times of building it.
     pub fn stages(&self) -> &[StageTime] {
         &self.stages
     }

@@ -2,8 +2,8 @@
 
 use crate::{Error, Grid, Result};
 
-/// A grid with the lengths of its cells, if they are not the same along an axis. Features take derivatives over these lengths; all else is
-/// computed with the grid's spacing.
+/// A grid with the lengths of its cells, if they are not the same along an axis. Features use these lengths for derivatives; everything
+/// else uses the grid's spacing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RectilinearGrid {
     grid: Grid,

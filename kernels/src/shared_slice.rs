@@ -1,12 +1,12 @@
-//! The memory in which a surface's regions hold their vertices and indices.
+//! Memory of the vertices and indices of a surface's regions.
 
 use bytemuck::Pod;
 use bytes::Bytes;
 use std::fmt;
 use std::ops::Deref;
 
-/// Elements in a vector of their own, or in memory shared with other regions and clones: the device wrote them there, and the
-/// memory is released when the last of them is dropped. A typed view of [`Bytes`], which alone knows no alignment.
+/// Elements in a vector of their own, or in memory that the device wrote and that regions and clones share; this memory is released
+/// when the last of them is dropped. A typed view of [`Bytes`], which itself guarantees no alignment.
 #[derive(Clone)]
 pub struct SharedSlice<T>(Memory<T>);
 

@@ -12,7 +12,7 @@ pub(crate) struct Source {
     pub file: &'static str,
     /// Its name in errors and times.
     pub stage: &'static str,
-    /// Its kernels are built for each type of samples. Those of the others, which read none of the volume's, are built once.
+    /// Whether its kernels read the volume's samples, and so are built for each sample type. Other kernels are built once.
     pub reads_samples: bool,
 }
 
@@ -44,8 +44,8 @@ fn text_of(file: &str) -> Option<&'static str> {
     FILES.get_file(file).and_then(|file| file.contents_utf8())
 }
 
-/// A program's text with its includes of files in `cl/` resolved. Each file stands once, where it is first included. `#line`
-/// directives make a compiler's messages name the file and line of the source.
+/// Returns a program's text with its includes of files in `cl/` resolved. Each file appears once, at the place of its first include.
+/// `#line` directives make a compiler's messages name the file and line of the source.
 ///
 /// # Panics
 /// A file that is not in `cl/`: every name is a literal in this crate or in `cl/`.

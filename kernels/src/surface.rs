@@ -46,17 +46,17 @@ pub struct SurfaceError {
     pub max: f32,
 }
 
-/// How far a surface may be from the one it stands for, known before it is made: from the quadrics of its leaves, in world units.
+/// Estimated distance of a surface from the full one, from the quadrics of its leaves, in world units. Known before the surface is made.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ErrorEstimate {
-    /// Root mean square over the leaves, each weighted by the undecimated triangles that it stands for.
+    /// Root mean square over the leaves, each weighted by the undecimated triangles that it represents.
     pub rms: f32,
     /// Root mean square of the worst leaf. Not a maximum: a leaf's own crossings may lie further off.
     pub worst_leaf: f32,
 }
 
-/// The part of a surface in one region of 32³ cells. Vertices are shared inside it and bit-identical (but for the
-/// region's own origin) in every region that has them.
+/// The part of a surface in one region of 32³ cells. Triangles of the region share vertices. A vertex of several regions has identical
+/// bits in each, except that positions are relative to the region's origin.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Region {
     /// Which region, in units of 32 cells.
@@ -67,7 +67,7 @@ pub struct Region {
     pub indices: SharedSlice<u32>,
     /// Triangles of each level, 0 (finest) first.
     pub level_triangles: [u32; 6],
-    /// Its distance from the surface it stands for, if [`crate::CutParams::state_error`] asked for it.
+    /// Measured distance from the full surface, if [`crate::CutParams::state_error`] requests it.
     pub error: Option<SurfaceError>,
 }
 
@@ -83,11 +83,11 @@ pub struct StageTime {
 /// The parts of the surface that a cut leaves out ([`crate::PartFilter`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RemovedParts {
-    /// How many.
+    /// Number of removed parts.
     pub parts: u64,
-    /// Their triangles in the undecimated marching-cubes surface; those of a cell count for the part of its first sheet.
+    /// Their triangles in the undecimated marching-cubes surface; all triangles of a cell count for the part of its first sheet.
     pub full_triangles: u64,
-    /// Positions that were to choose a part and have none next to them.
+    /// Positions that should choose a part but have no part next to them.
     pub unmatched: u64,
 }
 
@@ -98,7 +98,7 @@ pub struct SurfaceStatistics {
     pub full_triangles: u64,
     /// Triangles of the undecimated surface by the mesher of this one, without removed parts; `None`: not counted.
     pub mesher_triangles: Option<u64>,
-    /// Parts that were removed; `None` if none are to be.
+    /// Removed parts; `None` if no removal was requested.
     pub removed: Option<RemovedParts>,
     /// Cells that the surface crosses.
     pub active_cells: u64,
@@ -111,11 +111,11 @@ pub struct SurfaceStatistics {
     /// Decimated cubes whose corners all have one sign: marching cubes emits nothing for them
     /// (`docs/algorithm.md#5-marching-cubes-mesher`).
     pub lost_cubes: u64,
-    /// Vertices on a coarser leaf's face where that leaf has no segment to move to.
+    /// Vertices on the face of a coarser leaf that has no segment there to move them to.
     pub unpatched_vertices: u64,
     /// Estimate of its distance from the undecimated surface.
     pub estimate: ErrorEstimate,
-    /// Distance from the surface it stands for, if [`crate::CutParams::state_error`] asked for it.
+    /// Measured distance from the full surface, if [`crate::CutParams::state_error`] requests it.
     pub error: Option<SurfaceError>,
     /// Device time by stage, in order of execution.
     pub stages: Vec<StageTime>,
@@ -150,9 +150,10 @@ pub struct Count {
 /// A whole surface: one prefix, or the final one.
 #[derive(Clone, Debug)]
 pub struct Surface {
-    /// Non-empty regions that were made, x fastest.
+    /// The non-empty regions that were meshed, x fastest.
     pub regions: Vec<Region>,
-    /// Coordinates of the regions that were made, empty ones too; `None`: all. The others are as in the surface that was shown.
+    /// Coordinates of all meshed regions, including empty ones; `None`: all regions. The other regions are unchanged from the shown
+    /// surface.
     pub remade: Option<Vec<[u32; 3]>>,
     /// Undecided cubes of this level counted as leaves; [`Level::FINEST`] is the final surface.
     pub prefix: Level,

@@ -1,12 +1,12 @@
-//! Volumes made of formulas, and a device's own speed: what benches ask for.
+//! For benches: volumes generated from formulas, and a device's own speed.
 
 use crate::SampleType;
 
 /// A formula. Its values are of the order of −2 to 2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
-    /// Eight plane waves and white noise, of 1 % at a period of 256 samples and less where that is longer: its size in
-    /// samples, and so its share of wrong signs, stays. Isovalue 0.5.
+    /// Eight plane waves and white noise. The noise is 1 % at a period of 256 samples and less at longer periods, so that its size in
+    /// samples, and its share of wrong signs, stays the same. Isovalue 0.5.
     Sin,
     /// Eight other plane waves with uniform noise, of a quarter more surface. Isovalue 0.5.
     Waves,
@@ -14,12 +14,12 @@ pub enum Shape {
     MarschnerLobb,
     /// Two gyroids of different period. Isovalue 0.1.
     Gyroid,
-    /// Balls of radius 40 samples, so many along every axis. Isovalue 0.
+    /// Balls of radius 40 samples; the given number of them along every axis. Isovalue 0.
     Spheres(u32),
 }
 
 impl Shape {
-    /// Number of the shape in `cl/generate.cl`, and how many of it along every axis.
+    /// Number of the shape in `cl/generate.cl`, and the number of balls along every axis.
     pub(crate) fn numbers(self) -> (u32, u32) {
         match self {
             Self::Sin => (0, 1),
@@ -30,7 +30,7 @@ impl Shape {
         }
     }
 
-    /// The isovalue it is meant for, as samples of that type store it; of integers between two of them.
+    /// The isovalue of the shape, scaled as samples of that type are stored; for integer types it is between two integers.
     pub fn isovalue(self, sample_type: SampleType) -> f32 {
         let value = match self {
             Self::Sin | Self::Waves | Self::MarschnerLobb => 0.5,
@@ -58,7 +58,7 @@ pub(crate) fn stored(sample_type: SampleType) -> [f32; 2] {
     }
 }
 
-/// A volume to be made.
+/// A volume to be generated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Synthetic {
     /// The formula.
@@ -69,15 +69,15 @@ pub struct Synthetic {
     pub closed: bool,
 }
 
-/// How fast a device is at what every program on it is made of.
+/// Speed of a device's basic operations: copies and launches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeviceSpeed {
     /// Bytes read plus bytes written a second by copies from buffer to buffer, by the device's events.
     pub copy_bytes_per_second: f64,
     /// Size of the copied buffer in bytes.
     pub copied_bytes: u64,
-    /// Seconds from one launch to the next of kernels that do nothing, with nothing to wait for.
+    /// Seconds per launch of an empty kernel, without waiting between launches.
     pub launch_seconds: f64,
-    /// Seconds to launch such a kernel and wait for its end.
+    /// Seconds to launch an empty kernel and wait for its end.
     pub launch_and_wait_seconds: f64,
 }

@@ -1,5 +1,5 @@
-//! What tests need of the crate's inside: the device, buffers read back, stages run one at a time on cuts that the host
-//! gives. Behind the feature `testing`; a production build has nothing of it.
+//! Access to the crate's internals for tests: the device, buffers read back, single stages run on cuts that the host
+//! supplies. Behind the feature `testing`; a production build does not contain it.
 
 use crate::buffer::Buffer;
 use crate::layout::{self, Brick, Counters, Node, RegionMesh, TreeNode, TreeRegion, VertexRecord, WorkVertex};
@@ -39,13 +39,13 @@ impl DerefMut for Device {
     }
 }
 
-/// The device that the environment selects with `ISOPEEL_DEVICE`, or the preferred one. `None` only if there is none
-/// and `ISOPEEL_TESTS_WITHOUT_DEVICE=1` says that none is expected.
+/// Returns the device that `ISOPEEL_DEVICE` selects, or the preferred one. Returns `None` only if there is no device and
+/// `ISOPEEL_TESTS_WITHOUT_DEVICE=1` is set.
 ///
 /// # Panics
 /// There is no device, and one is expected.
 pub fn device() -> Option<Device> {
-    // A test that failed while it held the device left no state behind.
+    // A test that panicked while it held the device left no inconsistent state.
     let guard = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let selector = std::env::var("ISOPEEL_DEVICE").ok();
     match Engine::open(selector.as_deref()) {
@@ -67,7 +67,7 @@ pub fn limit_allocations(engine: &mut Engine, bytes: u64) -> u64 {
     std::mem::replace(&mut engine.cx.limit_bytes, bytes)
 }
 
-/// How many slabs a volume lies in.
+/// Number of slabs of a volume.
 pub fn slab_count(volume: &Volume) -> usize {
     volume.slabs.len()
 }
@@ -76,14 +76,14 @@ pub fn slab_count(volume: &Volume) -> usize {
 pub struct MinmaxContents {
     /// Minimum and maximum of each brick, 64 a region in Morton order.
     pub ranges: Vec<[f32; 2]>,
-    /// Of each region one bit a brick: samples are missing.
+    /// For each region, one bit per brick: samples are missing.
     pub missing_masks: Vec<[u32; 2]>,
 }
 
 /// Reads a volume's min/max table back.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn read_minmax(engine: &Engine, volume: &Volume) -> Result<MinmaxContents> {
     Ok(MinmaxContents {
         ranges: engine.cx.read(STAGE, &volume.table, volume.table.len())?,
@@ -108,7 +108,7 @@ pub struct PyramidContents {
 /// Reads a pyramid back.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn read_pyramid(engine: &Engine, pyramid: &Pyramid) -> Result<PyramidContents> {
     let cx = &engine.cx;
     Ok(PyramidContents {
@@ -123,15 +123,15 @@ pub fn read_pyramid(engine: &Engine, pyramid: &Pyramid) -> Result<PyramidContent
 /// The state of every slot of a cut.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn read_cut(engine: &Engine, cut: &Cut) -> Result<Vec<u8>> {
     engine.cx.read(STAGE, &cut.state, cut.state.len())
 }
 
-/// The cut `state`, one byte a slot, that the host gives.
+/// Uploads the cut `state`, one byte per slot.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn upload_cut(engine: &Engine, pyramid: &Pyramid, params: &CutParams, state: &[u8]) -> Result<Cut> {
     Ok(Cut {
         pyramid: pyramid.id,
@@ -149,7 +149,7 @@ pub fn upload_cut(engine: &Engine, pyramid: &Pyramid, params: &CutParams, state:
 /// Leaves of the final cut at some values of β, ascending; the guards of `params` stay in force.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn curve(engine: &Engine, volume: &Volume, pyramid: &Pyramid, params: &CutParams) -> Result<Vec<(f32, i64)>> {
     engine.leaves_by_beta(volume, pyramid, params)
 }
@@ -157,13 +157,13 @@ pub fn curve(engine: &Engine, volume: &Volume, pyramid: &Pyramid, params: &CutPa
 /// Meshes the cut `state`, one byte a slot.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn mesh(engine: &Engine, volume: &Volume, pyramid: &Pyramid, params: &CutParams, state: &[u8]) -> Result<Surface> {
     let cut = upload_cut(engine, pyramid, params, state)?;
     engine.surface(volume, pyramid, params, &cut, None, &Never)
 }
 
-/// What marching cubes makes of a cut, before and after crack patching.
+/// Mesh of a cut by marching cubes, before and after crack patching.
 pub struct Marched {
     /// Vertices and triangles of each active region.
     pub meshes: Vec<RegionMesh>,
@@ -180,7 +180,7 @@ pub struct Marched {
 /// Runs the stages `march` and `patch` on the cut `state`, one byte a slot.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn march(engine: &Engine, volume: &Volume, pyramid: &Pyramid, state: &[u8]) -> Result<Marched> {
     let cx = &engine.cx;
     let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
@@ -211,7 +211,7 @@ pub fn march(engine: &Engine, volume: &Volume, pyramid: &Pyramid, state: &[u8]) 
 /// The area of the part of each point of a tree, world units; negative for the first point of a part.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn part_areas(
     engine: &Engine,
     volume: &Volume,
@@ -226,7 +226,7 @@ pub fn part_areas(
 /// The maximum importance of the points below each node of a tree; `None` if all are 0.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn node_importances(
     engine: &Engine,
     volume: &Volume,
@@ -242,11 +242,11 @@ pub fn node_importances(
 
 /// A vertex tree read back.
 pub struct TreeContents {
-    /// What each active region has of it.
+    /// Ranges of the tree in each active region.
     pub regions: Vec<TreeRegion>,
     /// Nodes; those of a region from its `node_base` on.
     pub nodes: Vec<TreeNode>,
-    /// Their errors; the sign says that the merge takes away one triangle instead of two.
+    /// Their errors; negative if the merge removes one triangle instead of two.
     pub node_errors: Vec<f32>,
     /// The node that each node merges into, or [`layout::NONE`].
     pub node_parents: Vec<u32>,
@@ -256,20 +256,20 @@ pub struct TreeContents {
     pub point_parents: Vec<u32>,
     /// Position of each point in the volume, and its slot.
     pub points: Vec<[i32; 4]>,
-    /// How many of them are of cells and sheets; the others are on the volume's faces.
+    /// Number of points of cells and sheets; the other points are on the volume's faces.
     pub cell_points: u32,
     /// Three points a triangle of the full mesh.
     pub corners: Vec<u32>,
     /// The node that each triangle collapses with, or [`layout::NONE`].
     pub collapsed_by: Vec<u32>,
-    /// Where each region's triangles are.
+    /// Ranges of each region's triangles.
     pub meshes: Vec<RegionMesh>,
 }
 
 /// Reads a vertex tree back.
 ///
 /// # Errors
-/// What the device says.
+/// An error of the device.
 pub fn read_tree(engine: &Engine, tree: &VertexTree) -> Result<TreeContents> {
     let (cx, built) = (&engine.cx, &tree.built);
     let regions = cx.read(STAGE, &tree.built.regions, tree.built.regions.len())?;

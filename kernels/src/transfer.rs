@@ -8,7 +8,7 @@ pub const MAX_POINTS: usize = 64;
 /// A control point. Between points importance is linear; beyond the ends it is constant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlPoint {
-    /// Where on the blended feature, in [0, 1].
+    /// Position on the axis of the blended feature, in [0, 1].
     pub x: f32,
     /// Importance there, in [0, 1].
     pub importance: f32,

@@ -6,10 +6,10 @@ use crate::{CutParams, Pyramid, RemovedParts};
 use std::cell::{OnceCell, RefCell};
 use std::rc::Rc;
 
-/// A hierarchy over the vertices of a pyramid's full dual mesh (`docs/algorithm.md#7-vertex-tree`): cut it as often as tolerance, budget
-/// or importance change ([`crate::Engine::tree_surface`]).
+/// A hierarchy over the vertices of a pyramid's full dual mesh (`docs/algorithm.md#7-vertex-tree`). If tolerance, budget or importance
+/// change, the same tree is cut again ([`crate::Engine::tree_surface`]).
 pub struct VertexTree {
-    /// Which pyramid it belongs to.
+    /// Id of its pyramid.
     pub(crate) pyramid: u64,
     /// Whether the pyramid's volume is padded by a sample on each side.
     pub(crate) cap: bool,
@@ -17,7 +17,7 @@ pub struct VertexTree {
     pub(crate) built: Built,
     /// Position of each point in the volume, 1/2048 cell, and its slot.
     pub(crate) points: Buffer<[i32; 4]>,
-    /// Points of cells and sheets; behind them come those on the volume's faces.
+    /// Number of points of cells and sheets; the points on the volume's faces follow them.
     pub(crate) cell_points: u32,
     /// Three points a triangle of the full mesh.
     pub(crate) corners: Buffer<u32>,
@@ -26,22 +26,22 @@ pub struct VertexTree {
     pub(crate) collapsed_by: Buffer<u32>,
     /// Region by region, point by point, numbers of the full mesh's corners.
     pub(crate) point_corners: Buffer<u32>,
-    /// Of each point, where they end.
+    /// Of each point, the end of its range in `point_corners`.
     pub(crate) corner_ends: Buffer<u32>,
-    /// Of each leaf, the rounds in which it was there (`cl/lib/tree_leaf.h`).
+    /// Of each leaf, the rounds during which it existed (`cl/lib/tree_leaf.h`).
     pub(crate) lives: Buffer<u8>,
     /// Region by region, numbers of triangles of other regions' meshes that have a corner in it.
     pub(crate) beside: Buffer<u32>,
     pub(crate) full_triangles: u64,
-    /// Points that are in no triangle: leaves of every cut but those that leave parts out.
+    /// Points that are in no triangle: they are leaves of every cut except those that leave parts out.
     pub(crate) isolated_points: u64,
-    /// Its parts; found when they are first asked for.
+    /// Its parts; computed at the first use.
     pub(crate) parts: OnceCell<Rc<TreeParts>>,
-    /// What was left out last: a view is cut again and again without the same parts.
+    /// Cache of the last removal: a view is cut many times without the same parts.
     pub(crate) left_out: RefCell<Option<Rc<LeftOut>>>,
-    /// The last cut, for questions about the surface that was made of it.
+    /// The last cut, for queries on its surface.
     pub(crate) last_cut: RefCell<Option<Rc<TreeCut>>>,
-    /// What nodes were weighed by last: budgets and tolerances are dragged on under the same importance.
+    /// Cache of the last importances of nodes: users change budgets and tolerances many times with the same importance.
     pub(crate) importances: RefCell<Option<Importances>>,
 }
 
@@ -54,16 +54,16 @@ pub struct Importances {
     pub(crate) bits: Rc<Buffer<u32>>,
 }
 
-/// How far a tree is cut.
+/// Target of a cut of a tree.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TreeGoal {
-    /// A node is merged up to this error over its weight, world units; below 0 none is.
+    /// A node is merged if its error over its weight is at most this, world units; below 0 no node is.
     pub tolerance: f32,
-    /// And beyond that until there are at most so many triangles.
+    /// Budget: more nodes are merged until at most this number of triangles remains.
     pub max_triangles: u64,
-    /// But not beyond this error over its weight, world units: a guard.
+    /// Guard: no node is merged whose error over its weight exceeds this, world units.
     pub max_tolerance: f32,
-    /// Before that, these parts are left out.
+    /// Parts that are left out before the cut.
     pub without: PartFilter,
 }
 
@@ -71,14 +71,14 @@ pub struct TreeGoal {
 /// next to it. `None`, outside the volume, chooses nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ChosenParts {
-    /// These are left out.
+    /// The parts at these positions are left out.
     Hide(Vec<Option<[f32; 3]>>),
-    /// All others are.
+    /// All other parts are left out.
     Keep(Vec<Option<[f32; 3]>>),
 }
 
 impl ChosenParts {
-    /// Where they are.
+    /// The positions that choose parts.
     pub fn positions(&self) -> &[Option<[f32; 3]>] {
         match self {
             Self::Hide(positions) | Self::Keep(positions) => positions,
@@ -89,9 +89,9 @@ impl ChosenParts {
 /// Which parts of the surface a cut leaves out. By default none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PartFilter {
-    /// Those of a smaller area, world units; 0: none are.
+    /// Parts of a smaller area are left out, world units; 0: none are.
     pub min_area: f32,
-    /// And what is chosen.
+    /// Parts chosen by positions.
     pub chosen: Option<ChosenParts>,
 }
 
@@ -130,7 +130,7 @@ pub(crate) struct TreeParts {
     pub areas: Buffer<f32>,
 }
 
-/// What a cut leaves out.
+/// The parts that a cut leaves out.
 pub(crate) struct LeftOut {
     pub filter: PartFilter,
     /// 1: the point's part is left out.
@@ -138,13 +138,13 @@ pub(crate) struct LeftOut {
     pub removed: RemovedParts,
     /// Triangles of the full dual mesh.
     pub triangles: u64,
-    /// Area of the parts that are left, world units: a difference of two large sums would not tell it.
+    /// Area of the remaining parts, world units. Summed directly, because a difference of two large sums would be too inexact.
     pub area_left: f64,
 }
 
-/// What is built.
+/// Buffers of the built nodes.
 pub(crate) struct Built {
-    /// What the tree has in each region.
+    /// Ranges of the tree in each region.
     pub regions: Buffer<TreeRegion>,
     pub nodes: Buffer<TreeNode>,
     /// Their errors, as keys (`cl/lib/tree_key.h`).

@@ -1,5 +1,4 @@
-//! Work-group sizes and vector width that kernels are built and launched with: the one place where the host distinguishes a
-//! CPU from a GPU.
+//! Work-group sizes and vector width with which kernels are built and launched, chosen by the kind of device.
 
 use crate::{DeviceInfo, DeviceKind};
 
@@ -8,7 +7,8 @@ use crate::{DeviceInfo, DeviceKind};
 pub struct Tuning {
     /// Work-items of a group that works on one region.
     pub region_group: usize,
-    /// The same for kernels that read a region's data repeatedly: the fewer regions at a time, the more of each are in a GPU's caches.
+    /// Work-items of a group in kernels that read a region's data repeatedly: the fewer regions run at a time, the more data of each stays
+    /// in a GPU's caches.
     pub wide_group: usize,
     /// Work-items of a group that works on one brick.
     pub brick_group: usize,
@@ -82,8 +82,8 @@ impl Tuning {
     }
 }
 
-/// Whether a driver's compiler is known to translate clang's prefetch intrinsic rightly. Without prefetches an edit takes 2 % longer
-/// on PoCL 3.1. PoCL from version 7 on compiles the loops around them wrongly, Mesa's translator ends the process.
+/// Whether a driver's compiler is known to translate clang's prefetch intrinsic correctly. Without prefetches an edit takes 2 % longer
+/// on PoCL 3.1. PoCL from version 7 on miscompiles the loops around them; Mesa's translator aborts the process.
 fn takes_prefetches(device: &DeviceInfo) -> bool {
     match device.pocl_version() {
         Some(major) => major < 7,

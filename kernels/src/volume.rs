@@ -5,7 +5,7 @@ use crate::{Error, REGION_CELLS, Result, layout};
 use std::ops::Range;
 use std::rc::Rc;
 
-/// Type of a sample as it lies on the device. Wider file types become [`SampleType::F32`] before upload.
+/// Type of a sample on the device. Wider file types become [`SampleType::F32`] before upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum SampleType {
     /// Unsigned 8 bit.
@@ -109,9 +109,9 @@ impl Samples {
 }
 
 impl Samples {
-    /// The samples padded by one on every side with a value below all of them, and the new extent: surfaces that leave
-    /// the volume are closed there. The type is widened if it has no value below the minimum. `missing` is neither counted
-    /// as a value nor used for padding.
+    /// Returns the samples padded by one on every side with a value below all of them, and the new extent: surfaces that leave the
+    /// volume are closed at its faces. The type is widened if it has no value below the minimum. `missing` is neither counted as a value
+    /// nor used for padding.
     pub fn padded(&self, dims: [u32; 3], missing: Option<f32>) -> (Self, [u32; 3]) {
         let present = (0..self.len())
             .map(|i| self.get(i))
@@ -229,7 +229,7 @@ pub struct Volume {
     pub(crate) slabs: Vec<Slab>,
     /// Minimum and maximum sample of every brick, region by region, 64 bricks in Morton order.
     pub(crate) table: Buffer<[f32; 2]>,
-    /// Bricks that touch a missing sample, 64 bits a region; on the host, where active regions are listed.
+    /// Bricks that touch a missing sample, 64 bits per region. On the host, because the host lists active regions.
     pub(crate) missing_masks: Vec<[u32; 2]>,
     /// One over the lengths of the cells along x, then along y, then along z, if axes are uneven.
     pub(crate) inverse_lengths: Option<Rc<Buffer<f32>>>,

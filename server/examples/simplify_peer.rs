@@ -1,7 +1,8 @@
-//! Times meshoptimizer's simplification and encoding of a mesh, for `tests/scripts/bench.py`: what one would do after
-//! extracting the full surface. `simplify_peer MESH FRACTION REPEATS`, where MESH holds, little-endian, the number of vertices
-//! and of triangles as u32, positions and then normals as f32, and indices as u32. Prints a JSON object a way: the whole mesh
-//! on one thread, and locked bricks of 64³ on all threads; the bricks are then encoded for a wire. FRACTION 1 only encodes.
+//! Times meshoptimizer's simplification and encoding of a mesh, for `tests/scripts/bench.py`: the alternative to isopeel's
+//! cuts is to extract the full surface first. Usage: `simplify_peer MESH FRACTION REPEATS`. MESH is little-endian: the numbers
+//! of vertices and of triangles as u32, positions and then normals as f32, and indices as u32. Prints one JSON object for each
+//! way: the whole mesh on one thread, and locked bricks of 64³ on all threads; the bricks are then encoded for a wire.
+//! FRACTION 1 only encodes.
 
 use std::collections::HashMap;
 use std::time::Instant;

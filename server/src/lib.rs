@@ -3,14 +3,14 @@
 //! In layers from the bottom up; each uses only those above it in this list:
 //!
 //! - `clock`, [`error`], `math`, `pool`, [`private_folder`], [`problem`]: times of day, error chains, vectors, the CPU pool, folders of one user, HTTP errors.
-//! - [`view`]: what a user asks for, as JSON.
+//! - [`view`]: requests of users, as JSON.
 //! - [`volumes`]: file formats, datasets and the catalog.
-//! - [`device`]: which device is used, and whether it is to be believed.
+//! - [`device`]: chooses the device, and checks its results.
 //! - [`extraction`]: from a view to a surface: the bounded queue to the device, budgets. Only this layer drives the
 //!   kernels' engine, apart from the commands `bench` and `devices`.
 //! - [`wire`]: messages and chunks of the stream, as bytes. Normative: `PROTOCOL.md`.
-//! - [`export`]: GLB, PLY and STL.
-//! - [`access`]: who may use the server, and for what.
+//! - [`export`]: GLB, PLY, STL and other file formats.
+//! - [`access`]: authentication and authorization.
 //! - [`jobs`], [`uploads`]: batch jobs, and volumes that users bring, each kept in a folder.
 //! - [`stream`]: one viewer: session and socket.
 //! - [`rest`]: REST, OpenAPI and the embedded web client.

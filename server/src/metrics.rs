@@ -244,7 +244,7 @@ pub fn stage(name: &'static str, milliseconds: f64) {
     histogram!(STAGE_SECONDS, "stage" => name).record(milliseconds / 1e3);
 }
 
-/// What distinguishes jobs on the device.
+/// Labels of jobs on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct JobLabels {
     /// Kind of caller.

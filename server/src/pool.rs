@@ -12,7 +12,7 @@ use tokio::sync::oneshot;
 #[error("the encoder failed, the server's log says why")]
 pub struct Panicked;
 
-/// Processors for each one that is reserved for the sockets and the device's thread, because what the pool encodes has to be sent meanwhile.
+/// One processor of this many is reserved for the sockets and the device's thread, which send chunks while the pool encodes the next ones.
 const PROCESSORS_PER_SOCKET_THREAD: usize = 8;
 
 /// Starts rayon's pool, with as many threads as there are processors, except those that the sockets need; or with `RAYON_NUM_THREADS`. To
@@ -32,7 +32,8 @@ pub fn start() -> Result<(), rayon::ThreadPoolBuildError> {
 /// Processors for each thread that runs exports.
 const PROCESSORS_PER_EXPORT_THREAD: usize = 4;
 
-/// Niceness of exports, readers and compilers that run beside viewers: if processors are short, they get a tenth of what others get.
+/// Niceness of exports, readers and compilers that run beside viewers: if processors are short, they get a tenth of the time of other
+/// threads.
 #[cfg(target_os = "linux")]
 pub const NICENESS: libc::c_int = 10;
 

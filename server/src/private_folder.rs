@@ -44,7 +44,7 @@ pub enum FolderAccess {
     /// No other user.
     #[default]
     User,
-    /// Its group too, and it may be root's: of volumes that a container gets.
+    /// Its group too, and it may belong to root, as volumes of containers do.
     Group,
 }
 
@@ -52,7 +52,7 @@ pub enum FolderAccess {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FolderAccessError {
-    /// It cannot be made or looked at.
+    /// It cannot be created or inspected.
     #[error("folder {}", path.display())]
     Io {
         /// The folder.
@@ -82,7 +82,7 @@ pub enum FolderAccessError {
         /// Whose it should be.
         user: u32,
     },
-    /// Others may read or change what is in it.
+    /// Others may read or change its contents.
     #[error(
         "folder {} has mode {mode:04o}, expected no rights of {}: chmod {} '{}'", path.display(), access.others(), access.remedy(), path.display()
     )]
@@ -91,7 +91,7 @@ pub enum FolderAccessError {
         path: PathBuf,
         /// Its mode.
         mode: u32,
-        /// What was asked for.
+        /// The requested access.
         access: FolderAccess,
     },
 }

@@ -145,7 +145,7 @@ ready "$url/readyz" >/dev/null
 token=$(new_token)
 user=(--header "Authorization: Bearer $token")
 sleep 6
-# Compiles what is left to compile.
+# Compiles the kernels that are not compiled yet.
 answer 200 "${user[@]}" --json '{"volume": "mni152", "iso": 90, "triangles": 20000, "format": "stl"}' "$url/api/v1/extract"
 clients=()
 for n in 1 2 3 4; do

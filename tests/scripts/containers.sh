@@ -63,8 +63,8 @@ for image in isopeel isopeel:mesa isopeel:intel; do
 done
 
 say "the CPU image, read-only, not root, without capabilities"
-# Takes the place of the binary: the tests' volumes are in /tmp or the fixtures. Its folder is the only place that it writes to: PoCL keeps compiled
-# kernels there, and loads them as libraries. State and uploads are where the tests say. Limits of its own, as podman's may be above this machine's.
+# Replaces the binary. The tests' volumes are in /tmp or the fixtures. It writes only to its own folder: PoCL caches compiled kernels there and
+# loads them as libraries. The tests choose the folders of state and uploads. It sets limits of its own, as podman's may be above this machine's.
 mkdir -m 0777 "$work/home"
 chmod a+x "$work"
 export ISOPEEL_HOME=$work/home FIXTURES=$PWD/tests/fixtures

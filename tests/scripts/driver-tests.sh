@@ -89,7 +89,7 @@ verdicts() {
     sed -n "s/^test \(.*\) \.\.\. .*\b$2\$/\1/p" "$1"
 }
 
-# run_tests BINARY [FILTER...]: all of its tests in one process. Where that ends early, each test that has no verdict
+# run_tests BINARY [FILTER...]: runs all of its tests in one process. If that process ends early, each test that has no verdict
 # gets a process of its own.
 run_tests() {
     local binary=$folder/bin/$1 name=$1 status=0 started=$SECONDS test good=0 bad=0

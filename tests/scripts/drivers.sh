@@ -83,7 +83,7 @@ run_driver() {
 
 tests/scripts/pack-driver-tests.sh
 if [ -n "${ISOPEEL_DATA:-}" ]; then
-    # Where roots see them.
+    # A folder that the roots can see.
     mkdir "$tests/volumes"
     cp "$ISOPEEL_DATA"/{mni152-t1.nii.gz,ct-head.nrrd} "$tests/volumes"
     export ISOPEEL_DATA=$tests/volumes

@@ -10,7 +10,7 @@
 # machine's. ISOPEEL_DATA names a folder of test volumes to take along.
 #
 # `run` sees this repository at its own path, read-only, and has a home of its own, which is kept. What it runs inherits
-# the environment. Only `make` and `prove` need root; who is not root runs commands in a namespace of users.
+# the environment. Only `make` and `prove` need root; without root, commands run in a user namespace.
 #
 # Roots are kept in target/roots until `make clean`: SUITE is an empty release, SUITE-with one with packages.
 #
@@ -49,7 +49,7 @@ need_root() {
     [ "$(id -u)" -eq 0 ] || fail "needs root to make a root of $suite, type this, then the command again:" "" "    sudo $script $*"
 }
 
-# This machine's way to the network: apt's alone, without anybody's keys.
+# Copies this machine's network settings: only those of apt, without any user's keys.
 copy_network() {
     local file
     for file in /etc/resolv.conf /etc/hosts /etc/apt/apt.conf.d/*proxy*; do

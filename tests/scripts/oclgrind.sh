@@ -56,8 +56,8 @@ fi
 echo "$library" >"$scratch/oclgrind.icd"
 
 # Found through cargo's own messages: the binary's name has a hash in it. `cat >&2` and not /dev/stderr, which would be opened
-# anew and, where it is a file, cut to nothing what others wrote there. The whole workspace, or dependencies would be built again
-# with other features.
+# again; if it is a file, that would truncate the output of other processes. The whole workspace is built, because otherwise
+# dependencies would be rebuilt with other features.
 binary=$(cargo test --locked --workspace --test oclgrind_cases --no-run 2>&1 |
     tee >(cat >&2) | sed -n 's/.*oclgrind_cases.rs (\(.*\))$/\1/p')
 export OCL_ICD_VENDORS="$scratch" OCLGRIND_DATA_RACES=1 ISOPEEL_DEVICE=oclgrind
@@ -73,7 +73,7 @@ started=$SECONDS
 xargs -P "$(nproc)" -I '{}' env OCLGRIND_LOG="$scratch/{}.log" "./${binary#"$PWD/"}" --exact '{}' <"$scratch/tests" |
     tee "$scratch/output" || true
 
-# A test fails where Oclgrind found something, too.
+# A test also fails if Oclgrind found something.
 passed=0 failed=0
 while read -r test; do
     if grep --quiet --line-regexp --fixed-strings "test $test ... ok" "$scratch/output" && [ ! -s "$scratch/$test.log" ]; then

@@ -31,7 +31,7 @@ strip --output-file="$folder/bin/isopeel" target/debug/isopeel-under-test
 
 cp tests/scripts/driver-tests.sh "$folder/run.sh"
 cp --parents kernels/cl/lib/*.h server/demo/*.nii.gz tests/fixtures/expected-cuts-*.jsonl "$folder/repository"
-# What is extracted where nothing larger can be: a sphere of radius 24 in 64³ samples, of value 100 on its surface.
+# Volume for machines that cannot extract a larger one: a sphere of radius 24 in 64³ samples, of value 100 on its surface.
 python3 - "$folder/repository/sphere-64.nrrd" <<'SCRIPT'
 import gzip, itertools, math, sys
 samples = bytes(max(0, min(255, round(100 + 4 * (24 - math.dist(at, (31.5, 31.5, 31.5))))))

@@ -3,8 +3,8 @@
 #
 #   tests/scripts/podman.sh ARCHIVE
 #
-# Needs Podman with catatonit, curl and a user that is not root and has subordinate ids (/etc/subuid). PODMAN_NETWORK is "slirp4netns" by default; "host" where a user may make
-# no network. Removes its own container, volume and image at the end, and no others.
+# Needs Podman with catatonit, curl and a user that is not root and has subordinate ids (/etc/subuid). PODMAN_NETWORK is "slirp4netns" by default;
+# use "host" if a user may not create networks. Removes its own container, volume and image at the end, and no others.
 case ${1:-} in -h | --help) sed -n '2,/^[^#]/{/^#/s/^# \{0,1\}//p}' "$0" && exit ;; esac
 set -euo pipefail
 

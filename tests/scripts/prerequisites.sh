@@ -1,5 +1,5 @@
 #!/bin/bash
-# Brings a machine to where `make TARGET` works: checks the toolchains and installs the Debian packages that are missing.
+# Prepares a machine for `make TARGET`: checks the toolchains and installs the Debian packages that are missing.
 #
 #   prerequisites.sh build   compilers for Rust's C and C++ dependencies
 #   prerequisites.sh run     and an OpenCL loader with a driver
@@ -50,7 +50,7 @@ check_toolchains() {
         fail "no rustfmt or clippy found: with rustup, type 'rustup component add rustfmt clippy'"
 }
 
-# Where the dynamic linker looks. Not its cache: that knows a library by its soname alone, an .icd may name the file.
+# Folders that the dynamic linker searches. Its cache is not enough: it lists libraries by soname, but an .icd may name the file.
 library_folders() {
     printf '%s\n' "${LD_LIBRARY_PATH:-}" | tr ':' '\n'
     PATH=$PATH:/sbin:/usr/sbin ldconfig -NXv 2>/dev/null | sed -n 's/^\(\/[^:]*\):.*/\1/p'

@@ -64,7 +64,7 @@ dpkg --purge isopeel
 echo passed >/test/result
 SCRIPT
 chmod 755 "$work" "$work/test.sh"
-# An older hierarchy of control groups, where this machine has it.
+# Uses the older hierarchy of control groups if this machine has no unified one.
 [ -e /sys/fs/cgroup/cgroup.controllers ] || export SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=0
 timeout --kill-after=10 600 systemd-nspawn --quiet --register=no --keep-unit --private-network --volatile=overlay --directory="target/roots/$suite-with" \
     --bind="$work:/test" --boot systemd.run=/test/test.sh systemd.run_success_action=exit systemd.run_failure_action=exit </dev/null >"$work/boot" 2>&1 || true

@@ -77,7 +77,7 @@ class Flow:
             force -= self.drag * velocity
         slopes = self.back(1j * self.k[None] * self.state[3:, None])
         change = -(velocity[None] * slopes).sum(axis=1)
-        # Where moist air rises it is warmed, and loses its humidity.
+        # Rising moist air is warmed and loses its humidity.
         rain = self.heating * np.maximum(velocity[2], 0) * np.maximum(scalars[1], 0)
         change[0] += rain
         change[1] -= 0.3 * rain

@@ -1,11 +1,11 @@
 #!/usr/bin/env node
 /**
- * How long another time step takes, from the message to its `done`: as a player asks for steps one after the other, with and without
- * those that are read ahead.
+ * Measures the time of a step to another time step, from the message to its `done`, as a player requests steps one after the other:
+ * with and without reading ahead.
  *
  *     tests/scripts/steps.mjs FILE_OR_FOLDER [--iso V] [--field NAME] [--pause MS] [--runs N] [--binary PATH]
  *
- * Goes through all steps once from a cold device, and waits so many milliseconds after each, as long as it takes to look at or to draw.
+ * Goes through all steps once from a cold device, and waits `--pause` milliseconds after each, as a player draws and shows it.
  * Needs web/node_modules, and a built server.
  */
 
@@ -87,7 +87,7 @@ for (const readAhead of [0, 1024, 0, 1024].slice(0, 2 * Number(values.runs))) {
   const { server, address } = await serve(readAhead);
   try {
     const steps = await play(address);
-    // Nobody could know of the first one.
+    // Without the first step, which cannot be read ahead.
     const ms = steps.slice(1).map((step) => step.ms);
     console.log(
       `--read-ahead ${readAhead}: ${steps.length} steps, median ${median(ms).toFixed(0)} ms, ` +

@@ -45,7 +45,7 @@ import { installStatus } from "./ui/statusHook";
 import { errorText, fewerText } from "./ui/words";
 import { followTheme } from "./ui/theme";
 
-/** Texts follow events of which there are many this much later: each change has the browser compose the page, which delays the surface. */
+/** Delay of texts that follow frequent events: each change makes the browser compose the page, which delays the surface. */
 const REFRESH_DELAY_MS = 250;
 
 export class App {
@@ -238,7 +238,7 @@ export class App {
     this.refresh();
   }
 
-  /** Something that the user does: what changes in view and look goes to server and scene, and the page shows it at once. */
+  /** Runs a user's action. Changes of view and look are sent to server and scene, and the page shows them at once. */
   private change(act: () => void): void {
     const before = this.store.work;
     act();
@@ -254,7 +254,7 @@ export class App {
     this.address.writeSoon();
   }
 
-  /** The server is asked for what the store has. */
+  /** Sends the state of the store to the server. */
   private synchronise(): void {
     const { surfaces, viewer } = this.store;
     this.sync.follow(surfaces, viewer.selected);
@@ -333,7 +333,7 @@ export class App {
     this.address.writeSoon();
   }
 
-  /** Shows what a link asks for. */
+  /** Shows the state of a link. */
   private follow(link: Link): void {
     const { volumes, volume, target } = this.store.viewer;
     // The list comes first.

@@ -393,7 +393,7 @@ export class FixtureServer {
   onHeartbeat: (connection: { send: (message: ServerMessage) => void }) => void = () => undefined;
   /** `step` is understood. */
   steps = false;
-  /** Refuses edits that change something, as of somebody who may only look. */
+  /** Refuses edits that change something, as for a user who may only look. */
   onlyLooks = false;
   /** Pause between prefixes, milliseconds. */
   paceMs = 15;
@@ -450,5 +450,5 @@ export class FixtureServer {
   }
 }
 
-/** Lengths of a volume whose unit nobody has said. */
+/** Lengths of a volume without a unit. */
 export const voxels = (spacing: number) => ({ spacing, unit: undefined });

@@ -182,7 +182,7 @@ describe("a client that follows", () => {
     await vi.waitFor(() => expect(said.at(-1)).toEqual(resume));
     expect(said.slice(before)).toMatchObject([{ type: "edit", iso: 8 }, resume]);
 
-    // Where another has control, that one says what is opened.
+    // If another viewer has control, that viewer decides what is opened.
     say({ ...leads, control: 1 });
     await vi.waitFor(() => expect(client.following).toBe(true));
     const count = said.length;

@@ -1,4 +1,4 @@
-/** Batch jobs: what is typed, what is said, and what is asked of the server. */
+/** Batch jobs: typed input, messages, and requests to the server. */
 
 import { strFromU8, unzipSync } from "fflate";
 import { afterEach, describe, expect, test, vi } from "vitest";

@@ -116,7 +116,7 @@ test("a pixel has the grey of its sample, the right way up, and none where that 
   // y upwards: the second row is at the top.
   expect(painted(axial, samples, [3, 2], 3, 2, [0, 5], false)).toEqual([[153, ".", 255], [0, 51, 102]]);
   expect(painted(axial, samples, [3, 2], 3, 4, [0, 5], false)[0]).toEqual([".", ".", "."]);
-  // Between samples it is interpolated, but for what lies beside a missing one.
+  // Between samples it is interpolated, except beside a missing sample.
   expect(painted(axial, samples, [3, 2], 6, 4, [0, 5], true)[3]).toEqual([0, 13, 38, 64, 89, 102]);
   expect(painted(axial, samples, [3, 2], 6, 4, [0, 5], true)[0]).toEqual([153, 153, ".", ".", 255, 255]);
   // Window and level the other way round are the negative.

@@ -42,7 +42,7 @@ test("a slow one gives up effects and layers first, then pixels, until the camer
   vi.advanceTimersByTime(REST_MS);
   expect(onRest).toHaveBeenCalledTimes(1);
   expect(quality.next(false)).toEqual(FULL);
-  // The next turn begins with what was enough, and goes back up where all is fast.
+  // The next turn begins with the last sufficient quality, and goes back up if frames are fast.
   expect(turn(quality, 1, 2000).pixels).toBe(0.35);
   expect(turn(quality, 45, 10).pixels).toBe(0.5);
   expect(turn(quality, 200, 10)).toEqual(FULL);

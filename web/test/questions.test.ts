@@ -37,7 +37,7 @@ class Page {
   readonly probes: (Probed | undefined)[] = [];
   readonly picked: number[] = [];
   readonly pointed: Vec3[] = [];
-  /** Where the surface is under the pointer. */
+  /** Position of the surface under the pointer. */
   under: Vec3 | undefined = [1, 2, 3];
   underSurface = 0;
   readonly questions = new Questions(this.store, (question) => this.stream.ask(question), (place) => this.pick(place), {
@@ -53,7 +53,7 @@ class Page {
   });
   readonly stream: StreamClient;
 
-  /** Where the scene was asked what lies under a place. */
+  /** Places at which the scene was asked for the surface under them. */
   readonly looked: number[] = [];
   private readonly viewport = new Viewport();
 
@@ -237,7 +237,7 @@ describe("what the cards show of a surface", () => {
     page.under = undefined;
     page.click([8, 0]);
     await vi.waitFor(() => expect(page.said).toHaveLength(1));
-    // Tools are for the selected surface, and what is asked is about the one that was hit.
+    // Tools are for the selected surface; questions are about the surface that was hit.
     page.under = [1, 2, 3];
     page.underSurface = 2;
     page.click([8, 0]);
@@ -328,7 +328,7 @@ describe("what the cards show of a surface", () => {
     expect(store.page.picked).toEqual([]);
     store.changePage({ tool: "angle" });
     await click([1, 0, 0], () => expect(store.page.picked).toHaveLength(1));
-    // Another tool begins anew.
+    // Another tool begins without picked points.
     store.changePage({ tool: "reading" });
     expect(store.page.picked).toEqual([]);
     await click([4, 5, 6], () => expect(store.look.measures).toHaveLength(2));
@@ -393,7 +393,7 @@ describe("the curve of the error", () => {
 
   test("has texts that stay in it and off each other", () => {
     const plot = { width: 296, height: 46 };
-    // Beside its line on the left; on the right of it where the left is taken; nowhere else.
+    // Beside its line on the left; on the right of it if the left is occupied; nowhere else.
     expect(fineSide("0.1 mm", 200, 250, plot)).toBe("end");
     expect([fineSide("0.1 mm", 10, 250, plot), fineSide("0.1 mm", 240, 235, plot)]).toEqual(["start", "start"]);
     expect(fineSide("0.1 voxels", 270, 235, plot)).toBeUndefined();

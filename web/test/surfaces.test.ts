@@ -58,7 +58,7 @@ describe("maps of surfaces", () => {
     expect(run(maps, { type: "resident", id: 3 }).swaps).toEqual([]);
     expect(run(maps, { type: "removed", surface: 2 })).toEqual({ swaps: [], removed: [], dropped: [] });
     expect(areSettled(maps)).toBe(true);
-    // Made anew, it is a whole surface.
+    // If it is made again, it is a whole surface.
     run(maps, prefix(1, 4, 1), chunk(1, 4, "b", 4), committed(1, 4));
     expect(run(maps, { type: "resident", id: 4 }).swaps).toEqual([{ surface: 1, show: [4], remove: [] }]);
   });

@@ -9,7 +9,7 @@ import { OPENING, statistics, VOLUMES } from "./fixture";
 const VOLUME = { ...VOLUMES[0]!, steps: 3 };
 const POINT = [1, 2, 3] as const;
 
-/** A store of three steps, and what is asked of it. */
+/** A store of three steps, and the requests made for it. */
 function measuring(fails = false) {
   const store = {
     look: { ...DEFAULT_LOOK, measures: [{ kind: "reading" as const, points: [POINT] as const, values: [] }] },

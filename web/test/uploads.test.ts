@@ -26,7 +26,7 @@ const named = (name: string, text = name, lastModified = 1): NamedFile => ({ nam
 let server: Server | undefined;
 afterEach(() => server?.close());
 
-/** A server that keeps an upload, and fails where it is told to. */
+/** A server that keeps an upload, and fails the requests for which `fail` returns a status. */
 async function serve(fail: (request: IncomingMessage, received: string) => number | undefined) {
   const seen: string[] = [];
   let [received, length] = ["", 0];

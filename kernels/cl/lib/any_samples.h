@@ -6,7 +6,7 @@
 #include "lib/constants.h"
 #include "lib/device.h"
 
-// LANES samples from `at` on. What lies behind the last sample is the last one.
+// LANES samples from `at` on. Behind the last sample, the last one is repeated.
 #define LOAD_TYPE(type)                                                                                                \
     {                                                                                                                  \
         __global const type *all = (__global const type *)samples;                                                     \

@@ -17,7 +17,7 @@ typedef struct {
     uint count;                      // polygons
 } Batch;
 
-// Where triangles go.
+// Output buffers of triangles.
 typedef struct {
     float3 scale;                // world units of 1/VERTEX_LATTICE cell
     __global uint *indices;

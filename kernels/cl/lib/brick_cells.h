@@ -19,8 +19,8 @@
 #include "lib/trilinear.h"
 #include "lib/vertex_record.h"
 
-// One row of a brick's samples: minus the isovalue into `tile`, NaN where missing. Returns which are inside, one bit each. Beyond
-// the volume's last sample the row repeats that one.
+// Loads one row of a brick's samples minus the isovalue into `tile`; missing samples become NaN. Returns which samples are inside, one bit
+// each. Beyond the volume's last sample the row repeats that one.
 INLINED ushort load_row(__global const SAMPLE *row, int last, float iso, float missing, __local float *tile) {
     uint inside = 0;
     if (last == 8) {

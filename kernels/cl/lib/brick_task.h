@@ -44,7 +44,7 @@ typedef struct {
 
 // Local memory by its use; construct.cl says which arrays share bytes.
 typedef struct {
-    __local float *tile;                // 9^3 samples minus isovalue, NaN where missing
+    __local float *tile;                // 9^3 samples minus isovalue, NaN if missing
     __local ushort *inside_rows;        // by y + 9 z: which samples along x are inside, one bit each
     __local ushort *cell_list;          // active cells in Morton order: listed_cell, listed_morton
     __local ushort *compact_index;      // by x + 8 y + 64 z: index in `cell_list`, or NO_CELL

@@ -1,6 +1,6 @@
-// Points of the surface in a cell: where lines along the axes cross it. On a line the trilinear interpolant is linear, so they are exact. A line
-// along an axis meets a patch of the surface as often as the patch is large, seen along the axis: if each crossing counts by the part of the
-// unit normal along its line, the weights of all three axes add up to the patch's area (Cauchy and Crofton).
+// Points of the surface in a cell: the crossings of lines along the axes. On a line the trilinear interpolant is linear, so the crossings are
+// exact. The number of lines along an axis that cross a patch of the surface is proportional to the patch's projected area: if each crossing is
+// weighted by the component of the unit normal along its line, the weights of all three axes add up to the patch's area (Cauchy and Crofton).
 #ifndef ISOPEEL_CELL_LINES_H
 #define ISOPEEL_CELL_LINES_H
 
@@ -12,9 +12,9 @@
 // Lines of a cell along each axis. The first two measure area: they go through the face at (a, a) and (1 - a, 1 - a) or at (a, 1 - a) and
 // (1 - a, a), alternating like a checkerboard. The distance of a mesh with one vertex a cell is nearly periodic in cells, so that two suffice,
 // with a = 1/4; squares of distances that grow along the face, as at the border of a surface, have the right mean with Gauss's a = 0.211. ACROSS
-// is between: both are right within a twentieth. The other lines have no area and count for the maximum alone: beside the edge at the cell's low
-// corner, where the interpolant has its kinks and thin spikes of the surface are; in the volume's last cells beside all four, and where samples
-// are missing in all cells.
+// is between: both are right within a twentieth. The other lines have no area and count for the maximum alone. They lie beside the edge at the
+// cell's low corner, because the interpolant has its kinks and the surface its thin spikes there; in the volume's last cells, and if samples are
+// missing in all cells, beside all four edges.
 #define LINES_OF_AXIS 6u
 #define INNER_LINES 2u
 #define INSET 0.0625f
@@ -52,8 +52,8 @@ inline float value_on_face(const float *v, uint axis, uint far, float s, float t
     return mix(mix(v[base], v[base + second], s), mix(v[base + third], v[base + second + third], s), t);
 }
 
-// Where a line crosses the surface: position in world units (xyz), and the area that it stands for (w); that is negative where it does not. In
-// the padding of a capped volume the surface is on the volume's face.
+// The crossing of a line and the surface: position in world units (xyz), and the area that it represents (w), which is negative if the line
+// does not cross the surface. In the padding of a capped volume the surface is on the volume's face.
 INLINED float4 cross_line(const CellOfLines *cell, uint axis, uint line) {
     const uint second = (axis + 1) % 3, third = (axis + 2) % 3;
     const float4 none = (float4)(-1.0f);

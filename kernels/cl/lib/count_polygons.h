@@ -85,7 +85,7 @@ INLINED void mark_sheets(Grid grid, const Cut *cut, const Part *part, const Coun
 }
 
 // Triangles of the polygon that a leaf of level 0 or 1 emits around an edge inside its region, if no samples are missing.
-// Marks other leaves around it as used, but for cells: mark_sheets does that. `in_region`, `in_brick`: the leaf's low corner.
+// Marks other leaves around it as used, except cells, which mark_sheets marks. `in_region`, `in_brick`: the leaf's low corner.
 inline uint count_inner_polygon(__local const LeafHalo *halo, uint level, int3 in_region, int3 in_brick, uint edge,
                                 __global uchar *used) {
     const int3 offset = edge_offset(edge) << (int)level;

@@ -19,7 +19,7 @@ inline bool edge_crosses(uint signs, uint edge) {
 
 #define EDGES_OWN (1u << 0 | 1u << 4 | 1u << 8) // edges that begin at the cube's low corner
 
-// The crossed edges of a cube, one bit each: where the signs of an edge's corners differ.
+// The crossed edges of a cube, one bit each: edges whose corners differ in sign.
 inline uint crossed_edges(uint signs) {
     const uint x = signs ^ signs >> 1, y = signs ^ signs >> 2, z = signs ^ signs >> 4;
     return (x & 1u) | (x >> 1 & 2u) | (x >> 2 & 4u) | (x >> 3 & 8u) | (y & 1u) << 4 | (y & 16u) << 1 | (y & 2u) << 5

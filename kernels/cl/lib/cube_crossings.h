@@ -54,7 +54,7 @@ INLINED float4 slopes_between(float4 below, float4 here, float4 above) {
     return select((float4)(0.0f), clamp(slope, -SLOPE_LIMIT, SLOPE_LIMIT), slope == slope);
 }
 
-// Adds a crossing `weight` times. `g`: along its normal, of any length, 0 in w; `p`: where it is, 1 in w.
+// Adds a crossing `weight` times. `g`: along its normal, of any length, 0 in w; `p`: its position, 1 in w.
 INLINED void add_to_rows(QuadricRows *rows, float weight, float4 p, float4 g) {
 #pragma OPENCL FP_CONTRACT ON
     // Scaled by a power of two: squares stay in range.

@@ -177,7 +177,7 @@ __constant uchar CELL_IN_WORD[32] = {
     18, 19, 27, 28, 99, 100, 108, 109, 20, 21, 29, 30, 101, 102, 110, 111,
 };
 
-// Where a cell of a brick is in the table, from its Morton number.
+// Index of a cell of a brick in the table, from its Morton number.
 INLINED uint table_cell(uint cell) {
     const uint word = cell >> 5;
     return TABLE_FIRST + 4 * (word >> 1 & 1) + 36 * (word >> 2 & 1) + 162 * (word & 1) + 324 * (word >> 3) + CELL_IN_WORD[cell & 31u];
@@ -305,7 +305,7 @@ INLINED bool other_is_better(const VertexTable *table, uint4 r) {
 
 // Appends the quads of a cell at `at` to a list of `count`; returns how many there are. Branch-free: the outcome is unpredictable.
 INLINED uint list_plain_quads(ushort *quads, uint count, uint at, uint signs) {
-    // Along each axis, where the cell's first corner and the next one lie on different sides.
+    // Along each axis, whether the cell's first corner and the next one lie on different sides.
     const uint inside = signs & 1u, crossed = inside ? ~signs : signs, entry = at | (inside ^ 1u) << QUAD_FLIP;
     quads[count] = (ushort)entry;
     count += crossed >> 1 & 1u;
@@ -315,7 +315,7 @@ INLINED uint list_plain_quads(ushort *quads, uint count, uint at, uint signs) {
     return count + (crossed >> 4 & 1u);
 }
 
-// Writes the triangles of a listed quad. `first`: where they begin among all indices.
+// Writes the triangles of a listed quad. `first`: position of their first corner among all indices.
 INLINED void write_plain_quad(const VertexTable *table, const TriangleOutput *out, uint quad, uint first) {
     const uint at = quad & ((1u << QUAD_AXIS) - 1), axis = quad >> QUAD_AXIS & 3u, flip_winding = quad >> QUAD_FLIP;
     // How far before it the cells are that lie a step back along the next two axes.
@@ -332,8 +332,8 @@ INLINED void write_plain_quad(const VertexTable *table, const TriangleOutput *ou
 }
 
 // Writes the vertices of a plain brick and the quads of its cells away from the volume's faces, and lists the edges of the others,
-// at most 12 of each of 8^3 - 6^3 cells; returns how many these are. `first_triangle`: where its triangles begin; `done`: triangles
-// written so far.
+// at most 12 of each of 8^3 - 6^3 cells; returns how many these are. `first_triangle`: index of its first triangle; `done`:
+// triangles written so far.
 INLINED uint emit_plain_brick(Grid grid, const Cut *cut, const Part *part, const MeshVertices *mesh, const TriangleOutput *out,
                               __global const uchar *used, uint first_triangle, uint *done, __local ushort *list) {
     __global const Brick *brick = cut->bricks + part->brick;

@@ -20,7 +20,7 @@ inline float derived_sample(Grid grid, SLAB, uint kind, int3 p) {
     }
 }
 
-// One component of the gradient at LANES samples, as gradient_component has it: NaN stands for a missing sample, or for none.
+// One component of the gradient at LANES samples, as gradient_component computes it. A missing or non-existent sample is NaN.
 INLINED real gradient_in_lanes(real below, real here, real above, float spacing) {
     const integer has_below = below == below, has_above = above == above;
     const real step = PICK(has_below & has_above, 2.0f * spacing, spacing);

@@ -1,4 +1,4 @@
-// Importance of a node and what may be decimated (docs/algorithm.md#4-importance-and-cut).
+// Importance of a node, and the conditions under which it may be decimated (docs/algorithm.md#4-importance-and-cut).
 #ifndef ISOPEEL_IMPORTANCE_H
 #define ISOPEEL_IMPORTANCE_H
 
@@ -20,7 +20,7 @@ inline float transfer(__constant float2 *points, uint count, float x) {
     return a.y + (b.y - a.y) * exact_quotient(x - a.x, b.x - a.x);
 }
 
-// What the transfer function looks at, in [0, 1].
+// The blended feature, which is the input of the transfer function, in [0, 1].
 inline float blended_feature(CutParams params, float s, float f) {
     return (1.0f - params.alpha) * s + params.alpha * normalised_feature(params, f);
 }
@@ -29,13 +29,13 @@ inline float importance(CutParams params, __constant float2 *points, float s, fl
     return transfer(points, params.points, blended_feature(params, s, f));
 }
 
-// How far an error counts where the importance is this much (docs/algorithm.md#43-the-cut-by-error).
+// Divides an error by the weight of an importance (docs/algorithm.md#43-the-cut-by-error).
 #define MIN_WEIGHT (1.0f / 64.0f)
 inline float error_over_weight(float error, float importance) {
     return exact_quotient(error, fmax(1.0f - importance, MIN_WEIGHT));
 }
 
-// What decides about the nodes of a region.
+// Criterion of the cut for the nodes of a region.
 typedef struct {
     CutParams params;
     __constant float2 *points; // of the transfer function
@@ -55,7 +55,7 @@ inline void find_criterion(CutCriterion *of, Grid grid, CutParams params, __cons
     of->diagonal = sqrt(grid.spacing[0] * grid.spacing[0] + grid.spacing[1] * grid.spacing[1] + grid.spacing[2] * grid.spacing[2]);
 }
 
-// Importance of a node of level 1 or above; a region of interest counts wherever it meets the cube, so that no detail in it is lost.
+// Importance of a node of level 1 or above. A region of interest counts if it meets the cube anywhere, so that no detail in it is lost.
 inline float node_importance(const CutCriterion *of, Node node, uint level) {
     const float own = importance(of->params, of->points, node.s, node.f);
     if (of->params.interests == 0) return own;
@@ -64,25 +64,25 @@ inline float node_importance(const CutCriterion *of, Node node, uint level) {
     return raise_importance(own, of->params.interests, of->interests, 0.5f * (low + high), 0.5f * (high - low));
 }
 
-// Error of a node of level 1 or above as the cut by error counts it. If all corners have one sign, what lies between them vanishes with
-// the merge, and the cube's diagonal counts as well. `error`: of the node's vertex record.
+// Error of a node of level 1 or above as the cut by error counts it. If all corners have one sign, the merge removes the surface between
+// them, and so the cube's diagonal counts as well. `error`: of the node's vertex record.
 inline float counted_error(const CutCriterion *of, Node node, uint level, float error) {
     const bool vanishes = of->params.by_error && meta_one_sign(node.meta);
     return vanishes ? error + of->diagonal * (float)(1u << level) : error;
 }
 
-// The error of a node summed over the surface below it, as the vertex tree sums them: by the root of its area in squares of the spacing, of
-// which each has about three triangles of the full surface. A large cube moves more of the surface than a small one for one vertex less.
+// The error of a node is summed over the surface below it, as in the vertex tree: multiplied by the root of its area in squares of the
+// spacing. A square has about three triangles of the full surface. A large cube moves more of the surface than a small one for one vertex less.
 #define TRIANGLES_A_SQUARE 3.0f
 inline float summed_error(Node node, float error) { return error * sqrt(fmax((float)node.count / TRIANGLES_A_SQUARE, 1.0f)); }
 
-// What is compared with the threshold: importance, or error over weight. Not below 0. `error`: the counted one.
+// The number that is compared with the threshold: importance, or error over weight. Not below 0. `error`: the counted one.
 inline float decimation_key(const CutCriterion *of, Node node, uint level, float error) {
     const float own = node_importance(of, node, level);
     return fmax(of->params.by_error ? error_over_weight(summed_error(node, error), own) : own, 0.0f);
 }
 
-// Whether the coarsest level and the guards let a node of level 1 or above be a leaf, if its importance does. `error`: the
+// Whether the maximum level and the guards allow a node of level 1 or above to be a leaf, if its importance does. `error`: the
 // counted one.
 inline bool may_decimate(CutParams params, Node node, uint level, float error) {
     return level <= params.max_level && (!params.preserve || meta_safe(node.meta)) && !(error > params.max_error);

@@ -1,4 +1,4 @@
-// Regions of interest, where importance is raised (docs/algorithm.md#44-regions-of-interest).
+// Regions of interest, in which importance is raised (docs/algorithm.md#44-regions-of-interest).
 #ifndef ISOPEEL_INTEREST_H
 #define ISOPEEL_INTEREST_H
 

@@ -31,7 +31,7 @@ INLINED Real3 make_real3(real x, real y, real z) {
         STORE_LANES((value).z, (to) + 2 * (stride));                                                                   \
     }
 
-// Lane by lane: `yes` where the condition holds, else `no`. Both are computed.
+// Lane by lane: `yes` if the condition holds, else `no`. Both are computed.
 INLINED Real3 pick_real3(integer condition, Real3 yes, Real3 no) {
     return make_real3(PICK(condition, yes.x, no.x), PICK(condition, yes.y, no.y), PICK(condition, yes.z, no.z));
 }

@@ -51,8 +51,8 @@ typedef struct {
 // A node of the pyramid: an active cell (level 0) or a cube with active cells below. Behind the nodes of a region stand
 // its extra sheets: one for every sheet but the first of a cell that the surface crosses more than once.
 typedef struct {
-    // Triangles of the undecimated surface below, at most 163840; of a cell of several sheets also, from bit 8 on, where among its
-    // brick's extra sheets its own begin; of an extra sheet: see sheets.h.
+    // Triangles of the undecimated surface below, at most 163840; for a cell of several sheets also, from bit 8 on, the index of its
+    // first extra sheet among those of its brick; for an extra sheet: see sheets.h.
     uint count;
     float s;    // smoothness feature, eq. 1; of an active cell: that of its level-1 cube
     float f;    // user feature, eq. 2, not yet normalised
@@ -110,7 +110,7 @@ typedef struct {
     uint is_cube;
 } Interest;
 
-// Where a region's part of a mesh begins, and how much there is of it.
+// Range of a region's part of a mesh.
 typedef struct {
     uint vertices;
     uint triangles[6]; // by level
@@ -150,7 +150,7 @@ typedef struct {
 // A cluster of points while the vertex tree is built: what the costs of its edges depend on, beside its position. 16 numbers.
 typedef struct {
     Quadric quadric; // planes of the triangles around its points, from its own position, weighted by area; k: the area
-    uint ring_first; // where its ring is; while the mesh is read, where its triangles are listed
+    uint ring_first; // start of its ring; while the mesh is read, of its list of triangles
     uint ring_count;
 } TreeCluster;
 
@@ -213,14 +213,14 @@ typedef struct {
 
 // The active cell whose vertex is nearest to a position.
 typedef struct {
-    uint slots[6];    // of the cell and of the cubes above it, by level; NONE where no active cell is near
+    uint slots[6];    // of the cell and of the cubes above it, by level; NONE if no active cell is near
     uint region;      // compact index
     uint point;       // its point in the vertex tree
     float distance;   // from the position to its vertex, world units
     float s;          // smoothness feature
     float f;          // user feature, not yet normalised
     float blended;    // of both, what the transfer function looks at
-    float importance; // raised where its vertex is in a region of interest
+    float importance; // raised if its vertex is in a region of interest
 } ProbedCell;
 
 // Totals of the marching-cubes mesher, accumulated with atomics.

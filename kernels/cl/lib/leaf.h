@@ -16,7 +16,7 @@ inline uint edge_key(int3 low, uint axis) { return (uint)(low.x | low.y << 6 | l
 inline int3 key_low(uint key) { return (int3)((int)(key & 63), (int)(key >> 6 & 63), (int)(key >> 12 & 63)); }
 inline uint key_axis(uint key) { return key >> 18 & 3; }
 
-// Where on the 12 edges of a leaf of level 1 or above its vertices lie: 5 bits an edge, cells from the edge's low end.
+// Offset of the vertex on an edge of a leaf of level 1 or above, in cells from the edge's low end. Stored in 5 bits for each of 12 edges.
 inline int refined_offset(uint2 refined, uint edge) {
     return (int)(edge < 6 ? refined.x >> (5 * edge) & 31u : refined.y >> (5 * edge - 30) & 31u);
 }

@@ -22,7 +22,7 @@
 // Fans that are tried on the way to the nearest triangle.
 #define WALK_STEPS 16
 
-// Where the corners of triangles are: vertices of slots, and border vertices, which the mesh alone has.
+// Positions of the corners of triangles: vertices of slots, and border vertices, which exist only in the mesh.
 typedef struct {
     __global const Region *regions;
     __global const RegionMesh *meshes;
@@ -208,7 +208,7 @@ INLINED float walk_to_mesh(Grid grid, const MeshFans *mesh, Pairs *pairs, float3
     return nearest.distance2;
 }
 
-// Where a search begins. Every brick has a seed for each of its level-2 cubes: the slot of a vertex that has triangles, or NONE.
+// Start points of searches. Every brick has a seed for each of its level-2 cubes: the slot of a vertex that has triangles, or NONE.
 typedef struct {
     __global const uint *near;  // the 27 bricks around each brick
     __global const uint *seeds; // 8 a brick

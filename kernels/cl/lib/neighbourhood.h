@@ -11,7 +11,7 @@
 #include "lib/sample_block.h"
 #include "lib/steps.h"
 
-// The neighbour so many samples further along x, y, z.
+// The neighbour at the offset (x, y, z), in samples.
 #define NEIGHBOUR(at, x, y, z) LOAD_LANES((at) + ((z) * BLOCK_PLANE + (y) * BLOCK_ROW + (x)))
 
 // First and second derivatives of a field at samples, over the sum of the absolute first ones, which curvature does not depend on.

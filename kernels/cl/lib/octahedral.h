@@ -7,7 +7,7 @@
 #include "lib/device.h"
 #include "lib/lanes.h"
 
-// The point of the square [-1, 1]^2 that stands for a direction of any length; (0, 0), which is +z, if there is none.
+// The point of the square [-1, 1]^2 that encodes the direction of a vector of any length; (0, 0), which is +z, for the zero vector.
 inline float2 octahedral_point(float3 n) {
     const float sum = fabs(n.x) + fabs(n.y) + fabs(n.z);
     if (!(sum > 0.0f) || isinf(sum)) return (float2)(0.0f);

@@ -1,5 +1,5 @@
-// What one work-group of dual_count or dual_emit works on (a *part*): a brick with its leaves of levels 0 to 3, or a region with
-// its leaves of levels 4 and 5.
+// A *part* is the unit of work of one work-group of dual_count or dual_emit: a brick with its leaves of levels 0 to 3, or a region
+// with its leaves of levels 4 and 5.
 #ifndef ISOPEEL_PART_H
 #define ISOPEEL_PART_H
 
@@ -24,7 +24,7 @@ typedef struct {
 } Part;
 
 // The part of this work-group. Whether it is plain is not known yet. Written through a pointer, as the walk below: Oclgrind
-// knows no intrinsic that clang 14 leaves where a function that returns a struct is inlined.
+// does not know an intrinsic that clang 14 leaves behind when it inlines a function that returns a struct.
 inline void find_part(Part *part, Grid grid, uint brick_count, __global const uint *parts, __global const Region *regions,
                       __global const Brick *bricks, __global const uint *near) {
     const uint group = parts[get_group_id(0)];
@@ -94,7 +94,7 @@ inline uint entry_slot(uint entry, Part part, __global const Region *region, __g
     return region->slot_base + part_slots(part, region, bricks, entry_level(entry)).first + (entry >> 4 & 511u);
 }
 
-// Does a cell lie away from the volume's faces, so that all cells around it exist?
+// Whether a cell lies away from the volume's faces, so that all cells around it exist.
 inline bool is_inside(Grid grid, int3 cell) {
     return all(cell > 0) && all(cell + 2 < (int3)((int)grid.dims[0], (int)grid.dims[1], (int)grid.dims[2]));
 }

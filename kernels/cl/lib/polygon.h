@@ -62,7 +62,7 @@ typedef struct {
     uint axis, b, c;         // its axis, and those across it
     uint own;                // position of the leaf
     int3 low;                // low end, in cells of the volume
-    int3 sample;             // the same, at most the last sample, where the leaf is cut off
+    int3 sample;             // the same, but at most the last sample, which cuts off the leaf
     uint beyond_b, beyond_c; // BEYOND_...
 } LeafEdge;
 

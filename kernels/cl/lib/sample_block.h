@@ -12,7 +12,7 @@
 #define BLOCK_FIRST (BLOCK_PLANE + BLOCK_ROW + 1) // the brick's first sample
 #define BLOCK_END (9 * BLOCK_PLANE + 9 * BLOCK_ROW + 10) // behind its last one
 
-// Where the row of a block comes from: samples `first` to `last` of a row, counted from the brick's first sample; none outside the volume.
+// Source of a row of a block: samples `first` to `last` of a row, counted from the brick's first sample; none outside the volume.
 typedef struct {
     ulong index; // of the sample above the brick's first along x
     int first, last;

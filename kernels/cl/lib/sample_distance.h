@@ -1,5 +1,5 @@
-// Distances of samples of triangles to the surface, LANES samples at a time: by Newton steps (surface_distance.h), and where these
-// do not lead to it, by what is known near the sample.
+// Distances of samples of triangles to the surface, LANES samples at a time: by Newton steps (surface_distance.h), and if these do
+// not converge, by the nearest known points of the surface.
 #ifndef ISOPEEL_SAMPLE_DISTANCE_H
 #define ISOPEEL_SAMPLE_DISTANCE_H
 
@@ -122,7 +122,7 @@ INLINED float distance_to_cap(const SampledField *field, float3 x, float nearest
     return nearest;
 }
 
-// Distance of `p` to where lines cross the surface in the 27 cells around `x`, at most `nearest`.
+// Distance of `p` to the nearest crossing of a line and the surface in the 27 cells around `x`, at most `nearest`.
 INLINED float distance_to_lines(const SampledField *field, float3 p, float3 x, float nearest) {
     for (int k = 0; k < 27; k++) {
         const int3 low = convert_int3(x) + (int3)(k % 3, k / 3 % 3, k / 9) - 1;

@@ -1,7 +1,7 @@
-// Which surface sheet of a cell each of its crossed edges belongs to. The tables are made by the host from the contours of the
-// cube's faces, where inside corners are separated on ambiguous faces: SHEETS; JOINED, the faces whose two segments lie in
-// one sheet. With each set of the joined faces paired the other way, from FLIPPED_ROW of the case on: FLIPPED, the sheets; STILL_JOINED, the
-// faces that are joined then.
+// Surface sheets of a cell: each crossed edge belongs to one. The host makes the tables from the contours of the cube's faces, with inside
+// corners separated on ambiguous faces: SHEETS; JOINED, the faces whose two segments lie in one sheet. From FLIPPED_ROW of the case on,
+// the tables hold a row for each set of joined faces that are paired the other way: FLIPPED, the sheets; STILL_JOINED, the faces that
+// remain joined.
 //
 // Two cells that share an ambiguous face and both join its two segments in one sheet would make an edge of four triangles
 // (R. Wenger, "Isosurfaces", 2013). Then the face's crossings are paired the other way, in both cells: the one whose coordinates sum to an even
@@ -17,8 +17,8 @@
 #include "lib/samples.h"
 #include "lib/tables.h"
 
-// Contour of a face (2 axis + side): crossed edges, pairwise the ends of a segment. Inside corners are separated where
-// the face is ambiguous, outside corners when `flipped`. Returns 0, 2 or 4.
+// Contour of a face (2 axis + side): crossed edges, pairwise the ends of a segment. On an ambiguous face inside corners are
+// separated, or outside corners if `flipped`. Returns 0, 2 or 4.
 inline uint face_segments(uint signs, uint face, bool flipped, uint *ends) {
     const uint d = face >> 1, side = face & 1, b = (d + 1) % 3, c = (d + 2) % 3;
     // Edges of the face: along b at c = 0 and 1, along c at b = 0 and 1.
@@ -133,7 +133,7 @@ inline uint cell_sheets(Grid grid, SLAB, float iso, int3 cell, uint signs) {
     return FLIPPED[flips_entry(signs, forced | flips)];
 }
 
-// Where the extra sheets of a cell of several begin; `brick`: the cell's.
+// Slot of the first extra sheet of a cell that has several sheets. `brick`: the cell's.
 inline uint first_extra(__global const Region *region, __global const Brick *brick, Node cell) {
     return region->slot_base + brick->level_base[3] + (cell.count >> 8);
 }

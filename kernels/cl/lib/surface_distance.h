@@ -22,7 +22,7 @@
 #define STRAIGHT 0.125f
 #define ASTRAY 2.0f
 
-// Where the surface is looked for: cells of the volume, without padding, whose samples the slab has.
+// Box in which the surface is searched: cells of the volume, without padding, whose samples the slab has.
 typedef struct {
     int3 first, last; // cells
     float iso;
@@ -61,7 +61,7 @@ inline float4 field_at(Grid grid, SLAB, const FieldBox *box, float3 x) {
 // LANES points and what is found for them.
 typedef struct {
     float from[3 * LANES];     // cells
-    float at[3 * LANES];       // where the steps have come, cells
+    float at[3 * LANES];       // position after the steps so far, cells
     float distance[LANES];     // world units, or NaN
     float residual[LANES];     // the part of it that is by slope, from the last step on
     float active[LANES];       // 1: more steps are wanted
@@ -103,7 +103,7 @@ INLINED Real3 clamp_to_box(const FieldBox *box, Real3 x) {
     return make_real3(clamp(x.x, (real)low.x, (real)high.x), clamp(x.y, (real)low.y, (real)high.y), clamp(x.z, (real)low.z, (real)high.z));
 }
 
-// From the points to where they have come, world units.
+// Displacement of the points by the steps so far, world units.
 INLINED Real3 way_of(const FieldBox *box, const Feet *feet) {
     return make_real3((feet->x.x - feet->from.x) * box->spacing.x, (feet->x.y - feet->from.y) * box->spacing.y,
                       (feet->x.z - feet->from.z) * box->spacing.z);
@@ -148,8 +148,8 @@ INLINED void step_to_surface(Grid grid, SLAB, const FieldBox *box, SurfaceSearch
     }
 }
 
-// Moves points that are on the surface along it, to the foot of the perpendicular from where they began, as if the surface were a plane. Those
-// make the active points, without those that are at the foot already. Returns false if no point moves.
+// Moves points that are on the surface along it, to the foot of the perpendicular from their start point, as if the surface were a plane. The
+// moved points become the active points; points that are already at the foot do not move. Returns false if no point moves.
 INLINED bool move_along_surface(const FieldBox *box, SurfaceSearch *search, Feet *feet, uint count) {
     const Field field = feet->field;
     const Real3 way = way_of(box, feet);
@@ -170,7 +170,7 @@ INLINED bool arrived(const FieldBox *box, const SurfaceSearch *search, uint i) {
     return search->residual[i] <= fmax(box->straight, 0.125f * search->distance[i]);
 }
 
-// A search for `count` points from where they are.
+// Begins a search for `count` points from their positions.
 INLINED void begin_search(SurfaceSearch *search, uint count) {
     for (uint i = 0; i < LANES; i++) search->active[i] = i < count ? 1.0f : 0.0f;
     for (uint i = 0; i < 3 * LANES; i++) search->at[i] = search->from[i];

@@ -1,4 +1,4 @@
-// Triangles of a cut of the vertex tree, and what is around its leaves.
+// Triangles of a cut of the vertex tree, and the counts of triangles around its leaves.
 #ifndef ISOPEEL_TREE_AROUND_H
 #define ISOPEEL_TREE_AROUND_H
 
@@ -35,7 +35,7 @@ INLINED void nth_triangle(CutTriangle *out, const CutView *cut, uint triangle) {
     out->level = min(leaf_level(a), min(leaf_level(b), leaf_level(c)));
 }
 
-// Whether a cut has the triangle, which has become neither a line nor a point.
+// Whether the triangle remains in a cut: it has not degenerated to a line or a point.
 INLINED bool is_left(const CutView *cut, uint triangle) {
     const uint node = cut->collapsed_by[triangle];
     // Branch-free: the outcome is unpredictable.
@@ -45,7 +45,7 @@ INLINED bool is_left(const CutView *cut, uint triangle) {
     return is_kept && leaf_number(cut->leaves[cut->corners[3 * triangle]]) != LEAF_REMOVED;
 }
 
-// The triangle of a corner of the full mesh, from that corner on. Whether the cut has it; only then it is filled in.
+// The triangle of a corner of the full mesh, from that corner on. Returns whether it remains in the cut; only then `out` is filled in.
 INLINED bool triangle_at(CutTriangle *out, const CutView *cut, uint corner) {
     if (!is_left(cut, corner / 3)) return false;
     out->a = leaf_number(cut->leaves[cut->corners[corner]]);
@@ -54,7 +54,7 @@ INLINED bool triangle_at(CutTriangle *out, const CutView *cut, uint corner) {
     return true;
 }
 
-// Where a region's entries begin in lists of all triangles and of those beside regions.
+// Index of a region's first entry in lists that hold all triangles and those beside regions.
 inline uint list_base(__global const RegionMesh *mesh, __global const TreeRegion *tree) { return mesh->triangle_base + tree->beside_base; }
 
 inline uint count_triangles(__global const RegionMesh *mesh) {
@@ -69,7 +69,8 @@ inline uint count_triangles(__global const RegionMesh *mesh) {
 #define LISTED_RUN 1
 #endif
 
-// Lists the triangles that a cut has of `count` ones: those from `first` on, or where `numbers` has them. Returns how many.
+// Lists those of `count` triangles that remain in a cut. The triangles are those from `first` on, or the ones that `numbers` lists. Returns
+// how many remain.
 INLINED uint list_left(const CutView *cut, __local uint *scratch, __global const uint *numbers, uint first, uint count,
                        __global uint *left) {
     uint kept = 0, total;
@@ -84,7 +85,7 @@ INLINED uint list_left(const CutView *cut, __local uint *scratch, __global const
             own_kept += is_kept[i];
         }
         uint to = kept + scan_group(scratch, own_kept, &total);
-        // One work-item writes the next one over it, without a branch that is hard to predict.
+        // Branch-free: if a triangle does not remain, the next one overwrites it.
         for (uint i = 0; i < LISTED_RUN; i++)
             if (WIDE_GROUP == 1 || is_kept[i]) left[to++] = triangles[i];
         kept += total;
@@ -92,12 +93,12 @@ INLINED uint list_left(const CutView *cut, __local uint *scratch, __global const
     return kept;
 }
 
-// Leaves of a region, and what is around them.
+// Leaves of a region, and the counts of triangles around them.
 typedef struct {
     TreePoints points;
     uint node_base, first_node; // of the region's nodes, and of leaves that are nodes
     uint cell_points;           // of the surface
-    __local uint *local_around; // by own_leaf_index; memory of a GPU where adding takes less time
+    __local uint *local_around; // by own_leaf_index; on a GPU, memory in which adding is faster
     __global uint *global_around;
     bool is_local;
 } OwnLeaves;

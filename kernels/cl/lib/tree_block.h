@@ -22,11 +22,11 @@ typedef struct {
     __global TreeCluster *clusters;
     __global TreeMembers *members;
     __global float4 *positions;            // position in world units from the region's low corner; w: the flags' bits
-    __global float4 *merged_positions;     // where clusters are after this round's merges, as far as they are known
+    __global float4 *merged_positions;     // positions of clusters after this round's merges, as far as known
     __global uint *rings, *next_rings;     // of this round and the next one
-    __global float *costs, *next_costs;    // beside a ring's entries: what merging the two costs (tree_rounds.h)
-    __global uint *alive;                  // clusters that are left, in order
-    __global uint *best;                   // of each cluster its neighbour at the minimum cost; then what the pair test says
+    __global float *costs, *next_costs;    // beside a ring's entries: the cost of merging the two (tree_rounds.h)
+    __global uint *alive;                  // remaining clusters, in order
+    __global uint *best;                   // of each cluster its neighbour at the minimum cost; then the verdict of the pair test
     __global uint *partners;               // the one that it merges with, or NONE
     __global const int4 *points;           // positions of all points of the surface
     int3 origin;                           // of the region
@@ -51,7 +51,7 @@ inline uint fan_count(const TreeBlock *block, uint at) {
     return block->clusters[at].ring_count - (cluster_flags(block, at) & CLUSTER_BORDER ? 1 : 0);
 }
 
-// Triangles that may turn, LANES at a time: corners, where the third one is and where it goes, and the column of its pair.
+// Triangles that may turn over, LANES at a time: two corners, the third one before and after the merge, and the column of its pair.
 typedef struct {
     float4 p[LANES], q[LANES], from[LANES], to[LANES];
     uint pair[LANES];
@@ -85,7 +85,7 @@ INLINED uint failed_turns(TurnBatch *batch) {
     return pairs;
 }
 
-// Adds the triangles around one of two clusters, but for those of both, which merge at `to`. Returns pairs as failed_turns does.
+// Adds the triangles around one of two clusters that merge at `to`, except the triangles of both. Returns pairs as failed_turns does.
 INLINED uint collect_turns(const TreeBlock *block, TurnBatch *batch, uint own, uint other, float4 to, uint pair) {
     const float4 from = block->positions[own];
     const uint count = block->clusters[own].ring_count;

@@ -1,4 +1,4 @@
-// Clusters of the vertex tree while it is built: their quadrics, where two of them merge and at what cost
+// Clusters of the vertex tree while it is built: their quadrics, and the position and cost of a merge of two clusters
 // (docs/algorithm.md#7-vertex-tree).
 #ifndef ISOPEEL_TREE_CLUSTER_H
 #define ISOPEEL_TREE_CLUSTER_H
@@ -16,7 +16,7 @@
 // A cluster's flags
 #define CLUSTER_LOW_FACES 7u // faces of the volume that it lies on, which it may not leave, one bit each: at the low ends of the axes
 #define CLUSTER_BORDER 8     // on the surface's border on the volume's faces
-#define CLUSTER_LOCKED 16    // beside missing samples, or where two fans meet: never merges
+#define CLUSTER_LOCKED 16    // beside missing samples, or two fans meet at it: never merges
 #define CLUSTER_HIGH_FACES (CLUSTER_LOW_FACES << CLUSTER_HIGH) // faces at the high ends
 #define CLUSTER_HIGH 5
 #define CLUSTER_FACES (CLUSTER_LOW_FACES | CLUSTER_HIGH_FACES)

@@ -13,7 +13,7 @@ inline uint leaf_hash(uint leaf) {
     return h ^ h >> 15;
 }
 
-// A table of directed edges: one a region, in local memory where it has space there.
+// A table of directed edges: one a region, in local memory if it fits.
 typedef struct {
     __global const uint *corners, *leaves; // of the full mesh
     __global uint *edges;
@@ -38,8 +38,9 @@ inline void clear_edges(EdgeTable *table, uint capacity) {
         else table->edges[i] = NONE;
 }
 
-// Puts an edge between leaves `a` and `b` into a table. `corner`: of the full mesh, where it begins. Whether it was there. One work-item
-// enters the leaves themselves, where several can only enter a single number at once.
+// Inserts the edge from leaf `a` to leaf `b` into a table. `corner`: the corner of the full mesh at which it begins. Returns whether the
+// table had it already. A group of one work-item stores the two leaves; a larger group stores the corner, because an atomic operation
+// inserts only a single number.
 INLINED bool put_edge(const EdgeTable *table, uint corner, uint a, uint b) {
     const uint hash = (a * 0x9e3779b1u ^ b) * 0x85ebca6bu;
     for (uint at = mul_hi(hash, table->capacity);; at = at + 1 < table->capacity ? at + 1 : 0) {
@@ -74,7 +75,7 @@ inline bool is_own_leaf(const LeafNumbers *of, uint leaf) {
     return own_leaf_index(&of->own, of->node_base, of->points, leaf) != NONE;
 }
 
-// Where a leaf's number is. Enters leaves of other regions into the table.
+// Address of a leaf's number. Inserts leaves of other regions into the table.
 inline __global uint *number_of_leaf(const LeafNumbers *of, uint leaf) {
     if (is_own_leaf(of, leaf)) return of->own_numbers + leaf;
     for (uint at = leaf_hash(leaf) & of->mask;; at = (at + 1) & of->mask) {

@@ -72,7 +72,7 @@ inline bool make_closed_ring(const TreeFans *fans, __global const uint *corners,
         next[i] = fans->triangles[next_corner(corners[i])];
         previous[i] = fans->triangles[previous_corner(corners[i])];
     }
-    // Of each triangle the one that begins where it ends.
+    // For each triangle, the one that begins at its end.
     const uint16 ends = vload16(0, previous);
     uint16 found = NONE;
     for (uint i = count; i-- > 0;) found = select(found, (uint16)(i), ends == next[i]);

@@ -1,5 +1,5 @@
-// What may be wrong with a cut of the vertex tree, and the marks that undo it: two leaves that meet along more than one line, a leaf with
-// too few triangles around it, a border that has closed.
+// Faults of a cut of the vertex tree, and the marks that undo the merges behind them: two leaves that meet along more than one line, a leaf
+// with too few triangles around it, a border that has closed.
 #ifndef ISOPEEL_TREE_FAULTS_H
 #define ISOPEEL_TREE_FAULTS_H
 
@@ -11,7 +11,7 @@
 #include "lib/tree_leaf.h"
 #include "lib/tree_node.h"
 
-// Whether what a cut says is wrong was found by a region.
+// The faults that a region finds, and the buffers for marking them.
 typedef struct {
     __global const TreeNode *tree_nodes;
     __global const uchar2 *lives; // of leaves
@@ -26,7 +26,7 @@ inline void mark_leaf(__global const TreeNode *tree_nodes, uint points, uint lea
     marked[tree_node_region(tree_nodes[leaf - points].meta)] = 1;
 }
 
-// Marks one of two leaves that meet along more than one line: of one region the later one, else both. Whether one of them is a node.
+// Marks two leaves that meet along more than one line: if both are of one region, only the later one. Returns whether one of them is a node.
 inline bool mark_pair(const OwnLeaves *own, const Faults *faults, uint a, uint b) {
     __global const TreeNode *tree_nodes = faults->tree_nodes;
     const uint points = own->first_node;
@@ -38,7 +38,7 @@ inline bool mark_pair(const OwnLeaves *own, const Faults *faults, uint a, uint b
     return a_is_node || b_is_node;
 }
 
-// A corner of a triangle: its leaf, the leaf's index in the region or NONE, and when it was there.
+// A corner of a triangle: its leaf, the leaf's index in the region or NONE, and the rounds during which it existed.
 typedef struct {
     uint leaf, index;
     uchar2 life;
@@ -57,32 +57,32 @@ inline void count_corner(const OwnLeaves *own, const Faults *faults, const Teste
     else add_global(own->global_around + a->index, by);
 }
 
-// Whether two leaves can meet along more than one line: not where both were there in one round of building the tree, as no round's merges
-// made such an edge, and what is between two leaves is up to them alone. Points of other regions were there in all rounds.
+// Whether two leaves can meet along more than one line. They cannot if both existed in the same round of building the tree: no round's merges
+// made such an edge, and the edges between two leaves depend on these leaves alone. Points of other regions existed in all rounds.
 inline bool may_meet_twice(const OwnLeaves *own, const TestedCorner *a, const TestedCorner *b) {
     if (a->index == NONE || b->index == NONE) return min(a->leaf, b->leaf) >= own->first_node;
     return !lived_together(a->life, b->life);
 }
 
-// Marks two leaves, one of them the region's, that meet along more than one line: a directed edge of a surface is there once. `corner`:
-// number of the one where the edge begins, in the full mesh.
+// Marks two leaves, one of them the region's, that meet along more than one line: a surface has each directed edge once. `corner`: number,
+// in the full mesh, of the corner at which the edge begins.
 INLINED void test_edge(const OwnLeaves *own, const EdgeTable *table, Faults *faults, uint corner, const TestedCorner *from,
                        const TestedCorner *to) {
     if (!may_meet_twice(own, from, to)) return;
     const uint a = from->leaf, b = to->leaf;
-    // Inside the surface there is a triangle on the other side of the edge, whose edge is looked at.
+    // Inside the surface the triangle on the other side of the edge has the opposite edge, which is tested instead.
     if (a > b && !(is_border_leaf(own, faults->tree_nodes, a) && is_border_leaf(own, faults->tree_nodes, b))) return;
     if (!put_edge(table, corner, a, b)) return;
     mark_pair(own, faults, a, b);
     faults->any = true;
 }
 
-// Marks nodes with too few triangles around them, or where the border has closed. Whether the same may be true of a point.
+// Marks nodes that have too few triangles around them or at which the border has closed. Returns whether a point may have the same fault.
 INLINED bool mark_broken_nodes(const CutView *cut, const OwnLeaves *own, Faults *faults, uint nodes, __global const uint *tops) {
     const uint own_points = count_points(own->points);
     for (uint i = get_local_id(0); i < nodes; i += WIDE_GROUP) {
         const uint at = own->node_base + i, leaf = own->first_node + at, count = count_around(own, own_points + i);
-        // One branch for both, as each by itself could go either way.
+        // One branch for both conditions, because each by itself is unpredictable.
         if (!((uint)(count < 3) & (uint)(leaf_number(tops[at]) == leaf))) continue;
         if (!is_broken(tree_is_on_border(faults->tree_nodes[at].meta), count)) continue;
         mark_leaf(faults->tree_nodes, own->first_node, leaf, faults->marks, faults->marked);
@@ -98,16 +98,16 @@ INLINED bool mark_broken_nodes(const CutView *cut, const OwnLeaves *own, Faults 
 
 // The corners of the full mesh at each point of a region.
 typedef struct {
-    __global const uint *numbers, *ends; // of the corners; of each point, where its own end
-    uint base;                           // where the region's begin
+    __global const uint *numbers, *ends; // numbers of corners; of each point, the end of its range
+    uint base;                           // start of the region's range
 } PointCorners;
 
 inline uint corners_begin(const PointCorners *at, const OwnLeaves *own, uint i) {
     return i ? at->ends[nth_point(own->points, i - 1)] : at->base;
 }
 
-// Marks the leaves beside the region's points that have too few triangles around them, or where the border has closed: rare, and a few
-// points. Whether there is such a point.
+// Marks the leaves beside those points of the region that have too few triangles around them or at which the border has closed. Such points
+// are rare. Returns whether there is one.
 INLINED bool mark_beside_points(const CutView *cut, const OwnLeaves *own, Faults *faults, const PointCorners *at) {
     bool is_any_broken = false;
     for (uint i = get_local_id(0); i < count_points(own->points); i += WIDE_GROUP) {

@@ -3,12 +3,12 @@
 #ifndef ISOPEEL_TREE_KEY_H
 #define ISOPEEL_TREE_KEY_H
 
-// Beside a key: the merge takes away one triangle instead of two. Keys are 0 or more.
+// Flag beside a key, in its sign bit: the merge removes one triangle instead of two. Keys are 0 or more.
 #define KEY_SINGLE 0x80000000u
 
 // As a number that is ordered as the keys are.
 inline uint key_bits(uint packed) { return packed & ~KEY_SINGLE; }
-// Triangles that the merge takes away.
+// Triangles that the merge removes.
 inline uint merged_triangles(uint packed) { return packed & KEY_SINGLE ? 1 : 2; }
 // The lowest number of a key that the tolerance does not allow.
 inline uint end_key(float tolerance) { return tolerance >= 0.0f ? as_uint(fabs(tolerance)) + 1 : 0; }

@@ -30,36 +30,36 @@ inline uint round_begin(__global const uint *round_ends, uint region, uint round
     return round ? round_ends[TREE_ROUNDS * region + round - 1] : 0;
 }
 
-// A leaf as it is kept beside a point: its number, its level, and whether the point had another one before.
+// A leaf as stored for a point: its number, its level, and whether the point had another leaf in the previous cut.
 #define LEAF_NUMBER 0x0fffffffu
 #define LEAF_LEVEL_SHIFT 28
 #define LEAF_CHANGED 0x80000000u
-// Instead of a leaf: the point's part was removed. All corners of the part's triangles have it, so that they are lines, which are left
-// out. It is the number of no node, for there are fewer nodes than points.
+// Stored instead of a leaf if the point's part was removed. All corners of the part's triangles have it, so the triangles degenerate and
+// are left out. No node has this number, because there are fewer nodes than points.
 #define LEAF_REMOVED LEAF_NUMBER
 
 inline uint pack_leaf(uint leaf, uint level) { return leaf | level << LEAF_LEVEL_SHIFT; }
-// A leaf beside what was there in the cut before.
+// A leaf with the flag LEAF_CHANGED if it differs from that of the previous cut.
 inline uint changed_leaf(uint leaf, uint before) { return leaf != (before & ~LEAF_CHANGED) ? leaf | LEAF_CHANGED : leaf; }
 inline uint leaf_number(uint packed) { return packed & LEAF_NUMBER; }
-// Level of the smallest cube that is as large as the cells that the leaf stands for.
+// Level of the smallest cube that is as large as the cells that the leaf represents.
 inline uint leaf_level(uint packed) { return packed >> LEAF_LEVEL_SHIFT & 7u; }
 
-// When a leaf was there while the tree was built: from the round that made it, 0 for points, to before the one that merged it. Two bytes.
+// Life of a leaf while the tree was built, in rounds: from the one that made it, 0 for points, to before the one that merged it. Two bytes.
 #define ENDLESS_LIFE 0xffu // above TREE_ROUNDS
 inline uint life_begin(uint leaf) { return 2 * leaf; }
 inline uint life_end(uint leaf) { return 2 * leaf + 1; }
-// Whether two leaves of a region were there in the same round.
+// Whether two leaves of a region existed in the same round.
 inline bool lived_together(uchar2 a, uchar2 b) { return max(a.x, b.x) < min(a.y, b.y); }
 
-// What a triangle adds to `around` of a corner: where that is not on the border it is counted. On the border the sum is the difference
-// of the fan's two ends, which is 0 where the fan has closed.
+// The value that a triangle adds to `around` of a corner. Off the border it counts triangles. On the border the sum is the difference of the
+// fan's two ends, which is 0 if the fan has closed.
 inline uint around_corner(bool on_border, uint after, uint before) { return on_border ? after - before : 1u; }
 // Whether a leaf has too few triangles around it, or the border at it has closed.
 inline bool is_broken(bool on_border, uint around) { return on_border ? around == 0 : around < 3; }
 
-// Index of a leaf in the region that has these points, and nodes from `node_base` on: of a point, then of a node. NONE where the leaf is of
-// another region.
+// Index of a leaf in the region that has these points and the nodes from `node_base` on: points first, then nodes. NONE if the leaf belongs
+// to another region.
 inline uint own_leaf_index(const TreePoints *own, uint node_base, uint points, uint leaf) {
     const uint own_points = own->count + own->border_count;
     const bool is_node = leaf >= points;

@@ -1,6 +1,5 @@
-// Which clusters of a block a step of a round is about. On a GPU each work-item asks its clusters one by one. On a CPU they are listed
-// before, branch-free: whether a cluster merges is unpredictable, and each branch misprediction costs as much as a few
-// neighbours.
+// The clusters of a block that a step of a round processes. On a GPU each work-item tests its clusters one by one. On a CPU they are listed
+// before, branch-free: whether a cluster merges is unpredictable, and a branch misprediction costs as much as a few neighbours.
 #ifndef ISOPEEL_TREE_LISTS_H
 #define ISOPEEL_TREE_LISTS_H
 
@@ -24,7 +23,7 @@ INLINED void list_pairs(TreeBlock *block) {
     block->pair_count = count;
 }
 
-// How many numbers nth_pair and nth_new have. One that is no such cluster is NONE.
+// Number of entries of nth_pair and nth_new. Entries that are not such clusters are NONE.
 inline uint pairs_end(const TreeBlock *block) { return block->pair_count; }
 inline uint new_end(const TreeBlock *block) { return block->new_count; }
 
@@ -34,8 +33,8 @@ inline uint nth_pair(const TreeBlock *block, uint i) { return pair_list(block)[i
 // Clusters that merged in the last round, or points before the first one, in order.
 inline uint nth_new(const TreeBlock *block, uint i) { return block->best[i]; }
 
-// Drops the clusters that are merged into others, and lists those that merged, and from the end of `best` on, those that did not. Returns
-// where the latter begin.
+// Drops the clusters that are merged into others. Lists the clusters that merged, and from the end of `best` on, those that did not. Returns
+// the start of the latter list.
 INLINED uint list_kept(TreeBlock *block) {
     const uint count = block->alive_count;
     uint kept = 0, merged = 0, others = count;

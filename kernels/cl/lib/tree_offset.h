@@ -29,8 +29,8 @@ INLINED float mean_offset(uint sum) {
     return count ? exact_quotient((float)offsets, OFFSET_STEPS * (float)count) : 0.0f;
 }
 
-// Position of a node in a cut, from the low corner of its region, `home` in cells, 1/VERTEX_LATTICE cell. `sums`: of its offsets. Those on
-// the volume's faces stay where they are.
+// Position of a node in a cut, from the low corner of its region, `home` in cells, 1/VERTEX_LATTICE cell. `sums`: of its offsets. Nodes on
+// the volume's faces do not move.
 INLINED int3 moved_position(Grid grid, uint cap, TreeNode node, int3 home, uint2 sums) {
     const int lattice = (int)VERTEX_LATTICE;
     const int3 at = tree_position(node), margin = (int3)(cap ? lattice : 0);

@@ -1,4 +1,4 @@
-// The pair test of the vertex tree: which merges of a round would not leave a surface, as all of them leave it together.
+// The pair test of the vertex tree: finds the merges of a round that would break the surface, given all other merges of the round.
 #ifndef ISOPEEL_TREE_PAIR_TEST_H
 #define ISOPEEL_TREE_PAIR_TEST_H
 
@@ -10,30 +10,31 @@
 #include "lib/tree_lists.h"
 #include "lib/tree_rings.h"
 
-// What the test says of a pair, in TreeBlock::best of its first cluster, beside a number.
+// Verdicts on a pair: flags in TreeBlock::best of its first cluster, beside a number.
 #define GIVE_UP 0x80000000u   // in this round
 #define SET_ASIDE 0x40000000u // until one of the two merges: it would be chosen in every round
 
-// What merging a cluster with its partner costs.
+// Cost of merging a cluster with its partner.
 inline float pair_cost(const TreeBlock *block, uint a) {
     const uint first = block->clusters[a].ring_first;
     return block->costs[first + index_of(block->rings + first, block->partners[a])];
 }
 
-// Of two pairs that may not both merge, by their first clusters, the one that does not: or they would try again for ever.
+// Of two pairs that may not both merge, the one that gives way, both named by their first clusters. Without this choice they would retry
+// for ever.
 inline uint dearer_pair(const TreeBlock *block, uint a, uint b) {
     const float a_cost = pair_cost(block, a), b_cost = pair_cost(block, b);
     return a_cost > b_cost || (a_cost == b_cost && a > b) ? a : b;
 }
 
-// Marks of two pairs that would meet along more than one line the dearer one.
+// If two pairs would meet along more than one line, marks the one of higher cost.
 INLINED void test_lines(const TreeBlock *block, uint a, const MergedRing *ring, uint count, bool open) {
     for (uint i = 0; i < count; i++) {
         const uint other = merged_entry(ring, i);
         if (!merges_here(block, other)) continue;
         for (uint k = i + 1; k < count; k++) {
             if (merged_entry(ring, k) != other) continue;
-            // Where the border has closed, only this cluster is at fault.
+            // If the border has closed, only this cluster is at fault.
             if (!(open && i == 0 && k == count - 1)) or_global(block->best + dearer_pair(block, a, other), GIVE_UP);
         }
     }
@@ -46,20 +47,20 @@ INLINED void test_pair(const TreeBlock *block, uint a) {
     const JoinedRing joined = join_rings(block, a);
     MergedRing ring;
     const uint count = find_merged_ring(block, a, &joined, &ring);
-    // On the border, the first and the last neighbour are the same where it has closed.
+    // On the border, the first and the last neighbour are the same if the border has closed.
     const bool fails = joined.open ? count == 0 || merged_entry(&ring, 0) == merged_entry(&ring, count - 1) : count < 3;
     if (fails) or_global(block->best + a, GIVE_UP);
     if (!all_differ(&ring, count)) test_lines(block, a, &ring, count, joined.open);
     if (folds(block, a, &ring, count, joined.open)) or_global(block->best + a, SET_ASIDE);
 }
 
-// Takes the edge between a cluster and its partner out of the cluster's choice until one of them merges.
+// Excludes the edge between a cluster and its partner from the cluster's choice until one of them merges.
 inline void set_edge_aside(const TreeBlock *block, uint at) {
     const uint first = block->clusters[at].ring_first;
     block->costs[first + index_of(block->rings + first, block->partners[at])] = INFINITY;
 }
 
-// What a verdict does to one cluster of a pair. Returns whether the pair is given up.
+// Applies a verdict to one cluster of a pair. Returns whether the pair is given up.
 INLINED bool settle_cluster(const TreeBlock *block, uint at, uint verdict) {
     if (verdict & SET_ASIDE) set_edge_aside(block, at);
     if (!(verdict & (GIVE_UP | SET_ASIDE))) return false;
@@ -68,7 +69,7 @@ INLINED bool settle_cluster(const TreeBlock *block, uint at, uint verdict) {
     return true;
 }
 
-// Gives up the pairs that failed, and notes what the others change. Each work-item writes what is its own cluster's.
+// Gives up the pairs that failed, and records the changes by the others. Each work-item writes only the data of its own clusters.
 #if WIDE_GROUP == 1
 INLINED void settle_pairs(TreeBlock *block) {
     uint count = 0;

@@ -1,4 +1,4 @@
-// Rings of the vertex tree's clusters after a round of merges, and which neighbours stand for which.
+// Rings of the vertex tree's clusters after a round of merges, and the clusters that replace merged neighbours.
 #ifndef ISOPEEL_TREE_RINGS_H
 #define ISOPEEL_TREE_RINGS_H
 
@@ -7,15 +7,15 @@
 #include "lib/layout.h"
 #include "lib/tree_block.h"
 
-// In TreeBlock::partners, of a cluster that does not merge: something around it does.
+// In TreeBlock::partners, for a cluster that does not merge: a cluster around it does.
 #define CHANGES FOREIGN
 
 // Whether a cluster merges with another one.
 inline bool has_partner(const TreeBlock *block, uint at) { return !(block->partners[at] & FOREIGN); }
 
-// The cluster that stands for another one after this round's merges.
+// The cluster that replaces another one after this round's merges.
 inline uint merged_corner(const TreeBlock *block, uint at) {
-    // Where there is no partner, the number is above all.
+    // Without a partner, the number is above all cluster numbers.
     const uint partner = block->partners[at & FOREIGN ? 0 : at];
     return at & FOREIGN ? at : min(at, partner);
 }
@@ -34,7 +34,7 @@ typedef struct {
 INLINED JoinedRing join_rings(const TreeBlock *block, uint a) {
     const uint b = block->partners[a];
     const bool a_open = cluster_flags(block, a) & CLUSTER_BORDER, b_open = cluster_flags(block, b) & CLUSTER_BORDER;
-    // Of a cluster inside and one on the border, the latter is the outer one.
+    // If one cluster is inside and the other one on the border, the latter is the outer one.
     const uint outer = b_open && !a_open ? b : a, inner = outer == a ? b : a;
     JoinedRing ring;
     ring.outer_first = block->clusters[outer].ring_first;
@@ -67,7 +67,7 @@ inline void copy_ring(__global const uint *from, uint count, uint *to) {
     for (uint i = 0; i < count; i += 16) vstore16(vload16(0, from + i), 0, to + i);
 }
 
-// The ring of a pair as it is once all of the round have merged.
+// The ring of a pair after all merges of the round.
 typedef struct {
     uint entries[RING_CAPACITY];
 } MergedRing;
@@ -85,7 +85,8 @@ INLINED void copy_joined(const TreeBlock *block, const JoinedRing *ring, uint *t
     copy_ring(outer + ring->at + 1, ring->count - behind, to + behind);
 }
 
-// Merges the neighbours in a ring, and marks them where the ring's clusters merge. Returns how many there are then.
+// Replaces the neighbours in a ring by their merged clusters and drops repeated ones. `marks`: marks the neighbours as changed, because the
+// ring's clusters merge. Returns the new number of neighbours.
 INLINED uint merge_neighbours(const TreeBlock *block, uint *ring, uint count, bool open, bool marks) {
     uint before = open || !count ? NONE : merged_corner(block, ring[count - 1]), kept = 0;
     for (uint i = 0; i < count; i++) {
@@ -109,14 +110,14 @@ INLINED bool all_differ(MergedRing *ring, uint count) {
     return !any_lane(equal & (lane < count));
 }
 
-// Writes the ring of a pair, and marks what is around the pair. Returns how many entries the ring has.
+// Writes the ring of a pair, and marks the clusters around the pair. Returns the number of entries of the ring.
 INLINED uint find_merged_ring(const TreeBlock *block, uint a, const JoinedRing *joined, MergedRing *ring) {
     (void)a;
     copy_joined(block, joined, ring->entries);
     return merge_neighbours(block, ring->entries, joined->count, joined->open, true);
 }
 #else
-// The ring of a pair as it is once all of the round have merged: in the two ranges that the two rings have in the next ones.
+// The ring of a pair after all merges of the round: in the two ranges of `next_rings` that the two rings have.
 typedef struct {
     __global uint *low, *high; // the latter from `split` on
     uint split;
@@ -134,7 +135,7 @@ inline uint joined_entry(const TreeBlock *block, const JoinedRing *ring, uint i)
     return block->rings[ring->inner_first + (at < ring->inner_count ? at : at - ring->inner_count)];
 }
 
-// Writes the ring of the pair whose first cluster is `a`, and marks what is around the pair. Returns how many entries the ring has.
+// Writes the ring of the pair whose first cluster is `a`, and marks the clusters around the pair. Returns the number of entries of the ring.
 INLINED uint find_merged_ring(const TreeBlock *block, uint a, const JoinedRing *joined, MergedRing *ring) {
     ring->split = block->clusters[a].ring_count;
     ring->low = block->next_rings + block->clusters[a].ring_first;
@@ -149,7 +150,7 @@ INLINED uint find_merged_ring(const TreeBlock *block, uint a, const JoinedRing *
 }
 #endif
 
-// Whether a cluster merges or something around it does: what its pairs failed for may no longer be so.
+// Whether a cluster or one around it merges: then the reason why its pairs failed may be gone.
 inline bool has_changed(const TreeBlock *block, uint at) { return block->partners[at] <= CHANGES; }
 
 // Writes the ring of a cluster that did not merge, its neighbours merged, from `to` on. Returns how many entries it has.
@@ -164,7 +165,7 @@ INLINED uint renew_ring(const TreeBlock *block, uint at, uint to) {
         block->next_rings[to + count] = other;
         const float cost = block->costs[first + i];
         block->next_costs[to + count] = (changed | (partner <= CHANGES)) ? fabs(cost) : cost;
-        // Branch-free, as the outcome is unpredictable: the next one is written over it.
+        // Branch-free, as the outcome is unpredictable: the next entry overwrites this one.
         count += other != before;
         before = other;
     }

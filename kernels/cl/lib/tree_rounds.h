@@ -19,7 +19,7 @@
 INLINED void cost_batch(const TreeBlock *block, PairBatch *batch) {
     if (batch->count == 0) return;
     float cost[LANES];
-    // The sign is another flag's.
+    // The sign bit holds a flag.
     STORE_LANES(fabs(merge_pairs(batch, block->clusters, block->positions).cost), cost);
     for (uint i = 0; i < batch->count; i++) {
         const uint other = batch->other[i], at = batch->first[i] ^ batch->second[i] ^ other;
@@ -32,7 +32,7 @@ INLINED void cost_batch(const TreeBlock *block, PairBatch *batch) {
 }
 
 #if WIDE_GROUP == 1
-// Collects the edges of a new cluster, MORE_COLUMNS entries of its ring at a time: as many steps whatever the ring has.
+// Collects the edges of a new cluster, MORE_COLUMNS entries of its ring at a time, so that the number of steps varies little.
 INLINED void collect_edges(const TreeBlock *block, PairBatch *batch, uint at) {
     const uint first = block->clusters[at].ring_first, end = first + block->clusters[at].ring_count;
     for (uint begin = first; begin < end; begin += MORE_COLUMNS) {
@@ -67,8 +67,8 @@ INLINED void collect_edges(const TreeBlock *block, PairBatch *batch, uint at) {
 }
 #endif
 
-// Computes the costs of new clusters: points before the first round, or clusters that merged in the last round. No other costs than theirs
-// have changed.
+// Computes the costs of new clusters: points before the first round, or clusters that merged in the last round. No other costs have
+// changed.
 INLINED void find_costs(const TreeBlock *block) {
     PairBatch batch;
     batch.count = 0;
@@ -83,7 +83,7 @@ INLINED void find_costs(const TreeBlock *block) {
 #define FAILED 0x80000000u
 #define NO_COST 0x7f800000u // bits of INFINITY
 
-// The neighbour at the minimum cost of those that may merge, as far as is known; NONE where there is none.
+// The neighbour at the minimum cost of those that may merge, as far as is known; NONE if there is none.
 INLINED uint best_neighbour(const TreeBlock *block, uint at) {
     const uint first = block->clusters[at].ring_first, count = block->clusters[at].ring_count;
     __global const uint *costs = (__global const uint *)block->costs + first;
@@ -102,7 +102,7 @@ INLINED uint best_neighbour(const TreeBlock *block, uint at) {
     return best;
 }
 
-// Tests the collected pairs, and writes where they merge: of the columns of those that may not, a bit each.
+// Tests the collected pairs and writes the positions of their merges. Returns the columns of the pairs that may not merge, one bit each.
 INLINED uint failed_pairs(const TreeBlock *block, PairBatch *batch) {
     const Merges merges = merge_pairs(batch, block->clusters, block->positions);
     float x[LANES], y[LANES], z[LANES];
@@ -146,8 +146,8 @@ INLINED void test_batch(const TreeBlock *block, PairBatch *batch, __global uint 
     batch->count = 0;
 }
 
-// Whether a cluster on the list of a pass is to test the pair with its best neighbour: if both have chosen each other. If both are on the
-// list, the first one tests, which may just have become the other's partner.
+// Whether a cluster on the list of a pass must test the pair with its best neighbour: if both have chosen each other. If both are on the
+// list, only the first one tests; it may just have become the other's partner.
 INLINED bool tests_best(const TreeBlock *block, uint at, uint pass) {
     const uint other = block->best[at];
 #if WIDE_GROUP == 1
@@ -161,8 +161,8 @@ INLINED bool tests_best(const TreeBlock *block, uint at, uint pass) {
     return of_other != (FOREIGN | pass) && of_other != at;
 }
 
-// Makes partners of the clusters that are each other's best, of pairs that may merge: tests a pair once both have chosen each other. Where
-// it fails, both choose again, until no pair fails.
+// Makes partners of clusters that are each other's best neighbour and may merge. A pair is tested once both have chosen each other. If it
+// fails, both choose again, until no pair fails.
 INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count) {
     const uint lid = get_local_id(0);
     __global uint *best = block->best, *partners = block->partners;
@@ -205,7 +205,7 @@ INLINED void choose_partners(const TreeBlock *block, __local uint *failed_count)
     }
 }
 
-// Pairs the clusters that are each other's best, but for those that fail the pair test.
+// Pairs the clusters that are each other's best, except those that fail the pair test.
 INLINED void find_pairs(TreeBlock *block, __local uint *failed_count) {
     find_costs(block);
     barrier(CLK_GLOBAL_MEM_FENCE);
@@ -221,7 +221,7 @@ INLINED void find_pairs(TreeBlock *block, __local uint *failed_count) {
     barrier(CLK_GLOBAL_MEM_FENCE);
 }
 
-// Where the nodes of a block go.
+// Output buffers of a block's nodes.
 typedef struct {
     __global TreeNode *nodes;
     __global uint *node_errors;   // as keys (tree_key.h)
@@ -358,7 +358,7 @@ INLINED void compact_block(TreeBlock *block, __local uint *scratch) {
     for (uint begin = 0; begin < block->alive_count; begin += WIDE_GROUP) {
         const bool is_there = begin + lid < block->alive_count;
         const uint at = is_there ? block->alive[begin + lid] : 0, partner = is_there ? block->partners[at] : 0;
-        const bool is_kept = is_there && partner > at; // where there is none, it is above all
+        const bool is_kept = is_there && partner > at; // without a partner, it is above all
         uint capacity = 0;
         if (is_kept) capacity = block->clusters[at].ring_count + (!(partner & FOREIGN) ? block->clusters[partner].ring_count - 2 : 0);
         const uint to = entries + scan_group(scratch, capacity, &total);

@@ -1,7 +1,7 @@
 // Points of a mesh whose distances to the surface are measured: its vertices, and points on its triangles. A triangle is divided into n^2 equal ones, and each has the six points of Dunavant's rule, whose weighted sums are
 // integrals of polynomials up to the fourth degree (High degree efficient symmetrical Gaussian quadrature rules, 1985). Squared distances
-// are such polynomials where the surface is a paraboloid above the triangle; centroids alone miss that meshes are furthest off at edges. Vertices
-// have no weight: they count for the maximum alone.
+// are such polynomials if the surface is a paraboloid above the triangle. Centroids alone would miss that meshes are furthest off at edges.
+// Vertices have no weight: they count for the maximum alone.
 #ifndef ISOPEEL_TRIANGLE_SAMPLES_H
 #define ISOPEEL_TRIANGLE_SAMPLES_H
 

@@ -30,7 +30,7 @@ inline float4 trilinear(const float *v, float3 t) {
         (to)[7 * (stride)] = (from)[91];                                                                               \
     }
 
-// Parameter in [0, 1] of the zero between two values of different sign; 1/2 where both are infinite.
+// Parameter in [0, 1] of the zero between two values of different sign; 1/2 if both are infinite.
 inline real crossing_parameter(real from, real to) {
     const real t = native_divide(from, from - to);
     return PICK(t == t, clamp(t, 0.0f, 1.0f), 0.5f);

@@ -37,14 +37,14 @@ inline int3 border_position(Grid grid, Node node, VertexRecord record, uint face
     const float3 face = select(convert_float3(last), convert_float3(-origin), is_low);
     const float3 along = select((float3)(1.0f), (float3)(0.0f), is_low | is_high), to_face = (1.0f - along) * (face - p);
     const float3 free_n = along * n;
-    // At most ten times the distance to the face, where the plane is almost parallel to it.
+    // Limited for planes almost parallel to the face: the vertex moves at most ten times its distance to the face.
     const float3 moved = p - free_n * (dot(n, to_face) / fmax(dot(free_n, free_n), 0.01f * dot(n, n)));
     // Each sheet of a cell has a margin of its own, so that two of them do not meet.
     const uint sheet = node.count >> 24 ? meta_extras(node.meta) : 0;
     const float margin = MARGIN * (1.0f + (float)sheet);
     const float3 in_leaf = clamp(moved, convert_float3(low) + margin, convert_float3(high) - margin);
     const int3 at = convert_int3_rte(select(in_leaf, face, is_low | is_high) * VERTEX_LATTICE);
-    // Where two sheets of a cell touch on the face, the last two bits still keep them apart.
+    // If two sheets of a cell touch on the face, the last two bits still keep them apart.
     const int3 own = meta_extras(node.meta) ? (at & ~3) | (int)sheet : at;
     return select(own, at, is_low | is_high) + origin * (int)VERTEX_LATTICE;
 }
@@ -63,7 +63,7 @@ INLINED Vertex make_vertex(CutParams params, Node node, uint normal, int3 at) {
     return vertex;
 }
 
-// What the points of the vertex tree are numbered by (tree.cl), and where positions of those on the volume's faces go.
+// Inputs for numbering the points of the vertex tree (tree.cl), and the output buffer for positions of those on the volume's faces.
 typedef struct {
     bool wanted;                // instead of vertices
     __global const uint *borders;
@@ -78,7 +78,7 @@ inline uint cell_point(__global const Region *region, uint slot) {
     return region->point_base + (rank < sheets ? rank : rank - sheets + region->level_base[1]);
 }
 
-// What the vertices of a region's mesh are made from, and where they go.
+// Inputs and output buffers of the vertices of a region's mesh.
 typedef struct {
     CutParams params;
     __global const Node *nodes;

@@ -30,7 +30,7 @@ fn coarse(pipeline: &Pipeline<'_>, cut: &Cut) -> Vec<Triangle> {
     triangles
 }
 
-/// Where the straight line between the two samples at the ends of a leaf's edge has the isovalue.
+/// Point at which the linear interpolant between the two samples at the ends of a leaf's edge has the isovalue.
 fn coarse_vertex(pipeline: &Pipeline<'_>, leaf: Leaf, edge: usize) -> ([f32; 3], [f32; 3]) {
     let field = pipeline.field;
     let samples = field.cube_samples(usize::from(leaf.level), leaf.cube);

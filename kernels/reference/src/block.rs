@@ -1,5 +1,5 @@
-//! The mesh of one block of the vertex tree while its points merge (docs/algorithm.md#7-vertex-tree). Its own points come first;
-//! behind them are points of neighbouring blocks that its triangles have as corners, which stay where they are.
+//! The mesh of one block of the vertex tree while its points merge (docs/algorithm.md#7-vertex-tree). Its own points come first.
+//! They are followed by points of neighbouring blocks that are corners of its triangles; these points do not move.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -34,9 +34,9 @@ pub(crate) struct Block {
     fans: Vec<Fan>,
     /// Pairs that would fold the surface, the smaller number first: not tried again until one of the two merges.
     aside: BTreeSet<[usize; 2]>,
-    /// Pairs that may not merge, the smaller number first: not tried again until something around one of the two does.
+    /// Pairs that may not merge, the smaller number first: not tried again until a cluster around one of the two merges.
     refused: BTreeSet<[usize; 2]>,
-    /// Clusters that are left, ascending.
+    /// Remaining clusters, ascending.
     pub(crate) alive: Vec<usize>,
     /// The node that each own point merged into.
     pub(crate) point_parents: Vec<Option<usize>>,
@@ -139,7 +139,7 @@ impl Block {
             .map_or_else(|| self.foreign[vertex - self.clusters.len()], |c| c.position)
     }
 
-    /// What the triangles around a point say: its quadric, and whether it is on the border or may not merge.
+    /// Derives a point's quadric and whether it is on the border or may not merge from the triangles around it.
     fn classify(&mut self, at: usize, on_border: &[bool], position: [i32; 3], last: [i32; 3]) {
         let own = self.clusters[at].position;
         let mut quadric = Quadric::default();
@@ -241,7 +241,7 @@ impl Block {
         })
     }
 
-    /// The neighbours that a cluster may merge with as far as costs say, the minimum cost first; of equal costs the smaller hash decides.
+    /// The neighbours with which a cluster may merge by their costs, the minimum cost first; for equal costs the smaller hash decides.
     fn candidates(&self, at: usize) -> VecDeque<usize> {
         if self.clusters[at].is_locked {
             return VecDeque::new();
@@ -263,7 +263,8 @@ impl Block {
     }
 
     /// Pairs of clusters that are each other's best neighbour and pass the pair test; the smaller number first, ascending. A pair is tested
-    /// once both have chosen each other; if it may not merge, both choose again, without it until something around them merges.
+    /// once both have chosen each other. If it may not merge, both choose again, and the pair is excluded until a cluster around them
+    /// merges.
     pub(crate) fn find_pairs(&mut self) -> Vec<[usize; 2]> {
         let mut candidates = vec![VecDeque::new(); self.clusters.len()];
         for &at in &self.alive {
@@ -301,7 +302,7 @@ impl Block {
         pairs.into_iter().filter(|pair| !failed.contains(&pair[0])).collect()
     }
 
-    /// Pairs that fold the surface if all of them merge: of the triangles around such a cluster one folds back over the next.
+    /// Pairs that fold the surface if all pairs merge: around the merged cluster, one triangle folds back over the next.
     fn folding_pairs(&self, pairs: &[[usize; 2]]) -> Vec<[usize; 2]> {
         let merged: BTreeMap<usize, (usize, Vector)> = pairs
             .iter()
@@ -332,7 +333,7 @@ impl Block {
         pairs.iter().copied().filter(folds).collect()
     }
 
-    /// What is around two neighbours, counter-clockwise; on the border from one end to the other.
+    /// The ring around two neighbours, counter-clockwise; on the border from one end to the other.
     fn joined_ring(&self, a: usize, b: usize, is_open: bool) -> Vec<usize> {
         let steps: BTreeMap<usize, usize> = [(a, b), (b, a)]
             .into_iter()
@@ -386,7 +387,7 @@ impl Block {
         failed
     }
 
-    /// Makes the node of a pair, and the pair's first cluster the merged one.
+    /// Makes the node of a pair; the pair's first cluster becomes the merged one.
     pub(crate) fn commit(&mut self, [a, b]: [usize; 2], nodes: &mut [Node]) -> Node {
         let index = nodes.len();
         let [first, second] = [a, b].map(|i| self.clusters[i].clone());
@@ -435,7 +436,7 @@ impl Block {
         }
     }
 
-    /// Replaces the second cluster of each pair by the first, and drops the triangles that have become lines.
+    /// Replaces the second cluster of each pair by the first, and drops degenerate triangles.
     pub(crate) fn compact(&mut self, pairs: &[[usize; 2]]) {
         let second_to_first: BTreeMap<usize, usize> = pairs.iter().map(|&[a, b]| (b, a)).collect();
         let merged = |v: usize| second_to_first.get(&v).copied().unwrap_or(v);
@@ -452,7 +453,7 @@ impl Block {
     }
 }
 
-/// Of two triangles with these normals, which share an edge, whether one folds back over the other.
+/// Whether one of two triangles that share an edge folds back over the other. `a`, `b`: their normals.
 fn folds_back(a: Vector, b: Vector) -> bool {
     let product = dot(a, b);
     product < 0.0 && product * product > MAX_FOLD * MAX_FOLD * dot(a, a) * dot(b, b)

@@ -1,5 +1,5 @@
-//! Clusters of the vertex tree's points: their quadrics, where two of them merge and at what cost
-//! (docs/algorithm.md#7-vertex-tree). In f32 and in the device's order of operations: which pairs merge depends on the last bit.
+//! Clusters of the vertex tree's points: their quadrics, and the position and cost of a merge of two clusters
+//! (docs/algorithm.md#7-vertex-tree). In f32 and in the device's order of operations, because the last bit decides which pairs merge.
 
 /// A point or direction, world units.
 pub(crate) type Vector = [f32; 3];
@@ -67,7 +67,7 @@ impl Quadric {
         [dot([xx, xy, xz], x), dot([xy, yy, yz], x), dot([xz, yz, zz], x)]
     }
 
-    /// The same planes from a position moved by `by`.
+    /// The sums over the same planes, from a position moved by `by`.
     pub(crate) fn shifted(&self, by: Vector) -> Self {
         let at = self.times(by);
         Self {

@@ -6,7 +6,7 @@ use crate::{Field, boxes, classify, derive, offset};
 use isopeel_kernels::tables::{cases, cube};
 use isopeel_kernels::{DerivedFeature, VectorFeature};
 
-/// What the user's importance looks at.
+/// The feature that importance blends with smoothness.
 #[derive(Clone, Copy)]
 pub enum Feature<'a> {
     /// Nothing: `f` is zero.
@@ -37,8 +37,8 @@ pub struct Cell {
 pub struct Node {
     /// Triangles of the undecimated surface below, `N`.
     pub count: u32,
-    /// Smoothness feature, eq. 1. At level 0 that of the level-1 node above: a single cell's would be 0, and this is
-    /// the finest cube where the equation says something.
+    /// Smoothness feature, eq. 1. At level 0 that of the level-1 node above: for a single cell the equation always gives 0, so
+    /// level 1 is the finest level at which it is meaningful.
     pub s: f32,
     /// User feature, eq. 2, not yet normalised.
     pub f: f32,
@@ -48,7 +48,7 @@ pub struct Node {
     pub missing: bool,
 }
 
-/// What depends on isovalue and feature alone.
+/// The pyramid, which depends on isovalue and feature alone.
 #[derive(Clone, Debug)]
 pub struct Pyramid {
     /// Samples of the volume along x, y, z.
@@ -106,7 +106,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Scales to length 1; zero, and what is not finite, becomes zero. Scaled by the largest component first, so that
+/// Scales to length 1; a zero vector and one that is not finite become zero. Scaled by the largest component first, so that
 /// squares of huge or tiny values stay in range.
 pub fn normalised(v: [f32; 3]) -> [f32; 3] {
     let largest = v.iter().fold(0.0f32, |m, x| m.max(x.abs()));

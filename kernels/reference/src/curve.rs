@@ -1,8 +1,8 @@
-//! How triangles and the estimated error of a cut of the vertex tree depend on its tolerance.
+//! Estimated error of a cut of the vertex tree as a function of its tolerance.
 
 use crate::tree_cut::{Cutter, OfNodes};
 
-/// Sum of the squared errors of a cut's nodes, by their area and over the squared smallest spacing.
+/// Sum of the squared errors of a cut's nodes, weighted by area and divided by the squared smallest spacing.
 pub fn squared_error(cutter: &Cutter<'_>, keys: &OfNodes, tolerance: f32) -> f64 {
     let mut sum = 0.0;
     for (region, block) in &cutter.tree.blocks {

@@ -1,4 +1,4 @@
-//! The cut: which cubes stand for the surface below them (docs/algorithm.md#4-importance-and-cut).
+//! The cut: the cubes that represent the surface below them (docs/algorithm.md#4-importance-and-cut).
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ impl Leaf {
     }
 }
 
-/// The leaves that stand for each active cell.
+/// The leaves of a cut, each of which represents the active cells below it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cut {
     /// For each active cell the leaf above it (itself, at level 0).
@@ -58,8 +58,9 @@ pub fn importance(node: &Node, leaf: Leaf, dims: [u32; 3], params: &CutParams) -
     raise(importance_of(node.s, node.f, params), params, cube)
 }
 
-/// Error of a node above level 0 as the cut by error compares it with its tolerance: summed over the surface below, of which three triangles
-/// are one square of the spacing. If the corners have one sign, what lies between them vanishes. `error`: of its vertex.
+/// Error of a node above level 0 as the cut by error compares it with its tolerance: summed over the surface below, in which three
+/// triangles are one square of the spacing. If all corners have one sign, the surface between them vanishes, so the diagonal counts too.
+/// `error`: of its vertex.
 pub fn summed_error(node: &Node, level: u8, spacing: [f32; 3], error: f32) -> f32 {
     let diagonal = spacing.map(|s| s * s).iter().sum::<f32>().sqrt() * f32::from(1u8 << level);
     let vanishes = node.signs == 0 || node.signs == 255;
@@ -67,7 +68,7 @@ pub fn summed_error(node: &Node, level: u8, spacing: [f32; 3], error: f32) -> f3
     counted * (node.count as f32 / 3.0).max(1.0).sqrt()
 }
 
-/// What the transfer function looks at: smoothness `s` blended with the user feature `f`, eq. 3.
+/// The input of the transfer function: smoothness `s` blended with the user feature `f`, eq. 3.
 pub fn blended_feature(s: f32, f: f32, params: &CutParams) -> f32 {
     (1.0 - params.alpha) * s + params.alpha * normalised_feature(f, params)
 }

@@ -52,7 +52,7 @@ pub fn of_vector(components: [&Field; 3], feature: VectorFeature) -> Field {
     })
 }
 
-/// What differences of neighbouring samples are divided by along an axis.
+/// The divisor of differences of neighbouring samples along an axis.
 enum Step {
     /// One over the spacing.
     Even(f32),
@@ -90,7 +90,7 @@ impl Step {
     }
 }
 
-/// Steps at a sample along x, y and z, and one over the smallest length that they are made of. A cell that is not there is as long as the last.
+/// Steps at a sample along x, y and z, and one over the smallest length in them. A cell beyond the grid counts as long as the last one.
 fn steps(field: &Field, p: [u32; 3]) -> ([Step; 3], f32) {
     let steps: [Step; 3] = std::array::from_fn(|axis| match &field.lengths {
         None => Step::Even(1.0 / field.grid.spacing[axis]),
@@ -103,7 +103,7 @@ fn steps(field: &Field, p: [u32; 3]) -> ([Step; 3], f32) {
     (steps, bound)
 }
 
-/// The gradient at a sample: as [`Field::gradient`], but of uneven axes by the lengths of their cells.
+/// The gradient at a sample: as [`Field::gradient`]; on uneven axes it uses the lengths of their cells.
 fn gradient(field: &Field, p: [u32; 3]) -> [f32; 3] {
     if field.lengths.is_none() {
         return field.gradient(p);
@@ -155,7 +155,7 @@ fn lambda_2(d: [[f32; 3]; 3]) -> f32 {
     size * (size * values[1])
 }
 
-/// A value at every sample; what is not finite counts as missing.
+/// A value at every sample; a value that is not finite counts as missing.
 fn at_samples(field: &Field, value: impl Fn([u32; 3]) -> f32) -> Field {
     let finite = |p| Some(value(p)).filter(|v: &f32| v.is_finite()).unwrap_or(f32::NAN);
     Field::new(field.grid, field.samples().map(finite).collect())
@@ -170,7 +170,7 @@ fn clamp(value: f32, bound: f32) -> f32 {
     }
 }
 
-/// The sample so many further along x, y, z; NaN outside the grid.
+/// The sample at the offset `by` from `p`; NaN outside the grid.
 fn neighbour(field: &Field, p: [u32; 3], by: [i32; 3]) -> f32 {
     let q: [i64; 3] = std::array::from_fn(|i| i64::from(p[i]) + i64::from(by[i]));
     if (0..3).any(|i| q[i] < 0 || q[i] >= i64::from(field.grid.dims[i])) {
@@ -208,7 +208,7 @@ struct Derivatives {
 }
 
 impl Derivatives {
-    /// `None` if a sample that they are made of is missing.
+    /// Returns `None` if one of the samples that they need is missing.
     fn at(field: &Field, p: [u32; 3], steps: &[Step; 3]) -> Option<Self> {
         let here = field.at(p);
         // The sample `a` further along axis `i` and `b` along axis `j`.

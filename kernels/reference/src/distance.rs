@@ -1,11 +1,11 @@
-//! How far points are from the isosurface, by brute force.
+//! Distances of points to the isosurface, by brute force.
 
 use crate::Field;
 use crate::error::surface_points;
 
-/// Distances of points, in cells, to the nearest of many points of the surface, world units; infinite if there is none. The surface
-/// itself may be nearer by a part of a cell's diagonal, which is returned too. `vertices`: of the active cells, which count as points of
-/// the surface, though in noise Newton steps do not bring all of them there.
+/// Returns the distances of points to the nearest of many points of the surface, in world units; infinite if there is none. The surface
+/// itself may be nearer by a part of a cell's diagonal, which is returned too. `points` are in cells. `vertices`: of the active cells. They
+/// count as points of the surface, although in noise the Newton steps do not move all of them onto it.
 pub fn distances(field: &Field, iso: f32, vertices: &[[f32; 3]], points: &[[f32; 3]]) -> (Vec<f64>, f64) {
     let spacing = field.grid.spacing.map(f64::from);
     let world = |point: &[f32; 3]| -> [f64; 3] { std::array::from_fn(|i| f64::from(point[i]) * spacing[i]) };

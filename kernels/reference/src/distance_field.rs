@@ -1,4 +1,4 @@
-//! Distances to the nearest sample that is inside: axis by axis, the minimum over all samples of each line.
+//! Distances to the nearest inside sample: axis by axis, the minimum over all samples of each line.
 
 /// Squares of distances to the samples that are `inside`, infinite if there is none; x fastest. `positions`: of the samples along x, y, z.
 pub fn squares(positions: &[Vec<f64>; 3], inside: &[bool]) -> Vec<f64> {

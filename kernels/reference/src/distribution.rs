@@ -1,4 +1,4 @@
-//! How the blended feature of a cut's leaves is distributed over the surface.
+//! Histogram of the blended feature of a cut's leaves over the surface.
 
 use crate::cut::blended_feature;
 use crate::tree_cut::{Cutter, TreeLeaf};
@@ -28,7 +28,7 @@ pub fn of_cut(pyramid: &Pyramid, cut: &Cut, params: &CutParams, bins: u32) -> Di
     count(leaves, params, bins)
 }
 
-/// Of a cut of the vertex tree: each point counts once, but for those of removed parts.
+/// Of a cut of the vertex tree: each point counts once, except those of removed parts.
 pub fn of_tree(
     cutter: &Cutter<'_>,
     leaves: &[TreeLeaf],

@@ -14,8 +14,8 @@ pub type Corner = (Leaf, u8, u8);
 pub type CubeEdge = (u8, [u32; 3], u8);
 
 /// The polygon around each minimal edge, counter-clockwise seen from the side of lower values: three or four different
-/// corners. A cube beyond the volume's end is stood in for by the border vertex of its mirror image inside; where samples are
-/// missing a cube around the edge is not there and neither is a polygon.
+/// corners. A cube beyond the volume's end is replaced by the border vertex of its mirror image inside. If missing samples make
+/// a cube around the edge inactive, there is no polygon.
 pub fn polygons(
     field: &Field,
     pyramid: &Pyramid,
@@ -89,9 +89,9 @@ pub fn polygons(
     edges.into_iter().filter_map(|e| Some((e, polygon(e)?))).collect()
 }
 
-/// Where a leaf's border vertex lies, in cells from the volume's first sample: its own vertex at `position` moved along its
-/// tangent plane, as little as that takes, onto `faces`, but not out of the leaf, and each sheet of a cell only to a place
-/// of its own. `normal`: a unit vector, in world lengths.
+/// Position of a leaf's border vertex, in cells from the volume's first sample: its own vertex at `position`, moved along its
+/// tangent plane onto `faces` by the shortest way. It stays inside the leaf, and the sheets of a cell get different positions.
+/// `normal`: a unit vector, in world lengths.
 pub fn border_position(
     grid: &isopeel_kernels::Grid,
     (leaf, sheet, faces): Corner,
@@ -106,7 +106,7 @@ pub fn border_position(
     let n: [f32; 3] = std::array::from_fn(|i| normal[i] * grid.spacing[i]);
     let way: f32 = (0..3).filter_map(|i| Some(n[i] * (face(i)? - position[i]))).sum();
     let free: f32 = (0..3).filter(|&i| face(i).is_none()).map(|i| n[i] * n[i]).sum();
-    // If the surface hardly leans towards the face, not beyond ten times the way.
+    // If the surface is almost parallel to the face, the vertex moves at most ten times its distance to the face.
     let free = free.max(0.01 * n.iter().map(|x| x * x).sum::<f32>());
     std::array::from_fn(|i| {
         face(i).unwrap_or_else(|| {

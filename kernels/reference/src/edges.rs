@@ -1,12 +1,12 @@
-//! Edges of triangles: whether a surface is closed, asked of its triangles alone.
+//! Edges of triangles: tests from its triangles alone whether a surface is closed.
 
 /// A directed edge, by its ends' positions on a lattice.
 pub type Edge = [[i64; 3]; 2];
 
-/// Edges that are not met by as many triangles in one direction as in the other, each once, its lower end first.
+/// Returns the edges that have different numbers of triangles in their two directions, each once, its lower end first.
 ///
-/// `edges` are those of all triangles, three a triangle in its order; ends at one place are one. Edges without a length
-/// are left out: they close nothing and open nothing.
+/// `edges`: those of all triangles, three per triangle in its order; ends at the same position are the same. Edges of length 0
+/// are left out, as they do not change whether the surface is closed.
 pub fn open(mut edges: Vec<Edge>) -> Vec<Edge> {
     let undirected = |&[p, q]: &Edge| if p < q { [p, q] } else { [q, p] };
     edges.retain(|[p, q]| p != q);

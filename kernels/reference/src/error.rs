@@ -1,6 +1,6 @@
-//! How far a dual mesh is from the surface it stands for (docs/algorithm.md#67-measured-error), in f64 and by brute force: every
+//! Distance of a dual mesh from the surface that it represents (docs/algorithm.md#67-measured-error), in f64 and by brute force: every
 //! crossing of a line against every triangle, every sample of a triangle against points all over the surface. A device's
-//! result is at least `low`, and more than `high` only by what its search misses.
+//! result is at least `low`. It exceeds `high` only if its search misses the nearest point.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -20,20 +20,20 @@ pub struct Triangle {
     pub corners: [Vector; 3],
 }
 
-/// Lines of a cell along each axis that measure area: where they go through it, along the next axis.
+/// Lines of a cell along each axis that measure area: their positions along the next axis.
 const INNER_LINES: [f64; 2] = [0.22, 0.78];
 
-/// How far from edges lines lie that count for the maximum alone.
+/// Distance from the edges of the lines that count for the maximum alone.
 const INSET: f64 = 0.0625;
 
-/// Points of a part of a triangle, three of each kind: one barycentric coordinate, the others have equal parts of the rest; and the weight.
+/// Points of a part of a triangle, three of each kind: one barycentric coordinate (the other two share the rest equally) and the weight.
 const KINDS: [(f64, f64); 3] = [
     (0.816_847_572_980_459, 0.109_951_743_655_322),
     (0.108_103_018_168_070, 0.223_381_589_678_011),
     (0.04, 0.0),
 ];
 
-/// Area of a part of a triangle at most, in square cells, and the divisions of a triangle's sides at most.
+/// Maximum area of a part of a triangle, in square cells, and maximum divisions of a triangle's sides.
 const PART_CELLS: f64 = 12.0;
 const DIVISIONS_MAX: f64 = 16.0;
 
@@ -74,7 +74,7 @@ impl Distances {
     }
 }
 
-/// Distances of crossings to the mesh and of samples of triangles to the surface as one figure.
+/// Combines the distances of crossings to the mesh and of samples of triangles to the surface.
 fn stated(to_mesh: &Distances, to_surface: &Distances) -> SurfaceError {
     SurfaceError {
         rms: ((to_mesh.mean2() + to_surface.mean2()) / 2.0).sqrt() as f32,
@@ -126,8 +126,8 @@ fn without_padding(field: &Field, cap: bool) -> [[u32; 3]; 2] {
     [[padding; 3], field.grid.dims.map(|n| n - 1 - padding)]
 }
 
-/// Points of the surface in world units: where it crosses a lattice with so many steps a cell, on whose lines the interpolant of a cell is
-/// linear. In a capped volume also those points of the lattice on its faces that lie inside.
+/// Points of the surface in world units: its crossings with a lattice of `steps` steps per cell, on whose lines the interpolant of a cell
+/// is linear. In a capped volume also those points of the lattice on its faces that lie inside.
 pub(crate) fn surface_points(field: &Field, iso: f32, cap: bool, steps: u32) -> Vec<Vector> {
     let step = 1.0 / f64::from(steps);
     let spacing = field.grid.spacing.map(f64::from);
@@ -162,8 +162,8 @@ pub(crate) fn surface_points(field: &Field, iso: f32, cap: bool, steps: u32) -> 
     points
 }
 
-/// Ways from `p` to points of the surface near `start`, world units: to the surface along its gradient, then along the surface towards the foot
-/// of the perpendicular, by turns. Infinite if no such point is found.
+/// Distance from `p` to a point of the surface near `start`, world units. Moves to the surface along its gradient, then along the surface
+/// towards the foot of the perpendicular, alternately. Infinite if no such point is found.
 fn way_to_foot(field: &Field, iso: f32, cap: bool, p: Vector, start: Vector) -> f64 {
     let spacing = field.grid.spacing.map(f64::from);
     let [first, last] = without_padding(field, cap);
@@ -197,10 +197,11 @@ fn way_to_foot(field: &Field, iso: f32, cap: bool, p: Vector, start: Vector) -> 
     shortest
 }
 
-/// A point that is measured, and the area that it stands for, world units.
+/// A measured point, and the area that it represents, world units.
 type Weighted = (Vector, f64);
 
-/// Where lines through a cell cross the surface; in the padding of a capped volume that is on its faces. `has_missing`: samples are missing somewhere.
+/// Crossings of lines through a cell with the surface; in the padding of a capped volume they are on its faces. `has_missing`: samples are
+/// missing somewhere.
 fn crossings(field: &Field, iso: f32, cap: bool, has_missing: bool, cell: [u32; 3]) -> Vec<Weighted> {
     let spacing = field.grid.spacing.map(f64::from);
     let [first, last] = without_padding(field, cap);
@@ -312,7 +313,7 @@ pub struct Bounds {
     pub high: SurfaceError,
 }
 
-/// Distances of crossings to the mesh, and the minimum and maximum that those of samples to the surface may be.
+/// Distances of crossings to the mesh, and bounds of the distances of samples to the surface.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     to_mesh: Distances,
@@ -331,7 +332,7 @@ impl Sums {
     }
 }
 
-/// What may be stated for every region that has active cells or triangles, and for the whole surface.
+/// Returns the bounds of the error of every region that has active cells or triangles, and of the whole surface.
 pub fn bounds(
     field: &Field,
     iso: f32,
@@ -348,7 +349,7 @@ pub fn bounds(
             sums.add(distances.fold(f64::INFINITY, f64::min), weight);
         }
     }
-    // Beside missing samples the foot of a perpendicular may lie beyond the end of the surface, and points are all that is known of it.
+    // Beside missing samples the foot of a perpendicular may lie beyond the end of the surface, so only points of the surface can be used.
     let steps = if has_missing { 5 } else { 2 };
     let points = surface_points(field, iso, cap, steps);
     let between = BETWEEN_POINTS * length(spacing);

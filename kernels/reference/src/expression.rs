@@ -4,8 +4,8 @@ use std::cmp::Ordering;
 
 use isopeel_kernels::expression::{Binary, Comparison, Expression, Op, Unary};
 
-/// The value at a sample of each field, of which missing ones are NaN. What each function returns passes through `rounded`, with the part of
-/// its size by which a device may be off.
+/// Returns the value for one sample of each field; a missing sample is NaN. The result of each function passes through `rounded`, with the
+/// relative error that a device may have.
 pub fn value(expression: &Expression, fields: &[f32], rounded: &mut dyn FnMut(f32, f32) -> f32) -> f32 {
     let ops = expression.ops();
     let known = (0..expression.fields()).all(|i| !fields[i].is_nan());
@@ -28,7 +28,7 @@ impl Twin<'_> {
             Op::Field(i) => self.fields[i as usize],
             Op::Unary(function, x) => {
                 let x = self.number(x.into(), rounded);
-                // As far off as OpenCL lets each function be.
+                // The errors that OpenCL allows each function.
                 let (value, ulps) = match function {
                     Unary::Negate => (-x, 0.0),
                     Unary::Abs => (if x < 0.0 { -x } else { x }, 0.0),

@@ -76,7 +76,7 @@ impl Field {
     }
 
     /// Gradient at a sample, per world unit: central differences; one-sided at the volume's border and beside a missing
-    /// sample; a component is 0 if neither neighbour helps.
+    /// sample; a component is 0 if neither neighbour is known.
     pub fn gradient(&self, p: [u32; 3]) -> [f32; 3] {
         std::array::from_fn(|axis| {
             let neighbour = |at: Option<u32>| match at {

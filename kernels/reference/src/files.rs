@@ -1,5 +1,5 @@
 //! Volumes of real scans, read from their files: just enough of NRRD (attached header, gzip) and NIfTI (`.nii.gz`, little
-//! endian). The server's readers are not used on purpose.
+//! endian). On purpose, this module does not use the server's readers.
 
 use flate2::read::MultiGzDecoder;
 use isopeel_kernels::{Grid, Samples};

@@ -5,8 +5,8 @@ use isopeel_kernels::Histogram;
 /// Bins of a histogram.
 pub const BINS: usize = 256;
 
-/// Numbers of the planes that a histogram counts of a volume of `dims` samples, if it has more than `samples`: one block of `depth` planes of each so
-/// many blocks (docs/algorithm.md, 2.3).
+/// Returns the planes that a histogram counts in a volume of `dims` samples. If it has more than `samples`, only one block of `depth`
+/// planes is counted in each group of blocks (docs/algorithm.md, 2.3).
 pub fn counted_planes(dims: [u32; 3], depth: u32, samples: u64) -> Vec<u32> {
     let all = dims.iter().map(|&n| u64::from(n)).product::<u64>();
     let planes: Vec<u32> = (0..dims[2]).collect();

@@ -17,7 +17,7 @@ impl CellBox {
         Self { low: at, high: at }
     }
 
-    /// A cube of a level in a volume of so many samples, cut off at the last one.
+    /// A cube of a level in a volume of `dims` samples, cut off at the last sample.
     pub fn cube(level: u8, cube: [u32; 3], dims: [u32; 3]) -> Self {
         let end = |i: usize| ((cube[i] + 1) << level).min(dims[i] - 1);
         Self {
@@ -27,8 +27,8 @@ impl CellBox {
     }
 }
 
-/// Whether a box meets a region of interest: the region's frame is that of its unit ball or cube, in which the box is taken for the
-/// smallest one along the frame's axes that holds it.
+/// Whether a box meets a region of interest. In the frame of the region's unit ball or cube, the box is replaced by its bounding box along
+/// the frame's axes.
 pub fn meets(interest: &Interest, cells: CellBox) -> bool {
     let distance = |row: [f32; 3]| {
         let mut at = 0.0;

@@ -92,7 +92,7 @@ impl<'a> Pipeline<'a> {
         mesh
     }
 
-    /// Everything: what `Engine::peel` answers, but for times and bytes.
+    /// The whole pipeline: returns the surface that `Engine::peel` returns, except times and bytes.
     pub fn peel(&self, params: &CutParams, prefix: Level) -> Surface {
         let cut = self.cut(params, prefix);
         let mesh = self.mesh(&cut);

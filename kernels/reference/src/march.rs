@@ -44,7 +44,7 @@ impl FineEdge {
 pub struct MeshVertex {
     /// From the volume's first sample, in 1/[`Vertex::LATTICE`] cell.
     pub position: [i64; 3],
-    /// Where the surface crosses the fine edge, 0 at its low end; not changed by patching.
+    /// Parameter of the surface's crossing on the fine edge, 0 at its low end; not changed by patching.
     pub t: f32,
 }
 
@@ -64,7 +64,7 @@ pub struct Mesh {
     pub vertices: BTreeMap<FineEdge, MeshVertex>,
     /// Leaf by leaf, in the order of the case table.
     pub triangles: Vec<Triangle>,
-    /// Vertices on a coarser leaf's face where that leaf has no segment to move to; see [`crate::patch`].
+    /// Vertices on the face of a coarser leaf that has no segment there to move them to; see [`crate::patch`].
     pub unpatched: u64,
 }
 
@@ -73,7 +73,7 @@ pub fn to_lattice(cells: f32) -> i64 {
     (cells * Vertex::LATTICE as f32).round_ties_even() as i64
 }
 
-/// The fine edge where the surface crosses an edge of a leaf, by binary search for a sign change along it.
+/// The fine edge at which the surface crosses an edge of a leaf, found by a binary search for a sign change.
 pub fn refine(field: &Field, iso: f32, leaf: Leaf, edge: usize) -> FineEdge {
     let samples = field.cube_samples(usize::from(leaf.level), leaf.cube);
     let axis = cube::edge_axis(edge);

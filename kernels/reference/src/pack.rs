@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::{Cut, Field, FineEdge, Mesh, Pyramid, construct, cut, octahedral};
 use isopeel_kernels::{CutParams, Level, Region, Surface, SurfaceStatistics, Vertex};
 
-/// Unit normal at the crossing of a fine edge, towards lower values, in world lengths; `[0, 0, 1]` where the gradient
+/// Unit normal at the crossing of a fine edge, towards lower values, in world lengths; `[0, 0, 1]` if the gradient
 /// is zero.
 pub fn normal(field: &Field, edge: FineEdge, t: f32) -> [f32; 3] {
     let (a, b) = (field.gradient(edge.low), field.gradient(edge.high()));
@@ -27,7 +27,7 @@ pub fn attributes(edge: FineEdge, pyramid: &Pyramid, cut: &Cut, params: &CutPara
             coarsest = Some(leaf);
         }
     }
-    // A vertex lies on an edge of an active cell: of its leaf's, where no other.
+    // A vertex lies on an edge of an active cell: if of no other cell, of a cell of its own leaf.
     let node = &cut.leaves[&coarsest.expect("an active cell around every vertex")];
     [node.s, cut::normalised_feature(node.f, params)]
 }

@@ -19,7 +19,7 @@ pub struct NearestCell {
     pub blended: f32,
     /// Importance at its vertex.
     pub importance: f32,
-    /// Another cell is as near, but for rounding: a device may find that one.
+    /// Another cell is equally near within rounding: a device may find that one.
     pub has_equal: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Surface sheets of the cells of a volume, where neighbours decide which ambiguous faces are flipped
+//! Surface sheets of the cells of a volume; neighbouring cells decide which ambiguous faces are flipped
 //! (docs/algorithm.md#62-sheets).
 
 use crate::{Field, classify};

@@ -13,7 +13,7 @@ pub const LATTICE: i32 = 2048;
 
 /// Rounds at most.
 const MAX_ROUNDS: usize = 64;
-/// The last round is the one that merges less than one in so many clusters.
+/// The last round is the first that merges less than 1 / `MIN_PROGRESS` of the clusters.
 const MIN_PROGRESS: usize = 64;
 
 /// A vertex of the full dual mesh.
@@ -75,7 +75,7 @@ pub type NodeId = ([u32; 3], usize);
 pub struct BlockTree {
     /// The nodes.
     pub nodes: Vec<Node>,
-    /// How many there are after each round.
+    /// Number of nodes after each round.
     pub round_ends: Vec<usize>,
     /// A third of the triangles around each point, summed.
     pub area: f32,
@@ -104,7 +104,7 @@ impl Tree {
             let above: Vec<NodeId> = self.above(mesh, p).collect();
             self.above(mesh, q).find(|node| above.contains(node))
         };
-        // Of two meetings in one tree the lower one has the lower number, and there is no third tree.
+        // In one tree, the lower of two meetings has the lower number. All meetings are in the same tree.
         [[a, b], [b, c], [c, a]].into_iter().filter_map(meeting).min()
     }
 }

@@ -8,21 +8,21 @@ use crate::cut::importance_of;
 use crate::interest::{CellBox, raise};
 use crate::tree::{FullMesh, LATTICE, Node, NodeId, Tree};
 
-/// Where points are most important, tolerances are this much smaller.
+/// Minimum weight: at the maximum importance, the tolerance is multiplied by this.
 const MIN_WEIGHT: f32 = 1.0 / 64.0;
-/// Keys below this one are not told apart, keys from [`ALL_KEYS`] on neither.
+/// Keys below this one are not distinguished, and neither are keys from [`ALL_KEYS`] on.
 const FIRST_KEY: f32 = 1.0 / (1u64 << 40) as f32;
 /// See [`FIRST_KEY`].
 const ALL_KEYS: f32 = (1u64 << 40) as f32;
-/// One in so many triangles of a budget is left for merges that repairs undo.
+/// The share 1 / `REPAIR_SHARE` of a budget's triangles is reserved for merges that repairs undo.
 const REPAIR_SHARE: u64 = 64;
-/// Cuts that are tried.
+/// Maximum number of cuts that are tried.
 const MAX_REPAIRS: usize = 64;
 
 /// A number of each node, by region.
 pub type OfNodes = BTreeMap<[u32; 3], Vec<f32>>;
 
-/// What stands for a point in a cut.
+/// The leaf that represents a point in a cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum TreeLeaf {
     /// Itself.
@@ -52,7 +52,7 @@ pub struct TreeCut {
     pub tolerance: f32,
     /// The leaf of each point.
     pub leaves: Vec<TreeLeaf>,
-    /// What is left of the mesh.
+    /// The remaining triangles of the mesh.
     pub triangles: Triangles,
     /// Nodes that are not merged: because that would change the topology, or because they are of removed parts.
     pub marks: BTreeSet<NodeId>,
@@ -63,7 +63,7 @@ impl Cutter<'_> {
         &self.tree.blocks[&region].nodes[index]
     }
 
-    /// Where a leaf lies in the volume, 1/[`crate::tree::LATTICE`] cell.
+    /// Position of a leaf in the volume, 1/[`crate::tree::LATTICE`] cell.
     pub fn position(&self, leaf: TreeLeaf) -> [i32; 3] {
         match leaf {
             TreeLeaf::Point(point) => self.mesh.points[point].position,
@@ -71,7 +71,7 @@ impl Cutter<'_> {
         }
     }
 
-    /// The level of the smallest cube as large as what a leaf stands for.
+    /// The level of the smallest cube as large as the cells that a leaf represents.
     pub fn level(&self, leaf: TreeLeaf) -> u8 {
         match leaf {
             TreeLeaf::Point(_) => 0,
@@ -85,7 +85,7 @@ impl Cutter<'_> {
             TreeLeaf::Point(point) => self.mesh.points[point].on_border,
             TreeLeaf::Node(id) => self.node(id).on_border,
         };
-        // The corner that is so many behind the leaf; sorted, as leaves may meet along an edge more than once.
+        // The corners `behind` places after the leaf in its triangles; sorted, as leaves may meet along an edge more than once.
         let corners = |behind: usize| {
             let corner = |t: &[TreeLeaf; 3]| t.iter().position(|&c| c == leaf).map(|at| t[(at + behind) % 3]);
             let mut corners: Vec<_> = around.iter().map(corner).collect();
@@ -132,7 +132,7 @@ impl Cutter<'_> {
         keys
     }
 
-    /// Of each node that can merge its key and the triangles that go, by key.
+    /// For each node that can merge, its key and the number of triangles that it removes, sorted by key.
     fn merges(&self, keys: &OfNodes) -> Vec<(f32, u64)> {
         let of_block = |(region, of_nodes): (&[u32; 3], &Vec<f32>)| {
             let nodes = &self.tree.blocks[region].nodes;
@@ -159,7 +159,7 @@ impl Cutter<'_> {
         self.full_triangles() - removed
     }
 
-    /// The tolerance for a budget, with triangles to spare for repairs; if many merges have one tolerance, with none.
+    /// Returns the tolerance for a budget. Reserves triangles for repairs, except if many merges share one tolerance.
     fn fit(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
         if self.full_triangles() <= max_triangles {
             return f32::NEG_INFINITY;
@@ -172,7 +172,7 @@ impl Cutter<'_> {
         self.tolerance_of(keys, max_triangles)
     }
 
-    /// The minimum tolerance whose cut has at most `max_triangles` before repairs; the maximum if none has.
+    /// Returns the minimum tolerance whose cut has at most `max_triangles` before repairs; the maximum tolerance if no cut has so few.
     pub fn tolerance_of(&self, keys: &OfNodes, max_triangles: u64) -> f32 {
         let wanted = self.full_triangles().saturating_sub(max_triangles);
         let mut sum = 0;
@@ -200,7 +200,7 @@ impl Cutter<'_> {
         (0..self.mesh.points.len()).map(leaf).collect()
     }
 
-    /// The full mesh's triangles between leaves, without those that have become lines: by level of the finest corner, finest first.
+    /// The full mesh's triangles between leaves, without degenerate ones: by level of the finest corner, finest first.
     pub fn triangles(&self, leaves: &[TreeLeaf]) -> Triangles {
         let of_region = |triangles: &Vec<[usize; 3]>| {
             let mut left: Vec<_> = triangles.iter().map(|t| t.map(|c| leaves[c])).collect();
@@ -242,11 +242,11 @@ impl Cutter<'_> {
         marks
     }
 
-    /// Cuts to a tolerance, and beyond it to a number of triangles; again without the nodes that change the topology until there are
-    /// none. The tolerance grows only if repairs exceed the budget. `None` if that takes too long.
+    /// Cuts to a tolerance, and beyond it to a number of triangles. Repeats without the merges that change the topology until there are
+    /// none. The tolerance grows only if repairs exceed the budget. Returns `None` if that takes too many cuts.
     /// `importances`: those of [`Self::importances`]; none if all are 0.
     pub fn cut(&self, importances: Option<&OfNodes>, goal: &TreeGoal) -> Option<TreeCut> {
-        // Finite, for keys of nodes in `marks` are not.
+        // Finite, because keys of nodes in `marks` are infinite.
         let fit = |keys: &OfNodes| {
             let fitted = goal.tolerance.max(self.fit(keys, goal.max_triangles));
             fitted.min(goal.max_tolerance.min(f32::MAX))

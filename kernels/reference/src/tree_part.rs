@@ -13,7 +13,7 @@ pub struct Parts {
     pub areas: Vec<f64>,
 }
 
-/// What is left of a mesh.
+/// The remaining mesh after parts were removed.
 #[derive(Clone, Debug)]
 pub struct Remaining {
     /// The mesh without the triangles of removed parts. It has all points.
@@ -89,18 +89,18 @@ pub fn parts(mesh: &FullMesh) -> Parts {
 /// Parts that were chosen, by their first points.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Chosen {
-    /// These go.
+    /// These parts are removed.
     Hidden(BTreeSet<usize>),
-    /// All others go.
+    /// All other parts are removed.
     Kept(BTreeSet<usize>),
 }
 
-/// Which parts go. By default none.
+/// The parts that are removed. By default none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Filter {
-    /// Those of a smaller area, world units; 0: none do.
+    /// Parts of a smaller area are removed, world units; 0: none are.
     pub min_area: f64,
-    /// And what was chosen.
+    /// Parts chosen by positions.
     pub chosen: Option<Chosen>,
 }
 
@@ -109,7 +109,7 @@ impl Filter {
         if self.min_area <= 0.0 && self.chosen.is_none() {
             return false;
         }
-        // What is of no part stays with none.
+        // A point that belongs to no part is removed too.
         let Some(first) = parts.firsts[point] else { return true };
         let is_chosen_to_go = match &self.chosen {
             None => false,

@@ -1,4 +1,4 @@
-//! Where nodes of the vertex tree move to in a cut (docs/algorithm.md#82-relaxation).
+//! Relaxed positions of the vertex tree's nodes in a cut (docs/algorithm.md#82-relaxation).
 
 use std::collections::BTreeMap;
 
@@ -10,11 +10,11 @@ use crate::tree_cut::{Cutter, TreeLeaf, node_of};
 
 /// Parts of a smallest spacing that an offset is rounded to.
 const OFFSET_STEPS: f64 = 8192.0;
-/// Smallest spacings: offsets beyond count as this one.
+/// Maximum of an offset, in smallest spacings: larger offsets count as this.
 const OFFSET_MAX: f64 = 0.25;
-/// Smallest spacings that a node moves at most.
+/// Maximum distance by which a node moves, in smallest spacings.
 const MOVED_MAX: f64 = 0.04;
-/// Part of the mean offset that a node moves.
+/// The share of the mean offset by which a node moves.
 const OFFSET_SHARE: f64 = 0.7;
 
 /// Offsets around a node.
@@ -24,7 +24,7 @@ struct Sum {
     count: i64,
 }
 
-/// What the nodes of a cut move by.
+/// Inputs of the relaxation of a cut.
 #[derive(Clone, Copy)]
 pub struct Relaxer<'a> {
     /// The cut's tree.
@@ -36,7 +36,7 @@ pub struct Relaxer<'a> {
 }
 
 impl Relaxer<'_> {
-    /// Where the nodes of a cut lie, 1/[`LATTICE`] cell. `leaves`: the leaf of each point.
+    /// Positions of the nodes of a cut, 1/[`LATTICE`] cell. `leaves`: the leaf of each point.
     pub fn positions(&self, leaves: &[TreeLeaf]) -> BTreeMap<NodeId, [i32; 3]> {
         let mut sums = BTreeMap::<NodeId, Sum>::new();
         for points in self.cutter.mesh.triangles.values().flatten() {
@@ -60,8 +60,8 @@ impl Relaxer<'_> {
         i32::from(self.cutter.mesh.cap)
     }
 
-    /// How high the centroid of a triangle of the full mesh is above the triangle between its leaves, smallest spacings /
-    /// [`OFFSET_STEPS`]. 0 if that has no plane.
+    /// Height of the centroid of a full-mesh triangle above the triangle between its leaves, in smallest spacings /
+    /// [`OFFSET_STEPS`]. 0 if that triangle has no plane.
     fn offset(&self, points: &[usize; 3], corners: &[TreeLeaf; 3]) -> i64 {
         // As fine as the full mesh.
         if corners.iter().any(|&leaf| self.cutter.level(leaf) == 0) {

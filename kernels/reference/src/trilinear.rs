@@ -1,4 +1,4 @@
-//! The trilinear interpolant of a cell, in f64, and where the surface crosses the cell's edges.
+//! The trilinear interpolant of a cell, in f64, and the surface's crossings with the cell's edges.
 
 use crate::quadric::Vector;
 use crate::{Field, offset};
@@ -36,7 +36,7 @@ pub(crate) fn cell_at(field: &Field, x: Vector) -> [u32; 3] {
     std::array::from_fn(|i| (x[i] as u32).min(field.grid.dims[i] - 2))
 }
 
-/// Where an edge of a cell crosses the isovalue, from the cell's low corner.
+/// Crossing of an edge of a cell with the isosurface, from the cell's low corner.
 pub(crate) fn crossing(v: [f64; 8], iso: f32, edge: usize) -> Vector {
     let [low, high] = cube::edge_corners(edge);
     let t = (f64::from(iso) - v[low]) / (v[high] - v[low]);

@@ -1,5 +1,5 @@
-//! Vertices of the dual mesher: where each lies (docs/algorithm.md#63-vertex-placement), how far that is from the surface it
-//! stands for, and which nodes are safe to merge (docs/algorithm.md#41-guards).
+//! Vertices of the dual mesher: their positions (docs/algorithm.md#63-vertex-placement), their distances from the surface that
+//! they represent, and the nodes that are safe to merge (docs/algorithm.md#41-guards).
 
 use crate::quadric::{CELL_PULL, CUBE_PULL, Quadric, Vector, dot, unit};
 use crate::sheets::cell_sheets;
@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Vertices stay this far inside their cube, in cells.
 pub(crate) const MARGIN: f64 = 1.0 / 32.0;
 const NEWTON_STEPS: usize = 2;
-/// Part of the way to the isosurface that the vertex of a cell with several sheets goes.
+/// Share of the way to the isosurface by which the vertex of a cell with several sheets moves.
 const SHEET_STEP: f64 = 0.875;
 
 /// A vertex.
@@ -21,13 +21,13 @@ pub struct DualVertex {
     pub position: Vector,
     /// Along the field's gradient, of any length.
     pub gradient: Vector,
-    /// Root mean square distance to the planes of the crossings it stands for, world units.
+    /// Root mean square distance to the planes of the crossings that it represents, world units.
     pub error: f64,
-    /// How far the position may be off by rounding alone, in cells: far where a Newton step jumps between cells.
+    /// Maximum error of the position by rounding alone, in cells. Large if a Newton step jumps between cells.
     pub uncertainty: f64,
 }
 
-/// What the dual mesher and the guards know of every node.
+/// Data of every node for the dual mesher and the guards.
 #[derive(Clone, Debug, Default)]
 pub struct DualVertices {
     /// Sheets of every active cell.
@@ -38,7 +38,7 @@ pub struct DualVertices {
     pub safe: BTreeSet<Leaf>,
 }
 
-/// What a cube's vertex and safety are made from: sums over the active cells below.
+/// Sums over the active cells below a cube, from which its vertex and safety are computed.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     quadric: Quadric,
@@ -72,7 +72,7 @@ pub fn vertices(field: &Field, pyramid: &Pyramid, iso: f32) -> DualVertices {
 }
 
 impl DualVertices {
-    /// A vertex for each sheet of a cell; what it adds to the cubes above.
+    /// Adds a vertex for each sheet of a cell; returns the cell's sums for the cubes above.
     fn add_cell(&mut self, field: &Field, iso: f32, at: [u32; 3], cell: &Cell) -> Sums {
         let leaf = Leaf { level: 0, cube: at };
         let sheets = cell_sheets(field, iso, at, cell.signs);
@@ -148,7 +148,7 @@ fn sheet_quadric(field: &Field, iso: f32, cell: [u32; 3], sheets: &Sheets, sheet
     q
 }
 
-/// Sums over all crossings of a cell, for the cubes above: with normals that know the cells beside it.
+/// Sums over all crossings of a cell, for the cubes above. The normals also depend on the neighbouring cells.
 fn smooth_quadric(field: &Field, iso: f32, cell: [u32; 3], signs: u8) -> Quadric {
     let (v, spacing) = (corners(field, cell), field.grid.spacing.map(f64::from));
     let mut q = Quadric::default();
@@ -170,7 +170,7 @@ fn smooth_quadric(field: &Field, iso: f32, cell: [u32; 3], signs: u8) -> Quadric
 enum StepLimit {
     /// Shortened, in its direction.
     Scaled,
-    /// Clamped along each axis by itself: in cells, which it hardly leaves.
+    /// Clamped along each axis separately: used in cells, which a step hardly leaves.
     PerAxis,
 }
 
@@ -188,7 +188,7 @@ fn newton_step((gradient, value): (Vector, f64), iso: f64, spacing: Vector, limi
     step.map(|s| if longest > 1.0 { s / longest } else { s })
 }
 
-/// Newton steps from `start`: where they end, or the start where that is nearer the isovalue, and the last gradient.
+/// Newton steps from `start`. Returns their end point, or `start` if its value is nearer the isovalue, and the last gradient.
 fn descend(field: &Field, iso: f32, start: Vector, inside: impl Fn(Vector) -> Vector) -> (Vector, Vector) {
     let (iso, spacing) = (f64::from(iso), field.grid.spacing.map(f64::from));
     let start = inside(start);
@@ -206,7 +206,7 @@ fn descend(field: &Field, iso: f32, start: Vector, inside: impl Fn(Vector) -> Ve
     )
 }
 
-/// How far the ends of `path` lie apart when it begins at the corners of a small box around `start`.
+/// Maximum change of the end of `path`, along any axis, if it begins at the corners of a small box around `start` instead.
 fn uncertainty(start: Vector, reach: f64, path: impl Fn(Vector) -> Vector) -> f64 {
     let end = path(start);
     let distance = |nudge| {
@@ -218,7 +218,7 @@ fn uncertainty(start: Vector, reach: f64, path: impl Fn(Vector) -> Vector) -> f6
 }
 
 /// The vertex of one sheet of a cell with several: the mean of its own crossings, moved towards the isosurface inside their
-/// box; not all the way, where two vertices may be equal.
+/// box. It does not move all the way, because the vertices of two sheets could meet there.
 fn sheet_vertex(field: &Field, iso: f32, cell: [u32; 3], sheets: &Sheets, sheet: u8) -> DualVertex {
     let (v, spacing) = (corners(field, cell), field.grid.spacing.map(f64::from));
     let q = sheet_quadric(field, iso, cell, sheets, sheet);

@@ -1,7 +1,7 @@
 //! Every kernel on small volumes: both meshers, every feature, leaves of several levels, patching, ghosts across regions, extra
-//! sheets, missing samples. Tests of their own, and what `tests/scripts/oclgrind.sh` runs under Oclgrind, which interprets every
-//! work-item: volumes are as small as they can be. Floats have it all. Of other types, where the kernels differ in how a sample
-//! is read, only what reads samples is run, and of types of one size one: accesses have the same addresses.
+//! sheets, missing samples. These are tests of their own, and `tests/scripts/oclgrind.sh` runs them under Oclgrind, which interprets
+//! every work-item, so volumes are as small as possible. All cases run with floats. For other types the kernels differ only in how
+//! they read samples, so only kernels that read samples are run, for one type of each size: the accesses have the same addresses.
 
 use isopeel_kernels::expression::{Binary, Comparison, Op};
 use isopeel_kernels::testing::device;
@@ -159,7 +159,7 @@ fn mask(engine: &Engine, [field, labels]: [&Volume; 2]) {
     assert!(!of_inside.is_empty() && of_inside.len() < planes.len() && of_inside.iter().all(|is_same| *is_same));
 }
 
-/// `distance_field`, from where a field is below 0, or missing there.
+/// Runs `distance_field` with the samples inside at which a field is below 0.
 fn distances(engine: &Engine, field: &Volume) {
     let below = Op::Compare(Comparison::Below, 0, 1);
     let ops = vec![Op::Field(0), Op::Number(0.0), below, Op::Select(2, 0, 1)];

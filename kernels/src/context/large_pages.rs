@@ -1,16 +1,16 @@
-//! Large pages for large buffers on a CPU. Kernels read a brick's samples from some thirty pages of 4 KiB, and each has to be found
-//! in the page tables first; pages of 2 MiB spare most of that. Linux gives them where it is asked, in the usual setting
+//! Large pages for large buffers on a CPU. Kernels read a brick's samples from some thirty pages of 4 KiB, each of which needs a
+//! look-up in the page tables; pages of 2 MiB avoid most look-ups. In its usual setting, Linux provides them only on request
 //! (`/sys/kernel/mm/transparent_hugepage/enabled`: `madvise`).
 
 use super::Context;
 use crate::buffer::Buffer;
 
-/// Buffers of fewer bytes are left as they are: what a page of 2 MiB holds beyond their end would be wasted.
+/// Minimum size of a buffer with large pages: for smaller ones, the unused rest of the last page of 2 MiB would be too much waste.
 #[cfg(target_os = "linux")]
 const MIN_BYTES: u64 = 4 << 20;
 
 impl Context {
-    /// Asks for large pages for a new buffer. It is as good without: whatever fails is passed over.
+    /// Requests large pages for a new buffer. They are optional, so errors are ignored.
     #[cfg(target_os = "linux")]
     pub(super) fn ask_for_large_pages<T>(&self, buffer: &Buffer<T>) {
         use opencl3::memory::{CL_MAP_WRITE_INVALIDATE_REGION, ClMem};
@@ -41,7 +41,7 @@ impl Context {
         }
     }
 
-    /// Other systems choose by themselves.
+    /// Does nothing: other systems choose page sizes by themselves.
     #[cfg(not(target_os = "linux"))]
     pub(super) fn ask_for_large_pages<T>(&self, _: &Buffer<T>) {}
 }

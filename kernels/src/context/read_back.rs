@@ -1,4 +1,4 @@
-//! Meshes from the device's memory to the host's.
+//! Reads meshes back from the device's memory to the host's.
 
 use super::Context;
 use crate::buffer::Buffer;
@@ -13,7 +13,7 @@ use std::ops::Range;
 use std::ptr::NonNull;
 use std::sync::mpsc::Sender;
 
-/// Bytes of a block: above the vertices or the indices of any region but a few of noise, which are read one by one.
+/// Bytes of a block: enough for the vertices or the indices of any region, except a few regions of noise, which are read one by one.
 const BLOCK_BYTES: usize = 4 << 20;
 
 /// Pinned host memory, in blocks: the device writes to it directly, several times as fast as to pageable memory. The regions of
@@ -21,7 +21,7 @@ const BLOCK_BYTES: usize = 4 << 20;
 #[derive(Default)]
 pub(crate) struct Blocks {
     free: Vec<Block>,
-    /// How many were allocated.
+    /// Number of allocated blocks.
     pub allocated: usize,
 }
 
@@ -37,7 +37,8 @@ unsafe impl Send for Block {}
 unsafe impl Sync for Block {}
 
 impl Blocks {
-    /// As many as a surface of ten million triangles takes. Beyond them reads go to pageable memory, slower.
+    /// Maximum number of blocks, which is enough for a surface of ten million triangles. Further reads go to pageable memory, which is
+    /// slower.
     pub const MAX_BLOCKS: usize = 64;
 
     /// Bytes of all blocks.
@@ -45,7 +46,7 @@ impl Blocks {
         (self.allocated * BLOCK_BYTES) as u64
     }
 
-    /// A free block; `None`: all are in use, or the host gives no more memory of this kind.
+    /// Returns a free block; `None` if all are in use, or if the host cannot pin more memory.
     fn take(&mut self, context: &opencl3::context::Context, queue: &CommandQueue) -> Option<Block> {
         if let Some(block) = self.free.pop() {
             return Some(block);
@@ -82,14 +83,14 @@ unsafe impl Send for MappedBuffer {}
 // SAFETY: as above.
 unsafe impl Sync for MappedBuffer {}
 
-/// Memory that its context may use again.
+/// Memory returned to its context for reuse.
 pub(crate) enum Returned {
     Block(Block),
     /// To be unmapped first.
     Buffer(MappedBuffer),
 }
 
-/// Memory lent to surfaces: read-only, on any thread. When it is dropped it is sent back to its context's thread.
+/// Memory lent to surfaces: read-only, on any thread. Dropping it sends the memory back to its context's thread.
 struct Lent {
     address: NonNull<u8>,
     bytes: usize,
@@ -116,9 +117,9 @@ impl Drop for Lent {
     }
 }
 
-/// A read into host memory that was enqueued.
+/// An enqueued read into host memory.
 enum Pending {
-    /// So many bytes of a block.
+    /// A read into a block, and its number of bytes.
     Block(Block, usize),
     /// Pageable memory, read completely.
     Pageable(Bytes),
@@ -144,7 +145,7 @@ impl Context {
                     memory,
                     address,
                 }) => {
-                    // SAFETY: mapped there by `lend`, and no slice of it is left.
+                    // SAFETY: mapped there by `lend`, and no slice of it exists any more.
                     let event = unsafe { self.queue.enqueue_unmap_mem_object(memory.get(), address, &[]) };
                     event.map_err(|source| Error::Launch {
                         stage: "read back",
@@ -157,7 +158,7 @@ impl Context {
         Ok(())
     }
 
-    /// The first `bytes` of some memory, shared, until it is sent back.
+    /// Returns a shared view of the first `bytes` of some memory, which is sent back when the last clone is dropped.
     fn lent(&self, address: NonNull<u8>, bytes: usize, memory: Returned) -> Bytes {
         Bytes::from_owner(Lent {
             address,
@@ -167,7 +168,7 @@ impl Context {
         })
     }
 
-    /// Parts of a buffer without a copy, on a device that is the host's own processor.
+    /// Returns parts of a buffer without a copy, on a device that is the host's own processor.
     fn lend<T: Pod>(
         &self,
         stage: &'static str,
@@ -194,7 +195,7 @@ impl Context {
         Ok(parts.iter().map(|part| elements(&whole, part.clone())).collect())
     }
 
-    /// Parts of a buffer, in ascending order and without overlap.
+    /// Reads parts of a buffer, which are in ascending order and do not overlap.
     pub fn read_parts<T: Pod + Send + Sync>(
         &self,
         stage: &'static str,

@@ -1,15 +1,15 @@
-//! What each kernel leaves in its buffers, as hashes: two versions of the program that record the same compute the same, bit
-//! for bit, on that device and driver.
+//! Records hashes of the buffers after each kernel launch. Two versions of the program with equal records compute the same results,
+//! bit for bit, on that device and driver.
 
 use std::cell::RefCell;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// A buffer after a launch that had it as an argument.
+/// Contents of a buffer after a launch that had it as an argument.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BufferHash {
     /// Size of the buffer's contents.
     pub bytes: u64,
-    /// Hash of all of them.
+    /// Hash of the contents.
     pub hash: u64,
 }
 

@@ -7,15 +7,15 @@ use crate::layout::{self, Brick, Node, VertexRecord};
 use crate::stages::{self, activate, classify, construct, derive};
 use crate::{Cancel, Engine, Error, Feature, Isovalue, Pyramid, Result, Volume};
 
-/// Pyramids built by this process: the number of the next one. Of the process and not of an engine, because cuts and trees of an engine
-/// that was lost may still be named when another engine has taken its place.
+/// Id of the next pyramid. Ids are unique in the process, not only in an engine: cuts and trees of a lost engine may still refer to
+/// their pyramids when another engine has replaced it.
 static PYRAMIDS: AtomicU64 = AtomicU64::new(0);
 
 impl Engine {
     /// Finds the active bricks and builds the pyramid of one isovalue.
     ///
     /// # Errors
-    /// [`Error::Cancelled`], or what the device says.
+    /// [`Error::Cancelled`], or an error of the device.
     pub fn build_pyramid(
         &self,
         volume: &Volume,
@@ -26,7 +26,7 @@ impl Engine {
         self.build(volume, feature, iso, true, cancel)
     }
 
-    /// The finest level alone, which takes less time: enough if [`crate::CutParams::is_full`].
+    /// Builds the finest level alone, which takes less time. That is enough if [`crate::CutParams::is_full`].
     ///
     /// # Errors
     /// As [`Engine::build_pyramid`].

@@ -14,7 +14,7 @@ pub struct Differences {
     pub leaves: Vec<bool>,
     /// Regions whose meshes may differ: these, and those that a differing leaf touches from outside.
     pub meshes: Vec<bool>,
-    /// Of each region one bit for each neighbour that a differing leaf touches (`stages::cut::compare`).
+    /// For each region, one bit per neighbour that a differing leaf touches (`stages::cut::compare`).
     touched: Vec<u32>,
 }
 
@@ -27,7 +27,7 @@ impl Differences {
         }
     }
 
-    /// Between the first of both cuts and the mix of both that takes the leaves of the second in some regions ([`Engine::mix`]).
+    /// Differences between the first cut and the mix that takes the leaves of the second cut in the regions of `take` ([`Engine::mix`]).
     pub fn to_mix(&self, pyramid: &Pyramid, take: &[bool]) -> Self {
         let both = self.touched.iter().zip(take);
         Self::new(
@@ -37,12 +37,12 @@ impl Differences {
     }
 }
 
-/// A surface that is shown, of which the mesh of another cut keeps what does not differ.
+/// The shown surface. Meshing another cut reuses its meshes in all regions that do not differ.
 #[derive(Clone, Copy)]
 pub struct Kept<'a> {
-    /// Its cut, which was meshed.
+    /// Cut of the shown surface; it was meshed.
     pub shown: &'a Cut,
-    /// Between this cut and the other one.
+    /// Differences between `shown` and the cut to be meshed.
     pub differences: &'a Differences,
 }
 
@@ -51,7 +51,7 @@ impl Engine {
     /// (`docs/algorithm.md#9-progressive-stream`). `volume` is the one the pyramid was built from.
     ///
     /// # Errors
-    /// Parameters out of their range or that do not fit the pyramid, or what the device says.
+    /// Parameters that are out of range or do not fit the pyramid, or an error of the device.
     pub fn cut(&self, volume: &Volume, pyramid: &Pyramid, params: &CutParams, prefix: Level) -> Result<Cut> {
         check_request(volume, pyramid, params, prefix)?;
         let criterion = Criterion::upload(&self.cx, params, prefix)?;
@@ -70,10 +70,11 @@ impl Engine {
         })
     }
 
-    /// Returns where two cuts differ; `None` if nothing can be kept, as they have different pyramids, meshers or feature ranges.
+    /// Returns the regions in which two cuts differ; `None` if no mesh can be reused because the cuts have different pyramids,
+    /// meshers or feature ranges.
     ///
     /// # Errors
-    /// What the device says.
+    /// An error of the device.
     pub fn differences(
         &self,
         volume: &Volume,
@@ -88,11 +89,11 @@ impl Engine {
         Ok(Some(Differences::new(pyramid, touched)))
     }
 
-    /// The cut that has the leaves of `after` in the regions that `take` names, and those of `before` elsewhere: the coarsest cube
-    /// is a region, so every choice of regions gives a cut.
+    /// Returns the cut that has the leaves of `after` in the regions that `take` marks and the leaves of `before` in all others. The
+    /// coarsest cube is a region, so every choice of regions gives a cut.
     ///
     /// # Errors
-    /// What the device says.
+    /// An error of the device.
     pub fn mix(&self, volume: &Volume, pyramid: &Pyramid, before: &Cut, after: &Cut, take: &[bool]) -> Result<Cut> {
         let takes_after: Vec<u8> = take.iter().map(|&take| take.into()).collect();
         let state = self.cx.buffer(cut::STAGE, pyramid.nodes.len())?;
@@ -122,7 +123,8 @@ impl Engine {
     }
 }
 
-/// What the dual mesher does in each region where the meshes of some are made anew: their neighbours count what they share.
+/// Returns the dual mesher's work in each region if only the regions of `remake` are meshed again. Their neighbours only count the
+/// vertices that they share with them.
 pub(super) fn work(pyramid: &Pyramid, remake: &[bool]) -> Vec<Work> {
     let bits: Vec<u32> = remake
         .iter()

@@ -1,13 +1,13 @@
-//! Distances to samples where an expression holds.
+//! Distances to the samples at which an expression is true.
 
 use crate::stages::distance_field::{self, Axes, MAX_LENGTH, STAGE, Work};
 use crate::volume::Slab;
 use crate::{Cancel, Engine, Error, Expression, Result, SampleType, Volume};
 
 impl Engine {
-    /// Euclidean distance of each sample, in world units, to the nearest one at which the expression is neither 0 nor missing: 0 there. `None`
-    /// if there is no such sample. `fields`: those of the expression, in the order of their places. `world`: world units of a unit of the
-    /// grid's spacing.
+    /// Returns the Euclidean distance of each sample, in world units, to the nearest inside sample. A sample is inside if the expression
+    /// is neither 0 nor missing there; its distance is 0. Returns `None` if no sample is inside. `fields`: those of the expression, in
+    /// the order of their places. `world`: world units per unit of the grid's spacing.
     ///
     /// # Errors
     /// As [`Engine::evaluate`]; more than 65536 samples along x or y.
@@ -19,7 +19,7 @@ impl Engine {
         cancel: &dyn Cancel,
     ) -> Result<Option<Volume>> {
         let values = self.evaluate_slabs(expression, fields, cancel)?;
-        // There is one: the expression has a field.
+        // Never empty: an expression has at least one field.
         let Some(first) = fields.first() else { return Ok(None) };
         let grid = first.grid;
         if let Some(length) = grid.dims[..2].iter().find(|&&length| length > MAX_LENGTH) {
@@ -49,7 +49,7 @@ impl Engine {
             work.lines(0, values, distances)?;
         }
         drop(values);
-        // All are as far off as can be where no sample is inside, or none is.
+        // If no sample is inside, all distances are infinite; otherwise none is. So the first one decides.
         let Some(slab) = distances.first() else { return Ok(None) };
         let first_value: Vec<u8> = self.cx.read(STAGE, &slab.samples, size_of::<f32>())?;
         if !bytemuck::pod_read_unaligned::<f32>(&first_value).is_finite() {
@@ -60,12 +60,13 @@ impl Engine {
             .map(Some)
     }
 
-    /// Where a volume's samples are. The unit is the smallest spacing, so that squares stay in the range of a float.
+    /// Returns the positions of a volume's samples along the axes. The unit is the smallest spacing, so that squares stay in the range
+    /// of a float.
     fn axes(&self, volume: &Volume, world: f32) -> Result<distance_field::Axes> {
         let unit = volume.grid.smallest_spacing();
         let dims = volume.grid.dims.map(|n| n as usize);
         let (positions, scale) = match &volume.inverse_lengths {
-            // Numbers of samples are exact.
+            // The sample's index is its position: exact in a float.
             None => {
                 let numbers = |n: usize| (0..n).map(|i| i as f32).collect();
                 (dims.map(numbers), volume.grid.spacing.map(|spacing| spacing / unit))

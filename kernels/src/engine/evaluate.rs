@@ -1,4 +1,4 @@
-//! Fields that an expression over resident ones gives.
+//! Fields computed by an expression over resident fields.
 
 use crate::buffer::Buffer;
 use crate::stages::evaluate::{self, Input};
@@ -6,18 +6,18 @@ use crate::volume::{Slab, slab_planes};
 use crate::{Cancel, Engine, Error, Expression, Result, SampleType, Volume};
 
 impl Engine {
-    /// The field that an expression gives, of f32. `fields`: those of the expression, in the order of their places.
+    /// Returns the field of f32 that an expression computes. `fields`: those of the expression, in the order of their places.
     ///
     /// # Errors
-    /// Fewer fields than it has, or other grids; [`Error::Cancelled`]; or what the device says.
+    /// Fewer fields than the expression has, or fields on different grids; [`Error::Cancelled`]; or an error of the device.
     pub fn evaluate(&self, expression: &Expression, fields: &[&Volume], cancel: &dyn Cancel) -> Result<Volume> {
         let slabs = self.evaluate_slabs(expression, fields, cancel)?;
-        // There is one: an expression has a field.
+        // Never empty: an expression has at least one field.
         let (grid, lengths) = (fields[0].grid, fields[0].inverse_lengths.clone());
         self.resident(grid, SampleType::F32, None, slabs, lengths, cancel)
     }
 
-    /// The samples of the field that an expression gives.
+    /// Returns the samples of the field that an expression computes, slab by slab.
     pub(super) fn evaluate_slabs(
         &self,
         expression: &Expression,
@@ -43,7 +43,7 @@ impl Engine {
         }
         let (encoded, mut pace) = (expression.encoded(), evaluate::pace(&self.cx));
         self.slabs_like(first, SampleType::F32, evaluate::STAGE, |number, out, samples| {
-            // Fields that the expression does not have stand for the first one.
+            // Unused places of fields get the first field, which is never read there.
             let inputs = std::array::from_fn(|i| fields.get(i).unwrap_or(first).input(number));
             evaluate::run(&self.cx, &encoded, inputs, out, samples, &mut pace, cancel)
         })
@@ -75,7 +75,7 @@ impl Engine {
 }
 
 impl Volume {
-    /// What a stage takes of a slab.
+    /// Returns a slab as the input of a stage.
     pub(super) fn input(&self, slab: usize) -> Input<'_> {
         Input {
             samples: &self.slabs[slab].samples,

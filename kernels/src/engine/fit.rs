@@ -41,7 +41,7 @@ struct Curve {
 }
 
 impl Curve {
-    /// The first bin with at most so many leaves.
+    /// The first bin with at most `leaves` leaves; `None` if every bin has more.
     fn bin(&self, leaves: i64) -> Option<usize> {
         let bin = self.leaves.partition_point(|&n| n > leaves);
         (bin <= INNER_BINS).then_some(bin)
@@ -53,8 +53,8 @@ impl Curve {
     }
 }
 
-/// How many leaves were asked for so far, with what came of it: triangles a leaf differ from cut to cut, so that asking by the last one's
-/// alone may go back and forth.
+/// Bracket of the search: the leaf counts tried so far and their outcomes. The triangles per leaf differ from cut to cut, so a search
+/// that used the last cut's ratio alone could oscillate.
 struct Bracket {
     /// The most leaves within the budget, and the fewest beyond it.
     fits: f64,
@@ -92,7 +92,7 @@ impl Bracket {
         }
     }
 
-    /// Whether a threshold was tried; what came of it then holds for so many leaves.
+    /// Returns whether `threshold` was tried before. If so, records its outcome for `leaves` leaves too.
     fn knows(&mut self, leaves: f64, threshold: f32) -> bool {
         let known = self
             .tried
@@ -126,7 +126,7 @@ impl Engine {
                 tolerance: Some(threshold),
                 ..params.clone()
             },
-            // Nothing is decimated.
+            // Without a tolerance, or if nothing is decimated (threshold -1).
             _ => CutParams {
                 beta: threshold,
                 tolerance: None,
@@ -145,7 +145,7 @@ impl Engine {
         };
         let curve = self.curve(volume, pyramid, params, keys, pyramid.active_cells)?;
         let mut per_leaf = TRIANGLES_PER_LEAF;
-        // The one with most triangles within the budget.
+        // The trial with the most triangles within the budget.
         let mut best: Option<(u64, f32, Cut)> = None;
         let mut bracket = Bracket::default();
         // Aims at the middle of the range that counts as used, and lower if that still exceeded the budget.

@@ -1,5 +1,5 @@
-//! What benches need of a device beside the product: volumes made of formulas where they are used, the samples back on the
-//! host for references, and how fast the device itself is.
+//! Device operations for benches, not used by the product: generates volumes from formulas on the device, downloads samples for
+//! references, and measures the speed of the device.
 
 use crate::stages::generate;
 use crate::synthetic::stored;
@@ -17,7 +17,7 @@ impl Engine {
     /// Makes a volume on the device, its min/max table included.
     ///
     /// # Errors
-    /// A period that is no number above 1, or what the device says.
+    /// A period that is no number above 1, or an error of the device.
     pub fn generate(&self, grid: &Grid, sample_type: SampleType, synthetic: &Synthetic) -> Result<Volume> {
         let grid = Grid::new(grid.dims, grid.spacing)?;
         if !(synthetic.period.is_finite() && synthetic.period > 1.0) {
@@ -33,7 +33,7 @@ impl Engine {
             SampleType::I16 => ("short", "convert_short_sat_rte"),
             SampleType::F32 => ("float", "convert_float"),
         };
-        // Not part of the product's program, which a user waits for at the start.
+        // A program of its own: the product's program stays small, as users wait for it at start-up.
         let program = self.cx.build(
             "#include \"generate.cl\"\n",
             &format!("-cl-std=CL1.2 -DSAMPLE={name} -DSTORE={convert}"),
@@ -67,21 +67,21 @@ impl Engine {
         self.resident(grid, sample_type, None, slabs, None, &Never)
     }
 
-    /// Makes the min/max table again from the samples on the device, as for a time step that just arrived there, and
-    /// answers what that took.
+    /// Rebuilds the min/max table from the samples on the device, as for a time step that has just been uploaded. Returns the stage
+    /// times.
     ///
     /// # Errors
-    /// What the device says.
+    /// An error of the device.
     pub fn refresh_table(&self, volume: &mut Volume) -> Result<Vec<StageTime>> {
         self.cx.take_times()?;
         self.make_table(volume, &Never)?;
         self.cx.take_times()
     }
 
-    /// Planes of samples back on the host.
+    /// Reads planes of samples back to the host.
     ///
     /// # Errors
-    /// Planes that the volume does not have, or what the device says.
+    /// Planes that the volume does not have, or an error of the device.
     pub fn download(&self, volume: &Volume, planes: Range<u32>) -> Result<Samples> {
         let grid = volume.grid;
         if planes.start > planes.end || planes.end > grid.dims[2] {
@@ -115,13 +115,13 @@ impl Engine {
     /// 4 GiB, less if the device is small.
     ///
     /// # Errors
-    /// What the device says.
+    /// An error of the device.
     pub fn measure(&self) -> Result<DeviceSpeed> {
         const LAUNCHES: u32 = 200;
         let cx = &self.cx;
         let share = match cx.found.info.kind {
             DeviceKind::Gpu => 16,
-            // The host needs its memory too, and its caches are passed sooner.
+            // The host needs memory too, and a smaller buffer already exceeds its caches.
             _ => 32,
         };
         let bytes = COPY_BYTES.min(cx.limit_bytes).min(cx.found.info.memory_bytes / share);

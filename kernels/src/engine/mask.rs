@@ -1,4 +1,4 @@
-//! Fields of which only what is inside a mask counts.
+//! Masked fields: samples outside the mask are missing.
 
 use crate::stages::evaluate;
 use crate::stages::histogram::TABLE_EXTENTS;
@@ -6,11 +6,11 @@ use crate::stages::mask::{self, Outside};
 use crate::{Cancel, Engine, Error, Result, ValueSet, Volume};
 
 impl Engine {
-    /// The field with its samples missing where `labels` has a value that is not `inside`, or none. Its type is wider than the field's own if that has
-    /// no value for missing samples.
+    /// Returns the field masked by `labels`: a sample is missing if its label is missing or is not in `inside`. The sample type is wider
+    /// than the field's own if that type has no free value for missing samples.
     ///
     /// # Errors
-    /// Labels on another grid; [`Error::Cancelled`]; or what the device says.
+    /// Labels on another grid; [`Error::Cancelled`]; or an error of the device.
     pub fn mask(&self, field: &Volume, labels: &Volume, inside: &ValueSet, cancel: &dyn Cancel) -> Result<Volume> {
         let grid = field.grid;
         if labels.grid != grid {
@@ -37,7 +37,8 @@ impl Engine {
         )
     }
 
-    /// The value that missing samples of a field have, if some will be missing, and the type that has it.
+    /// Returns the value for samples outside the mask and the sample type that can hold it. The field keeps its own missing value if it
+    /// has one.
     fn outside_of(&self, field: &Volume) -> Result<Outside> {
         if !field.missing.is_nan() {
             return Ok(Outside {

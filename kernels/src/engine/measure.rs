@@ -1,4 +1,5 @@
-//! How far a surface is from the one it stands for, without the surface: what a viewer at rest asks for.
+//! Measures the error of a simplified surface against the full one without reading the mesh back. Viewers request it when the
+//! camera is at rest.
 
 use super::peel::{Mesh, region_coordinates, triangles};
 use crate::cancel::check;
@@ -11,7 +12,7 @@ impl Engine {
     /// soon after a cancellation. Stage times are this call's.
     ///
     /// # Errors
-    /// [`Error::Cancelled`], or what the device says; [`Error::Invalid`] for another mesher than the dual one.
+    /// [`Error::Cancelled`], or an error of the device; [`Error::Invalid`] for another mesher than the dual one.
     pub fn measure_error(
         &self,
         volume: &Volume,
@@ -39,7 +40,7 @@ impl Engine {
     /// As [`Engine::measure_error`], of the surface that [`Engine::tree_surface`] would make.
     ///
     /// # Errors
-    /// [`Error::Cancelled`], or what the device says.
+    /// [`Error::Cancelled`], or an error of the device.
     pub fn measure_tree_error(
         &self,
         volume: &Volume,
@@ -61,7 +62,7 @@ impl Engine {
         self.measured(pyramid, mesh)
     }
 
-    /// What was measured of a mesh.
+    /// Collects the measured errors of a mesh, for the regions that have triangles.
     fn measured(&self, pyramid: &Pyramid, mesh: Mesh) -> Result<MeasuredError> {
         let (errors, whole) = mesh.errors.unwrap_or_default();
         let filled = mesh.regions.iter().zip(errors).enumerate();

@@ -20,7 +20,7 @@ pub(crate) struct Mesh {
     pub regions: Vec<RegionMesh>,
     pub vertices: Buffer<layout::Vertex>,
     pub indices: Buffer<u32>,
-    /// Of each active region, and of all together.
+    /// Errors of each active region, and of the whole surface.
     pub errors: Option<(Vec<SurfaceError>, SurfaceError)>,
 }
 
@@ -29,7 +29,7 @@ impl Engine {
     /// (`docs/algorithm.md#9-progressive-stream`). `volume` is the one the pyramid was built from. Stage times are the pyramid's and this call's.
     ///
     /// # Errors
-    /// [`Error::Cancelled`], or what the device says.
+    /// [`Error::Cancelled`], or an error of the device.
     pub fn peel(
         &self,
         volume: &Volume,
@@ -46,7 +46,7 @@ impl Engine {
         Ok(surface)
     }
 
-    /// Meshes a cut: all of it, or beside a surface of the same pyramid that is kept, only the regions in which the meshes may differ
+    /// Meshes a cut. With `kept`, a shown surface of the same pyramid, meshes only the regions in which the two may differ
     /// ([`Surface::remade`]). Stage times are those since the last pyramid or surface.
     ///
     /// # Errors

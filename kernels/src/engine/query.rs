@@ -1,4 +1,4 @@
-//! What is known of a surface that was made: answers to a viewer's questions, without the surface.
+//! Queries on the current surface: slices, probes, distributions and error curves. No mesh is made.
 
 use super::fit::{ERROR_KEYS, IMPORTANCE_KEYS};
 use crate::layout::ProbedCell;
@@ -13,7 +13,7 @@ use crate::{
 };
 use std::rc::Rc;
 
-/// Stage of what is read here.
+/// Stage name of the reads in this module.
 const STAGE: &str = "query";
 
 /// Maximum bins of a distribution: those that a work-group has local memory for.
@@ -22,7 +22,7 @@ pub const MAX_BINS: u32 = 256;
 /// Points of a curve.
 pub const CURVE_POINTS: usize = 32;
 
-/// The cut of a surface that is asked about.
+/// The cut of the queried surface.
 #[derive(Clone)]
 pub enum ShownCut<'a> {
     /// Cubes.
@@ -31,19 +31,19 @@ pub enum ShownCut<'a> {
     Tree(&'a VertexTree, Rc<TreeCut>),
 }
 
-/// The leaf that stands for a part of the surface.
+/// The leaf that represents the surface at a probed position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProbedLeaf {
     /// Its level.
     pub level: u8,
-    /// Its distance to the surface that it stands for, root mean square in world units, as its quadric estimates it.
+    /// Root mean square distance to the full surface that the leaf represents, in world units, as estimated by its quadric.
     pub error: f32,
 }
 
 /// A part of the full surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProbedPart {
-    /// The same at all of its points, and at those of no other part, as long as the tree lives.
+    /// Identifies the part: all of its points have this number and no other part has it. Valid for the lifetime of the tree.
     pub number: u32,
     /// Its area, world units.
     pub area: f32,
@@ -58,7 +58,7 @@ pub struct Probed {
     pub smoothness: f32,
     /// User feature of its cell, in the feature's own units.
     pub feature: f32,
-    /// Of both, what the transfer function looks at.
+    /// Blend of both, which the transfer function maps to importance.
     pub blended: f32,
     /// Importance that the transfer function gives it, raised if the vertex is in a region of interest.
     pub importance: f32,
@@ -68,13 +68,12 @@ pub struct Probed {
     pub part: Option<ProbedPart>,
 }
 
-/// How the blended feature of a cut's leaves is distributed over the surface: each vertex of the full surface counts once, with the leaf
-/// that stands for it.
+/// Histogram of the blended feature over a surface. Each vertex of the full surface counts once, with the leaf that represents it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DistributionCounts {
     /// Vertices in equal bins from 0 to 1.
     pub all: Vec<u32>,
-    /// Of these, those whose leaf stands for others too.
+    /// Those of `all` whose leaf represents other vertices too.
     pub coarse: Vec<u32>,
 }
 
@@ -125,10 +124,10 @@ impl Engine {
         slice::run(&self.cx, volume, axis, index)
     }
 
-    /// Value of the trilinear interpolant at a position inside the volume, in cells; `None` if a sample that counts is missing.
+    /// Value of the trilinear interpolant at a position inside the volume, in cells; `None` if a sample with a non-zero weight is missing.
     ///
     /// # Errors
-    /// What the device says.
+    /// An error of the device.
     pub fn value_at(&self, volume: &Volume, position: [f32; 3]) -> Result<Option<f32>> {
         let dims = volume.grid.dims;
         let low: [u32; 3] = std::array::from_fn(|i| (position[i].max(0.0) as u32).min(dims[i] - 2));
@@ -170,11 +169,11 @@ impl Engine {
         })
     }
 
-    /// The surface next to a position inside the volume, in cells: at the vertex of the full surface that is nearest to it, of those of the
-    /// active cells around. `None` if the 5³ cells around it have none.
+    /// Probes the surface next to a position inside the volume, in cells: at the nearest vertex of the full surface among those of the
+    /// 5³ cells around the position. `None` if none of these cells is active.
     ///
     /// # Errors
-    /// What the device says.
+    /// An error of the device.
     pub fn probe(
         &self,
         volume: &Volume,
@@ -206,7 +205,7 @@ impl Engine {
         }))
     }
 
-    /// The cube that stands for a cell.
+    /// Returns the leaf cube that represents a cell.
     fn cube_of(&self, pyramid: &Pyramid, cut: &Cut, cell: &ProbedCell) -> Result<Option<ProbedLeaf>> {
         let level = self.cx.read_at(STAGE, &cut.state, cell.slots[0] as usize, 1)?[0];
         let Some(&slot) = cell.slots.get(usize::from(level)) else {
@@ -219,8 +218,8 @@ impl Engine {
         }))
     }
 
-    /// The leaf of the vertex tree that stands for a cell. A node knows the sum of its squared distances: its area is that of its points, if
-    /// all of the region's have the same.
+    /// Returns the leaf of the vertex tree that represents a cell. A node stores the sum of its squared distances, weighted by area. Its
+    /// area is estimated from its number of points, as if all points of the region had the same area.
     fn leaf_of(
         &self,
         volume: &Volume,
@@ -232,14 +231,14 @@ impl Engine {
         let points = tree.point_count();
         let packed = self.cx.read_at(STAGE, &cut.leaves, cell.point as usize, 1)?[0];
         let (number, level) = (packed & LEAF_NUMBER, (packed >> LEAF_LEVEL_SHIFT & 7) as u8);
-        // Of a part that was removed.
+        // The point is in a removed part.
         if number == LEAF_NUMBER {
             return Ok(None);
         }
         if number < points {
             return Ok(Some(ProbedLeaf { level: 0, error: 0.0 }));
         }
-        // The sign is no part of it.
+        // The sign bit is a flag (the merge removes one triangle instead of two), not part of the error.
         let error = self
             .cx
             .read_at(STAGE, &tree.built.node_errors, (number - points) as usize, 1)?[0];
@@ -270,7 +269,7 @@ impl Engine {
     /// How the blended feature of a cut's leaves is distributed, in 1 to [`MAX_BINS`] bins.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for another number of bins, or what the device says.
+    /// [`Error::Invalid`] for another number of bins, or an error of the device.
     pub fn distribution(
         &self,
         volume: &Volume,
@@ -292,12 +291,12 @@ impl Engine {
         Ok(DistributionCounts { all, coarse })
     }
 
-    /// Estimated error and triangles of the cuts that a view's importance allows, from the full surface to the coarsest, at most
-    /// [`CURVE_POINTS`]: their triangles fall by equal factors as far as there are such cuts. Of the tree without the repairs that other cuts than
-    /// this one need.
+    /// Returns estimated error and triangles of the cuts that a view's importance allows, from the full surface to the coarsest: at most
+    /// [`CURVE_POINTS`], whose triangles fall by equal factors if there are such cuts. For the vertex tree, the repairs of this cut are
+    /// included, but not those that other cuts would need.
     ///
     /// # Errors
-    /// [`Error::Cancelled`], or what the device says.
+    /// [`Error::Cancelled`], or an error of the device.
     pub fn error_curve(
         &self,
         volume: &Volume,
@@ -349,7 +348,8 @@ impl Engine {
         Ok(std::iter::once(first).chain(at_ends).collect())
     }
 
-    /// As [`Engine::tree_cuts`], of cubes. Triangles are those of leaves, as many a leaf as the full surface and the cut at hand have.
+    /// As [`Engine::tree_cuts`], for cuts of cubes. The triangles are estimated from the leaves: the triangles per leaf are interpolated
+    /// between those of the full surface and of this cut.
     fn cube_cuts(
         &self,
         volume: &Volume,
@@ -405,7 +405,8 @@ fn end_of(range: Keys, bin: usize) -> f32 {
     f32::from_bits(range.first + ((bin as u32) << range.shift) - 1)
 }
 
-/// At most [`CURVE_POINTS`] of some cuts, whose triangles fall: the first and the last, and between them those next to equal factors.
+/// Thins cuts with falling triangle counts to at most [`CURVE_POINTS`]: keeps the first and the last, and between them the cuts
+/// nearest to equal factors.
 fn thinned(cuts: &[CurvePoint]) -> Vec<CurvePoint> {
     let (Some(first), Some(last)) = (cuts.first(), cuts.last()) else {
         return Vec::new();

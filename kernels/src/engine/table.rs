@@ -1,4 +1,4 @@
-//! The min/max table of a volume, in launches that others do not wait long for.
+//! Builds the min/max table of a volume in short launches, so that other jobs get the device soon.
 
 use crate::buffer::Buffer;
 use crate::pace::Pace;
@@ -10,7 +10,7 @@ use std::rc::Rc;
 /// Samples of the first launch, and of one launch at most.
 const LAUNCH_SAMPLES: [u64; 2] = [1 << 22, 1 << 30];
 
-/// How far the table of a volume is.
+/// Progress of building a volume's table.
 pub(super) struct TableWork {
     masks: Buffer<[u32; 2]>,
     /// The next run of regions, counted from the volume's first one.

@@ -1,4 +1,4 @@
-//! The vertex tree, built.
+//! Builds the vertex tree.
 
 use super::peel::all;
 use crate::buffer::Buffer;
@@ -11,15 +11,15 @@ use crate::tree::Built;
 use crate::{Cancel, Cut, CutParams, Engine, Error, Level, Pyramid, Result, VertexTree, Volume};
 use std::ops::Range;
 
-/// Regions whose tree is built in one launch have at most so many triangles for each core of a CPU: working memory is theirs alone, and
-/// the launch ends within about 50 ms, so that other jobs get the device soon.
+/// Maximum triangles per CPU core in one launch of `tree_build`. Bounds the working memory, which each launch allocates for its regions,
+/// and the launch ends within about 50 ms, so that other jobs get the device soon.
 const CORE_TRIANGLES: u64 = 50_000;
 
-/// The same of a GPU, which needs many regions at once: half of them all, for memory.
+/// Minimum triangles of a launch on a GPU, which needs many regions at once. A launch takes half of all triangles, to bound memory.
 const MIN_GPU_TRIANGLES: u64 = 2_000_000;
-/// A launch of so many ends within about 50 ms.
+/// Maximum triangles of a launch on a GPU; such a launch ends within about 50 ms.
 const MAX_GPU_TRIANGLES: u64 = 8_000_000;
-/// Few regions have more: half of all and so many are two launches.
+/// Few regions have more triangles. Added to half of all triangles, it makes the work two launches.
 const MAX_REGION_TRIANGLES: u64 = 50_000;
 
 /// Points and nodes that a leaf's number can name.
@@ -29,7 +29,7 @@ impl Engine {
     /// Builds the vertex tree of a pyramid. `params`: whether the volume is capped.
     ///
     /// # Errors
-    /// [`Error::Cancelled`], or what the device says.
+    /// [`Error::Cancelled`], or an error of the device.
     pub fn build_tree(
         &self,
         volume: &Volume,
@@ -48,7 +48,7 @@ impl Engine {
         let cell_points: u32 = pyramid.host_regions.iter().map(layout::Region::cell_points).sum();
         let mut host_regions = numbered(pyramid, cell_points, &borders);
         let point_count = cell_points as usize + borders.iter().map(|&n| n as usize).sum::<usize>();
-        // Beside missing samples, and on the volume's faces.
+        // Points without triangles lie beside missing samples and on the volume's faces.
         let used: u64 = meshes.iter().map(|mesh| u64::from(mesh.distinct_vertices)).sum();
         let isolated_points = (point_count as u64).saturating_sub(used);
 
@@ -152,7 +152,7 @@ impl Engine {
         })
     }
 
-    /// Triangles of a launch, of so many of all regions.
+    /// Returns the maximum triangles of a launch. `all`: triangles of all regions.
     fn batch_triangles(&self, all: u64) -> u64 {
         match self.cx.tuning.region_group {
             1 => CORE_TRIANGLES * u64::from(self.device().compute_units),
@@ -171,7 +171,7 @@ impl Engine {
     }
 }
 
-/// Where each region's points on the volume's faces and its nodes are, by how many such points it has.
+/// Assigns each region its range of border points (points on the volume's faces) and of nodes. `borders`: border points per region.
 fn numbered(pyramid: &Pyramid, cell_points: u32, borders: &[u32]) -> Vec<TreeRegion> {
     let (mut border_base, mut node_base) = (cell_points, 0);
     let regions = pyramid.host_regions.iter().zip(borders);
@@ -184,14 +184,15 @@ fn numbered(pyramid: &Pyramid, cell_points: u32, borders: &[u32]) -> Vec<TreeReg
                 ..Default::default()
             };
             border_base += border_points;
-            // One less would do: each merge has one cluster less.
+            // An upper bound: n points allow at most n - 1 merges, and each merge makes one node.
             node_base += region.cell_points() + border_points;
             numbered
         })
         .collect()
 }
 
-/// Divides the regions into batches of at most so many triangles, or one region, and gives each its places in the batch's working memory.
+/// Divides the regions into batches of at most `max_triangles` triangles, or of one region, and assigns each region its range of the
+/// batch's working memory.
 fn batches(regions: &mut [TreeRegion], pyramid: &Pyramid, max_triangles: u64) -> Vec<Range<usize>> {
     let mut batches: Vec<Range<usize>> = Vec::new();
     let (mut triangles, mut clusters) = (0u32, 0u32);

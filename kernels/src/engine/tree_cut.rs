@@ -17,18 +17,20 @@ use crate::{
 };
 use std::rc::Rc;
 
-/// Cuts that are tried until none of their merges changes the topology. Each one forbids at least one merge.
+/// Maximum number of cuts that are tried until no merge changes the topology. Each repair forbids at least one merge.
 const MAX_REPAIRS: usize = 64;
 
-/// One in so many triangles of a budget is left for merges that repairs undo: most cuts need fewer, and are not fitted again.
+/// The share 1 / `REPAIR_SHARE` of a budget's triangles is reserved for merges that repairs undo. Most cuts need fewer, so they are not
+/// fitted again.
 const REPAIR_SHARE: u64 = 64;
 
 impl Engine {
-    /// Cuts a tree and meshes the cut. Topology is that of the full dual mesh without removed parts, so there is a minimum of triangles:
-    /// if a budget is below it, or below what the guard allows, the surface has that many. Returns the tolerance as well.
+    /// Cuts a tree and meshes the cut. The topology is that of the full dual mesh without removed parts, so there is a minimum number of
+    /// triangles: if the budget is below this minimum, or below what the guard allows, the surface exceeds the budget. Returns the
+    /// tolerance as well.
     ///
     /// # Errors
-    /// [`Error::Cancelled`], or what the device says.
+    /// [`Error::Cancelled`], or an error of the device.
     pub fn tree_surface(
         &self,
         volume: &Volume,
@@ -46,7 +48,7 @@ impl Engine {
         Ok((surface, tolerance))
     }
 
-    /// As [`Engine::tree_surface`], of a cut that is not kept for questions and measuring: one that a finer cut replaces soon.
+    /// As [`Engine::tree_surface`], but the cut is not kept for queries and measuring, as a finer cut replaces it soon.
     ///
     /// # Errors
     /// As [`Engine::tree_surface`].
@@ -101,7 +103,7 @@ impl Engine {
         })
     }
 
-    /// What cuts a tree; it must be one of this pyramid.
+    /// Returns a cutter of a tree, which must belong to this pyramid.
     pub(crate) fn cutter<'a>(
         &'a self,
         volume: &'a Volume,
@@ -122,7 +124,7 @@ impl Engine {
         }
     }
 
-    /// What cuts a tree without some of its parts.
+    /// Returns a cutter that leaves out the parts that `filter` removes.
     pub(super) fn cutter_without_parts<'a>(
         &'a self,
         volume: &'a Volume,
@@ -153,7 +155,7 @@ impl Engine {
         if !has_budget || first >= limit || cutter.triangles(&work)? <= goal.max_triangles {
             return Ok((work, tolerance));
         }
-        // A merge that was forbidden on the way may be allowed at the limit, with what merges around it there.
+        // A merge that was forbidden at a lower tolerance may be allowed at the limit, together with the merges around it.
         drop(work);
         let goal = TreeGoal {
             tolerance: limit,
@@ -163,7 +165,8 @@ impl Engine {
         Ok((work, tolerance))
     }
 
-    /// The same, but the tolerance is raised from repair to repair until the budget is kept or it is `limit`; and the first tolerance.
+    /// As [`Engine::cut_tree`] with one attempt: raises the tolerance from repair to repair until the budget is met or `limit` is
+    /// reached. Also returns the first tolerance.
     fn repaired_cut(
         &self,
         cutter: &Cutter<'_>,
@@ -177,7 +180,7 @@ impl Engine {
         Ok((work, tolerance, first))
     }
 
-    /// Makes a cut, whose marks are kept, until its topology is that of the surface.
+    /// Repeats a cut, keeping its marks, until its topology is that of the full surface. Returns the last and the first tolerance.
     pub(super) fn repair_cut(
         &self,
         cutter: &Cutter<'_>,
@@ -222,7 +225,7 @@ impl Engine {
         })
     }
 
-    /// Triangles of each region, and what is known of a cut before it is meshed.
+    /// Returns the triangles of each region, and the statistics of a cut that are known before it is meshed.
     pub(super) fn count_tree_cut(
         &self,
         cutter: &Cutter<'_>,
@@ -231,7 +234,7 @@ impl Engine {
         let (sums, meshes) = (cutter.sums(work)?, cutter.meshes(work)?);
         let leaves = sum_levels(sums.iter().map(|region| &region.leaves));
         let removed = cutter.left_out.as_ref().map(|left_out| left_out.removed);
-        // Points without triangles go with any parts that are left out.
+        // If parts are left out, points without triangles are left out too.
         let isolated = match removed {
             Some(_) => 0,
             None => cutter.tree.isolated_points,
@@ -311,7 +314,7 @@ impl Engine {
         Ok((mesh, vertex_leaves))
     }
 
-    /// The cut that [`Engine::tree_surface`] makes the surface of: the one that was made last, or else made anew.
+    /// Returns the cut whose surface [`Engine::tree_surface`] makes: the last cut if it was for the same goal, otherwise a new one.
     pub(super) fn tree_cut(
         &self,
         cutter: &Cutter<'_>,
@@ -327,7 +330,8 @@ impl Engine {
         Ok(keep(cutter, params, goal, work))
     }
 
-    /// The tolerance for a budget, with triangles to spare for repairs; if many merges have one tolerance, with none.
+    /// Returns the tolerance for a budget. Reserves triangles for repairs, except if many merges share one tolerance, so that the reserve
+    /// would leave too much of the budget unused.
     fn fit_tree(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<f32> {
         if cutter.full_triangles() <= max_triangles {
             return Ok(f32::NEG_INFINITY);
@@ -340,8 +344,8 @@ impl Engine {
         Ok(self.tolerance_of(cutter, work, max_triangles)?.0)
     }
 
-    /// The minimum tolerance whose cut has at most `max_triangles` before repairs, and its triangles; the maximum if none has. Marked nodes
-    /// have an infinite key.
+    /// Returns the minimum tolerance whose cut has at most `max_triangles` before repairs, and its triangles; `f32::MAX` if no cut has so
+    /// few. Marked nodes have an infinite key.
     fn tolerance_of(&self, cutter: &Cutter<'_>, work: &CutWork, max_triangles: u64) -> Result<(f32, u64)> {
         let full = cutter.full_triangles();
         let wanted = full.saturating_sub(max_triangles);
@@ -363,7 +367,7 @@ impl Engine {
                 let tolerance = f32::from_bits(range.first + ((bin as u32) << range.shift) - 1);
                 return Ok((tolerance, full - sum));
             }
-            // Once more inside the bin: what is before it is in the first of the new bins.
+            // Search again inside the bin: all keys below it fall into the first of the new bins.
             range = Keys {
                 first: range.first + ((bin as u32 - 1) << range.shift),
                 shift: range.shift.saturating_sub(INNER_BINS.ilog2()),
@@ -386,8 +390,8 @@ fn keep(cutter: &Cutter<'_>, params: &CutParams, goal: &TreeGoal, work: CutWork)
     cut
 }
 
-/// Where the hash table of each region's vertices begins, and the end of the last: at least a quarter of the entries stay free, even if
-/// all corners are leaves of other regions.
+/// Returns the offset of each region's hash table of vertices, and the end of the last one. At least a quarter of the entries stay
+/// free, even if all corners are leaves of other regions.
 fn table_bases(meshes: &[RegionMesh]) -> Vec<u32> {
     let mut end = 0u32;
     let ends = meshes.iter().map(|mesh| {
@@ -397,7 +401,7 @@ fn table_bases(meshes: &[RegionMesh]) -> Vec<u32> {
     std::iter::once(0).chain(ends).collect()
 }
 
-/// How far a cut's surface may be from the full one, from the quadrics of its leaves.
+/// Estimates the distance of a cut's surface to the full one from the quadrics of its leaves.
 fn estimate(cutter: &Cutter<'_>, sums: &[TreeCutRegion]) -> ErrorEstimate {
     ErrorEstimate {
         rms: cutter.rms(sums.iter().map(|region| f64::from(region.error2)).sum()),

@@ -12,18 +12,18 @@ use crate::{
 };
 use std::rc::Rc;
 
-/// Parts of larger full surfaces are found if some are removed, but not for a probe, which does not pause for others: finding them takes
-/// some 50 ms.
+/// A probe finds the parts of full surfaces of at most this size, which takes some 50 ms. Parts of larger surfaces are found only when a
+/// filter removes some, because a probe does not yield to other jobs.
 const MAX_TRIANGLES_ON_CPU: u64 = 200_000;
 /// See [`MAX_TRIANGLES_ON_CPU`].
 const MAX_TRIANGLES_ON_GPU: u64 = 10_000_000;
 
 impl Engine {
-    /// What goes with the parts of a tree's surface that a filter removes. At the first call that removes any the parts are found, which
-    /// takes memory beside the tree for as long as that lives.
+    /// Returns what a filter removes from a tree's surface. The first call that removes anything finds the parts, which are then kept in
+    /// device memory for the lifetime of the tree.
     ///
     /// # Errors
-    /// [`crate::Error::Cancelled`], or what the device says.
+    /// [`crate::Error::Cancelled`], or an error of the device.
     pub fn removed_parts(
         &self,
         volume: &Volume,
@@ -38,7 +38,8 @@ impl Engine {
         Ok(left_out.map_or(RemovedParts::default(), |left_out| left_out.removed))
     }
 
-    /// The part of a point; `None` if it belongs to none, or if the parts are neither known nor found soon.
+    /// Returns the part of a point; `None` if it belongs to none, or if the parts are unknown and the surface is too large to find them
+    /// for a probe.
     pub(super) fn part_of(&self, cutter: &Cutter<'_>, point: u32) -> Result<Option<ProbedPart>> {
         let limit = match self.device().kind {
             DeviceKind::Cpu => MAX_TRIANGLES_ON_CPU,
@@ -99,7 +100,7 @@ fn chosen(cutter: &Cutter<'_>, params: &CutParams, parts: &TreeParts, filter: &P
     let (mut firsts, mut matched) = (Vec::new(), 0);
     for cell in cells.into_iter().flatten() {
         let point = cell.point as usize;
-        // A cell without triangles is of no part.
+        // A cell without triangles belongs to no part.
         if cutter.cx.read_at(STAGE, &parts.areas, point, 1)?[0] != 0.0 {
             firsts.push(cutter.cx.read_at(STAGE, &parts.firsts, point, 1)?[0]);
             matched += 1;
@@ -110,7 +111,7 @@ fn chosen(cutter: &Cutter<'_>, params: &CutParams, parts: &TreeParts, filter: &P
     Ok((firsts, positions.len() as u64 - matched))
 }
 
-/// The parts of the surface, which the tree keeps.
+/// Returns the parts of the surface, which the tree caches.
 fn parts(cutter: &Cutter<'_>, cancel: &dyn Cancel) -> Result<Rc<TreeParts>> {
     if let Some(parts) = cutter.tree.parts.get() {
         return Ok(Rc::clone(parts));

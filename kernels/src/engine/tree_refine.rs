@@ -1,4 +1,4 @@
-//! Cuts of the vertex tree that are refined where their triangles intersect.
+//! Cuts of the vertex tree, refined at the places where their triangles intersect.
 
 use super::peel::triangles;
 use crate::cancel::check;
@@ -6,17 +6,17 @@ use crate::stages::tree_cut::{CutWork, Cutter, LEAF_NUMBER, STAGE};
 use crate::tree::TreeGoal;
 use crate::{Cancel, CutParams, Engine, Pyramid, Region, Result, Surface, VertexTree, Volume};
 
-/// Cuts that are tried. Each round forbids merges one level further down, so a fault that the full surface does not have disappears after at most
-/// as many rounds as the tree is high.
+/// Maximum number of refined cuts. Each round forbids merges one level further down, so a fault that the full surface does not have
+/// disappears after at most as many rounds as the tree has levels.
 const MAX_ROUNDS: usize = 24;
 
 /// A vertex of a surface: the place of its region in the list, and its number there.
 pub type RegionVertex = [u32; 2];
 
-/// Finds vertices at which a surface is to be refined; none when it is good. May ask whether it is cancelled.
+/// Finds vertices at which a surface must be refined; returns none if it has no fault. May poll for cancellation.
 pub type FindFaults<'a> = &'a dyn Fn(&[Region], &dyn Cancel) -> Result<Vec<RegionVertex>>;
 
-/// What a refinement has cost.
+/// Cost of a refinement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RefinementCost {
     /// Triangles of the first cut.
@@ -26,8 +26,9 @@ pub struct RefinementCost {
 }
 
 impl Engine {
-    /// As [`Engine::tree_surface`], refined until `find_faults` finds nothing, or nothing that could be refined, or 24 cuts were tried: at those vertices, and above them
-    /// in the tree, nothing is merged. If there is a budget, more is merged elsewhere. The cut is not kept for questions.
+    /// As [`Engine::tree_surface`], then forbids the merges at the vertices that `find_faults` returns, and above them in the tree. Repeats
+    /// until it finds no fault or none that can be refined, at most 24 times. If there is a budget, more is merged elsewhere. The cut is
+    /// not kept for queries.
     ///
     /// # Errors
     /// As [`Engine::tree_surface`], and what `find_faults` returns.
@@ -64,7 +65,7 @@ impl Engine {
         Ok((surface, tolerance, cost))
     }
 
-    /// Merged nodes that are vertices at which a cut is to be refined.
+    /// Returns the merged nodes whose vertices are faulty, so that the cut must be refined there.
     fn faulty_nodes(
         &self,
         cutter: &Cutter<'_>,

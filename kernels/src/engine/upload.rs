@@ -1,4 +1,4 @@
-//! A field's samples on their way to the device, in pieces: the host never holds all of them.
+//! Uploads a field's samples to the device in pieces: the host never holds all of them.
 
 use super::table::TableWork;
 use crate::volume::{Slab, slab_layers, slab_planes};
@@ -50,7 +50,7 @@ impl Engine {
     /// Puts the next samples on the device, x fastest. If it failed, it may be called again with the same samples.
     ///
     /// # Errors
-    /// More samples than the grid has, or of another type, or what the device says.
+    /// More samples than the grid has, or of another type, or an error of the device.
     pub fn continue_upload(&self, upload: &mut Upload, samples: &Samples) -> Result<()> {
         let (from, more) = (upload.done, samples.len() as u64);
         let Volume { grid, sample_type, .. } = upload.volume;
@@ -97,7 +97,7 @@ impl Engine {
         Ok(is_complete)
     }
 
-    /// The field, with what is missing of its min/max table.
+    /// Completes the min/max table and returns the field.
     ///
     /// # Errors
     /// As [`Engine::continue_table`].

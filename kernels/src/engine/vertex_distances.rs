@@ -1,11 +1,11 @@
-//! How far a mesh is from the isosurface, for each of its vertices: of the vertex alone, or of the triangles around it too.
+//! Distances of a mesh's vertices to the isosurface: of the vertex alone, or of the triangles around it too.
 
 use crate::Pyramid;
 use crate::stages::distance;
 use crate::{Cancel, Engine, REGION_CELLS, Region, Result, Vertex, Volume};
 use std::collections::HashMap;
 
-/// Which points of the mesh a vertex' distance is of.
+/// The points of the mesh whose distance a vertex gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DistanceOf {
     /// The vertex itself.
@@ -27,7 +27,7 @@ impl Engine {
     /// Distances of the vertices of regions to the isosurface, world units; infinite if none is near.
     ///
     /// # Errors
-    /// [`crate::Error::Cancelled`], or what the device says.
+    /// [`crate::Error::Cancelled`], or an error of the device.
     pub fn vertex_distances(
         &self,
         volume: &Volume,
@@ -118,7 +118,7 @@ fn inner_points(parts: usize) -> impl Iterator<Item = [f32; 3]> {
 fn join(regions: &[Region], distances: &mut [Vec<f32>]) {
     let border = REGION_CELLS as i32 * Vertex::LATTICE;
     let is_outside = |vertex: &Vertex| vertex.position.iter().any(|&x| x < 0 || x >= border);
-    // A vertex that several regions have lies outside of all of them but one.
+    // A vertex that several regions share lies outside all of them except one.
     let outside = |region: &Region| {
         let shared = region.vertices.iter().filter(|vertex| is_outside(vertex));
         shared

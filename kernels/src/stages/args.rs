@@ -1,5 +1,5 @@
-//! The values that a kernel takes beside its buffers: one struct a kernel, passed by value as its first argument. They are
-//! declared in the launchers; `cl/lib/args.h` is generated from them.
+//! Structs of kernel arguments other than buffers: one struct per kernel, passed by value as its first argument. The launchers
+//! declare them; `cl/lib/args.h` is generated from these declarations.
 
 /// A struct of arguments as the device sees it.
 #[cfg(test)]
@@ -24,7 +24,7 @@ pub(crate) fn device_type(rust: &'static str) -> &'static str {
     }
 }
 
-/// Declares the structs of arguments of a stage's kernels. A stage without any still says so: `kernel_args! {}`.
+/// Declares the structs of arguments of a stage's kernels. A stage without any must still invoke it: `kernel_args! {}`.
 macro_rules! kernel_args {
     ($($(#[doc = $doc:literal])* $name:ident { $($(#[doc = $field_doc:literal])* $field:ident: $kind:ident),* $(,)? })*) => {
         $(

@@ -54,15 +54,15 @@ kernel_args! {
     }
 }
 
-/// Local memory of a brick for its cubes. The less there is, the more groups run side by side on a GPU.
+/// Local memory of a brick for its cubes. The less a group takes, the more groups a GPU runs concurrently.
 const CUBES_BYTES: usize = (constants::CUBE_ROWS * constants::CUBES) as usize * size_of::<f32>();
 
-/// The same for cells alone: six rows, or `POSITIONS_CAPACITY` in `cl/lib/device_*.h`, which is more on a CPU.
+/// Local memory of a brick if only cells are made: six rows, or `POSITIONS_CAPACITY` in `cl/lib/device_*.h`, which is more on a CPU.
 const fn cells_bytes(brick_group: usize) -> usize {
     512 * if brick_group == 1 { 4 } else { 3 } * size_of::<u16>()
 }
 
-/// Local memory of a brick for its cubes, before which the feature at its samples lies there: a block of `cl/lib/brick_feature.h`.
+/// Local memory of a brick. It first holds the feature at the brick's samples (a block of `cl/lib/brick_feature.h`), then its cubes.
 const fn local_bytes(brick_group: usize, whole: bool, has_block: bool) -> usize {
     const BLOCK_BYTES: usize = 11 * 11 * 11 * size_of::<f32>();
     let cubes = if whole { CUBES_BYTES } else { cells_bytes(brick_group) };
@@ -73,7 +73,7 @@ const fn local_bytes(brick_group: usize, whole: bool, has_block: bool) -> usize 
     }
 }
 
-/// Its number in `cl/`.
+/// Returns the number of a sample type in `cl/`.
 pub(super) fn type_number(sample_type: SampleType) -> u32 {
     match sample_type {
         SampleType::U8 => constants::TYPE_U8,
@@ -84,12 +84,12 @@ pub(super) fn type_number(sample_type: SampleType) -> u32 {
     }
 }
 
-/// What the nodes are made from.
+/// Inputs of the stage.
 pub struct Input<'a> {
     pub volume: &'a Volume,
     pub feature: Feature<'a>,
     pub iso: f32,
-    /// Levels 1 to 5 too, not the cells alone.
+    /// Whether levels 1 to 5 are made too, not only the cells.
     pub whole: bool,
     pub work: &'a [SlabWork<'a>],
     pub regions: &'a Buffer<Region>,
@@ -97,7 +97,7 @@ pub struct Input<'a> {
     pub case_facts: &'a Buffer<u32>,
 }
 
-/// Fills `nodes` and `vertex_records`; answers the undecimated triangles of each region.
+/// Fills `nodes` and `vertex_records`; returns the number of undecimated triangles of each region.
 pub fn run(
     cx: &Context,
     input: &Input<'_>,
@@ -115,7 +115,7 @@ pub fn run(
     let safe: Buffer<u8> = cx.buffer(STAGE, input.bricks.len())?;
     let totals: Buffer<u32> = cx.buffer(STAGE, input.regions.len())?;
     for slab in input.work {
-        // Fields of one grid have the same slabs; without a field the samples stand in, never read.
+        // Fields of one grid have the same slabs. Without a field the volume's samples serve as the argument and are never read.
         let (samples, sample_type, missing) = match input.feature {
             Feature::Field(field) => {
                 let same = field

@@ -40,7 +40,7 @@ fn args(volume: &Volume, pyramid: &Pyramid, params: CutParams, range: Keys) -> C
     }
 }
 
-/// Launches a kernel of this stage, whose last argument are changes by bin of each work-group, and adds them up.
+/// Launches a kernel of this stage, whose last argument receives the changes per bin of each work-group, and adds them up.
 fn run(cx: &Context, volume: &Volume, pyramid: &Pyramid, kernel: &str, inputs: &[&dyn Arg]) -> Result<Vec<f64>> {
     let (bins, groups) = (constants::FIT_BINS as usize, GROUPS.min(pyramid.host_regions.len()));
     let changes = cx.buffer::<f32>(STAGE, groups * bins)?;
@@ -61,8 +61,8 @@ fn run(cx: &Context, volume: &Volume, pyramid: &Pyramid, kernel: &str, inputs: &
     Ok(sums)
 }
 
-/// Of cuts of cubes: what squared errors, each by its triangles, change by where the threshold passes each bin. `keys`: of
-/// [`super::fit::run`].
+/// For cuts of cubes, returns the change of the summed squared errors, weighted by triangles, when the threshold passes each bin.
+/// `keys`: of [`super::fit::run`].
 pub fn of_cut(
     cx: &Context,
     volume: &Volume,
@@ -84,7 +84,7 @@ pub fn of_cut(
     run(cx, volume, pyramid, "curve_cut", &inputs)
 }
 
-/// Of cuts of the vertex tree: what squared errors, each by its area, change by where the tolerance passes each bin.
+/// For cuts of the vertex tree, returns the change of the summed squared errors, weighted by area, when the tolerance passes each bin.
 pub fn of_tree(
     cx: &Context,
     volume: &Volume,

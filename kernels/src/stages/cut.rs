@@ -1,4 +1,4 @@
-//! Which nodes stand for all below them.
+//! Decides which nodes are leaves: each leaf represents all nodes below it.
 
 use super::args::kernel_args;
 use crate::Pyramid;
@@ -22,7 +22,7 @@ kernel_args! {
     }
 }
 
-/// What the kernels see of the user's parameters.
+/// Converts the user's parameters to the kernels' layout.
 pub fn layout(params: &crate::CutParams, prefix: Level) -> CutParams {
     let [lo, hi] = params.feature_range;
     CutParams {
@@ -43,7 +43,7 @@ pub fn layout(params: &crate::CutParams, prefix: Level) -> CutParams {
     }
 }
 
-/// What decides about nodes, on the device.
+/// Criterion of a cut, in device memory.
 pub struct Criterion {
     pub params: CutParams,
     /// Control points of the transfer function.
@@ -73,8 +73,8 @@ fn interest(interest: &Interest) -> layout::Interest {
     }
 }
 
-/// Fills `state`: the level of the leaf that stands for each node, or that leaves are below. Returns what the leaves of each
-/// region add up to.
+/// Fills `state`: for each node, the level of the leaf that represents it, or a mark that its leaves are below. Returns sums over the
+/// leaves of each region.
 pub fn run(
     cx: &Context,
     volume: &Volume,
@@ -109,8 +109,8 @@ pub fn run(
     cx.read(STAGE, &sums, regions)
 }
 
-/// Where the states of each region differ: one bit for each neighbour x + 3 y + 9 z that a node with another state touches, the
-/// region itself at 13.
+/// Compares the states of two cuts. Returns for each region one bit per neighbour x + 3 y + 9 z that a node with a different state
+/// touches; the region itself is bit 13.
 pub fn compare(
     cx: &Context,
     volume: &Volume,

@@ -43,10 +43,10 @@ kernel_args! {
     }
 }
 
-/// What a feature is computed from.
+/// The fields from which a feature is computed.
 pub struct Source<'a> {
     kind: u32,
-    /// A field alone stands for all three, of which the others are never read.
+    /// A feature of one field has this field three times; only the first is read.
     fields: [&'a Volume; 3],
     components: u32,
 }
@@ -96,7 +96,7 @@ impl<'a> Source<'a> {
         self.fields[0].inverse_lengths.as_deref()
     }
 
-    /// Those of uneven axes are a program of their own, so that even ones pay nothing.
+    /// Uneven axes have a program of their own, so that even axes have no extra cost.
     fn kernel(&self, cx: &Context, name: &str) -> Result<Rc<Kernel>> {
         match self.inverse_lengths() {
             Some(_) => cx.uneven_kernel(name),
@@ -111,7 +111,7 @@ impl<'a> Source<'a> {
         LocalBytes((blocks + tables) as usize * size_of::<f32>())
     }
 
-    /// What both kernels take first.
+    /// The first arguments of both kernels.
     fn arguments<'b>(&'b self, args: &'b DeriveArgs, z0: u32) -> Vec<&'b dyn Arg> {
         let lengths = self.inverse_lengths().map(|lengths| lengths as &dyn Arg);
         let samples = self.samples(z0).map(|samples| samples as &dyn Arg);
@@ -141,7 +141,7 @@ pub fn run(
     Ok(())
 }
 
-/// The feature at all samples of `planes` planes from `first` on, which is a multiple of 8, x fastest; NaN where it is missing.
+/// Returns the feature at all samples of `planes` planes, x fastest; NaN if it is missing. `first`: the first plane, a multiple of 8.
 pub fn samples(
     cx: &Context,
     source: &Source<'_>,

@@ -1,4 +1,4 @@
-//! How far points are from the isosurface.
+//! Distances of points to the isosurface.
 
 use super::BRICK_GROUP;
 use super::args::kernel_args;
@@ -32,10 +32,10 @@ kernel_args! {
 /// Points of one launch: few enough that a cancellation is seen within 50 ms on a CPU of two cores.
 const LAUNCH_POINTS: usize = 1 << 17;
 
-/// Distances of points, in cells, to the isosurface, world units; infinite if none is near.
+/// Returns the distances of points to the isosurface, in world units; infinite if the isosurface is not near. `points` are in cells.
 ///
 /// # Errors
-/// [`crate::Error::Cancelled`], or what the device says.
+/// [`crate::Error::Cancelled`], or an error of the device.
 pub fn run(
     cx: &Context,
     volume: &Volume,

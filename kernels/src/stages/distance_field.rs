@@ -1,4 +1,4 @@
-//! Distances to the nearest sample that is inside.
+//! Distances to the nearest inside sample.
 
 use super::BRICK_GROUP;
 use super::args::kernel_args;
@@ -60,15 +60,15 @@ const FIRST_SAMPLES: u64 = 1 << 18;
 /// Samples of one launch at most.
 const MAX_SAMPLES: u64 = 1 << 24;
 
-/// Where samples are along the axes.
+/// Positions of the samples along the axes.
 pub struct Axes {
-    /// Of the samples along x, y and z: their numbers, or lengths in units.
+    /// Positions along x, y and z: the samples' indices, or lengths in units.
     pub positions: [Buffer<f32>; 3],
-    /// Units of one step between positions along each.
+    /// Units per step between positions, for each axis.
     pub scale: [f32; 3],
     /// World units of a unit of length.
     pub unit: f32,
-    /// Whether positions are numbers.
+    /// Whether positions are indices.
     pub is_even: bool,
 }
 
@@ -81,7 +81,7 @@ pub struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Squares of the distances along z from the samples of all slabs to those that are inside in `values`.
+    /// Writes the squared distances along z from the samples of all slabs to the nearest inside sample of `values`.
     pub fn columns(&self, values: &[Slab], squares: &[Slab]) -> Result<()> {
         let plane = self.grid.dims[0] as usize * self.grid.dims[1] as usize;
         let never = |bits: f32| self.cx.filled(STAGE, plane, bits.to_bits());
@@ -126,7 +126,8 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// What squares are along an axis more, or distances where it is x, the last one. Both slabs are the same one's.
+    /// Extends squared distances by one more axis. For the last axis, x, writes distances instead of squares. `squares` and `out` belong to
+    /// the same slab.
     pub fn lines(&self, axis: usize, squares: &Slab, out: &Slab) -> Result<()> {
         let length = u64::from(self.grid.dims[axis]);
         let lines = squares.samples.bytes() / size_of::<f32>() as u64 / length;
@@ -152,7 +153,7 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Others have a turn after each launch.
+    /// Launches a kernel and then yields to other jobs.
     fn launch(&self, kernel: &str, groups: u64, args: &[&dyn Arg], pace: &mut Pace) -> Result<()> {
         let kernel = self.cx.kernel(SampleType::F32, kernel)?;
         self.cx.paced(STAGE, pace, groups, || {

@@ -1,4 +1,4 @@
-//! How the blended feature is distributed over a cut's leaves.
+//! Histogram of the blended feature over a cut's leaves.
 
 use super::args::kernel_args;
 use crate::buffer::Buffer;
@@ -21,7 +21,7 @@ kernel_args! {
     }
 }
 
-/// Counts of a cut of cubes: first of all, then of what is coarse.
+/// Counts of a cut of cubes: first all vertices, then those whose leaf is coarse.
 pub fn of_cut(
     cx: &Context,
     volume: &Volume,
@@ -46,7 +46,7 @@ pub fn of_cut(
     cx.read(STAGE, &counts, counts.len())
 }
 
-/// As [`of_cut`], of a cut of the vertex tree. `leaves`: of each point.
+/// As [`of_cut`], for a cut of the vertex tree. `leaves`: the leaf of each point.
 pub fn of_tree(
     cx: &Context,
     volume: &Volume,

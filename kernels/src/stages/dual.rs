@@ -40,9 +40,9 @@ const HALO_WORDS: usize = constants::HALO_WORDS as usize;
 
 /// What [`count`] computes for each slot, brick and region.
 pub struct Counted {
-    /// Parts in which something is done, those with a mesh first.
+    /// Parts with work to do, those to be meshed first.
     parts: Buffer<u32>,
-    /// How many of them have a mesh.
+    /// Number of parts to be meshed.
     mesh_parts: usize,
     /// Of each brick, whether all its active cells are leaves.
     fine: Buffer<u8>,
@@ -64,18 +64,18 @@ pub struct Counted {
     pub borders: Buffer<u32>,
 }
 
-/// What is done in a region.
+/// Work of the mesher in a region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
     /// Counts and the mesh.
     Mesh,
-    /// Counts, for what its neighbours share with it.
+    /// Counts only, for the vertices that meshed neighbours share with the region.
     Count,
     /// Nothing.
     None,
 }
 
-/// The regions in which this is done.
+/// Returns the regions that have the given work.
 fn regions_at(work: &[Work], wanted: Work) -> Vec<u32> {
     let regions = (0..).zip(work);
     regions
@@ -95,7 +95,7 @@ fn append_parts(parts: &mut Vec<u32>, pyramid: &Pyramid, regions: &[u32]) {
     }
 }
 
-/// Counts triangles and vertices by region. `work`: what is to be done in each.
+/// Counts triangles and vertices by region. `work`: the work of each region.
 pub fn count(
     cx: &Context,
     volume: &Volume,
@@ -205,10 +205,10 @@ pub struct Input<'a> {
     pub corners: Corners<'a>,
 }
 
-/// What is written beside or instead of the indices of a mesh.
+/// Selects what is written in addition to or instead of the indices of a mesh.
 #[derive(Clone, Copy)]
 pub enum Corners<'a> {
-    /// Nothing.
+    /// Nothing else.
     Indices,
     /// The slot behind every index, for [`super::error`].
     Slots(&'a Buffer<u32>),
@@ -233,7 +233,7 @@ pub fn emit(
     indices: &Buffer<u32>,
 ) -> Result<()> {
     let counted = input.counted;
-    // What a mode does not use has some other buffer as its argument.
+    // Arguments that a mode does not use get any other buffer.
     let (corners, corner_slots, border_base, tree_regions, points): (u32, &dyn Arg, &dyn Arg, &dyn Arg, &dyn Arg) =
         match &input.corners {
             Corners::Indices => (constants::CORNERS_INDICES, indices, indices, indices, indices),

@@ -1,4 +1,4 @@
-//! How far a dual mesh is from the surface it stands for.
+//! Distance of a dual mesh from the surface that it represents.
 
 mod sums;
 
@@ -108,7 +108,7 @@ pub struct Input<'a> {
     pub corner_slots: &'a Buffer<u32>,
     pub indices: &'a Buffer<u32>,
     pub vertices: &'a Buffer<Vertex>,
-    /// Of a cut of the vertex tree, in which all cells are leaves of the octree.
+    /// Set for a cut of the vertex tree, in which all cells are leaves of the octree.
     pub tree: Option<TreeLeaves<'a>>,
 }
 
@@ -118,7 +118,7 @@ pub struct TreeLeaves<'a> {
     pub tree: &'a VertexTree,
     /// Of each point.
     pub leaves: &'a Buffer<u32>,
-    /// Of each node the two sums of offsets that say how far it moves, of [`Cutter::offsets`](super::tree_cut::Cutter::offsets).
+    /// The two sums of offsets of each node, from [`Cutter::offsets`](super::tree_cut::Cutter::offsets): they give how far it moves.
     pub offset_sums: &'a Buffer<u32>,
 }
 
@@ -178,23 +178,23 @@ fn tasks(regions: Range<usize>, items: impl Fn(usize) -> u32) -> Vec<ErrorTask> 
     regions.flat_map(of_region).collect()
 }
 
-/// Where every slot's vertex is, and its fan.
+/// The vertex positions of all slots, and their fans of triangles.
 struct Fans {
     positions: Buffer<[f32; 4]>,
-    /// The vertices that stand for those of slots, if others do.
+    /// The vertices that replace those of slots, if any do.
     stand_ins: Option<Buffer<u32>>,
     heads: Buffer<u32>,
     next: Buffer<u32>,
 }
 
 impl Fans {
-    /// As an argument: any buffer if vertices stand for themselves.
+    /// Returns `stand_ins` as a kernel argument; any other buffer if there are none.
     fn stand_ins(&self) -> &Buffer<u32> {
         self.stand_ins.as_ref().unwrap_or(&self.heads)
     }
 }
 
-/// Where a search for the nearest triangle begins.
+/// Start points of searches for the nearest triangle.
 struct Seeds {
     seeds: Buffer<u32>,
     far: Buffer<u32>,
@@ -210,7 +210,7 @@ struct Measurement<'a> {
 }
 
 impl Measurement<'_> {
-    /// Waits for what was launched, so that a cancellation is seen before more is.
+    /// Waits for the launches so far, so that a cancellation is seen before the next launch.
     fn pause(&self) -> Result<()> {
         self.cx.pause(STAGE, self.cancel)
     }
@@ -362,7 +362,7 @@ impl Measurement<'_> {
         Ok(found)
     }
 
-    /// Launches the tasks in parts and adds up what they measure. `launch` starts so many tasks from the first on.
+    /// Launches the tasks in parts and adds their results to `sums`. `launch` takes the index of the first task and the number of tasks.
     fn measure(
         &self,
         sums: &mut Sums,
@@ -437,7 +437,8 @@ impl Measurement<'_> {
         Ok(sums)
     }
 
-    /// A triangle reaches at most one region beyond its own: a slab measures the samples that it holds, of those.
+    /// Measures the distances at the samples, slab by slab. A triangle reaches at most one region beyond its own, so each slab also
+    /// launches the regions next to it; it measures only the samples that it holds.
     fn measure_samples(&self, fans: &Fans) -> Result<Sums> {
         let Self {
             cx,
@@ -495,7 +496,7 @@ impl Measurement<'_> {
 /// Error of each active region, and of the whole surface.
 ///
 /// # Errors
-/// [`crate::Error::Cancelled`], or what the device says.
+/// [`crate::Error::Cancelled`], or an error of the device.
 pub fn run(
     cx: &Context,
     volume: &Volume,

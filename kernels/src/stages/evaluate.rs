@@ -62,14 +62,14 @@ kernel_args! {
 /// Samples of a block, with which launches begin.
 const BLOCK: u64 = constants::LAUNCH_BLOCK as u64;
 
-/// Blocks of the first launch, which tells what the expression costs.
+/// Blocks of the first launch, which measures the cost of the expression.
 const FIRST_BLOCKS: u64 = 64;
 
 /// Blocks of one launch at most.
 const MAX_BLOCKS: u64 = 1 << 15;
 
-/// Pace of an expression's launches, in blocks. On a CPU they stay few enough work-items that PoCL compiles one variant of the kernel, the one that
-/// the device's check has launched: it takes longer to compile than others may wait.
+/// Pace of an expression's launches, in blocks. On a CPU the launches stay so small that PoCL uses the kernel variant that the device
+/// check has already compiled: compiling another variant would block other jobs for too long.
 pub fn pace(cx: &Context) -> Pace {
     let few_blocks = (FEW_WORK_ITEMS / BRICK_GROUP * BRICK_GROUP * cx.tuning.lanes) as u64 / BLOCK;
     let max_blocks = match cx.found.info.kind {
@@ -79,7 +79,8 @@ pub fn pace(cx: &Context) -> Pace {
     Pace::new(FIRST_BLOCKS.min(max_blocks), 1, max_blocks)
 }
 
-/// Launches over `samples` samples, which `pace` sizes. `launch` takes the first block, samples and work-groups of one.
+/// Covers `samples` samples by launches whose sizes `pace` chooses. `launch` takes the first block, the samples and the work-groups of
+/// one launch.
 pub(super) fn in_blocks(
     cx: &Context,
     stage: &'static str,
@@ -109,8 +110,8 @@ pub struct Input<'a> {
     pub missing: f32,
 }
 
-/// Fills `out`, which holds `samples` samples, in launches that `pace` sizes. `inputs`: the fields in the same slab; those that the expression does not
-/// have are not read.
+/// Fills `out`, which holds `samples` samples, by launches whose sizes `pace` chooses. `inputs`: the fields in the same slab; fields that
+/// the expression does not use are not read.
 pub fn run(
     cx: &Context,
     expression: &Encoded,

@@ -1,4 +1,4 @@
-//! How many leaves a cut has as a function of β.
+//! Number of leaves of a cut as a function of its threshold.
 
 use super::args::kernel_args;
 use crate::buffer::Buffer;
@@ -34,7 +34,8 @@ pub struct Keys {
     pub shift: u32,
 }
 
-/// Leaves that are added less leaves that go where β passes each bin; the first bin is for keys before all others. And each node's key.
+/// Returns the change of the number of leaves when the threshold passes each bin, and each node's key. The first bin holds keys below
+/// all others.
 pub fn run(
     cx: &Context,
     volume: &Volume,

@@ -39,7 +39,7 @@ kernel_args! {
     }
 }
 
-/// Samples of one launch at most: places in a launch stay far from what drivers allow.
+/// Maximum samples of one launch: its global size stays far below the limits of drivers.
 const LAUNCH_SAMPLES: u64 = 1 << 30;
 
 /// Fills a slab that holds `planes`; stored is `value * factor + offset`.

@@ -62,7 +62,7 @@ const LAUNCH_SAMPLES: [u64; 2] = [1 << 20, 1 << 31];
 /// The same if `derive` computes the values before each launch: 64 MiB of them at most.
 const DERIVED_SAMPLES: [u64; 2] = [1 << 18, 1 << 24];
 
-/// Samples of a volume of which all are counted. Of larger ones a share is, so that opening them takes seconds.
+/// Maximum samples of a volume that is counted in full. Of a larger volume only a share is counted, so that opening it takes seconds.
 const COUNTED_SAMPLES: u64 = 1 << 27;
 
 /// Planes of a block of `derive`.
@@ -71,7 +71,7 @@ const DERIVED_PLANES: u32 = 8;
 /// Extents of bricks that are read back at once.
 pub(crate) const TABLE_EXTENTS: usize = 1 << 20;
 
-/// A histogram that is being made.
+/// State of a histogram under construction.
 #[derive(Clone, Debug)]
 pub struct HistogramWork {
     pass: Pass,
@@ -84,15 +84,15 @@ pub struct HistogramWork {
 /// What the next launch does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Pass {
-    /// Begins, with what suits the feature.
+    /// Chooses the first pass, which depends on the feature.
     First,
-    /// Widens the range by extents of bricks, from this one on.
+    /// Widens the range by the extents of bricks; `next` is the next brick.
     Table { next: usize },
     /// Widens the range by the rows from this one on, in the order of [`Share`].
     Range { next: u64 },
     /// Counts the values of the rows from this one on, in the same order.
     Bins { next: u64 },
-    /// Nothing is left.
+    /// The histogram is complete.
     Done,
 }
 
@@ -109,7 +109,7 @@ impl Default for HistogramWork {
 }
 
 impl HistogramWork {
-    /// As the default, with another number of samples from which on a share is counted: small volumes are counted as large ones.
+    /// As the default, with another limit for counting all samples, so that tests count small volumes as if they were large.
     #[cfg(feature = "testing")]
     pub fn of_share(counted_samples: u64) -> Self {
         Self {
@@ -133,7 +133,7 @@ impl HistogramWork {
         }
     }
 
-    /// Goes on with the bins, if there is a value.
+    /// Continues with the bins if the range contains a value, otherwise completes.
     fn begin_bins(&mut self) {
         let is_empty = self.range[0] > self.range[1];
         self.pass = if is_empty { Pass::Done } else { Pass::Bins { next: 0 } };
@@ -148,7 +148,7 @@ struct Launch<'a> {
     first_plane: u32,
     first_row: u32,
     count: u32,
-    /// In place of the slab's samples.
+    /// Values that replace the slab's samples, if `derive` computes them.
     values: Option<Buffer<f32>>,
 }
 
@@ -335,13 +335,13 @@ impl Maker<'_> {
             count: rows as u32 * nx,
             values,
         };
-        // What is read back ends the launch.
+        // Reading the results waits for the launch.
         run(self, &launch, work)?;
         work.pace.took(rows, start.elapsed());
         Ok(share.after(next, rows, rows == rows_to(end)))
     }
 
-    /// The slab that has a plane, and the first plane after those that it has alone.
+    /// Returns the slab that owns a plane, and the first plane after those that it owns.
     fn slab_of(&self, plane: u32) -> (&Slab, u32) {
         let grid = self.volume.grid;
         let layer = (plane / REGION_CELLS).min(grid.regions()[2] - 1);

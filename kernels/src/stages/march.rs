@@ -25,7 +25,8 @@ kernel_args! {
     }
 }
 
-/// What the mesher keeps for each slot: edges that a cell owns and vertices before; refined vertices of coarse leaves.
+/// Intermediate results of the mesher per slot: the edges that a cell owns and the vertices before it, and the refined vertices of
+/// coarse leaves.
 pub struct Marks {
     pub owners: Buffer<u32>,
     pub refined: Buffer<[u32; 2]>,

@@ -1,4 +1,4 @@
-//! Fields of which only what is inside a mask counts.
+//! Masked fields: samples outside the mask are missing.
 
 use super::BRICK_GROUP;
 use super::args::kernel_args;
@@ -37,16 +37,16 @@ kernel_args! {
     }
 }
 
-/// What samples outside become.
+/// The samples outside the mask.
 #[derive(Clone, Copy)]
 pub struct Outside {
     /// Type of the result.
     pub sample_type: SampleType,
-    /// Their value.
+    /// Value of these samples.
     pub value: f32,
 }
 
-/// Fills `out`, which holds `samples` samples, in launches that `pace` sizes.
+/// Fills `out`, which holds `samples` samples, by launches whose sizes `pace` chooses.
 pub fn run(
     cx: &Context,
     inside: &ValueSet,

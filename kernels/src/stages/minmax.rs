@@ -28,7 +28,8 @@ pub fn runs(cx: &Context, grid: &Grid, layers: u32) -> u32 {
     grid.regions[0].div_ceil(cx.tuning.regions_in_run as u32) * grid.regions[1] * layers
 }
 
-/// Fills the part of `table` and `missing_masks` (zero before) that these runs of a slab have, which are counted from the volume's first one.
+/// Fills the entries of `table` and `missing_masks` that belong to these runs of a slab. The masks must be zero before. Runs are
+/// counted from the volume's first one.
 pub fn run(
     cx: &Context,
     sample_type: SampleType,

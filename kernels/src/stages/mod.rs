@@ -8,7 +8,7 @@ macro_rules! stages {
     ($($stage:ident $(: $built:ident)?)*) => {
         $(pub(crate) mod $stage;)*
 
-        /// What the product's programs are made of.
+        /// Sources of the product's programs.
         pub(crate) const SOURCES: &[crate::sources::Source] = &[$(crate::sources::Source {
             file: concat!(stringify!($stage), ".cl"),
             stage: stringify!($stage),
@@ -64,7 +64,7 @@ use std::ops::Range;
 /// Work-items of a group that works on one brick, and of any other fixed group: `reqd_work_group_size` in `cl/`.
 pub(crate) const BRICK_GROUP: usize = 64;
 
-/// The active regions and bricks that one slab, or one launch, serves.
+/// The active regions and bricks of one slab or one launch.
 pub(crate) struct SlabWork<'a> {
     pub samples: &'a Buffer<u8>,
     pub z0: u32,

@@ -1,4 +1,4 @@
-//! What is known of the surface next to positions.
+//! Finds the surface next to positions.
 
 use super::args::kernel_args;
 use super::cut::Criterion;

@@ -30,7 +30,7 @@ kernel_args! {
     }
 }
 
-/// The samples' bytes in the device's order, the axis after the plane's own, or x, fastest.
+/// Returns the bytes of the plane's samples in the order of the device: the lower of the two axes in the plane is fastest.
 pub fn run(cx: &Context, volume: &Volume, axis: usize, index: u32) -> Result<Vec<u8>> {
     let [nx, ny, nz] = volume.grid.dims;
     let (width, rows) = [(ny, nz), (nx, nz), (nx, ny)][axis];
@@ -38,7 +38,7 @@ pub fn run(cx: &Context, volume: &Volume, axis: usize, index: u32) -> Result<Vec
     let kernel = |name| cx.kernel(volume.sample_type, name);
     for slab in &volume.slabs {
         let planes = own_planes(volume, &slab.layers);
-        // Across z a slab has all rows or none.
+        // For a plane across z, a slab has all rows or none.
         let rows = match axis {
             2 if planes.contains(&index) => 0..rows,
             2 => continue,
@@ -66,7 +66,7 @@ pub fn run(cx: &Context, volume: &Volume, axis: usize, index: u32) -> Result<Vec
     cx.read(STAGE, &out, out.len())
 }
 
-/// Planes along z that are a slab's alone; the last layer also owns the planes after its last cell.
+/// Returns the planes along z that a slab owns; the last layer also owns the planes after its last cell.
 fn own_planes(volume: &Volume, layers: &Range<u32>) -> Range<u32> {
     let last = volume.grid.dims[2];
     let is_last = layers.end == volume.grid.regions()[2];

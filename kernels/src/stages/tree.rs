@@ -1,4 +1,5 @@
-//! The vertex tree: a hierarchy over the vertices of the full dual mesh. What its nodes are made from, and what is made of them.
+//! The vertex tree, a hierarchy over the vertices of the full dual mesh: the inputs of its construction, and the tables made from its
+//! nodes.
 
 use super::args::kernel_args;
 use crate::buffer::Buffer;
@@ -30,7 +31,7 @@ kernel_args! {
     }
 }
 
-/// Numbers the border vertices of each region: how many are before each word of `borders`. Returns how many each region has.
+/// Numbers the border vertices of each region: writes how many precede each word of `borders`. Returns the count of each region.
 pub fn borders(
     cx: &Context,
     volume: &Volume,
@@ -80,12 +81,12 @@ pub struct Mesh<'a> {
     /// Three points a triangle.
     pub corners: &'a Buffer<u32>,
     pub points: &'a Buffer<[i32; 4]>,
-    /// How many of them are of cells and sheets.
+    /// Number of points of cells and sheets.
     pub cell_points: u32,
 }
 
-/// Counts the triangles with a corner in each region, or writes those of some regions: to working memory, and the numbers of those of other
-/// regions' meshes.
+/// Counts the triangles that have a corner in each region. With `output`, writes the triangles of some regions to working memory, and
+/// the numbers of those that belong to other regions' meshes.
 pub fn gather(
     cx: &Context,
     volume: &Volume,
@@ -121,7 +122,7 @@ pub fn gather(
 }
 
 impl Built {
-    /// Capacity for the tree of so many points.
+    /// Allocates a tree of `points` points.
     pub fn new(cx: &Context, points: usize, regions: Buffer<TreeRegion>) -> Result<Self> {
         Ok(Self {
             round_ends: cx.buffer(STAGE, regions.len() * constants::TREE_ROUNDS as usize)?,
@@ -135,7 +136,7 @@ impl Built {
     }
 }
 
-/// The node that each triangle of the full mesh collapses with, once the tree of all regions is built.
+/// Returns for each triangle of the full mesh the node whose merge collapses it. Needs the finished tree of all regions.
 pub fn collapses(cx: &Context, volume: &Volume, mesh: &Mesh<'_>, built: &Built) -> Result<Buffer<u32>> {
     let collapsed_by = cx.buffer(STAGE, mesh.corners.len() / 3)?;
     cx.launch(
@@ -154,7 +155,7 @@ pub fn collapses(cx: &Context, volume: &Volume, mesh: &Mesh<'_>, built: &Built) 
     Ok(collapsed_by)
 }
 
-/// The corners of the full mesh at each point, and where each point's end.
+/// Returns the corners of the full mesh at each point, and the end of each point's range of corners.
 pub fn point_corners(
     cx: &Context,
     volume: &Volume,
@@ -163,7 +164,7 @@ pub fn point_corners(
     built: &Built,
     beside: &Buffer<u32>,
 ) -> Result<(Buffer<u32>, Buffer<u32>)> {
-    // As many as all regions' lists of triangles have: the corners of others stay free.
+    // Sized for the corners of all regions' lists of triangles. Entries for corners outside the region stay unused.
     let numbers = cx.buffer(STAGE, mesh.corners.len() + 3 * beside.len())?;
     let ends = cx.buffer(STAGE, mesh.points.len())?;
     cx.launch(
@@ -185,7 +186,7 @@ pub fn point_corners(
     Ok((numbers, ends))
 }
 
-/// The rounds in which each leaf was there, two bytes each.
+/// Returns the rounds during which each leaf existed, two bytes per leaf.
 pub fn lives(cx: &Context, volume: &Volume, pyramid: &Pyramid, points: usize, built: &Built) -> Result<Buffer<u8>> {
     let lives = cx.buffer(STAGE, 2 * (points + built.nodes.len()))?;
     cx.launch(

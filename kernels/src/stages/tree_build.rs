@@ -1,4 +1,4 @@
-//! The nodes of the vertex tree. Their time counts as that of the tree.
+//! Builds the nodes of the vertex tree. The time is billed to the stage `tree`.
 
 use super::args::kernel_args;
 use super::tree::{Mesh, STAGE};
@@ -24,14 +24,14 @@ kernel_args! {
     }
 }
 
-/// On a CPU, which regions of each launch are built first.
+/// On a CPU, the order in which the regions of each launch are built.
 pub struct Queue {
     order: Buffer<u32>,
     claimed: Buffer<u32>,
 }
 
 impl Queue {
-    /// Of launches of these regions: first those with most triangles, so that no core is left with one of them at the end.
+    /// Orders the regions of each launch by falling triangle count, so that no core starts a large region last.
     pub fn new(cx: &Context, batches: &[Range<usize>], regions: &[TreeRegion]) -> Result<Self> {
         let mut order: Vec<u32> = (0..regions.len() as u32).collect();
         for batch in batches {
@@ -58,7 +58,7 @@ pub struct Work<'a> {
 }
 
 impl<'a> Work<'a> {
-    /// For regions of so many triangles and points together.
+    /// Allocates for regions that have `triangles` triangles and `points` points in total.
     pub fn new(cx: &Context, queue: &'a Queue, triangles: usize, points: usize) -> Result<Self> {
         let entries = 2 * (3 * triangles + points);
         Ok(Self {

@@ -41,7 +41,7 @@ kernel_args! {
     }
 }
 
-/// A leaf as it is kept beside a point: the bits of its number, and where its level begins (`cl/lib/tree_leaf.h`).
+/// Mask of the number in a packed leaf, as stored for each point; the level begins at [`LEAF_LEVEL_SHIFT`] (`cl/lib/tree_leaf.h`).
 pub const LEAF_NUMBER: u32 = 0x0fff_ffff;
 /// See [`LEAF_NUMBER`].
 pub const LEAF_LEVEL_SHIFT: u32 = 28;
@@ -49,7 +49,7 @@ pub const LEAF_LEVEL_SHIFT: u32 = 28;
 /// Keys that one work-group of `tree_histogram` counts.
 const HISTOGRAM_KEYS: usize = 8192;
 
-/// A stage at work on a tree: what all its launches have in common.
+/// Cuts a tree: the state that all launches of a cut have in common.
 pub struct Cutter<'a> {
     pub cx: &'a Context,
     pub volume: &'a Volume,
@@ -59,41 +59,41 @@ pub struct Cutter<'a> {
     pub left_out: Option<Rc<LeftOut>>,
 }
 
-/// A cut while it is made again and again, until its topology is that of the full mesh.
+/// State of a cut that is repeated until its topology is that of the full mesh.
 pub struct CutWork {
     /// 1: the node is never merged.
     pub(super) marks: Buffer<u8>,
     /// Of each region, whether there are new marks.
     pub(super) marked: Buffer<u32>,
-    /// Of each region, whether its keys are not those of the cut before.
+    /// Of each region, whether its keys differ from those of the previous cut.
     pub(super) renewed: Buffer<u32>,
     pub keys: Buffer<u32>,
     /// The leaf of each node that is merged, and of each point.
     pub(super) tops: Buffer<u32>,
     pub leaves: Buffer<u32>,
-    /// Region by region, points that have another leaf than in the cut before; how many a region has.
+    /// Region by region, the points whose leaf differs from that in the previous cut; then their number per region.
     pub(super) changed: Buffer<u32>,
     pub(super) changed_counts: Buffer<u32>,
-    /// Triangles that each region's merged nodes take away.
+    /// Triangles that each region's merged nodes remove.
     merged: Buffer<u32>,
     /// Triangles by region and level, and their numbers.
     pub(super) meshes: Buffer<RegionMesh>,
     pub(super) left: Buffer<u32>,
     /// Of each region, whether a point there has too few triangles around it.
     pub(super) broken: Buffer<u32>,
-    /// Of each region, whether `left` is of a cut before a repair.
+    /// Of each region, whether `left` is outdated because of a repair.
     pub(super) stale: Buffer<u32>,
-    /// What is around each leaf, and edges, while a cut is tested.
+    /// Data around each leaf, and edges, used while a cut is tested.
     pub(super) around: Buffer<u32>,
     pub(super) edges: Buffer<u32>,
-    /// Of the last cut; not a number before the first.
+    /// Tolerance of the last cut; NaN before the first.
     pub(super) tolerance: f32,
-    /// Whether it was the first one of its tolerance.
+    /// Whether the last cut was the first one of its tolerance.
     pub is_first: bool,
 }
 
 impl CutWork {
-    /// What says where the cut is: the key of each node, and the leaf of each point.
+    /// Returns the buffers that define the cut: the key of each node, and the leaf of each point.
     pub fn into_keys_and_leaves(self) -> (Buffer<u32>, Buffer<u32>) {
         (self.keys, self.leaves)
     }
@@ -177,13 +177,13 @@ impl Cutter<'_> {
         Ok(importances)
     }
 
-    /// Triangles of the full dual mesh that cuts do not leave out.
+    /// Triangles of the full dual mesh, without the parts that cuts leave out.
     pub fn full_triangles(&self) -> u64 {
         self.tree.full_triangles - self.left_out.as_ref().map_or(0, |left_out| left_out.triangles)
     }
 
-    /// Root mean square distance, in world units, of a cut whose leaves' squared errors add up to `error2`: over the area of the full
-    /// surface without what cuts leave out.
+    /// Root mean square distance, in world units, of a cut whose leaves' squared errors add up to `error2`. The mean is over the area of
+    /// the full surface without the parts that cuts leave out.
     pub fn rms(&self, error2: f64) -> f32 {
         let regions = self.tree.host_regions.iter();
         let area = match &self.left_out {
@@ -196,7 +196,7 @@ impl Cutter<'_> {
         (f64::from(self.volume.grid.smallest_spacing()) * (error2.max(0.0) / area).sqrt()) as f32
     }
 
-    /// A cut that is not made yet.
+    /// Allocates the state of a cut.
     pub fn begin(&self) -> Result<CutWork> {
         let (nodes, points) = (self.tree.built.nodes.len(), self.tree.points.len());
         let triangles = self.tree.full_triangles as usize + self.tree.beside.len();
@@ -221,7 +221,7 @@ impl Cutter<'_> {
             broken: self.cx.buffer(STAGE, self.regions())?,
             stale: self.cx.buffer(STAGE, self.regions())?,
             around: self.cx.buffer(STAGE, self.tree.leaf_count())?,
-            // A region's table has an entry for each corner, and one that stays free: of EDGE_WORDS in `cl/lib/tree_edges.h`.
+            // A region's table has an entry of EDGE_WORDS (`cl/lib/tree_edges.h`) for each corner, and one that stays free.
             edges: self.cx.buffer(STAGE, edge_words * (3 * triangles + self.regions()))?,
             tolerance: f32::NAN,
             is_first: true,
@@ -263,7 +263,7 @@ impl Cutter<'_> {
         self.cx.read(STAGE, &removed, removed.len())
     }
 
-    /// Cuts the tree: finds the leaf of each point. After a repair, only for new keys.
+    /// Cuts the tree: finds the leaf of each point. After a repair, only regions with new keys are cut again.
     pub fn leaves(&self, work: &mut CutWork, tolerance: f32) -> Result<()> {
         work.is_first = tolerance != work.tolerance;
         work.tolerance = tolerance;
@@ -300,7 +300,7 @@ impl Cutter<'_> {
         )
     }
 
-    /// Marks nodes and all above them, so that no tolerance merges them. The next cut is made as a whole.
+    /// Marks nodes and all their ancestors, so that no tolerance merges them. The next cut is computed from the beginning.
     pub fn forbid(&self, work: &mut CutWork, nodes: &[u32]) -> Result<()> {
         let count = self.tree.built.nodes.len();
         let parents = self.cx.read(STAGE, &self.tree.built.node_parents, count)?;
@@ -318,13 +318,13 @@ impl Cutter<'_> {
         Ok(())
     }
 
-    /// Triangles of a cut, by what its merged nodes take away.
+    /// Triangles of a cut: those of the full mesh less those that its merged nodes remove.
     pub fn triangles(&self, work: &CutWork) -> Result<u64> {
         let merged = self.cx.read(STAGE, &work.merged, self.regions())?;
         Ok(self.full_triangles() - merged.into_iter().map(u64::from).sum::<u64>())
     }
 
-    /// What each region's leaves add up to.
+    /// Sums over each region's leaves.
     pub fn sums(&self, work: &CutWork) -> Result<Vec<TreeCutRegion>> {
         let sums = self.cx.buffer(STAGE, self.regions())?;
         self.launch(

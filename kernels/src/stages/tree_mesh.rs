@@ -1,4 +1,4 @@
-//! Meshes of cuts of the vertex tree. Their time counts as that of the cuts.
+//! Meshes of cuts of the vertex tree. The time is billed to the stage `tree_cut`.
 
 use super::args::kernel_args;
 use super::tree_cut::{CutWork, Cutter, STAGE};
@@ -24,12 +24,12 @@ kernel_args! {
 pub struct CutMesh {
     /// Three leaves a triangle.
     pub corners: Buffer<u32>,
-    /// Where each region's triangles are.
+    /// Range of each region's triangles.
     pub meshes: Buffer<RegionMesh>,
 }
 
 impl Cutter<'_> {
-    /// Makes the triangles. `meshes`: where each region's go.
+    /// Makes the triangles. `meshes`: the output range of each region.
     pub fn emit(&self, work: &CutWork, meshes: Buffer<RegionMesh>, triangles: usize) -> Result<CutMesh> {
         let made = CutMesh {
             corners: self.cx.buffer(STAGE, 3 * triangles)?,
@@ -50,7 +50,7 @@ impl Cutter<'_> {
         Ok(made)
     }
 
-    /// Replaces leaves by indices of vertices in their region's mesh. `table_bases`: where each region's hash table begins, and the end of
+    /// Replaces leaves by indices of vertices in their region's mesh. `table_bases`: the offset of each region's hash table, and the end of
     /// the last. Returns the indices, the leaf of each vertex, and the meshes with their vertices counted.
     pub fn index(&self, mesh: &CutMesh, table_bases: &[u32]) -> Result<(Buffer<u32>, Buffer<u32>, Vec<RegionMesh>)> {
         let entries = table_bases.last().copied().unwrap_or(0) as usize;
@@ -80,7 +80,7 @@ impl Cutter<'_> {
         Ok((indices, vertex_leaves, meshes))
     }
 
-    /// Fills `vertices`. `offset_sums`: of [`Cutter::offsets`].
+    /// Fills `vertices`. `offset_sums`: from [`Cutter::offsets`].
     pub fn vertices(
         &self,
         params: &CutParams,

@@ -1,4 +1,4 @@
-//! The connected parts of the full dual mesh, and what goes with those that are removed.
+//! The connected parts of the full dual mesh, and the removal of some of them.
 
 use super::args::kernel_args;
 use super::tree_cut::Cutter;
@@ -80,8 +80,8 @@ impl Cutter<'_> {
         Ok(TreeParts { firsts, areas })
     }
 
-    /// Of each point, whether its part is removed: because its area is below the minimum, or because it is one of those that were chosen
-    /// (with `keep`: none of them). `chosen` has the first points of these.
+    /// Returns for each point whether its part is removed: because the part's area is below the minimum, or because it is among the chosen
+    /// parts (with `keep`: not among them). `chosen`: the first points of the chosen parts.
     pub fn removed_points(&self, parts: &TreeParts, min_area: f32, chosen: &[u32], keep: bool) -> Result<Buffer<u8>> {
         let removed = self.cx.buffer(STAGE, self.tree.points.len())?;
         let args = TreePartRemoveArgs {
@@ -98,7 +98,7 @@ impl Cutter<'_> {
         Ok(removed)
     }
 
-    /// What the removed parts add up to in each region, and what is left.
+    /// Sums of the removed parts in each region, and of the remaining ones.
     pub fn sum_removed(&self, parts: &TreeParts, removed: &Buffer<u8>) -> Result<Vec<TreePartSum>> {
         let sums = self.cx.buffer(STAGE, self.regions())?;
         self.launch_part(

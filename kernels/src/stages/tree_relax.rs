@@ -1,4 +1,4 @@
-//! How far nodes of a cut of the vertex tree move. Its time counts as that of the cuts.
+//! Offsets of the nodes of a cut of the vertex tree. The time is billed to the stage `tree_cut`.
 
 use super::args::kernel_args;
 use super::tree_cut::{CutWork, Cutter, STAGE};
@@ -17,8 +17,8 @@ kernel_args! {
 }
 
 impl Cutter<'_> {
-    /// Two sums of offsets of each node (`cl/lib/tree_offset.h`): of the triangles of its own region, and of those of others.
-    /// `meshes`: how many triangles each region's mesh has.
+    /// Returns two sums of offsets for each node (`cl/lib/tree_offset.h`): over the triangles of its own region, and over those of other
+    /// regions. `meshes`: the number of triangles of each region's mesh.
     pub fn offsets(&self, work: &CutWork, meshes: &Buffer<RegionMesh>) -> Result<Buffer<u32>> {
         let Self {
             cx,

@@ -1,4 +1,4 @@
-//! Whether a cut of the vertex tree has the surface's topology. Its time counts as that of the cuts.
+//! Tests whether a cut of the vertex tree has the surface's topology. The time is billed to the stage `tree_cut`.
 
 use super::args::kernel_args;
 use super::tree_cut::{CutWork, Cutter, STAGE};
@@ -23,8 +23,8 @@ kernel_args! {
 }
 
 impl Cutter<'_> {
-    /// Marks nodes whose merging changes the topology. Whether there are any; then the keys are to be made again. The first test of a
-    /// tolerance lists the triangles that are left.
+    /// Marks nodes whose merging changes the topology. Returns whether there are any; then the keys must be computed again. The first test
+    /// of a tolerance lists the remaining triangles.
     pub fn test(&self, work: &CutWork) -> Result<bool> {
         let failed = self.cx.filled(STAGE, 1, 0)?;
         if work.is_first {

@@ -1,8 +1,8 @@
 //! The marching-cubes table, generated: which triangles a cube of given corner signs emits.
 //!
-//! Nothing is typed in. On each face the contour is traced so that inside corners are separated where the four signs
-//! are ambiguous, which depends on the face alone, so two cubes always agree on the face they share. The segments join
-//! to closed loops, one per surface sheet, and each loop is triangulated.
+//! The table is computed, not typed in. On each face the contour is traced; if the four signs are ambiguous, inside corners are
+//! separated. This depends on the face alone, so two cubes always agree on the face they share. The segments join to closed loops,
+//! one per surface sheet, and each loop is triangulated.
 
 use super::cube::{NONE, corner_offset, edge_between, edge_corners, face_corners, face_signs};
 
@@ -16,7 +16,7 @@ pub fn face_segments(face: usize, signs4: u8) -> Vec<[u8; 2]> {
     let edge = |i: usize| edge_between(corners[cycle[i % 4]], corners[cycle[(i + 1) % 4]]);
     let mut segments = Vec::new();
     for enter in (0..4).filter(|&i| !inside(i) && inside(i + 1)) {
-        // One run of inside corners: cut it off from the rest, whatever else is inside.
+        // One run of inside corners: cut it off from the other corners, even if another one is inside.
         let mut leave = enter + 1;
         while inside(leave + 1) {
             leave += 1;

@@ -1,4 +1,4 @@
-//! Surface sheets of a cell: which of its crossed edges belong together, and so how many vertices the dual mesher gives it.
+//! Surface sheets of a cell: groups of its crossed edges. The dual mesher gives each sheet one vertex.
 
 use super::cube::{NONE, edge_corners, face_corners};
 
@@ -7,7 +7,7 @@ use super::cube::{NONE, edge_corners, face_corners};
 pub struct Sheets {
     /// The sheet of each edge, 0 to 3, numbered by their lowest edge; [`NONE`] if no surface crosses it.
     pub of_edge: [u8; 12],
-    /// How many there are.
+    /// Number of sheets.
     pub count: u8,
 }
 
@@ -57,8 +57,8 @@ impl Sheets {
         sheets
     }
 
-    /// Of all ways to flip some of the faces `candidates` beside those of `forced` the one that leaves the fewest of them joined, of equals the
-    /// one with the largest bits; none if that gains nothing.
+    /// Chooses which of the faces `candidates` to flip in addition to `forced`: the set that leaves the fewest of them joined, on a tie the
+    /// one with the largest bits. Returns none if flipping gains nothing.
     pub fn choose_flips(signs: u8, forced: u8, candidates: u8) -> u8 {
         let left = |flips: u8| (Self::trace(signs, forced | flips).joined_faces() & candidates).count_ones();
         let ways = (0..=candidates).rev().filter(|flips| flips & !candidates == 0);
@@ -66,7 +66,7 @@ impl Sheets {
         if left(best) < left(0) { best } else { 0 }
     }
 
-    /// Two bits an edge, its sheet; from bit 24 how many there are.
+    /// Packs the sheet of each edge into two bits; the number of sheets is from bit 24 on.
     pub fn packed(&self) -> u32 {
         let of_edge = (0..12).filter(|&e| self.of_edge[e] != NONE);
         of_edge.fold(u32::from(self.count) << 24, |bits, e| {
@@ -96,7 +96,7 @@ mod tests {
         matches!(face_signs(face, signs), 0b0110 | 0b1001)
     }
 
-    /// How many groups of corners `joined` makes of those in `members`, one bit a corner.
+    /// Counts the groups into which `joined` connects the corners in `members` (one bit per corner).
     fn components(members: u8, joined: impl Fn(usize, usize) -> bool) -> u32 {
         let (mut left, mut count) = (members, 0);
         while left != 0 {
@@ -116,7 +116,7 @@ mod tests {
         count
     }
 
-    /// The cube's 48 symmetries: where each corner goes.
+    /// The cube's 48 symmetries: the image of each corner.
     fn symmetries() -> Vec<[usize; 8]> {
         let axes = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
         let of = |axes: [usize; 3], mirrored: usize| {

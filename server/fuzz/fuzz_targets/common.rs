@@ -1,4 +1,4 @@
-//! What every target does: bytes become files in memory, the reader opens the first and loads a few steps.
+//! Common part of all targets: splits the bytes into files in memory, opens the first with the reader, and loads a few steps.
 
 use std::sync::Arc;
 

@@ -5,7 +5,7 @@ use robust::{Coord, Coord3D, orient2d, orient3d};
 /// Triangles of a leaf of the tree of boxes.
 const LEAF_TRIANGLES: usize = 4;
 
-/// Triangles below which a part of the tree is worked on by one thread.
+/// Parts of the tree with fewer triangles are processed by one thread.
 const PARALLEL_TRIANGLES: usize = 4096;
 
 /// Corners of a triangle.
@@ -302,7 +302,8 @@ pub fn has_area(corners: &Corners) -> bool {
     plane_axes(corners).is_some()
 }
 
-/// Whether two triangles have more in common than the corners and the edge that they share. Those without area are left to [`has_area`].
+/// Whether two triangles have more in common than the corners and the edge that they share. Triangles without area are not considered: see
+/// [`has_area`].
 pub fn intersect(a: &Corners, b: &Corners) -> bool {
     let (mut shared, mut count) = ([[0; 2]; 9], 0);
     for [i, j] in (0..9).map(|i| [i / 3, i % 3]) {
@@ -313,7 +314,7 @@ pub fn intersect(a: &Corners, b: &Corners) -> bool {
     }
     match shared[..count] {
         [] => !is_apart(a, b) && (edges(a).any(|edge| crosses(&edge, b)) || edges(b).any(|edge| crosses(&edge, a))),
-        // Whatever else they share reaches the edge that is opposite to the corner, of one of them.
+        // If they have more in common, the intersection reaches the edge opposite to the shared corner in one of them.
         [[i, j]] => {
             let (of_a, of_b) = (opposite(a, i), opposite(b, j));
             !is_beside(b, &of_a) && !is_beside(a, &of_b) && (crosses(&of_a, b) || crosses(&of_b, a))

@@ -119,7 +119,7 @@ impl Audit {
         })))
     }
 
-    /// Opens the file anew, after it was moved away.
+    /// Opens the file again, after log rotation has moved it away.
     pub fn reopen(&self) {
         self.send(Command::Reopen);
     }

@@ -345,7 +345,7 @@ mod tests {
         assert_eq!(access.exchange("any").expect("no token is asked for"), None);
     }
 
-    /// What each role may do, as docs/security.md has it.
+    /// Each role allows the requests that docs/security.md lists.
     #[test]
     fn each_role_may_do_its_own() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -1,5 +1,5 @@
-//! Which names the server answers to. A page whose own name is made to point at this machine (DNS rebinding) is of the server's origin as
-//! far as its browser knows; only the name that it asks for, in `Host`, tells it from the server's own page.
+//! Host names that the server accepts. With DNS rebinding a foreign page makes its own name resolve to this machine, so its browser takes
+//! it for a page of the server's origin. Only the name in `Host` distinguishes it from the server's own page.
 
 use std::net::{IpAddr, SocketAddr};
 use std::str::FromStr;
@@ -43,12 +43,12 @@ impl FromStr for PublicUrl {
 }
 
 impl PublicUrl {
-    /// What pages that it offers have as their origin.
+    /// Origin of the pages at this address.
     pub fn origin(&self) -> &AllowedOrigin {
         &self.origin
     }
 
-    /// Whether the way to it is encrypted.
+    /// Whether connections to it are encrypted.
     pub fn is_https(&self) -> bool {
         self.url.starts_with("https:")
     }
@@ -87,7 +87,7 @@ impl AllowedHosts {
             // An IP address cannot be a rebound DNS name. If the server listens on every address, accept any: a container or router may map
             // another address to it.
             Ok(address) => address.is_loopback() || address == self.listen || self.listen.is_unspecified(),
-            // Browsers resolve `localhost` and what is below it to this machine themselves.
+            // Browsers resolve `localhost` and its subdomains to this machine themselves.
             Err(_) if host == "localhost" || host.ends_with(".localhost") => true,
             Err(_) => self.public.contains(&host),
         }

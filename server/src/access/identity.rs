@@ -61,7 +61,7 @@ impl Lent {
 }
 
 impl Identity {
-    /// The user who started the server; `token` is the public name of what they authenticate with.
+    /// The user who started the server; `token` is the public name of their credential.
     pub(super) fn of_start(token: &str) -> Self {
         Self {
             user: OPERATOR.into(),
@@ -98,7 +98,7 @@ impl Identity {
         }
     }
 
-    /// The holder of a delegated token. They see what the lender's user sees.
+    /// The holder of a delegated token. They see the same volumes as the lender's user.
     pub(super) fn of_lent(lent: Lent) -> Self {
         Self {
             user: Arc::clone(&lent.lender.user),
@@ -109,7 +109,7 @@ impl Identity {
         }
     }
 
-    /// The user whose token it is. What they own belongs to the user, not to the token.
+    /// The user who owns the token. Jobs and uploads belong to the user, not to the token.
     pub fn user(&self) -> &str {
         &self.user
     }
@@ -137,7 +137,7 @@ impl Identity {
         self.address
     }
 
-    /// Whether the token was lent.
+    /// Whether the token was delegated.
     pub(super) fn is_lent(&self) -> bool {
         matches!(self.holds, Holds::Lent(..))
     }
@@ -156,12 +156,12 @@ impl Identity {
         Some(expires.saturating_sub(now()))
     }
 
-    /// What they may do.
+    /// Their roles.
     pub fn roles(&self) -> Roles {
         self.roles
     }
 
-    /// Whether they may do what a role is for.
+    /// Whether they have a role, or one that includes it.
     pub fn may(&self, role: Role) -> bool {
         self.roles.include(role)
     }
@@ -171,7 +171,7 @@ impl Identity {
         Reader::new(&self.user, self.may(Role::Admin))
     }
 
-    /// The user, if limits of one user are for them: an administrator has none.
+    /// The user, if the limits per user apply: they do not apply to administrators.
     pub fn limited_user(&self) -> Option<&str> {
         (!self.may(Role::Admin)).then_some(&*self.user)
     }

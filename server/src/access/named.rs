@@ -1,5 +1,5 @@
-//! Tokens with names: those whom an administrator lets in, for what, and until when. They are in a file of the state folder, with the hashes of
-//! their secrets alone; `isopeel token` changes it, and a server that runs looks at it again and again.
+//! Named tokens: users whom an administrator has given access, with their roles and an expiry. They are in a file of the state folder,
+//! which holds only hashes of their secrets. `isopeel token` changes the file, and a running server reloads it.
 
 use std::collections::HashMap;
 use std::fs::{File, Metadata, OpenOptions};
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use tempfile::NamedTempFile;
 
 const FILE: &str = "tokens.json";
-/// Held by who changes the file.
+/// Lock file, held while the token file is changed.
 const LOCK: &str = "tokens.lock";
 /// Version of the file.
 const VERSION: u32 = 1;
@@ -45,7 +45,7 @@ pub struct NamedToken {
 }
 
 impl NamedToken {
-    /// Whether it is of no use any more, at a time in seconds since 1970.
+    /// Whether it has expired at a time, in seconds since 1970.
     pub fn has_expired(&self, now: u64) -> bool {
         self.expires.is_some_and(|expires| expires <= now)
     }
@@ -74,12 +74,12 @@ pub enum TokenFileError {
         /// Why not.
         source: io::Error,
     },
-    /// It is not as a server of this version writes it.
+    /// Its content is invalid, or of another version of the program.
     #[error("tokens {}: {why}, expected what `isopeel token` has written", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Its fault.
         why: String,
     },
     /// Other users of the machine can write the file, and could so give themselves access.
@@ -118,7 +118,7 @@ impl NamedTokens {
         self.0.get(id)
     }
 
-    /// Those that are not in another set.
+    /// Returns the tokens that are not in another set.
     pub(super) fn without<'a>(&'a self, others: &'a Self) -> impl Iterator<Item = &'a NamedToken> {
         let tokens = self.0.values().map(|token| &**token);
         tokens.filter(|token| !others.0.contains_key(&token.id))
@@ -133,7 +133,7 @@ pub struct TokenFile {
 }
 
 impl TokenFile {
-    /// That of a folder, which is its user's alone.
+    /// The token file of a folder, which only its user may access.
     pub fn in_folder(folder: &Path) -> Self {
         Self {
             folder: folder.to_owned(),
@@ -144,7 +144,7 @@ impl TokenFile {
     /// All tokens, in the order in which they were made.
     ///
     /// # Errors
-    /// [`TokenFileError`]; a file that is not there has none.
+    /// [`TokenFileError`]. A missing file is no error: it has no tokens.
     pub fn list(&self) -> Result<Vec<NamedToken>, TokenFileError> {
         let mut text = String::new();
         let file = match File::open(&self.path) {
@@ -251,7 +251,7 @@ impl TokenFile {
         Ok(())
     }
 
-    /// What tells whether the file has changed: it is replaced, never written again.
+    /// Identifies the version of the file, which is replaced as a whole by each change.
     pub(super) fn version(&self) -> Option<(SystemTime, u64, u64)> {
         let found = std::fs::metadata(&self.path).ok()?;
         #[cfg(unix)]

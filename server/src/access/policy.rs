@@ -4,8 +4,8 @@ use axum::http::HeaderValue;
 
 use super::{Access, AllowedOrigin};
 
-/// What the page loads is its own: scripts, workers, styles, requests. WebAssembly is the decoder of chunks; pictures are also made by the
-/// page itself. Nothing is embedded, no form is sent, no address has another base.
+/// The page loads scripts, workers and styles only from the server, and sends requests only to it. WebAssembly is needed by the decoder of
+/// chunks; the page also creates pictures itself. It embeds nothing, sends no forms, and sets no base for addresses.
 const CONTENT: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
     connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
@@ -17,7 +17,7 @@ pub fn content_security_policy(access: &Access) -> HeaderValue {
         policy.push(b' ');
         policy.extend(origin.as_bytes());
     }
-    // Origins are headers, and so is what is between them.
+    // Cannot fail: origins are valid header values, and so is the text between them.
     HeaderValue::from_bytes(&policy).unwrap_or(HeaderValue::from_static(CONTENT))
 }
 

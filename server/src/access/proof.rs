@@ -12,7 +12,7 @@ use super::named::{NamedToken, NamedTokens, now};
 use super::signed_in::Sessions;
 use super::token::{Hash, Token, cookie_value, id_of};
 
-/// Before the secret of a session in a cookie, with a dot; ids of tokens are hexadecimal.
+/// Prefix of the secret of a session in a cookie, before a dot. It cannot be the id of a token: these are hexadecimal.
 const SIGNED_IN: &str = "oidc";
 
 /// How a request has authenticated its sender.
@@ -52,7 +52,7 @@ impl Proofs {
         }
     }
 
-    /// Sessions of those who have signed in.
+    /// Sessions of signed-in users.
     pub(super) fn sessions(&self) -> &Sessions {
         &self.sessions
     }
@@ -91,7 +91,7 @@ impl Proofs {
         (is_right(&found) && !found.has_expired(now())).then(|| Identity::of_named(found, tokens.clone()))
     }
 
-    /// How a request authenticates its sender, and the sender; `None` if it does not.
+    /// Returns the proof of a request and its sender; `None` if it does not authenticate one.
     pub(super) fn find(&self, headers: &HeaderMap, cookie: &CookieName) -> Option<(Proof, Identity)> {
         let bearer = headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok());
         let bearer = bearer.and_then(|value| {
@@ -124,7 +124,7 @@ pub(super) struct CookieName {
 }
 
 impl CookieName {
-    /// `port` tells the cookies of several servers of a host apart, `is_https` says whether pages come by TLS.
+    /// `port` distinguishes the cookies of several servers of a host; `is_https`: whether pages are served by TLS.
     pub(super) fn new(port: u16, is_https: bool) -> Self {
         let prefix = if is_https { "__Host-" } else { "" };
         Self {
@@ -134,7 +134,7 @@ impl CookieName {
         }
     }
 
-    /// That of the same server, whose pages come by TLS.
+    /// The name for the same server with TLS.
     pub(super) fn by_tls(&self) -> Self {
         Self::new(self.port, true)
     }
@@ -155,7 +155,7 @@ impl CookieName {
         self.header(&self.name, &format!("{SIGNED_IN}.{secret}"), "")
     }
 
-    /// The header that takes the cookie away.
+    /// The header that removes the cookie.
     pub(super) fn gone(&self) -> HeaderValue {
         self.header(&self.name, "", "; Max-Age=0")
     }
@@ -170,7 +170,7 @@ impl CookieName {
         self.header(&self.trip(), secret, &format!("; Max-Age={seconds}"))
     }
 
-    /// That secret.
+    /// The secret of a sign-in, from the browser's cookie.
     pub(super) fn trip_secret(&self, headers: &HeaderMap) -> Option<String> {
         cookies(headers, &self.trip()).next().map(str::to_owned)
     }

@@ -38,24 +38,24 @@ const BURST_SECONDS: u32 = 10;
 /// Cost of a request without a token or with a wrong one: at the default rate a peer may try 20 a second.
 const REFUSED_COST: u32 = 100;
 
-/// What a request costs.
+/// Returns the cost of a request.
 pub(super) fn cost(method: &Method, path: &str) -> u32 {
     let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
     match parts[..] {
-        // A surface is made and encoded, or many are estimated.
+        // Makes and encodes a surface, or estimates many.
         ["extract"] => 10,
         ["jobs"] if *method == Method::POST => 10,
-        // The issuer is asked.
+        // Sends a request to the issuer.
         ["oidc", _] => 10,
-        // Names are checked and space is looked for, or the headers of all files are read.
+        // Checks names and free space, or reads the headers of all files.
         ["uploads"] | ["uploads", _, "finish"] if *method == Method::POST => 10,
-        // Tasks, buffers and a place among the viewers.
+        // Takes tasks, buffers and a seat for a viewer.
         ["stream"] => 5,
         _ => 1,
     }
 }
 
-/// Number of keys, some 50 bytes each, above which those are forgotten that have regained their whole burst. A key that was used within
+/// Number of keys, some 50 bytes each, above which keys that have regained their whole burst are dropped. A key that was used within
 /// ten seconds may stay.
 const MANY_KEYS: usize = 4_096;
 
@@ -96,7 +96,7 @@ impl<K: Clone + std::hash::Hash + Eq> Limit<K> {
         match limiter.check_key_n(key, cost) {
             Ok(Ok(())) => Ok(()),
             Ok(Err(later)) => Err(later.wait_time_from(DefaultClock::default().now())),
-            // More than the whole burst: of a rate that is lower than any request costs. It has to wait for all of it.
+            // The cost exceeds the whole burst, at a very low rate. The request has to wait for the whole burst.
             Err(_) => match limiter.check_key(key) {
                 Ok(()) => Ok(()),
                 Err(later) => Err(later.wait_time_from(DefaultClock::default().now())),

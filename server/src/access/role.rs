@@ -106,10 +106,10 @@ impl fmt::Debug for Roles {
     }
 }
 
-/// What a request below `/api/v1/` needs.
+/// The authorization that a request below `/api/v1/` needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Need {
-    /// Nothing: it says nothing of volumes.
+    /// None: the answer contains nothing about volumes.
     Nothing,
     /// A token, whatever its roles.
     Token,
@@ -117,8 +117,8 @@ pub(super) enum Need {
     OneOf(&'static [Role]),
 }
 
-/// What is needed for a request. Outside `/api/` is the page, and whether the server lives; below it, what is not listed needs `admin`, so that a
-/// route which is forgotten here is not open.
+/// Returns the need of a request. Outside of `/api/` are the page and the probes. Below it, paths that are not listed need `admin`, so
+/// that a route which is missing here is not open.
 pub(super) fn need(method: &Method, path: &str) -> Need {
     use Role::{Admin, Export, Upload, View};
     if !path.starts_with("/api/") {
@@ -134,7 +134,7 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
     let parts: Vec<&str> = rest.split('/').collect();
     match parts[..] {
         ["openapi.json"] => Need::Nothing,
-        // Whose pages may have a frame, as the policy of each answer has it.
+        // Origins whose pages may embed the viewer; the policy of each answer has them too.
         ["embed"] if *method == Method::GET => Need::Nothing,
         // Exchanges a token for a cookie, so the handler checks the token itself.
         ["session"] if *method == Method::POST => Need::Nothing,

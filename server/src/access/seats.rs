@@ -12,7 +12,7 @@ use super::role::Role;
 /// How many there are.
 #[derive(Clone, Copy, Debug)]
 pub struct SeatLimits {
-    /// What they are, in the plural.
+    /// Name of the seats, in the plural.
     pub what: &'static str,
     /// All of them.
     pub all: usize,
@@ -20,7 +20,7 @@ pub struct SeatLimits {
     pub of_user: usize,
     /// Those that all users of one address may have at a time, administrators excepted.
     pub of_address: usize,
-    /// Those that are left to administrators.
+    /// Seats that are reserved for administrators.
     pub reserve: usize,
 }
 
@@ -52,7 +52,7 @@ pub enum Share {
     User,
     /// The address's.
     Address,
-    /// All that are not left to administrators, or of an administrator all.
+    /// All seats except those reserved for administrators; for an administrator all seats.
     All,
 }
 
@@ -156,7 +156,7 @@ impl Taken {
     }
 }
 
-/// One fewer of a key, which goes with its last one.
+/// Decrements the count of a key, and removes the key at 0.
 fn release<K: Hash + Eq>(counts: &mut HashMap<K, usize>, key: &K) {
     if let Some(count) = counts.get_mut(key) {
         *count -= 1;

@@ -16,7 +16,7 @@ impl Access {
     /// Begins a sign-in. Returns the address at the issuer that the browser is sent to, and the cookie that it brings back.
     ///
     /// # Errors
-    /// There is no issuer, or it cannot be asked.
+    /// There is no issuer, or it cannot be reached.
     pub async fn begin_sign_in(&self) -> Result<(String, HeaderValue), ApiError> {
         let oidc = self
             .oidc
@@ -26,7 +26,7 @@ impl Access {
         Ok((address, self.cookie.of_trip(&secret, TRIP_LIFETIME.as_secs())))
     }
 
-    /// A browser is back from the issuer with a code: who it is, and the cookies of the session that begins.
+    /// Completes a sign-in whose browser has returned from the issuer with a code. Returns the user, and the cookies of the new session.
     ///
     /// # Errors
     /// There is no issuer, the issuer does not confirm the sign-in, or the user has no role here.

@@ -40,7 +40,7 @@ impl SignedIn {
 pub(super) struct Sessions(Arc<Mutex<HashMap<[u8; 32], SignedIn>>>);
 
 impl Sessions {
-    /// Begins a session with this secret, which ends after so many seconds.
+    /// Begins a session with this secret. It ends after `seconds`.
     pub(super) fn begin(&self, secret: &str, user: &str, roles: Roles, seconds: u64) {
         let hash: [u8; 32] = Sha256::digest(secret).into();
         let session = SignedIn {

@@ -16,7 +16,7 @@ const RANDOM_BYTES: usize = 32;
 /// Random bytes of a token's id, which is not secret. The probability that two of a thousand tokens share an id is 1 in 500 million.
 const ID_BYTES: usize = 6;
 
-/// Before the id.
+/// Prefix of the id.
 const PREFIX: &str = "isop_";
 
 /// Minimum characters of a token from a file; 32 characters of base64 are 192 bits.
@@ -111,7 +111,7 @@ impl Hash {
         Self(Sha256::digest(secret).into())
     }
 
-    /// Whether it is that of this secret.
+    /// Whether it is the hash of this secret.
     pub(super) fn is_of(&self, secret: &str) -> bool {
         *self == Self::of(secret)
     }

@@ -13,7 +13,7 @@ pub(crate) struct ToCaps {
 }
 
 impl ToCaps {
-    /// Of a position in the index space of a capped volume, which has `dims` samples with its padding.
+    /// Classifies a position in the index space of a capped volume, which has `dims` samples with its padding.
     pub fn of(position: [f32; 3], dims: [u32; 3]) -> Self {
         let mut to = Self::default();
         for (axis, (at, n)) in position.into_iter().zip(dims).enumerate() {
@@ -44,7 +44,7 @@ pub(super) struct Faces {
 }
 
 impl Faces {
-    /// Those on which there are vertices of caps. `caps`: empty, or of each vertex.
+    /// Returns the faces on which caps have vertices. `caps`: one entry for each vertex, or empty without caps.
     pub fn new(geometry: &Geometry, positions: &[[f32; 3]], caps: &[ToCaps]) -> Self {
         let [x, y, z] = geometry.direction.map(DVec3::from);
         let turn = x.dot(y.cross(z)).signum();

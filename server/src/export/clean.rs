@@ -12,10 +12,10 @@ use super::{Format, Mesh};
 use crate::extraction::Cleaned;
 use crate::math::DVec3;
 
-/// Times that the groups of intersecting triangles are worked on before the repair is given up.
+/// Maximum rounds over the groups of intersecting triangles before the repair is given up.
 const MAX_ROUNDS: usize = 16;
 
-/// The same at caps, where some triangles may still intersect afterwards.
+/// The same for capped surfaces, whose triangles may still intersect afterwards.
 const CAP_ROUNDS: usize = 4;
 
 /// Smallest spacings that a vertex of a capped surface is moved at most.
@@ -24,7 +24,7 @@ const CAP_REACH: f64 = 2.0;
 /// Each time after this many rounds, a group grows by the vertices around it.
 const ROUNDS_BEFORE_GROWTH: usize = 3;
 
-/// Times that each vertex of a group may be moved in a round.
+/// Sweeps over the vertices of a group in a round, in each of which a vertex may move once.
 const SWEEPS: usize = 24;
 
 /// Half sides of the cubes from which random positions of a vertex are tried, in mean lengths of its edges.
@@ -88,7 +88,7 @@ pub(super) fn count(
 pub(super) enum Scope {
     /// All: it is an error if some still intersect.
     All,
-    /// Pairs with a corner near a cap: what other surfaces have, too, stays.
+    /// Only pairs with a corner near a cap: other intersections also occur in surfaces without caps.
     AtCaps,
 }
 
@@ -96,7 +96,7 @@ pub(super) enum Scope {
 /// Moves are tried in a fixed order, so that equal meshes are repaired equally. Vertices on caps stay on the faces of the volume.
 ///
 /// # Errors
-/// [`RepairError::NotClean`] if some still intersect after [`MAX_ROUNDS`] that may not.
+/// [`RepairError::NotClean`] if triangles in the scope [`Scope::All`] still intersect after [`MAX_ROUNDS`].
 pub(super) fn repair(
     mesh: &mut Mesh,
     format: Format,
@@ -157,7 +157,7 @@ pub(super) fn repair(
     unreachable!("the last round returns")
 }
 
-/// How a file of a format has positions.
+/// Representation of positions in a file of a format.
 #[derive(Clone, Copy)]
 enum Numbers {
     /// As the mesh has them, or with 64 bits in the world.
@@ -180,13 +180,13 @@ impl Numbers {
         }
     }
 
-    /// A position of a mesh as its file has it.
+    /// Returns a position of a mesh as its file stores it.
     fn position(self, mesh: &Mesh, position: [f32; 3]) -> [f64; 3] {
         let position = position.map(f64::from);
         let world = [0, 1, 2].map(|axis| mesh.origin[axis] + position[axis]);
         match self {
             Self::Exact => position,
-            // One that is beyond 32 bits is refused when it is written.
+            // A position beyond 32 bits is refused when it is written.
             Self::Rounded => world.map(|component| f64::from(component as f32)),
             Self::WorldDecimals(decimals) => world.map(|component| decimals.rounded(component)),
             Self::Decimals(decimals) => position.map(|component| decimals.rounded(component)),
@@ -222,7 +222,7 @@ fn groups(triangles: &[[u32; 3]], pairs: &[[u32; 2]]) -> Vec<Vec<u32>> {
     groups
 }
 
-/// A sequence of numbers that look random.
+/// Deterministic pseudo-random numbers.
 struct Random(u64);
 
 impl Random {
@@ -246,14 +246,14 @@ impl Random {
 /// A mesh while its vertices are moved.
 struct Repair<'a> {
     mesh: &'a mut Mesh,
-    /// As the file has them.
+    /// Positions as the file stores them.
     positions: Vec<[f64; 3]>,
     numbers: Numbers,
     faces: Faces,
     /// Maximum distance of a vertex of a capped surface from its original position.
     reach: f64,
     around: &'a Around,
-    /// Triangles that are no longer as the tree has them.
+    /// Triangles that have moved since the tree was built.
     moved: Vec<u32>,
     /// Original positions of the vertices that have been moved.
     originals: FxHashMap<u32, [f32; 3]>,

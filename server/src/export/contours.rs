@@ -40,7 +40,7 @@ pub fn contours([width, height]: [u32; 2], value: impl Fn(u32, u32) -> Option<f3
         }
     }
     let place = |edge: &Edge| crossing(*edge, &value, iso);
-    // Those that have ends come first, from their beginnings.
+    // Open contours come first, from their beginnings.
     let (open, closed): (Vec<Edge>, Vec<Edge>) = starts.into_iter().partition(|edge| !has_previous.contains(edge));
     let mut found = Vec::new();
     for start in open.into_iter().chain(closed) {

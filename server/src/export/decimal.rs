@@ -1,10 +1,10 @@
-//! Numbers as decimal text. The standard library's shortest text of a number takes ten times as long as all else that is written of a vertex.
+//! Numbers as decimal text. The standard library's shortest text of a number takes ten times as long as the rest of writing a vertex.
 
 use std::io::Write;
 
 /// Share of the smallest spacing that rounding may take.
 const PRECISION: f64 = 1e-5;
-/// Most digits behind the point: 10 to this power is a number of 64 bits.
+/// Maximum digits behind the point: 10 to this power fits into 64 bits.
 const MAX_DIGITS: usize = 18;
 /// Whole numbers below this are exact in 64-bit floats.
 const EXACT: f64 = 9e15;
@@ -19,7 +19,7 @@ pub(super) struct Decimals {
 }
 
 impl Decimals {
-    /// So many digits; of more than 18 numbers are written in full.
+    /// With `digits` digits behind the point. With more than 18, numbers are written in full.
     pub(super) fn new(digits: usize) -> Self {
         let is_exponential = digits > MAX_DIGITS;
         let digits = digits.min(MAX_DIGITS);

@@ -20,7 +20,7 @@ impl FieldSamples {
     /// The samples of fields and expressions by their names, from the device, which has those of the surface already.
     ///
     /// # Errors
-    /// The device's, and what is wrong with a file.
+    /// Errors of the device, or of reading a file.
     pub async fn of(
         extractor: &Extractor,
         volume: &VolumeStep,
@@ -82,7 +82,7 @@ impl FieldSamples {
                     }
                 })
                 .product();
-            // One that does not count may be missing.
+            // A sample of weight 0 may be missing.
             if weight > 0.0 {
                 let [x, y, z] = [0, 1, 2].map(|axis| low[axis] + offset[axis]);
                 let sample = self.sample(x + nx * (y + ny * z));

@@ -193,7 +193,7 @@ impl Attributes {
         Self(names.iter().map(|name| name.to_ascii_uppercase()).collect())
     }
 
-    /// What each attribute is. A value that is missing is [`MISSING`].
+    /// Returns the descriptions of all attributes. Missing values are [`MISSING`].
     fn described(&self, mesh: &Mesh) -> Vec<Value> {
         let field = |(field, attribute): (&FieldValues, &String)| {
             let present = field.values.iter().filter(|value| value.is_finite());

@@ -25,7 +25,7 @@ pub(super) fn around_labels(dataset: &Dataset, labels: &str, smoothing: f32, edi
         return refuse(format!("{labels:?} of an expression, expected a field of the volume"));
     };
     let quote = if field.name.contains('"') { '`' } else { '"' };
-    // A name may have commas.
+    // Tried first as one name, which may contain commas.
     let values = match value_of(field, labels.trim()) {
         Ok(value) => vec![value],
         Err(_) => {

@@ -60,8 +60,8 @@ impl From<RepairError> for MakeError {
     }
 }
 
-/// Extracts the surfaces of a request and makes a file of them. The work ends soon after the token is cancelled; what it does on
-/// processors has threads of low priority.
+/// Extracts the surfaces of a request and makes a file of them. The work ends soon after the token is cancelled. Its part on the
+/// processors runs in threads of low priority.
 ///
 /// # Errors
 /// [`MakeError`].
@@ -88,8 +88,8 @@ pub async fn make(
     Ok(MadeFile::new(volume, request, made))
 }
 
-/// The unit of a file's positions: the format's, else what was asked for, else the volume's own. A volume without a unit has the one that
-/// was asked for. Returns what the volume's numbers are in, and what the file's are; `None` if that is not known.
+/// Returns the unit of the volume's numbers and that of the file's positions; `None` if a unit is not known. The file has the unit of its
+/// format, else the requested unit, else the volume's own. A volume without a unit is taken to have the requested one.
 fn unit_of_file(format: Format, own: Option<LengthUnit>, asked: Option<LengthUnit>) -> [Option<LengthUnit>; 2] {
     let from = own.filter(|unit| unit.metres().is_some()).or(asked);
     let to = match format.unit() {
@@ -101,7 +101,7 @@ fn unit_of_file(format: Format, own: Option<LengthUnit>, asked: Option<LengthUni
     [from, to]
 }
 
-/// Turns a mesh so that its outside is the side that was asked for.
+/// Flips a mesh, if necessary, so that its outside is the requested side.
 fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape {
     let Topology { split, is_closed } = topology;
     let volume = is_closed.then(|| volume(mesh));
@@ -123,7 +123,7 @@ fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape 
     }
 }
 
-/// Returns notices on properties of a mesh that the format does not keep, and on what was not measured in time.
+/// Returns notices on properties of a mesh that the format does not keep, and on an error that was not measured in time.
 fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String> {
     let format = options.format;
     let title = format.title();
@@ -170,7 +170,7 @@ fn lost_looks(surface: &FileSurface) -> Vec<String> {
     lost.map(|(_, what)| format!("a {title} holds no {what}")).collect()
 }
 
-/// That vertices were moved after the error was measured.
+/// Returns the notice that vertices were moved after the error was measured.
 fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
     let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
     (count > 0).then(|| {
@@ -185,7 +185,7 @@ struct Cleaning {
     scope: Option<Scope>,
     measuring: Measuring,
     faces: Faces,
-    /// What the cut has cost.
+    /// Cost of refining the cut.
     refined: Option<RefinementCost>,
 }
 
@@ -239,7 +239,7 @@ fn stem(surface: &FileSurface, view: &View) -> String {
     safe_name(&format!("{volume}{what}"))
 }
 
-/// A text as a part of a file's name: letters, digits and what else no system takes for something else.
+/// Converts a text to a part of a file's name: letters, digits, and other characters without a special meaning on any system.
 pub(crate) fn safe_name(text: &str) -> String {
     let safe = |c: char| match c {
         '.' | '-' | '+' | '_' => c,
@@ -298,7 +298,7 @@ impl MadeSurface {
     /// The mesh of a surface that was made on the device of that name.
     ///
     /// # Errors
-    /// What the format cannot hold, and [`ExportError::Cancelled`].
+    /// The format cannot hold the surface, or [`ExportError::Cancelled`].
     fn new(
         extraction: Extraction,
         fields: Vec<FieldSamples>,
@@ -316,7 +316,7 @@ impl MadeSurface {
         let placed = of_view.in_unit(unit_of_file(options.format, of_view.unit, options.length_unit()));
         let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
         let mut mesh = Mesh::new_unless(&surface, &placed, uneven, is_cancelled)?;
-        // Before the mesh is copied to its reader: both are large.
+        // Dropped before the next copy of the mesh: both are large.
         drop(surface);
         let padding = if view.cap { 1.0 } else { 0.0 };
         mesh.fields = fields.iter().map(|field| field.at(&mesh.index, padding)).collect();

@@ -43,7 +43,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// Triangles of each level, 0 (finest) first.
     pub level_triangles: [u64; 6],
-    /// What the axes of the positions are.
+    /// Directions of the axes of the positions.
     pub frame: Frame,
     /// Unit of the positions, if it is known.
     pub unit: Option<LengthUnit>,
@@ -198,7 +198,7 @@ impl Mesh {
         self.positions.len() as u32 - 1
     }
 
-    /// Turns the mesh inside out: the other side of each triangle is seen, and normals point the other way.
+    /// Turns the mesh inside out: flips the winding of the triangles, and the normals.
     pub(super) fn flip(&mut self) {
         self.triangles.iter_mut().for_each(|[_, b, c]| std::mem::swap(b, c));
         for component in self.normals.as_flattened_mut() {
@@ -335,7 +335,7 @@ pub(super) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<
     names.split_off(taken.len())
 }
 
-/// A text in a line of ASCII; what else there is in it is escaped as in Rust.
+/// Converts a text to a line of ASCII. Other characters are escaped as in Rust.
 pub(super) fn ascii(text: &str) -> String {
     let escaped = |c: char| match c {
         ' '..='~' => c.to_string(),

@@ -334,7 +334,7 @@ impl Content {
     /// Writes the file.
     ///
     /// # Errors
-    /// What the format cannot hold, or the errors of `out`.
+    /// The format cannot hold the content, or the errors of `out`.
     pub fn write(&self, out: &mut impl Write) -> Result<(), ExportError> {
         let meshes = &self.meshes[..];
         match self.format {
@@ -362,10 +362,11 @@ impl Content {
         }
     }
 
-    /// Returns length and hash of what [`Content::write`] writes.
+    /// Returns length and hash of the bytes that [`Content::write`] writes.
     ///
     /// # Errors
-    /// What the format cannot hold; [`Content::write`] then fails only if `out` does. [`ExportError::Io`] if it is cancelled.
+    /// The format cannot hold the content: after a success [`Content::write`] fails only if `out` does. [`ExportError::Io`] if it is
+    /// cancelled.
     pub fn digest(&self, is_cancelled: &dyn Fn() -> bool) -> Result<FileDigest, ExportError> {
         let digester = Digester {
             bytes: 0,
@@ -383,7 +384,7 @@ impl Content {
 /// Bytes of rows that are made before they are written.
 const PIECE_BYTES: usize = 1 << 16;
 
-/// Writes rows that take more bytes than this.
+/// Writes the rows and clears them, if they take more than `limit` bytes.
 fn flush(rows: &mut Vec<u8>, out: &mut impl Write, limit: usize) -> Result<(), ExportError> {
     if rows.len() > limit {
         out.write_all(rows)?;
@@ -392,8 +393,8 @@ fn flush(rows: &mut Vec<u8>, out: &mut impl Write, limit: usize) -> Result<(), E
     Ok(())
 }
 
-/// What a GLB says about itself: volume with the hash of its files, step, every value in force, statistics, notices; frame and unit of its positions, before the
-/// node turns them. Equal for equal requests: times and memory are left out.
+/// Returns the metadata of a GLB: volume with the hash of its files, step, every value in force, statistics, notices; frame and unit of its
+/// positions before the transformation of the node. Equal for equal requests: times and memory are left out.
 fn extras(volume: &VolumeStep, edit: &Edit, mesh: &Mesh, statistics: &ExtractionStatistics) -> serde_json::Value {
     let dataset = volume.dataset();
     let identity = mesh.provenance.iter().find(|(name, _)| *name == "identity");

@@ -22,7 +22,7 @@ impl Picture {
         if value.is_nan() || Some(value) == self.missing {
             return [0, 0];
         }
-        // Of a field of one value the window is empty.
+        // If the field has only one value, the window is empty.
         let share = if self.window > 0.0 {
             (f64::from(value) - f64::from(self.level)) / f64::from(self.window) + 0.5
         } else {

@@ -20,7 +20,7 @@ pub(super) struct PlacedPlane {
     pub columns: [DVec3; 4],
     pub frame: Frame,
     pub unit: Option<LengthUnit>,
-    /// What it shows, for people.
+    /// Title, for people.
     pub title: String,
 }
 
@@ -63,7 +63,7 @@ pub(super) fn nifti(plane: &PlacedPlane, slice: &Slice) -> Vec<u8> {
     put(0, &(HEADER as i32).to_le_bytes());
     let dims = [3, plane.dims[0], plane.dims[1], 1, 1, 1, 1, 1];
     for (i, n) in dims.into_iter().enumerate() {
-        // More than 32767 are refused before.
+        // More than 32767 samples were refused before.
         put(40 + 2 * i, &(n as i16).to_le_bytes());
     }
     let (code, bits): (i16, i16) = match slice.sample_type {
@@ -104,7 +104,7 @@ pub(super) fn nifti(plane: &PlacedPlane, slice: &Slice) -> Vec<u8> {
     file
 }
 
-/// What positions are multiplied by, and the code of their unit: the format has metres, millimetres and micrometres.
+/// Returns the factor of positions, and the code of their unit: the format has metres, millimetres and micrometres.
 fn unit(unit: Option<LengthUnit>) -> (f64, u8) {
     match (unit, unit.and_then(LengthUnit::metres)) {
         (Some(LengthUnit::Metre), _) => (1.0, 1),

@@ -128,10 +128,10 @@ impl FileOptions {
         Ok(())
     }
 
-    /// Checks what does not depend on the volume.
+    /// Checks the options that do not depend on the volume.
     ///
     /// # Errors
-    /// A unit that is none of lengths, too many fields, or options that exclude each other.
+    /// A unit that is not one of lengths, too many fields, or options that exclude each other.
     fn check_alone(&self) -> Result<(), EditError> {
         let refuse = |field, why| Err(EditError { field, why });
         if self.field_values.len() > MAX_FIELD_VALUES {
@@ -208,7 +208,7 @@ impl FileOptions {
         }
     }
 
-    /// Whether the same request has the same bytes: not if the time that measuring takes decides what they say.
+    /// Whether equal requests give equal bytes. Not so if the file depends on the time that measuring takes.
     pub fn is_reproducible(&self) -> bool {
         !matches!(self.measuring(), Measuring::Within(_))
     }
@@ -220,7 +220,7 @@ impl FileOptions {
     }
 }
 
-/// One surface as a file, for the command line, batch jobs and REST alike. What is left out has the default of [`View::requested`].
+/// One surface as a file, for the command line, batch jobs and REST alike. Missing options have the defaults of [`View::requested`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FileRequest {
     /// Time step.
@@ -259,7 +259,7 @@ impl FileRequest {
         Ok(())
     }
 
-    /// Checks what does not depend on a volume, its fields and its labels.
+    /// Checks the values that do not depend on a volume, its fields and its labels.
     ///
     /// # Errors
     /// The first value that is wrong for any volume.

@@ -154,10 +154,10 @@ impl Plane {
         })
     }
 
-    /// Checks how it is to be shown.
+    /// Checks the options of a slice.
     ///
     /// # Errors
-    /// A window that shows nothing, isovalues that are missing or of no use, or a plane that the format cannot hold.
+    /// Options that the format requires or does not have, numbers out of their range, or a plane that the format cannot hold.
     pub fn check(&self, options: &SliceOptions) -> Result<(), BadSlice> {
         let refuse = |message: String| Err(BadSlice(message));
         let SliceOptions {
@@ -269,7 +269,7 @@ impl Plane {
         }
     }
 
-    /// What it shows, for people.
+    /// Returns a title, for people.
     fn title(&self) -> String {
         format!(
             "{}: {}, {} = {}",

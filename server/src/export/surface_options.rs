@@ -1,4 +1,4 @@
-//! What one of several surfaces of a file is, and what it looks like, as a request has it.
+//! Options of one of several surfaces of a file in a request: source, look and edit.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -38,10 +38,10 @@ impl SurfaceLook {
     /// The names in JSON.
     const NAMES: [&str; 6] = ["volume", "step", "label", "name", "color", "opacity"];
 
-    /// What the surface looks like.
+    /// Returns the look of the surface.
     ///
     /// # Errors
-    /// A colour or an opacity that is none.
+    /// An invalid colour or opacity.
     pub(super) fn material(&self) -> Result<Material, EditError> {
         let refuse = |why| Err(EditError { field: "surfaces", why });
         let color = self.color.as_deref().map(|text| (text, rgb(text)));

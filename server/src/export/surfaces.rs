@@ -23,11 +23,11 @@ pub struct FileSurface {
     pub volume: VolumeStep,
     /// Its view.
     pub view: View,
-    /// As if it were alone in its file.
+    /// The request for this surface alone.
     pub request: FileRequest,
     /// Its name, if the request has one.
     pub name: Option<String>,
-    /// What it looks like.
+    /// Its look.
     pub material: Material,
 }
 
@@ -81,7 +81,7 @@ impl FileRequest {
             .collect()
     }
 
-    /// Checks what does not depend on volumes: how many surfaces there are, and what they look like.
+    /// Checks the values that do not depend on volumes: the number of surfaces, and their looks.
     pub(super) fn check_surfaces(&self) -> Result<(), EditError> {
         let refuse = |why| Err(EditError { field: "surfaces", why });
         let surfaces = &self.options.surfaces;
@@ -150,8 +150,8 @@ impl FileRequest {
     }
 }
 
-/// An edit with the values of another one in place of its own. As in edits of a view, what decides the quality replaces all that did before, and
-/// another feature has a range of its own.
+/// Returns an edit with the values of another one in place of its own. As in edits of a view, a criterion of quality replaces all earlier
+/// ones, and another feature has a range of its own.
 fn overlaid(edit: &Edit, over: &Edit) -> Edit {
     let mut edit = edit.clone();
     if over.beta.is_some() || over.error.is_some() || over.triangles.is_some() || over.bytes.is_some() {
@@ -165,7 +165,7 @@ fn overlaid(edit: &Edit, over: &Edit) -> Edit {
     if let (Value::Object(all), Value::Object(over)) = (&mut all, values(over)) {
         all.extend(over);
     }
-    // Both were edits.
+    // Cannot fail: both were edits.
     serde_json::from_value(all).unwrap_or_else(|_| over.clone())
 }
 

@@ -1,4 +1,4 @@
-//! 3MF (<https://3mf.io/specification>), core specification with colours of its materials extension: what programs that print read.
+//! 3MF (<https://3mf.io/specification>), core specification with colours of its materials extension, for programs that print.
 
 use std::collections::HashMap;
 use std::io::{self, Write};
@@ -77,7 +77,7 @@ fn model(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     text.push(&materials(meshes));
     let mut next = MATERIALS + 1;
     let mut items = String::new();
-    // An object without triangles is none.
+    // An object must have triangles.
     for (material, mesh) in meshes.iter().enumerate().filter(|(_, mesh)| !mesh.triangles.is_empty()) {
         let colors = (!mesh.colors.is_empty()).then(|| Colors::new(mesh, next));
         if let Some(colors) = &colors {

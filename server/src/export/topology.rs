@@ -44,7 +44,7 @@ struct Wedge {
     previous: u32,
 }
 
-/// What [`split_pinched`] found.
+/// Result of [`split_pinched`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Topology {
     /// Vertices that were added.
@@ -60,8 +60,8 @@ pub(super) fn split_pinched(mesh: &mut Mesh) -> Topology {
     loop {
         let pass = split_once(mesh);
         split += pass.split;
-        // What connected the sheets at one vertex may have been split at another one. Each pass adds vertices, of which there are no more than
-        // corners.
+        // Splitting one vertex may disconnect sheets at another one. Terminates: each pass adds vertices, and there are no more vertices
+        // than corners.
         if pass.split == 0 {
             return Topology { split, ..pass };
         }
@@ -167,7 +167,7 @@ fn fans(mesh: &Mesh, vertex: u32, wedges: &[Wedge], is_closed: &mut bool) -> Vec
             (&[_], &[]) | (&[], &[_]) => {}
             _ => match partners(mesh, [vertex, end], wedges, &out, &back) {
                 Some(pairs) => pairs.into_iter().for_each(|(a, b)| join(a, b)),
-                // They cannot be told apart.
+                // The sheets cannot be distinguished.
                 None => out
                     .iter()
                     .chain(&back)
@@ -178,8 +178,9 @@ fn fans(mesh: &Mesh, vertex: u32, wedges: &[Wedge], is_closed: &mut bool) -> Vec
     fan
 }
 
-/// Which triangles at an edge with several bound the same solid: seen along the edge, from one that goes along it counter-clockwise over the
-/// outside to the next, and from one that goes back over the solid. `None` if directions do not take turns.
+/// Pairs the triangles at an edge with more than two of them: partners bound the same solid. Seen along the edge, the outside is
+/// counter-clockwise of a triangle that has the edge in this direction, and the solid of one that has it in the other. `None` if the
+/// directions do not alternate around the edge.
 fn partners(
     mesh: &Mesh,
     [from, to]: [u32; 2],

@@ -12,8 +12,8 @@ pub(super) struct Transform<'a> {
     uneven: Option<(&'a UnevenAxes, MesherName)>,
     /// Lengths of the cells for which the kernels compute normals if axes are uneven: the largest ones.
     largest: DVec3,
-    /// World position of the middle of the grid, to which positions are relative: they are small numbers however far the volume is from the
-    /// world's origin, and 32 bits hold them.
+    /// World position of the middle of the grid, to which positions are relative: they are then small numbers, which
+    /// 32 bits hold, however far the volume is from the world's origin.
     pub origin: DVec3,
     /// The middle of the grid on the lattice.
     middle: DVec3,

@@ -100,7 +100,7 @@ struct Array {
     content: Content,
 }
 
-/// What an array holds.
+/// Content of an array.
 #[derive(Clone, Copy)]
 enum Content {
     Normals,

@@ -37,7 +37,7 @@ impl DeviceWorker {
         }
         let mut keys: Vec<VolumeKey> = Vec::new();
         for view in views {
-            // What the device makes of others takes it no time.
+            // Only fields that are read from files: the device computes others from them when they are needed.
             let all = with_inputs(volume, &view_keys(volume, view), Masking::OnDevice);
             for key in all.into_iter().filter(|key| key.recipe(volume).is_none()) {
                 if !keys.contains(&key) {

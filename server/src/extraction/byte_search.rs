@@ -12,8 +12,8 @@ const FILLED: f64 = 0.85;
 /// Share of the budget that the second trial aims at: the middle of the range that counts as filled.
 const AIM: f64 = (1.0 + FILLED) / 2.0;
 
-/// Share of the budget up to which regions without triangles are allowed for; above it an estimate is worth less, and so aims lower, by
-/// `CAUTION` of what is above.
+/// Share of the budget that the bytes of empty regions may take without making an estimate uncertain. Above it the estimate aims lower, by
+/// `CAUTION` of the excess.
 const LARGE_REGIONS: f64 = 0.25;
 const CAUTION: f64 = 0.3;
 

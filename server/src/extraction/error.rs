@@ -186,8 +186,8 @@ impl WorkError {
         matches!(self, Self::Cancelled)
     }
 
-    /// Whether the view itself cannot be shown, for any caller and after any number of retries: the viewer then returns to what was shown
-    /// before. False if another budget would help, and if the device failed, as a retry may succeed.
+    /// Whether the view itself cannot be shown, for any caller and after any number of retries: the viewer then returns to the surface
+    /// shown before. False if another budget would help, and if the device failed, as a retry may succeed.
     pub fn rejects_view(&self) -> bool {
         matches!(
             self,

@@ -1,4 +1,4 @@
-//! From a view to a surface within limits: finds what keeps a budget of bytes, and refuses what is too large.
+//! From a view to a surface within limits: finds the threshold that keeps a budget of bytes, and refuses surfaces that are too large.
 
 use std::time::{Duration, Instant};
 

@@ -32,7 +32,7 @@ impl FeatureFields {
         })
     }
 
-    /// What the kernels take.
+    /// Returns the feature as an argument of the kernels.
     pub fn get(&self) -> Feature<'_> {
         match self {
             Self::None => Feature::None,

@@ -11,8 +11,8 @@ use super::memory::resident_bytes;
 /// Memory that is left for allocations without a check: sockets, frames in queues, the driver, other programs.
 const RESERVE_BYTES: u64 = 256 << 20;
 
-/// Bytes on the host for each triangle of a surface: its region meshes (24 a vertex, 12 a triangle), and what is made of them, chunks or an
-/// export's mesh. Measured: 80 to 100.
+/// Bytes on the host for each triangle of a surface: its region meshes (24 a vertex, 12 a triangle), and the chunks or the export's mesh
+/// made of them. Measured: 80 to 100.
 const BYTES_PER_TRIANGLE: u64 = 100;
 
 /// Minimum bytes of allocations that return to the system as soon as they are freed.
@@ -23,12 +23,12 @@ const LARGE_PIECE: i32 = 1 << 20;
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const TRIM_INTERVAL: Duration = Duration::from_secs(30);
 
-/// What `--host-memory` says, bytes.
+/// Value of `--host-memory`, bytes.
 static LIMIT: OnceLock<u64> = OnceLock::new();
 
-/// Limits this process to so many bytes of the machine's memory, as far as volumes and surfaces go. Once, before any work.
+/// Limits the memory of the machine that volumes and surfaces take in this process, in bytes. To be called once, before any work.
 pub fn limit_host_memory(bytes: u64) {
-    // A second call would be of another server in one process; the first one counts.
+    // A second server in one process has no effect on the limit: the first call counts.
     let _ = LIMIT.set(bytes);
 }
 
@@ -66,14 +66,14 @@ pub(super) fn trim_heaps() {
 /// Memory of the host, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct HostMemory {
-    /// Bytes that the process can take in addition to what it has.
+    /// Bytes that the process can allocate in addition to those that it has.
     available: u64,
     /// Bytes that it could take if none of it were in use.
     total: u64,
 }
 
 impl HostMemory {
-    /// As it is now: the minimum of what the system, its control group and `--host-memory` leave.
+    /// Returns the current state: the minimum over the system, the control group and `--host-memory`.
     pub(super) fn now() -> Self {
         let limit = LIMIT.get().map(|&limit| Self::within(limit, resident_bytes()));
         let limits = [system(), control_group(), limit];
@@ -151,7 +151,7 @@ impl HostMemory {
     }
 }
 
-/// Returns what Linux reports of the machine.
+/// Returns the memory of the machine as Linux reports it.
 fn system() -> Option<HostMemory> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let bytes = |name: &str| -> Option<u64> {
@@ -164,8 +164,8 @@ fn system() -> Option<HostMemory> {
     })
 }
 
-/// Returns what the control group of a container leaves. Inactive caches of files count as free: the system drops them when memory is
-/// needed.
+/// Returns the memory that the control group of a container allows. Inactive caches of files count as free: the system drops them when
+/// memory is needed.
 fn control_group() -> Option<HostMemory> {
     let read = |name: &str| std::fs::read_to_string(format!("/sys/fs/cgroup/memory.{name}")).ok();
     let limit = read("max")?.trim().parse().ok()?;

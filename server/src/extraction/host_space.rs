@@ -10,7 +10,7 @@ use super::turns::{Caller, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
 
-/// Memory that fields leave free for the next surfaces, within the limit of what surfaces may keep.
+/// Memory that fields leave free for the next surfaces, within the limit of the caches of surfaces.
 const SURFACE_RESERVE_BYTES: u64 = 128 << 20;
 
 /// Bytes to leave free beyond those that are needed, and a function that evicts a number of bytes, or all that it can if there are fewer.

@@ -1,5 +1,5 @@
 //! Identity of full surfaces and of views. Everything that is stored about a surface is stored by one of these keys: cached pyramids and
-//! trees, counts, steps that viewers share, what a client is shown. Keys are compared and hashed by value; clones are cheap.
+//! trees, counts, steps that viewers share, the surface that a client holds. Keys are compared and hashed by value; clones are cheap.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -134,7 +134,7 @@ impl SurfaceKey {
     }
 }
 
-/// What decides how fine a surface is.
+/// The criterion that decides how fine a surface is.
 #[derive(Debug, PartialEq, Eq, Hash)]
 enum CriterionKey {
     /// Importance up to which cubes are merged.
@@ -293,7 +293,7 @@ fn transfer_key(transfer: &TransferFunctionJson) -> Vec<[u32; 2]> {
     points.map(|point| [point.x, point.importance].map(bits)).collect()
 }
 
-/// What was found to keep a budget, for keys.
+/// The threshold and the topology that keep a budget, as part of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct FittedKey {
     threshold: u32,
@@ -394,7 +394,7 @@ mod tests {
         };
         assert_eq!(key(&coloured("#000000")), key(&coloured("#123456")));
         assert_eq!(key(r#"{"iso":0}"#), key(r#"{"iso":-0.0}"#), "zero has one sign");
-        // What does not decide does not count.
+        // Values without influence are not part of the key.
         assert_eq!(
             key(r#"{"iso":1,"error":0.5}"#),
             ViewKey::new(

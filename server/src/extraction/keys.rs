@@ -142,7 +142,7 @@ pub(super) fn feature_keys(volume: &VolumeStep, shown: &str, feature: &FeatureNa
 /// Keys of the fields that a view's surface is made of, each once, the shown one first.
 pub(super) fn view_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
     let mut keys = vec![VolumeKey::shown(volume, view, view.cap)];
-    // What is derived from the shown field needs no other, whether it is masked or not.
+    // A feature derived from the shown field needs no other field, whether that is masked or not.
     if !matches!(view.feature, FeatureName::Derived(_)) {
         let of_feature = feature_keys(volume, &view.field, &view.feature, view.cap);
         let others = of_feature.into_iter().filter(|key| *key != keys[0]).collect::<Vec<_>>();
@@ -183,7 +183,7 @@ mod tests {
     use crate::view::{Edit, View};
     use crate::volumes::{VolumeStep, testing};
 
-    /// What is loaded for an edit, in this order: a `+` is before the name of a masked field.
+    /// Returns the fields that are loaded for an edit, in order; `+` before a name marks a masked field.
     fn loaded(edit: &str, masking: Masking) -> Vec<String> {
         let dataset = testing::dataset("head", [9; 3], &["density", "heat", "labels"]);
         let volume = VolumeStep::new(Arc::new(dataset), 0).expect("a step");

@@ -279,7 +279,7 @@ impl DeviceWorker {
     }
 }
 
-/// Most files of a time step that are looked at before and after they are read.
+/// Maximum files of a time step whose stamps are compared before and after reading.
 const MAX_STAMPS: usize = 4096;
 
 /// The files that a field and its mask are read from, with their stamps.
@@ -371,7 +371,7 @@ fn read_samples(
     Ok(send(samples, missing)?)
 }
 
-/// Of each sample whether it is inside a mask. `labels`: the mask's field.
+/// Returns for each sample whether it is inside a mask. `labels`: the mask's field.
 fn samples_inside(mask: &Mask, labels: &Field, step: u32) -> Result<Vec<bool>, WorkError> {
     let values = labels.source.load(step)?;
     let inside = values_inside(mask, labels);

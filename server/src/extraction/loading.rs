@@ -106,12 +106,12 @@ pub struct OpeningProgress {
     pub total_bytes: u64,
 }
 
-/// Observes what a [`super::DeviceWorker`] does, or waits for, on behalf of one caller.
+/// Observes the work that a [`super::DeviceWorker`] does, or waits for, on behalf of one caller.
 pub struct OpeningWatch {
     fields: Mutex<Vec<FieldWork>>,
 }
 
-/// What is to be done with a field.
+/// Remaining work on a field.
 pub(super) struct FieldWork {
     key: VolumeKey,
     /// Of its samples on the device.

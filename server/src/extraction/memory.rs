@@ -48,7 +48,7 @@ pub(super) fn resident_bytes() -> u64 {
 }
 
 impl ThreadMemory {
-    /// With what the process holds now.
+    /// Returns the memory by purpose, with the resident memory of the process as it is now.
     pub(super) fn stated(self, kind: DeviceKind) -> MemoryUse {
         let kept = self.volumes + self.pyramids + self.trees + self.cuts;
         MemoryUse {

@@ -1,23 +1,24 @@
 //! From a view to a surface.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens the device, and reopens it after it was lost;
-//!   `attempts` runs a job until it has a result; `worker_state` is what this thread keeps, by `keys` and `identity`, in a cache
-//!   (`residency`; `cuts` that clients show), on `grids`; `turns` lets others run when a long job yields; `loader` brings fields onto the
-//!   device, in `uploads`; `loading` is their progress.
+//!   `attempts` runs a job until it has a result; `worker_state` is the state of this thread: resident data, by `keys` and
+//!   `identity`, in caches (`residency`; `cuts` that clients show), on `grids`. `turns` runs other jobs when a long job yields. `loader`
+//!   brings fields onto the device, in `uploads`; `loading` is their progress.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before a viewer reaches them, beside those that
 //!   viewers have open (`open_steps`).
-//! - `memory`: what memory is used for; `shares`: how much of it is kept for the next edits; `host_memory`: whether there is enough for the
-//!   next allocation; `host_space`: what is evicted if there is not.
-//! - `counting`: triangles of a full surface, before anything is made of it.
-//! - `questions`: what a viewer asks about the surface that it is shown.
+//! - `memory`: memory by purpose; `shares`: limits of the caches for the next edits; `host_memory`: admission of allocations on the host;
+//!   `host_space`: evictions that make space for them.
+//! - `counting`: counts the triangles of a full surface before it is made.
+//! - `questions`: queries on the current surface of a viewer.
 //! - `histograms`: ranges and histograms, made a slice at a time between other jobs; `unfinished`: partial histograms, which their callers share.
 //! - `slices`: planes of samples.
-//! - `refine`: steps from a surface that is shown to another one; `tree_steps`: coarser cuts of the vertex tree on the way; `chunk_bytes`: about how many bytes they are.
-//! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` says what it tries for a budget of bytes.
-//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree, to a view; `decisions`: which of them it gets.
+//! - `refine`: steps from a surface that is shown to another one; `tree_steps`: intermediate, coarser cuts of the vertex tree;
+//!   `chunk_bytes`: estimates of their bytes.
+//! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` chooses its trials for a budget of bytes.
+//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree for a view; `decisions`: chooses between them.
 //! - `user_time`: the device's time that the computed fields of each user have taken.
 //! - `intersections`: places at which triangles of a surface intersect, so that it is refined there.
-//! - `results`, `statistics`, `volume_info`: what other layers get.
+//! - `results`, `statistics`, `volume_info`: results for other layers.
 
 mod ahead;
 mod attempts;

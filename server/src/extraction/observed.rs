@@ -12,7 +12,7 @@ impl DeviceWorker {
         jobs.map_or(0, |jobs| jobs.max_capacity() - jobs.capacity())
     }
 
-    /// What holds memory, as of the last job.
+    /// Returns the memory by purpose, as of the last job.
     ///
     /// # Errors
     /// As [`DeviceWorker::ready`].

@@ -1,5 +1,5 @@
-//! Answers to questions about the surface that a viewer is shown: what is next to a position, how its leaves' values are distributed, how
-//! its error grows as triangles get fewer. Nothing of the surface is made again.
+//! Queries on the current surface of a viewer: probe of a position, distribution of the values of its leaves, curve of the error over the
+//! number of triangles. They do not make the surface again.
 
 mod answers;
 
@@ -35,7 +35,7 @@ const FACE_CELLS: f64 = 1e-3;
 pub enum Question {
     /// What is at this position of the world?
     Probe([f64; 3]),
-    /// How are values distributed, in so many bins?
+    /// How are values distributed, in this number of bins?
     Distribution(u32),
     /// How do error and triangles depend on each other?
     Curve,
@@ -56,7 +56,7 @@ impl Question {
     /// Checks the question's parameters.
     ///
     /// # Errors
-    /// What is wrong with it, in a sentence.
+    /// A sentence that names the invalid parameter.
     pub fn check(&self) -> Result<(), String> {
         match self {
             Self::Probe(position) if !position.iter().all(|x| x.is_finite()) => {

@@ -1,4 +1,5 @@
-//! One step from the surface that a client shows to that of its view: what is made next, within about so many triangles.
+//! One step from the surface that a client shows to that of its view: decides which part is made next, within limits on triangles and
+//! bytes.
 //!
 //! - If nothing is shown, or a surface of another isovalue or feature: the final surface if it is small enough, else the finest prefix that
 //!   is. If fitting a budget takes long, a prefix that depends on no budget comes before.
@@ -37,8 +38,8 @@ const EXPECTED_SHARE: u64 = 4;
 /// A prefix that comes before its budget is fitted has at most this share of the budget's triangles, in percent.
 const UNFITTED_PERCENT: u64 = 20;
 
-/// A prefix that follows a coarser one may have the bytes of so many steps: as much made region by region would be sent more than
-/// once, and look uneven meanwhile.
+/// A prefix that follows a coarser one may have the bytes of this many steps. Region by region, these bytes would be sent more than
+/// once, and the surface would look uneven meanwhile.
 const NEXT_PREFIX_STEPS: u64 = 6;
 
 /// A step takes at least the target's leaves divided by this. Each step sends the regions at its border again: on a slow line, small
@@ -51,7 +52,7 @@ const MAX_PREFIX_TRIANGLES: u64 = 30_000;
 /// A new surface's first prefix has at most this share of the final bytes, in percent, so that it arrives at once.
 const FRESH_PERCENT: u64 = 3;
 
-/// What a step has made.
+/// Result of a step.
 struct Made {
     surface: Surface,
     cut: CutId,
@@ -221,12 +222,12 @@ fn unfitted(on: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) 
     })
 }
 
-/// Whether so many leaves are few enough for the last step.
+/// Whether the last step may have this number of leaves.
 fn is_last(leaves: u64, triangles: u64) -> bool {
     leaves * TRIANGLES_PER_LEAF * 100 <= triangles.saturating_mul(LAST_STEP_PERCENT)
 }
 
-/// About how many bytes so many leaves are in so many regions.
+/// Estimates the bytes of this number of leaves in this number of regions.
 fn bytes_of(leaves: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
     chunk_bytes::of_triangles(leaves * TRIANGLES_PER_LEAF, regions, bytes_of_100_triangles)
 }
@@ -300,7 +301,7 @@ impl Next<'_> {
         finest_prefix(MAX_LEVEL.get(), fits).or_else(|| (!is_one_step).then_some(MAX_LEVEL))
     }
 
-    /// Whether a prefix of so many leaves has few of the final surface's bytes.
+    /// Whether a prefix of this number of leaves has a small share of the final surface's bytes.
     fn is_small(&self, leaves: u64) -> bool {
         let whole = self.target.prefix_leaves(Level::FINEST);
         self.prefix_bytes(leaves) * 100 <= bytes_of(whole, self.regions(), BYTES_OF_100_TRIANGLES) * FRESH_PERCENT

@@ -101,7 +101,7 @@ impl CutId {
 /// A step on the way from the surface that a client shows to that of its view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// What the client shows.
+    /// The surface that the client shows.
     pub shown: Shown,
     /// The cut of the view, if an earlier step has made it.
     pub target: Option<CutId>,
@@ -117,7 +117,7 @@ pub struct Step {
     pub line_bytes: u64,
 }
 
-/// What a client shows when a step begins.
+/// The surface that a client shows when a step begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Shown {
     /// Nothing, or a surface of another volume, time step, field, mask or isovalue: a coarse one may replace it.
@@ -128,7 +128,7 @@ pub enum Shown {
     Cut(CutId),
 }
 
-/// What a step has made.
+/// Result of a step.
 #[derive(Clone, Debug)]
 pub struct Refinement {
     /// The surface, or the regions in which it differs from the shown one. Its stages are those of this step.

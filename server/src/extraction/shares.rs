@@ -38,7 +38,7 @@ impl Shares {
         self.pyramids + self.trees + self.cuts + self.idle
     }
 
-    /// Returns the shares of a device with so much memory, in a process that may hold `host_bytes`. `limit`: the value of
+    /// Returns the shares of a device with `device_bytes` of memory, in a process that may hold `host_bytes`. `limit`: the value of
     /// `--surface-memory`, which limits all of them together.
     pub(super) fn of(kind: DeviceKind, device_bytes: u64, host_bytes: u64, limit: Option<u64>) -> Self {
         let (memory, limit) = match kind {

@@ -98,7 +98,7 @@ impl OnDevice<'_> {
         }
     }
 
-    /// How far a view's error and budget cut the tree. A share is one of what is left without removed parts.
+    /// Returns how far a view's error and budget cut the tree. A budget that is a share counts the full surface without removed parts.
     pub(super) fn tree_goal(
         &self,
         view: &View,

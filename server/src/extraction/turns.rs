@@ -298,7 +298,7 @@ impl Aside {
 mod tests {
     use super::*;
 
-    /// What was done, in order.
+    /// Log of the jobs that ran, in order.
     type Log = Vec<String>;
 
     /// A queue that ends when these jobs, and those that they queue, are done.

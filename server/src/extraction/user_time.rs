@@ -9,7 +9,7 @@ use super::lock::lock;
 /// Period in which a user may take the limit.
 pub const USER_TIME_PERIOD: Duration = Duration::from_secs(600);
 
-/// Number of users above which those are dropped who have their whole limit again.
+/// Number of entries above which those of users with their whole limit available are dropped.
 const MANY_USERS: usize = 1024;
 
 /// Device time taken by the users of a server.
@@ -66,7 +66,7 @@ impl Payer {
         }
     }
 
-    /// Returns what the user may take; `None`: there is no limit.
+    /// Returns the time that the user may take; `None`: there is no limit.
     pub(super) fn left(&self, now: Instant) -> Option<TimeLeft> {
         let limit = self.times.limit?;
         let taken = lock(&self.times.taken).get(&self.user).copied();

@@ -83,7 +83,7 @@ pub(super) fn no_finite_sample() -> WorkError {
     })
 }
 
-/// What a job on a view works with.
+/// Inputs of a job on a view.
 pub(super) struct OnDevice<'a> {
     pub engine: &'a Engine,
     /// These two are borrowed only for a moment: other jobs use them while this job yields.

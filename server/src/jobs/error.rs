@@ -6,7 +6,7 @@ use crate::extraction::WorkError;
 use crate::view::EditError;
 use crate::volumes::{IdentityError, UnknownStep};
 
-/// Why a request about batch jobs has no answer. Each variant asks for another reaction of the caller.
+/// Why a request about batch jobs fails. Each variant calls for a different reaction of the caller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum JobError {
@@ -57,10 +57,10 @@ pub enum JobError {
         which: &'static str,
         /// How many there may be.
         limit: u64,
-        /// What to do about it.
+        /// Advice to the user.
         advice: &'static str,
     },
-    /// Its results may take more than is left.
+    /// Its results may exceed the rest of the quota.
     #[error(
         "the results may take up to {estimated} bytes, {left} of the quota of {quota} are left: ask for a budget (`triangles`) or for fewer extractions, or delete jobs"
     )]
@@ -127,10 +127,10 @@ pub enum StoreError {
         /// The newest that is known.
         known: i64,
     },
-    /// A row does not hold what the program writes.
+    /// A row has an invalid value.
     #[error("the job store holds {0}, which this program did not write")]
     Malformed(String),
-    /// The thread that asks it panicked.
+    /// The thread that uses the store panicked.
     #[error("the job store's thread failed, the server's log says why")]
     Panicked,
 }

@@ -53,7 +53,7 @@ pub(super) async fn estimate(
     })
 }
 
-/// Why nothing is known.
+/// Why there is no estimate.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum EstimateError {
     /// There is no such step.

@@ -1,5 +1,5 @@
-//! What jobs survive: each write, fsync, truncation and renaming of a process that makes a job fails in turn, and in turn ends the process.
-//! Real calls of a real process: the test runs itself, with `faults.c` between it and the system.
+//! Tests which faults jobs survive: each write, fsync, truncation and renaming of a process that makes a job fails in turn, and in turn
+//! ends the process. Real calls of a real process: the test runs itself, with `faults.c` between it and the system.
 
 use std::path::Path;
 use std::process::{Command, ExitStatus, Stdio};
@@ -42,7 +42,7 @@ async fn make(folder: &Path) {
     running.await.unwrap();
 }
 
-/// A process that makes the job, and what it has called.
+/// Runs a process that makes the job. Returns its status, and the number of calls that `faults.c` has counted.
 fn run(folder: &Path, shim: &Path, at: u64, kind: &str) -> (ExitStatus, u64) {
     let count = folder.with_extension("count");
     let mut child = Command::new(std::env::current_exe().unwrap());
@@ -62,7 +62,7 @@ fn run(folder: &Path, shim: &Path, at: u64, kind: &str) -> (ExitStatus, u64) {
     (status, calls.unwrap_or(0))
 }
 
-/// Checks that the job is done, and that exactly its results are there, as a server finds it that starts again.
+/// Checks what a restarted server finds: the job is done, and exactly its results are there.
 async fn check(folder: &Path, why: &str) {
     let (store, _) = open(folder).await;
     let jobs = store.list(OPERATOR).await.unwrap();

@@ -1,4 +1,4 @@
-//! What makes the files of extractions: the device, by the road of every other export.
+//! Makes the files of extractions on the device, in the same way as every other export.
 
 use std::collections::HashMap;
 use std::io::Write;
@@ -17,14 +17,14 @@ use crate::volumes::{Dataset, IdentityError, Reader, SharedCatalog, VolumeStep};
 /// Makes files.
 #[async_trait]
 pub trait Maker: Send + Sync + 'static {
-    /// Makes what an extraction asks for, of the input that its job has pinned.
+    /// Makes the file of an extraction from the input that its job has pinned.
     async fn make(&self, work: &Work, token: &CancellationToken) -> Result<Box<dyn ResultFile>, MakeFailure>;
 
     /// Whether the input is still the one that the job has pinned.
     async fn check(&self, work: &Work) -> Result<(), MakeFailure>;
 }
 
-/// Why a file was not made, by what the runner does about it.
+/// Why a file was not made. Variants differ in the reaction of the runner.
 #[derive(Debug)]
 pub enum MakeFailure {
     /// The server has too much to do, or was asked to stop.
@@ -39,8 +39,8 @@ pub enum MakeFailure {
     JobFailed(Cause),
 }
 
-/// The job of each user whose files were hashed last, since the server started: of its other extractions only their size and time are looked
-/// at. One each, for users take turns.
+/// For each user the job whose files were hashed last since the server started: for its other extractions only size and time are checked.
+/// One job per user is enough, because users take turns.
 type Hashed = Arc<Mutex<HashMap<String, String>>>;
 
 /// Makes files of the volumes of a server.
@@ -69,7 +69,7 @@ impl DeviceMaker {
         })
     }
 
-    /// As the trait's, of a dataset; reads the files of a job that was not looked at before.
+    /// As [`Maker::check`], for a dataset. Hashes the files if another job of this user was checked before.
     async fn check_input(&self, work: &Work, dataset: Arc<Dataset>) -> Result<(), MakeFailure> {
         let (work, hashed) = (work.clone(), Arc::clone(&self.hashed));
         let check = move || check(&work, &dataset, &hashed);
@@ -121,7 +121,7 @@ impl Maker for DeviceMaker {
     }
 }
 
-/// What is done about an error.
+/// Returns how the runner reacts to an error.
 pub(crate) fn failure(error: MakeError) -> MakeFailure {
     let cause = |code: &str, detail: String| Cause {
         code: code.into(),

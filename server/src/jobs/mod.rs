@@ -1,9 +1,9 @@
 //! Batch jobs: many surfaces of one volume, made one after the other and kept until a user deletes the job. Jobs survive the end of the
 //! server process, including crashes.
 //!
-//! - `state`: jobs as clients see them; `error`: why there is none.
+//! - `state`: jobs as clients see them; `error`: why a request fails.
 //! - `state_folder`: the folder in which they are kept, used by one server at a time.
-//! - `store`: what is known of them, in SQLite. `results`: their files, in an object store.
+//! - `store`: their state, in SQLite. `results`: their files, in an object store.
 //! - `estimate`: what a job costs, before it is accepted.
 //! - `runner`: makes them; `maker`: on the device.
 
@@ -94,7 +94,7 @@ pub enum OpenError {
     },
 }
 
-/// What an owner may have.
+/// Limits of one owner.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Bytes of all results, those that are estimated included.
@@ -120,8 +120,8 @@ struct Shared {
 }
 
 impl Jobs {
-    /// Opens the jobs of a folder and removes what a process that ended has left. They are made while [`Jobs::run`] runs, until `stop` is
-    /// cancelled.
+    /// Opens the jobs of a folder, and removes files that an earlier process has left unfinished. Jobs are made while [`Jobs::run`] runs,
+    /// until `stop` is cancelled.
     ///
     /// # Errors
     /// [`OpenError`].
@@ -168,7 +168,7 @@ impl Jobs {
         })))
     }
 
-    /// Makes what was submitted, until it is stopped: then it ends within moments.
+    /// Makes submitted jobs until `stop` is cancelled, then returns within moments.
     pub async fn run(self) {
         let shared = &self.0;
         // No attempt is spent on a device that is being opened.
@@ -188,10 +188,10 @@ impl Jobs {
         runner.run().await;
     }
 
-    /// Accepts a job, unless the same request with this key made one before: then this is returned, and `false`.
+    /// Accepts a job, and returns it with `true`. If the same request with this key was accepted before, returns that job with `false`.
     ///
     /// # Errors
-    /// What is wrong with the request, or above the limits.
+    /// The request is invalid, or exceeds a limit.
     pub async fn submit(
         &self,
         who: Reader<'_>,
@@ -232,7 +232,7 @@ impl Jobs {
         Ok((self.shown(made), is_new))
     }
 
-    /// JSON of the identity of what is read.
+    /// Returns the identity of the files that the job reads, as JSON.
     async fn pin(&self, dataset: &Arc<Dataset>, extractions: &[(FileRequest, View)]) -> Result<String, JobError> {
         let steps: BTreeSet<u32> = extractions.iter().flat_map(|(request, _)| request.steps()).collect();
         let (jobs, dataset) = (self.clone(), Arc::clone(dataset));
@@ -257,7 +257,7 @@ impl Jobs {
         self.0.store.counts().await
     }
 
-    /// A job, with what has failed of it.
+    /// Returns a job with its failed extractions.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -283,13 +283,13 @@ impl Jobs {
     pub async fn delete(&self, owner: &str, id: &str) -> Result<(), JobError> {
         self.0.store.delete(owner, id).await?;
         let (results, job) = (self.0.results.clone(), id.to_owned());
-        // What is left is removed when the server starts.
+        // If this fails, the results are removed when the server starts.
         let _ = aside(move || results.remove_job(&job)).await;
         self.0.signals.changes.send_replace(());
         Ok(())
     }
 
-    /// What happened to a job after the event of id `after`, some of it, and whether the job is finished.
+    /// Returns some of the events of a job after the event `after`, and whether the job is finished.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -366,7 +366,7 @@ impl Jobs {
     }
 }
 
-/// Runs what waits for a disk on a thread of its own: those of the server's tasks are few.
+/// Runs blocking disk work on a thread of the blocking pool, because the threads of the server's tasks are few.
 async fn aside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, StoreError> {
     let done = tokio::task::spawn_blocking(work).await;
     done.map_err(|_| StoreError::Panicked)

@@ -101,17 +101,17 @@ impl Results {
         })
     }
 
-    /// The same files by another store, for tests of what fails.
+    /// Uses another store for the same files, to inject faults in tests.
     #[cfg(test)]
     pub(super) fn with_store(mut self, change: impl FnOnce(Arc<dyn ObjectStore>) -> Arc<dyn ObjectStore>) -> Self {
         self.store = change(self.store);
         self
     }
 
-    /// Writes a result, in place of one that an attempt before has left, and returns when it is on the disk.
+    /// Writes a result in place of one that an earlier attempt has left. Returns when it is on the disk.
     ///
     /// # Errors
-    /// [`WriteError`]; nothing is left then, but for what a process that ends leaves.
+    /// [`WriteError`]. The partial result is removed, except if the process ends before that.
     pub async fn write(
         &self,
         (job, extraction): (&str, u32),
@@ -151,7 +151,7 @@ impl Results {
         outcome
     }
 
-    /// Removes what a write that failed has left: on a full disk the next one needs the space. What stays is removed when the server starts.
+    /// Removes the temporary files of a failed write: on a full disk the next write needs the space. The start of a server removes others.
     fn remove_staged(&self, job: &str, extraction: u32) {
         let staged = format!("{extraction}#");
         for entry in std::fs::read_dir(self.folder.join(job)).into_iter().flatten().flatten() {
@@ -199,7 +199,7 @@ impl Results {
         }
     }
 
-    /// Removes all files but these: what a process that ended has left behind.
+    /// Removes all files except these: the others were left by an earlier process.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -243,7 +243,7 @@ fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
         .any(private_folder::is_full)
 }
 
-/// Sends what is written to the store in parts, and hashes it. On a blocking thread.
+/// Writer that sends its bytes to the store in parts, and hashes them. Used on a blocking thread.
 struct PartWriter {
     upload: Box<dyn MultipartUpload>,
     part: Vec<u8>,

@@ -1,9 +1,9 @@
-//! Makes the extractions of all jobs, one at a time: users take turns, those of one in the order in which they were submitted. On the device and on processors viewers come
-//! first, as before every export.
+//! Makes the extractions of all jobs, one at a time. Users take turns; jobs of one user run in the order in which they were submitted. On
+//! the device and on processors viewers come first, as before every export.
 //!
-//! The order of an attempt is what makes a job survive: the attempt is counted, the file is made, the file and its name are on the disk, and
-//! only then the store says that the extraction is done. Whatever ends the process between two of these steps, the extraction is made once
-//! more, and its file takes the place of the one that was left.
+//! Jobs survive the end of the process because of the order of an attempt: the attempt is counted, the file is made, the file and its name
+//! are flushed to the disk, and only then does the store record that the extraction is done. If the process ends between two of these
+//! steps, the extraction is made once more, and its file replaces the one that was left.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -40,7 +40,7 @@ impl Signals {
         }
     }
 
-    /// Why nothing is made at the moment.
+    /// Returns the reason why the runner is paused; `None` if it is not.
     pub(super) fn paused(&self) -> Option<&'static str> {
         *self.paused.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -117,10 +117,10 @@ impl<M: Maker> Runner<M> {
         }
     }
 
-    /// Makes one extraction; returns false if there is none.
+    /// Makes one extraction; returns false if none is waiting.
     async fn turn(&self) -> Result<bool, Fault> {
         let Some((work, token)) = self.take().await? else {
-            // What stood still was cancelled.
+            // The paused job was cancelled.
             self.signals.set_paused(None);
             return Ok(false);
         };
@@ -170,7 +170,7 @@ impl<M: Maker> Runner<M> {
             Err(_) if token.is_cancelled() => return (Outcome::GivenBack, None),
             Err(error) => return of_write_error(&error),
         };
-        // A file that changed while it was read.
+        // An input file may have changed while it was read.
         if let Err(failure) = self.maker.check(work).await {
             self.results.remove((&work.job, work.extraction)).await;
             return of_failure(failure, token);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::private_folder::{self, FolderAccess, FolderAccessError};
 
-/// Held by the server that uses the folder.
+/// Lock file, held by the server that uses the folder.
 const LOCK: &str = "lock";
 
 /// A locked folder. Dropping it unlocks it, and so does the end of the process, however it ends.
@@ -31,7 +31,7 @@ pub enum StateFolderError {
     /// Others may use it, or it cannot be made.
     #[error("state folder")]
     Access(#[from] FolderAccessError),
-    /// Locks and fsync of such file systems do not hold what they promise.
+    /// A network file system, on which locks and fsync are not reliable.
     #[error("state folder {} is on {kind}, expected a disk of this machine: its locks and its fsync are relied on", path.display())]
     Network {
         /// The folder.
@@ -91,11 +91,11 @@ fn file_system(path: &Path) -> io::Result<Option<i64>> {
     use std::os::unix::ffi::OsStrExt;
     let name = std::ffi::CString::new(path.as_os_str().as_bytes())?;
     let mut found = std::mem::MaybeUninit::<libc::statfs>::uninit();
-    // SAFETY: a name that ends with 0, and space for what is returned.
+    // SAFETY: the name is zero-terminated, and `found` has space for the result.
     if unsafe { libc::statfs(name.as_ptr(), found.as_mut_ptr()) } != 0 {
         return Err(io::Error::last_os_error());
     }
-    // SAFETY: written, for the call succeeded.
+    // SAFETY: initialised, because the call succeeded.
     let found = unsafe { found.assume_init() };
     #[allow(clippy::unnecessary_cast, reason = "its type depends on the C library")]
     let magic = found.f_type as i64;

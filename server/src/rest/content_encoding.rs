@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use axum::http::{HeaderMap, header};
 
-/// The fastest levels: the file is compressed while a client waits for it, and most of it are numbers that more work makes hardly smaller.
+/// The fastest levels: the file is compressed while a client waits for it, and higher levels hardly make its numbers smaller.
 const ZSTD_LEVEL: i32 = 1;
 const GZIP_LEVEL: flate2::Compression = flate2::Compression::fast();
 
@@ -100,7 +100,7 @@ impl ContentEncoding {
     }
 }
 
-/// An encoding of `Accept-Encoding` and its weight, 1 if there is none, 0 if it is none.
+/// Parses an encoding of `Accept-Encoding` and its weight: 1 if it has none, 0 if the weight is invalid.
 fn weight(item: &str) -> (&str, f32) {
     let mut parts = item.split(';');
     let name = parts.next().unwrap_or_default().trim();

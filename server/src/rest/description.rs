@@ -1,4 +1,4 @@
-//! What the description of the API says of every operation: how callers are known, and answers of the layers in front of the handlers.
+//! Parts of the API description that are common to every operation: authentication, and answers of the layers in front of the handlers.
 
 use clap::ValueEnum as _;
 use utoipa::Modify;
@@ -46,7 +46,7 @@ impl Modify for Completed {
                 &mut item.patch,
             ];
             for operation in operations.into_iter().flatten() {
-                // An empty requirement: a server may ask for no token.
+                // An empty requirement: a server may run without authentication.
                 let security = if PUBLIC.contains(&path.as_str()) {
                     vec![SecurityRequirement::default()]
                 } else {
@@ -61,7 +61,7 @@ impl Modify for Completed {
     }
 }
 
-/// What may be a GLB may be a file of any format.
+/// Adds the media types of all file formats to answers that may be a GLB.
 fn name_formats(operation: &mut Operation) {
     for response in operation.responses.responses.values_mut() {
         let RefOr::T(response) = response else { continue };

@@ -47,7 +47,7 @@ struct Waiter {
     admit: oneshot::Sender<ExportPermit>,
 }
 
-/// Leave to make an export; dropped, the next one is admitted.
+/// Permit to make an export. Dropping it admits the next one.
 #[derive(Debug)]
 pub(super) struct ExportPermit {
     queue: ExportQueue,

@@ -36,20 +36,20 @@ pub use spool::SpoolFolder;
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
 pub const STATISTICS_HEADER: HeaderName = HeaderName::from_static("isopeel-statistics");
 
-/// Time after which an export is given up that is not made yet: some ten times what the largest surfaces take.
+/// Maximum time for making an export: some ten times the time that the largest surfaces take.
 const EXPORT_DEADLINE: Duration = Duration::from_secs(600);
 
-/// What `POST extract` asks for: volume and format, beside any of the edit's names. What is left out has the default of
-/// the command line.
+/// Body of `POST extract`: volume and format, beside any of the edit's names. Names that are missing have the defaults of the command
+/// line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExtractRequest {
     /// Id of the volume.
     pub volume: String,
-    /// What of it.
+    /// The requested file.
     pub file: FileRequest,
 }
 
-/// The name that is not of the file's request.
+/// The name of the request that is not part of [`FileRequest`].
 #[derive(ToSchema)]
 #[expect(dead_code, reason = "its schema alone is used")]
 struct VolumeName {
@@ -137,7 +137,7 @@ pub async fn extract(
     let Json(ExtractRequest { volume, file }) = body?;
     let volume = state.volume(&who, &volume, file.step)?;
     let others = other_volumes(&state, &who, &file)?;
-    // Before it waits for anything.
+    // Checked before the request waits for anything.
     file.surfaces(&volume, &others)?;
     let encoding = ContentEncoding::accepted(&headers);
     let source = Source { volume, others };
@@ -216,7 +216,7 @@ impl Made {
         Ok((file, digest, permit))
     }
 
-    /// Answers all of it.
+    /// Answers with the whole file.
     fn whole(self, encoding: ContentEncoding) -> Result<Response, ApiError> {
         let answer = self.answer()?;
         let answer = match encoding {
@@ -238,7 +238,7 @@ impl Made {
         answer.body(body).map_err(ApiError::internal)
     }
 
-    /// The headers that do not depend on what of the file is sent.
+    /// Headers that do not depend on the part of the file that is sent.
     fn answer(&self) -> Result<response::Builder, ApiError> {
         let format = self.file.format();
         let name = self.file.file_name();

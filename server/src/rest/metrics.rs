@@ -9,7 +9,7 @@ use crate::extraction::MemoryUse;
 use crate::metrics;
 use crate::problem::{ApiError, Problem};
 
-/// What `metrics::render` has is text of this version of Prometheus' format.
+/// Version of Prometheus' text format that `metrics::render` writes.
 const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 /// Counts and times of requests, viewers, edits, stages and jobs of the device, batch jobs, memory and errors, in Prometheus' text format. No

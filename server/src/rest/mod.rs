@@ -93,7 +93,7 @@ const EVENT_STREAMS: SeatLimits = SeatLimits {
     reserve: 4,
 };
 
-/// What handlers share; clones are cheap.
+/// State of all handlers; clones are cheap.
 #[derive(Clone)]
 pub struct ApiState {
     catalog: SharedCatalog,
@@ -104,16 +104,16 @@ pub struct ApiState {
     events: Seats,
     spool: SpoolFolder,
     access: Access,
-    /// `None`: the server keeps none.
+    /// `None`: the server has no batch jobs.
     jobs: Option<Jobs>,
-    /// `None`: the server takes none.
+    /// `None`: the server does not accept uploads.
     uploads: Option<Uploads>,
     /// Whether the server is about to end.
     is_draining: Arc<AtomicBool>,
 }
 
 impl ApiState {
-    /// Offers the volumes of a catalog and surfaces of them to those whom `access` lets in.
+    /// Offers the volumes of a catalog and surfaces of them to users whom `access` authorizes.
     pub fn new(catalog: SharedCatalog, extractor: Extractor, access: Access) -> Self {
         Self {
             catalog,
@@ -145,7 +145,7 @@ impl ApiState {
         }
     }
 
-    /// Which sees here that it is about to end.
+    /// Reads here whether the server is draining.
     #[must_use]
     pub fn with_draining(self, is_draining: Arc<AtomicBool>) -> Self {
         Self { is_draining, ..self }
@@ -206,7 +206,7 @@ fn described(mut openapi: utoipa::openapi::OpenApi) -> utoipa::openapi::OpenApi 
 
 /// The description as it is sent: written once.
 fn described_once(description: &utoipa::openapi::OpenApi) -> Arc<Precompressed> {
-    // It has no maps whose keys are no strings.
+    // Cannot fail: all keys of its maps are strings.
     let text = serde_json::to_vec(description).unwrap_or_default();
     let hash = format!("{:032x}", xxhash_rust::xxh3::xxh3_128(&text));
     Arc::new(Precompressed::new(text.into(), hash, true))

@@ -11,11 +11,11 @@ use super::content_encoding::ContentEncoding;
 /// Bodies below this size gain nothing.
 const MIN_BYTES: usize = 1 << 10;
 
-/// A body in each encoding that was asked for.
+/// A body in each encoding that was requested so far.
 #[derive(Debug)]
 pub(super) struct Precompressed {
     bytes: Bytes,
-    /// Says what it is: equal ones are equal bytes.
+    /// Hash of its content: equal hashes mean equal bytes.
     hash: String,
     is_compressible: bool,
     gzip: OnceLock<Bytes>,
@@ -62,7 +62,7 @@ impl Precompressed {
         };
         let compress = || {
             let mut out = Vec::new();
-            // Neither the encoder nor a vector fails.
+            // Cannot fail: writes to a vector.
             let _ = encoding.write(&mut out, |body| body.write_all(&self.bytes));
             Bytes::from(out)
         };

@@ -36,8 +36,8 @@ pub(super) fn content_range([from, to]: [u64; 2], bytes: u64) -> String {
     format!("bytes {from}-{}/{bytes}", to - 1)
 }
 
-/// The part that a `Range` asks for, from its first byte to the one behind its last; `None`: all of it, which answers several ranges and what
-/// is no range too.
+/// Returns the part that a `Range` requests, from its first byte to the one behind its last. `None`: the whole file, which is also the
+/// answer to several ranges and to an invalid range.
 ///
 /// # Errors
 /// It begins beyond the end.

@@ -164,7 +164,7 @@ fn info(plane: &Plane, sample_type: SampleType) -> SliceInfo<'_> {
     }
 }
 
-/// As a header's value: what is not ASCII is escaped.
+/// Converts to a header's value. Other characters than ASCII are escaped.
 fn header_of(info: &SliceInfo<'_>) -> Result<HeaderValue, ApiError> {
     let json = serde_json::to_string(info).map_err(ApiError::internal)?;
     let mut ascii = String::with_capacity(json.len());

@@ -1,5 +1,5 @@
-//! Volumes that users bring. Parts come by the core of tus 1.0 (<https://tus.io/protocols/resumable-upload>), whose clients there are for many
-//! languages; how an upload begins and ends is isopeel's own, because it has many files and becomes a volume.
+//! Volumes that users upload. Parts are sent by the core of tus 1.0 (<https://tus.io/protocols/resumable-upload>), for which many languages
+//! have clients. The requests that begin and finish an upload are isopeel's own, because an upload has many files and becomes a volume.
 
 use std::time::Duration;
 
@@ -23,11 +23,11 @@ use crate::uploads::{MAX_REQUEST_BYTES, UploadError, UploadInfo, UploadList, Upl
 pub const OFFSET_HEADER: HeaderName = HeaderName::from_static("upload-offset");
 /// Bytes in all.
 pub const LENGTH_HEADER: HeaderName = HeaderName::from_static("upload-length");
-/// The version that is spoken.
+/// Version of the protocol.
 pub const TUS_HEADER: HeaderName = HeaderName::from_static("tus-resumable");
 const TUS_VERSIONS_HEADER: HeaderName = HeaderName::from_static("tus-version");
 const TUS_VERSION: &str = "1.0.0";
-/// What parts are sent as.
+/// Media type of parts.
 const PART_TYPE: &str = "application/offset+octet-stream";
 
 /// Bytes of the body of a refused part that are drained before the answer, for at most [`DRAIN`]. A connection that is closed before the
@@ -296,7 +296,7 @@ fn check_version(headers: &HeaderMap) -> Result<(), ApiError> {
     }
 }
 
-/// As tus has answers.
+/// Adds the headers of tus to an answer.
 fn by_tus(answer: Result<Response, ApiError>) -> Response {
     let mut answer = answer.into_response();
     let headers = answer.headers_mut();

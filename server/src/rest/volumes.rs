@@ -1,4 +1,4 @@
-//! What volumes there are, and what is in each.
+//! The list of volumes, and the description of each.
 
 use std::slice;
 use std::sync::Arc;

@@ -87,7 +87,7 @@ impl Default for ConnectionLimits {
 /// Maximum bytes of a request's head, and of the buffers for reading and writing ahead.
 const BUFFER_BYTES: usize = 16 * 1024;
 
-/// Pause after the system could not accept a connection for want of files or memory.
+/// Pause after the system had no files or memory to accept a connection.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 /// Answer to a peer with too many connections.
@@ -133,7 +133,7 @@ pub(super) async fn serve(
     while connections.join_next().await.is_some() {}
 }
 
-/// What a connection is served with.
+/// Everything that is needed to serve a connection.
 struct Connection {
     http: http1::Builder,
     peer: PeerAddress,
@@ -357,7 +357,7 @@ mod tests {
 
     async fn answer(mut socket: TcpStream) -> String {
         let mut text = String::new();
-        // What was read before a reset counts.
+        // Text that was read before a reset counts.
         let _ = socket.read_to_string(&mut text).await;
         text
     }
@@ -392,7 +392,7 @@ mod tests {
             ..ConnectionLimits::default()
         };
         let address = start_with(limits, &[], Some(Arc::new(Tls::open(&certificate, &key).unwrap()))).await;
-        // Nothing, the beginning of a handshake, and what is none.
+        // Nothing, the beginning of a handshake, and bytes that are not a handshake.
         for begun in [
             &b""[..],
             b"\x16\x03\x01\x02\x00\x01\x00",

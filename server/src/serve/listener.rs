@@ -12,7 +12,7 @@ use std::task::{Context, Poll};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
 
-/// Unsent bytes that the system buffers for a connection beyond what it may send; a fast line is refilled before they run out.
+/// Unsent bytes that the system buffers for a connection beyond those that it may send now; a fast line is refilled before they run out.
 #[cfg(target_os = "linux")]
 const NOT_SENT_BYTES: u32 = 128 << 10;
 

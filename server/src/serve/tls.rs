@@ -30,12 +30,12 @@ pub enum TlsError {
         /// Why not.
         source: io::Error,
     },
-    /// A file is not what it should be.
+    /// A file has invalid content.
     #[error("{} has no {expected}: expected PEM, -----BEGIN …-----", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// What it should have.
+        /// The expected content.
         expected: &'static str,
     },
     /// The key is of another certificate, or of a kind that is not known.

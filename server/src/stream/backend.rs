@@ -1,4 +1,4 @@
-//! What a session needs of catalog and device: a trait, so that tests can script a device.
+//! The interface of a session to catalog and device: a trait, so that tests can script a device.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -39,8 +39,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         Lease::default()
     }
 
-    /// Describes a volume, and fills in what depends on the data in its opening view. How far that is
-    /// goes to `progress`.
+    /// Describes a volume, and resolves the values of its opening view that depend on the data. Publishes its progress on `progress`.
     fn open(
         &self,
         volume: &VolumeStep,
@@ -56,7 +55,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Box<RawValue>, WorkError>> + Send;
 
-    /// Prefetches what these views use of a time step, as far as there is memory for it.
+    /// Prefetches the samples of a time step that these views use, as far as there is memory for them.
     fn read_ahead(
         &self,
         volume: &VolumeStep,
@@ -315,7 +314,7 @@ async fn read(
     view: &View,
     token: &CancellationToken,
 ) -> Result<(View, Box<RawValue>), WorkError> {
-    // First what is made in many jobs, so that progress is seen; the view then finds its histograms.
+    // The description first: it takes many jobs, so viewers see progress, and the view then finds its histograms in the cache.
     let description = described(worker, volume).await?;
     let view = worker.resolve(volume, view, token).await?;
     Ok((view, description))

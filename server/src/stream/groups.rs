@@ -1,4 +1,4 @@
-//! Groups: viewers who are shown what one of them does.
+//! Groups: the followers see the surfaces and the camera of the member in control.
 //!
 //! A group has a leader, who has started it, and followers. One member has control, at first the leader. What that member opens, edits
 //! and looks at is broadcast to the others; only the newest state is kept. When the leader leaves, the group ends. If the leader's
@@ -147,7 +147,7 @@ impl GroupError {
     }
 }
 
-/// What has happened in a group.
+/// An event in a group.
 #[derive(Debug, PartialEq)]
 pub(super) enum GroupEvent {
     Scene,

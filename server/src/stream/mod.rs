@@ -2,11 +2,11 @@
 //!
 //! - `socket`: the tasks that read and write a connection.
 //! - `session`: the state of one viewer and its surfaces, in one task.
-//! - `prefix`: what of a surface has changed, as frames.
-//! - `shared`: what viewers of equal views share.
-//! - `groups`: viewers who are shown what one of them does.
+//! - `prefix`: compares surfaces, and encodes the regions that have changed as frames.
+//! - `shared`: single-flight and cache of surfaces for viewers of equal views.
+//! - `groups`: viewers who follow the one in control.
 //! - `backend`: catalog and device, which tests replace.
-//! - `viewers`: how many there are.
+//! - `viewers`: limits on viewers and on the bytes that wait for them.
 
 mod backend;
 mod groups;
@@ -42,11 +42,11 @@ use viewers::Viewers;
 /// a longer one ends the connection.
 const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 
-/// Bytes that are read at once: edits have some hundred. Each connection keeps as many, and each read clears them first; the library's
+/// Size of a connection's read buffer: edits have some hundred bytes. Each read clears the buffer first; the library's
 /// default is 128 KiB, for servers to which much is sent.
 const READ_BUFFER_BYTES: usize = 4 << 10;
 
-/// What sessions have in common; clones are cheap.
+/// State that all sessions share; clones are cheap.
 #[derive(Clone)]
 struct Common {
     viewers: Viewers,
@@ -55,7 +55,7 @@ struct Common {
 }
 
 impl Common {
-    /// Keeps so many bytes of chunks.
+    /// `shared_bytes`: capacity of the cache of chunks.
     fn new(shared_bytes: u64) -> Self {
         Self {
             viewers: Viewers::default(),
@@ -65,7 +65,7 @@ impl Common {
     }
 }
 
-/// What connections share; clones are cheap.
+/// State of the stream that all connections share; clones are cheap.
 #[derive(Clone)]
 pub struct StreamState<B> {
     backend: B,
@@ -88,7 +88,7 @@ impl<B: Backend> StreamState<B> {
         }
     }
 
-    /// Keeps so many bytes of chunks for viewers of equal views.
+    /// Sets the capacity of the cache of chunks for viewers of equal views.
     #[must_use]
     pub fn with_shared_bytes(mut self, bytes: u64) -> Self {
         self.common = Common::new(bytes);
@@ -102,8 +102,8 @@ impl<B: Backend> StreamState<B> {
     }
 }
 
-/// The WebSocket at `/api/v1/stream`. Who may open it is checked before ([`crate::access::gate`]): browsers let any page open a WebSocket to any
-/// server.
+/// The WebSocket at `/api/v1/stream`. Authorization is checked before ([`crate::access::gate`]): browsers let any page open a WebSocket to
+/// any server.
 pub fn router<B: Backend>(state: StreamState<B>) -> Router {
     Router::new()
         .route("/api/v1/stream", any(upgrade::<B>))

@@ -1,4 +1,5 @@
-//! From a surface to the frames of one prefix: what differs from what the client holds, encoded in batches. On the CPU pool.
+//! From a surface to the frames of one prefix: the regions that differ from those that the client holds, encoded in batches on the CPU
+//! pool.
 
 use std::sync::Arc;
 
@@ -13,7 +14,7 @@ use crate::pool::{self, Panicked};
 use crate::wire::chunk::{Coding, PrefixId};
 use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 
-/// Triangles in a batch for each thread of the pool. Two batches take about 5 ms: so long another viewer's work waits.
+/// Triangles in a batch for each thread of the pool. Another viewer's work waits for two batches, which take about 5 ms.
 const BATCH_TRIANGLES: usize = 25_000;
 /// Chunks in a batch for each thread; bounds the frames that wait for the socket. The coarsest prefixes are many tiny chunks.
 const BATCH_CHUNKS: usize = 128;
@@ -38,22 +39,22 @@ pub(super) enum PrefixError {
 pub(super) struct Changes {
     /// The step that has them.
     pub step: Arc<SharedStep>,
-    /// In which to send it.
+    /// Coding in which it is sent.
     pub coding: Coding,
-    /// What to send.
+    /// Regions to send or to remove.
     pub changed: Vec<Part>,
-    /// How many regions stay as they are.
+    /// Number of regions that the client holds already.
     pub unchanged: usize,
-    /// What the client holds afterwards.
+    /// Regions that the client holds afterwards.
     pub held: HeldRegions,
 }
 
-/// What is sent of a region.
+/// The part of a prefix that is sent for a region.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Part {
     /// The mesh of a step's region, by its number there.
     Made(usize),
-    /// That there is none any more.
+    /// The region has no mesh any more.
     Gone([u32; 3]),
 }
 
@@ -65,7 +66,7 @@ impl Part {
         }
     }
 
-    /// Whether its chunk is at hand, but for the prefix that it names.
+    /// Whether its chunk is encoded already; the prefix that it names is set when it is sent.
     fn is_encoded(self, step: &SharedStep, coding: Coding) -> bool {
         match self {
             Self::Made(region) => step.regions[region].is_encoded(coding),
@@ -81,7 +82,8 @@ impl Part {
     }
 }
 
-/// Keeps what of a surface, or of what was made anew of it, differs from `held`. It is to be sent in this coding.
+/// Returns the regions of a step that differ from `held`, to be sent in this coding. A step has all regions of a surface, or only those
+/// that were remade.
 pub(super) async fn compare(
     step: Arc<SharedStep>,
     held: Arc<HeldRegions>,
@@ -122,7 +124,7 @@ fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Cha
         if same.is_none() {
             changed.push(Part::Made(number));
         }
-        // What is not sent again has the order in which it was sent.
+        // Regions that are not sent again keep the order and the coding in which they were sent.
         let sent = HeldRegion {
             hash: region.hash,
             coding,
@@ -212,7 +214,7 @@ mod tests {
 
     #[test]
     fn batches_are_bounded_and_take_everything() {
-        // Of regions of so many triangles.
+        // Each region is given by its number of triangles.
         let take = |regions: &mut Vec<usize>| take_batch_for(2, |triangles| *triangles, regions).len();
         let mut regions = vec![1; 2 * BATCH_CHUNKS + 3];
         assert_eq!(take(&mut regions), 2 * BATCH_CHUNKS);

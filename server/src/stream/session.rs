@@ -1,7 +1,8 @@
 //! One viewer's state machine, owned by one task.
 //!
-//! What is of one surface (`surface`: view, phase, what the client holds) is kept apart from what the connection has once: the job on the
-//! device, the step that is being sent, outbox, pace, and the open volume (`open_volume`), which holds up to four surfaces by their numbers.
+//! The state of one surface (`surface`: view, phase, the regions that the client holds) is separate from that of the connection: the job on
+//! the device, the step that is being sent, outbox, pace, and the open volume (`open_volume`), which holds up to four surfaces by their
+//! numbers.
 //!
 //! ```text
 //! a surface     Idle --edit--> Working(generation) --final surface committed--> Resting --measured--> Idle
@@ -10,7 +11,7 @@
 //! the line      one step: compared and encoded on the pool, then in the outbox; prefixes do not mix
 //! ```
 //!
-//! - **Edits.** An edit comes into force when all that it uses is there and every value is resolved (`resolving`), most of them at once.
+//! - **Edits.** An edit comes into force when all samples that it uses are loaded and every value is resolved (`resolving`), most at once.
 //!   Then its surface is marked, and when the device is free of the session's last job, the view starts a new
 //!   [`generation::Generation`]. Edits that arrive before change the same view, so they coalesce.
 //! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
@@ -22,16 +23,17 @@
 //! - **Outbox.** Frames wait here until the writer takes them. [`super::viewers::Viewers::ahead_bytes`] bounds what is encoded ahead.
 //!   [`HIGH_WATER`] bounds what a client that sends and does not read can cause.
 //! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between
-//!   two stages, its frames leave the outbox, and `superseded` follows. One of which nothing was committed first commits a step, so that
-//!   a viewer who drags a slider faster than surfaces are made still sees some.
+//!   two stages, its frames leave the outbox, and `superseded` follows. A generation of which nothing was committed first commits a step,
+//!   so that a viewer who drags a slider faster than surfaces are made still sees some.
 //! - **Pictures.** `draw_pause` gives a client on the same machine time to draw.
-//! - **Questions.** What the viewer asks about a surface is answered when no generation is running (`questions`).
-//! - **Time.** Another step of the volume is another surface that the client's is compared with; the next one is read ahead (`time`).
+//! - **Questions.** Queries on a surface are answered when no generation is running (`questions`).
+//! - **Time.** At another time step the surfaces are made again, and regions that are equal are not sent again. The next step is
+//!   prefetched (`time`).
 //! - **Rest.** When no edit of any surface follows the final one, a better one is made if there is one, and its error is measured
 //!   (`rest`). An edit of another surface postpones that.
 //!
-//! Invariant: what the client holds of a surface changes only when `committed` goes to the writer. Later frames arrive in order or the
-//! connection ends, so both sides agree.
+//! Invariant: the regions that the client holds of a surface change only when `committed` goes to the writer. Later frames arrive in order
+//! or the connection ends, so both sides agree.
 
 mod draw_pause;
 mod edits;
@@ -170,16 +172,16 @@ pub(super) struct Session<B> {
     heartbeat: Heartbeat,
     /// The best coding that the client can read.
     coding: Coding,
-    /// What the client has not confirmed.
+    /// Bytes in flight, which the client has not confirmed.
     line: Line,
     questions: Questions,
     /// The time step that is read ahead.
     ahead: Option<Ahead>,
     /// The group that it is in.
     member: Option<Member>,
-    /// What it was to open last because another member did.
+    /// The last volume that this session tried to open because the member in control has opened it.
     tried: Option<StepKey>,
-    /// What the device resolves now, so that it comes into force. Dropping it cancels that.
+    /// The edit or time step that the device resolves now. Dropping it cancels that.
     resolving: Option<BoxFuture<Resolved>>,
 }
 
@@ -272,7 +274,7 @@ impl<B: Backend> Session<B> {
                 Event::Message(Some(message)) => self.on_message(message),
                 Event::WriterReady(permit) => {
                     self.on_writer_ready(permit);
-                    // As many as there is space for, without a turn of the loop for each.
+                    // Sends as many frames as there is space for, without an iteration of the loop for each.
                     while self.may_write()
                         && let Ok(permit) = outgoing.try_reserve()
                     {
@@ -318,7 +320,7 @@ impl<B: Backend> Session<B> {
                     }
                     None
                 }
-                // The next turn of the loop starts what waited for it.
+                // The next iteration of the loop starts the work that waited for this.
                 Event::PongWaitElapsed | Event::OpenPaceElapsed | Event::RestDue | Event::ReadAhead => None,
             };
             if let Some(code) = close {
@@ -357,13 +359,13 @@ impl<B: Backend> Session<B> {
         });
     }
 
-    /// As [`Session::send_error`]; the log has the whole of it.
+    /// As [`Session::send_error`]; the log gets the chain of causes too.
     fn send_work_error(&mut self, error: &WorkError) {
         tracing::debug!(error = chain(error), "work failed");
         self.send_error(error.code(), error.public_message(), true);
     }
 
-    /// Whether the writer may take the next frame. A small one goes on a full line, too: the ping whose pong leads to capacity is one.
+    /// Whether the writer may take the next frame. A small frame is sent on a full line, too, such as the ping whose pong frees capacity.
     fn may_write(&self) -> bool {
         let next = self.outbox.next_bytes();
         next.is_some_and(|bytes| bytes <= SMALL_FRAME || self.line.has_capacity())
@@ -454,7 +456,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Opens what another member of the group has opened, if this viewer may open the volume. The samples are the same as the other
+    /// Opens the volume of the member in control, if this viewer may open it. The samples are the same as the other
     /// member's, even if the catalogue has newer ones under this id.
     fn open_led(&mut self, led: &VolumeStep) {
         let id = &led.dataset().id;

@@ -34,11 +34,11 @@ const MAX_WINDOW_MESSAGES: u32 = 50;
 /// The window of [`MAX_WINDOW_MESSAGES`].
 const WINDOW: Duration = Duration::from_millis(100);
 
-/// Time between the close frame and the end of a connection that cannot be read any more: what is left unread resets it, and a client that
-/// is reset may lose the frame.
+/// Time between the close frame and the end of a connection that cannot be read any more: unread bytes reset the connection, and a client
+/// that is reset may lose the frame.
 const LINGER: Duration = Duration::from_secs(1);
 
-/// Time for the close frame, once a token has ended, and for what waits before it.
+/// Time for the close frame after a token has ended, and for the frames that wait before it.
 const TOKEN_GRACE: Duration = Duration::from_secs(2);
 
 /// Deadlines of a connection.
@@ -89,7 +89,7 @@ pub(super) async fn serve<S, B>(
     let session = Session::new(backend, deadlines.steps, common, who.clone());
     let served = async {
         session.run(inbox, outgoing, shutdown).await;
-        // The writer sends what is left, each frame within its deadline. Then the reader waits for the client's close frame: closing at once
+        // The writer sends the remaining frames, within its deadlines. Then the reader waits for the client's close frame: closing at once
         // could reset the connection and lose what was sent.
         let _ = writer.await;
         let _ = timeout(deadlines.close, reader).await;
@@ -135,7 +135,7 @@ where
     }
 }
 
-/// Converts a message to what the session gets of it; `None` if that is nothing.
+/// Converts a message for the session; `None` if the session ignores messages of this kind.
 fn incoming(message: Message) -> Option<Incoming> {
     match message {
         Message::Text(text) if text.len() > MAX_MESSAGE_BYTES => Some(Incoming::Fault(CloseCode::TooLong)),
@@ -161,7 +161,7 @@ fn violation(error: axum::Error) -> Option<CloseCode> {
     }
 }
 
-/// Sends the session's frames, so many at a time within a deadline, and pings.
+/// Sends the session's frames in batches, each within a deadline, and pings.
 async fn write<S>(mut sink: S, mut frames: mpsc::Receiver<Outgoing>, deadlines: Deadlines)
 where
     S: Sink<Message, Error = axum::Error> + Unpin,
@@ -216,7 +216,7 @@ where
         let has_space = chunk_bytes + text_bytes < TOGETHER_BYTES;
         next = has_space.then(|| frames.try_recv().ok()).flatten().map(to_message);
     }
-    // What waits in the queue goes to the network together: a coarse prefix is thousands of frames of some hundred bytes.
+    // Flushes only when the queue is empty: a coarse prefix is thousands of frames of some hundred bytes, which are sent together.
     if frames.is_empty() {
         sink.flush().await?;
     }
@@ -224,7 +224,7 @@ where
     Ok(None)
 }
 
-/// A frame as a message, or with what the connection is to be closed.
+/// Converts a frame to a message, or to the code with which to close the connection.
 fn to_message(frame: Outgoing) -> Result<Message, CloseCode> {
     Ok(match frame {
         Outgoing::Text(text) => Message::Text(text.into()),

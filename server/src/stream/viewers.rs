@@ -1,4 +1,4 @@
-//! The viewers that are connected, and what each may hold because of the others.
+//! Counts the connected viewers, and limits the bytes that are encoded ahead for each.
 
 use crate::access::{Identity, NoSeat, Seat, SeatLimits, Seats};
 
@@ -9,7 +9,7 @@ pub const MAX_VIEWERS: usize = 1024;
 
 /// Bytes of surfaces that are encoded ahead for all viewers together.
 const AHEAD_BYTES: usize = 256 << 20;
-/// The same for one: a socket has these to send while the next batch is encoded.
+/// The same for one viewer: the socket sends these while the next batch is encoded.
 const MAX_AHEAD_BYTES: usize = 4 << 20;
 /// The same for one of [`MAX_VIEWERS`], some chunks.
 const MIN_AHEAD_BYTES: usize = AHEAD_BYTES / MAX_VIEWERS;

@@ -50,7 +50,7 @@ impl Contents {
         self.starts.partition_point(|&start| start <= offset).saturating_sub(1)
     }
 
-    /// Bytes that are there from the first one on, as the files say after a process has ended. What follows a gap is removed.
+    /// Counts the bytes before the first gap, from the files that an earlier process has left. Removes files behind the gap.
     pub(super) fn settle(&self) -> io::Result<u64> {
         let (mut there, mut has_gap) = (0, false);
         for (at, file) in self.files.iter().enumerate() {
@@ -70,7 +70,7 @@ impl Contents {
         Ok(there)
     }
 
-    /// Writes what follows the bytes that are there; how many of these are, and what stopped it before their end.
+    /// Writes bytes at an offset of the upload. Returns how many were written, and the error that stopped it, if there was one.
     pub(super) fn write(&self, mut offset: u64, mut bytes: &[u8]) -> (usize, io::Result<()>) {
         let before = bytes.len();
         while !bytes.is_empty() {
@@ -106,12 +106,12 @@ impl Contents {
         }
     }
 
-    /// All bytes are there: makes the empty files too, and returns when all is on the disk.
+    /// Completes an upload of which all bytes have arrived: creates its empty files and flushes everything to the disk.
     pub(super) fn seal(&self) -> io::Result<()> {
         for (at, _) in self.files.iter().enumerate().filter(|(_, file)| file.bytes == 0) {
             self.open(at)?;
         }
-        // One call for what may be thousands of files.
+        // One call flushes all files, of which there may be thousands.
         #[cfg(target_os = "linux")]
         rustix::fs::syncfs(File::open(&self.folder)?)?;
         #[cfg(not(target_os = "linux"))]

@@ -7,7 +7,7 @@ use super::names::NameError;
 use crate::private_folder;
 use crate::volumes::ReadError;
 
-/// Why a request about uploads has no answer. Each variant asks for another reaction of the caller.
+/// Why a request about uploads fails. Each variant calls for a different reaction of the caller.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UploadError {
@@ -74,7 +74,7 @@ pub enum UploadError {
         /// Bytes that are missing.
         left: u64,
     },
-    /// The body ended before its end; what came is kept.
+    /// The body was shorter than announced; the bytes that arrived are kept.
     #[error("the body ended too early: {kept} bytes of the upload are there, go on with them")]
     Interrupted {
         /// Bytes that are there.
@@ -86,7 +86,7 @@ pub enum UploadError {
         /// Bytes that are there.
         kept: u64,
     },
-    /// Others send.
+    /// All slots are taken by other requests.
     #[error("as many uploads are being received as may be at a time, try again in a few seconds")]
     Busy,
     /// Another request is at work on the upload.
@@ -111,7 +111,7 @@ pub enum UploadError {
     /// The disk has no space to read them.
     #[error("{0}")]
     NoSpace(String),
-    /// Something of the server's failed.
+    /// The server cannot read or write its files.
     #[error("uploads cannot be kept")]
     Io(#[from] io::Error),
     /// A task failed.

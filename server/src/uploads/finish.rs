@@ -15,10 +15,10 @@ use crate::volumes::location::stem;
 use crate::volumes::{Dataset, FileLocation, Frame, open_path};
 
 impl Uploads {
-    /// Reads an upload that is whole as volumes, and offers these to its owner. Of one that was read before nothing changes.
+    /// Reads a complete upload as volumes, and offers these to its owner. Does nothing if it was read before.
     ///
     /// # Errors
-    /// Bytes are missing, or what is wrong with the files.
+    /// Bytes are missing, or the files cannot be read as volumes.
     pub async fn finish(&self, who: Reader<'_>, id: &str) -> Result<UploadInfo, UploadError> {
         let upload = self.find(who, id)?;
         let writer = upload.take_over().await?;
@@ -55,7 +55,7 @@ impl Uploads {
         self.count_unpacked(upload)?;
         let datasets = self.datasets(upload)?;
         write_record(&upload.folder, &upload.record(true)).map_err(missing)?;
-        // Not if it was deleted meanwhile: what is in the list then is removed with it.
+        // Offers nothing if it was deleted meanwhile. If it is deleted later, its volumes are in the list and are removed with it.
         if !self.all().contains_key(&upload.id) {
             return Err(UploadError::Unknown(upload.id.clone()));
         }
@@ -64,12 +64,12 @@ impl Uploads {
         Ok(())
     }
 
-    /// Lets what is in compressed files count in the quota.
+    /// Counts the contents of compressed files in the quota.
     fn count_unpacked(&self, upload: &Upload) -> Result<(), UploadError> {
         loop {
             let more = self.unpacked(upload)?;
             let _creating = self.0.creating.lock().unwrap_or_else(PoisonError::into_inner);
-            // Another upload may have been made meanwhile, which was promised its bytes: then there is less.
+            // Another upload may have reserved its bytes meanwhile: then fewer remain.
             let needed = self
                 .used_by_others(upload)
                 .saturating_add(upload.total)
@@ -90,8 +90,10 @@ impl Uploads {
         counted(&others.collect::<Vec<_>>())
     }
 
-    /// Returns by how many bytes the contents of compressed files exceed these files, if the owner's quota has space for that; else an
-    /// error.
+    /// Returns by how many bytes the contents of compressed files exceed these files.
+    ///
+    /// # Errors
+    /// [`UploadError::UnpacksOverQuota`] if the owner's quota has no space for them.
     fn unpacked(&self, upload: &Upload) -> Result<u64, UploadError> {
         let (used, quota) = (self.used_by_others(upload), self.0.limits.quota_bytes);
         let mut left = quota.saturating_sub(used).saturating_sub(upload.total);
@@ -99,7 +101,7 @@ impl Uploads {
         for file in upload.contents.files() {
             let location = FileLocation::disk(upload.contents.folder().join(&file.name)).packed_by_name();
             let limit = file.bytes.saturating_add(left);
-            // What cannot be decoded is said by the reader.
+            // The reader reports files that cannot be decoded.
             let bytes = location.unpacked_bytes(limit).unwrap_or(0);
             if bytes > limit {
                 return Err(UploadError::UnpacksOverQuota {
@@ -114,14 +116,14 @@ impl Uploads {
         Ok(more)
     }
 
-    /// The same after a restart, of an upload that was read before.
+    /// Offers the volumes of an upload again after a restart.
     pub(super) fn offer_again(&self, upload: &Upload) {
         match self.datasets(upload) {
             Ok(datasets) => self.offer(upload, datasets),
             Err(error) => {
                 tracing::warn!(upload = upload.id, "an upload cannot be read any more: {error}");
                 let mut status = upload.status();
-                // It is kept as long as other volumes: perhaps another version reads it again.
+                // Kept as long as other volumes: another version of the server may be able to read it.
                 status.state = UploadState::Ready;
                 status.error = Some(error.to_string());
             }
@@ -141,13 +143,13 @@ impl Uploads {
         let root = upload.contents.folder().to_string_lossy().into_owned();
         let mut datasets = open_path(&path).map_err(|error| UploadError::of_read(&error, &root))?;
         for (at, dataset) in datasets.iter_mut().enumerate() {
-            // Made here: names of files and what is in them may be a patient's.
+            // Ids do not derive from file names or headers, which may identify a patient.
             dataset.id = match at {
                 0 => format!("upload-{}", upload.id),
                 _ => format!("upload-{}-{}", upload.id, at + 1),
             };
             dataset.geometry = dataset.geometry.in_frame(self.frame());
-            // The folder has no name of the user's.
+            // The folder's name is the server's: the title is that of the upload.
             if path == upload.contents.folder() && dataset.title == FILES {
                 dataset.title = stem(Path::new(&upload.title()));
             }
@@ -160,7 +162,7 @@ impl Uploads {
     }
 }
 
-/// What would be named on the command line: the only file, or the folder that all files are in.
+/// Returns the path that a user would name on the command line: the only file, or the folder of all files.
 fn path_of(upload: &Upload) -> PathBuf {
     let (files, folder) = (upload.contents.files(), upload.contents.folder());
     match (files, common_folder(files)) {

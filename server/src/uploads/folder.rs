@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::names::DeclaredFile;
 use crate::private_folder::{self, FolderAccess, FolderAccessError};
 
-/// Held by the server that uses the folder.
+/// Lock file, held by the server that uses the folder.
 const LOCK: &str = "lock";
 const RECORD: &str = "upload.json";
 /// The folder of an upload's files.
@@ -58,7 +58,7 @@ pub(super) struct Record {
     pub key: Option<String>,
     pub created: SystemTime,
     pub files: Vec<DeclaredFile>,
-    /// By how much what is in its compressed files is more than these; 0 before it was read.
+    /// Bytes by which the contents of its compressed files exceed these files; 0 before it was read.
     #[serde(default)]
     pub unpacked: u64,
     /// It was read as a volume.
@@ -95,7 +95,7 @@ impl UploadFolder {
     /// # Errors
     /// [`FolderError::Served`].
     pub fn is_beside(&self, served: &[PathBuf]) -> Result<(), FolderError> {
-        // Those that do not exist are no folders: addresses, and what is read later.
+        // Paths that do not exist are skipped: addresses, and folders that appear later.
         let folders = served.iter().filter_map(|path| path.canonicalize().ok());
         match folders.into_iter().find(|folder| self.path.starts_with(folder)) {
             Some(served) => Err(FolderError::Served {
@@ -129,7 +129,7 @@ impl UploadFolder {
         Ok(aside)
     }
 
-    /// Returns the uploads that are there, with their records. Removes the remains of a process that has ended.
+    /// Returns the uploads on the disk, with their records. Removes folders that an earlier process was creating or removing.
     pub(super) fn list(&self) -> io::Result<Vec<(String, PathBuf, Record)>> {
         let mut found = Vec::new();
         for entry in std::fs::read_dir(&self.path)? {
@@ -152,7 +152,7 @@ impl UploadFolder {
     }
 }
 
-/// Replaces the record of an upload: afterwards it is the new one, whatever happens meanwhile.
+/// Replaces the record of an upload atomically.
 pub(super) fn write_record(folder: &Path, record: &Record) -> io::Result<()> {
     let (path, new) = (folder.join(RECORD), folder.join("upload.json.new"));
     let mut file = File::create(&new)?;
@@ -171,7 +171,7 @@ pub(super) fn used(folder: &Path) -> io::Result<SystemTime> {
     std::fs::metadata(folder.join(RECORD))?.modified()
 }
 
-/// Notes that it was used then.
+/// Stores the time at which an upload was used last.
 pub(super) fn note_use(folder: &Path, when: SystemTime) -> io::Result<()> {
     OpenOptions::new()
         .write(true)

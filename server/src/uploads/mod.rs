@@ -2,9 +2,9 @@
 //! served like the volumes of a path, but to their owner alone, until they are deleted or have not been used for some time.
 //!
 //! - `names`: what files may be called; `contents`: their bytes, one after the other.
-//! - `folder`: their folders on the disk, and what is known of them after a restart.
-//! - `upload`: one of them, and which request writes to it; `receive`: a part that comes; `finish`: files become volumes.
-//! - `state`, `error`: what clients see.
+//! - `folder`: their folders on the disk, and the records that survive a restart.
+//! - `upload`: one upload, and the request that writes to it; `receive`: receives parts; `finish`: reads complete uploads as volumes.
+//! - `state`, `error`: uploads and errors as clients see them.
 
 mod contents;
 mod error;
@@ -45,7 +45,7 @@ const RESERVE_BYTES: u64 = 1 << 30;
 const MAX_FINISHES: usize = 2;
 /// Random bytes of an id: too many for another id to be guessed.
 const ID_BYTES: usize = 16;
-/// Longest time between two looks at what has expired.
+/// Longest interval between two checks for expired uploads.
 const LOOK: Duration = Duration::from_secs(60);
 
 /// Longest time that an upload is overdue before it is removed: a clock that is set wrongly is noticed, or set right, within it.
@@ -54,14 +54,14 @@ const MAX_PATIENCE: Duration = Duration::from_secs(3600);
 /// Since when uploads are overdue, by their ids.
 type Overdue = HashMap<String, Instant>;
 
-/// What users may have, and for how long.
+/// Limits on the size and the age of uploads.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Bytes of a user's uploads: as they were declared, or the contents of files that are compressed as a whole, if these are larger.
     pub quota_bytes: u64,
     /// Time without use after which volumes are removed.
     pub keep: Duration,
-    /// Time without a byte after which what is not finished is removed.
+    /// Time without a byte after which unfinished uploads are removed.
     pub keep_unfinished: Duration,
 }
 
@@ -76,7 +76,7 @@ struct Shared {
     catalog: SharedCatalog,
     /// By their ids.
     uploads: Mutex<HashMap<String, Arc<Upload>>>,
-    /// Held while one is made, so that what several declare at once is added up.
+    /// Held while an upload is created, so that concurrent declarations all count in the quota.
     creating: Mutex<()>,
     /// Parts that are received.
     parts: Slots,
@@ -114,7 +114,7 @@ impl Uploads {
         Ok(uploads)
     }
 
-    /// Removes what expires, until `stop` is cancelled.
+    /// Removes expired uploads, until `stop` is cancelled.
     pub async fn run(self, stop: CancellationToken) {
         let Limits {
             keep, keep_unfinished, ..
@@ -126,7 +126,7 @@ impl Uploads {
         }
     }
 
-    /// Removes what has been overdue for a while: `now` is that of a clock that may be set wrongly for some time, `at` that of one that never is.
+    /// Removes uploads that have been overdue for a while. `now` is wall-clock time, which may be wrong at times; `at` is monotonic time.
     async fn expire(&self, overdue: &mut Overdue, now: SystemTime, at: Instant) {
         let all: Vec<Arc<Upload>> = self.all().values().cloned().collect();
         overdue.retain(|id, _| all.iter().any(|upload| upload.id == *id));
@@ -150,7 +150,7 @@ impl Uploads {
         }
     }
 
-    /// Takes up when the volumes of an upload were used, for this process and the next.
+    /// Updates the time at which the volumes of an upload were used last, in memory and on the disk.
     fn note(&self, upload: &Upload) {
         let private = self.0.catalog.private();
         let mut status = upload.status();
@@ -192,11 +192,11 @@ impl Uploads {
         seen.ok_or_else(|| UploadError::Unknown(id.to_owned()))
     }
 
-    /// Makes an upload, unless the same files with this key made one before: then this is returned, and `false`. Nothing is stored of what is
-    /// above a limit.
+    /// Creates an upload, and returns it with `true`. If a request with this key and the same files has created one before, returns that
+    /// upload with `false`. Stores nothing if a limit is exceeded.
     ///
     /// # Errors
-    /// What is wrong with the files, or above the limits.
+    /// The files are invalid, or exceed a limit.
     pub async fn create(
         &self,
         who: Reader<'_>,
@@ -312,7 +312,7 @@ impl Uploads {
         let writer = upload.take_over().await;
         let (uploads, upload) = (self.clone(), Arc::clone(upload));
         let removed = move || {
-            // One that was read while it was being removed.
+            // It may have been read while it was being removed.
             for volume in &upload.status().volumes {
                 uploads.0.catalog.private().remove(volume);
             }

@@ -1,5 +1,5 @@
-//! Names of declared files. They are written below the folder of their upload, because headers name their data files: what could be meant to
-//! lead out of it, or is not what it looks like, is refused before anything is made.
+//! Names of declared files. Files keep their names below the folder of their upload, because headers name their data files. Names that
+//! could lead out of it, or that look like another name, are refused before anything is created.
 
 use std::collections::HashSet;
 
@@ -37,7 +37,7 @@ pub enum NameError {
     /// More than can be counted.
     #[error("file {0}: the sizes add up to more than 2⁶³ bytes")]
     Size(usize),
-    /// A name that is none.
+    /// An invalid name.
     #[error("file {file}: {name:?}: {why}")]
     Name {
         /// Which, from 0.
@@ -49,7 +49,7 @@ pub enum NameError {
     },
 }
 
-/// Checks all names; bytes in all.
+/// Checks all names. Returns the sum of bytes.
 pub(super) fn check(files: &[DeclaredFile]) -> Result<u64, NameError> {
     if files.is_empty() || files.len() > MAX_FILES {
         return Err(NameError::Count(files.len()));
@@ -89,7 +89,7 @@ pub(super) fn check(files: &[DeclaredFile]) -> Result<u64, NameError> {
     if total == 0 { Err(NameError::Empty) } else { Ok(total) }
 }
 
-/// What is wrong with a name.
+/// Returns the fault of a name; `None` if it is valid.
 fn fault(name: &str) -> Option<&'static str> {
     let parts: Vec<&str> = name.split('/').collect();
     if name.is_empty() || name.len() > MAX_NAME_BYTES {

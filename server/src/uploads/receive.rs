@@ -22,7 +22,7 @@ const BLOCK_BYTES: usize = 1 << 20;
 /// If no bytes arrive for this long, those received so far are written: they then count even if the connection or the server ends.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// What happens to a body.
+/// Event while a body is received.
 enum Event {
     Piece(Bytes),
     Pause,
@@ -84,7 +84,7 @@ impl Uploads {
     }
 }
 
-/// Writes a body behind what is there.
+/// Appends a body to the upload.
 async fn take<E>(
     upload: &Arc<Upload>,
     mut writer: Writer,

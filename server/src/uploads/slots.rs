@@ -1,4 +1,4 @@
-//! How much of a kind is done at a time, in all and for one user.
+//! Limits how many operations of a kind run at a time, in all and for one user.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};

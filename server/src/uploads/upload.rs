@@ -31,14 +31,14 @@ pub(super) struct Upload {
     current: Mutex<CancellationToken>,
 }
 
-/// What changes of it.
+/// The changing state of an upload.
 #[derive(Clone, Debug)]
 pub(super) struct Status {
     pub state: UploadState,
     pub received: u64,
-    /// By how much what is in its compressed files is more than these: known once it was read.
+    /// Bytes by which the contents of its compressed files exceed these files: known once it was read.
     pub unpacked: u64,
-    /// When something of it was written or looked at last.
+    /// When it was last written to or used.
     pub used: SystemTime,
     /// Ids of its volumes.
     pub volumes: Vec<String>,
@@ -121,6 +121,6 @@ impl Upload {
 /// The right to write to an upload, until it is dropped.
 pub(super) struct Writer {
     _guard: OwnedMutexGuard<()>,
-    /// Cancelled when another one wants it.
+    /// Cancelled when another request takes over.
     pub token: CancellationToken,
 }

@@ -65,10 +65,10 @@ pub(super) fn some_parts<'de, D: Deserializer<'de>>(
     Option::deserialize(deserializer).map(Some)
 }
 
-/// A position on the command line, `X,Y,Z`.
+/// Parses a position of the command line, `X,Y,Z`.
 ///
 /// # Errors
-/// What was given and what was expected.
+/// The text that was found, and the expected form.
 pub fn parse_position(text: &str) -> Result<[f64; 3], String> {
     let finite = triple(text).filter(|at| at.iter().all(|x| x.is_finite()));
     finite.ok_or_else(|| format!("{text:?}, expected three numbers X,Y,Z, such as 10,-20.5,30"))

@@ -26,7 +26,7 @@ const SMOOTH: &str = "smooth";
 pub struct FieldExpression {
     /// Fields of the volume, in the order of their places in `expression`.
     pub fields: Vec<String>,
-    /// What is computed of them.
+    /// Computation on these fields.
     pub expression: Expression,
     /// Whether the field's values are distances to the nearest sample at which the expression is neither 0 nor missing, instead of the
     /// expression's values.
@@ -39,24 +39,24 @@ pub struct FieldExpression {
 /// The rank of a number among the labels of a field, if that has ranks in place of numbers.
 pub type RankOf<'a> = &'a dyn Fn(&str, i128) -> Option<f32>;
 
-/// What is wrong, and at which byte of the text.
+/// A fault: byte of the text at which it is, and its description.
 type Fault = (usize, String);
 
 impl FieldExpression {
-    /// Reads an expression over a volume's fields. `field` is the field of the edit that has it. Numbers have `+ - * / ^`, comparisons
-    /// `&& || !`; names that are no words stand in quotation marks.
+    /// Parses an expression over a volume's fields. `field` names the field of the edit in errors. Numbers have the operators `+ - * / ^`,
+    /// comparisons `&& || !`. Names that are not words are in quotation marks.
     ///
     /// # Errors
-    /// What was expected, and at which character.
+    /// The expected text, and the character at which it is missing.
     pub fn parse(text: &str, fields: &[&str], field: &'static str) -> Result<Self, EditError> {
         Self::parse_by(text, fields, field, &|_, _| None)
     }
 
-    /// As [`Self::parse`], of fields some of which have ranks in place of the numbers in their file: `rank` has that of a number that is
-    /// compared with a field.
+    /// As [`Self::parse`], for fields of which some have ranks in place of the numbers in their file. `rank` returns the rank of a number
+    /// that is compared with a field.
     ///
     /// # Errors
-    /// What was expected, and at which character.
+    /// As [`Self::parse`].
     pub fn parse_by(text: &str, fields: &[&str], field: &'static str, rank: RankOf<'_>) -> Result<Self, EditError> {
         Self::read(text, fields, rank).map_err(|(at, why)| {
             let character = text.get(..at).unwrap_or(text).chars().count() + 1;
@@ -129,7 +129,7 @@ impl FieldExpression {
     }
 }
 
-/// What numbers are of.
+/// Dimension of numbers.
 #[derive(Clone, Copy, PartialEq)]
 enum Dimension<'a> {
     /// Plain numbers.
@@ -140,7 +140,7 @@ enum Dimension<'a> {
 }
 
 impl<'a> Dimension<'a> {
-    /// Of an operation on earlier ones.
+    /// Returns the dimension of an operation on earlier values.
     fn of(op: Op, units: &[Option<&'a str>], known: &[Self]) -> Self {
         let at = |node: u8| known[usize::from(node)];
         match op {
@@ -170,7 +170,7 @@ impl<'a> Dimension<'a> {
         if self == Self::Number { self } else { Self::Unknown }
     }
 
-    /// Of a product with a power of another.
+    /// Returns the dimension of a product with a power of another value.
     fn times(self, other: Self, sign: i32) -> Self {
         match (self, other) {
             (x, Self::Number) => x,
@@ -183,7 +183,7 @@ impl<'a> Dimension<'a> {
         }
     }
 
-    /// Of a sum. Numbers are in the unit of what is beside them.
+    /// Returns the dimension of a sum. Plain numbers take the unit of the other term.
     fn beside(self, other: Self) -> Self {
         match (self, other) {
             (x, Self::Number) | (Self::Number, x) => x,
@@ -205,7 +205,7 @@ impl Program<'_> {
     /// Adds an operation that the text has at `at`.
     fn add(&mut self, at: usize, op: Op) -> Result<u8, Fault> {
         if let Some(same) = self.ops.iter().position(|other| *other == op) {
-            // The last one is the value of the whole: what comes behind it uses it.
+            // Reuses the operation. Later operations refer to it, so the last one is still the value of the expression.
             return Ok(same as u8);
         }
         if self.ops.len() == MAX_NODES {

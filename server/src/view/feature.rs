@@ -66,7 +66,7 @@ impl VectorName {
     }
 }
 
-/// What stands between the commas of a list that are in no parentheses and no quotation marks.
+/// Splits a list at the commas outside of parentheses and quotation marks.
 pub(crate) fn arguments(list: &str) -> Vec<&str> {
     let (mut depth, mut quote) = (0i32, None);
     let parts = list.split(|c: char| {
@@ -83,7 +83,7 @@ pub(crate) fn arguments(list: &str) -> Vec<&str> {
     parts.map(str::trim).collect()
 }
 
-/// What is wrong with a component that is neither a field nor an expression over some.
+/// Returns the fault of a component that is neither a field nor an expression over fields; `None` if it is valid.
 fn fault_of(component: &str, fields: &[&str]) -> Option<String> {
     if fields.contains(&component) {
         return None;
@@ -138,7 +138,7 @@ impl FeatureName {
     /// The feature of a name in JSON, among a volume's fields and the computed ones. A field of that name comes before these.
     ///
     /// # Errors
-    /// Neither a field nor a feature that is computed.
+    /// The name is neither a field nor a computed feature.
     pub fn find(name: &str, fields: &[&str]) -> Result<Self, EditError> {
         if fields.contains(&name) {
             return Ok(Self::Field(name.to_owned()));

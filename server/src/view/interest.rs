@@ -50,10 +50,10 @@ pub struct BoxJson {
 }
 
 impl InterestJson {
-    /// The centre and half the size along each axis of the world.
+    /// Returns shape, centre, and half the size along each axis of the world.
     ///
     /// # Errors
-    /// What was given and what was expected.
+    /// The invalid value, and the expected one.
     fn extent(&self) -> Result<(InterestShape, DVec3, DVec3), String> {
         match (self.sphere, self.cuboid) {
             (Some(SphereJson { center, radius }), None) => {
@@ -130,7 +130,7 @@ fn is_finite(numbers: [f64; 3]) -> bool {
     numbers.iter().all(|x| x.is_finite())
 }
 
-/// The nearest finite numbers: farther away than those is nothing.
+/// Converts to the nearest finite 32-bit numbers. No sample is farther away.
 fn to_f32(numbers: DVec3) -> [f32; 3] {
     numbers.to_array().map(|x| (x as f32).clamp(f32::MIN, f32::MAX))
 }

@@ -64,7 +64,7 @@ impl Mask {
     /// list of numbers and ranges: `labels==1,4..7`. Spaces around names and numbers do not count, nor do quotation marks around a name.
     ///
     /// # Errors
-    /// What was expected, and at which character.
+    /// The expected text, and the character at which it is missing.
     pub fn parse(text: &str, fields: &[&str]) -> Result<Self, EditError> {
         let refuse = |at: usize, why: String| {
             let character = text[..at].chars().count() + 1;
@@ -132,7 +132,7 @@ impl Mask {
         &self.text
     }
 
-    /// How values are compared, and with which: the minimum and maximum of each range.
+    /// Returns the operator, and the minimum and maximum of each range that values are compared with.
     pub(super) fn comparison(&self) -> (Operator, &[[f32; 2]]) {
         (self.operator, &self.ranges)
     }

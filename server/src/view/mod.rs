@@ -1,4 +1,4 @@
-//! What a user asks for: [`View`] is everything that decides a surface, [`Edit`] any part of it, as JSON.
+//! Requests of users: [`View`] is everything that decides a surface, [`Edit`] any part of it, as JSON.
 
 mod chosen_parts;
 mod edit;
@@ -58,7 +58,7 @@ pub struct View {
     pub min_part: f64,
     /// Chosen parts, which are removed too, or which alone are kept; `None`: all are shown. Only if an error or a budget decides.
     pub parts: Option<ChosenPartsJson>,
-    /// What keeps the budget; found when the surface is planned, forgotten at the next edit.
+    /// The threshold that keeps the budget. It is found when the surface is planned, and dropped at the next edit.
     pub fitted: Option<Fitted>,
     /// Guard on the error.
     pub max_error: MaxError,
@@ -98,7 +98,7 @@ impl View {
     /// Error that a volume opens with: too small to see if a voxel covers a few pixels.
     pub const OPENING_ERROR: Distance = Distance::Spacings(0.1);
 
-    /// Budget that a volume opens with: what the bundled viewer draws at once on a GPU.
+    /// Budget that a volume opens with: the bundled viewer draws it at once on a GPU.
     pub const OPENING_BUDGET: ShareBudget = ShareBudget {
         share: 0.25,
         max: Some(1_000_000),
@@ -258,7 +258,7 @@ impl View {
         }
     }
 
-    /// Applies which parts were chosen. As the minimum area of parts.
+    /// Applies the chosen parts, under the same condition as the minimum area of parts.
     fn apply_parts(&mut self, edit: &Edit) -> Result<(), EditError> {
         if let Some(parts) = &edit.parts {
             parts.as_ref().map_or(Ok(()), ChosenPartsJson::check)?;
@@ -277,7 +277,7 @@ impl View {
         }
     }
 
-    /// Why parts are not removed from this view.
+    /// Returns the reason why no parts can be removed from this view.
     fn keeps_all_parts(&self, given: &str) -> String {
         match self.mesher {
             MesherName::MarchingCubes => format!("{given} with marching-cubes, expected the dual mesher"),
@@ -292,7 +292,7 @@ impl View {
         self.min_part > 0.0 || self.parts.is_some()
     }
 
-    /// Applies what decides: β, or an error and a budget.
+    /// Applies the criterion: β, or an error and a budget.
     fn apply_criterion(&mut self, edit: &Edit) -> Result<(), EditError> {
         let refuse = |field, why: String| Err(EditError { field, why });
         let Edit {
@@ -400,7 +400,7 @@ impl View {
     }
 
     /// The guards that are `auto` and gave way to the budget: first the error guard, if the fitted tolerance is above both the view's error
-    /// and what `auto` stands for beside β; then the topology guard.
+    /// and [`MaxError::AUTO`]; then the topology guard.
     pub fn gave_way(&self, smallest: f64) -> Vec<GuardName> {
         let Some(fitted) = self.fitted else { return Vec::new() };
         let error = self.max_error == MaxError::Auto
@@ -417,7 +417,7 @@ impl View {
             .collect()
     }
 
-    /// Maximum triangles, for a full surface of `full`; a budget of bytes says it once it is fitted.
+    /// Maximum triangles, for a full surface of `full` triangles. Those of a budget of bytes are known once it is fitted.
     pub fn max_triangles(&self, full: u64) -> Option<u64> {
         match self.budget? {
             Budget::Triangles(budget) => Some(budget.of(full)),
@@ -450,7 +450,7 @@ impl View {
         self.is_by_error().then_some(greater)
     }
 
-    /// Every value as an edit: of β, error and budgets those in force.
+    /// Returns every value as an edit; of β, error and budgets only those in force.
     pub fn to_edit(&self) -> Edit {
         let (triangles, bytes) = match self.budget {
             None => (None, None),

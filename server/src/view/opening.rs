@@ -40,7 +40,7 @@ const BONE: f64 = 300.0;
 const MIN_BONE: f64 = 1e-3;
 /// Minimum share of air in values that are taken for Hounsfield units without the file saying so.
 const MIN_AIR: f64 = 0.02;
-/// The background's peak lies in the first bins: air, or what a grid was padded with.
+/// The background's peak lies in the first bins: air, or the padding of a grid.
 const MAX_PEAK: usize = 32;
 /// Bins after the maximum in which a peak ends; a histogram that falls more slowly has no peak there.
 const MAX_PEAK_WIDTH: usize = 16;
@@ -48,7 +48,7 @@ const MAX_PEAK_WIDTH: usize = 16;
 const PEAK_END: f64 = 0.02;
 /// Minimum share of the samples in a background.
 const MIN_BACKGROUND: f64 = 0.25;
-/// Minimum share of the samples in what the background is left out of, and in a class of it.
+/// Minimum share of all samples outside of the background, and of these in the class beyond a valley.
 const MIN_REST: f64 = 0.01;
 /// Minimum different values beside the background; fewer are labels, of which the background is one.
 const MIN_REST_BINS: usize = 8;

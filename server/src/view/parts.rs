@@ -3,8 +3,8 @@
 use super::quality::{Budget, ShareBudget, TriangleBudget};
 
 impl Budget {
-    /// What a surface of `full` triangles gets of a budget for surfaces of `all` triangles together: in proportion. Parts add up to no more
-    /// than the budget, but that each is at least 1.
+    /// Returns the part of a surface of `full` triangles in a budget for surfaces of `all` triangles together, in proportion. The sum of
+    /// the parts does not exceed the budget, unless a part would be below 1: each is at least 1.
     #[must_use]
     pub fn part(self, full: u64, all: u64) -> Self {
         let of = |whole: u64| ((u128::from(whole) * u128::from(full) / u128::from(all.max(1))) as u64).max(1);

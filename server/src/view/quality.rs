@@ -151,7 +151,7 @@ pub enum MaxError {
 }
 
 impl MaxError {
-    /// What `auto` stands for beside β.
+    /// The guard that `auto` means if β decides.
     pub const AUTO: Distance = Distance::Spacings(0.25);
 
     /// The end of error messages.
@@ -265,7 +265,7 @@ pub fn some_min_part<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Optio
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(untagged)]
 pub enum TriangleBudget {
-    /// So many.
+    /// A number of triangles.
     AtMost(u64),
     /// A share of the full surface.
     Share(ShareBudget),
@@ -284,10 +284,10 @@ pub struct ShareBudget {
 }
 
 impl TriangleBudget {
-    /// Checks that it allows a triangle at all, and not more than there are.
+    /// Checks that a number or a maximum is at least 1, and that a share is above 0 and at most 1.
     ///
     /// # Errors
-    /// What was given and what was expected.
+    /// The invalid value, and the expected range.
     pub fn check(self) -> Result<(), String> {
         match self {
             Self::AtMost(0) => Err("0, expected 1 or more".into()),

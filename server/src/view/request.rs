@@ -7,7 +7,7 @@ const FEATURE_ALPHA: f32 = 0.3;
 
 impl View {
     /// Returns the view that a request asks for: its edit over the same defaults everywhere, whatever the volume opens with in a viewer.
-    /// The isovalue alone depends on the volume: without one it is what the field opens with.
+    /// Only the isovalue depends on the volume: if the edit has none, it is the one that the field opens with.
     ///
     /// # Errors
     /// A value out of its range, or a field that the volume does not have.

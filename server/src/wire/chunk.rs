@@ -76,7 +76,7 @@ impl Coding {
     /// Name of [`Coding::Predictive`] in messages.
     const PREDICTIVE: &str = "predictive";
 
-    /// The best one that a client may be sent that names these.
+    /// Returns the best coding for a client that names these.
     pub fn asked_for(names: &[String]) -> Self {
         match names.iter().any(|name| name == Self::PREDICTIVE) {
             true => Self::Predictive,
@@ -323,7 +323,7 @@ pub struct DecodedChunk {
 /// Reads the distances of a chunk of errors. Safe on any bytes.
 ///
 /// # Errors
-/// What is wrong with the frame.
+/// The fault of the frame.
 pub fn decode_errors(frame: &[u8]) -> Result<(ChunkHeader, Vec<f32>), ChunkError> {
     let header = ChunkHeader::parse(frame)?;
     check(header.prefix.kind == ChunkKind::Error, &|| {
@@ -336,7 +336,7 @@ pub fn decode_errors(frame: &[u8]) -> Result<(ChunkHeader, Vec<f32>), ChunkError
 /// Decodes a chunk of a mesh in the coding [`Coding::Meshopt`]. Safe on any bytes.
 ///
 /// # Errors
-/// What is wrong with the frame.
+/// The fault of the frame.
 pub(super) fn decode_meshopt(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
     let header = ChunkHeader::parse(frame)?;
     check(header.prefix.kind == ChunkKind::Cut, &|| {

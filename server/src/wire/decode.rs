@@ -6,7 +6,7 @@ use super::predictive;
 /// Decodes a chunk of a mesh, whatever its coding. Safe on any bytes.
 ///
 /// # Errors
-/// What is wrong with the frame.
+/// The fault of the frame.
 pub fn decode(frame: &[u8]) -> Result<DecodedChunk, ChunkError> {
     let header = ChunkHeader::parse(frame)?;
     match (header.prefix.kind, header.coding) {

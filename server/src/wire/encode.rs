@@ -20,7 +20,7 @@ use crate::error::BoxError;
 pub struct EncodeError {
     /// Region, in units of 32 cells.
     pub coords: [u32; 3],
-    /// What was found and what was expected.
+    /// The invalid value, and the expected one.
     pub why: String,
 }
 
@@ -60,7 +60,7 @@ impl WireVertex {
         }
     }
 
-    /// Of all that is sent of it.
+    /// Hash of all bytes that are sent of it.
     fn hash(self) -> u64 {
         let [a, b, c]: [u32; VERTEX_BYTES / 4] = bytemuck::cast(self);
         let first = u64::from(a) | u64::from(b) << 32;
@@ -209,7 +209,7 @@ fn check(region: &Region) -> Result<(), EncodeError> {
     Ok(())
 }
 
-/// Hashes of a region's mesh as it is sent. Vertices count by what is sent of them, not by their numbers.
+/// Hashes of a region's mesh as it is sent. They depend on the sent values of the vertices, not on their numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MeshHash {
     /// Of its triangles, in whatever order: a region whose triangles the client holds is not sent again. Two different meshes of one region

@@ -1,4 +1,4 @@
-//! What groups send: poses of a camera, and who is in a group. Normative: `PROTOCOL.md`, section 7.
+//! Parts of the messages of groups: camera poses, and members. Normative: `PROTOCOL.md`, section 7.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ use crate::view::Edit;
 /// Longest name that a follower may give, characters.
 const MAX_NAME_CHARS: usize = 40;
 
-/// Longest text of a page, bytes: what its look is takes some hundred.
+/// Maximum bytes of the text that describes the look of a page, which takes some hundred.
 const MAX_PAGE_BYTES: usize = 16 << 10;
 
 /// How a camera shows depth.
@@ -51,7 +51,7 @@ pub struct Pose {
 
 impl Pose {
     /// # Errors
-    /// A text that is too long, or a camera that is nowhere.
+    /// A text that is too long, a camera without finite coordinates, or one whose target is its own position.
     pub fn check(&self) -> Result<(), String> {
         if let Some(page) = &self.page
             && page.len() > MAX_PAGE_BYTES
@@ -89,7 +89,7 @@ impl std::fmt::Debug for Resume {
 /// Checks the name that a follower gives.
 ///
 /// # Errors
-/// What is wrong with it.
+/// The fault of the name.
 pub fn check_name(name: &str) -> Result<(), String> {
     let chars = name.chars().count();
     if chars == 0 || chars > MAX_NAME_CHARS || name.chars().any(char::is_control) || name.trim() != name {

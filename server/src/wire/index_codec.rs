@@ -41,7 +41,7 @@ const SECOND_THIRD: u8 = 0xfe;
 /// Data bytes for second and third vertices that may have codes of their own. All but the first (all new) are too rare to matter.
 const CODE_TABLE: [u8; 16] = [0; 16];
 
-/// What the decoder knows of a vertex.
+/// The decoder's state of a vertex.
 #[derive(Clone, Copy)]
 struct VertexState {
     /// Its index in the payload, or [`NEW`].
@@ -52,7 +52,7 @@ struct VertexState {
 
 const NEW: u32 = u32::MAX;
 
-/// The codec's state, and what it has written.
+/// The codec's state, and its output.
 #[derive(Default)]
 pub(super) struct IndexWriter {
     /// One for each triangle.

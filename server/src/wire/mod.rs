@@ -1,7 +1,7 @@
-//! What travels on the stream: text frames, and binary frames with their codecs. Bytes in, bytes out. Normative:
+//! Wire format of the stream: text frames, and binary frames with their codecs. Bytes in, bytes out. Normative:
 //! `PROTOCOL.md`.
 //!
-//! - [`messages`], [`chunk`]: text and binary frames; [`group`]: what messages of groups have.
+//! - [`messages`], [`chunk`]: text and binary frames; [`group`]: parts of the messages of groups.
 //! - [`encode`]: from the device's regions to chunk bytes, in an `order` that `index_codec` writes; [`predictive`]: chunks for slow lines.
 //! - [`decode`]: chunks as a client reads them.
 

@@ -53,7 +53,7 @@ struct Gate {
 pub(super) struct Traversal {
     /// The opposite half-edge of each half-edge of a triangle, by corner; the fourth is padding.
     twins: Vec<[HalfEdge; 4]>,
-    /// Which triangles are not written yet.
+    /// Whether each triangle is still to be written.
     uncovered: Vec<bool>,
     edges: EdgeTable,
     /// As long as it can become; `stack_len` gates are in use.
@@ -248,7 +248,7 @@ const VERTEX_BITS: u32 = 20;
 const _: () = assert!(MAX_INDICES < 1 << VERTEX_BITS && 4 * (MAX_INDICES / 3 + 1) < 1 << HALF_EDGE_BITS);
 
 impl EdgeTable {
-    /// Empties the table, with slots for so many half-edges even if no two are of one edge.
+    /// Empties the table, with slots for `half_edges` half-edges even if no two are of one edge.
     fn clear(&mut self, vertices: usize, half_edges: usize) {
         let slots_per_vertex = half_edges * 3 / 2 / vertices.max(1) + 2;
         self.slots_per_vertex = slots_per_vertex as u64;

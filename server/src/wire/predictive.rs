@@ -20,10 +20,10 @@ use super::chunk::{ChunkError, ChunkHeader, Coding, DecodedChunk, HEADER_BYTES, 
 use super::order::{Traversal, after, before};
 use super::range_coder::{BitModel, Coder, Decoder, Encoder, NumberModel, length};
 
-/// Encodes a chunk of the coding `meshopt` anew. One without vertices stays as it is.
+/// Recodes a chunk of the coding `meshopt`. A chunk without vertices is returned unchanged.
 ///
 /// # Errors
-/// What is wrong with the frame.
+/// The fault of the frame.
 pub fn encode(frame: &Bytes) -> Result<Bytes, ChunkError> {
     let decoded = decode_meshopt(frame)?;
     if decoded.vertices.is_empty() {
@@ -43,10 +43,10 @@ pub fn encode(frame: &Bytes) -> Result<Bytes, ChunkError> {
     Ok(encoded.into())
 }
 
-/// The order of vertices in [`encode`]'s chunk: for each of them, its number in the given one.
+/// Returns the order of vertices in [`encode`]'s chunk: for each of them, its number in the given one.
 ///
 /// # Errors
-/// What is wrong with the frame.
+/// The fault of the frame.
 pub fn order(frame: &[u8]) -> Result<Vec<u32>, ChunkError> {
     let decoded = decode_meshopt(frame)?;
     Ok(written(&decoded)?.1)
@@ -115,7 +115,8 @@ struct Known<'a> {
     numbers: Vec<Option<u32>>,
     /// Vertices by that number.
     order: Vec<u32>,
-    /// What is behind each edge of the boundary: four times the triangle, counted from 1, plus the corner that the edge starts at; or 0.
+    /// The half-edge behind each edge of the boundary: four times the triangle, counted from 1, plus the corner that the edge starts at;
+    /// or 0.
     behind: Vec<u32>,
 }
 
@@ -138,7 +139,7 @@ impl<'a> Known<'a> {
         }
     }
 
-    /// The first triangle that is not covered, which is from now on.
+    /// Covers the first uncovered triangle, and returns it.
     fn start(&mut self) -> usize {
         while self.is_covered[self.seed] {
             self.seed += 1;
@@ -150,7 +151,7 @@ impl<'a> Known<'a> {
         self.seed
     }
 
-    /// The uncovered triangle behind an edge, and its third vertex; it is covered from now on.
+    /// Covers the triangle behind an edge, if it is uncovered, and returns it with its third vertex.
     fn follow(&mut self, edge: EdgeId) -> Option<(usize, u32)> {
         let half_edge = self.behind[edge];
         let (triangle, corner) = ((half_edge as usize / 4).checked_sub(1)?, half_edge % 4);

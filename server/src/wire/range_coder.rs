@@ -1,5 +1,5 @@
-//! Adaptive binary range coder: bits, each with a model of how probable a 1 is. The decoder mirrors the encoder, so that what is coded is
-//! written once for both ([`Coder`]). Normative: `PROTOCOL.md`, section 4.1.
+//! Adaptive binary range coder: bits, each with a model of the probability of a 1. The decoder mirrors the encoder, so the sequence of
+//! coded values is written once for both ([`Coder`]). Normative: `PROTOCOL.md`, section 4.1.
 
 /// Bits of a probability when a range is divided.
 const PROBABILITY_BITS: u32 = 12;
@@ -10,7 +10,7 @@ const MIN_RANGE: u32 = 1 << 24;
 /// Bits after which a model learns no slower.
 const MAX_SEEN: u8 = 100;
 
-/// How probable a 1 is.
+/// Model of the probability of a 1.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BitModel {
     /// Of a 1, in units of 1/2¹⁶.
@@ -51,11 +51,11 @@ impl BitModel {
 
 /// An encoder, which takes the bits that it is given and returns them, or a decoder, which ignores these and returns what it reads.
 pub(super) trait Coder {
-    /// A bit with a model.
+    /// Codes a bit with a model.
     fn bit(&mut self, model: &mut BitModel, bit: bool) -> bool;
-    /// So many low bits of a value, the highest first; both values of each are as probable.
+    /// Codes the `bits` low bits of a value, the highest first. 0 and 1 are equally probable.
     fn raw(&mut self, bits: u32, value: u32) -> u32;
-    /// Whether more was read than there is.
+    /// Whether more bytes were read than the payload has.
     fn is_exhausted(&self) -> bool;
 }
 
@@ -230,7 +230,7 @@ const MAX_LENGTH: usize = 20;
 
 #[derive(Clone, Copy, Default)]
 struct NumberContext {
-    /// Whether there are more bits than so many.
+    /// By number of bits: whether the magnitude has more.
     is_longer: [BitModel; MAX_LENGTH],
     is_negative: BitModel,
 }

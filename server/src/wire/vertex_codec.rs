@@ -277,7 +277,7 @@ mod tests {
         writer.payload().to_vec()
     }
 
-    /// Steps of up to so many bits from vertex to vertex, for each word.
+    /// A random walk from vertex to vertex, with steps of up to `bits` bits in each word.
     fn walk(bits: [u32; WORDS], seeds: &[[u16; WORDS]]) -> Vec<WireVertex> {
         let mut words = [0u16; WORDS];
         let step = |seeds: &[u16; WORDS]| {

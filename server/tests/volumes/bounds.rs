@@ -1,4 +1,4 @@
-//! Bounds of what reading may take: memory of the thread, and its time.
+//! Bounds of the memory and the time that reading may take on a thread.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -86,7 +86,7 @@ pub fn load_within(file: &OpenedFile, field: &Field, step: u32) -> Result<Sample
     samples
 }
 
-/// What `work` returns, which may take a second and hold `limit` bytes beyond the fixed buffers.
+/// Runs `work` and returns its result. Panics if it takes a second, or holds more than `limit` bytes beyond the fixed buffers.
 pub fn within<R>(limit: usize, work: impl FnOnce() -> R) -> R {
     ON_THIS_THREAD.with(|_| ());
     let start = own_time();

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::TestRunner;
 
-/// Gives `test` so many random cases of a format, or `ISOPEEL_MUTATIONS` of them, as `make fuzz` does, and then says how many a second.
+/// Runs `test` on `cases` random cases of a format. With `ISOPEEL_MUTATIONS`, which `make fuzz` sets, runs that many and prints the rate.
 pub fn each<S: Strategy>(format: &str, cases: u32, strategy: &S, test: impl Fn(S::Value)) {
     let more: Option<u32> = std::env::var("ISOPEEL_MUTATIONS").ok().and_then(|n| n.parse().ok());
     let config = ProptestConfig {
@@ -29,18 +29,18 @@ pub fn each<S: Strategy>(format: &str, cases: u32, strategy: &S, test: impl Fn(S
 /// Position of a byte that changes, and its new value.
 pub type Change = (Index, u8);
 
-/// Fewer than so many bytes, anywhere.
+/// Changes of 1 to `end` - 1 bytes, at any position.
 pub fn bytes(end: usize) -> impl Strategy<Value = Vec<Change>> {
     prop::collection::vec(any::<Change>(), 1..end)
 }
 
-/// The same, mostly such as make counts and addresses false.
+/// The same, mostly with extreme values, which make counts and addresses wrong.
 pub fn extreme_bytes(end: usize) -> impl Strategy<Value = Vec<Change>> {
     let value = prop_oneof![any::<u8>(), Just(0xff), Just(0)];
     prop::collection::vec((any::<Index>(), value), 1..end)
 }
 
-/// Digits that become digits, and what else numbers have.
+/// Digits that are replaced by digits or other characters of numbers.
 pub fn digits() -> impl Strategy<Value = Vec<Change>> {
     let digit = prop::sample::select(b"0123456789-.e ".to_vec());
     prop::collection::vec((any::<Index>(), digit), 1..4)

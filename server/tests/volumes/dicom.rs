@@ -1,4 +1,4 @@
-//! DICOM: folders that miss something, and what must never be said of a patient. The files are those of
+//! DICOM: incomplete folders, and data of patients that must never be published. The files are those of
 //! `tests/fixtures/volumes/dicom`.
 
 use std::ffi::OsStr;
@@ -190,7 +190,7 @@ fn other_compressions_are_refused_by_name() {
     );
 }
 
-/// Whatever names the patient in the files: see PLANTED in the module that writes them.
+/// Texts that identify the patient in the files: see PLANTED in the module that writes them.
 /// Numbers are long, so that none is in a time or a position by chance.
 const PLANTED: [&str; 8] = [
     "planted",
@@ -211,7 +211,7 @@ fn says_nothing(what: &str, text: &str) {
     }
 }
 
-/// Collects what is logged.
+/// Collects log lines.
 #[derive(Clone, Default)]
 struct Log(Arc<Mutex<Vec<u8>>>);
 

@@ -7,7 +7,7 @@ use isopeel::extraction::LabelInfo;
 use isopeel::volumes::{Dataset, Field, LengthUnit, TimeAxis, open_dataset};
 use serde::Deserialize;
 
-/// What is in a volume: one entry of the list in a JSON file.
+/// Expected contents of a volume: one entry of the list in a JSON file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Expected {

@@ -1,4 +1,5 @@
-//! Round trips: every format, type and byte order. Here is what all formats share; `nrrd`, `nifti` and `vtk` have those of theirs.
+//! Round trips: every format, type and byte order. Tests common to all formats are here, those of single formats in `nrrd`, `nifti` and
+//! `vtk`.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use isopeel_kernels::SampleType;
 use crate::write::{self, KINDS, Volume};
 use crate::write_vtk;
 
-/// Samples along each axis of what `all` has.
+/// Samples along each axis of the volumes of `all`.
 pub const DIMS: [u32; 3] = [4, 3, 5];
 
 /// These files in memory, of which the first is opened.
@@ -30,7 +31,7 @@ pub fn values(samples: &Samples) -> Vec<f32> {
     (0..samples.len()).map(|i| samples.get(i)).collect()
 }
 
-/// Compares all that a reader returns with what was written.
+/// Compares everything that a reader returns with the written volume.
 pub fn same(file: &OpenedFile, v: &Volume, what: &str) {
     assert_eq!((file.geometry.dims, file.steps), (v.dims, v.steps), "{what}");
     let expected = match v.kind {
@@ -303,7 +304,7 @@ fn what_is_no_volume_is_refused() {
     }
 }
 
-/// A file of a name that begins so is refused, for this field of it and in these words.
+/// Asserts that a file whose name begins with `name` is refused, with an error of this field that contains these words.
 pub fn assert_refused(result: Result<OpenedFile, ReadError>, field: &str, words: &str, name: &str) {
     let error = result.err().unwrap_or_else(|| panic!("{field} {words:?}: was read"));
     let text = error.to_string();

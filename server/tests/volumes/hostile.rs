@@ -1,4 +1,5 @@
-//! Truncated, changed and false files: they give an error or a volume, never a panic, and take no memory for what only the header claims.
+//! Truncated, changed and false files: they give an error or a volume, never a panic, and take no memory for data that only the header
+//! claims.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -219,7 +220,7 @@ fn every_truncation_is_an_error_or_the_same_volume() {
                     }
                 }
             }
-            // What may be missing: a line end behind the last number or the last field, and digits of the number that end a text.
+            // These bytes may be missing: a line end behind the last number or the last field, and digits of the number that ends a text.
             let digits = if is_text(&case) { 6 } else { 0 };
             assert!(
                 refused + 2 + digits + case.needless.unwrap_or(0) >= length,
@@ -230,12 +231,12 @@ fn every_truncation_is_an_error_or_the_same_volume() {
     }
 }
 
-/// Whether the last number of a file has no length of its own.
+/// Whether the file ends with a number as text, which is still a number if digits are cut off.
 fn is_text(case: &Case) -> bool {
     case.name.contains("text")
 }
 
-/// The notice of a volume, all of whose samples were read.
+/// Reads all samples of a volume, and returns its notice.
 fn notice(files: &[(&'static str, Vec<u8>)]) -> String {
     let folder: MemoryFolder = files.iter().map(|(n, b)| ((*n).to_owned(), b.clone().into())).collect();
     let file = read_file(&FileLocation::memory(Arc::new(folder), files[0].0)).unwrap();
@@ -430,7 +431,7 @@ fn changed_bytes_never_panic() {
 fn changed_numbers_never_panic() {
     let header = |case: &Case| case.files[0].1.len().min(400);
     for (format, mut cases) in by_format() {
-        // What is compressed or binary may have none.
+        // Compressed and binary files may have no digits.
         cases.retain(|case| case.files[0].1[..header(case)].iter().any(u8::is_ascii_digit));
         if cases.is_empty() {
             continue;

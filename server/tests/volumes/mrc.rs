@@ -1,4 +1,4 @@
-//! MRC and CCP4 maps: round trips, axes and cells, and what is refused.
+//! MRC and CCP4 maps: round trips, axes and cells, and refused files.
 
 use isopeel::volumes::{FileLocation, LengthUnit, OpenedFile, ReadError, Samples, open_dataset, read_file};
 

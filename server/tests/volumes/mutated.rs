@@ -113,7 +113,7 @@ fn copy_part(bytes: &mut [u8], splice: Option<(Index, Index, usize)>) {
     }
 }
 
-/// Bytes anywhere become others, mostly such as make counts and addresses false; or a part is copied over another.
+/// Replaces bytes anywhere, mostly by extreme values that make counts and addresses wrong, or copies a part over another.
 #[test]
 fn changed_bytes_never_panic() {
     for files in FILES {
@@ -145,7 +145,7 @@ fn dicom_cases() -> Vec<Vec<u8>> {
     names.into_iter().map(read).collect()
 }
 
-/// What DICOM may take beside the volume: a frame that a compressed one may be said to be.
+/// Memory that DICOM may take beside the volume: a frame of the size that a compressed one may declare.
 const DICOM_BYTES: usize = 12 << 20;
 
 #[test]

@@ -1,4 +1,4 @@
-//! Neuroglancer's precomputed volumes: which scale is opened, and false ones. What other programs wrote is in `fixtures`.
+//! Neuroglancer's precomputed volumes: which scale is opened, and false ones. Files of other programs are in `fixtures`.
 
 use std::fs;
 use std::path::Path;
@@ -248,7 +248,7 @@ fn large_progressive_images_are_refused() {
     image.0 = "8_8_30/0-4096_0-1536_0-2".into();
     let size = image.1.windows(2).position(|bytes| bytes == [0xff, 0xc2]).unwrap() + 5;
     image.1[size..size + 4].copy_from_slice(&[0x0c, 0, 0x10, 0]);
-    // As many bytes as samples ask for at least.
+    // At least as many bytes as the samples require.
     image.1.resize(4096, 0);
     refused(&write(&files), "data", "a progressive JPEG of 37748736 coefficients");
 }

@@ -1,4 +1,5 @@
-//! Zarr of a server on this machine, which keeps to HTTP or does not: the same volumes as from a folder, or an error that says why.
+//! Zarr over HTTP from a server on this machine, which follows HTTP or violates it: the volumes are those of a folder, or the error says
+//! why not.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -16,7 +17,7 @@ use futures_util::stream;
 use isopeel::volumes::{Catalog, Dataset, ReadError, ReadProgress, open_dataset};
 use tokio::runtime::Runtime;
 
-/// What is answered to a request for a path, instead of the file there.
+/// Answers to requests for paths, instead of the files there.
 type Answer = dyn Fn(&str, &HeaderMap) -> Option<Response> + Send + Sync;
 
 /// A server of the files of a folder, without listings.
@@ -85,7 +86,7 @@ impl Server {
         Ok(dataset)
     }
 
-    /// An error that names the address, and nothing that is secret.
+    /// Asserts that an error names the address, and contains no secret.
     fn refused(&self, path: &str, words: &str) {
         let error = self.load(path).expect_err(words).to_string();
         assert!(error.contains(words), "expected {words:?} in: {error}");
@@ -174,7 +175,7 @@ fn precomputed_volumes_are_those_of_the_folder() {
         let remote = open_dataset(Path::new(&address)).unwrap_or_else(|error| panic!("{open}: {error}"));
         compare(&remote, &local);
     }
-    // Nothing is asked for that only Zarr has.
+    // No files that only Zarr has are requested.
     assert!(
         server
             .requests
@@ -294,7 +295,7 @@ fn what_is_wrong_is_told_with_the_address() {
     with("410 Gone", || (StatusCode::GONE, "secret").into_response());
     with("expected 65", || vec![0; 1 << 20].into_response());
     with("chunk c/", || vec![7; 40].into_response());
-    // The body ends before the length that was said.
+    // The body is shorter than the stated length.
     with("zarr/c/", || {
         let body = Body::from_stream(stream::iter([Ok::<_, std::io::Error>(Bytes::from_static(b"short"))]));
         ([(header::CONTENT_LENGTH, "50")], body).into_response()
@@ -347,7 +348,7 @@ fn a_reader_is_cancelled() {
     assert!(error.contains("reading was cancelled"), "{error}");
 }
 
-/// S3 as far as it is asked: objects by path, and listings.
+/// The part of S3 that is used: objects by path, and listings.
 fn s3(uri: &str, headers: &HeaderMap) -> Option<Response> {
     let signed = headers.get(header::AUTHORIZATION).and_then(|value| value.to_str().ok());
     if !signed.is_some_and(|value| value.starts_with("AWS4-HMAC-SHA256")) {

@@ -70,7 +70,8 @@ impl<'a> Changing<'a> {
         }
     }
 
-    /// The folder as it was written, but for one file. What the last case changed is put back by the next, since a case that fails has no end.
+    /// Returns the folder as it was written, except for the file `at`. Restores the file that the last case changed first: a case that
+    /// fails cannot do so itself.
     fn with(&self, at: usize, bytes: &[u8]) -> &tempfile::TempDir {
         let write = |at: usize, bytes: &[u8]| {
             fs::write(self.folder.path().join(self.name).join(&self.files[at].0), bytes).unwrap();
@@ -82,7 +83,8 @@ impl<'a> Changing<'a> {
     }
 }
 
-/// Changes bytes of one file of one of these folders, of so many random cases of a format, then perhaps cuts it, and reads the folder.
+/// For each of `cases` random cases of a format, changes bytes of one file of one of these folders, perhaps truncates it, and reads the
+/// folder.
 pub fn change_bytes<T>(
     format: &str,
     cases: u32,

@@ -1,4 +1,4 @@
-//! TIFF: what is refused, and what is said; folders of slices.
+//! TIFF: refused files, notices, and folders of slices.
 
 use std::path::{Path, PathBuf};
 

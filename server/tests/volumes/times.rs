@@ -1,4 +1,4 @@
-//! Times of steps, and collections of files: what is read, and what is refused.
+//! Times of steps, and collections of files: accepted and refused ones.
 
 use std::path::Path;
 
@@ -76,7 +76,7 @@ fn steps_of_uneven_files_are_as_uneven() {
     assert_eq!(series.axes, one.axes);
 }
 
-/// As `level`, but so many samples farther along x.
+/// As `level`, but `samples` samples farther along x.
 fn beside(samples: f64, value: i64) -> Volume {
     let mut volume = level(value);
     volume.origin[0] += samples * volume.spacing[0];

@@ -1,4 +1,4 @@
-//! HDF5 and NetCDF: what is refused, and what is said.
+//! HDF5 and NetCDF: refused files and notices.
 
 use std::path::Path;
 

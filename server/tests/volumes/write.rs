@@ -38,7 +38,7 @@ pub struct Volume {
 impl Volume {
     pub fn new(dims: [u32; 3], steps: u32, kind: Kind, big: bool) -> Self {
         let count = dims.iter().product::<u32>() * steps;
-        // Alternates between the ends of the type and what lies between, so that sign and byte order both show.
+        // Alternates between the ends of the type and values between them, so that wrong signs and byte orders show.
         let values = (0..i64::from(count))
             .map(|i| match kind {
                 ('u', 1) => i * 37 % 256,
@@ -386,7 +386,7 @@ pub fn sidecar(v: &Volume, file: &str, encoding: &str) -> Vec<u8> {
 /// The header of Analyze 7.5, beside which stand the samples.
 pub fn analyze(v: &Volume) -> Vec<u8> {
     let mut header = nifti(v, |h| h.f32(108, 0.0))[..348].to_vec();
-    // What follows has another meaning than in NIfTI.
+    // The following fields have another meaning than in NIfTI.
     header[252..].fill(0);
     header
 }

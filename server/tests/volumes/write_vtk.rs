@@ -69,7 +69,7 @@ pub fn vti(v: &Volume, form: &str) -> Vec<u8> {
     out
 }
 
-/// What follows appended data.
+/// Text behind the appended data.
 pub const VTI_END: &[u8] = b"\n</AppendedData></VTKFile>\n";
 
 /// Legacy VTK of one step, as text or big-endian.

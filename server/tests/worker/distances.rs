@@ -122,7 +122,7 @@ async fn distances_are_fields_like_others() {
         let counts = |s: &isopeel_kernels::SurfaceStatistics| (s.full_triangles, s.triangles, s.vertices);
         assert_eq!(counts(&found), counts(&expected), "{rest}");
     }
-    // Nothing has the label: said on the device and on the host.
+    // No sample has the label: an error on the device and on the host.
     for rest in ["", r#", "cap": true"#, r#", "mask": "value>9""#] {
         let error = made("distance(labels==9)", rest)
             .await

@@ -208,7 +208,7 @@ async fn what_opening_takes_is_counted_for_everyone_who_waits_for_it() {
     assert_eq!(watch.progress(), times(3, 8));
     assert_eq!(same.progress(), times(3, 8), "who waits for another's load");
 
-    // What is there already is not counted.
+    // Resident data is not counted.
     let (three, rest) = worker.watched(&volume, &opening).await.expect("a device");
     assert_eq!(rest.progress(), times(0, 5));
     three.histogram(&volume, "second", &none).await.expect("a histogram");
@@ -254,7 +254,7 @@ async fn a_load_that_nobody_waits_for_is_cancelled() {
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
     assert_eq!(count(&slow.cancelled), 1);
-    // The next one loads it anew.
+    // The next request loads it again.
     let histogram = worker.histogram(&volume, "slow", &none).await.expect("a histogram");
     assert_eq!(histogram.range[0], 0.0);
     assert_eq!(count(&slow.loads), 2);
@@ -372,7 +372,7 @@ async fn a_step_that_was_read_ahead_is_not_read_again() {
     assert_eq!(reads(), 1, "the field that the view uses");
     worker.extract(&next, &view, u64::MAX, &token).await.expect("extracts");
     assert_eq!(reads(), 1);
-    // With a budget of one field: the other field of this step takes the place of what was read ahead and not used, not of what was.
+    // With a budget of one field, the other field of this step evicts the field that was read ahead and not used, not the one in use.
     worker
         .read_ahead(&now, views, bytes * 3 / 10, &token)
         .await

@@ -173,7 +173,7 @@ async fn an_expression_that_nobody_waits_for_ends_and_leaves_no_memory() {
     let Volumes { worker, large, .. } = &volumes;
     let bytes = async || worker.memory().await.expect("a device").volume_bytes;
     let before = bytes().await;
-    // More than one, as each goes on for a while: the next edit may ask for it again.
+    // More than one, because each continues for a while without callers: the next edit may need it again.
     for seed in 0..6 {
         let text = costly("waves", seed);
         let left = timeout(Duration::from_millis(50), worker.slice(large, &text, 2, 5)).await;

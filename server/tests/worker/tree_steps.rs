@@ -60,7 +60,7 @@ impl Viewer {
     }
 }
 
-/// Edges that one triangle alone has, but for those on the faces of the volume.
+/// Counts the edges of only one triangle, except those on the faces of the volume.
 fn open_edges(surface: &Surface) -> usize {
     const LAST: i32 = (Folds::SIDE as i32 - 2) * Vertex::LATTICE;
     let mut edges: HashMap<[[i32; 3]; 2], usize> = HashMap::new();

@@ -1,4 +1,4 @@
-//! Whose turn it is: viewers and requests in one queue, and what takes long beside others.
+//! Scheduling: viewers and requests in one queue, and long jobs beside others.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -99,7 +99,7 @@ struct TwoViewers {
 }
 
 impl TwoViewers {
-    /// With the first surface made: what follows is the tree.
+    /// With the first surface made: the tree comes next.
     async fn start() -> Self {
         // Many folds, so that the vertex tree takes many launches.
         let dataset = Folds::dataset(0.7);
@@ -128,7 +128,7 @@ impl TwoViewers {
 
     /// Bytes in use on the device.
     async fn in_use(&self) -> u64 {
-        // The first may run in a pause that has begun, the second after what was cancelled.
+        // The first job may run in a pause that has begun already, the second one runs after the cancelled work has ended.
         self.other_job().await;
         self.other_job().await;
         let memory = self.worker.memory().await.expect("a device");

@@ -211,7 +211,7 @@ async fn normals_are_exact_on_a_plane_but_for_their_rounding() {
         assert!(cosine > 0.999_99, "{position:?}: {:?}, cosine {cosine}", [x, y, z]);
     }
 
-    // Normals of the dual mesher are exact but for their rounding to two bytes, in cells of the largest lengths.
+    // Normals of the dual mesher are exact except for their rounding to two bytes, in cells of the largest lengths.
     let (_, mesh) = extract(&worker, &dataset, &view(&dataset, &format!("{{{plain}}}"))).await;
     assert!(mesh.normals.len() > 200);
     let [_, z] = written_positions();
@@ -258,7 +258,7 @@ async fn stated_errors_are_bounds_from_above() {
             "{rest}: {max}, stated {}",
             stated.max
         );
-        // The stated one is of the two directions together, so half the squares are of this one.
+        // The stated error combines both directions, so this direction has half of the squares.
         assert!(
             rms <= f64::from(stated.rms) * 2f64.sqrt(),
             "{rest}: {rms}, stated {}",

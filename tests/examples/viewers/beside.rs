@@ -29,7 +29,7 @@ pub enum Beside {
     Edits,
     /// Sends messages that are none, and before the server closes the connection a good one
     Malformed,
-    /// Sends pings, and pongs that nobody has asked for
+    /// Sends pings, and pongs that the server did not request
     Pings,
     /// Sends a message in pieces without end, each of which is empty
     Pieces,

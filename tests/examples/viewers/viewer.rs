@@ -165,7 +165,7 @@ impl Viewer {
         Ok(())
     }
 
-    /// Edits when it is time, whatever has come; so many times.
+    /// Sends `edits` edits on a schedule, whether answers have arrived or not.
     pub async fn edit_at(
         &mut self,
         random: &mut Random,

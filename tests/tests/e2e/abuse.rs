@@ -1,4 +1,4 @@
-//! Clients that do what the page forbids, or nothing at all.
+//! Clients that violate `server/PROTOCOL.md`, or stay silent.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -23,7 +23,7 @@ async fn error_for(viewer: &mut Viewer, message: &str) -> (String, bool) {
                 assert!(!message.is_empty());
                 return (code, open);
             }
-            // Of the surface before, whenever the server has time for it.
+            // Of the previous surface; may come at any time.
             Frame::Measured { .. } => {}
             other => panic!("{message}: expected `error`, got {other:?}"),
         }
@@ -167,7 +167,7 @@ async fn what_is_not_open_or_not_there_is_said_so() {
     }
 }
 
-/// Reads to the close frame; its code.
+/// Reads to the close frame; returns its code.
 async fn close_code(viewer: &mut Viewer) -> Option<u16> {
     loop {
         if let Frame::Closed { code } = viewer.next().await {
@@ -212,11 +212,11 @@ async fn a_binary_frame_closes_with_1003_and_a_message_too_long_with_1009() {
     assert_eq!(close_code(&mut viewer).await, Some(1009));
 }
 
-/// So long that all buffers between a server and a client that does not read are full: the server sends little ahead of pongs.
+/// Long enough to fill all buffers between a server and a client that does not read: the server sends little ahead of pongs.
 const ASKING: Duration = Duration::from_secs(32);
 
-/// Opens the demo and asks for surface after surface, reading nothing: a client whose tab sleeps. Its receive buffer is
-/// small, so that the network takes little on its own.
+/// Opens the demo and requests surface after surface without reading: a client whose tab sleeps. Its receive buffer is
+/// small, so that the network buffers little.
 async fn ask_without_reading(address: SocketAddr, stop: Instant) -> WebSocketStream<TcpStream> {
     let socket = TcpSocket::new_v4().expect("a socket");
     socket.set_recv_buffer_size(4096).expect("a small buffer");
@@ -232,7 +232,7 @@ async fn ask_without_reading(address: SocketAddr, stop: Instant) -> WebSocketStr
     let mut iso = 60.0;
     while Instant::now() < stop {
         let edit = json!({"type": "edit", "iso": iso, "beta": -1});
-        // the server may have closed by then: what it said is read later
+        // the server may have closed by then: its messages are read later
         if socket.send(text(edit)).await.is_err() {
             break;
         }
@@ -300,7 +300,7 @@ async fn a_client_that_says_nothing_and_answers_no_ping_is_closed() {
     let Some(own) = server::start_with(deadlines) else {
         return;
     };
-    // a viewer that reads answers pings by itself and stays
+    // a viewer that reads answers pings by itself and stays connected
     let mut alive = Viewer::open(own.address, demo::ID).await;
     let reading = tokio::spawn(async move { tokio::time::timeout(Duration::from_secs(3), alive.next()).await });
     let silent = connect(own.address, Some("isopeel.v2"))
@@ -349,7 +349,7 @@ async fn shutdown_closes_viewers_with_1001() {
     stopped.expect("the server stops within 30 s").expect("and cleanly");
 }
 
-/// A page that a user has open beside the server must not drive it, nor read its REST answers.
+/// Another page that a user has open must not control the server, nor read its REST answers.
 #[tokio::test]
 async fn pages_of_other_origins_are_refused_unless_allowed() {
     let Some(address) = server::shared() else { return };

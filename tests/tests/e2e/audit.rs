@@ -1,4 +1,4 @@
-//! The audit log, and the rate limits of clients, which are told apart by what their proxy says.
+//! The audit log, and the rate limits of clients, which are distinguished by the address that their proxy sends.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -39,7 +39,7 @@ fn lines(log: &Path, count: usize) -> Vec<Value> {
 
 struct Client {
     address: SocketAddr,
-    /// As the proxy has it.
+    /// Client address, as the proxy states it.
     peer: &'static str,
     bearer: String,
 }
@@ -119,7 +119,7 @@ fn who_has_done_what_is_written_down_without_secrets_and_names() {
     ];
     assert_eq!(lines(&log, 4), expected);
 
-    // Tokens that come and go, in a new file.
+    // Creation and revocation of tokens, in a new file.
     let moved = setting.folder.path().join("audit.1");
     std::fs::rename(&log, &moved).expect("moved");
     server.signal("HUP");
@@ -167,7 +167,7 @@ fn who_asks_too_often_waits_and_others_do_not() {
         peer,
         bearer: format!("Bearer {token}"),
     };
-    // A client that tries tokens has five tries in a burst, and then one in two seconds.
+    // A client that guesses tokens has five tries in a burst, and then one in two seconds.
     let guesser = client("192.0.2.1", &"x".repeat(43));
     let tries = (0..20).find(|_| guesser.ask("GET", "/api/v1/session", "").status == 429);
     assert!(tries.is_some_and(|tries| (4..=6).contains(&tries)), "{tries:?}");
@@ -183,7 +183,7 @@ fn who_asks_too_often_waits_and_others_do_not() {
             "{peer}"
         );
     }
-    // Of a token, wherever it comes from.
+    // The limit of a token holds for all addresses together.
     let peers = ["192.0.2.3", "192.0.2.4", "2001:db8::1"];
     let tries = (0..100).find(|&i| client(peers[i % 3], token).ask("GET", "/api/v1/session", "").status == 429);
     assert!(tries.is_some_and(|tries| (27..=60).contains(&tries)), "{tries:?}");

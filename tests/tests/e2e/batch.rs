@@ -1,4 +1,4 @@
-//! `isopeel batch` of many volumes and time steps: what fails is noted, and the same command goes on.
+//! `isopeel batch` of many volumes and time steps: failures are recorded, and the same command continues.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -87,7 +87,7 @@ impl Setting {
 
     fn manifest(&self) -> Vec<Value> {
         let text = std::fs::read_to_string(self.output().join("manifest.jsonl")).unwrap_or_default();
-        // Of a process that was killed the last line may be cut off.
+        // If the process was killed, the last line may be cut off.
         text.lines().flat_map(serde_json::from_str).collect()
     }
 

@@ -6,7 +6,7 @@ use crate::support::{command, server};
 
 const SETTINGS: [&str; 4] = ["opening", "full", "25 %", "8 %"];
 
-/// What is timed at each setting, and at which of them.
+/// The timed edits, each with its settings.
 const EDITS: [(&str, &[&str]); 13] = [
     ("isovalue", &SETTINGS),
     ("budget", &["25 %", "8 %"]),

@@ -1,4 +1,4 @@
-//! Errors and budgets: what they promise on the command line, in REST and on the stream.
+//! Errors and budgets are kept on the command line, in REST and on the stream.
 
 use serde_json::{Value, json};
 
@@ -23,7 +23,7 @@ fn count(statistics: &Value, name: &str) -> u64 {
         .unwrap_or_else(|| panic!("{name} in {statistics}"))
 }
 
-/// Under the budget, and nearly as many.
+/// Asserts that the triangles are within the budget and nearly use it.
 #[track_caller]
 fn assert_kept(triangles: u64, budget: u64) {
     assert!(
@@ -323,7 +323,7 @@ async fn a_tree_cut_is_watertight_and_keeps_the_topology() {
     }
 }
 
-/// Whether a guard that was set allows a budget does not depend on what was extracted before.
+/// Whether a guard allows a budget does not depend on earlier extractions.
 #[tokio::test]
 async fn a_set_guard_allows_on_a_fresh_surface_what_it_allows_later() {
     let Some(address) = server::shared() else { return };

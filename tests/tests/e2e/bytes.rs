@@ -1,4 +1,4 @@
-//! What travels, weighed: the shares that prefixes take before the final surface, and budgets of bytes.
+//! Bytes on the wire: the shares of prefixes before the final surface, and budgets of bytes.
 
 use std::ffi::OsStr;
 use std::time::Duration;
@@ -28,14 +28,14 @@ fn final_bytes(viewer: &Viewer) -> usize {
     viewer.shown.values().map(|chunk| chunk.frame_bytes).sum()
 }
 
-/// Each edit by a viewer of its own, which has it planned, and then all of them by one, whose first prefixes are guessed from
-/// the plan before.
+/// Sends each edit by a viewer of its own, for which the prefixes are planned, and then all edits by one viewer, for which the first
+/// prefixes are guessed from the previous plan.
 #[tokio::test]
 async fn the_first_prefix_is_under_3_percent_and_all_are_under_twice_the_surface() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("ball.npy");
     ball::write(&file);
-    // As few steps as on a fast machine and line, however slow these are.
+    // As few steps as on a fast machine and line, even if these are slow.
     let deadlines = Deadlines {
         steps: StepTimes {
             first: Duration::MAX,
@@ -74,7 +74,7 @@ async fn the_first_prefix_is_under_3_percent_and_all_are_under_twice_the_surface
         let mut one = Viewer::open(own.address, volume).await;
         for edit in edits {
             let mut alone = Viewer::open(own.address, volume).await;
-            // Planned, and guessed from the surface before.
+            // Planned, and guessed from the previous surface.
             for viewer in [&mut alone, &mut one] {
                 let bytes = prefixes(viewer, edit.clone()).await;
                 let whole = final_bytes(viewer);
@@ -95,11 +95,11 @@ async fn the_first_prefix_is_under_3_percent_and_all_are_under_twice_the_surface
             }
         }
     }
-    // The others are small enough to come at once.
+    // The others are small enough to be sent in one step.
     assert!(coarse_first >= 8, "{coarse_first} of 14 began coarse");
 }
 
-/// Under the budget, and at least 85 % of it; or else the next smaller tolerance would be over it.
+/// The surface is within the budget and uses at least 85 % of it, unless the next smaller tolerance would exceed it.
 #[tokio::test]
 async fn a_budget_of_bytes_is_kept_and_filled() {
     let Some(address) = server::shared() else { return };
@@ -158,7 +158,7 @@ async fn the_command_keeps_and_fills_a_budget_of_bytes() {
     }
 }
 
-/// The log has a line for each.
+/// The log has a line for each of them.
 #[test]
 fn two_surfaces_at_most_are_encoded_for_a_budget_of_bytes() {
     if !server::has_device() {

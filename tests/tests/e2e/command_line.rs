@@ -99,7 +99,7 @@ fn a_mask_restricts_the_surface_to_whole_cells_inside() {
             "{same}"
         );
     }
-    // The border of a mask is that of a hole: it stays as it is, however coarse the rest.
+    // The border of a mask is treated as that of a hole: it is not decimated, even if the rest is coarse.
     assert!(half["leaves"][0].as_u64() > Some(100), "{half}");
     assert_eq!(
         extract("--mask labels>1 --feature gradient-magnitude")["activeCells"],
@@ -272,7 +272,7 @@ fn a_surface_without_triangles_is_an_exit_code_and_no_file() {
         assert!(written.len() >= bytes, "{format}: {} bytes", written.len());
         std::fs::remove_file(&out).expect("removed");
     }
-    // Counted alone, none is an answer.
+    // If triangles are only counted, none is a valid result.
     let counted = command::extract(["--iso".as_ref(), "1000".as_ref(), demo_file().as_os_str()]);
     assert_eq!(counted["triangles"], 0);
 }
@@ -375,7 +375,7 @@ fn help_and_version_are_there() {
     }
 }
 
-/// PoCL cannot do without a folder of compiled kernels: if it cannot be used, another one takes its place, and a warning says so.
+/// PoCL needs a folder for compiled kernels. If the folder is unusable, another one is used, with a warning.
 #[test]
 fn without_a_folder_for_kernels_another_one_is_used() {
     use std::os::unix::fs::PermissionsExt;

@@ -1,5 +1,5 @@
-//! Many viewers who follow one: what an edit of that one takes to be on all of their screens, what they cost, and that they see it as soon beside
-//! clients that misbehave.
+//! Many viewers who follow one: the time until an edit of the leader is on all of their screens, their cost, and that they are not delayed
+//! by clients that misbehave.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -36,7 +36,7 @@ async fn say(socket: &mut Socket, message: Value) {
         .expect("it is sent");
 }
 
-/// The next text frame; chunks are passed over.
+/// Returns the next text frame; skips chunks.
 async fn text(socket: &mut Socket) -> Value {
     loop {
         let frame = tokio::time::timeout(PATIENCE, socket.next())
@@ -81,7 +81,7 @@ async fn follow(address: SocketAddr, group: String, seen: mpsc::Sender<(u64, Ins
     }
 }
 
-/// That so many of a hundred are at or below it.
+/// Returns the time that `percent` per cent of the times do not exceed.
 fn percentile(times: &mut [Duration], percent: usize) -> Duration {
     times.sort_unstable();
     times[(times.len() * percent / 100).min(times.len() - 1)]
@@ -125,7 +125,7 @@ impl Crowd {
         })
     }
 
-    /// So many follow from now on, and have what is shown.
+    /// Makes `followers` viewers follow from now on, and waits until they have the shown surface.
     async fn join(&mut self, followers: usize) {
         say(&mut self.leader, json!({"type": "lead"})).await;
         let group = until(&mut self.leader, "group").await["group"]
@@ -147,7 +147,7 @@ impl Crowd {
     async fn edit(&mut self, iso: f64) -> (Instant, Duration) {
         let start = Instant::now();
         say(&mut self.leader, json!({"type": "edit", "iso": iso})).await;
-        // The surface before may become a better one meanwhile.
+        // The previous surface may be improved meanwhile.
         let before = self.generation;
         while self.generation == before {
             let committed = until(&mut self.leader, "committed").await;
@@ -216,14 +216,14 @@ async fn a_crowd_that_follows_sees_an_edit_soon_and_costs_little() {
     let metrics = crowd.metrics();
     assert_eq!(counted(&metrics, "isopeel_followers", ""), followers as f64);
     assert_eq!(counted(&metrics, "isopeel_stream_errors_total", ""), 0.0);
-    // Each step is made once, for all: two or three an edit, and the better one.
+    // Each step is made once for all viewers: two or three per edit, and the improved one.
     let made = counted(&metrics, "isopeel_cache_requests_total", r#"what="step",result="miss""#);
     assert!(made <= (2 * EDITS * 8) as f64, "{made} steps");
     assert!(more < 2 << 30, "{} MiB", more >> 20);
     crowd.end().await;
 }
 
-/// A client that misbehaves, until the server closes the connection; it reads only what it has to.
+/// A client that misbehaves until the server closes the connection. It reads only as much as necessary.
 async fn misbehave(address: SocketAddr, how: usize) {
     let Ok(mut socket) = connect(address, Some("isopeel.v2")).await else {
         return;
@@ -242,7 +242,7 @@ async fn misbehave(address: SocketAddr, how: usize) {
         1 => flood(socket, || open.clone()).await,
         2 => flood(socket, || Message::Ping(Default::default())).await,
         3 => flood(socket, || Message::Pong(Default::default())).await,
-        // 15 that are none, and a good one: what is not open is not edited.
+        // 15 malformed messages, and a valid one, which has no effect because no volume is open.
         4 => {
             let mut n = 0;
             flood(socket, || {
@@ -251,7 +251,7 @@ async fn misbehave(address: SocketAddr, how: usize) {
             })
             .await
         }
-        // A message in pieces without end, each of which is empty: as they are on the line, masked.
+        // A message of endless empty fragments, as masked bytes on the wire.
         _ => {
             let tcp = socket.get_mut();
             let _ = tcp.write_all(&[0x01, 0x80, 0, 0, 0, 0]).await;
@@ -261,7 +261,7 @@ async fn misbehave(address: SocketAddr, how: usize) {
     }
 }
 
-/// Sends as fast as the server takes it, and reads what comes.
+/// Sends as fast as the server accepts messages, and reads all frames.
 async fn flood(socket: Socket, mut next: impl FnMut() -> Message) {
     let (mut sink, mut stream) = socket.split();
     let reading = async { while let Some(Ok(_)) = stream.next().await {} };
@@ -272,17 +272,18 @@ async fn flood(socket: Socket, mut next: impl FnMut() -> Message) {
     }
 }
 
-/// So many kinds of [`misbehave`], one of each at a time.
+/// Number of kinds of [`misbehave`]; one client of each kind runs at a time.
 const KINDS: usize = 6;
 /// In turns, without them and beside them.
 const ROUNDS: usize = 2;
 /// Edits of each.
 const EDITS_OF_A_ROUND: usize = 2;
-/// Beside them an edit may take so many times as long as without, for they have a share of the device, as any viewer has; and the time of two
-/// turns of it, of 50 ms or so: without them an edit may take less than one.
+/// Limit for an edit beside misbehaving clients: `MAX_RATIO` times the time of an edit without them, because they have a share of the
+/// device as any viewer has, plus the time of two turns of the device, each about 50 ms: without them an edit may take less than one turn.
 const MAX_RATIO: f64 = 4.0;
 const TWO_TURNS: Duration = Duration::from_millis(100);
-/// How long they are alone, after what they may do at once, and the part of a processor that all of them together may use then.
+/// Time for which only the misbehaving clients run, after their initial burst, and the maximum share of a processor that all of them
+/// together may use then.
 const ALONE: Duration = Duration::from_secs(2);
 const MAX_PROCESSORS: f64 = 0.2;
 

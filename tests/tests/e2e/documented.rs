@@ -1,5 +1,5 @@
-//! The commands of README, CONTRIBUTING, docs and docker. Each is run here as it is written, or names the test or script that runs it, or says
-//! why none does. A command that is new or has changed fails until it is in the list.
+//! The commands of README, CONTRIBUTING, docs and docker. The list states for each command that it is run here as written, or the test or
+//! script that runs it, or why none does. A new or changed command fails until it is in the list.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -13,12 +13,12 @@ const PROGRAMS: [&str; 22] = [
     "mkdir", "ninja", "openssl", "python3", "rm", "sbatch", "ssh", "sudo", "sudoedit", "tar",
 ];
 
-/// What becomes of a command.
+/// How a command is tested.
 #[derive(Debug)]
 enum How {
-    /// It ends with success here.
+    /// It is run here and must succeed.
     Run,
-    /// It is a server here, until the page starts another one.
+    /// It is run here as a server, until the page starts another one.
     Serve,
     /// This file runs it: its path, and words that it has.
     By(&'static str, &'static str),
@@ -172,7 +172,7 @@ fn commands_of(page: &Path) -> Vec<String> {
     let mut lines = text.lines();
     while let Some(line) = lines.next() {
         if let Some(language) = line.strip_prefix("```") {
-            // The first line of bash tells the block.
+            // The first line of bash identifies the block.
             let is_bash = fence.is_none() && language == "bash";
             fence = if fence.is_none() { Some(is_bash) } else { None };
             if is_bash {
@@ -208,7 +208,7 @@ fn is_command(line: &str) -> bool {
         || program.starts_with("~/")
 }
 
-/// Without the comment behind it.
+/// Removes the trailing comment.
 fn shortened(line: &str) -> String {
     line.split(" # ").next().unwrap_or_default().trim().to_owned()
 }
@@ -314,7 +314,7 @@ fn pages_and_images_name_this_version() {
 struct Folder {
     root: tempfile::TempDir,
     server: Option<process::Process>,
-    /// What commands of the page have in the place of SERVER, ID and their like.
+    /// Values that replace SERVER, ID and other placeholders in commands of the page.
     names: HashMap<&'static str, String>,
 }
 
@@ -395,7 +395,7 @@ impl Folder {
         self.root.path().join(name).display().to_string()
     }
 
-    /// Runs a line, which has to succeed; returns what it prints.
+    /// Runs a line, which must succeed; returns its output.
     fn bash(&self, line: &str) -> String {
         let path = std::env::var("PATH").expect("a path");
         let name = |name: &str| self.names.get(name).map_or("", String::as_str);

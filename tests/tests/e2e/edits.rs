@@ -20,7 +20,7 @@ fn plain(iso: f64, beta: f64) -> Value {
 /// that repeats what it holds; here the log proves that a region whose final mesh is the same was not touched at all.
 #[tokio::test]
 async fn a_beta_edit_sends_only_the_regions_that_it_changes() {
-    // Straight to the final surface, however slow this machine is.
+    // Directly to the final surface, even on a slow machine.
     let deadlines = Deadlines {
         steps: StepTimes {
             first: Duration::MAX,
@@ -134,7 +134,7 @@ async fn an_edit_during_another_supersedes_it() {
     let Some(Frame::Done { generation: last, .. }) = viewer.log.last() else {
         panic!("{:?}", viewer.log.last())
     };
-    // the first edit may have been through before the second arrived; then both are done, in order
+    // the first edit may have been completed before the second arrived; then both are done, in order
     let ended_first = viewer.log.iter().any(|frame| match frame {
         Frame::Superseded { generation, .. } | Frame::Done { generation, .. } => *generation == first,
         _ => false,
@@ -191,7 +191,7 @@ async fn cancel_ends_running_work_and_what_was_committed_stands() {
     assert_eq!(done, 1, "the cancelled edit is not done");
 }
 
-/// On a CPU it takes as long to find out how a budget is kept as to build the pyramid.
+/// On a CPU, finding the cut for a budget takes as long as building the pyramid.
 #[tokio::test]
 async fn a_new_surface_is_seen_before_its_budget_is_found() {
     let Some(address) = server::shared() else { return };

@@ -1,4 +1,4 @@
-//! What programs that read exports expect of them: outside, unit, values, and vertices of one sheet each.
+//! Properties of exports that other programs expect: orientation, unit, values, and vertices of one sheet each.
 
 use std::collections::HashMap;
 use std::io::Write;
@@ -13,7 +13,7 @@ fn write(path: &Path, inside: f32, unit: Option<&str>) {
     let units = unit.map_or(String::new(), |unit| {
         format!("space units: \"{unit}\" \"{unit}\" \"{unit}\"\n")
     });
-    // Of a patient's axes millimetres are assumed.
+    // For a patient's axes, millimetres are assumed.
     let space = match unit {
         Some(_) => "space: left-posterior-superior",
         None => "space dimension: 3",
@@ -107,7 +107,7 @@ fn the_outside_of_a_closed_surface_is_away_from_what_it_encloses() {
             );
         }
     }
-    // What leaves the volume encloses nothing.
+    // A surface that leaves the volume encloses no volume.
     let (open, ..) = setting.extract(&low, "--iso 5", "stl");
     assert_eq!(
         open["shape"],
@@ -405,7 +405,8 @@ fn caps_add_no_triangles_that_intersect() {
     }
 }
 
-/// Edges that pierce a triangle without a corner in common, of all pairs. Not exact: edges and triangles that hardly meet are left out.
+/// Counts edges that pierce a triangle without a common corner, over all pairs. Not exact: edges and triangles that hardly meet are left
+/// out.
 fn piercing(mesh: &FileMesh) -> usize {
     let at = |corner: u32| mesh.positions[corner as usize];
     let minus = |a: [f64; 3], b: [f64; 3]| [0, 1, 2].map(|i| a[i] - b[i]);

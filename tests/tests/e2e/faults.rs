@@ -1,4 +1,4 @@
-//! What a server survives of its device: `faults.c` is a layer between it and the driver.
+//! A server survives failures of its device: `faults.c` is a layer between it and the driver that injects them.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use crate::support::{ball, demo, http, server};
 
 /// Longest time to an answer after the device is back, and to the demo's surface.
 const SOON: Duration = Duration::from_secs(5);
-/// The same on a machine that others use: what is asserted.
+/// The asserted limit, for a machine that is also used by others.
 const LIMIT: Duration = Duration::from_secs(60);
 
 /// A server whose device fails as the test says.
@@ -47,15 +47,15 @@ impl Faulty {
         self.process.address
     }
 
-    /// From now on this fails.
+    /// Makes the device fail in this way from now on.
     fn fail(&self, what: &str) {
-        // Renamed into its place, so that it is never seen half written.
+        // Renamed into place, so that it is never read half written.
         let new = self.folder.path().join("new");
         std::fs::write(&new, what).expect("written");
         std::fs::rename(new, self.fault()).expect("renamed");
     }
 
-    /// The device is well again.
+    /// Ends the failure of the device.
     fn mend(&self) {
         std::fs::remove_file(self.fault()).expect("the fault was still there");
     }
@@ -73,7 +73,7 @@ impl Faulty {
         line.map_or(0, |count| count.parse().expect("a number"))
     }
 
-    /// Waits until the device is ready; says how long that took.
+    /// Waits until the device is ready; returns how long that took.
     fn ready(&self) -> Duration {
         let start = Instant::now();
         while http::get(self.address(), "/readyz").status != 200 {
@@ -101,12 +101,12 @@ fn extract(address: SocketAddr, iso: f32) -> http::Answer {
     http::post_json(address, "/api/v1/extract", &body)
 }
 
-/// What was made, without how long it took.
+/// Counts of the surface, without times.
 fn counts(statistics: &Value) -> (Option<u64>, Option<u64>) {
     (statistics["triangles"].as_u64(), statistics["fullTriangles"].as_u64())
 }
 
-/// Sends an edit of which the device makes nothing; the error's message.
+/// Sends an edit that fails on the device; returns the error's message.
 async fn failed(viewer: &mut Viewer, edit: Value) -> String {
     viewer.send(edit).await;
     loop {
@@ -146,14 +146,14 @@ async fn a_device_that_is_lost_is_opened_again_and_nobody_has_to_ask_twice() {
     let loaded = start.elapsed();
     assert_eq!(after.body, before.body, "the same export");
 
-    // And what is lost beside an export, which is made all the same.
+    // The device is lost during an export, which is completed nevertheless.
     server.fail("lost");
     assert_eq!(extract(address, 1.0).status, 200);
     assert_eq!(server.losses(), 2);
     println!("first edit after a loss {edited:?}, wanted {SOON:?}; an export {loaded:?}, the first of all {first:?}");
 }
 
-/// NVIDIA's driver lets a process that had a fault open nothing any more.
+/// After a fault, NVIDIA's driver does not let the process open a device any more.
 #[tokio::test(flavor = "multi_thread")]
 async fn where_the_driver_asks_for_another_process_the_server_is_back_with_its_address_and_token() {
     if !server::has_device() {
@@ -279,10 +279,10 @@ fn a_file_that_goes_away_is_named_and_others_are_served() {
     let body = json!({"volume": "other", "iso": 0, "format": "stl"});
     let of_other = http::post_json(server.address, "/api/v1/extract", &body);
     assert_eq!(of_other.status, 200);
-    // Back as it was, it is read as if nothing had been.
+    // Restored, the file is read as before.
     std::fs::write(&ball, &whole).expect("written");
     assert_eq!(extract(server.address, 0.0).body.len(), of_other.body.len());
-    // And what is on the device stays when the file goes.
+    // Data on the device stays usable if the file is removed.
     std::fs::remove_file(&ball).expect("it was there");
     assert_eq!(extract(server.address, 1.0).status, 200);
 }
@@ -303,7 +303,7 @@ async fn memory_that_cannot_be_had_is_named() {
     assert_eq!(server.losses(), 0);
 }
 
-/// The device's kernel never returns until the fault is mended: requests wait for it, and probes learn of it.
+/// A kernel of the device does not return until the fault ends: requests wait for it, and health probes report it.
 #[test]
 fn a_driver_that_is_stuck_is_noticed() {
     let Some(faulty) = Faulty::start() else { return };

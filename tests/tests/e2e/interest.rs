@@ -143,7 +143,7 @@ fn beta_merges_nothing_in_a_region_of_more_importance() {
     let [none, below, above, sphere] = [json!([]), whole(0.6), whole(0.61), of_json(ON_THE_BRAIN)].map(leaves);
     assert_eq!(none, below);
     assert!(above > 10 * none.max(1), "{above} triangles, {none} before");
-    // But for triangles across the border, whose cubes all reach inside.
+    // Equal, except for triangles across the border, whose cubes all reach inside.
     assert!(
         sphere.abs_diff(above) * 100 <= above,
         "{sphere} triangles, {above} where all is important"

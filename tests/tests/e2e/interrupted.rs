@@ -1,4 +1,4 @@
-//! Batch jobs that are interrupted, and go on: commands that end, servers that restart while clients watch, disks that are full.
+//! Batch jobs that are interrupted and continue: commands that end, servers that restart while clients watch, disks that are full.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use crate::jobs::{Setting, extraction, files_below, finished, request, submit};
 use crate::support::{command, http, process, server};
 
-/// Longest wait for what happens soon.
+/// Longest wait for anything that should happen soon.
 const LIMIT: Duration = Duration::from_secs(60);
 /// Extractions of a job: many more than are made before it is interrupted for the last time.
 const EXTRACTIONS: usize = 100;
@@ -34,7 +34,7 @@ fn extractions(count: usize) -> Vec<Value> {
     (0..count).map(|n| extraction((n % 16) as f64 / 4.0, "stl")).collect()
 }
 
-/// Which file has an extraction's result, and when it was written: another one differs in one of them.
+/// Identity of the file of each extraction's result (file and time of writing): a rewritten file differs in one of them.
 type Made = BTreeMap<usize, (u64, i64, i64)>;
 
 fn made(path: &Path) -> Option<(u64, i64, i64)> {
@@ -114,7 +114,7 @@ fn a_batch_that_is_interrupted_goes_on_and_makes_nothing_anew() {
     );
 }
 
-/// Stands between clients and a server that starts again at another address, and keeps what either has sent.
+/// Proxy between clients and a server that restarts at another address; records the bytes of both sides.
 struct Proxy {
     address: SocketAddr,
     to: Arc<Mutex<SocketAddr>>,
@@ -135,7 +135,7 @@ impl Proxy {
         std::thread::spawn(move || {
             for client in listener.incoming().flatten() {
                 let address = *to.lock().expect("not poisoned");
-                // Dropped, it is a connection that breaks.
+                // Dropping it breaks the client's connection.
                 let Ok(server) = TcpStream::connect(address) else {
                     continue;
                 };
@@ -147,7 +147,7 @@ impl Proxy {
         proxy
     }
 
-    /// What follows a name at the beginning of lines, as numbers.
+    /// The numbers after a name at the beginning of lines.
     fn numbers(log: &Mutex<Vec<u8>>, name: &str) -> Vec<i64> {
         let log = log.lock().expect("not poisoned");
         let text = String::from_utf8_lossy(&log);
@@ -300,7 +300,8 @@ fn told_of_a_pause(text: &str) {
     );
 }
 
-/// Balancers find out by `/readyz` that others are to be asked, while each request is answered; what runs at the end of that has as long again.
+/// While a server drains, `/readyz` tells load balancers to use other servers, and each request is still answered. Requests that run at the
+/// end of this period get the same time again.
 #[test]
 fn a_server_that_drains_breaks_no_request_and_ends_in_time() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -326,7 +327,7 @@ fn a_server_that_drains_breaks_no_request_and_ends_in_time() {
         answered += 1;
     }
     assert!(answered > 0, "{answered} requests");
-    // The listener closes after five seconds: on a busy machine, too, these begin before it does.
+    // The listener closes after five seconds: even on a busy machine these requests begin before that.
     let running: Vec<_> = (0..3)
         .map(|n| {
             std::thread::spawn(move || http::post_json(address, "/api/v1/extract", &large(80.0 + f64::from(n))).status)

@@ -1,4 +1,4 @@
-//! Batch jobs of a server that lives: what they make, how they are followed, refused, cancelled and deleted; the commands for them.
+//! Batch jobs of a running server: their results, and how they are watched, refused, cancelled and deleted; the commands for them.
 
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
@@ -81,7 +81,7 @@ pub fn checksum(bytes: &[u8]) -> String {
         .collect()
 }
 
-/// What `POST extract` answers to an extraction of a job.
+/// Answer of `POST extract` to an extraction of a job.
 pub fn extracted(address: SocketAddr, extraction: &Value) -> Vec<u8> {
     let mut request = extraction.clone();
     request["volume"] = json!("ball");
@@ -351,7 +351,7 @@ fn an_input_that_changes_ends_the_job() {
     let expected =
         ["it was written", "its content changed"].map(|how| format!("ball.npy: {how} since the job was submitted"));
     assert!(expected.iter().any(|text| text == detail), "{detail}");
-    // What the server has read of it is no longer what the file holds.
+    // The samples that the server has read differ from the file now.
     let again = submit(address, &request(&[extraction(1.0, "stl")]), "again");
     assert_eq!(again.problem(409), "input-changed");
 }
@@ -439,7 +439,7 @@ fn a_request_file_above_the_limit_is_refused_with_both_sizes() {
     let file = folder.path().join("request.json");
     let bytes = request(&[extraction(1.0, "stl")]).to_string();
     std::fs::write(&file, &bytes).expect("written");
-    // What is behind the request is blank: cut at the limit, it would be a good one.
+    // The request is followed by blanks: cut at the limit, it would be valid.
     let with_length = |length: usize| {
         let padded = bytes.clone() + &" ".repeat(length - bytes.len());
         std::fs::write(&file, padded).expect("written");

@@ -1,4 +1,4 @@
-//! A server with batch jobs that is killed at random moments: nothing is lost, and nothing is there twice.
+//! A server with batch jobs that is killed at random moments: no job is lost, and none exists twice.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
@@ -14,7 +14,7 @@ use crate::support::process::{self, Process};
 const KILLS: usize = 5;
 /// Longest life of a server: its device is ready after a tenth to a half of that.
 const LIFE: Duration = Duration::from_millis(2_500);
-/// Longest wait for what a server does soon.
+/// Longest wait for anything that a server should do soon.
 const LIMIT: Duration = Duration::from_secs(60);
 /// Extractions of the first job for each kill: as many as a life makes.
 const EXTRACTIONS_PER_KILL: usize = 12;
@@ -49,7 +49,7 @@ fn start(setting: &Setting) -> Option<Process> {
     Some(process::begin(std::slice::from_ref(&setting.volume), &options)?.0)
 }
 
-/// Submits a job under its own key; its id, unless the server ends before it answers.
+/// Submits a job under its own key; returns its id, or `None` if the server ends before it answers.
 fn submit(address: SocketAddr, key: &str, request: &Value) -> Option<String> {
     let headers = [("content-type", "application/json"), ("idempotency-key", key)];
     let body = request.to_string();
@@ -74,8 +74,8 @@ fn done(address: SocketAddr) -> u64 {
         .sum()
 }
 
-/// One life of a server, in which a job is submitted; the ids of those that it has acknowledged are added. `made` is what was done when the
-/// life before began; that of this one is returned.
+/// Runs a server until it is killed, and submits a job meanwhile; adds the ids of acknowledged jobs. `made`: extractions done when the
+/// previous server began; returns those done when this one began.
 fn live_and_die(
     setting: &Setting,
     random: &mut Random,
@@ -95,8 +95,8 @@ fn live_and_die(
             acknowledged.collect::<Vec<_>>()
         });
         if made == Some(before) {
-            // One that was begun in a life with progress, and killed in that and the next one, has its last attempt: that three fail it is
-            // what attempts are for, and not what this test is about.
+            // The previous server made no progress: an extraction may have been killed twice, and so be at its last attempt. Wait until one
+            // is done, because failing after three attempts is intended and not the subject of this test.
             let start = Instant::now();
             while done(address) == before {
                 assert!(start.elapsed() < LIMIT, "a server that lives makes nothing");
@@ -149,7 +149,7 @@ fn kills_lose_nothing_and_double_nothing() {
         expected,
         "one file for each extraction"
     );
-    // One that is asked to end has until its deadline, and leaves the same.
+    // A server that is asked to end has time until its deadline, and leaves the same state.
     submit(address, "last", &request(&extractions(200))).expect("accepted");
     server.signal("TERM");
     assert!(server.ended_within(Duration::from_secs(3)).success());

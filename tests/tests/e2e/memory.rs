@@ -1,4 +1,4 @@
-//! Device memory beyond the volume grows with the surface, not with the volume; the server says what holds memory.
+//! Device memory beyond the volume grows with the surface, not with the volume; the server reports the owners of memory.
 
 use std::ffi::OsStr;
 use std::io::Write;
@@ -21,7 +21,7 @@ fn sphere(folder: &Path) -> PathBuf {
     sphere_in(folder, SIDE)
 }
 
-/// As [`sphere`], with so many samples along each axis.
+/// As [`sphere`], with `side` samples along each axis.
 fn sphere_in(folder: &Path, side: usize) -> PathBuf {
     let path = folder.join(format!("sphere{side}.nrrd"));
     let mut samples = vec![0u8; side * side * side];
@@ -47,7 +47,7 @@ fn sphere_in(folder: &Path, side: usize) -> PathBuf {
     path
 }
 
-/// The surface as it is asked for by default, the paper's, and both in full.
+/// The surface with default options, the paper's surface, and both in full.
 #[track_caller]
 fn assert_bytes_follow(volume: &Path, iso: &str) {
     for rest in [
@@ -185,7 +185,7 @@ async fn the_server_says_what_holds_memory() {
     }
 }
 
-/// How often a pyramid, or a tree, was there and was not.
+/// Cache hits and misses of a pyramid or a tree.
 fn looked_up(address: SocketAddr, what: &str) -> [f64; 2] {
     let text = metrics_of(address);
     ["hit", "miss"].map(|result| {
@@ -211,7 +211,7 @@ async fn what_is_kept_of_many_isovalues_is_bounded() {
         assert!(kept.iter().sum::<u64>() <= bound, "{memory}");
         pyramids = kept[0];
     }
-    // Of 24 isovalues those fill their share that fit into it: the last one is there, the first one is not.
+    // Of 24 isovalues, as many are cached as fit the share: the last one is, the first one is not.
     assert!(pyramids > bound * 2 / 5 && pyramids < bound / 2, "{pyramids}");
     let [_, misses] = looked_up(server.address, "pyramid");
     viewer.edit(json!({"iso": 104})).await;
@@ -221,7 +221,7 @@ async fn what_is_kept_of_many_isovalues_is_bounded() {
     viewer.close().await;
 }
 
-/// However little is kept, what a viewer shows is not made anew by each edit.
+/// Even if caches keep nothing, an edit does not rebuild the shown surface's pyramid and tree from the beginning.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_surface_that_is_shown_stays_where_nothing_else_is_kept() {
     let Some(server) = process::start(&[], &["--surface-memory", "0", "--shared-memory", "0"]) else {

@@ -35,7 +35,7 @@ fn sum(series: &BTreeMap<&str, f64>, name: &str, label: &str) -> f64 {
     of_name.map(|(_, value)| value).sum()
 }
 
-/// What `GET /metrics` answers at an address.
+/// Answer of `GET /metrics` at an address.
 pub fn metrics_of(address: SocketAddr) -> String {
     String::from_utf8(http::get(address, "/metrics").body).expect("UTF-8")
 }
@@ -129,7 +129,7 @@ async fn what_happens_is_counted_without_names() {
     assert_eq!(http::get(address, "/metrics").status, 200);
 }
 
-/// Memory by owner is what the process holds, within a fifth.
+/// Memory summed over all owners equals that of the process, within a fifth.
 #[tokio::test(flavor = "multi_thread")]
 async fn memory_is_told_by_what_holds_it() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,4 +1,4 @@
-//! Frames and requests that are changed at random, as many as `ISOPEEL_MUTATIONS` says (`make fuzz`): the server answers as its documents say or
+//! Frames and requests that are changed at random; `ISOPEEL_MUTATIONS` sets their number (`make fuzz`). The server answers as documented or
 //! closes the connection, never panics, and serves others as before.
 
 use std::fs::read_to_string;
@@ -26,12 +26,12 @@ const SEED: u64 = 2013;
 const AT_ONCE: usize = 32;
 /// Frames of a connection: fewer than are read without a pause.
 const FRAMES_OF_ONE: u64 = 32;
-/// Longest wait for anything that comes.
+/// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// So long a client listens for more: what it has sent may be the beginning of something longer.
+/// Time without an answer after which a client stops listening: its bytes may be the beginning of a longer message.
 const SILENCE: Duration = Duration::from_millis(300);
 
-/// What a viewer says.
+/// Messages of a viewer.
 const MESSAGES: [&str; 16] = [
     r#"{"type":"open","volume":"small"}"#,
     r#"{"type":"open","volume":"small","step":0}"#,
@@ -54,7 +54,7 @@ const MESSAGES: [&str; 16] = [
 /// Opens a stream; written as [`ASKED`].
 const UPGRADE: &str = "GET /api/v1/stream HTTP/1.1\nConnection: Upgrade\nUpgrade: websocket\nSec-WebSocket-Version: 13\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\nSec-WebSocket-Protocol: isopeel.v2\n\n";
 
-/// Requests, but for `Host`, in which `\n` ends a line; behind an empty line the body.
+/// Requests without `Host`; `\n` ends a line, and the body follows an empty line.
 const ASKED: [&str; 20] = [
     "GET /api/v1/volumes HTTP/1.1\n\n",
     "GET /api/v1/volumes/small HTTP/1.1\nAccept: application/json\n\n",
@@ -78,7 +78,7 @@ const ASKED: [&str; 20] = [
     UPGRADE,
 ];
 
-/// Takes the place of numbers and words.
+/// Extreme values that replace numbers and words.
 const EXTREMES: [&str; 14] = [
     "",
     "-1",
@@ -160,7 +160,7 @@ fn mutate(bytes: &mut Vec<u8>, random: &mut Rng) {
     }
 }
 
-/// The frames of one connection, half of them as they should be. In most others it is the message that is changed, and the frame around it is whole.
+/// The frames of one connection, half of them valid. In most others only the message is changed and its frame is intact.
 fn frames(count: u64, random: &mut Rng) -> Vec<u8> {
     let mut bytes = Vec::new();
     for _ in 0..count {
@@ -172,7 +172,7 @@ fn frames(count: u64, random: &mut Rng) -> Vec<u8> {
                 (0..random.u8(1..3)).for_each(|_| replace_word(&mut message, random));
                 whole = frame(&String::from_utf8_lossy(&message));
             }
-            // What is whole in between: a row of malformed ones ends the connection.
+            // Valid ones in between: many malformed ones in a row end the connection.
             _ => {}
         }
         bytes.extend(whole);
@@ -231,7 +231,7 @@ async fn converse(address: SocketAddr, said: Vec<u8>) {
     let saying = tokio::spawn(async move {
         // It may have closed the connection meanwhile.
         let _ = to.write_all(&said).await;
-        // Dropped, it would say that nothing follows, which ends the connection.
+        // Not dropped: that would end the stream, and so the connection.
         to
     });
     while let Ok(Ok(1..)) = timeout(SILENCE, from.read_buf(&mut heard)).await {}
@@ -281,7 +281,7 @@ fn start(folder: &Path, log: &Path) -> Option<Process> {
     Some(process::launch_logged(&[volume], &options, "error", log)?.0)
 }
 
-/// Runs so many cases at `AT_ONCE`, of which `case` takes some and returns a future.
+/// Runs `cases` cases, at most `AT_ONCE` tasks at a time. `case` takes a number of cases and returns the future that runs them.
 async fn run<F>(name: &str, cases: u64, case: impl Fn(u64, &mut Rng) -> F)
 where
     F: Future<Output = ()> + Send + 'static,
@@ -309,7 +309,7 @@ where
     );
 }
 
-/// Checks that the server is as it was: no viewer that has left is counted, an edit is shown, and nothing has panicked.
+/// Checks that the server still works: it counts no viewer that has left, shows an edit, and has not panicked.
 async fn check(server: &Process, log: &Path) {
     let begun = Instant::now();
     let viewers = || counted(&metrics_of(server.address), "isopeel_viewers", "");

@@ -1,5 +1,5 @@
-//! Small parts of a surface, and those that positions choose, are removed first: how many is said, and what is left keeps its topology and
-//! the budget.
+//! Small parts of a surface, and those that positions choose, are removed first. The number of removed parts is reported, and the
+//! remaining surface keeps its topology and the budget.
 
 use std::collections::HashMap;
 use std::ffi::OsStr;
@@ -138,7 +138,7 @@ fn what_is_left_is_the_rest_of_the_full_surface() {
             "{options}: {cut}"
         );
     }
-    // A budget of bytes is found for what is left.
+    // A budget of bytes applies to the remaining parts.
     let cut = command::extract_to(
         &volume,
         &format!("--iso 0 --bytes 12000 --min-part {MIN_PART}"),
@@ -197,7 +197,7 @@ fn the_command_says_how_many_and_refuses_what_it_cannot_do() {
             .and_then(|number| number.parse::<u64>().ok())
             .expect("the minimum")
     };
-    // The minimum is that of what is left; and cubes, which have all parts, do not take the tree's place.
+    // The minimum is that of the remaining parts, and a cut of cubes, which has all parts, does not replace the tree's.
     let (all, left) = (
         over("--triangles 10 --topology preserve"),
         over("--triangles 10 --min-part 400"),
@@ -232,7 +232,7 @@ fn on_ball(ball: usize) -> [f32; 3] {
     [x + radius, y, z]
 }
 
-/// The middles and radii of balls that a mesh has something of.
+/// The balls of which a mesh has triangles.
 fn balls_of(mesh: &FileMesh) -> Vec<usize> {
     let is_of = |ball: usize, at: [f64; 3]| {
         let (middle, radius) = BALLS[ball];
@@ -326,7 +326,7 @@ async fn a_viewer_hides_and_keeps_parts_without_another_tree() {
         let triangles: usize = viewer.shown.values().map(|chunk| chunk.triangles.len()).sum();
         assert_eq!(triangles as u64, count(&done, "triangles"), "{edit}");
     }
-    // Another isovalue has other parts, of which the same places choose.
+    // At another isovalue there are other parts, among which the same positions choose.
     viewer
         .edit_and_rest(json!({"iso": 1, "parts": {"keep": [on_ball(1)]}}))
         .await;

@@ -1,4 +1,4 @@
-//! Questions about the surface, as `server/PROTOCOL.md` has them: what is at a position, how values are distributed, error against
+//! Questions about the surface (`server/PROTOCOL.md`): probes at a position, the distribution of values, error against
 //! triangles.
 
 use serde_json::{Value, json};
@@ -261,7 +261,7 @@ async fn questions_that_cannot_be_answered_are_refused() {
     viewer.close().await;
 }
 
-/// Of a ball the distance of each vertex is known. Asks about a surface, a ball of this radius.
+/// Checks the distances of a surface that is a ball of this radius, for which the distance of each vertex is known.
 async fn check_annotation(viewer: &mut Viewer, asked: u8, radius: f32) {
     let question = json!({"type": "annotate", "surface": asked, "annotation": "error"});
     let (generation, annotated) = viewer.ask(question).await;

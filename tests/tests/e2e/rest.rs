@@ -1,10 +1,10 @@
-//! REST: what it says of the volumes, what it extracts, how it refuses.
+//! REST: descriptions of volumes, extractions, and refusals.
 
 use serde_json::{Value, json};
 
 use crate::support::{assert_leaves, command, demo, demo_file, files, http, server};
 
-/// Strangers may ask for them, and compressing takes longer than sending.
+/// Clients without a token may request them, and compressing takes longer than sending.
 #[test]
 fn small_answers_are_not_compressed() {
     let Some(address) = server::shared() else { return };

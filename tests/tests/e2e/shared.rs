@@ -1,4 +1,4 @@
-//! Viewers of equal views: one extraction and one encoding for all of them, and each gets what it would get alone.
+//! Viewers of equal views share one extraction and one encoding, and each gets the same surface as it would get alone.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -16,13 +16,13 @@ use crate::support::{ball, http, process};
 /// Viewers at once.
 const VIEWERS: usize = 8;
 
-/// What a viewer holds in the end, by region, and how long the first and the last of it took.
+/// A viewer's final chunks by region, and the time until `done`.
 struct Shown {
     chunks: BTreeMap<[u8; 12], Vec<u8>>,
     done: Duration,
 }
 
-/// Opens a volume and takes what it opens with, to the surface's error.
+/// Opens a volume and reads its first surface, up to the measured error.
 async fn look(address: SocketAddr) -> Shown {
     let mut socket = connect(address, Some("isopeel.v2")).await.expect("a handshake");
     for message in [json!({"type": "open", "volume": "ball"}), json!({"type": "edit"})] {
@@ -34,7 +34,7 @@ async fn look(address: SocketAddr) -> Shown {
     loop {
         match socket.next().await.expect("a frame").expect("it is whole") {
             Message::Binary(frame) => {
-                // But for generation, level, kind and surface: the mesh, with its region.
+                // The mesh with its region, without generation, level, kind and surface.
                 let region = frame[20..32].try_into().expect("twelve bytes");
                 chunks.insert(region, [&frame[..8], &frame[16..]].concat());
             }
@@ -51,12 +51,12 @@ async fn look(address: SocketAddr) -> Shown {
         }
     }
     socket.close(None).await.expect("a close frame");
-    // Without vertices: the region has no surface any more.
+    // A chunk without vertices: the region has no surface any more.
     chunks.retain(|_, chunk: &mut Vec<u8>| chunk.len() > 88);
     Shown { chunks, done }
 }
 
-/// What was made: surfaces on the device, steps, chunks; bytes that are kept.
+/// Counts of the work done: surfaces on the device, steps, chunks; and the cached bytes.
 fn made(address: SocketAddr) -> [f64; 4] {
     let text = metrics_of(address);
     [
@@ -112,7 +112,7 @@ async fn eight_viewers_of_one_view_are_as_much_work_as_one() {
     assert!(last < 2 * first + Duration::from_millis(300), "{times:?}");
 }
 
-/// An export of what a viewer is shown takes its pyramid and its vertex tree from there: what is left is to cut, mesh and write it.
+/// An export of a shown surface reuses the viewer's pyramid and vertex tree, so it only cuts, meshes and writes.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -139,7 +139,7 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     let before = made();
     let export = |iso: Option<f64>| {
         let start = Instant::now();
-        // As a viewer states what it opens with.
+        // The view with which a viewer opens the volume.
         let mut body = json!({"volume": "ball", "format": "glb", "feature": "gradient-magnitude", "alpha": 0.5, "error": "0.1vx",
             "triangles": {"share": 0.25, "max": 1_000_000}});
         if let Some(iso) = iso {
@@ -161,7 +161,7 @@ async fn an_export_of_what_a_viewer_is_shown_makes_neither_pyramid_nor_tree() {
     }
     println!("an export of what is shown {shared:?}, of another isovalue {own:?}");
 
-    // It has an address, by which it is the same file. A client that has it already causes no work.
+    // By its address it is the same file. A client that already has it causes no work.
     let path = "/api/v1/extract?volume=ball&format=stl&iso=3";
     let file = http::get(address, path);
     let posted = http::post_json(
@@ -208,7 +208,7 @@ async fn without_memory_for_it_nothing_is_kept() {
     assert_eq!(kept, 0.0);
     let later = look(server.address).await;
     assert!(later.chunks == first.chunks, "other bytes");
-    // At least what it holds in the end; the way there is shorter, for the tree is built.
+    // At least the final surface is made again; fewer steps are needed, because the tree is built.
     let again = made(server.address)[2] - once;
     assert!(again >= later.chunks.len() as f64, "{again} chunks, {once} before");
 }

@@ -101,7 +101,7 @@ fn slices_of_an_expression_are_computed_from_the_fields() {
             "{sample} at {at:?}, expected {expected}"
         );
     }
-    // The column of the ramp, and x + z < 4 but for that.
+    // The column of the ramp, and otherwise x + z < 4.
     assert_eq!(missing, 9 + 9);
     let picture = slice("2*other", "&format=png");
     assert_eq!((picture.status, &picture.body[..4]), (200, b"\x89PNG".as_slice()));

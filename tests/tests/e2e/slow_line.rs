@@ -1,4 +1,4 @@
-//! A viewer behind a line that takes a second for a surface: it is shown a coarser one soon, and the same one in the end.
+//! A viewer behind a line that needs a second for a surface: it soon gets a coarser surface, and finally the same one.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -99,7 +99,7 @@ async fn a_slow_line_shows_a_coarser_cut_soon_and_the_same_surface_in_the_end() 
 async fn a_follower_on_a_slow_line_has_the_coding_that_takes_less() {
     let Some(address) = server::shared() else { return };
     let mut leader = Viewer::open(address, demo::ID).await;
-    // A view of its own: a surface that one viewer has comes to the next one in one step.
+    // A view of its own, because a surface that another viewer already has is sent in one step.
     let view = json!({"iso": demo::ISO + 5.0, "alpha": 0.5, "triangles": 90_000});
     leader.edit_and_rest(view).await;
     leader.send(json!({"type": "lead"})).await;
@@ -121,7 +121,7 @@ async fn a_follower_on_a_slow_line_has_the_coding_that_takes_less() {
     leader.close().await;
 }
 
-/// The slow line has the coding that takes less, and errors in the order of its vertices.
+/// Checks that the slow line gets the smaller coding, and errors in the order of its vertices.
 async fn check_codings(slow: &mut Viewer, fast: &mut Viewer) {
     let bytes = |viewer: &Viewer| viewer.shown.values().map(|chunk| chunk.frame_bytes).sum::<usize>();
     let coded = slow.shown.values().filter(|chunk| chunk.is_predictive).count();

@@ -1,4 +1,4 @@
-//! What keeps a server from starting: the text names cause and remedy.
+//! Failures at start-up: the message names cause and remedy.
 
 use std::process::{Command, Output};
 

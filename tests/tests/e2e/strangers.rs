@@ -1,4 +1,4 @@
-//! Strangers who reach the port: other names, half requests, broken frames, floods, exports whose client has left.
+//! Untrusted clients that reach the port: wrong host names, half requests, broken frames, floods, exports whose client has left.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -13,7 +13,7 @@ use crate::support::process::{self, Process};
 use crate::support::viewer::{Frame, Viewer, connect};
 use crate::support::{demo, http, server};
 
-/// Sends text as it is; what comes back until the server closes.
+/// Sends text as it is; returns the bytes until the server closes the connection.
 fn said(address: SocketAddr, request: &str) -> String {
     let mut socket = TcpStream::connect(address).expect("the server listens");
     socket.write_all(request.as_bytes()).expect("sent");
@@ -80,7 +80,7 @@ async fn half_requests_cost_little_and_end() {
     let each = server.resident_bytes().saturating_sub(before) / 200;
     println!("{each} bytes for each half request");
     assert!(each <= 32 << 10, "{each} bytes for each half request");
-    // SIGHUP, which a terminal sends that closes, ends nothing.
+    // SIGHUP, which a closing terminal sends, does not end the server.
     server.signal("HUP");
     let start = Instant::now();
     for socket in &mut waiting {
@@ -127,7 +127,7 @@ async fn close_code_for(address: SocketAddr, bytes: &[u8]) -> Option<u16> {
 #[tokio::test]
 async fn broken_frames_are_answered_with_a_close_frame() {
     let Some(address) = server::shared() else { return };
-    // With the mask of zeros, that what is sent is what is read.
+    // With a mask of zeros, so that the bytes on the wire are the payload.
     assert_eq!(
         close_code_for(address, &[0xC1, 0x80, 0, 0, 0, 0]).await,
         Some(1002),
@@ -205,7 +205,7 @@ fn links_out_of_a_folder_are_followed_where_that_is_asked_for_alone() {
         return;
     };
     assert_eq!((fields(&server), follows.as_ref().and_then(fields)), (Some(1), Some(2)));
-    // A link that takes the place of a file, after the server has seen that it is none.
+    // A link that replaces a file after the server has checked that it is not a link.
     std::fs::remove_file(&own).expect("removed");
     std::os::unix::fs::symlink(&secret, &own).expect("a link");
     let id = volumes(&server)[0]["id"].as_str().expect("an id").to_owned();
@@ -223,7 +223,7 @@ async fn first_commits(viewer: &mut Viewer, edits: usize) -> Vec<Duration> {
     first_commits_after(viewer, edits, Duration::ZERO).await
 }
 
-/// The same of a viewer that looks for so long before each edit.
+/// The same for a viewer that pauses before each edit.
 async fn first_commits_after(viewer: &mut Viewer, edits: usize, pause: Duration) -> Vec<Duration> {
     let mut times = Vec::new();
     for i in 0..edits {
@@ -343,10 +343,10 @@ async fn exports_hold_up_no_viewer() {
     let address = server.address;
     let mut viewer = Viewer::open(address, demo::ID).await;
     first_commits(&mut viewer, 5).await;
-    // So long that the device measures meanwhile what is shown, at rest, and an edit has to end that.
+    // Long enough for the device to begin measuring the shown surface, so that an edit must interrupt that.
     let pause = Duration::from_millis(350);
     let alone = first_commits_after(&mut viewer, 10, pause).await;
-    // They go on for as long as the test: clients that ask for the next one as soon as they have one.
+    // These clients request exports during the whole test, the next one as soon as they have one.
     for client in 0..4 {
         std::thread::spawn(move || {
             for i in (client..).step_by(4) {
@@ -398,7 +398,7 @@ async fn without_a_token_there_is_no_access() {
             .map(|status| status.as_u16()),
         Some(401)
     );
-    // The page itself and what says that the server lives are open.
+    // The page itself and the health endpoint are open.
     assert_eq!(http::get(address, "/healthz").status, 200);
 
     let bearer = |token: &str| format!("Authorization: Bearer {token}\r\n");
@@ -465,7 +465,7 @@ fn without_a_token_a_server_is_not_open_to_the_network() {
 
 #[tokio::test]
 async fn what_the_host_has_no_memory_for_is_refused_and_the_server_lives_on() {
-    // The first leaves nothing beside what is reserved, so that waiting would help; the second never has as much.
+    // With the first, all unreserved memory is in use, so waiting would help; the second never has enough.
     for (mebibytes, status, code) in [("300", 503, "busy"), ("100", 413, "too-large")] {
         let Some(server) = process::start(&[], &["--host-memory", mebibytes]) else {
             return;

@@ -1,4 +1,4 @@
-//! The road of one edit: every frame against `server/PROTOCOL.md` (the viewer does that while it reads), the surface
+//! The course of one edit: checks every frame against `server/PROTOCOL.md` (the viewer does that while it reads), and the surface
 //! against the check values.
 
 use serde_json::json;
@@ -144,7 +144,7 @@ async fn the_first_prefix_is_small_and_whole_and_each_is_finer_than_the_one_befo
         prefixes.windows(2).all(|pair| pair[0].2 < pair[1].2),
         "triangles grow: {prefixes:?}"
     );
-    // whole: the coarsest surface reaches as far as the final one, but for a cube of its own level
+    // whole: the coarsest surface reaches as far as the final one, within one cube of its own level
     let (coarse, fine) = (extents[0], extents[extents.len() - 1]);
     let cube = f64::from(1 << first.0);
     for axis in 0..3 {

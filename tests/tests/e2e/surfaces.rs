@@ -110,7 +110,7 @@ async fn a_budget_is_kept_and_filled_by_all_surfaces_together() {
     }
     assert_final_surfaces_keep(&viewer, budget);
 
-    // One that is removed leaves its part to the others.
+    // If a surface is removed, the others get its share.
     let remove = vec![json!({"type": "remove", "surface": 0})];
     settle(&mut viewer, remove, &[1, 2, 3], &[1, 2, 3]).await;
     assert!(viewer.surfaces[0].shown.is_empty());
@@ -118,7 +118,7 @@ async fn a_budget_is_kept_and_filled_by_all_surfaces_together() {
     assert!(sum <= budget && sum * 100 >= budget * 95, "{sum} of {budget}");
 }
 
-/// At no time do the final surfaces that were committed last have more triangles together.
+/// Checks that at no time the last committed final surfaces exceed this number of triangles together.
 #[track_caller]
 fn assert_final_surfaces_keep(viewer: &Viewer, budget: u64) {
     let mut last = [0; 4];

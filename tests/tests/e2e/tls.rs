@@ -114,7 +114,7 @@ async fn connections_are_encrypted_and_the_certificate_is_renewed() {
         .await
         .expect("a stream");
 
-    // A file that is half written changes nothing; one that is whole is used from then on, and what is open stays so.
+    // A half-written file has no effect. A complete one is used from then on; open connections stay open.
     std::fs::write(&files.certificate, "-----BEGIN CERTIFICATE-----\n").expect("written");
     server.signal("HUP");
     tokio::time::sleep(Duration::from_millis(300)).await;
@@ -144,7 +144,7 @@ async fn half_requests_cost_little_by_tls_too() {
     let Some((server, _)) = process::begin(&[], &files.options()) else {
         return;
     };
-    // What is made once is there, and the device is open.
+    // The first-time work is done, and the device is open.
     let ready = HEALTH.replace("healthz", "readyz");
     let start = Instant::now();
     while !said(

@@ -1,4 +1,4 @@
-//! Tokens for people and programs, made beside a server that runs: what each is for, whose jobs are whose, and their end.
+//! Tokens for people and programs, created while a server runs: their roles, the ownership of jobs, and their expiry.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -14,7 +14,7 @@ use crate::jobs::{Setting, extraction, request};
 use crate::support::viewer::connect_with;
 use crate::support::{command, http, process};
 
-/// `isopeel token create`: the token.
+/// Runs `isopeel token create`; returns the token.
 fn create(state: &Path, user: &str, options: &[&str]) -> String {
     let state = state.to_str().expect("UTF-8");
     let arguments = ["token", "create", "--state-folder", state, "--user", user];
@@ -59,7 +59,7 @@ async fn a_token_is_for_its_roles_and_until_it_is_revoked() {
         return;
     };
     let address = server.address;
-    // That of the start is for everything still.
+    // The token of the start still allows everything.
     let start = printed.split("/#token=").nth(1).expect("a token").to_owned();
     assert_eq!(ask(address, "GET", "/api/v1/memory", &start, "").status, 200);
     // One that was there before, and one that is made while the server runs.
@@ -94,7 +94,7 @@ async fn a_token_is_for_its_roles_and_until_it_is_revoked() {
     until_status(address, &bobs_other, 200);
     assert_eq!(ask(address, "GET", &path, &bobs_other, "").status, 200);
 
-    // The list has no secrets, and revoking ends what is connected.
+    // The list has no secrets, and revoking a token closes its connections.
     let mut viewer = connect(address, &before).await.expect("who may look connects");
     let listed = command::succeed(["token", "list", "--json", "--state-folder", options[1]]);
     assert!(listed.contains(id(&before)) && !listed.contains("sha256"), "{listed}");
@@ -230,7 +230,7 @@ async fn a_token_that_is_lent_is_for_less_and_ends_with_the_lenders() {
     );
 }
 
-/// The code that a stream is closed with; the only message before says that its token is of no use.
+/// The code with which a stream is closed; the only message before states that its token is not valid any more.
 async fn close_code_of_revoked(viewer: &mut WebSocketStream<TcpStream>) -> Option<u16> {
     loop {
         match viewer.next().await.expect("a close frame").expect("no error") {

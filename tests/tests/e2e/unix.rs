@@ -1,4 +1,4 @@
-//! A server at a Unix socket, which asks for no token: the system lets its user alone connect.
+//! A server at a Unix socket, which requires no token: the system lets only its own user connect.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::fs::PermissionsExt;
@@ -69,7 +69,7 @@ async fn a_unix_socket_is_its_users_and_asks_for_no_token() {
         said.contains("cannot listen on unix:") && said.contains("in use"),
         "{said}"
     );
-    // So that the end is that of a server at work: what a driver does while it is being opened is its own.
+    // Waits for the device, so that the shutdown is that of a working server and not delayed by a driver that is being opened.
     let start = Instant::now();
     while status("localhost", "/readyz").as_deref() != Some("200") {
         assert!(start.elapsed() < Duration::from_secs(120), "the device is not ready");

@@ -1,6 +1,6 @@
-//! What version 0.1 has left is used on: tests/fixtures/state-0.1 is a state folder that it made, with a token and a finished job, and uploads-0.1 has
-//! an upload that is a volume and one of which 100 bytes had come, with records as it wrote them. Clients of another version of the stream are told so.
-//! Links of 0.1: web/test/oldLinks.test.ts.
+//! State of version 0.1 remains usable: tests/fixtures/state-0.1 is a state folder that 0.1 made, with a token and a finished job.
+//! uploads-0.1 has a complete upload and one of which 100 bytes had arrived, with records as 0.1 wrote them. A client of another version of
+//! the stream gets an error that says so. Links of 0.1: web/test/oldLinks.test.ts.
 
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::Path;

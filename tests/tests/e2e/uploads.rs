@@ -1,5 +1,5 @@
-//! Volumes that users bring, over HTTP as a program or a tus client sends them: kills in between, hostile names, lying sizes, full quotas, and two
-//! owners who see nothing of each other's.
+//! Uploads over HTTP as a program or a tus client sends them: interrupted by kills, with hostile names, false sizes and full quotas, and
+//! from two owners who do not see each other's volumes.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -48,7 +48,7 @@ fn an_upload_goes_on_after_lost_connections_and_kills() {
     let path = user.create(&[("scan/ball.npy", volume.len())]);
     let mut sent = 0;
     for part in [3_000, 20_000, 50_000] {
-        // Some of a part comes, and then the server is gone.
+        // A fraction of a part arrives, and then the server is killed.
         let lost = send_half(&user, &path, sent, part, &volume[sent..sent + part / 2]);
         until("half a part", || {
             let there = user.get(&path).json()["receivedBytes"].as_u64().expect("a number");
@@ -79,7 +79,7 @@ fn an_upload_goes_on_after_lost_connections_and_kills() {
         .join(finished["id"].as_str().expect("an id"))
         .join("files/scan/ball.npy");
     assert_eq!(checksum(&std::fs::read(kept).expect("a file")), checksum(volume));
-    // It is there in the next life, and is no other.
+    // The volume exists, and after a restart it is unchanged.
     let shown = user.get(&format!("/api/v1/volumes/{id}")).json();
     assert_eq!(
         (&shown["title"], &shown["geometry"]["dims"]),
@@ -123,7 +123,7 @@ fn what_is_declared_is_checked_and_what_is_sent_is_held_to_it() {
     assert_eq!(ann.post("/api/v1/uploads", &body).problem(400), "bad-json");
     assert!(only_lock(&folder), "nothing is stored");
 
-    // Half of the quota is taken by what was declared alone, of ann's.
+    // Ann's declared files alone take half of the quota.
     let path = ann.create(&[("a.npy", 600_000)]);
     let over = ann.post("/api/v1/uploads", &declared(&[("b.npy", 600_000)]));
     assert_eq!(over.problem(413), "over-quota");
@@ -177,7 +177,7 @@ fn what_is_declared_is_checked_and_what_is_sent_is_held_to_it() {
     assert_eq!(ann.finish(&path).problem(409), "upload-incomplete");
     assert_eq!(ann.ask("DELETE", &path, &[], b"").status, 204);
 
-    // What is no volume says so as `isopeel serve` does.
+    // A file that is not a volume gets the same message as from `isopeel serve`.
     let path = ann.create(&[("ball.npy", 100)]);
     assert_eq!(ann.send(&path, 0, &[7; 100]).status, 204);
     let unreadable = ann.finish(&path);
@@ -208,7 +208,7 @@ async fn nobody_sees_what_another_has_brought() {
     assert_eq!(ann.volumes(), [id.as_str()]);
     assert_eq!(operator.volumes(), [id.as_str()], "an administrator");
     assert!(bob.volumes().is_empty());
-    // The same answers as for what does not exist.
+    // The same answers as for volumes that do not exist.
     let nothing = id.replace(|c: char| c.is_ascii_digit(), "0");
     let unknown = |id: &str, answer: &http::Answer| {
         let mut problem = answer.json();
@@ -289,7 +289,7 @@ async fn nobody_sees_what_another_has_brought() {
     );
     let mut anns = open(&ann, &id).await;
     while next(&mut anns).await["type"] != "opened" {}
-    // Viewers learn that it is gone, and so do jobs and lists.
+    // Viewers, jobs and lists are updated when the volume is removed.
     let many: Vec<Value> = (0..2_000).map(|n| extraction(f64::from(n) / 500.0, "stl")).collect();
     let job = ann.post("/api/v1/jobs", &json!({"volume": id, "extractions": many}));
     assert_eq!(job.status, 201, "{}", String::from_utf8_lossy(&job.body));
@@ -314,7 +314,7 @@ async fn nobody_sees_what_another_has_brought() {
         only_lock(&setting.folder.path().join("uploads"))
     });
 
-    // What was done is written down, without names.
+    // The actions are logged, without names.
     until("lines", || {
         std::fs::read_to_string(&log).is_ok_and(|text| text.contains("upload-delete"))
     });
@@ -334,7 +334,7 @@ async fn nobody_sees_what_another_has_brought() {
     );
 }
 
-/// The next message of a stream; chunks are passed over.
+/// Returns the next message of a stream; skips chunks.
 async fn next(socket: &mut tokio_tungstenite::WebSocketStream<tokio::net::TcpStream>) -> Value {
     loop {
         let waiting = tokio::time::timeout(Duration::from_secs(60), socket.next()).await;

@@ -1,5 +1,5 @@
 /**
- * Perceptually uniform colour maps, as equidistant colours between which is interpolated. Pure.
+ * Perceptually uniform colour maps, as equidistant colours that are interpolated. Pure.
  *
  * batlow and vik: Scientific colour maps, copyright 2020 Fabio Crameri, MIT license. The others as in d3-scale-chromatic, copyright 2010 to 2026 Mike
  * Bostock, ISC license; so is the map of distances, a part of its inferno. ylorrd, ylor (its part on which edges are seen), ylgnbu, greys, rdbu and puor: ColorBrewer, copyright 2002 Cynthia
@@ -70,7 +70,7 @@ export const COLOR_MAPS = {
 /** `vik`, `rdbu` and `puor` are diverging, for values on both sides of one in the middle; the others go from low to high. */
 export type ColorMapName = keyof typeof COLOR_MAPS;
 
-/** From none to far: light at the distances that most of a surface has, so that its shape is seen, and darker all the way. */
+/** Colours of distances, from none to far: light at the distances of most of a surface, so that its shape is visible, then ever darker. */
 // prettier-ignore
 export const DISTANCE_COLORS: ColorStops = [
   "#f5f992", "#f3e55d", "#f9cb35", "#fcb216", "#fb9906", "#f68013", "#ee6a24", "#e25734", "#d34743", "#c13a50", "#ae305c",

@@ -100,7 +100,7 @@ export class Boundary {
     this.previous[right] = met;
   }
 
-  /** Takes two edges out that follow each other and lead there and back. `ending` ends at `c` from now on. */
+  /** Removes two consecutive edges that run there and back. `ending` ends at `c` from now on. */
   private close(first: number, second: number, c: number, ending: number): void {
     const before = at(this.previous, first);
     const after = at(this.next, second);

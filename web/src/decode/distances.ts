@@ -1,8 +1,8 @@
-/** Reads a chunk of kind `error`: how far each vertex of a region is from the isosurface. Pure. */
+/** Reads a chunk of kind `error`: the distance of each vertex of a region to the isosurface. Pure. */
 
 import { ChunkError, HEADER_BYTES, type ChunkHeader } from "../protocol/chunk";
 
-/** Of a vertex near which there is no isosurface: a number that a shader can interpolate, unlike infinity. */
+/** Distance of a vertex without an isosurface near it: a number that a shader can interpolate, unlike infinity. */
 export const FAR_AWAY = 1e30;
 
 /**

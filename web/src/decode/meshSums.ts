@@ -3,7 +3,7 @@
  *
  * The volume is that of the divergence theorem: the sum of the tetrahedra between each triangle and one point, with their signs. It is a
  * volume only if the surface has no border. Positions are multiples of one lattice in all regions, so that a border is found exactly: the
- * edges that are not passed as often in one direction as in the other.
+ * edges that triangles pass more often in one direction than in the other.
  */
 
 import { REGION_CELLS } from "../protocol/generated";
@@ -47,7 +47,7 @@ export class MeshSummation {
   private readonly border = new Border();
 
   /**
-   * @param axes what a step along each axis of the even grid is in the world
+   * @param axes world vectors of a step along each axis of the even grid
    * @param uneven axes whose samples are not those of that grid
    */
   constructor(

@@ -32,7 +32,7 @@ class PredictiveDecoder {
   private readonly boundary: Boundary;
   private readonly triangles: number;
   private readonly vertices: Int16Array<ArrayBuffer>;
-  /** In the order in which they come, with their levels. */
+  /** Corners of the triangles in the order of decoding, with their levels. */
   private readonly corners: Uint32Array;
   private readonly levels: Uint8Array;
   /** Of each vertex: the sum of the cross products of its triangles, and how many these are, up to a maximum. */
@@ -101,7 +101,7 @@ class PredictiveDecoder {
     if (!ok) throw new ChunkError(`mesh chunk of region (${this.header.region.join(", ")}): damaged payload: ${what}`);
   }
 
-  /** A triangle that nothing leads to. */
+  /** Decodes a triangle that shares no decoded edge. */
   private start(): void {
     const level = (this.startLevel = this.readLevel(this.startLevel));
     const corners = [0, 1, 2].map((place) => {
@@ -223,7 +223,7 @@ class PredictiveDecoder {
     this.vertices[WORDS * vertex + place] = step === 256 ? 0xffff : step << 8;
   }
 
-  /** A corner of a triangle that nothing leads to, predicted by the vertex before. */
+  /** A corner of a triangle that shares no decoded edge, predicted by the previous vertex. */
   private addCorner(place: number): number {
     const vertex = this.beginVertex();
     for (let axis = 0; axis < 3; axis += 1) {
@@ -310,7 +310,7 @@ class PredictiveDecoder {
     return Math.sqrt(x * x + y * y + z * z);
   }
 
-  /** All normals, behind everything else. */
+  /** Reads all normals, which follow all other data. */
   private readNormals(): void {
     const weights = [this.reader.raw(16), this.reader.raw(16), this.reader.raw(16)];
     const atBorder = this.boundary.borderVertices();
@@ -345,7 +345,7 @@ class PredictiveDecoder {
   }
 }
 
-// One function a type of array, or the engine looks the type up at each access.
+// One function for each type of array: otherwise the engine looks up the type at each access.
 const int = (values: Int32Array, index: number): number => values[index] ?? 0;
 const byte = (values: Uint8Array, index: number): number => values[index] ?? 0;
 const word = (values: Int16Array, index: number): number => values[index] ?? 0;

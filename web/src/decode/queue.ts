@@ -5,7 +5,7 @@ import type { Uneven } from "../world/uneven";
 import type { MeshSums, WorldAxes } from "./meshSums";
 import type { DecodeReply, DecodeRequest } from "./service";
 
-/** The worker, as far as the queue needs it; tests pass their own. */
+/** The part of the worker's interface that the queue uses; tests pass their own. */
 export interface DecodeWorker {
   postMessage(request: DecodeRequest, transfer: Transferable[]): void;
   onmessage: ((event: MessageEvent<DecodeReply>) => void) | null;
@@ -21,14 +21,14 @@ const MAX_IN_FLIGHT_BYTES = 64 << 10;
 
 export class DecodeQueue {
   /**
-   * Frames that wait, in order of arrival. Bounded by what one generation sends: each region once a prefix; those of a
-   * generation that ended are dropped. A browser's WebSocket cannot be told to wait, so no tighter bound can be kept.
+   * Waiting frames, in order of arrival. Bounded by the frames of one generation: each region once per prefix; those of a
+   * generation that ended are dropped. A browser's WebSocket has no back-pressure, so no tighter bound is possible.
    */
   private readonly waiting = new Map<number, ArrayBuffer>();
   /** Bytes of each chunk that the worker has. */
   private readonly inFlight = new Map<number, number>();
   private inFlightBytes = 0;
-  /** Sums that were asked for, by their tickets. */
+  /** Requested sums, by their tickets. */
   private readonly summing = new Map<number, { readonly found: (sums: MeshSums) => void; readonly failed: (error: Error) => void }>();
   private lastTicket = 0;
 
@@ -58,7 +58,7 @@ export class DecodeQueue {
     this.pump();
   }
 
-  /** Forgets chunks: those that wait are never decoded, replies for those in flight are ignored, and of others nothing is kept. */
+  /** Drops chunks: waiting ones are never decoded, replies for those in flight are ignored, and decoded ones are released. */
   drop(ids: Iterable<number>): void {
     const sent = [...ids].filter((id) => !this.waiting.delete(id));
     if (sent.length > 0) this.worker.postMessage({ type: "forget", ids: sent }, []);
@@ -67,9 +67,9 @@ export class DecodeQueue {
   }
 
   /**
-   * Area and volume of the surface that these chunks are, which were decoded and not dropped.
-   * @param axes what a step along each axis of the index space is in the world
-   * @throws if one of them is not there any more
+   * Area and volume of the surface of these chunks, which were decoded and not dropped.
+   * @param axes world vectors of a step along each axis of the index space
+   * @throws if one of them was dropped meanwhile
    */
   sum(ids: readonly number[], axes: WorldAxes, uneven?: Uneven): Promise<MeshSums> {
     const ticket = ++this.lastTicket;

@@ -5,7 +5,7 @@ const MIN_PROBABILITY = 16;
 const MAX_PROBABILITY = (1 << 12) - MIN_PROBABILITY;
 /** A range with none of these bits takes a further byte. */
 const HIGH_BITS = 0xff << 24;
-/** Added to both, 32-bit words are compared as if they had no sign. */
+/** XORed with both operands, it makes a signed comparison of 32-bit words an unsigned one. */
 const SIGN = 1 << 31;
 /** Bits after which a model learns no slower. */
 const MAX_SEEN = 100;
@@ -14,11 +14,11 @@ const RATES = Uint16Array.from({ length: MAX_SEEN + 1 }, (_, seen) => Math.floor
 
 /** Bits of the largest magnitude of a number. */
 const MAX_LENGTH = 20;
-/** Models of a number in one context: whether its magnitude has more than so many bits, and its sign. */
+/** Models of a number in one context: for each number of bits, whether its magnitude has more; and its sign. */
 const CONTEXT_MODELS = MAX_LENGTH + 1;
 const BELOW_HIGHEST_MODELS = 3;
 
-/** Numbers that are coded alike: in so many contexts, from this model on. */
+/** Models of numbers that are coded alike: their first model for each kind of bit, in consecutive contexts. */
 export interface NumberModel {
   readonly first: number;
   readonly belowHighest: number;
@@ -86,7 +86,7 @@ export class RangeDecoder {
     return bit;
   }
 
-  /** So many bits without a model. */
+  /** Decodes `bits` bits without a model. */
   raw(bits: number): number {
     let value = 0;
     for (let i = 0; i < bits; i += 1) {

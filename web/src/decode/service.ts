@@ -65,7 +65,7 @@ export class DecodeService {
 
   private async sum({ ticket, ids, axes, uneven }: Extract<DecodeRequest, { readonly type: "sum" }>): Promise<void> {
     try {
-      // Those of now, whatever is forgotten meanwhile.
+      // The frames as of now, even if some are dropped meanwhile.
       const frames = ids.map((id) => this.frameOf(id));
       await this.decoder.ready;
       const summation = new MeshSummation(axes, uneven);

@@ -13,7 +13,7 @@ export type HostEvent =
   /** A message to the user about something that failed. */
   | { readonly type: "error"; readonly message: string };
 
-/** What `get` answers. */
+/** Answer to `get`. */
 export interface PageState {
   /** As an address has it behind `#`; `null` while no volume is open. */
   readonly link: string | null;
@@ -24,7 +24,7 @@ export interface PageState {
   readonly fullTriangles: number | null;
 }
 
-/** As much of the browser's window as is used; tests pass their own. */
+/** The part of the browser's window that is used; tests pass their own. */
 export interface PageWindow {
   readonly parent: { postMessage(message: unknown, targetOrigin: string): void };
   addEventListener(type: "message", listener: (event: MessageEvent) => void): void;
@@ -39,7 +39,7 @@ export class HostPort {
   private host: string | undefined;
 
   /**
-   * @param around origin of the embedding page, if the browser tells it
+   * @param around origin of the embedding page, if the browser reports it
    * @param answer returns the answer to a request of an origin; if it throws, the answer is the error's message
    */
   constructor(

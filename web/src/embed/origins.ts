@@ -1,8 +1,8 @@
-/** Which pages may speak to an embedded one. Pure. */
+/** Origins of pages that may send requests to an embedded page. Pure. */
 
 /** Options in the address of an embedded page: `?embed&origin=https://example.org`. */
 export interface EmbedOptions {
-  /** Origins of pages that may speak to this one: its own, and those that the address names. */
+  /** Origins of pages that may send requests to this one: its own, and those that the address names. */
   readonly origins: readonly string[];
   /** Names in the address that are no origins, for the user. */
   readonly problems: readonly string[];
@@ -25,7 +25,7 @@ export function embedOptions(search: string, own: string): EmbedOptions | undefi
   };
 }
 
-/** No wildcards, no paths: a page is who it is by scheme, host and port. */
+/** No wildcards, no paths: an origin is scheme, host and port. */
 function originOf(name: string): string | undefined {
   if (!/^https?:\/\/[^/?#@*]+\/?$/i.test(name) || !URL.canParse(name)) return undefined;
   return new URL(name).origin;

@@ -7,13 +7,13 @@ import type { Vec3 } from "../protocol/types";
 export const VERSION = 1;
 
 const VIEWS = ["home", "fit", "+x", "-x", "+y", "-y", "+z", "-z"] as const;
-/** The longest text of a link: what the server takes as one message. */
+/** Maximum length of a link: the server's limit for one message. */
 const LONGEST_LINK = 64 << 10;
 const LONGEST_CAPTION = 300;
 /** The server's own are 62 characters; one of a file may be longer. */
 const LONGEST_TOKEN = 1024;
 
-/** What an image shows besides the surface, as the page's own card asks for it. */
+/** Options of an image, as in the page's own card. */
 interface ImageRequest {
   readonly scale: number;
   readonly transparent: boolean;
@@ -32,13 +32,13 @@ export type HostRequest =
   /** Moves the camera to a pose or view, if there is one; the answer is the camera's pose. */
   | { readonly type: "camera"; readonly to: Pose | (typeof VIEWS)[number] | undefined }
   | { readonly type: "image"; readonly image: ImageRequest }
-  /** To be shown to the server from now on. */
+  /** A token to be used for the server from now on. */
   | { readonly type: "token"; readonly token: string };
 
 /** Id of a request. The answer repeats it, so that the embedding page can match the two. */
 export type RequestId = string | number;
 
-/** What was wrong with a request, for the authors of the embedding page. */
+/** An invalid request; the message is for the authors of the embedding page. */
 export class RequestError extends Error {
   override readonly name = "RequestError";
 }
@@ -128,7 +128,7 @@ function readImage({ scale = 1, transparent = false, colorBar = true, scaleBar =
   };
 }
 
-/** An error does not repeat what was sent, which may be most of a token. */
+/** An error does not repeat the value, which may be most of a token. */
 function readToken({ token }: Fields): HostRequest {
   if (typeof token !== "string" || token.length > LONGEST_TOKEN || !/^[\x21-\x7e]+$/.test(token)) {
     throw new RequestError("token is none, expected the text that POST /api/v1/embed-tokens has answered with");

@@ -1,4 +1,4 @@
-/** Slices beside a picture, in one image. Loaded when an image is asked for. */
+/** Slices beside a picture, in one image. Loaded when an image is requested. */
 
 /** Pixels of the page. */
 const TEXT = 12;

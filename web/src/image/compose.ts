@@ -1,11 +1,11 @@
-/** An image of the scene: a snapshot with colour bar, scale bar and caption drawn into it, as a PNG. Loaded when an image is asked for. */
+/** An image of the scene: a snapshot with colour bar, scale bar and caption drawn into it, as a PNG. Loaded when an image is requested. */
 
 import { colorAt } from "../colors/maps";
 import type { ColorBar } from "../scene/colorScale";
 import type { Snapshot } from "../scene/snapshot";
 
 export interface ImageParts {
-  /** Behind the scene: a CSS colour. Without one what is no surface stays transparent. */
+  /** Background: a CSS colour. Without one, pixels without a surface stay transparent. */
   readonly background?: string;
   /** Of texts and lines: `#rrggbb`. */
   readonly ink: string;
@@ -15,11 +15,11 @@ export interface ImageParts {
   /** A bar of a round length in pixels of the image, from the world units of a pixel. An image whose scale differs from place to place has none. */
   readonly scaleBar?: (unitsPerPixel: number) => { readonly text: string; readonly pixels: number };
   readonly caption?: string;
-  /** What the surfaces are, in their order. */
+  /** Signs of the surfaces, in their order. */
   readonly isovalues?: readonly SurfaceSign[];
 }
 
-/** A swatch, and what it stands for. */
+/** A swatch and its text. */
 export interface SurfaceSign {
   /** One colour, or those of a colour map, as `colorBar` has them. */
   readonly stops: readonly string[];
@@ -48,7 +48,7 @@ export function drawImage({ width, height, pixels, labels, unitsPerPixel }: Snap
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");
   if (context === null) throw new Error("the browser gives no canvas to draw the image on");
-  // Pixels put on a canvas replace what is there, so the background goes under them.
+  // Pixels put on a canvas replace its contents, so the background is drawn under them afterwards.
   context.putImageData(new ImageData(pixels, width, height), 0, 0);
   if (parts.background !== undefined) {
     context.globalCompositeOperation = "destination-over";
@@ -80,7 +80,7 @@ export function drawImage({ width, height, pixels, labels, unitsPerPixel }: Snap
 type Context = OffscreenCanvasRenderingContext2D;
 type Write = (text: string, x: number, y: number) => void;
 
-/** Writes in the context's colour with an edge in another one: over a dark slice a text is read as well as over the background. */
+/** Writes in the context's colour with an edge in another one, so that text is legible over a dark slice and over the background. */
 function writer(context: Context, edge: string, scale: number): Write {
   return (text, x, y) => {
     const { strokeStyle, lineWidth } = context;

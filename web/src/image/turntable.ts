@@ -1,4 +1,4 @@
-/** A turn around the surface as numbered PNGs in a zip. Loaded when it is asked for. */
+/** A turn around the surface as numbered PNGs in a zip. Loaded when it is requested. */
 
 import { Zip, ZipPassThrough } from "fflate";
 import type { CameraPose } from "../scene/pose";

@@ -32,7 +32,7 @@ const FIRST_PAUSE_MS = 250;
 const MAX_PAUSE_MS = 8000;
 /** After a socket that was open this long, the next pause is the shortest again. */
 const STABLE_AFTER_MS = 3000;
-/** A socket that is not open by then never will be: what was sent has gone nowhere. */
+/** Time-out of connecting: a socket that is not open by then counts as failed. */
 const CONNECT_MS = 8000;
 
 export class Connection {
@@ -46,7 +46,7 @@ export class Connection {
   private openedAt = Infinity;
   private stopped = false;
   private sent = 0;
-  /** Counts the addresses that were requested: an earlier one is ignored when it comes. */
+  /** Counts the requested addresses: the answer to an earlier request is ignored. */
   private attempt = 0;
 
   /** @param address returns the address at which the next socket is opened; it is rejected if there is none now */
@@ -78,7 +78,7 @@ export class Connection {
     return true;
   }
 
-  /** The server promises to send something at least this often. If several of these messages are missing, the socket counts as dead. */
+  /** The server promises to send a frame at least this often. If several of them are missing, the socket counts as dead. */
   expectWithin(seconds: number): void {
     this.heartbeat.promised(seconds);
   }

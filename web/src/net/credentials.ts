@@ -25,7 +25,7 @@ export function request(url: URL, options: RequestInit = {}, token = held): Prom
 /**
  * Uses a token from now on.
  *
- * @returns what it is for, and how long
+ * @returns its roles and its expiry
  * @throws if the server does not accept it; then the previous token stays
  */
 export async function hold(base: URL, token: string): Promise<SessionInfo> {

@@ -1,4 +1,4 @@
-/** What a field is like that an expression over a volume's fields gives. Normative: `GET /api/v1/volumes/{id}/expression` in `/api/v1/openapi.json`. */
+/** Description of the field that an expression over a volume's fields gives. Normative: `GET /api/v1/volumes/{id}/expression` in `/api/v1/openapi.json`. */
 
 import type { FieldInfo } from "../protocol/types";
 import { ask } from "./rest";
@@ -8,7 +8,7 @@ export async function describeExpression(base: URL, volume: string, step: number
   const url = new URL(`api/v1/volumes/${encodeURIComponent(volume)}/expression`, base);
   url.searchParams.set("expression", expression);
   url.searchParams.set("step", String(step));
-  // Half of what is typed is a mistake, and no error of the page.
+  // While the user types, mistakes are normal, and not errors of the page.
   url.searchParams.set("typed", "true");
   const response = await ask(url, { headers: { accept: "application/json" } });
   return (await response.json()) as FieldInfo;

@@ -9,7 +9,7 @@ export interface GlbPart {
   readonly file: ArrayBuffer;
 }
 
-/** The subset of glTF 2.0 that the server writes, as far as it is read here. */
+/** The part of the server's glTF 2.0 that is read here. */
 interface Document {
   readonly asset: { readonly generator?: string; readonly extras?: unknown };
   /** One, which turns the volume's positions into glTF's. */
@@ -88,7 +88,7 @@ class Joined {
     return { asset, scene: 0, scenes, nodes, meshes, materials, accessors, bufferViews: views, buffers: [{ byteLength: bytes }] };
   }
 
-  /** Takes over an accessor of a file with what it refers to, each once, and returns its number here. */
+  /** Copies an accessor of a file and the views it refers to, each once; returns its new number. */
   private copier({ accessors = [], bufferViews = [] }: Document, binary: Uint8Array<ArrayBuffer>): (accessor: number) => number {
     const view = once((number: number) => {
       const { byteOffset = 0, byteLength, target } = bufferViews[number] ?? { byteLength: 0 };

@@ -1,10 +1,10 @@
-/** Notices a line that is cut without a word: the server promised a sign of life, and nothing came. */
+/** Detects a dead connection: the server promised a heartbeat, and none arrived. */
 
-/** Promised signs that are missed until the line counts as dead. */
+/** Missed heartbeats after which the connection counts as dead. */
 const MISSED = 3;
-/** Between two looks. */
+/** Interval between two checks. */
 const LOOK_MS = 500;
-/** A look that comes later than this says that the page itself stood still, and frames may wait to be read. */
+/** If a check is later than this, the page itself was suspended, and frames may wait to be read. */
 const LATE_MS = 2 * LOOK_MS;
 
 export class Heartbeat {
@@ -13,7 +13,7 @@ export class Heartbeat {
   private lookedAt = 0;
   private limitMs = Infinity;
 
-  /** @param onDead called with the seconds since anything was heard */
+  /** @param onDead called with the seconds since the last frame */
   constructor(private readonly onDead: (seconds: number) => void) {}
 
   /** Any frame came. */
@@ -21,7 +21,7 @@ export class Heartbeat {
     this.heardAt = performance.now();
   }
 
-  /** The next sign of life comes within this time. */
+  /** The next heartbeat comes within this time. */
   promised(seconds: number): void {
     this.limitMs = MISSED * 1000 * seconds;
     this.lookedAt = performance.now();
@@ -38,7 +38,7 @@ export class Heartbeat {
     const now = performance.now();
     const isLate = now - this.lookedAt > LATE_MS;
     this.lookedAt = now;
-    // Frames that came meanwhile are read before the next look.
+    // Frames that came meanwhile are read before the next check.
     if (isLate || now - this.heardAt < this.limitMs) return;
     this.stop();
     this.onDead(Math.round((now - this.heardAt) / 1000));

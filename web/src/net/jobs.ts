@@ -5,7 +5,7 @@ import type { Edit, JobInfo } from "../protocol/types";
 import { request } from "./credentials";
 import { ask, checked } from "./rest";
 
-/** A file, as `POST jobs` asks for it. */
+/** A requested file, as in `POST jobs`. */
 export type Extraction = Edit & { readonly step: number; readonly format: string };
 
 export interface JobRequest {
@@ -13,7 +13,7 @@ export interface JobRequest {
   readonly extractions: readonly Extraction[];
 }
 
-/** A page holds all of what it saves. */
+/** A page holds a whole file in memory before it saves it. */
 const MAX_FETCHED_BYTES = 2 ** 30;
 
 /** The user's jobs, the latest first. */
@@ -27,7 +27,7 @@ export async function submitJob(base: URL, wanted: JobRequest, key: string): Pro
   return (await (await ask(address(base), { method: "POST", headers, body: JSON.stringify(wanted) })).json()) as JobInfo;
 }
 
-/** Cancels a job; the results that it has made stay. */
+/** Cancels a job; its results so far are kept. */
 export async function cancelJob(base: URL, id: string): Promise<void> {
   await ask(address(base, `/${id}/cancel`), { method: "POST" });
 }
@@ -42,7 +42,7 @@ export async function removeJob(base: URL, id: string): Promise<void> {
  * isovalues.
  *
  * @param volume its name in files
- * @throws if there is none, or there is more than a page holds
+ * @throws if there is none, or if they exceed `MAX_FETCHED_BYTES`
  */
 export async function fetchResults(base: URL, { id, extractions, bytes }: JobInfo, volume: string): Promise<{ readonly name: string; readonly file: Blob }> {
   if (bytes > MAX_FETCHED_BYTES) throw new Error(`the results have ${bytes} bytes, more than a page can hold: isopeel jobs fetch ${id}`);

@@ -1,12 +1,12 @@
 /**
- * The group that this tab leads, over a reload of its page: in the tab's own storage from when the page goes to when it is there again, and at no other
- * time, so that a copy of the tab has nothing of it. Storage may be closed to the page: then a reload ends the group.
+ * Keeps the group that this tab leads over a reload of its page: in the tab's session storage from unload to load, and at no other time, so that a
+ * copy of the tab does not get it. If the page may not use storage, a reload ends the group.
  */
 
 import { ASKED_CODINGS } from "../protocol/chunk";
 import type { ClientMessage } from "../protocol/generated";
 
-/** A group, and the secret key with which this tab takes the lead of it again. */
+/** A group, and the secret key with which this tab resumes leading it. */
 export interface Leading {
   readonly group: string;
   readonly key: string;
@@ -25,7 +25,7 @@ export const joining = (joined: Joined): ClientMessage => ({ type: "join", name:
 export const leadingAgain = (resume: Leading): ClientMessage => ({ type: "lead", resume, codings: [...ASKED_CODINGS] });
 
 const KEY = "isopeel-leads";
-/** The server waits half as long for who leads; a tab that is opened again later leads nothing. */
+/** The server waits half as long for the leader; a tab that is reopened later does not lead any more. */
 const MAX_AGE_MS = 60_000;
 
 /** Keeps it while the page is away. */
@@ -34,7 +34,7 @@ export function keepLeading(leading: Leading | undefined, now = Date.now()): voi
   try {
     sessionStorage.setItem(KEY, JSON.stringify({ ...leading, at: now }));
   } catch {
-    // Closed or full: the group waits in vain, and ends.
+    // Storage is forbidden or full: the group waits in vain and ends.
   }
 }
 

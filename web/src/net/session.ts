@@ -1,5 +1,5 @@
-/** How the page comes to be let in: by a token in its address, which the server takes for a cookie, or by an issuer to which people sign in. Neither stands in
- * a history or a copied link. */
+/** Authentication of the page: by a token in its address, which is exchanged for a cookie, or by an issuer at which users sign in. Neither appears in
+* the history or in a copied link. */
 
 import { request } from "./credentials";
 import { ask } from "./rest";
@@ -21,10 +21,10 @@ export function withoutToken(href: string): { readonly href: string; readonly to
   return { href: rest, token: value };
 }
 
-/** Why a user who came back from the issuer was not let in. */
+/** Reason why a user who came back from the issuer was refused. */
 let refusal: string | undefined;
 
-/** Takes a refusal out of the page's address. Before that is read as a link. */
+/** Removes a refusal from the page's address. Must run before the address is read as a link. */
 export function takeRefusal(): void {
   const { href, value } = without("sign-in-failed=", window.location.href);
   if (value === undefined) return;
@@ -32,13 +32,13 @@ export function takeRefusal(): void {
   refusal = decodeURIComponent(value);
 }
 
-/** Takes a token out of the page's address and shows it to the server. Before anything else is asked of it. */
+/** Removes a token from the page's address and sends it to the server. Must run before all other requests. */
 export async function enter(base: URL): Promise<void> {
   const { href, token } = withoutToken(window.location.href);
   if (token === undefined) return;
   window.history.replaceState(null, "", href);
   const shown = { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ token }) };
-  // A server that is away, or refuses it, is met again by the connection, which says so.
+  // If the server is unreachable or refuses the token, the connection fails too and reports it.
   await fetch(new URL("api/v1/session", base), shown).catch(() => undefined);
 }
 
@@ -73,7 +73,7 @@ export async function sessionOf(base: URL): Promise<SessionInfo | "refused" | un
   return response?.status === 200 ? ((await response.json()) as SessionInfo) : undefined;
 }
 
-/** Whether the server is there, and asks for a token that this page does not have. */
+/** Whether the server is reachable and requires a token that this page does not have. */
 export async function isRefused(base: URL): Promise<boolean> {
   return (await sessionOf(base)) === "refused";
 }

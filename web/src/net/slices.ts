@@ -12,14 +12,14 @@ export interface PlaneRequest {
 }
 
 export interface Plane {
-  /** Row after row; what is missing is NaN. */
+  /** Row after row; a missing sample is NaN. */
   readonly samples: Float32Array<ArrayBuffer>;
   readonly size: readonly [number, number];
   /** World position of the first sample, and world vectors to the next one in its row and to the next row. */
   readonly origin: Vec3;
   readonly right: Vec3;
   readonly down: Vec3;
-  /** The axes of the volume along the rows, and from row to row; older servers do not say them. */
+  /** The axes of the volume along the rows, and from row to row; older servers do not send them. */
   readonly axes?: readonly ["x" | "y" | "z", "x" | "y" | "z"];
 }
 
@@ -62,7 +62,7 @@ export function readPlane(header: string | null, body: ArrayBuffer): Plane {
     throw new Error(`a slice of ${body.byteLength} bytes, expected ${dims[0]} × ${dims[1]} samples of ${reader.bytes}`);
   }
   const data = new DataView(body);
-  // As a 32-bit float, which the header's decimal stands for: -1e34 is not one.
+  // Rounded to the 32-bit float that the header's decimal means: -1e34 itself is none.
   const hole = type === "f32" && missing !== null ? Math.fround(missing) : missing;
   const samples = Float32Array.from({ length: count }, (_, i) => {
     const value = reader.read(data, i * reader.bytes);

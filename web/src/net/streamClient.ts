@@ -17,32 +17,32 @@ const EDIT_INTERVAL_MS = 50;
 export interface StreamClientHandlers {
   /** `reason`: why the connection was closed, if that is known. */
   readonly onState: (state: ConnectionState, reason: string | undefined) => void;
-  /** To the server this client holds nothing any more: the next prefix is a whole surface. */
+  /** The server assumes that this client holds nothing: the next prefix is a whole surface. */
   readonly onReset: () => void;
   readonly onMessage: (message: StreamMessage) => void;
   readonly onChunk: (frame: ArrayBuffer) => void;
-  /** A frame broke the protocol. The client connects anew by itself. */
+  /** A frame violated the protocol. The client reconnects by itself. */
   readonly onBroken: (reason: string) => void;
-  /** The user may only look: an edit was refused. An error would not outlive the next surface, a better one of the same view even. */
+  /** The user may only look: an edit was refused. Not reported as an error, because the next surface would hide that. */
   readonly onOnlyLooks: (reason: string) => void;
   /** An edit of a surface was sent. */
   readonly onEditSent: (surface: number) => void;
 }
 
-/** A surface as the user wants it. */
+/** The user's state of a surface. */
 interface WantedSurface {
   /** Values in force, with edits that were not sent yet. */
   view: View;
   /** Edits that were not sent yet, merged; `undefined`: there are none. */
   unsent: Edit | undefined;
-  /** The server knows it: an edit of it was sent on this connection. */
+  /** Whether the server knows it: an edit of it was sent on this connection. */
   isMade: boolean;
 }
 
 export class StreamClient {
   private readonly connection: Connection;
   private readonly throttle: Throttle;
-  /** What to open, once known. */
+  /** The volume and step to open, once known. */
   private target: { readonly volume: string; readonly step: number } | undefined;
   /** By their numbers; none until the first `opened` of the target. */
   private readonly surfaces = new Map<number, WantedSurface>();
@@ -52,14 +52,14 @@ export class StreamClient {
   private opened = false;
   /** The server goes to another step of the open volume without opening it again. */
   private canStep = false;
-  /** Something of a surface was shown since the last `opened`, or is on its way to a user who may only look. */
+  /** Whether a prefix was committed since the last `opened`, or is coming for a user who may only look. */
   private isShown = false;
   private asked = 0;
   /** The group to follow, also on a new connection. */
   private joined: Joined | undefined;
-  /** The group that is led from here, and what it is led again with on a new connection. */
+  /** The group that this page leads, with the key to resume it on a new connection. */
   private leading: Leading | undefined;
-  /** Another member of a group has control, or is going to: what is shown is theirs, and nothing of it is asked for here. */
+  /** Whether another member of the group has control, or will get it: then this page shows that member's view and requests nothing itself. */
   private isLed = false;
 
   /** @param address as a `Connection` takes it */
@@ -74,7 +74,7 @@ export class StreamClient {
         this.sendOpen();
       },
       onText: (text) => this.receive(text),
-      // Chunks that arrive between an `open` and its `opened` belong to the volume before.
+      // Chunks that arrive between an `open` and its `opened` belong to the previous volume.
       onBinary: (frame) => {
         if (this.opened) this.handlers.onChunk(frame);
       },
@@ -85,7 +85,7 @@ export class StreamClient {
     });
   }
 
-  /** Text frames sent, but for questions: they change nothing. */
+  /** Number of text frames sent, without questions, which change nothing. */
   get framesSent(): number {
     return this.connection.framesSent - this.asked;
   }
@@ -105,17 +105,17 @@ export class StreamClient {
     return this.opened;
   }
 
-  /** What another shows is shown. */
+  /** Whether the view of another member is shown. */
   get following(): boolean {
     return this.isLed;
   }
 
-  /** The group that is led from here. */
+  /** The group that this page leads. */
   get leads(): Leading | undefined {
     return this.leading;
   }
 
-  /** Leads a group again, which the page has led before it was loaded anew, once something is open. */
+  /** After a reload of the page, continues to lead the group that it led before, as soon as a volume is open. */
   leadOn(leading: Leading): void {
     this.leading = leading;
   }
@@ -139,15 +139,15 @@ export class StreamClient {
     else this.restart();
   }
 
-  /** Connects anew and repeats `open` and the edits. */
+  /** Reconnects and repeats `open` and the edits. */
   restart(): void {
     this.opened = false;
     this.connection.restart();
   }
 
   /**
-   * Opens a volume at a time step. Another step of the open volume keeps the edits, and, if the server allows it, what is held of its
-   * surfaces; another volume starts with its own.
+   * Opens a volume at a time step. Another step of the open volume keeps the edits, and, if the server supports it, the meshes of its
+   * surfaces; another volume starts with its own view.
    */
   open(volume: string, step: number): void {
     if (this.isLed) return;
@@ -189,8 +189,8 @@ export class StreamClient {
   }
 
   /**
-   * Removes a surface. Whether the server is asked to: then what is shown of it goes with its `removed`; else the server does not know
-   * the surface, and there is no answer.
+   * Removes a surface. Returns whether a request was sent: then its meshes are removed with the answer `removed`; otherwise the server
+   * does not know the surface and does not answer.
    */
   remove(surface: number): boolean {
     const isMade = this.surfaces.get(surface)?.isMade === true;
@@ -224,7 +224,7 @@ export class StreamClient {
     this.send(joining(this.joined));
   }
 
-  /** Something about the group. */
+  /** Sends a message about the group. */
   say(message: GroupMessage): void {
     if (message.type === "leave") [this.joined, this.leading] = [undefined, undefined];
     this.send(message);
@@ -237,12 +237,12 @@ export class StreamClient {
       this.send(joining(this.joined));
       return;
     }
-    // Another shows what is to be opened.
+    // Another member decides which volume is opened.
     if (this.isLed && this.leadAgain()) return;
     if (this.target !== undefined) this.send({ type: "open", ...this.target, codings: [...ASKED_CODINGS] });
   }
 
-  /** Whether a group is led from here; then it is, on this connection too. */
+  /** If this page leads a group, resumes it on this connection. Returns whether it does. */
   private leadAgain(): boolean {
     return this.leading !== undefined && this.send(leadingAgain(this.leading));
   }
@@ -267,7 +267,7 @@ export class StreamClient {
     }
     // The replies to earlier steps.
     if ((message.type === "stepped" || message.type === "described") && message.step !== this.target?.step) return;
-    // Messages of a generation that arrive between an `open` and its `opened` belong to the volume before.
+    // Messages of a generation that arrive between an `open` and its `opened` belong to the previous volume.
     if (message.type === "committed") this.isShown = true;
     if (message.type === "error" && message.code === "forbidden") {
       this.handlers.onOnlyLooks(message.message);
@@ -276,7 +276,7 @@ export class StreamClient {
     if (this.opened || message.type === "error" || message.type === "opening") this.handlers.onMessage(message);
   }
 
-  /** Whether it is about a group. What another shows is expected from then on. */
+  /** Returns whether the message is about a group. From then on, this page expects the other member's view. */
   private receiveOfGroup(message: StreamMessage): boolean {
     if (message.type === "left") return this.parted(message);
     if (message.type === "error") return (message.code === "unknown-group" || message.code === "group-full") && this.parted(message);
@@ -294,7 +294,7 @@ export class StreamClient {
     return true;
   }
 
-  /** Another has opened this. */
+  /** Another member has opened this volume. */
   private expect(volume: string, step: number): void {
     if (this.target?.volume !== volume) {
       this.opened = false;
@@ -303,7 +303,7 @@ export class StreamClient {
     this.target = { volume, step };
   }
 
-  /** In no group any more: what is shown stays. */
+  /** The page has left its group; the shown surfaces stay. */
   private parted(message: StreamMessage): true {
     [this.joined, this.leading, this.isLed] = [undefined, undefined, false];
     this.handlers.onMessage(message);
@@ -322,7 +322,7 @@ export class StreamClient {
   /** The server starts from its own values; the user's replace them, if there are any. */
   private repeat(message: Extract<ServerMessage, { type: "opened" }>): void {
     this.opening = message.edit;
-    // A server from before time steps had a message of their own does not say it.
+    // An older server, without a message for time steps, does not send this capability.
     this.canStep = (message.capabilities as Partial<Capabilities>).steps === true;
     if (this.isLed) return this.adopt(message);
     const before = this.surfaces.get(0)?.view ?? {};
@@ -330,7 +330,7 @@ export class StreamClient {
     // The server has surface 0 alone. If it was removed, the remaining surfaces are the user's.
     for (const [surface, wanted] of this.surfaces) wanted.isMade = surface === 0;
     if (this.surfaces.size === 0 || this.surfaces.has(0)) this.surfaces.set(0, { view, unsent: undefined, isMade: true });
-    // What the page edits as soon as it knows the volume (a link's values) is part of the first edits.
+    // Edits that the page makes as soon as it knows the volume (a link's values) are part of the first edits.
     this.handlers.onMessage({ ...message, edit: view });
     this.opened = true;
     this.isShown = false;
@@ -340,7 +340,7 @@ export class StreamClient {
       wanted.unsent = undefined;
       this.sendEdit(surface, edit);
     }
-    // Now that what is shown here is what was shown before.
+    // Only now, as the page has restored its earlier state.
     this.leadAgain();
   }
 
@@ -350,7 +350,7 @@ export class StreamClient {
     return names.every((name) => JSON.stringify(edit[name]) === JSON.stringify(opening[name])) ? {} : edit;
   }
 
-  /** Another has opened it, and its surfaces follow. */
+  /** Another member has opened it; its surfaces follow. */
   private adopt(message: Extract<ServerMessage, { type: "opened" }>): void {
     this.surfaces.clear();
     this.surfaces.set(0, { view: message.edit, unsent: undefined, isMade: true });

@@ -1,4 +1,4 @@
-/** Files that become volumes of the server: declared, sent in parts that go on after a lost connection (tus 1.0), and read. */
+/** Uploads of files to volumes of the server: declared, sent in parts that resume after a lost connection (tus 1.0), and read. */
 
 import { Upload as Tus, type DetailedError } from "tus-js-client";
 import type { UploadInfo, UploadList } from "../protocol/types";
@@ -14,14 +14,14 @@ export interface NamedFile {
 export type UploadPhase =
   | "declaring"
   | "sending"
-  /** The connection was lost; it is tried again. */
+  /** The connection was lost; the request is retried. */
   | "waiting"
-  /** All is there, and is read as a volume. */
+  /** All bytes are uploaded; the server reads the files as a volume. */
   | "reading";
 
-/** Proxies keep a part in memory or on disk; what is lost with a connection is less than one. */
+/** Size of a part. Proxies buffer a part in memory or on disk; a lost connection loses less than one part. */
 const PART_BYTES = 8 << 20;
-/** A server that starts anew is back within minutes. */
+/** Pauses between retries: a server that restarts is back within minutes. */
 const RETRY_MS = [500, 1000, 2000, 4000, ...Array<number>(120).fill(5000)];
 
 /** The user's uploads. */
@@ -35,13 +35,13 @@ export async function removeUpload(base: URL, id: string): Promise<void> {
 }
 
 /**
- * Sends files and returns the upload that they became. The same files again go on where an earlier page has stopped.
+ * Sends files and returns their upload. If the same files are sent again, continues an earlier page's unfinished upload of them.
  *
  * @throws with the server's own message if it refuses; an `AbortError` when `signal` ends it, and the upload is removed
  */
 export async function upload(base: URL, files: readonly NamedFile[], signal: AbortSignal, onProgress: (phase: UploadPhase, sent: number) => void): Promise<UploadInfo> {
   onProgress("declaring", 0);
-  // To its end, also when it is cancelled meanwhile: what was made is to be removed.
+  // Not cancelled by the signal, because the declared upload must then be removed.
   const made = await declare(base, files);
   try {
     signal.throwIfAborted();
@@ -50,7 +50,7 @@ export async function upload(base: URL, files: readonly NamedFile[], signal: Abo
     onProgress("reading", made.bytes);
     return await finish(new URL(`api/v1/uploads/${made.id}/finish`, base), signal);
   } catch (error) {
-    // One that was there before is not this page's to remove.
+    // An upload that existed before must not be removed by this page.
     if (signal.aborted && made.state !== "ready") await removeUpload(base, made.id).catch(() => undefined);
     throw error;
   }
@@ -63,7 +63,7 @@ async function declare(base: URL, files: readonly NamedFile[]): Promise<UploadIn
   return (await response.json()) as UploadInfo;
 }
 
-/** Asked again it changes nothing, so it may be asked until the server is back, or has done what others asked for before. */
+/** Requests the reading of the files. The request is idempotent, so it is retried until the server is back, or has done earlier requests. */
 async function finish(url: URL, signal: AbortSignal): Promise<UploadInfo> {
   for (const delay of RETRY_MS) {
     const response = await request(url, { method: "POST", signal }).catch(() => undefined);
@@ -77,7 +77,7 @@ async function finish(url: URL, signal: AbortSignal): Promise<UploadInfo> {
 
 function send(url: URL, files: readonly NamedFile[], signal: AbortSignal, onProgress: (phase: UploadPhase, sent: number) => void): Promise<void> {
   return new Promise((done, failed) => {
-    // One after the other; the browser reads each when its turn comes.
+    // One after the other; the browser reads each file only when it is sent.
     const tus = new Tus(new Blob(files.map(({ file }) => file)), {
       uploadUrl: url.href,
       chunkSize: PART_BYTES,
@@ -101,7 +101,7 @@ function send(url: URL, files: readonly NamedFile[], signal: AbortSignal, onProg
   });
 }
 
-/** What may be over when it is tried again: no connection, another request in the way, a server or proxy that is busy or starting. */
+/** Whether a retry may succeed: no connection, a conflicting request, a server or proxy that is busy or starting. */
 export function isPassing(status: number): boolean {
   return [0, 409, 423, 429, 500, 502, 503, 504].includes(status);
 }

@@ -4,7 +4,7 @@ import type { View } from "./types";
 
 type Budget = Pick<View, "triangles" | "bytes">;
 
-/** A budget is in force for this surface: it has a part of the connection's one. */
+/** Whether a budget is in force for this surface: it has a share of the connection's budget. */
 export function hasBudget({ triangles, bytes }: Budget): boolean {
   return triangles !== undefined || bytes !== undefined;
 }

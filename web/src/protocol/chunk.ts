@@ -17,12 +17,12 @@ export const MAX_INDICES = 3 * MAX_TRIANGLES;
 /** Every vertex belongs to a triangle. */
 export const MAX_VERTICES = 3 * MAX_TRIANGLES;
 
-/** What a chunk holds: a region of a prefix, or the distance of each of its vertices to the isosurface. By their numbers. */
+/** Kinds of chunks, by their numbers: a region of a prefix, or the distance of each of its vertices to the isosurface. */
 const KINDS = ["cut", "error"] as const;
 
-/** How a mesh is coded, by the flags of its chunk. The second one is for those who ask for it. */
+/** Codings of a mesh, by the flags of its chunk. The second one is sent only on request. */
 const CODINGS = ["meshopt", "predictive"] as const;
-/** What a client may ask for when it opens a volume. */
+/** Codings that a client may request when it opens a volume. */
 export const ASKED_CODINGS: readonly string[] = CODINGS.slice(1);
 
 export interface ChunkHeader {

@@ -5,7 +5,7 @@
 
 import type * as Server from "./generated";
 
-/** What was received is not changed. */
+/** Makes received values immutable. */
 type Immutable<T> = T extends object ? { readonly [K in keyof T]: Immutable<T[K]> } : T;
 
 /** Three numbers: x, y, z. */
@@ -38,7 +38,7 @@ type Optional = "beta" | "error" | "triangles" | "bytes" | "featureRange";
 /** Every value in force, as `opened` states it. */
 export type View = Required<Omit<EditFields, Optional>> & { readonly [K in Optional]?: EditFields[K] | undefined };
 
-/** What changes; the rest keeps its value. What is `undefined` is not sent. */
+/** Values to change; all others keep theirs. A value that is `undefined` is not sent. */
 export type Edit = Partial<View>;
 
 type EditMessage = { readonly type: "edit"; readonly surface?: number } & Edit;
@@ -49,7 +49,7 @@ export type ServerMessage =
   | Exclude<Immutable<Server.ServerMessage>, OpenedMessage>
   | (Omit<OpenedMessage, "edit"> & { readonly edit: View });
 
-/** What a client asks about a surface. */
+/** A client's question about a surface. */
 export type Question = Extract<ClientMessage, { readonly type: "probe" | "distribution" | "curve" | "annotate" }>;
 type Message<T extends ServerMessage["type"]> = Extract<ServerMessage, { readonly type: T }>;
 export type Curve = Message<"curve">;
@@ -58,8 +58,8 @@ export type Probed = Message<"probed">;
 export type Group = Message<"group">;
 export type Led = Message<"led">;
 export type Posed = Message<"posed">;
-/** What a client says about a group. */
+/** A client's message about a group. */
 export type GroupMessage = Extract<ClientMessage, { readonly type: "lead" | "leave" | "pose" | "ask-control" | "give-control" }>;
 export type Annotated = Message<"annotated">;
-/** What the server says beside its signs of life, which concern the connection alone. */
+/** Messages of the server, without heartbeats, which concern only the connection. */
 export type StreamMessage = Exclude<ServerMessage, Message<"heartbeat">>;

@@ -1,14 +1,14 @@
-/** Asks what the cards show of the surface on screen, once it is final and nothing is changed for a moment. */
+/** Asks the questions of the cards about the surface on screen, once it is final and the user pauses. */
 
 import type { Question } from "../protocol/types";
 import type { DueQuestion } from "../state/answers";
 
-/** The server's own rest begins 250 ms after the surface is done: answers are there before a better one is made. */
+/** The server improves the surface 250 ms after it is done: answers arrive before that. */
 const REST_MS = 150;
 
 export class Asker {
   private timer: ReturnType<typeof setTimeout> | undefined;
-  /** What was asked and not answered, by type: the view that it is about. */
+  /** Unanswered questions by type, with the view that each is about. */
   private readonly asked = new Map<Question["type"], string>();
   private waitsFor = "";
 
@@ -17,7 +17,7 @@ export class Asker {
     private readonly ask: (question: Question) => void,
   ) {}
 
-  /** Something changed: questions that are due are asked after a short delay, which starts again if they change meanwhile. */
+  /** Called on changes: questions that are due are asked after a short delay, which restarts if they change meanwhile. */
   follow(): void {
     const due = this.due();
     const waitsFor = due.map(({ question, key }) => question.type + key).join();
@@ -27,7 +27,7 @@ export class Asker {
     this.timer = due.length === 0 ? undefined : setTimeout(() => this.askDue(), REST_MS);
   }
 
-  /** An answer is there, or was dropped because it came too late: what is still due is asked again. */
+  /** An answer arrived, or was dropped because it came too late: questions that are still due are asked again. */
   answered(type: Question["type"]): void {
     this.asked.delete(type);
   }
@@ -37,7 +37,7 @@ export class Asker {
     this.asked.delete("annotate");
   }
 
-  /** The server knows of no question any more. */
+  /** The server has forgotten all questions. */
   reset(): void {
     this.asked.clear();
   }

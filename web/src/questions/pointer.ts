@@ -19,7 +19,7 @@ export function centreOf(element: Element): Place {
   return [left + width / 2, top + height / 2];
 }
 
-/** Listens to the picture's canvas, not to what lies over it. */
+/** Listens to the picture's canvas, not to elements over it. */
 export function listenToPicture(viewport: HTMLElement, handlers: PointerHandlers): void {
   let down: Place | undefined;
   const isPicture = (event: Event) => event.target instanceof HTMLCanvasElement;

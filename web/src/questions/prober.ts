@@ -1,4 +1,4 @@
-/** Probes the surface under the pointer: the scene finds the position on the surface, the server tells what is known of that position. */
+/** Probes the surface under the pointer: the scene finds the position on the surface, and the server returns the values there. */
 
 import type { Probed, Question, Vec3 } from "../protocol/types";
 
@@ -15,7 +15,7 @@ export interface ProberHandlers {
   /** The nearest point of a surface at a place of the page. */
   readonly pick: (place: Place) => Promise<Found | undefined>;
   readonly ask: (question: Question) => void;
-  /** What is known of the place last pointed at; `undefined` if there is no surface there. */
+  /** The values at the last place of the pointer; `undefined` if there is no surface there. */
   readonly onProbed: (probed: Probed | undefined) => void;
 }
 
@@ -25,12 +25,12 @@ const INTERVAL_MS = 80;
 const GIVE_UP_MS = 3000;
 
 export class Prober {
-  /** Place of the pointer; of several only the latest is probed. */
+  /** Place of the pointer; only the latest one is probed. */
   private next: Place | undefined;
-  /** What is under way is for this turn of the pointer; when it has left, nothing is shown. */
+  /** Counts the visits of the pointer: an answer for an earlier visit is not shown. */
   private turn = 0;
   private isBusy = false;
-  /** Places that were clicked and are not known yet. They come before those that the pointer passes. */
+  /** Clicked places without an answer yet. They take precedence over places that the pointer passes. */
   private clicked = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private waiting: ((probed: Probed | undefined) => void) | undefined;
@@ -43,7 +43,7 @@ export class Prober {
     if (!this.isBusy) void this.look();
   }
 
-  /** It left the picture, or what is under it is about to change. */
+  /** The pointer left the picture, or the surface under it is about to change. */
   leave(): void {
     this.turn += 1;
     this.next = undefined;
@@ -55,7 +55,7 @@ export class Prober {
     return this.handlers.pick(place);
   }
 
-  /** What is known of a place of the page that was clicked. */
+  /** Probes a clicked place of the page. */
   async probe(place: Place): Promise<Probed | undefined> {
     this.clicked += 1;
     try {
@@ -78,7 +78,7 @@ export class Prober {
     }
   }
 
-  /** What is known of a place, which need not be on the surface. */
+  /** Probes a place, which need not be on the surface. */
   async at(found: Found): Promise<Probed | undefined> {
     this.clicked += 1;
     try {
@@ -103,12 +103,12 @@ export class Prober {
     });
   }
 
-  /** The server's answer. One to a question before the last is not waited for any more. */
+  /** Takes the server's answer. An answer to an earlier question than the last is ignored. */
   answered(probed: Probed): void {
     this.waiting?.(probed);
   }
 
-  /** Of the places that came meanwhile the latest follows. */
+  /** Probes the latest of the places that came meanwhile. */
   private async look(): Promise<void> {
     const { next, turn } = this;
     if (next === undefined) return;

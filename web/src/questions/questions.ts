@@ -11,20 +11,20 @@ import { Asker } from "./asker";
 import { centreOf, listenToPicture } from "./pointer";
 import { Prober, type Place, type ProberHandlers } from "./prober";
 
-/** What the page shows and does of it. */
+/** Callbacks of the page. */
 export interface QuestionPage {
   readonly showProbe: (probed: Probed | undefined) => void;
-  /** A point of the transfer function is wanted at this value. */
+  /** Adds a point of the transfer function at this value. */
   readonly addPoint: (blended: number) => void;
   readonly setInterest: (interest: ReturnType<typeof paint>) => void;
   readonly setParts: (parts: Parts) => void;
   readonly setMeasures: (measures: readonly Measure[]) => void;
-  /** Points of what is being measured. */
+  /** Points of the current measurement. */
   readonly setPicked: (points: readonly Vec3[]) => void;
   /** The crosshair of the slices goes there. */
   readonly point: (position: Vec3) => void;
   readonly endTool: () => void;
-  /** Why a click did nothing. */
+  /** Explains why a click did nothing. */
   readonly say: (text: string) => void;
 }
 
@@ -47,7 +47,7 @@ export class Questions {
     this.prober = new Prober({ pick, ask, onProbed: page.showProbe });
   }
 
-  /** Looks at what the pointer does over the picture. */
+  /** Listens to the pointer over the picture. */
   listen(viewport: HTMLElement): void {
     this.viewport = viewport;
     listenToPicture(viewport, {
@@ -60,12 +60,12 @@ export class Questions {
     });
   }
 
-  /** The tool in hand, at the centre of the picture: for keys and fingers. */
+  /** Uses the current tool at the centre of the picture: for keys and touch. */
   useAtCentre(): void {
     if (this.viewport !== undefined) void this.use(centreOf(this.viewport));
   }
 
-  /** What the server knows of a place of the world. */
+  /** Probes a place of the world. */
   probeAt(position: Vec3, surface: number): Promise<Probed | undefined> {
     return this.prober.at({ position, surface });
   }
@@ -80,12 +80,12 @@ export class Questions {
     this.asker.edited();
   }
 
-  /** All of an annotation has come, and the state has taken it up. */
+  /** An annotation is complete, and the state contains it. */
   annotated(): void {
     this.asker.answered("annotate");
   }
 
-  /** A message that the state has taken up. Whether it is an answer, with which nothing else is to be done. */
+  /** A message that the state has processed. Returns whether it is an answer that needs no further processing. */
   received(message: ServerMessage): message is Curve | Distribution | Probed {
     if (message.type === "opened") this.asker.reset();
     if (message.type === "probed") this.prober.answered(message);
@@ -103,7 +103,7 @@ export class Questions {
     return [...(isEmbedded ? [] : dueQuestions(viewer, ["curve", "distribution"])), ...(look.colorBy === "error" ? dueErrors(viewer, surfaces) : [])];
   }
 
-  /** The server's frames come first: looking under the pointer renders the surface too. An embedded page has no place for what is found. */
+  /** Whether to probe: not while the surface is being made, because a probe renders it too. An embedded page does not show probes. */
   private get canProbe(): boolean {
     const { questions, working, shown } = this.store.viewer;
     return !this.store.isEmbedded && questions.includes("probe") && !working && shown?.final === true;

@@ -6,7 +6,7 @@
 import type { Annotated } from "../protocol/types";
 import { SequenceError, type ChunkId } from "./map";
 
-/** All of an annotation that came. */
+/** A complete annotation. */
 export interface Annotation {
   readonly surface: number;
   readonly generation: number;
@@ -22,14 +22,14 @@ interface Part {
 }
 
 export class Annotations {
-  /** The one that is being received. */
+  /** The annotation that is being received. */
   private open: { readonly announced: Annotated; came: number; readonly values: Float32Array<ArrayBuffer>[] } | undefined;
-  /** Of meshes that are not shown yet. */
+  /** Values of meshes that are not shown yet. */
   private readonly waiting = new Map<ChunkId, Float32Array<ArrayBuffer>>();
 
   /**
    * @param give hands its values to a mesh on screen
-   * @param onComplete all of an annotation came, and the meshes that it is of are on screen
+   * @param onComplete an annotation is complete, and its meshes are on screen
    */
   constructor(
     private readonly give: (id: ChunkId, values: Float32Array<ArrayBuffer>) => void,
@@ -76,7 +76,7 @@ export class Annotations {
     if (isLess) this.finish();
   }
 
-  /** The server answers nothing any more that was asked before. */
+  /** The server does not answer earlier questions any more. */
   reset(): void {
     this.open = undefined;
     this.waiting.clear();

@@ -1,14 +1,14 @@
 /**
  * The map from region to mesh of one surface, as a reducer. It holds the ids of chunks, no bytes or meshes, and does no I/O: each event
- * returns what its caller has to do.
+ * returns the actions for its caller.
  *
  * A chunk is *received* (it has an id), *resident* (decoded and uploaded), *shown*, and in the end *dropped*.
  * The chunks of a prefix are one change to the map. It takes effect as a whole, when the server has committed the prefix
  * and all its chunks are resident; until then the old surface is shown.
  *
- * What was committed must be kept even if a newer generation begins before it is shown: to the server it is held by this
- * client, and only what changed since is sent. Such prefixes of an ended generation collapse into one change, and chunks that
- * a later prefix replaces are dropped undecoded.
+ * A committed prefix must be kept even if a newer generation begins before it is shown: the server assumes that this client
+ * holds it, and sends only later changes. Such prefixes of an ended generation collapse into one change, and chunks that a
+ * later prefix replaces are dropped undecoded.
  */
 
 /** Names one received chunk; unique while the page lives. */
@@ -54,7 +54,7 @@ export type RegionEvent =
   | { readonly type: "committed"; readonly generation: number; readonly level: number }
   | { readonly type: "superseded"; readonly generation: number }
   | { readonly type: "resident"; readonly id: ChunkId }
-  /** To the server this client holds nothing any more: a new connection, another volume. The surface on screen remains. */
+  /** The server assumes that this client holds nothing: a new connection, another volume. The surface on screen remains. */
   | { readonly type: "reset" };
 
 /** A prefix to show at once. */

@@ -28,7 +28,7 @@ type Prefix = Extract<SurfaceEvent, { readonly type: "prefix" }>;
 /** An event of the region maps; a prefix says which mesher made its chunks. */
 export type PipelineEvent = Exclude<SurfaceEvent, Prefix> | (Prefix & { readonly mesher: View["mesher"] });
 
-/** A chunk that is on its way to the GPU. */
+/** A chunk between its arrival and its upload to the GPU. */
 interface Arriving {
   readonly header: ChunkHeader;
   readonly mesher: View["mesher"];
@@ -37,7 +37,7 @@ interface Arriving {
 export interface PipelineHandlers {
   /** A prefix is shown. */
   readonly onSwap: (swap: SurfaceSwap) => void;
-  /** What the server measured of each vertex is on the meshes. */
+  /** The meshes have the server's values of each vertex. */
   readonly onAnnotated: (annotation: Annotation) => void;
   /** The server or a chunk broke the protocol: start over with a `reset` and a new connection. */
   readonly onBroken: (reason: string) => void;
@@ -92,7 +92,7 @@ export class RegionPipeline {
     const { surface, generation, level, region, vertexCount } = header;
     const id = vertexCount === 0 ? null : ++this.lastId;
     if (!this.event({ type: "chunk", surface, generation, level, region: region.join(), id }) || id === null) return;
-    // There is one: a chunk outside a prefix is no event.
+    // Always defined here: `event` has refused a chunk outside a prefix.
     const mesher = this.meshers.get(surface);
     if (mesher === undefined) return;
     this.arriving.set(id, { header, mesher });
@@ -136,7 +136,7 @@ export class RegionPipeline {
 
   /**
    * Area and volume of a surface as it is on screen.
-   * @param axes what a step along each axis of the index space is in the world
+   * @param axes world vectors of a step along each axis of the index space
    */
   sum(surface: number, axes: WorldAxes, uneven?: Uneven): Promise<MeshSums> {
     return this.queue.sum([...(this.maps.get(surface)?.shown.values() ?? [])], axes, uneven);

@@ -7,7 +7,7 @@ type Shared = Extract<RegionEvent, { readonly type: "resident" | "reset" }>;
 export type SurfaceEvent =
   | (Exclude<RegionEvent, Shared> & { readonly surface: number })
   | Shared
-  /** The server has removed a surface: what is shown of it goes, and what is on its way. */
+  /** The server has removed a surface: its shown and pending chunks are dropped. */
   | { readonly type: "removed"; readonly surface: number };
 
 /** A prefix of a surface to show at once. */

@@ -1,4 +1,4 @@
-/** What is drawn besides the surface, for orientation: axes cube, scale bar, bounding box, markers, handles. */
+/** Annotations drawn besides the surface, for orientation: axes cube, scale bar, bounding box, markers, handles. */
 
 import type { Box3, OrthographicCamera, PerspectiveCamera, Scene } from "three";
 import type { AxisName } from "../world/axes";
@@ -17,7 +17,7 @@ import { Overlay, type Label } from "./overlay";
 import { heightAt } from "./scale";
 import { Swipe } from "./swipe";
 
-/** Which of them are shown. */
+/** Choice of shown annotations. */
 export interface AnnotationChoice {
   readonly axes: boolean;
   readonly scale: boolean;
@@ -31,7 +31,7 @@ const DEFAULT_ANNOTATIONS: AnnotationChoice = { axes: true, scale: true, box: fa
 export interface AnnotationHandlers {
   readonly onView: (axis: AxisName) => void;
   readonly onClip: (clip: Clip) => void;
-  /** Something here looks different now. */
+  /** An annotation has changed. */
   readonly onChange: () => void;
 }
 
@@ -53,7 +53,7 @@ export class Annotations {
 
   constructor(
     container: HTMLElement,
-    /** What is rendered over the surface. */
+    /** Scene that is rendered over the surface. */
     private readonly scene: Scene,
     private readonly handlers: AnnotationHandlers,
   ) {
@@ -86,7 +86,7 @@ export class Annotations {
     this.handlers.onChange();
   }
 
-  /** How many times higher the world is shown than it is: the scale bar says so. */
+  /** Factor by which heights are exaggerated: the scale bar states it. */
   set exaggeration(factor: number) {
     this.bar.exaggeration = factor;
     this.handlers.onChange();
@@ -108,13 +108,13 @@ export class Annotations {
     this.handlers.onChange();
   }
 
-  /** Lines with texts between places, and none besides. */
+  /** Shows exactly these lines with texts between places. */
   measure(rulers: readonly Ruler[]): void {
     this.rulers.set(rulers);
     this.handlers.onChange();
   }
 
-  /** Outlines of regions on screen, not in images, and none besides. @param strong number of the one that is pointed at */
+  /** Shows exactly these outlines of regions on screen, not in images. @param strong number of the one under the pointer */
   outline(regions: readonly Outlined[], strong: number | undefined): void {
     this.outlines.set(regions, strong);
     this.handlers.onChange();
@@ -127,12 +127,12 @@ export class Annotations {
     this.handlers.onChange();
   }
 
-  /** Something is drawn as far as the volume goes, beyond the surface. */
+  /** Whether an annotation extends over the whole volume, beyond the surface. */
   get fillsVolume(): boolean {
     return this.choice.box || this.isPointed;
   }
 
-  /** Says beside the picture what its colours mean; `undefined`: nothing. */
+  /** Shows a colour bar beside the picture; `undefined`: none. */
   showColors(bar: ColorBar | undefined): void {
     this.colors.show(bar);
   }
@@ -147,7 +147,7 @@ export class Annotations {
   }
 
   /**
-   * Brings all of it into line with the camera.
+   * Updates all annotations for the camera.
    * @param depth of the surface at the centre, at which the scale bar holds
    */
   update(camera: PerspectiveCamera | OrthographicCamera, box: Box3, clip: Clip, depth: number): void {

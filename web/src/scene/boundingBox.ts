@@ -31,7 +31,7 @@ export class BoundingBox {
     this.object.material.style = color;
   }
 
-  /** Edges, ticks and their numbers as they are best seen from the camera. */
+  /** Updates edges and ticks for the camera, and returns the numbers of the ticks. */
   update(box: Box3, camera: Camera): readonly Label[] {
     this.labels = [];
     const lines: Vector3[] = [];
@@ -75,8 +75,8 @@ export class BoundingBox {
 }
 
 /**
- * Of the four edges along an axis one at the outline of the box as it is seen, so that its numbers lie beside the picture: the lowest, and
- * of the upright ones the leftmost. None if the axis is seen end on.
+ * Chooses one of the four edges along an axis, at the outline of the box as seen, so that its numbers lie beside the picture: the lowest, and
+ * among upright ones the leftmost. None if the axis is seen end on.
  */
 function tickedEdge(axis: 0 | 1 | 2, box: Box3, camera: Camera): { readonly at: Vector3; readonly outward: Vector3 } | undefined {
   const center = box.getCenter(new Vector3());

@@ -29,12 +29,12 @@ const FIT_MARGIN = 1.04;
 /** Bounds of the distance to the target, in radii of what is shown: the nearest shows some cells, the farthest a small surface. */
 const NEAREST = 0.02;
 const FARTHEST = 12;
-/** Seconds in which a move is all but done. */
+/** Seconds in which a move is almost complete. */
 const MOVE_SECONDS = 0.22;
 const DRAG_SECONDS = 0.09;
 /** A frame that took longer advances moves by this much, so that a slow renderer still shows some steps of them. */
 const MAX_STEP_SECONDS = 0.1;
-/** What a key turns (radians), zooms and moves (shares of the distance). */
+/** Amounts by which a key turns (radians), zooms and moves (shares of the distance). */
 const KEY_TURN = Math.PI / 18;
 const KEY_ZOOM = 0.16;
 const KEY_MOVE = 0.06;
@@ -42,10 +42,10 @@ const KEY_MOVE = 0.06;
 const reducedMotion = window.matchMedia("(prefers-reduced-motion: reduce)");
 
 export class SceneCamera implements Zooming {
-  /** What the picture is rendered with. */
+  /** Cameras with which the picture is rendered. */
   private readonly perspective = new PerspectiveCamera(FOV_DEGREES, 1, 0.1, 10);
   private readonly orthographic = new OrthographicCamera();
-  /** What the user moves, in units of the radius of what is shown: the controls' thresholds are absolute. */
+  /** Camera that the user moves, in units of the radius of the shown surfaces, because the controls' thresholds are absolute. */
   private readonly handled = new PerspectiveCamera(FOV_DEGREES, 1, 0.001, 1000);
   private readonly controls: CameraControls;
   /** Around the surfaces, and around all that is drawn. */
@@ -81,7 +81,7 @@ export class SceneCamera implements Zooming {
     this.controls.dollyToCursor = true;
     this.controls.mouseButtons.wheel = CameraControls.ACTION.NONE;
     this.gestures = new ZoomGestures(canvas, this, pick);
-    // Bounds come with what is shown; a link's pose may come first.
+    // Bounds are set with the first surface; a link's pose may come before.
     this.controls.minDistance = 0;
     for (const type of ["controlstart", "control", "transitionstart", "wake", "update"] as const) {
       this.controls.addEventListener(type, onChange);
@@ -103,8 +103,8 @@ export class SceneCamera implements Zooming {
   }
 
   /**
-   * How many times higher the world is shown than it is. Poses, points and boxes stay those of the world: the camera's matrices have the factor, so that all that
-   * is drawn has it. What is moved and turned here is in the world as it is shown.
+   * Factor by which heights are exaggerated. Poses, points and boxes stay those of the world: the camera's matrices contain the factor, so that it applies to all
+   * that is drawn. The controls move and turn in the exaggerated world.
    */
   set exaggeration(factor: number) {
     if (factor === this.stretch.factor) return;
@@ -177,7 +177,7 @@ export class SceneCamera implements Zooming {
   /** In units of the controls. */
   private moveTo({ position, target }: Viewpoint, animate: boolean): void {
     const { controls } = this;
-    // The target of a place beside the surface may lie outside of it; what moves the camera next would put it back.
+    // A target beside the surface may lie outside of the boundary; the next move of the camera would pull it back.
     controls.setBoundary(this.boundary().expandByPoint(target));
     void controls.setLookAt(...position.toArray(), ...target.toArray(), animate);
     this.onChange();
@@ -204,10 +204,10 @@ export class SceneCamera implements Zooming {
   }
 
   /**
-   * Sets the bounds of what is shown: near and far plane closely around it, for the depth buffer's precision, and the user's moves near it:
-   * the target inside of `box`, the distance between some cells and a small surface in sight. The camera's current pose is always within
-   * the bounds: another surface does not move it.
-   * @param around what else is drawn, which may be larger
+   * Sets the bounds for the shown surfaces: near and far plane closely around them, for the depth buffer's precision, and limits of the user's
+   * moves: the target inside of `box`, the distance from that of some cells to that of a small surface in sight. The camera's current pose is
+   * always within the bounds: another surface does not move it.
+   * @param around box of everything that is drawn, which may be larger
    */
   bound(box: Box3, around: Box3 = box): void {
     if (box.isEmpty()) return;
@@ -290,7 +290,7 @@ export class SceneCamera implements Zooming {
     if (camera instanceof PerspectiveCamera) {
       camera.near = Math.max(camera.near, camera.far / 2000);
     } else {
-      // What lies behind the camera is in the picture too: `near` may be negative.
+      // Things behind the camera are in the picture too: `near` may be negative.
       camera.top = position.distanceTo(target) * Math.tan(this.fov / 2);
       camera.bottom = -camera.top;
       camera.right = camera.top * this.perspective.aspect;
@@ -301,7 +301,7 @@ export class SceneCamera implements Zooming {
     this.stretchView(camera);
   }
 
-  /** Has the camera's matrices lead from the world to the picture, and its position be one of the world. */
+  /** Makes the camera's matrices map from the world to the picture, and its position one of the world. */
   private stretchView(camera: PerspectiveCamera | OrthographicCamera): void {
     const { factor } = this.stretch;
     camera.matrixWorldAutoUpdate = factor === 1;

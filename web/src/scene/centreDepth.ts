@@ -8,7 +8,7 @@ import { WhenStill } from "./whenStill";
 const STILL_MS = 200;
 
 export class CentreDepth {
-  /** On the line of sight, when it was last looked for. */
+  /** Point on the line of sight, from the last measurement. */
   private found: Vector3 | undefined;
   private readonly whenStill = new WhenStill(STILL_MS, () => this.look());
 
@@ -18,13 +18,13 @@ export class CentreDepth {
     private readonly onFound: () => void,
   ) {}
 
-  /** As the camera sees it; to the target if there is no surface. While the camera moves, to the place that was found last. */
+  /** Depth as the camera sees it; that of the target if there is no surface. While the camera moves, that of the last measured point. */
   get depth(): number {
     const place = this.found?.clone() ?? new Vector3(...this.camera.pose.target);
     return Math.max(-place.applyMatrix4(this.camera.camera.matrixWorldInverse).z, 1e-3 * this.camera.nearest);
   }
 
-  /** Looks for it when the picture is still. */
+  /** Measures it when the picture is still. */
   lookSoon(isShown: boolean): void {
     this.whenStill.lookSoon(isShown && this.camera.projection === "perspective");
   }

@@ -1,11 +1,11 @@
-/** Handles on the faces of what is clipped: dragged along their normal, or moved by arrow keys. */
+/** Handles on the faces of the clip: dragged along their normal, or moved by arrow keys. */
 
 import { Vector3, type Box3, type Camera } from "three";
 import type { Clip } from "./clipping";
 import { onScreen, placeAt } from "./overlay";
 import { tickText } from "../world/ticks";
 
-/** What a key moves, in diagonals of the volume; with shift ten times as much. */
+/** Step of a key, in diagonals of the volume; ten times as long with shift. */
 const KEY_STEP = 0.005;
 
 interface Handle {
@@ -19,7 +19,7 @@ interface Handle {
   readonly moved: (value: number) => Clip;
 }
 
-/** Handles of a clip, of which what is left lies in `bounds`. */
+/** Handles of a clip. `bounds`: box of the part that the clip keeps. */
 export function handlesOf(clip: Clip, bounds: Box3): Handle[] {
   const handles: Handle[] = [];
   const { plane, box } = clip;

@@ -20,11 +20,11 @@ import { cutFaces } from "./convex";
 import { PlainMaterial } from "./plain";
 import type { Vec3 } from "./world";
 
-/** What is cut away. World units. */
+/** A clip plane and a clip box. World units. */
 export interface Clip {
-  /** Keeps what lies against the normal: `normal · p ≤ offset`. The normal is a unit vector. */
+  /** Keeps the half space `normal · p ≤ offset`. The normal is a unit vector. */
   readonly plane?: { readonly normal: Vec3; readonly offset: number } | undefined;
-  /** Keeps what lies inside. */
+  /** Keeps the inside. */
   readonly box?: { readonly min: Vec3; readonly max: Vec3 } | undefined;
   /** Closes solids at the cut; else their inside is seen. */
   readonly caps: boolean;
@@ -32,7 +32,7 @@ export interface Clip {
 
 export const NO_CLIP: Clip = { caps: true };
 
-/** Planes with what is kept on their positive side. */
+/** Clip planes; the kept part is on their positive side. */
 export function clipPlanes({ plane, box }: Clip): Plane[] {
   const planes: Plane[] = [];
   if (plane !== undefined) planes.push(new Plane(new Vector3(...plane.normal).negate(), plane.offset));
@@ -45,7 +45,7 @@ export function clipPlanes({ plane, box }: Clip): Plane[] {
   return planes;
 }
 
-/** What a surface's caps need of it. */
+/** Properties of a surface for its caps. */
 export interface CappedSurface {
   readonly surface: number;
   readonly color: string;
@@ -98,8 +98,8 @@ export class Clipping {
   }
 
   /**
-   * Caps of these surfaces, later ones over earlier ones. Only planes that the camera looks at have caps: behind one that is seen from
-   * inside there is never a solid that was cut open towards the eye.
+   * Shows caps of these surfaces, later ones over earlier ones. Only planes that face the camera have caps: a plane that is seen from
+   * inside never cuts a solid open towards the eye.
    */
   showCaps(surfaces: readonly CappedSurface[], camera: PerspectiveCamera | OrthographicCamera): void {
     this.object.clear();

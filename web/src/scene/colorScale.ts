@@ -1,4 +1,4 @@
-/** A bar beside the picture that says what its colours mean. */
+/** Legend of the picture's colours: a bar beside it. */
 
 export interface ColorBar {
   /** Equidistant colours, lowest first. */

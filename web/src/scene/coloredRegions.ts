@@ -1,4 +1,4 @@
-/** Regions of the world with a colour of their own, which is shown wherever their importance is above that of the surface. */
+/** Regions of the world with a colour of their own, which is shown if their importance exceeds that of the surface. */
 
 import { ClampToEdgeWrapping, DataTexture, FloatType, NearestFilter, RGBAFormat } from "three";
 import { linearFromSrgb } from "./colorTable";

@@ -1,4 +1,4 @@
-/** What is computed from a rendered picture and its depth: ambient occlusion, silhouettes, and the picture itself with translucent layers. */
+/** Effects computed from a rendered picture and its depth: ambient occlusion, silhouettes, and the picture with translucent layers. */
 
 import { AlwaysDepth, Matrix4, NearestFilter, Vector2, WebGLRenderTarget, type Camera, type DepthTexture, type Texture, type WebGLRenderer } from "three";
 import { ScreenPass } from "./screenPass";
@@ -163,7 +163,7 @@ export class Effects {
       lineWidth: { value: 1 },
       radius: { value: 1 },
     },
-    // Depth too, for what is drawn over the picture.
+    // Depth too, for things drawn over the picture.
     { depthTest: true, depthWrite: true, depthFunc: AlwaysDepth },
   );
 
@@ -193,7 +193,7 @@ export class Effects {
 
   private renderOcclusion(webgl: WebGLRenderer, { camera, radius, target }: Resolve, width: number, height: number): void {
     const { coarseness } = this.position;
-    // On screen half the width and height are enough: what it shows is smooth.
+    // On screen half the width and height suffice, because occlusion is smooth.
     coarseness.value = target === null ? 2 : 1;
     this.occluded.setSize(Math.ceil(width / coarseness.value), Math.ceil(height / coarseness.value));
     const { uniforms } = this.occlusion;

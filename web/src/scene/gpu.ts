@@ -1,4 +1,4 @@
-/** What the browser tells of the graphics device. */
+/** Queries about the graphics device. */
 
 /** Pause between two queries whether the GPU is done. */
 const FENCE_POLL_MS = 3;
@@ -15,7 +15,7 @@ export function hasGpu(): boolean {
   return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }
 
-/** Waits until the GPU has done all it was asked for so far. */
+/** Waits until the GPU has completed all commands so far. */
 export async function gpuDone(gl: WebGL2RenderingContext): Promise<void> {
   const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
   gl.flush();

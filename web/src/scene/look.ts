@@ -1,11 +1,11 @@
-/** How the surface looks: materials as a table of parameters, and what the user chooses. Pure. */
+/** Look of the surface: materials as a table of parameters, and the user's choices. Pure. */
 
-/** What colour shows: one colour a surface, the transfer function, a field on a scale, the level, the importance, or a value of each vertex. */
+/** Source of colours: one colour per surface, the transfer function, a field on a scale, the level, the importance, or a value of each vertex. */
 type ColorMode = "material" | "transfer" | "field" | "level" | "importance" | "value";
 
 export type MaterialName = "ivory" | "clay" | "tissue" | "metal" | "unlit";
 
-/** What lies behind the surface; `page` lets the page's own background through, `transparent` is the same in an image. */
+/** Background; `page` shows the page's own background, `transparent` is the same in an image. */
 type Background = "page" | "transparent" | "black" | "white";
 
 export interface Look {
@@ -16,7 +16,7 @@ export interface Look {
   /** The triangles' edges over the surface. */
   readonly wireframe: boolean;
   readonly background: Background;
-  /** Dark lines where the depth jumps. */
+  /** Dark lines at jumps of the depth. */
   readonly silhouettes: boolean;
   /** Ambient occlusion: crevices are darker. Like silhouettes, not on screen if a processor renders, but in images. */
   readonly occlusion: boolean;
@@ -44,14 +44,14 @@ export interface Shading {
   readonly key: number;
   readonly fill: number;
   readonly head: number;
-  /** Light reaches around the surface by this much, as through skin. */
+  /** Amount by which light reaches around the surface, as through skin. */
   readonly wrap: number;
   /** How much darker it is when seen at a grazing angle. */
   readonly falloff: number;
   /** Highlight: its weight, and the binary logarithm of its exponent. */
   readonly gloss: number;
   readonly glossPower: number;
-  /** Share of what is reflected of bright and dark surroundings. */
+  /** Share of reflections of bright and dark surroundings. */
   readonly mirror: number;
 }
 
@@ -127,7 +127,7 @@ export const SHADINGS: Readonly<Record<MaterialName, Shading>> = {
 /** One of up to four surfaces. */
 export interface SurfaceStyle {
   readonly visible: boolean;
-  /** 0 to 1; below 1 what lies behind it shines through. */
+  /** 0 to 1; below 1 the surface is translucent. */
   readonly opacity: number;
   /** A colour of its own, `#rrggbb`; without one it has the colours of the look. */
   readonly color: string | undefined;

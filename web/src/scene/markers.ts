@@ -36,7 +36,7 @@ export class Markers {
       geometry.setAttribute("position", new BufferAttribute(new Float32Array(position), 3));
       [["#ffffff", OUTLINE], [color, DOT]].forEach(([style, size], layer) => {
         const points = new Points(geometry, new PlainMaterial(String(style), 1, Number(size)));
-        // A dot on the surface lies half behind it: it is hidden only if something is clearly in front of it.
+        // A dot on the surface lies half behind it: it must be hidden only by things clearly in front of it.
         points.material.bringForward();
         points.frustumCulled = false;
         points.renderOrder = 20 + 2 * i + layer;

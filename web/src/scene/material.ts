@@ -24,7 +24,7 @@ import { linearFromSrgb, lookUp } from "./colorTable";
 import { DEFAULT_LOOK, DEFAULT_STYLE, SHADINGS, type Look, type SurfaceStyle } from "./look";
 import { MASK_FRAGMENT, MAX_ISOLINES, NO_VALUE, NORMAL_FRAGMENT, PICK_FRAGMENT, surfaceFragment, VERTEX, WIRE_FRAGMENT, type ProgramVariant } from "./shaders";
 
-/** What a pass draws of a surface. */
+/** A rendering pass of a surface. */
 export type Pass =
   /** Its colour, opaque. */
   | "opaque"
@@ -43,7 +43,7 @@ export class SharedUniforms {
   readonly worldFromGrid: IUniform<Matrix3> = { value: new Matrix3() };
   /** From normals in the world to those that the camera's matrix turns into those of the world as it is shown. */
   readonly normalScale: IUniform<Vector3> = { value: new Vector3(1, 1, 1) };
-  /** Clipping planes in view space; what is on their negative side is cut away. */
+  /** Clipping planes in view space; their negative side is cut away. */
   readonly clipPlanes: IUniform<Vector4[]> = { value: [] };
   /** Values of vertices that have the first and the last colour. */
   readonly valueRange: IUniform<Vector2> = { value: new Vector2(0, 1) };
@@ -71,7 +71,7 @@ export interface ColorTables {
   readonly levels: readonly string[];
 }
 
-/** How the vertices' feature is coloured in colour mode `field`. */
+/** Colours of the vertices' feature in colour mode `field`. */
 export interface FieldColors {
   /** Values at which the feature is 0 and 1. */
   readonly known: readonly [number, number];
@@ -164,7 +164,7 @@ export class SurfaceMaterials {
     this.recolor();
   }
 
-  /** How many planes cut the surface; the planes themselves are shared. */
+  /** Number of planes that cut the surface; the planes themselves are shared. */
   set clippingPlanes(count: number) {
     this.planes = count;
   }
@@ -191,7 +191,7 @@ export class SurfaceMaterials {
     this.regions.value = regionTexture(regions);
   }
 
-  /** What the colours of colour mode `field` stand for. */
+  /** Values of the colours of colour mode `field`. */
   set field(colors: FieldColors) {
     this.scale.value.copy(scaleOf(colors));
     this.isLog = colors.log;
@@ -219,7 +219,7 @@ export class SurfaceMaterials {
     const { nearer, opaque, isolineWidth } = this.shared;
     const { scale, isolines, isolineCount } = this;
     const uniforms = { colors: this.colors, regions: this.regions, tint, nearer, opaque, opacity: this.opacity, scale, isolines, isolineCount, isolineWidth };
-    // The offset avoids depth fighting with the edges. A layer's depth is compared with that of the layer before, without any.
+    // The offset avoids depth fighting with the edges. Layers have none, because a layer's depth is compared with that of the previous layer.
     const flags = variant.peel ? {} : { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
     const material = this.make(surfaceFragment(variant), uniforms, { side: DoubleSide, ...flags });
     if (variant.regions) material.defines["REGIONS"] = "";

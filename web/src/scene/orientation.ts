@@ -60,7 +60,7 @@ export class AxesCube {
     this.frame = undefined;
   }
 
-  /** The sides of a patient stand on the faces, in a frame that has them; else the axes' own names. */
+  /** In a frame of a patient, the faces show the patient's sides; otherwise the axes' names. */
   set frame(frame: string | undefined) {
     const sides = sidesOf(frame);
     this.turned = "";
@@ -80,7 +80,7 @@ export class AxesCube {
     const toView = camera.quaternion.clone().invert();
     for (const { face, group, outline, text } of this.faces) {
       const n = face.normal.clone().applyQuaternion(toView);
-      // Not in focus while it cannot be seen.
+      // Not focusable while it is not visible.
       group.style.display = n.z > 0.02 ? "" : "none";
       if (n.z <= 0.02) continue;
       const v = face.up.clone().applyQuaternion(toView);
@@ -96,7 +96,7 @@ export class AxesCube {
 /** Width that the bar takes at most, pixels. */
 const WIDEST = 140;
 
-/** A bar of a round length in the world, at the distance of what the camera looks at. */
+/** A bar of a round length in the world, at the distance of the camera's target. */
 export class ScaleBar {
   readonly element = document.createElement("div");
   private readonly text = document.createElement("span");
@@ -114,12 +114,12 @@ export class ScaleBar {
     this.units = unit;
   }
 
-  /** How many times higher the world is shown than it is: then the bar is one of horizontal lengths. */
+  /** Factor by which heights are exaggerated: if it is not 1, the bar is valid for horizontal lengths only. */
   set exaggeration(factor: number) {
     this.heights = factor === 1 ? "" : `· heights × ${Number(factor.toPrecision(4))}`;
   }
 
-  /** @param where it holds; empty: everywhere */
+  /** @param where place at which the scale holds; empty: everywhere */
   update(unitsPerPixel: number, where: string): void {
     const { text: length, pixels } = barOf(unitsPerPixel, this.units);
     const text = [length, where, this.heights].filter(Boolean).join(" ");

@@ -17,7 +17,7 @@ export class Outlines {
   readonly object = new Group();
   private lines: LineSegments<BufferGeometry, PlainMaterial>[] = [];
 
-  /** @param strong number of the one that is pointed at */
+  /** @param strong number of the one under the pointer */
   set(regions: readonly Outlined[], strong: number | undefined): void {
     for (const { geometry, material } of this.lines) {
       geometry.dispose();

@@ -9,7 +9,7 @@ export interface Label {
   readonly at: Vector3;
   /** Pixels of the page by which it stands above. */
   readonly raised?: number;
-  /** Is it on the surface? Then it is fainter while something is before it. */
+  /** Whether it is on the surface. Then it is fainter while something is in front of it. */
   readonly isOnSurface?: boolean;
 }
 
@@ -51,17 +51,17 @@ export class Overlay {
     this.height = height;
   }
 
-  /** Some of what is shown may be behind the surface. */
+  /** Whether some of the labels may be behind the surface. */
   get hasPlaces(): boolean {
     return this.shown.some(({ isOnSurface }) => isOnSurface);
   }
 
-  /** Makes those fainter that are behind the surface. */
+  /** Makes labels behind the surface fainter. */
   fade(isHidden: (label: Label) => boolean): void {
     this.shown.forEach((label, i) => this.texts.children[i]?.classList.toggle("behind", label.isOnSurface === true && isHidden(label)));
   }
 
-  /** Shows these labels, and none besides. */
+  /** Shows exactly these labels. */
   label(labels: readonly Label[], camera: Camera): void {
     this.shown = labels;
     while (this.texts.childElementCount > labels.length) this.texts.lastElementChild?.remove();

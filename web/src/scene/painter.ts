@@ -1,6 +1,6 @@
 /**
- * Paints a frame, on screen or into an image. If nothing but opaque surfaces is to be seen, they are rendered straight into the target;
- * effects, translucent surfaces and caps take an intermediate picture with its depth.
+ * Paints a frame, on screen or into an image. If there are only opaque surfaces, they are rendered directly into the target; effects,
+ * translucent surfaces and caps need an intermediate picture with its depth.
  */
 
 import {
@@ -43,16 +43,16 @@ export interface FrameRequest {
   readonly layers: number;
   /** Pixels for one on the page. */
   readonly scale: number;
-  /** Share of the width, from the left, that shows what was kept; `undefined`: nothing is compared. */
+  /** Share of the width, from the left, that shows the kept picture; `undefined`: nothing is compared. */
   readonly swipe: number | undefined;
   /** Radius of what is shown. */
   readonly radius: number;
 }
 
 export class Painter {
-  /** What is rendered with the surfaces: slices, caps. */
+  /** Objects that are rendered with the surfaces: slices, caps. */
   readonly solids = new Scene();
-  /** What is rendered over the picture, hidden by what lies in front of it: lines, markers. */
+  /** Objects that are rendered over the picture and hidden by surfaces in front of them: lines, markers. */
   readonly overlay = new Scene();
   private readonly surfaceScene = new Scene();
   private between: WebGLRenderTarget | undefined;
@@ -90,7 +90,7 @@ export class Painter {
     webgl.setRenderTarget(null);
   }
 
-  /** What lies under a pixel; see `Picking.pick`. */
+  /** The surface under a pixel; see `Picking.pick`. */
   pick(camera: PerspectiveCamera | OrthographicCamera, x: number, y: number, side: Side, through?: number): Promise<Picked | undefined> {
     this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
     return this.picking.pick(this.webgl, camera, x, y, (eye) => {
@@ -99,7 +99,7 @@ export class Painter {
     });
   }
 
-  /** How far surfaces are in the middle third of the picture. */
+  /** Depths of surfaces in the middle third of the picture. */
   depths(camera: PerspectiveCamera | OrthographicCamera): Promise<MiddleDepths> {
     this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
     return this.picking.depths(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
@@ -111,7 +111,7 @@ export class Painter {
     return this.picking.depthsNow(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
   }
 
-  /** How far surfaces are over the whole picture; see `Picking.map`. */
+  /** Depths of surfaces over the whole picture; see `Picking.map`. */
   depthMap(camera: PerspectiveCamera | OrthographicCamera): Promise<number[]> {
     this.surfaces.shared.clipPlanes.value = this.clipping.inView(camera);
     return this.picking.map(this.webgl, camera, (eye) => this.drawAllPlaces(eye));
@@ -132,7 +132,7 @@ export class Painter {
     this.webgl.render(this.surfaceScene, eye);
   }
 
-  /** Frees what only images and effects need; it is made again when needed. */
+  /** Frees the targets that only images and effects need; they are made again when needed. */
   releaseTargets(): void {
     this.between?.dispose();
     this.between?.depthTexture?.dispose();
@@ -204,7 +204,7 @@ export class Painter {
       });
     }
     const { effects, target, scale, radius } = request;
-    // Depths alone have the normals of triangles, which show in an image.
+    // Normals from depths alone are those of the triangles, which would be visible in an image.
     const normals = effects && look.occlusion && target !== null && !this.hasSolids ? this.paintNormals(side, request) : undefined;
     this.effects.resolve(webgl, {
       normals,
@@ -223,7 +223,7 @@ export class Painter {
   /**
    * Marks the pixels at which a solid is cut open: if the first layer of its surface behind the cut shows its inside, its bit in the
    * stencil buffer is set there. If only parity counted, a surface that is open at the volume's border would invert the caps of everything
-   * before it. That first layer may lie at a place that another plane has cut away, so only planes that the camera looks at cut here.
+   * in front of it. That first layer may lie at a place that another plane has cut away, so only planes that face the camera cut here.
    */
   private markInsides(side: Side, { camera, look }: FrameRequest): void {
     const { webgl, surfaces, clipping } = this;

@@ -1,6 +1,6 @@
 /**
- * Transparency that does not depend on an order: depth peeling. Each layer draws the nearest fragments behind those of the layer before;
- * layers are laid under each other, front to back.
+ * Order-independent transparency by depth peeling. Each layer draws the nearest fragments behind those of the previous layer; layers are
+ * composed front to back.
  */
 
 import {
@@ -18,12 +18,12 @@ import {
 import { ScreenPass } from "./screenPass";
 import type { SharedUniforms } from "./material";
 
-/** Layers: the two sides of two bodies that lie in each other need four. What lies behind more is left out. */
+/** Number of layers: the two sides of two nested bodies need four. Fragments behind more layers are left out. */
 export const LAYERS_ON_SCREEN = 8;
 export const LAYERS_BY_PROCESSOR = 4;
 export const LAYERS_IN_IMAGES = 16;
 
-/** 32-bit floats, so that a fragment's depth is what was stored, and a layer does not draw the one before it again. */
+/** 32-bit floats, so that a stored depth equals the fragment's depth, and a layer does not draw the previous one again. */
 function layerTarget(): WebGLRenderTarget {
   const depthTexture = new DepthTexture(1, 1, FloatType);
   return new WebGLRenderTarget(1, 1, { depthTexture, minFilter: NearestFilter, magFilter: NearestFilter });
@@ -42,7 +42,7 @@ export class Peeling {
   );
 
   /**
-   * Draws the translucent surfaces in front of what is opaque.
+   * Draws the translucent surfaces in front of the opaque ones.
    * @param opaque its depth
    * @param draw renders the surfaces in the materials of pass `peel`
    * @returns their colours, premultiplied

@@ -1,4 +1,4 @@
-/** What lies under a pixel, and how far away the middle of the picture is: pixels are rendered with the surface's place instead of its colour. */
+/** Picking of the surface under a pixel, and depths of the picture: pixels are rendered with the surface's position instead of its colour. */
 
 import { FloatType, NearestFilter, RGBAFormat, PerspectiveCamera, Vector3, WebGLRenderTarget, type OrthographicCamera, type WebGLRenderer } from "three";
 import { ACROSS } from "./hiddenPlaces";
@@ -53,7 +53,7 @@ export class Picking {
     return { position: new Vector3(vx, vy, vz).applyMatrix4(eye.matrixWorld).toArray(), surface: number - 1 };
   }
 
-  /** How far surfaces are in the middle third of the picture. */
+  /** Depths of surfaces in the middle third of the picture. */
   async depths(webgl: WebGLRenderer, camera: Camera, draw: Draw): Promise<MiddleDepths> {
     render(webgl, this.middle, middleThird(camera), draw);
     const found = new Float32Array(4 * MIDDLE * MIDDLE);

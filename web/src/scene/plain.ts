@@ -1,4 +1,4 @@
-/** A material of one colour, for what is drawn besides the surface. It writes sRGB as the surface's do, on screen and in images alike. */
+/** A material of one colour, for objects besides the surface. It writes sRGB as the surface's materials do, on screen and in images alike. */
 
 import { Color, GLSL3, LessEqualDepth, ShaderMaterial, SRGBColorSpace } from "three";
 
@@ -53,7 +53,7 @@ export class PlainMaterial extends ShaderMaterial {
     this.size.value = this.pixels * scale;
   }
 
-  /** Draws it before what lies a little before it. */
+  /** Draws it in front of things that are slightly nearer. */
   bringForward(): void {
     this.forward.value = 0.01;
   }

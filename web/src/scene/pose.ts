@@ -16,10 +16,10 @@ export interface CameraPose {
   readonly projection: Projection;
 }
 
-/** A pose of which the projection may be left as it is. */
+/** A pose without a projection keeps the current one. */
 export type PoseToRestore = Pick<CameraPose, "position" | "target"> & Partial<CameraPose>;
 
-/** From the vertical by so much that the other two axes are level. */
+/** Tilt from the vertical that just suffices for the other two axes to be level. */
 const TILT = 1e-6;
 
 const VIEWS: Readonly<Record<AxisName, Vec3>> = {
@@ -31,7 +31,7 @@ const VIEWS: Readonly<Record<AxisName, Vec3>> = {
   "-z": [0, 0, -1],
 };
 
-/** What is up in the view from an end of the third axis: of a patient the front, else what makes the first axis point to the right. */
+/** The up vector in the view from an end of the third axis: of a patient the front, else the one that makes the first axis point to the right. */
 export function upAlong(axis: "+z" | "-z", frame: string | undefined): Vec3 {
   if (frame === "LPS") return [0, -1, 0];
   return axis === "+z" || frame === "RAS" ? [0, 1, 0] : [0, -1, 0];

@@ -1,9 +1,9 @@
 /**
- * How finely frames are painted while the camera moves: if they take long, effects, translucent layers and then pixels are given up until
- * it rests. The next move begins with the quality that was sufficient for the last one. Pure, except for its clock.
+ * Quality of frames while the camera moves: if they take long, effects, translucent layers and then pixels are reduced until it rests. The
+ * next move begins with the quality that was fast enough in the last one. Pure, except for its clock.
  */
 
-/** What a frame is painted with. */
+/** Quality of a frame. */
 export interface Quality {
   readonly effects: boolean;
   /** Of the translucent layers. */
@@ -13,23 +13,23 @@ export interface Quality {
 }
 
 export const FULL: Quality = { effects: true, layers: 1, pixels: 1 };
-/** From full to coarsest; each is for a renderer for which the one before is too slow. */
+/** From full to coarsest; each step is for a renderer for which the previous one is too slow. */
 const STEPS: readonly Quality[] = [FULL, { effects: false, layers: 0.5, pixels: 1 }, { effects: false, layers: 0.25, pixels: 0.7 }, { effects: false, layers: 0.25, pixels: 0.5 }, { effects: false, layers: 0.25, pixels: 0.35 }];
 
-/** 24 frames a second: below that a turn is seen in steps. */
+/** 24 frames per second: below that a turn is visibly jerky. */
 const SLOW_MS = 42;
-/** Twice as fast as it has to be: the step above is likely to be fast enough. */
+/** Twice as fast as necessary: the step above is probably fast enough. */
 const FAST_MS = 18;
-/** So slow that one frame decides, and that one step is too little. */
+/** So slow that one frame decides, and that one step is not enough. */
 const VERY_SLOW_MS = 125;
-/** Frames that decide else: one alone may have waited for something. */
+/** Number of slow frames that decide otherwise: a single one may have been delayed by something else. */
 const SLOW_FRAMES = 3;
 const FAST_FRAMES = 40;
-/** A display may limit the rate of frames, so that none is fast: the step above is tried after so long without slow ones. */
+/** Time without slow frames after which the step above is tried: a display may limit the frame rate, so that no frame counts as fast. */
 const TRIAL_MS = 4000;
 /** After each trial that fails, the next one waits twice as long, up to this. */
 const MAX_TRIAL_MS = 64_000;
-/** The camera rests if it has not moved for so long: a hand that pauses would else see each pause. */
+/** Time without movement after which the camera rests: shorter pauses of the hand must not be visible. */
 export const REST_MS = 180;
 
 export class AdaptiveQuality {
@@ -38,10 +38,10 @@ export class AdaptiveQuality {
   private moved: number | undefined;
   private slow = 0;
   private fast = 0;
-  /** How long frames have not been slow. */
+  /** Time without slow frames. */
   private steadyMs = 0;
   private trialMs = TRIAL_MS;
-  /** The step was raised, and has not held for long yet. */
+  /** Whether the step was raised and has not proven itself yet. */
   private isTrial = false;
   private timer: ReturnType<typeof setTimeout> | undefined;
 
@@ -72,7 +72,7 @@ export class AdaptiveQuality {
     return STEPS[this.step] ?? FULL;
   }
 
-  /** Frames may take longer than that: the next one tells whether the camera moves still. */
+  /** Frames may take longer than the time to rest: the next one shows whether the camera still moves. */
   private rest(): void {
     this.timer = undefined;
     if (this.step > 0) this.onRest();
@@ -94,7 +94,7 @@ export class AdaptiveQuality {
   }
 
   private raise(): void {
-    // The step that was tried last has held.
+    // The last trial was successful.
     if (this.isTrial) this.trialMs = TRIAL_MS;
     this.isTrial = this.step > 0;
     this.go(this.step - 1);

@@ -129,12 +129,12 @@ export class RegionMesh {
       this.values = new BufferAttribute(values, 1);
       this.geometry.setAttribute("value", this.values);
     } else {
-      // In its place on the GPU: another attribute would leave that of the first there.
+      // Reuses the buffer on the GPU: another attribute would leak the first one there.
       this.values.copyArray(values).needsUpdate = true;
     }
   }
 
-  /** Shows nothing; the mesh is uploaded all the same when it is rendered. */
+  /** Shows nothing, but rendering still uploads the mesh. */
   hideAll(): void {
     this.geometry.setDrawRange(0, 0);
   }

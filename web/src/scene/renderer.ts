@@ -37,7 +37,7 @@ export interface RendererHandlers {
   /** The GPU lost its memory; all region meshes are gone and have to be uploaded again. */
   readonly onContextLost: () => void;
   readonly onContextRestored: () => void;
-  /** While the camera moves, frames are painted as finely as this machine can without a jerk; else all of them in full. */
+  /** Whether frames are painted with reduced quality while the camera moves, so that they are fast enough; otherwise all are painted in full. */
   readonly adaptsQuality?: boolean;
   /** The user moved a handle of the clip plane or box. */
   readonly onClip?: (clip: Clip) => void;
@@ -50,7 +50,7 @@ export class SurfaceRenderer {
   readonly camera: SceneCamera;
   /** Axes cube, scale bar, bounding box, markers: `show`, `unit`, `frame`, `mark`. */
   readonly annotations: Annotations;
-  /** What the colours of the surfaces stand for. */
+  /** Colours of the surfaces. */
   readonly colors: SurfaceColors;
   private readonly webgl: WebGLRenderer;
   private readonly surfaces: Surfaces;
@@ -60,7 +60,7 @@ export class SurfaceRenderer {
   private readonly uploads = new UploadQueue();
   /** On the GPU, not shown yet. */
   private readonly resident = new Map<number, RegionMesh>();
-  /** Around all that is shown. */
+  /** Box around all surfaces. */
   private box: Box3;
   private currentLook = DEFAULT_LOOK;
   private frame: number | undefined;
@@ -129,7 +129,7 @@ export class SurfaceRenderer {
     return this.sums.surfaces;
   }
 
-  /** What the GPU holds of meshes, on screen or not. */
+  /** Number of geometries on the GPU, on screen or not. */
   get geometries(): number {
     return this.webgl.info.memory.geometries;
   }
@@ -274,7 +274,7 @@ export class SurfaceRenderer {
 
   /**
    * The picture as pixels, without what the page lays over it; `image.ts` composes it with colour bar, scale bar and caption.
-   * @throws when the graphics device cannot render so many pixels
+   * @throws if the graphics device cannot render the requested number of pixels
    */
   snapshot(request: SnapshotRequest): Snapshot {
     const { webgl, painter, camera, annotations, surfaces, size } = this;

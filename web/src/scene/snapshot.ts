@@ -46,7 +46,7 @@ export interface SnapshotScene {
 
 /**
  * Renders it now, with all effects.
- * @throws when the graphics device cannot render so many pixels
+ * @throws if the graphics device cannot render the requested number of pixels
  */
 export function takeSnapshot(scene: SnapshotScene, { scale, transparent, pose }: SnapshotRequest): Snapshot {
   const { webgl, painter, annotations, surfaces, look, swipe } = scene;

@@ -9,7 +9,7 @@ import type { RegionMesh } from "./regionMesh";
 import { unevenOf, type Uneven } from "../world/uneven";
 import { corners, worldFromGrid, worldFromIndex, type Grid } from "./world";
 
-/** Which picture: what is shown now, or what was kept to compare it with. */
+/** Side of a comparison: the current picture, or the kept one. */
 export type Side = "now" | "kept";
 
 export class Surfaces {
@@ -96,7 +96,7 @@ export class Surfaces {
     return box;
   }
 
-  /** Around what was kept, in the world. */
+  /** Box around the kept surfaces, in the world. */
   get keptBox(): Box3 {
     const box = new Box3();
     for (const { bounds } of this.kept.values()) for (const point of corners(bounds, this.root.matrix)) box.expandByPoint(point);

@@ -42,7 +42,7 @@ export class Swipe {
     });
   }
 
-  /** Share of the width that shows what was kept; `undefined` when nothing is compared. */
+  /** Share of the width that shows the kept picture; `undefined` if nothing is compared. */
   get value(): number | undefined {
     return this.share;
   }

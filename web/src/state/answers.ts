@@ -17,7 +17,7 @@ export interface Answers {
   readonly annotate?: Answer<Distances>;
 }
 
-/** What of the viewer's state decides what is asked. */
+/** The parts of the viewer's state that decide which questions are asked. */
 interface Asking {
   /** Number of the surface that all this is about. */
   readonly selected: number;

@@ -67,7 +67,7 @@ function rangeOf(planes: readonly Float32Array[]): readonly [number, number] {
   return low < high ? [low, high] : [0, 1];
 }
 
-/** The first bin up to which there are more than so many samples. */
+/** The first bin up to which there are more than `tail` samples. */
 function binPast(counts: readonly number[], tail: number): number {
   let sum = 0;
   return Math.max(0, counts.findIndex((n) => (sum += n) > tail));

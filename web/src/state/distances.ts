@@ -16,7 +16,7 @@ const SMALLEST = 0.001;
 const SHARE = 0.98;
 /** A number that is not near the isosurface at all is above this. */
 const NOT_NEAR = 1e29;
-/** Positive numbers of 32 bits are in the order of their bits: by the upper half of them they are told apart to within a hundredth. */
+/** Positive 32-bit floats are ordered as their bits are. The upper half of the bits gives a number to within a hundredth. */
 const HALF = 16;
 
 /** @param spacing the volume's smallest one */

@@ -57,7 +57,7 @@ export interface Look {
   readonly background: (typeof BACKGROUNDS)[number];
   /** Crevices are darker. */
   readonly occlusion: boolean;
-  /** Dark lines where the depth jumps. */
+  /** Dark lines at jumps of the depth. */
   readonly silhouettes: boolean;
   readonly orthographic: boolean;
   /** How many times higher the world is shown than it is. What is measured stays true. */

@@ -56,7 +56,7 @@ export function pointed(slicing: Slicing, dims: Dims, index: Vec3): Slicing {
   return slicing.at !== undefined && at.every((n, axis) => n === slicing.at?.[axis]) ? slicing : { ...slicing, at };
 }
 
-/** The crosshair so many samples further along an axis. */
+/** Moves the crosshair by `by` samples along an axis. */
 export function moved(slicing: Slicing, dims: Dims, axis: 0 | 1 | 2, by: number): Slicing {
   const at = crosshairOf(slicing, dims);
   return pointed(slicing, dims, [at[0] + (axis === 0 ? by : 0), at[1] + (axis === 1 ? by : 0), at[2] + (axis === 2 ? by : 0)]);

@@ -1,6 +1,6 @@
 /**
  * The whole state of the page: what the server says (`viewer`), what the user made of the open volume (`work`, with one history of
- * it), and the layers of the page. Each volume keeps its own work while another one is open. Pure but for its listeners.
+ * it), and the layers of the page. Each volume keeps its own work while another one is open. Pure except for its listeners.
  */
 
 import type { Edit, Vec3, View } from "../protocol/types";
@@ -66,7 +66,7 @@ const FIRST_PLAYER: Player = { playing: false, speed: 5, loop: true };
 /** The radius of the brush until another one is chosen, as a share of the volume's longest side. */
 const FIRST_BRUSH = 0.05;
 
-/** What is kept of a volume while another one is open. */
+/** State of a volume that is kept while another one is open. */
 interface Remembered {
   readonly history: History<Work>;
   readonly step: number;

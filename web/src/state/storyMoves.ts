@@ -1,4 +1,4 @@
-/** How a story is told: for how long, and how the camera moves. Pure. */
+/** Playback of a story: duration of a sentence and movement of the camera. Pure. */
 
 import type { Vec3 } from "../protocol/types";
 import type { Pose } from "./look";

@@ -53,8 +53,8 @@ export function styled(list: SurfaceList, number: number, style: Partial<Surface
 }
 
 /**
- * With one more, which is like another one but for its isovalue and its colour. Those of lower values become translucent, for they
- * mostly lie around those of higher ones and would hide them.
+ * Adds a surface that is a copy of another one, except for its isovalue and its colour. Surfaces of lower values become translucent,
+ * because they mostly lie around those of higher values and would hide them.
  */
 export function added(list: SurfaceList, like: Surface, iso: number): SurfaceList {
   const number = freeNumber(list);

@@ -186,7 +186,7 @@ function opened(state: ViewerState, { volume, edit, device, capabilities }: Extr
   return inSurface(all, 0, (one) => ({ ...one, view }));
 }
 
-/** All surfaces that were made are made anew, each replaced when it arrives. */
+/** After a time step, all surfaces are computed again; each is replaced when it arrives. */
 function stepped(state: ViewerState, label: string | null): ViewerState {
   const now = { ...state, ...ANSWERED, stepLabel: label ?? undefined };
   return everySurface(now, (one) => ({ ...one, working: true, answers: outdated(one.answers), progress: undefined, finished: undefined }));

@@ -48,7 +48,7 @@ export interface Actions {
   /** `undefined`: no longer. */
   readonly compare: (what: Compared | undefined) => void;
   readonly saveImage: (request: ImageRequest) => void;
-  /** So many images around the surface; another call while it runs ends it. */
+  /** Saves `frames` images around the surface. Another call while it runs ends it. */
   readonly saveTurn: (request: ImageRequest, frames: number) => void;
   /** The address of the state that is shown. */
   readonly address: () => string;

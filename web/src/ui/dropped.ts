@@ -1,4 +1,4 @@
-/** Files that a user drops on the page or chooses, those in folders too, with the names that the server is told. */
+/** Files that a user drops on the page or chooses, those in folders too, with the names that are sent to the server. */
 
 import type { NamedFile } from "../net/uploads";
 

@@ -18,7 +18,7 @@ export function EmbeddedPage(props: { readonly viewport: HTMLElement }) {
     return address.href;
   };
   const [address, setAddress] = createSignal(wholePage());
-  // The state changes all the time; its address counts when somebody comes near.
+  // The state changes all the time; its address is only needed when the user points at the link or focuses it.
   const renew = () => setAddress(wholePage());
   return (
     <div class="page embedded">

@@ -1,4 +1,4 @@
-/** What isopeel is, its keys, and where to read on. */
+/** Help: what isopeel is, its keys, and links to the documents. */
 
 import { For, onMount, type JSX } from "solid-js";
 import { DOCUMENTS } from "./documents";

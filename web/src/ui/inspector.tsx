@@ -85,7 +85,7 @@ function FoldingCard(props: { readonly card: Card }) {
 /** How long a card grows that is unfolded: its body may have to be loaded. */
 const GROWING_MS = 1000;
 
-/** Keeps what was unfolded in sight while it grows, or its head where all of it is higher than the page. */
+/** Keeps an unfolded section in sight while it grows, or only its head if it is higher than the column. */
 function showGrowing(section: HTMLElement): void {
   const show = () => {
     const column = section.parentElement?.parentElement;
@@ -115,7 +115,7 @@ function CardBody(props: { readonly card: Card }) {
   );
 }
 
-/** Which surface the card is about, where there are several. */
+/** Name of the surface that the card is about, if there are several. */
 function OfSurface(props: { readonly card: Card }) {
   const name = useSurfaceName();
   return <Show when={props.card.isOfSurface === true && name()}>{(text) => <span class="of-surface">{text()}</span>}</Show>;

@@ -1,4 +1,4 @@
-/** What there is where the browser cannot draw: an explanation, and the meshes to download. */
+/** Page for a browser that cannot draw: an explanation, and the meshes to download. */
 
 import { createResource, createSignal, For, Show } from "solid-js";
 import { render } from "solid-js/web";

@@ -34,7 +34,7 @@ export interface IsopeelStatus {
   readonly surfaces: readonly SurfaceStatus[];
   /** Triangles on screen by the numbers of surfaces, also of such as were removed and are not gone yet. */
   readonly allTriangles: readonly number[];
-  /** Text frames sent since the page was opened, but for questions about the surface. */
+  /** Text frames sent since the page was opened, without questions about the surface. */
   readonly framesSent: number;
   /** Frames rendered since the page was opened. */
   readonly framesDrawn: number;

@@ -1,4 +1,4 @@
-/** What the surfaces are called: by their places in the list. Pure but for `useSurfaceName`. */
+/** Names of the surfaces, by their places in the list. Pure except for `useSurfaceName`. */
 
 import type { SurfaceList } from "../state/surfaceList";
 import { linearColor } from "../transfer/model";

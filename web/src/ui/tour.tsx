@@ -61,11 +61,11 @@ function markCentre({ actions, extent, view }: Model): void {
   actions.useAtCentre();
 }
 
-/** As in `over.css`: as a style here it would be a constant, which is put in the page's text, where the page's policy forbids it. */
+/** Same width as in `over.css`. It is not set as a style here: a constant style would be inlined in the page, which its policy forbids. */
 const WIDTH = 320;
 const GAP = 14;
 
-/** Beside what the step is about; over the picture's lower edge where that is the picture, or the page is narrow. */
+/** Position of the card: beside the step's target, or over the picture's lower edge if the target is the picture or the page is narrow. */
 function place(at: string, card: HTMLElement | undefined): { readonly left: number; readonly top: number } {
   const target = document.querySelector(`[data-tour="${at}"]`)?.getBoundingClientRect();
   const height = card?.offsetHeight ?? 200;

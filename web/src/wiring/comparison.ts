@@ -25,7 +25,7 @@ function withoutImportance(view: View, triangles: number): View {
 export class Comparison {
   private kind: Compared | undefined;
   private waiting = false;
-  /** Triangles of what is kept. */
+  /** Triangles of the kept picture. */
   private kept = 0;
   private texts = "";
 

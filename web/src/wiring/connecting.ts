@@ -88,7 +88,7 @@ export class Connecting {
     this.onVolumes(volumes);
   }
 
-  /** Lists the volumes anew. */
+  /** Reloads the list of volumes. */
   async loadVolumes(): Promise<void> {
     let volumes: readonly VolumeSummary[];
     try {

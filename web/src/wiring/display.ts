@@ -79,7 +79,7 @@ function isRescaled(look: Look, before: Look): boolean {
 }
 
 export class Display {
-  /** What is asked for, and what is shown of it. */
+  /** The requested look, and the part of it that is shown. */
   private wanted: Look | undefined;
   private look: Look | undefined;
   private distances: Distances | undefined;

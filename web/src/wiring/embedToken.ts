@@ -1,4 +1,4 @@
-/** The token of a frame in a page of another site: asked for, taken from an origin that the server names, and asked for anew before it ends. */
+/** Token of a frame in a page of another site: requested from the page, accepted only from an origin that the server names, and renewed before it expires. */
 
 import type { HostPort } from "../embed/hostPort";
 import { RequestError } from "../embed/requests";

@@ -14,7 +14,7 @@ export function crosshairPlace(grid: PlacedGrid, at: Triple): { readonly at: Tri
   return { at: worldOf(grid, at), ends: grid.dims.map((count, axis) => [end(axis, 0), end(axis, count - 1)] as const) };
 }
 
-/** Between two frames while the crosshair is dragged: a processor renders the surface anew for each, which would hold up the slices. */
+/** Minimum interval between frames while the crosshair is dragged: a CPU renders the surface again for each frame, which would delay the slices. */
 const INTERVAL_MS = { gpu: 0, processor: 200 } as const;
 
 export class Pointing {

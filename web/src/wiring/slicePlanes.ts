@@ -114,7 +114,7 @@ class AxisLoader {
     this.advance();
   }
 
-  /** Shows what is kept, else asks for it, as soon as a request may begin. */
+  /** Shows the wanted slices if they are cached; otherwise requests them as soon as a request may begin. */
   private advance(): void {
     const { wanted, flight } = this;
     clearTimeout(this.timer);

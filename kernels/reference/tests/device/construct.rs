@@ -131,7 +131,7 @@ impl Compared<'_> {
         f64::from(1u32 << self.leaf.level)
     }
 
-    /// Whether the position agrees but for rounding; in any case it lies inside the cube.
+    /// Returns whether the position agrees within rounding. Fails if it lies outside the cube.
     fn is_near(&self) -> Result<bool, TestCaseError> {
         let [low, high] = self.field.cube_samples(usize::from(self.leaf.level), self.leaf.cube);
         let spacing = self.field.grid.spacing;
@@ -197,9 +197,9 @@ impl Compared<'_> {
     }
 }
 
-/// Positions within the lattice's rounding where the Newton steps do not jump; errors within f32 sums' rounding.
+/// Positions agree within the lattice's rounding if the Newton steps do not jump; errors agree within the rounding of f32 sums.
 ///
-/// On a plateau the gradient is zero but for rounding, and a Newton step goes anywhere: `plateaus` allows one in a hundred.
+/// On a plateau the gradient is zero within rounding, so a Newton step may go anywhere: `plateaus` allows one such vertex in a hundred.
 fn check_vertices(
     host: &HostPyramid,
     field: &Field,

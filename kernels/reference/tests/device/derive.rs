@@ -24,8 +24,8 @@ fn components(recipe: &Recipe) -> [Recipe; 3] {
     })
 }
 
-/// Each cell has the twin's feature, and the histogram is that of the twin's values. `rounding`: what is lost
-/// where values are small differences of large ones.
+/// Each cell has the twin's feature, and the histogram is that of the twin's values. `rounding`: the error of
+/// values that are small differences of large ones.
 fn check(
     engine: &Engine,
     of: &Loaded,
@@ -169,7 +169,7 @@ fn uneven_axes_have_the_twins_features() {
     proptest!(config(4), |(recipe in any_recipe())| check_uneven(&engine, &recipe)?);
 }
 
-/// Some where a CPU has the kernels of a GPU.
+/// Some of the cases run the kernels of a GPU on a CPU.
 #[test]
 fn uneven_axes_of_every_extent_have_the_twins_features() {
     let Some(engine) = device() else { return };

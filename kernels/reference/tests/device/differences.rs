@@ -1,4 +1,4 @@
-//! Surfaces of which only a part is made anew: where two cuts differ, and what becomes of a surface on the way from one to the other.
+//! Surfaces of which only a part is meshed again: the differences of two cuts, and the surfaces between one cut and the other.
 
 use super::recipes::{recipes, surfaces};
 use super::*;

@@ -8,8 +8,8 @@ use isopeel_reference::distance::distances;
 /// Extents for which every vertex can be compared with every point of the surface.
 const DIMS: [[u32; 3]; 4] = [[2, 9, 13], [7, 34, 5], [12, 12, 12], [35, 6, 7]];
 
-/// Not less than what brute force finds, but for the distance between its points. Not much more: a search along the gradient may end at
-/// another part of the surface, but not where another vertex of the surface is nearer.
+/// Distances are not less than those by brute force, within the spacing of its points. They are not much more either: a search along the
+/// gradient may end at another part of the surface, but only if no vertex of the surface is nearer.
 fn check(engine: &Engine, recipe: &Recipe, seed: u64) -> Result<(), TestCaseError> {
     let loaded = load(engine, recipe);
     let pyramid = build(engine, &loaded, Feature::None);

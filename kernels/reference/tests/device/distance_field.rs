@@ -9,7 +9,7 @@ use isopeel_kernels::{Error, RectilinearGrid, Samples, Tuning};
 use isopeel_reference::distance_field::squares;
 use std::cell::Cell;
 
-/// Of one field: where it is 3.
+/// An expression of one field that is true if the field is 3.
 fn where_three() -> Expression {
     let ops = vec![
         Op::Field(0),
@@ -194,7 +194,7 @@ fn distances_go_through_slabs() {
     }
 }
 
-/// One work-item a column, where a CPU's has sixteen.
+/// These kernels have one work-item per column; those of a CPU process sixteen columns per work-item.
 #[test]
 fn kernels_of_a_gpu_have_the_twins_distances() {
     let Some(engine) = device() else { return };

@@ -1,4 +1,4 @@
-//! Expressions: the device, the host and the twin have the same values, but for what OpenCL lets functions be off.
+//! Expressions: the device, the host and the twin compute the same values, within the errors that OpenCL allows its functions.
 
 use super::recipes::{Random, any_recipe};
 use super::*;

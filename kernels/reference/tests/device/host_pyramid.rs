@@ -143,7 +143,7 @@ impl HostPyramid {
         })
     }
 
-    /// Where the border vertex of a slot lies, on the lattice of [`HostPyramid::position`].
+    /// Position of the border vertex of a slot, on the lattice of [`HostPyramid::position`].
     pub fn border_position(&self, slot: usize, faces: u8) -> [i64; 3] {
         let cells = self.position(slot).map(|x| x as f32 / 65536.0);
         let [x, y] = self.vertex_records[slot]
@@ -195,7 +195,7 @@ impl HostPyramid {
         Ok((leaf, sheet, faces))
     }
 
-    /// Where the vertex of a slot lies, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
+    /// Position of the vertex of a slot, from the volume's first sample in 1/[`Vertex::LATTICE`] cell.
     pub fn position(&self, slot: usize) -> [i64; 3] {
         let region = self.leaves[slot].region();
         let at = self.vertex_records[slot].position;

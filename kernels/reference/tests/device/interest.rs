@@ -5,8 +5,8 @@ use super::*;
 use isopeel_kernels::{Interest, InterestShape};
 use isopeel_reference::{Feature as TwinFeature, construct, cut};
 
-/// None, a few or as many as there may be, in a volume of so many samples: with axes of the grid or turned, also with faces and
-/// centres exactly on samples.
+/// Random regions of interest in a volume of `dims` samples: none, a few or the maximum number; with axes of the grid or turned, also
+/// with faces and centres exactly on samples.
 pub fn interests(random: &mut Random, dims: [u32; 3]) -> Vec<Interest> {
     let count = [0, 0, 1, 2, 5, 64][(random.next() % 6) as usize];
     (0..count).map(|_| interest(random, dims)).collect()

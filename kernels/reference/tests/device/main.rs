@@ -89,7 +89,7 @@ fn build(engine: &Engine, loaded: &Loaded, feature: Feature<'_>) -> Pyramid {
         .expect("build the pyramid")
 }
 
-/// Whether two results agree but for rounding.
+/// Whether two results agree within rounding.
 fn near(a: f32, b: f32, tolerance: f32) -> bool {
     a == b || (a - b).abs() <= tolerance * a.abs().max(b.abs()).max(1.0)
 }

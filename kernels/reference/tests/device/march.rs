@@ -102,7 +102,7 @@ fn distance(p: [i64; 3], [a, b]: [[i64; 3]; 2]) -> f64 {
     dot(away, away).sqrt()
 }
 
-/// Patched vertices lie as near as the twin's to where they came from, on a segment of the twin's choice or one as near.
+/// Patched vertices lie as near to their original positions as the twin's, on the segment that the twin chooses or one equally near.
 fn check_patched(
     loaded: &Loaded,
     twin: &Twin,
@@ -116,8 +116,8 @@ fn check_patched(
         if (0..3).all(|i| (at[i] - expected[i]).abs() <= 1) {
             continue;
         }
-        // Of two segments equally near the device may have taken the other, here or where an end of a segment was moved
-        // before. Then the vertex still is the nearest point of the segments between the ends as they lie on the device.
+        // If two segments are equally near, the device may have chosen the other one, for this vertex or earlier for an end of a
+        // segment. The vertex still is the nearest point of the segments between the ends at their positions on the device.
         let from = before.vertices[edge].position;
         let leaves: Vec<Leaf> = edge.active_cells(twin).iter().map(|c| cut.leaf_of[c]).collect();
         let coarsest = leaves.iter().map(|l| l.level).max();

@@ -1,4 +1,4 @@
-//! What the dual mesher promises, on welded positions, bit for bit: watertight for any cut, a manifold where topology is
+//! The dual mesher's guarantees, tested on welded positions, bit for bit: watertight for any cut, a manifold if topology is
 //! preserved, consistently oriented.
 
 use super::recipes::{Pattern, recipes, surfaces};
@@ -30,7 +30,7 @@ fn owners(host: &HostPyramid, state: &[u8]) -> HashMap<[i64; 3], Leaf> {
     owners
 }
 
-/// Whether the surface may end between two leaves: where they touch, a sample is missing.
+/// Whether the surface may end between two leaves: a sample at their contact is missing.
 fn may_end(field: &Field, leaves: [Leaf; 2]) -> bool {
     let boxes = leaves.map(|l| field.cube_samples(usize::from(l.level), l.cube));
     let low: [u32; 3] = std::array::from_fn(|i| boxes[0][0][i].max(boxes[1][0][i]));
@@ -159,7 +159,7 @@ fn euler(triangles: &[[[i64; 3]; 3]]) -> i64 {
     vertices.len() as i64 - edges(triangles).len() as i64 + triangles.len() as i64
 }
 
-/// Six times the volume that a surface encloses, positive where its normals point outward.
+/// Six times the volume that a surface encloses, positive if its normals point outward.
 fn enclosed(triangles: &[[[i64; 3]; 3]]) -> f64 {
     let of = |t: &[[i64; 3]; 3]| {
         let [a, b, c] = t.map(|p| p.map(|x| x as f64 / f64::from(Vertex::LATTICE)));

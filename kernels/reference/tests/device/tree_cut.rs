@@ -81,7 +81,7 @@ pub fn cut(engine: &Engine, planted: &Planted, params: &CutParams, goal: &TreeGo
 /// Steps of [`absolute`] in one of positions in the tree.
 const STEPS: i64 = (Vertex::LATTICE / LATTICE) as i64;
 
-/// Whether two triangles have the same corners, but for the last digit of nodes that have moved.
+/// Whether two triangles have the same corners, except for the last digit of nodes that have moved.
 fn same_triangle(got: &[[i64; 3]; 3], want: &[[i64; 3]; 3]) -> bool {
     got.iter()
         .flatten()
@@ -157,7 +157,7 @@ impl Joined {
     }
 }
 
-/// Invariants of a surface that is closed but for its borders: every edge has one triangle a side.
+/// Invariants of a surface that is closed except for its borders: every edge has one triangle on each side.
 fn invariants(triangles: &[Triangle]) -> Result<Invariants, TestCaseError> {
     let mut edges: HashMap<[TreeLeaf; 2], [u32; 2]> = HashMap::new();
     let (mut surface, mut border) = (Joined(HashMap::new()), Joined(HashMap::new()));

@@ -192,7 +192,7 @@ fn ball_and_speck(engine: &Engine) -> Planted {
     plant_in(engine, loaded, Feature::None, dual_params())
 }
 
-/// Where the removed parts were, 50 voxels from what is left, nothing is measured.
+/// At the removed parts, which are 50 voxels from the remaining ones, no distance is measured.
 #[test]
 fn removed_parts_are_not_measured() {
     let Some(engine) = device() else { return };

@@ -45,7 +45,7 @@ fn check(field: &Field, tolerance: f64, expected: impl Fn([f64; 3]) -> Option<f6
 
 #[test]
 fn spheres_have_their_curvature_whatever_the_field_is_along_the_radius() {
-    // Radii beyond 4, where differences over a cell resolve the sphere to some per cent.
+    // Only radii above 4, at which differences over a cell resolve the sphere to some per cent.
     let far = |p: [f64; 3]| Some(length(&p)).filter(|&r| r > 4.0);
     for field in [
         of(|p| -length(&p)),

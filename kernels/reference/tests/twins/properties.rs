@@ -104,7 +104,7 @@ pub fn check_patched(pipeline: &Pipeline<'_>, cut: &Cut, mesh: &Mesh) -> Result<
             .collect();
         let emitted_by_coarse = emitted.contains(&(level, edge));
         if level == 0 || emitted_by_coarse {
-            // Not moved: it is where the surface crosses its edge.
+            // Not moved: it is at the surface's crossing with its edge.
             for (axis, at) in position(mesh, &edge).into_iter().enumerate() {
                 let (low, high) = (f64::from(edge.low[axis]), f64::from(edge.high()[axis]));
                 prop_assert!((low..=high).contains(&at));
@@ -149,7 +149,7 @@ fn check_surface(surface: &Surface, mesh: &Mesh) -> Result<(), TestCaseError> {
     let statistics = &surface.statistics;
     let indices: usize = surface.regions.iter().map(|r| r.indices.len()).sum();
     prop_assert_eq!(indices as u64, 3 * statistics.triangles);
-    // Vertices that regions share are bit-identical but for the region's origin.
+    // Vertices that regions share are bit-identical, except that positions are relative to the region's origin.
     let absolute = |r: &isopeel_kernels::Region, v: &Vertex| -> [i64; 3] {
         std::array::from_fn(|i| i64::from(r.coords[i]) * 32 * i64::from(Vertex::LATTICE) + i64::from(v.position[i]))
     };

@@ -106,8 +106,8 @@ fn derivatives_of_quadratics_are_exact() {
     });
 }
 
-/// Errors, relative to the curvature, are as the length of a cell over the radius, for second derivatives are of first order where cells
-/// differ. Here they are up to 3 long.
+/// Errors, relative to the curvature, are proportional to the length of a cell over the radius, because second derivatives are only of
+/// first order if cells differ in length. Here cells are up to 3 long.
 #[test]
 fn spheres_have_their_curvature() {
     let parabola = of(|p| 100.0 - 3.0 * length(&p).powi(2));

@@ -1,4 +1,4 @@
-//! What the tasks of a measurement add up to.
+//! Sums over the tasks of a measurement.
 
 use crate::layout::{ErrorSum, ErrorTask};
 use crate::surface::SurfaceError;
@@ -27,7 +27,7 @@ impl Distances {
     }
 }
 
-/// The distances both ways as one figure: the mean of the two mean squares, and the greater maximum.
+/// Combines the distances in both directions: the mean of the two mean squares, and the greater maximum.
 pub fn both(crossings: &Distances, samples: &Distances) -> SurfaceError {
     SurfaceError {
         rms: ((crossings.mean2() + samples.mean2()) / 2.0).sqrt() as f32,

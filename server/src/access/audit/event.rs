@@ -4,7 +4,7 @@ use axum::http::Method;
 use axum::http::header::{HeaderMap, LOCATION};
 use serde::Serialize;
 
-/// What happened.
+/// Kind of event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(in crate::access) enum Event {
@@ -61,12 +61,12 @@ pub(super) fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
         (["uploads", id], &Method::DELETE) => (Event::UploadDelete, Some(*id)),
         _ => (Event::Request, None),
     };
-    // What is no id is the client's own text.
+    // Anything that is not an id is text of the client, and is not logged.
     let is_id = |id: &str| id.len() <= 64 && id.bytes().all(|byte| byte.is_ascii_alphanumeric());
     (event, id.filter(|id| is_id(id)).map(str::to_owned))
 }
 
-/// The id of what was made.
+/// Returns the id of the created job or upload, from the `Location` of the answer.
 pub(super) fn made(headers: &HeaderMap) -> Option<String> {
     let location = headers.get(LOCATION)?.to_str().ok()?;
     let path = location.strip_prefix("/api/v1/")?;

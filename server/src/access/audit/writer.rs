@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use super::refusals::Refusals;
 use super::{COUNTED, LOOK, Line, Outcome, lock, now};
 
-/// What it does.
+/// A command to the writer.
 pub(super) enum Command {
     Write(Vec<u8>),
     /// The file was moved away: open it again.
@@ -33,7 +33,7 @@ pub(super) struct Writer {
     file: File,
     lost: Arc<AtomicU64>,
     refusals: Arc<Mutex<Refusals>>,
-    /// An error was logged, and none that followed it.
+    /// An error was logged; further ones are not, until a write succeeds.
     complained: bool,
 }
 

@@ -142,7 +142,7 @@ impl Oidc {
         })
     }
 
-    /// The issuer, for those who are asked to sign in there.
+    /// The issuer, to be shown to users who are asked to sign in there.
     pub fn issuer(&self) -> &str {
         &self.options.issuer
     }

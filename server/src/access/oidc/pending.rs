@@ -35,13 +35,13 @@ impl Trip {
     }
 }
 
-/// The key of all of them, and which were used. Clones are the same.
+/// The key for all sign-ins, and those that were used. Clones share them.
 #[derive(Clone, Debug)]
 pub(super) struct Pending {
     key: Arc<Key>,
-    /// From when the times in secrets count.
+    /// Origin of the times in secrets.
     epoch: Instant,
-    /// When each sign-in that came back had begun, by its state.
+    /// Begin of each sign-in that was completed, by its state.
     used: Arc<Mutex<HashMap<String, Instant>>>,
 }
 
@@ -57,7 +57,7 @@ impl Pending {
         })
     }
 
-    /// Begins a sign-in. Returns the secret for the browser, the state, and what is sent to the issuer.
+    /// Begins a sign-in. Returns the secret for the browser, the state, and the values that are sent to the issuer.
     pub(super) fn begin(&self, now: Instant) -> Result<(String, String, Trip), TokenError> {
         let age = now.saturating_duration_since(self.epoch).as_secs();
         let secret = format!("{}.{age}", random()?);

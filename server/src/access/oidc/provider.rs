@@ -68,7 +68,7 @@ pub(super) struct Metadata {
     token_endpoint_auth_methods_supported: Vec<String>,
 }
 
-/// What is sent to exchange a code for an ID token.
+/// Values that are sent to exchange a code for an ID token.
 pub(super) struct Exchange<'a> {
     pub client_id: &'a str,
     pub client_secret: Option<&'a str>,
@@ -82,7 +82,7 @@ struct Tokens {
     id_token: String,
 }
 
-/// An issuer, with what it said last.
+/// An issuer, with its cached metadata and keys.
 #[derive(Debug)]
 pub(super) struct Provider {
     issuer: String,
@@ -91,7 +91,7 @@ pub(super) struct Provider {
     pub(super) known: Mutex<Known>,
 }
 
-/// What an issuer said last, and when.
+/// The last answer or failure of an issuer, with its time.
 #[derive(Debug, Default)]
 pub(super) struct Known {
     pub answer: Option<(Instant, Metadata, JwkSet)>,

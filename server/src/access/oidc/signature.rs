@@ -11,7 +11,7 @@ use ring::signature::{
     UnparsedPublicKey,
 };
 
-/// Those of OpenID Connect that are asymmetric and that issuers use: what a client's secret signs is not among them, nor `none`.
+/// The asymmetric algorithms of OpenID Connect that issuers use. Excludes signatures by a client's secret, and `none`.
 pub(super) const ALGORITHMS: [Algorithm; 3] = [Algorithm::RS256, Algorithm::ES256, Algorithm::PS256];
 
 static PROVIDER: CryptoProvider = CryptoProvider {

@@ -2,7 +2,7 @@ use super::*;
 use crate::export::caps::ToCaps;
 use crate::volumes::Geometry;
 
-/// A closed surface of 2·n² triangles over a square, one side of which is pushed through the other by so much.
+/// A closed surface of 2·n² triangles over a square, one side of which is pushed through the other by `push`.
 fn pillow(n: usize, push: f32) -> Mesh {
     let at = |i: usize, j: usize, top: bool| {
         let is_boundary = i == 0 || j == 0 || i == n || j == n;

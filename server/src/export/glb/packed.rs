@@ -45,7 +45,7 @@ pub(in crate::export) fn write(meshes: &[Mesh], extras: &Value, out: &mut impl W
         json["bufferViews"] = buffer.views.into();
         json["buffers"] = json!([
             { "byteLength": buffer.bytes.len() },
-            // What it is decoded to; no bytes of it are in the file.
+            // The decoded buffer, of which no bytes are in the file.
             { "byteLength": buffer.decoded_bytes, "extensions": { EXTENSION: { "fallback": true } } },
         ]);
     }
@@ -146,7 +146,7 @@ fn primitive(mesh: &Mesh, lattice: &Lattice, number: usize, buffer: &mut PackedB
     }))
 }
 
-/// The binary chunk, with views and accessors of what it is decoded to.
+/// The binary chunk, with views and accessors of the decoded buffer.
 #[derive(Default)]
 struct PackedBuffer {
     bytes: Vec<u8>,

@@ -1,7 +1,7 @@
-//! Jobs, their extractions and what happened to them, in SQLite. When a method has returned, its changes are on the disk
-//! (`synchronous = FULL`).
+//! Jobs, their extractions and their events, in SQLite. When a method has returned, its changes are on the disk (`synchronous = FULL`).
 //!
-//! [`Store`] runs one thing at a time on a blocking thread; [`requests`] is what clients ask for, [`work`] what the runner does.
+//! [`Store`] runs one transaction at a time on a blocking thread; [`requests`] has the transactions of clients, [`work`] those of the
+//! runner.
 
 pub(super) mod requests;
 pub(super) mod work;
@@ -63,8 +63,8 @@ impl Store {
         })
     }
 
-    /// Runs a transaction that frees space. If the disk is full, it is run once more with the space of the reserve, which is made again as soon as
-    /// there is some.
+    /// Runs a transaction that frees space. If the disk is full, it is retried with the space of the reserve, which is created again as
+    /// soon as there is space.
     pub(super) async fn write_from_reserve<T: Send + 'static>(
         &self,
         work: impl Fn(&Transaction<'_>) -> Result<T, JobError> + Clone + Send + 'static,
@@ -72,7 +72,7 @@ impl Store {
         let outcome = match self.write(work.clone()).await {
             Err(JobError::Store(error)) if error.is_full() => {
                 tracing::warn!("the disk of the job store is full, its reserve is used");
-                // Without a reserve it fails once more.
+                // If there is no reserve, the retry fails too.
                 let _ = std::fs::remove_file(&self.reserve);
                 self.write(work).await
             }
@@ -103,7 +103,7 @@ impl Store {
         done.await.unwrap_or_else(|_| Err(StoreError::Panicked.into()))
     }
 
-    /// The results that there are: job and number.
+    /// Returns the existing results: job and number of the extraction.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -188,8 +188,8 @@ fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
     Ok((row.get(17)?, info))
 }
 
-/// Seconds that the extractions take that are not made yet: as those before did, or as was estimated. With several owners each has a turn
-/// in so many.
+/// Returns the seconds that the remaining extractions take if each takes as long as those before on average, or as was estimated. The
+/// caller multiplies them by the number of owners, who take turns.
 fn eta(extractions: Progress, seconds: f64, estimate: Estimate) -> f64 {
     let left = (extractions.total - extractions.ended()) as f64;
     let each = match extractions.done {
@@ -208,7 +208,7 @@ fn progress(row: &Row<'_>, from: usize) -> Result<Progress, StoreError> {
     })
 }
 
-/// Notes what has happened to a job, with its state since then.
+/// Adds an event of a job, with the state of the job since then.
 fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -> Result<(), StoreError> {
     let found = transaction.query_row(
         "SELECT state, total, done, failed, empty FROM jobs WHERE number = ?1",
@@ -227,7 +227,7 @@ fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -
     Ok(())
 }
 
-/// A row that may not be there.
+/// Converts the result of a query for a row that may not exist.
 fn optional<T>(found: rusqlite::Result<Result<T, StoreError>>) -> Result<Option<T>, StoreError> {
     found.optional()?.transpose()
 }

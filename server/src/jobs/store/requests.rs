@@ -29,7 +29,7 @@ pub struct RequestKey {
     pub digest: Checksum,
 }
 
-/// A job that is to be kept.
+/// A job to be stored.
 #[derive(Clone, Debug)]
 pub struct NewJob {
     /// Its id.
@@ -42,7 +42,7 @@ pub struct NewJob {
     pub input: String,
     /// JSON of each extraction.
     pub extractions: Vec<String>,
-    /// What it is expected to cost.
+    /// Its estimated cost.
     pub estimate: Estimate,
 }
 
@@ -68,10 +68,10 @@ impl Store {
         self.write(move |transaction| repeated(transaction, &request)).await
     }
 
-    /// Keeps a job, unless its request made one before: then this is returned, and `false`.
+    /// Stores a job, and returns it with `true`. If its request has created one before, returns that job with `false`.
     ///
     /// # Errors
-    /// What is above the limits.
+    /// The limit that the job exceeds.
     pub async fn submit(&self, job: NewJob, limits: Limits) -> Result<(JobInfo, bool), JobError> {
         self.write(move |transaction| {
             if let Some(made) = repeated(transaction, &job.request)? {
@@ -117,7 +117,7 @@ impl Store {
         .await
     }
 
-    /// A job, with what has failed of it.
+    /// Returns a job with its failed extractions.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -152,7 +152,7 @@ impl Store {
         .await
     }
 
-    /// Forgets a finished job. Its files are the caller's to remove.
+    /// Removes a finished job from the store. The caller removes its files.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`], [`JobError::NotFinished`].
@@ -170,7 +170,7 @@ impl Store {
         .await
     }
 
-    /// What happened to a job after the event of id `after`, some of it, and whether the job is finished.
+    /// Returns some of the events of a job after the event `after`, and whether the job is finished.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].

@@ -1,4 +1,4 @@
-//! What the runner asks the store for.
+//! Transactions of the runner.
 
 use std::sync::PoisonError;
 
@@ -21,15 +21,15 @@ pub struct Work {
     pub(super) number: i64,
     /// Id of its job.
     pub job: String,
-    /// Whose it is.
+    /// Owner of the job.
     pub owner: String,
     /// Which of the job, from 0.
     pub extraction: u32,
-    /// What is to be made.
+    /// The requested file.
     pub request: FileRequest,
     /// Id of the volume.
     pub volume: String,
-    /// What the job's input was when it was submitted.
+    /// Identity of the job's input when it was submitted.
     pub input: InputIdentity,
     /// Bytes that the results of the owner take.
     pub bytes_taken: u64,
@@ -40,26 +40,26 @@ pub struct Work {
 pub enum Outcome {
     /// The result is on the disk.
     Done {
-        /// What it is.
+        /// The written file.
         written: Written,
         /// Of its surface.
         triangles: u64,
         /// Of its surface, if it was measured.
         error: Option<MeasuredError>,
-        /// What the file's format could not keep.
+        /// Notices on what the file's format could not keep.
         notices: Vec<String>,
         /// Time that it took.
         seconds: f64,
     },
     /// The surface has no triangles, and a file of it was not asked for.
     Empty(Cause),
-    /// There is none; another attempt may have one.
+    /// There is no result; another attempt may succeed.
     Failed(Cause),
-    /// There is none, and no attempt will have one.
+    /// There is no result, and no attempt will succeed.
     Refused(Cause),
-    /// No extraction of the job will have one.
+    /// No extraction of the job will succeed.
     JobFailed(Cause),
-    /// It was not the extraction's fault: the attempt does not count.
+    /// The attempt does not count, because its failure was not caused by the extraction.
     GivenBack,
 }
 

@@ -1,5 +1,5 @@
-//! A surface as a file, by an address that says all of it. The answer has the tag of its bytes, so that a client which has the file learns that
-//! it is still the same, and one that has a part of it gets the rest.
+//! A surface as a file, by an address that contains the whole request. The answer has an entity tag of its bytes, so that a client can
+//! revalidate a file that it has, or continue a partial download.
 
 use std::num::NonZero;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -37,7 +37,7 @@ const CACHED: [(HeaderName, HeaderValue); 2] = [
 /// Files whose tags are known without making them.
 const MAX_KNOWN_TAGS: NonZero<usize> = NonZero::new(1024).expect("not 0");
 
-/// The tags of files that were made, by their requests: the same request makes the same bytes as long as the volume is what it is.
+/// The tags of files that were made, by their requests: equal requests give equal bytes as long as the volume does not change.
 #[derive(Clone, Debug)]
 pub(in crate::rest) struct KnownTags(Arc<Mutex<LruCache<RequestKey, FileDigest>>>);
 
@@ -73,7 +73,7 @@ impl KnownTags {
     }
 }
 
-/// What the tag of a file's bytes is made of.
+/// Returns the hash that a file's entity tag contains.
 fn hash(digest: FileDigest) -> String {
     HEXLOWER.encode(&digest.hash.to_be_bytes())
 }
@@ -137,11 +137,11 @@ pub async fn extract_by_address(
     let Query(query) = query?;
     let refused = |message| ApiError::new(StatusCode::BAD_REQUEST, "bad-request", message);
     let ExtractRequest { volume, file } = request_of(query).map_err(refused)?;
-    // Whether the client may see the volume comes before what it has of it.
+    // Checks access to the volume before the client's tags.
     let volume = state.volume(&who, &volume, file.step)?;
     let others = other_volumes(&state, &who, &file)?;
     let surfaces = file.surfaces(&volume, &others)?;
-    // A file that differs from time to time is made each time, and has a tag of its own.
+    // A file whose bytes are not reproducible is made for each request, with a tag of its own.
     let is_known = file.options.is_reproducible();
     let (key, known) = (request_key(&surfaces, &file), state.known_tags.clone());
     let encoding = ContentEncoding::accepted(&headers);
@@ -182,7 +182,7 @@ fn tagged(mut response: Response, tag: &str) -> Result<Response, ApiError> {
     Ok(response)
 }
 
-/// Returns the request of a query, or what is wrong with the query.
+/// Returns the request of a query, or the fault of the query.
 fn request_of(query: Vec<(String, String)>) -> Result<ExtractRequest, String> {
     let mut fields = Map::new();
     for (name, text) in query {

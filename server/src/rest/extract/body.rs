@@ -42,7 +42,7 @@ pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static, spoo
     send_with(file, part, permit, spool, patience)
 }
 
-/// How long clients are waited for.
+/// How long the writer waits for a client.
 #[derive(Clone, Copy)]
 struct Patience {
     /// For one chunk.
@@ -93,7 +93,7 @@ fn send_with(
     Body::from_stream(chunks)
 }
 
-/// Writes a part of a file, on a blocking thread, and then sends what of it was spooled.
+/// Writes a part of a file, on a blocking thread, and then sends the bytes of it that were spooled.
 async fn write_and_send(
     (file, permit): (MadeFile, impl Send + 'static),
     part: Part,
@@ -112,7 +112,7 @@ async fn write_and_send(
     }
 }
 
-/// Sends what was spooled as the client reads it, without a thread of its own.
+/// Sends spooled bytes as the client reads them, without a thread of its own.
 async fn send_spooled(mut spool: Spool, chunks: &mpsc::Sender<Bytes>, deadline: Duration) -> io::Result<()> {
     loop {
         let reading = tokio::task::spawn_blocking(move || {
@@ -185,7 +185,7 @@ struct ChunkWriter {
     patience: Duration,
     spool_folder: SpoolFolder,
     spool: Option<Spool>,
-    /// Why a write failed. Then all fail at once: an encoder or a buffer that is dropped writes what it has, and would wait once more.
+    /// Error of an earlier write. All later writes fail at once: an encoder or a buffer that is dropped flushes, and would wait once more.
     failed: Option<io::ErrorKind>,
 }
 
@@ -204,7 +204,7 @@ impl ChunkWriter {
         kind.into()
     }
 
-    /// Appends a part to what is spooled. Without space for it the export ends.
+    /// Appends a part to the spooled bytes. If there is no space for it, the export ends.
     fn spool(&mut self, part: &[u8]) -> io::Result<()> {
         let spooled = match &mut self.spool {
             Some(spool) => spool.append(part),

@@ -1,4 +1,4 @@
-//! Files that exports wait in whose clients read slowly.
+//! Temporary files for exports whose clients read slowly.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, Write};
@@ -55,7 +55,7 @@ impl SpoolFolder {
         })
     }
 
-    /// Counts `bytes` more, if there is space for them.
+    /// Reserves `bytes` more, if there is space for them.
     fn reserve(&self, bytes: u64) -> io::Result<()> {
         let Shared { path, limit, used } = &*self.0;
         let before = used.fetch_add(bytes, Ordering::Relaxed);

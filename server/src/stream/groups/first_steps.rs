@@ -12,7 +12,7 @@ use tokio::time::timeout;
 
 use super::{Group, Member};
 
-/// Longest wait for the first steps of others: what the largest group takes.
+/// Longest wait for the first steps of others: the time that the largest group takes.
 pub(in crate::stream) const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 /// Members that wait for a first step.

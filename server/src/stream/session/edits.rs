@@ -1,4 +1,4 @@
-//! What a client's messages change of its surfaces, and what that ends.
+//! Applies a client's edits to its surfaces, and ends generations that they supersede.
 
 use futures_util::stream::FuturesOrdered;
 
@@ -31,20 +31,20 @@ impl<B: Backend> Session<B> {
                 let message = "cap: true, the stream has no caps yet, expected false; exports have them";
                 self.send_error("bad-edit", message, true);
             }
-            // Who may look is shown what the volume opens with.
+            // Without the role `edit` an edit may change nothing: it requests the opening view.
             Ok(view) if view != before && !self.who.may(Role::Edit) => self.refuse_edit(),
             Ok(view) => self.take_edit(surface, view, edit),
             Err(error) => self.send_error("bad-edit", error.to_string(), true),
         }
     }
 
-    /// The viewer's token is not for edits.
+    /// Sends the error of a viewer whose token lacks the role `edit`.
     pub(super) fn refuse_edit(&mut self) {
         let message = format!("this token is for {}, expected one for edit", self.who.roles());
         self.send_error("forbidden", message, true);
     }
 
-    /// What is to be made of a surface has changed: its generation ends, once something of it was committed.
+    /// Marks a surface as changed. Its generation ends at once if a step of it was committed, else after its first commit.
     pub(super) fn change(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
@@ -57,8 +57,8 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Gives each surface its part of the budget, once all that share it are counted. Those that get another one follow; `edited` is to
-    /// be made anew in any case.
+    /// Gives each surface its part of the budget, once all that share it are counted. Surfaces whose part has changed are remade;
+    /// `edited` is remade in any case.
     pub(super) fn allot(&mut self, edited: Option<u8>) {
         let lacking = self.opened.as_mut().map(OpenVolume::lacking);
         lacking.into_iter().flatten().for_each(|number| self.change(number));
@@ -91,7 +91,7 @@ impl<B: Backend> Session<B> {
                 continue;
             };
             if session.is_busy() {
-                // What it has is not what it was to get: it follows the next edit.
+                // Its surface was not made with its part of the budget. Without a part it is remade after the next edit.
                 session.allotted = None;
             }
             session.edit_pending = false;
@@ -105,7 +105,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// The surface of this number; where there is none, `unknown-surface` is sent.
+    /// Returns the surface of this number. If there is none, sends the error `unknown-surface`.
     pub(super) fn find_surface(&mut self, surface: u32) -> Option<u8> {
         let Some(opened) = &self.opened else {
             self.send_error("not-open", "no volume is open, expected `open` first", true);
@@ -146,7 +146,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Ends what is done for a surface. Of its generation, if there is one, nothing is sent any more but `superseded`.
+    /// Ends the work for a surface. If it has a generation, only `superseded` is still sent for it.
     pub(super) fn end_generation(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {

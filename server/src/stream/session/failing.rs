@@ -1,4 +1,4 @@
-//! Failed generations: the error that is sent, and what the client may keep.
+//! Failed generations: the error that is sent, and whether the client may keep its surface.
 
 use super::super::backend::Backend;
 use super::Session;
@@ -77,7 +77,8 @@ impl<B: Backend> Session<B> {
         self.end_failed(surface);
     }
 
-    /// Ends a generation that failed, once the client holds nothing of its surface that may not stay. Others may have waited for its triangles.
+    /// Ends a failed generation. If the client may not keep its surface, removes that first. Other surfaces may have waited for its
+    /// triangles.
     pub(super) fn end_failed(&mut self, surface: u8) {
         let Some(opened) = &mut self.opened else { return };
         let (volume, may_stay) = (opened.volume.clone(), opened.may_stay(surface));
@@ -91,7 +92,7 @@ impl<B: Backend> Session<B> {
         let Some(session) = opened.surface_mut(surface) else {
             return;
         };
-        // What is suggested is what was known when it failed.
+        // The suggested budget is computed from the state at the failure.
         session.failed.get_or_insert(failed);
         let failure = match session.generation_mut() {
             Some(generation) if !may_stay && generation.failure.is_some() => {

@@ -40,7 +40,7 @@ pub(super) struct Generation {
     pub key: ViewKey,
     pub making: Making,
     pub sending: Sending,
-    /// What the client will hold when all steps that were made are committed.
+    /// The surface that the client shows when all steps that were made are committed.
     pub shown: Shown,
     /// The cut of the final surface, once it is known.
     pub target: Option<CutId>,
@@ -61,7 +61,7 @@ pub(super) struct Generation {
     pub draw_pause: DrawPause,
     /// Number of the connection's last job when this generation began to wait for its next one.
     pub waits_since: u64,
-    /// Why its work failed. The error is sent once the client holds nothing any more that may not stay.
+    /// Error of its work. It is sent once regions that the client may not keep are removed.
     pub failure: Option<Box<ServerMessage>>,
     /// If the viewer is in a group and its line is not full: held until the first step is ready to be sent.
     pub first_step: Option<FirstStep>,
@@ -72,7 +72,7 @@ pub(super) struct Generation {
     _cancel: DropGuard,
 }
 
-/// What the device does for a generation.
+/// State of a generation on the device.
 pub(super) enum Making {
     /// The next step was not queued yet.
     Waiting,
@@ -87,18 +87,18 @@ pub(super) enum Making {
 /// A step on its way to the client.
 pub(super) enum Sending {
     Idle,
-    /// The pool compares it with what the client holds.
+    /// The pool compares it with the regions that the client holds.
     Comparing(Sent),
     /// Its regions are encoded in batches.
     Encoding {
         sent: Sent,
         step: Arc<SharedStep>,
         coding: Coding,
-        /// What is in no batch yet; the next part is the last.
+        /// Regions that are in no batch yet; the next one is the last of the list.
         remaining: Vec<Part>,
         /// Batches on the pool.
         batches: usize,
-        /// What the client will hold.
+        /// Regions that the client will hold.
         held: HeldRegions,
     },
     /// `committed` waits for the writer. Then the client holds these regions.
@@ -196,12 +196,12 @@ impl Generation {
         self.target = made.target;
         self.steps_made += 1;
         self.made_triangles = made.surface.statistics.triangles;
-        // What keeps a budget, which the next steps need not find again.
+        // The threshold that keeps the budget: the next steps need not search for it again.
         self.view.fitted = made.view.fitted;
         self.making = Making::Made(offered);
     }
 
-    /// What a client holds after this cut was sent to it.
+    /// Returns the surface that a client holds after this cut was sent to it.
     pub(super) fn held(&self, cut: CutId) -> HeldSurface {
         HeldSurface {
             view: self.view.clone(),
@@ -228,7 +228,7 @@ impl Generation {
         }
     }
 
-    /// Whether nothing of it was begun but the count: its part of the budget may still change.
+    /// Whether no step was begun: its part of the budget may still change.
     pub(super) fn is_unstepped(&self) -> bool {
         self.steps_made == 0 && matches!(self.making, Making::Waiting)
     }
@@ -257,7 +257,7 @@ impl Generation {
         }
     }
 
-    /// What is to be known of a step while it is sent.
+    /// Returns the properties of a step that are needed while it is sent.
     pub(super) fn sent_of(&self, offered: &Offered, smallest: f64, device: &str) -> Sent {
         let made = &offered.step.made;
         let statistics = made.is_final.then(|| {

@@ -1,4 +1,4 @@
-//! A session in a group: the member in control broadcasts what it is shown, and the others follow.
+//! A session in a group: the member in control broadcasts its views, and the others follow.
 
 use data_encoding::HEXLOWER;
 
@@ -17,7 +17,7 @@ use crate::wire::messages::{ClientMessage, ServerMessage};
 const ID_BYTES: usize = 16;
 
 impl<B: Backend> Session<B> {
-    /// A message that changes what is shown. Who follows is shown what another one shows.
+    /// Handles a message that changes the surfaces shown. Refuses it from members without control.
     pub(super) fn on_change(&mut self, message: ClientMessage) {
         if self.member.as_ref().is_some_and(|member| !member.controls()) {
             return self.refuse(GroupError::NotInControl);
@@ -184,7 +184,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Broadcasts what is shown here if this member has control, and otherwise follows the member that has.
+    /// Broadcasts this session's views if this member has control, and otherwise follows the member that has.
     pub(super) fn lead_or_follow(&mut self) {
         let Some(member) = &mut self.member else { return };
         if let Some(scene) = member.scene() {
@@ -202,7 +202,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Shows what the member in control shows, whatever this viewer's roles are, but only volumes that it may see.
+    /// Applies the views of the member in control, whatever this viewer's roles are, but only of volumes that it may see.
     fn follow(&mut self, scene: &Scene) {
         let open = self.opened.as_ref();
         let is_volume = open.is_some_and(|opened| opened.volume.dataset().key() == scene.volume.dataset().key());
@@ -221,12 +221,12 @@ impl<B: Backend> Session<B> {
                 self.open_led(&scene.volume);
             }
         }
-        // Drop what this viewer has edited or requested before it followed.
+        // Drop pending edits and time steps of this viewer from before it followed.
         if let Some(opened) = &mut self.opened {
             opened.stepping = None;
             opened.surfaces_mut().for_each(|(_, surface)| surface.pending = None);
         }
-        // The rest when it is open.
+        // The surfaces follow once the volume is open.
         if self
             .opened
             .as_ref()

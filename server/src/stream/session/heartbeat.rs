@@ -50,7 +50,7 @@ impl Heartbeat {
         self.next = Some(Instant::now() + BEAT);
         let longest = BEAT.max(line);
         if !is_listening {
-            // Its frames wait to be read.
+            // The server itself does not read now: its frames wait in the queue.
             self.heard = Instant::now();
         }
         // The next check is one beat later.

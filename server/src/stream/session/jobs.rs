@@ -1,4 +1,4 @@
-//! A session's jobs: at most one on the device, on the CPU pool a comparison or [`MAX_BATCHES`], and what their results lead to.
+//! A session's jobs and their results: at most one job on the device, and on the CPU pool a comparison or [`MAX_BATCHES`] batches.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -26,15 +26,16 @@ use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, Su
 use crate::wire::chunk::{ChunkKind, Coding};
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
-/// Triangles of a new surface's first steps for all of a group: so many reach a thousand followers within 70 ms on two cores.
+/// Triangles of a new surface's first step, summed over the followers of a group: they reach a thousand followers within 70 ms on two
+/// cores.
 const FOLLOWED_TRIANGLES: u64 = 2_000_000;
 
-/// Bytes a second from which on a line takes bytes faster than the coding for slow lines saves them.
+/// Rate, bytes a second, from which on a line takes bytes faster than the coding for slow lines saves them.
 const MIN_FAST_LINE: u64 = 4_000_000;
-/// The same of a step on the way: coarse meshes are harder to predict, so it saves them a fifth of their bytes alone.
+/// The same for an intermediate step: coarse meshes are harder to predict, so the coding saves only a fifth of their bytes.
 const MIN_FAST_LINE_OF_COARSE: u64 = 1_250_000;
 
-/// Batches that are encoded at once: the next one fills the threads that have nothing left to do of the one before.
+/// Batches that are encoded at once: the next one uses the threads that are idle at the end of the one before.
 const MAX_BATCHES: usize = 2;
 
 /// A finished device job; the numbers are those of the open or of the generation that it was queued for.
@@ -365,7 +366,7 @@ impl<B: Backend> Session<B> {
         }));
     }
 
-    /// Starts the next device job: the volume to open, the next step of a surface, or what is done for one that rests.
+    /// Starts the next device job: opening a volume, the next step of a surface, or work at rest.
     pub(super) fn advance_device(&mut self) {
         if self.device.is_some() {
             return;
@@ -375,7 +376,7 @@ impl<B: Backend> Session<B> {
             Some(OpeningPhase::Waiting) => return self.start_opening(),
             Some(OpeningPhase::Open) => {}
         }
-        // One that begins may give others another part of the budget, so that they begin as well.
+        // A generation that begins may change the parts of other surfaces, whose generations then begin as well.
         while self.begin_generations() {
             self.allot(None);
         }
@@ -397,7 +398,7 @@ impl<B: Backend> Session<B> {
         for (number, surface) in opened.surfaces_mut() {
             if surface.edit_pending && surface.generation().is_none() {
                 self.last_generation += 1;
-                // A client that does not read its line does not wait for this step.
+                // If the line is full, the step is not sent soon: further steps of others need not wait for it.
                 let waiting = self.member.as_ref().filter(|_| !self.pace.is_line_full());
                 let key = SurfaceKey::new(engine, &volume, &surface.view);
                 let first_step = waiting.map(Member::first_step);
@@ -437,7 +438,7 @@ impl<B: Backend> Session<B> {
         let generation = session.generation_mut()?;
         generation.making = Making::OnDevice;
         generation.waits_since = self.jobs;
-        // What others follow is made meanwhile.
+        // Further steps of followers wait for the first steps of all members. The member in control does not wait.
         let waits = |member: &&Member| job == NextJob::Further && !member.controls();
         let others_first = self.member.as_ref().filter(waits).map(Member::others_first);
         let (number, token) = (generation.number, generation.token.clone());
@@ -465,7 +466,7 @@ impl<B: Backend> Session<B> {
         Some(Box::pin(refine.instrument(span)))
     }
 
-    /// The coding of what is sent next: the client's coding for slow lines, if it has requested one and the line is known to be slow.
+    /// Returns the coding of the next step: the client's coding for slow lines, if it has requested one and the line is known to be slow.
     fn line_coding(&self, min_fast: u64) -> Coding {
         match self.line.bytes_within(Duration::from_secs(1)) < min_fast {
             true => self.coding,
@@ -482,7 +483,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Triangles of the first step of a new surface: with many who follow, as few as reach all of them soon.
+    /// Triangles of the first step of a new surface: the more followers a group has, the fewer, so that all get it soon.
     fn fresh_triangles(&self) -> u64 {
         let followers = self.member.as_ref().map_or(0, Member::followers);
         self.pace.fresh().min(FOLLOWED_TRIANGLES / u64::from(followers.max(1)))

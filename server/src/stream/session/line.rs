@@ -1,9 +1,9 @@
 //! Flow control: bounds the bytes in flight, which the client has not confirmed yet, so that a newer edit waits for little of an older
 //! surface.
 //!
-//! A ping follows each eighth of the window, and its pong confirms that all before it has arrived. The window is what the line takes in
-//! its round trip plus [`QUEUE`]. Without a window, buffers of the operating system and the network take several megabytes, for which a
-//! slow line needs seconds.
+//! A ping follows each eighth of the window, and its pong confirms that all before it has arrived. The window is the number of bytes that
+//! the line takes in its round trip plus [`QUEUE`]. Without a window, buffers of the operating system and the network take several
+//! megabytes, for which a slow line needs seconds.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -24,8 +24,8 @@ const MIN_BYTES_PER_PING: u64 = 8 << 10;
 /// Rates of which the highest counts: a pause of the sender or the network makes some of them too low.
 const RATES: usize = 10;
 
-/// Without a pong for so long, the window is ignored: the client may be behind a proxy that answers no pings. A client that does not read
-/// is closed by the writer's deadline.
+/// Time without a pong after which the window is ignored: the client may be behind a proxy that answers no pings. A client that does not
+/// read is closed by the writer's deadline.
 const MAX_PONG_WAIT: Duration = Duration::from_secs(2);
 
 /// Bit that is set in the numbers of these pings, and not in those of [`super::pace`].
@@ -44,7 +44,7 @@ struct Ping {
     had_capacity: bool,
 }
 
-/// What is on the line of one connection.
+/// Bytes in flight and measured rates of one connection.
 pub(super) struct Line {
     sent: u64,
     confirmed: u64,
@@ -119,7 +119,7 @@ impl Line {
         (!self.has_capacity()).then(|| self.progress + MAX_PONG_WAIT)
     }
 
-    /// The writer takes a frame. Returns what the ping behind it carries, if one is due.
+    /// Records that the writer takes a frame. Returns the number of the ping to send behind it, if one is due.
     pub(super) fn took(&mut self, bytes: usize) -> Option<u32> {
         let now = Instant::now();
         if self.sent == self.confirmed {

@@ -17,7 +17,7 @@ use crate::wire::chunk::MAX_SURFACES;
 
 pub(super) struct OpenVolume {
     pub volume: VolumeStep,
-    /// What a new surface begins with.
+    /// The opening view, with which a new surface begins.
     view: View,
     pub phase: OpeningPhase,
     /// How far its opening is, until it is open.
@@ -39,7 +39,7 @@ pub(super) struct OpenVolume {
     pub lease: Lease,
     /// Keeps the step's samples on the device while others are read ahead.
     pub held: Held,
-    /// Of what is done for this step alone.
+    /// Token of the work for this time step.
     pub step_token: CancellationToken,
     pub _cancel_step: DropGuard,
     pub token: CancellationToken,
@@ -56,7 +56,7 @@ pub(super) enum OpeningPhase {
     Open,
 }
 
-/// Resolves when the opening of the volume goes on; never where none is being opened.
+/// Resolves when the opening of the volume makes progress; never if no volume is being opened.
 pub(super) async fn opening_progress(opened: &mut Option<OpenVolume>) -> OpeningProgress {
     if let Some(progress) = opened.as_mut().and_then(|opened| opened.progress.as_mut())
         && progress.changed().await.is_ok()
@@ -80,7 +80,7 @@ impl<B: Backend> Session<B> {
         self.outbox.drop_annotations();
     }
 
-    /// Somebody has removed it, or it has expired. The viewer keeps its picture.
+    /// Handles the removal of the open volume by a user or by its expiry. The viewer keeps its picture.
     pub(super) fn on_removed_volume(&mut self) {
         self.close_volume();
         let message = "this volume was removed from the server: nothing more is made of it, GET /api/v1/volumes lists those there are";
@@ -251,13 +251,13 @@ impl OpenVolume {
         self.surfaces[usize::from(number)].get_or_insert_with(|| SurfaceSession::new(view))
     }
 
-    /// What a new surface begins with.
+    /// Returns the view with which a new surface begins.
     pub(super) fn opening_view(&self) -> &View {
         &self.view
     }
 
-    /// Removes a surface for its user. The other surfaces keep a budget that one of its edits has named, even if that edit is still being
-    /// checked.
+    /// Removes a surface at the request of its user. The other surfaces keep a budget that one of its edits has named, even if that edit
+    /// is still being checked.
     pub(super) fn remove_at_wish(&mut self, number: u8) {
         let fields = self.volume.dataset().field_names();
         let pending = self.surface(number).and_then(|surface| surface.pending.as_ref());

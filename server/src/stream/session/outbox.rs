@@ -17,7 +17,7 @@ pub(super) enum Newest {
 pub(super) enum Frame {
     /// Belongs to no generation.
     Control(String),
-    /// One of those that take the place of the one before.
+    /// A message that replaces a waiting one of its kind.
     Newest(Newest, String),
     /// `prefix` or a chunk, of the surface of this number.
     Prefix(u8, Outgoing),
@@ -32,7 +32,7 @@ pub(super) enum Frame {
 }
 
 impl Frame {
-    /// The surface with whose generation it goes.
+    /// The surface whose generation it belongs to.
     fn surface(&self) -> Option<u8> {
         match self {
             Self::Prefix(surface, _)
@@ -77,7 +77,7 @@ pub(super) struct Outbox {
 }
 
 impl Outbox {
-    /// Bytes of frames that outlive their generation: what a client can cause that sends and does not read.
+    /// Bytes of frames that outlive their generation. A client that sends and does not read can make them grow.
     pub(super) fn kept_bytes(&self) -> usize {
         self.kept_bytes
     }

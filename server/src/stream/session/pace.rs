@@ -2,7 +2,7 @@
 //! pool, and of the line.
 //!
 //! Every step ends with a ping. The client's pong says that all of it has arrived, which the operating system's buffers would
-//! otherwise hide: on a slow line they hold what takes seconds.
+//! otherwise hide: on a slow line they hold bytes for seconds.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -16,9 +16,9 @@ pub struct StepTimes {
     pub fresh: Duration,
     /// The first step of a surface that changes.
     pub first: Duration,
-    /// A further step. Each remakes what it shares with the one before, so longer ones are done sooner.
+    /// A further step. Each remakes the regions that it shares with the one before, so fewer, longer steps are done sooner.
     pub next: Duration,
-    /// What is new in a step on the line. Regions at its border, sent once more, come on top.
+    /// The new regions of a step, on the line. Regions at its border, which are sent once more, come on top.
     pub line: Duration,
 }
 
@@ -111,7 +111,7 @@ impl Pace {
         (self.bytes_per_ms * self.times.line.as_secs_f64() * 1e3) as u64
     }
 
-    /// A step of so many triangles was meshed and encoded.
+    /// Records the time in which a step of this number of triangles was meshed and encoded.
     pub(super) fn made(&mut self, triangles: u64, time: Duration) {
         if triangles >= MEASURED_TRIANGLES {
             let ms = (time.as_secs_f64() * 1e3).max(0.1);
@@ -119,11 +119,12 @@ impl Pace {
         }
     }
 
-    /// The writer took the last frame of a step; `first`: when it took the first one. Returns what the ping behind it carries.
+    /// Records that the writer took the last frame of a step; `first`: when it took the first one. Returns the number of the ping behind
+    /// it.
     pub(super) fn handed_over(&mut self, bytes: u64, first: Instant) -> u32 {
         self.next = self.next.wrapping_add(1);
         let (number, last) = (self.next, Instant::now());
-        // Those that no pong will come for any more.
+        // Drop steps whose pong will not come any more.
         self.on_line.retain(|step| step.last.elapsed() < MAX_PONG_WAIT);
         self.on_line.push_back(StepOnLine {
             number,

@@ -28,7 +28,7 @@ pub(super) struct NamedBudget {
 }
 
 impl NamedBudget {
-    /// What an edit that led to this view has named.
+    /// Returns the budget that an edit has named; `view` is the view after the edit.
     pub(super) fn of(kept: &KeptEdit, view: &View) -> Option<Self> {
         let is_named = kept.edit.triangles.is_some() || kept.edit.bytes.is_some();
         let budget = view.budget.filter(|_| is_named)?;
@@ -44,7 +44,7 @@ impl NamedBudget {
 pub(super) struct PendingView {
     /// As the edits left it.
     pub view: View,
-    /// The time step whose values it gets where it leaves them open.
+    /// The time step whose values fill those that the view leaves open.
     pub at: VolumeStep,
     /// The last budget that one of the edits has named. A later one may have left the surface without any.
     pub named: Option<NamedBudget>,
@@ -52,11 +52,11 @@ pub(super) struct PendingView {
     pub edit: u64,
     /// Whether the surface is made then: not after a `cancel`.
     pub is_made: bool,
-    /// The device could not be asked; the next edit is tried anew.
+    /// The query to the device has failed; the next edit retries it.
     pub is_paused: bool,
-    /// The edits that led to the view from the one in force; none where there were too many.
+    /// The edits that led to the view from the one in force; empty if there were more than [`MAX_KEPT_EDITS`].
     pub edits: Vec<KeptEdit>,
-    /// Edits that are applied when this one has come into force, or was found to be bad: they were together with it before.
+    /// Edits that are applied one by one after this one has come into force or was found to be invalid: they were resolved together before.
     pub queue: Vec<KeptEdit>,
 }
 
@@ -90,7 +90,7 @@ impl PendingView {
         (view, named)
     }
 
-    /// Number of the first edit that waits, or of the last one where there were too many.
+    /// Number of the first edit that waits, or of the last one if there were too many to keep.
     pub(super) fn first_edit(&self) -> u64 {
         self.edits.first().map_or(self.edit, |first| first.number)
     }
@@ -102,7 +102,7 @@ impl PendingView {
         kept.for_each(|kept| kept.is_made = false);
     }
 
-    /// Whether what was resolved of `asked` holds of this one, too.
+    /// Whether the values that were resolved for `asked` hold for this view, too.
     pub(super) fn resolves_like(&self, asked: &Self) -> bool {
         let inputs = |pending: &Self| {
             let view = &pending.view;

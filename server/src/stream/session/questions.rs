@@ -24,7 +24,7 @@ use isopeel_kernels::DistanceOf;
 /// A finished question: its number, and the answer.
 pub(super) type Answered = (u32, Result<Found, WorkError>);
 
-/// What was found.
+/// Result of a question.
 pub(super) enum Found {
     Answer(Answer),
     /// Chunks of an annotation.
@@ -56,7 +56,7 @@ pub(super) struct Questions {
 /// Place of annotations, the last.
 const ANNOTATIONS: usize = 3;
 
-/// What an annotation asks of the device.
+/// Returns the question to the device for an annotation.
 pub(super) fn annotate(annotation: Annotation) -> Question {
     Question::VertexErrors(match annotation {
         Annotation::Error => DistanceOf::Vertex,
@@ -64,7 +64,7 @@ pub(super) fn annotate(annotation: Annotation) -> Question {
     })
 }
 
-/// The place of a kind: what moves with the pointer first.
+/// Returns the priority of a kind: questions that follow the pointer come first.
 fn place(question: Question) -> usize {
     match question {
         Question::Probe(_) => 0,
@@ -75,7 +75,7 @@ fn place(question: Question) -> usize {
 }
 
 impl Questions {
-    /// Takes the place of one of its kind that waits.
+    /// Queues a question in place of a waiting one of its kind.
     fn put(&mut self, surface: u8, question: Question) {
         self.waiting[place(question)] = Some((surface, question));
     }
@@ -86,8 +86,8 @@ impl Questions {
         self.waiting[..end].iter_mut().find_map(Option::take)
     }
 
-    /// An edit goes first: what is running is asked again afterwards, if no newer one of its kind waits. But an annotation is of the surface
-    /// that was shown, and dropped.
+    /// Cancels the running question because an edit goes first. It is repeated afterwards, unless a newer one of its kind waits. An
+    /// annotation is dropped, because it is of the surface that was shown.
     pub(super) fn overtaken(&mut self) {
         self.drop_annotation();
         if let Some(Running { surface, question, .. }) = self.running.take() {
@@ -95,14 +95,14 @@ impl Questions {
         }
     }
 
-    /// Drops an annotation: of whatever surface, this one may change with the others' parts of the budget.
+    /// Drops an annotation of any surface: an edit of one surface may change the others through their parts of the budget.
     fn drop_annotation(&mut self) {
         self.waiting[ANNOTATIONS] = None;
         self.running
             .take_if(|running| matches!(running.question, Question::VertexErrors(_)));
     }
 
-    /// Drops what is asked about a surface that is gone.
+    /// Drops the queries on a surface that was removed.
     pub(super) fn removed(&mut self, surface: u8) {
         self.drop_annotation();
         for waiting in &mut self.waiting {

@@ -21,14 +21,14 @@ pub(super) enum RestWork {
     Measure,
 }
 
-/// A final surface whose viewer may rest. Dropping it cancels what is done.
+/// A final surface whose viewer may rest. Dropping it cancels the work at rest.
 pub(super) struct Rest {
     pub generation: u32,
     pub view: View,
     /// Of that view.
     pub key: ViewKey,
     due: Instant,
-    /// What is done next, or now.
+    /// The work that is done next, or now.
     work: RestWork,
     is_queued: bool,
     pub token: CancellationToken,
@@ -55,7 +55,7 @@ impl Rest {
         }
     }
 
-    /// When there is something to do, and what; `None` while it is queued or runs.
+    /// Returns the next work and when it is due; `None` while it is queued or runs.
     pub(super) fn due(&self) -> Option<(Instant, RestWork)> {
         (!self.is_queued).then_some((self.due, self.work))
     }

@@ -16,7 +16,7 @@ const MAX_WAIT: u64 = 4;
 /// The next job of a surface, in the order of their ranks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum NextJob {
-    /// Count the full surface, for surfaces share a budget by that.
+    /// Count the full surface: surfaces share a budget in proportion to the counts.
     Count,
     /// The first step of a generation, of any surface, before refinements of others.
     First,
@@ -90,7 +90,7 @@ impl OpenVolume {
         pauses.min()
     }
 
-    /// What is due for a surface that rests, while none is worked on.
+    /// Returns work at rest that is due, while no surface is worked on.
     fn next_rest(&self) -> Option<(u8, NextJob)> {
         let due = self.rests().filter(|(_, due, _)| *due <= Instant::now());
         let next = due.min_by_key(|(number, _, work)| {

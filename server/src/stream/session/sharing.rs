@@ -1,9 +1,9 @@
 //! How surfaces share the connection's budget: in proportion to the triangles of their full surfaces, as far as a budget is in force for
-//! them. So a surface's part depends on what decides full surfaces alone, and an edit of anything else changes no other surface.
+//! them. So a surface's part depends only on the values that determine full surfaces, and other edits change no other surface.
 //!
 //! Failures do not change the parts either. A surface whose generation failed keeps its part, and is retried when its part changes. If
-//! others share the budget and the client holds more of the failed surface than its part, what it holds is removed. A surface whose
-//! generation was cancelled stays as it was, and what the client holds of it is reserved.
+//! others share the budget and the client holds more of the failed surface than its part, its regions are removed. A surface whose
+//! generation was cancelled stays as it was, and its size at the client is reserved.
 
 use super::generation::Making;
 use super::open_volume::OpenVolume;
@@ -11,7 +11,7 @@ use super::surface::SurfaceSession;
 use crate::view::quality::Budget;
 use crate::wire::chunk::MAX_SURFACES;
 
-/// What becomes of a step that was made.
+/// Decision about a step that was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
     Send,
@@ -26,7 +26,7 @@ fn total(numbers: impl Iterator<Item = u64>) -> u64 {
     numbers.fold(0, u64::saturating_add)
 }
 
-/// What each surface gets of the budget.
+/// The part of the budget of each surface.
 pub(super) type Allotments = [Option<Budget>; MAX_SURFACES as usize];
 
 impl SurfaceSession {
@@ -51,17 +51,18 @@ impl SurfaceSession {
         self.full.as_ref().map_or(0, |(_, triangles)| *triangles)
     }
 
-    /// What the client holds of this surface if it has no part of the budget, in the budget's unit: so much less is left for the others.
+    /// Size at the client, in the budget's unit, of a surface without a part of the budget; 0 if it has a part. The others share the budget
+    /// less this.
     fn reserved(&self) -> u64 {
         if self.shares() { 0 } else { self.held_of_budget() }
     }
 
-    /// Whether it has failed, and what the client holds of it is being removed.
+    /// Whether it has failed, and its regions are being removed from the client.
     fn is_leaving(&self) -> bool {
         self.generation().is_some_and(|generation| generation.failure.is_some())
     }
 
-    /// What the client holds of it: in the budget's unit.
+    /// Size of the surface that the client holds, in the budget's unit.
     fn held_of_budget(&self) -> u64 {
         match (self.view.budget, self.kept) {
             (Some(Budget::Triangles(_)), _) => self.held_triangles,
@@ -77,7 +78,7 @@ impl SurfaceSession {
         failed.is_some_and(|failed| std::mem::take(&mut failed.may_retry))
     }
 
-    /// Whether what the client holds is above its part of the budget.
+    /// Whether the surface that the client holds exceeds its part of the budget.
     fn holds_more(&self) -> bool {
         let part = self.allotted.map(|part| part.as_number(self.full_triangles()));
         match part {
@@ -132,12 +133,12 @@ impl OpenVolume {
         is_known.then(|| total(sharing().map(|(_, surface)| surface.full_triangles())))
     }
 
-    /// The sum of what the client holds of surfaces without a part of the budget.
+    /// Size at the client of all surfaces without a part of the budget.
     fn reserved(&self) -> u64 {
         total(self.surfaces().map(|(_, surface)| surface.reserved()))
     }
 
-    /// What each surface gets; `None` while not all that share are counted.
+    /// Returns the part of each surface; `None` until all surfaces that share the budget are counted.
     pub(super) fn allotments(&self) -> Option<Allotments> {
         let all = self.shared_triangles();
         if self.is_budget_shared() && all.is_none() {
@@ -155,8 +156,8 @@ impl OpenVolume {
         Some(allotments)
     }
 
-    /// Failed surfaces that are retried although their parts are unchanged, because the client may no longer keep what it holds of them, or
-    /// because another budget is to be suggested.
+    /// Failed surfaces that are retried although their parts are unchanged, because the client may no longer keep their regions, or because
+    /// another budget is to be suggested.
     pub(super) fn outdated(&self) -> Vec<u8> {
         let all = self.shared_triangles();
         let is_outdated = |number: u8, surface: &SurfaceSession| {
@@ -178,8 +179,8 @@ impl OpenVolume {
         whole.saturating_add(self.reserved())
     }
 
-    /// Whether the client may keep what it holds of a surface that has failed: not of another time step, nor above its part of a budget that
-    /// others share.
+    /// Whether the client may keep the regions of a failed surface. It may not if they are of another time step, or exceed the surface's
+    /// part of a budget that others share.
     pub(super) fn may_stay(&self, number: u8) -> bool {
         let held = self.surface(number).filter(|surface| !surface.held.is_empty());
         let is_taken = |surface: &SurfaceSession| self.is_budget_shared() && surface.shares() && surface.holds_more();

@@ -1,10 +1,10 @@
-//! How what a client holds relates to what it will get.
+//! Relation of the surface that a client holds to the next one.
 
 use crate::extraction::{CutId, Shown, SurfaceKey};
 use crate::view::View;
 use crate::view::quality::MesherName;
 
-/// What a client holds of a surface.
+/// The surface that a client holds.
 #[derive(Clone, Debug)]
 pub(super) struct HeldSurface {
     /// The view, with the threshold that was fitted to its budget.

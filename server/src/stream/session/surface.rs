@@ -1,4 +1,4 @@
-//! One surface of a connection: its view, what is done for it, and what the client holds of it.
+//! One surface of a connection: its view, its phase, and the regions that the client holds.
 
 use std::sync::Arc;
 
@@ -13,9 +13,9 @@ use crate::view::View;
 use crate::view::quality::Budget;
 
 pub(super) struct SurfaceSession {
-    /// The view in force: resolved, and all that it uses is there. Its budget is that of the connection.
+    /// The view in force: resolved, with all samples that it uses loaded. Its budget is that of the connection.
     pub view: View,
-    /// There since the volume was opened: no edit has made it.
+    /// It exists since the volume was opened, without an edit.
     pub is_opening: bool,
     /// Of its full surface, once the view has come into force.
     pub key: Option<SurfaceKey>,
@@ -28,11 +28,11 @@ pub(super) struct SurfaceSession {
     /// Counts the connection's edits: which was the last of this surface that came into force.
     pub edited: u64,
     pub phase: Phase,
-    /// What the client holds.
+    /// Regions that the client holds.
     pub held: Arc<HeldRegions>,
-    /// Triangles of what the client holds.
+    /// Triangles that the client holds.
     pub held_triangles: u64,
-    /// The view and the cut of what the client holds.
+    /// The view and the cut of the surface that the client holds.
     pub shown: Option<HeldSurface>,
     /// The generation of the surface shown; 0 if none is shown.
     pub shown_generation: u32,
@@ -44,7 +44,7 @@ pub(super) struct SurfaceSession {
     pub kept: Option<Budget>,
     /// The last generation of the view in force failed.
     pub failed: Option<Failed>,
-    /// What the client holds is of another time step.
+    /// The regions that the client holds are of another time step.
     pub holds_another_step: bool,
 }
 
@@ -57,7 +57,7 @@ pub(super) struct Failed {
     pub may_retry: bool,
 }
 
-/// What is done for a surface. `Idle --edit--> Working --final surface committed--> Resting --measured--> Idle`; a better surface goes from
+/// Phase of a surface. `Idle --edit--> Working --final surface committed--> Resting --measured--> Idle`; a better surface goes from
 /// `Resting` to `Working` and back.
 pub(super) enum Phase {
     Idle,
@@ -129,7 +129,7 @@ impl SurfaceSession {
     ) {
         let mut view = self.view.clone();
         view.budget = view.budget.and(self.allotted.or(view.budget));
-        // What differs replaces what is shown at once: a coarse surface in between would be sent as a whole, twice.
+        // The regions that differ are replaced at once: an intermediate coarse surface would send all of them twice.
         let shown = match (&self.shown, self.holds_another_step) {
             (_, true) => Shown::Alike,
             (None, false) => Shown::Another,

@@ -20,7 +20,7 @@ use crate::volumes::VolumeStep;
 use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::ServerMessage;
 
-/// Steps between two that are shown one after the other, up to which the next one is expected as far on.
+/// Maximum stride between two consecutive steps for which the next step is predicted.
 const MAX_STRIDE: u32 = 4;
 
 /// A time step that is being prefetched. Dropping it cancels that.
@@ -52,7 +52,7 @@ fn expected(from: u32, to: u32, steps: u32) -> Option<u32> {
     match u32::try_from(next) {
         _ if !is_near => None,
         Ok(next) if next < steps => Some(next),
-        // A player begins anew.
+        // A player starts over.
         _ => (stride > 0 && to == steps - 1).then_some(0),
     }
 }
@@ -161,7 +161,7 @@ impl<B: Backend> Session<B> {
         true
     }
 
-    /// What a step's values are like; of no other step than the one that is shown.
+    /// Sends the description of a step's values. Ignores that of a step that is no longer open.
     pub(super) fn on_described(&mut self, open: u32, step: u32, result: Result<Box<RawValue>, WorkError>) {
         let opened = self.opened.as_mut().filter(|opened| opened.volume.step() == step);
         let (Some(opened), true) = (opened, open == self.opens) else {
@@ -169,7 +169,7 @@ impl<B: Backend> Session<B> {
         };
         match result {
             Ok(volume) => self.send(&ServerMessage::Described { volume, step }),
-            // An edit came first: it is described later.
+            // An edit has cancelled it: the step is described later.
             Err(WorkError::Cancelled) => opened.undescribed_since = Some(Instant::now()),
             Err(error) => self.send_work_error(&error),
         }
@@ -177,7 +177,7 @@ impl<B: Backend> Session<B> {
 }
 
 impl OpenVolume {
-    /// Another step of the same volume: its surfaces are made of that as they are, in one commit each.
+    /// Switches to another step of the same volume. Its surfaces are made of that step with unchanged views, in one commit each.
     fn step_to(&mut self, volume: VolumeStep, held: Held) {
         self.volume = volume;
         self.held = held;

@@ -1,14 +1,14 @@
-//! What tells an edit apart from all others in the server's log.
+//! Identifies an edit in the server's log.
 
 use std::fmt;
 
-/// A viewer's connection; random, so that those of two runs of the server differ too.
+/// Id of a viewer's connection; random, so that ids of two runs of the server differ too.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ConnectionId(u32);
 
 impl ConnectionId {
     pub(super) fn random() -> Self {
-        // Without random numbers all connections share one: it is a help, no proof of anything.
+        // Without random numbers all connections share one id: traces are a convenience, not a proof of identity.
         Self(getrandom::u32().unwrap_or(0))
     }
 
@@ -23,7 +23,7 @@ impl ConnectionId {
 pub(super) struct Trace(ConnectionId, u32);
 
 impl Trace {
-    /// What is logged in it has the trace.
+    /// Returns a span whose log lines have the trace.
     pub(super) fn span(self) -> tracing::Span {
         tracing::info_span!("edit", trace = %self)
     }

@@ -1,4 +1,4 @@
-//! What happens when the writer takes a frame.
+//! Updates the session when the writer takes a frame.
 
 use std::sync::Arc;
 

@@ -16,7 +16,7 @@ pub(in crate::stream) type Outcome<T> = Result<T, Arc<WorkError>>;
 
 type Job<T> = future::Shared<Pin<Box<dyn Future<Output = Outcome<T>> + Send>>>;
 
-/// Jobs in flight, by the key of what they make. Each has one waiter or more and is cancelled with its last one, so there are at most as
+/// Jobs in flight, by the key of their result. Each has one waiter or more and is cancelled with its last one, so there are at most as
 /// many jobs as waiters.
 pub(super) struct Joint<K, T: Clone>(Mutex<Jobs<K, T>>);
 

@@ -1,4 +1,4 @@
-//! Cache of what was made for viewers, for later equal requests. It has a budget of bytes and evicts the least recently used entry.
+//! Cache of steps, chunks and measured errors, for later equal requests. It has a budget of bytes and evicts the least recently used entry.
 
 use std::hash::Hash;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -15,7 +15,7 @@ use crate::volumes::DatasetKey;
 /// The budget divided by this is for steps without their chunks, and as much for measured errors; the rest is for chunks.
 const NOTES_PART: u64 = 16;
 
-/// Bytes that an entry takes beside what is in it: key, links and the table.
+/// Bytes that an entry takes beside its value: key, links and the table.
 const ENTRY_BYTES: u64 = 160;
 
 /// The cache of chunks, of the steps that they belong to, and of measured errors.
@@ -36,7 +36,7 @@ struct KeptStep {
 }
 
 impl Kept {
-    /// Holds so many bytes; 0: nothing.
+    /// `budget`: capacity in bytes; 0 caches nothing.
     pub(super) fn new(budget: u64) -> Self {
         let notes = budget / NOTES_PART;
         Self(Mutex::new(Entries {
@@ -151,7 +151,7 @@ impl<K: Hash + Eq, V> Bounded<K, V> {
         self.entries.get_mut(key).map(|(_, value)| value)
     }
 
-    /// Inserts or replaces. What is larger than the budget is not kept.
+    /// Inserts or replaces an entry. Ignores values larger than the budget.
     fn insert(&mut self, key: K, bytes: u64, value: V) {
         let bytes = bytes + ENTRY_BYTES;
         if bytes > self.budget {

@@ -1,4 +1,4 @@
-//! What viewers of equal views share: one job on the device, and chunks that are encoded once.
+//! Coalesces and caches equal requests of viewers: one job on the device, and chunks that are encoded once.
 //!
 //! - `joint`: jobs in flight, which equal requests join.
 //! - `step`: a step that was made, shared by all viewers who are sent it.
@@ -50,7 +50,7 @@ pub(super) struct Wanted<B> {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct RequestKey {
     view: ViewKey,
-    /// What an earlier step has found to keep the budget.
+    /// The threshold that an earlier step has found to keep the budget.
     fitted: Option<FittedKey>,
     kind: RequestKind,
 }

@@ -35,7 +35,7 @@ const BYTES_OF_100_TRIANGLES: u64 = 450;
 /// A step for several viewers. The chunk of a region is encoded when the first viewer needs it.
 #[derive(Debug)]
 pub(in crate::stream) struct SharedStep {
-    /// What was made, without its regions.
+    /// The result of the step, without its regions.
     pub made: Refinement,
     /// Those that have triangles.
     pub regions: Vec<SharedRegion>,
@@ -56,7 +56,7 @@ pub(in crate::stream) struct SharedRegion {
     predictive: OnceLock<Result<Bytes, EncodeError>>,
 }
 
-/// What is cached of a region besides its chunk.
+/// The part of a region that is cached beside its chunk.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RegionNote {
     pub coords: [u32; 3],
@@ -79,7 +79,7 @@ pub(in crate::stream) trait Chunks {
 }
 
 impl SharedStep {
-    /// Takes what the device has made. A region without triangles counts as absent.
+    /// Creates it from the result of the device. A region without triangles counts as absent.
     pub(super) async fn new(made: Refinement, volume: &VolumeStep, token: CancellationToken) -> Outcome<Arc<Self>> {
         let volume = Arc::new(volume.dataset().key());
         let hashed = pool::run(move || {
@@ -158,7 +158,7 @@ impl SharedStep {
         }
     }
 
-    /// What is kept of it.
+    /// Returns the part of the step that the cache keeps beside its chunks.
     pub(super) fn notes(&self) -> (Refinement, Arc<DatasetKey>, Vec<RegionNote>) {
         let notes = self.regions.iter().map(|region| RegionNote {
             coords: region.coords,
@@ -168,7 +168,7 @@ impl SharedStep {
         (self.made.clone(), Arc::clone(&self.volume), notes.collect())
     }
 
-    /// From what was kept of it, and its chunks in the same order.
+    /// Restores a step from its [`Self::notes`], with the chunks of its regions in the same order.
     pub(super) fn again(made: Refinement, volume: Arc<DatasetKey>, regions: Vec<(RegionNote, Bytes)>) -> Self {
         let again = |(note, chunk): (RegionNote, Bytes)| SharedRegion {
             coords: note.coords,

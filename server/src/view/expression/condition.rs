@@ -37,7 +37,7 @@ pub(super) fn of_smooth(text: &str) -> Result<Option<(f32, Part<'_>)>, Fault> {
     }
 }
 
-/// What stands in the parentheses of a function that is all of a text.
+/// Returns the argument of `function`, if the whole text is a call of it.
 fn inside<'a>(text: &'a str, function: &str, form: &str) -> Result<Option<Part<'a>>, Fault> {
     let inner = text.trim_start().strip_prefix(function);
     let Some(inner) = inner.and_then(|rest| rest.trim_start().strip_prefix('(')) else {
@@ -75,7 +75,7 @@ impl Program<'_> {
         Ok(())
     }
 
-    /// What a mask says, as a condition.
+    /// Adds the condition of a mask.
     fn mask(&mut self, at: usize, mask: &Mask) -> Result<u8, Fault> {
         let value = self.field(at, &mask.field)?;
         let (operator, ranges) = mask.comparison();

@@ -71,7 +71,7 @@ pub(super) fn parse(text: &str) -> Result<Tree, Fault> {
         })
 }
 
-/// Refuses what would nest too deeply. What stands in quotation marks counts too, for nothing is named so.
+/// Refuses texts that nest too deeply. Counts text in quotation marks too: names hardly contain parentheses or signs.
 fn check_depth(text: &str) -> Result<(), Fault> {
     let (mut open, mut signs) = (0usize, 0usize);
     for (at, c) in text.char_indices() {

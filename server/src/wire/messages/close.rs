@@ -5,7 +5,7 @@
 pub enum CloseCode {
     /// The server shuts down.
     Shutdown = 1001,
-    /// A frame that is none of the WebSocket protocol.
+    /// A frame that violates the WebSocket protocol.
     Protocol = 1002,
     /// A binary frame from the client.
     Binary = 1003,

@@ -1,5 +1,5 @@
-//! The boundary of the part of a mesh that is covered: directed edges, linked to loops. Links are hints for the coding. On a mesh that is no
-//! manifold they may be wrong, and then cost bits, but encoder and decoder keep the same ones.
+//! The boundary of the part of a mesh that is covered: directed edges, linked to loops. Links are hints for the coding. On a mesh that is
+//! not a manifold they may be wrong. They then cost bits, but encoder and decoder keep the same ones.
 
 /// Number of an edge.
 pub(super) type EdgeId = usize;
@@ -158,7 +158,7 @@ impl Boundary {
         self.edges[right].previous = met;
     }
 
-    /// Takes two edges out that follow each other and lead there and back. `ending` ends at `c` from now on.
+    /// Removes two consecutive edges that lead there and back. `ending` ends at `c` from now on.
     fn close(&mut self, first: EdgeId, second: EdgeId, c: u32, ending: EdgeId) {
         let (before, after) = (self.edges[first].previous, self.edges[second].next);
         (self.edges[first].is_open, self.edges[second].is_open) = (false, false);

@@ -1,4 +1,4 @@
-//! The mesh of which all is known that was coded so far, and what that says of the next vertex.
+//! The part of a mesh that was coded so far, and predictions of the next vertex from it.
 //!
 //! Floating-point numbers are IEEE doubles, of which only sums, products, quotients and square roots are formed: encoder and decoder get the same bits.
 
@@ -11,7 +11,7 @@ pub(super) const SIZES: usize = 12;
 pub(super) const DIFFERENCES: usize = 10;
 /// Triangles around a vertex that are counted, at most.
 const MAX_TRIANGLES: u8 = 7;
-/// Positions that planes predict are within this.
+/// Bound of positions that are predicted by planes.
 const MAX_PREDICTED: f64 = 65536.0;
 
 /// A feature as it is coded: multiples of 256, and 65535.
@@ -78,7 +78,7 @@ impl Mesh {
         unit(self.normals[vertex as usize])
     }
 
-    /// What the triangles of a vertex say of its normal, as it is coded. `weights` stand for the spacing of the grid.
+    /// Predicts the normal of a vertex from its triangles, in coded form. `weights` represent the spacing of the grid.
     pub fn predicted_normal(&self, vertex: usize, weights: [u16; 3]) -> [i32; 2] {
         let sum = self.normals[vertex];
         octahedral([0, 1, 2].map(|axis| sum[axis] * f64::from(weights[axis])))
@@ -106,7 +106,7 @@ impl Mesh {
     }
 }
 
-/// What the triangle in front of an edge says of the position of the third vertex behind it.
+/// Predictions of the position of the third vertex behind an edge, from the triangle in front of it.
 pub(super) struct Ahead {
     pub parallelogram: [i32; 3],
     /// Context of positions.

@@ -31,7 +31,7 @@ fn triangles(chunk: &DecodedChunk) -> Vec<Corners> {
     all
 }
 
-/// Whether the chunk has the same triangles when it is coded anew. Returns its bytes before and after.
+/// Asserts that recoding keeps a chunk's triangles. Returns its bytes before and after.
 fn comes_back(region: &Region) -> (usize, usize) {
     let plain = encode_meshopt(region, PrefixId::cut(1, 9, 2)).expect("a valid region");
     let coded = encode(&plain).expect("encodes");
@@ -62,7 +62,7 @@ fn region(vertices: Vec<Vertex>, levels: &[Vec<u32>]) -> Region {
     }
 }
 
-/// A wavy sheet of so many quads along each side, whose finer levels are in spots.
+/// A wavy sheet with `n` quads along each side, whose finer levels are in spots.
 fn sheet(n: u32) -> Region {
     let mut vertices = Vec::new();
     for y in 0..=n {

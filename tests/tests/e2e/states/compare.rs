@@ -1,4 +1,4 @@
-//! What two viewers of equal views may differ in: nothing.
+//! Compares two viewers of equal views, which must not differ.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::seat::{Failed, Final, Measured, Outcome};
 use crate::support::chunk::Chunk;
 
-/// Numbers of `statistics` that say what the surface is, not what it took.
+/// Numbers of `statistics` that describe the surface, not the effort.
 const STATISTICS: [&str; 18] = [
     "mesher",
     "beta",
@@ -34,7 +34,7 @@ const MEASURED_TOLERANCE: f64 = 1e-3;
 
 pub type Regions = HashMap<[u32; 3], Chunk>;
 
-/// Something that is not as it must be: what kind, and the details.
+/// A difference from the expected state: its kind and details.
 #[derive(Clone, Debug)]
 pub struct Difference {
     pub kind: String,
@@ -84,7 +84,7 @@ pub fn outcomes(found: &Outcome, expected: &Outcome) -> Result<(), Difference> {
     measured(found.measured.as_ref(), expected.measured.as_ref())
 }
 
-/// Whether both have a first prefix of one level, of which there is one before regions take their final form one by one.
+/// Whether both have a first prefix of the same level.
 pub fn have_first(found: &Outcome, expected: &Outcome) -> bool {
     let levels = [found, expected].map(|outcome| outcome.first.as_ref().map(|(level, _)| *level));
     levels[0].is_some() && levels[0] == levels[1]

@@ -14,7 +14,7 @@ use crate::support::http;
 use crate::support::process::Process;
 use crate::support::uploader::User;
 
-/// Longest wait until the server offers what was written: it looks every two seconds.
+/// Longest wait until the server offers a written file: it polls every two seconds.
 const WATCH_LIMIT: Duration = Duration::from_secs(30);
 
 /// The files, and the upload.
@@ -57,7 +57,7 @@ impl Files {
         self.folder.join(format!("{UPLOADED}.npy"))
     }
 
-    /// What a server is given to watch.
+    /// The paths that a server watches.
     pub fn paths(&self) -> Vec<PathBuf> {
         vec![self.own(), self.folder.join(SERIES)]
     }
@@ -135,8 +135,8 @@ fn user(server: SocketAddr) -> User {
     }
 }
 
-/// What a server says of the samples of a volume: how many steps there are, and the values of the first. What is derived from them is not in
-/// every description.
+/// A server's description of the samples of a volume: the number of steps, and the values of the first one. Derived values are not in every
+/// description.
 fn describe(server: SocketAddr, volume: &str) -> Value {
     let described = http::get(server, &format!("/api/v1/volumes/{volume}")).json();
     let fields = described["fields"].as_array().expect("fields");

@@ -41,12 +41,12 @@ struct Generator<'a> {
     first_volumes: Vec<String>,
     /// Contents of changing files so far.
     contents: u64,
-    /// Steps that the series has more than at first.
+    /// Number of steps added to the series so far.
     added_steps: u64,
     events: Vec<Event>,
 }
 
-/// The sequence of a seed, of so many bursts of edits.
+/// The sequence of a seed, with `bursts` bursts of edits.
 pub fn sequence(world: &World, seed: u64, bursts: usize) -> Sequence {
     let mut random = Rng::with_seed(seed);
     let has_files = random.u8(..10) == 0;
@@ -95,7 +95,7 @@ impl Generator<'_> {
         choice(&mut self.random, of)
     }
 
-    /// Happens so many times of a hundred.
+    /// Returns true with a probability of `percent` per cent.
     fn percent(&mut self, percent: u8) -> bool {
         self.random.u8(..100) < percent
     }
@@ -138,7 +138,7 @@ impl Generator<'_> {
         self.events.push(Event::Settle { newcomer });
     }
 
-    /// What befalls the server between edits.
+    /// Draws an event of the server between edits.
     fn befall(&mut self) {
         if self.percent(8) {
             self.lose_device();
@@ -157,7 +157,7 @@ impl Generator<'_> {
         }
     }
 
-    /// Cuts from before a loss, and as many from after it as it takes for numbers to meet.
+    /// Loses the device between cuts, with enough cuts after the loss that ids before and after it could collide.
     fn lose_device(&mut self) {
         self.events.push(Event::LoseDevice);
         let count = self.choose(&[2, 5, 12, 30]);
@@ -175,7 +175,7 @@ impl Generator<'_> {
         }
     }
 
-    /// A viewer goes to the views of another one.
+    /// Sends a viewer the views of another one.
     fn look_at_the_same(&mut self, viewer: usize, other: usize) {
         let edits = self.models[other]
             .messages()

@@ -1,9 +1,9 @@
-//! A surface is a function of its view: random sequences of edits, and of what befalls a server meanwhile. Each settled state is compared
-//! with what a fresh client of a server without caches is shown, each prefix is checked by itself.
+//! A surface is a function of its view. Tests this with random sequences of edits and events of the server. Each settled state is compared
+//! with the surface that a fresh client of a server without caches gets; each prefix is checked by itself.
 //!
-//! The sequences are the same in each run, unless `ISOPEEL_STATES_SECONDS` asks for others for so long (`make fuzz`), from the seed
-//! `ISOPEEL_STATES_SEED` or a new one. One that fails is shrunk and printed as a line of JSON; `ISOPEEL_STATES_FILE` names a file with such lines to
-//! replay. Those of `tests/fixtures/states.jsonl` have failed once.
+//! The sequences are the same in each run. With `ISOPEEL_STATES_SECONDS` others are drawn for that time (`make fuzz`), from the seed
+//! `ISOPEEL_STATES_SEED` or a new one. A failing sequence is shrunk and printed as a line of JSON; `ISOPEEL_STATES_FILE` names a file with
+//! such lines to replay. Those of `tests/fixtures/states.jsonl` have failed once.
 
 mod compare;
 mod files;
@@ -32,7 +32,7 @@ use world::World;
 
 use crate::support::repository;
 
-/// Of the sequences of each run.
+/// Seed of the sequences of each run.
 const SEED: u64 = 2013;
 const SEQUENCES: u64 = 4;
 /// Bursts of edits in a sequence, each until the viewers rest.
@@ -40,7 +40,7 @@ const BURSTS: usize = 6;
 /// Sequences that are played at a time.
 const AT_ONCE: usize = 4;
 
-/// A sequence that failed, and how.
+/// A sequence that failed, and its difference.
 type Failure = (Sequence, Difference);
 
 /// Plays random sequences.
@@ -93,7 +93,7 @@ impl Tester {
         }
     }
 
-    /// Shrinks and prints what failed; panics if anything has.
+    /// Shrinks and prints failing sequences; panics if there are any.
     async fn conclude(self) {
         println!("{} sequences from seed {}: {:?}", self.begun, self.seed, self.counts);
         for (kind, (sequence, of)) in &self.failures {

@@ -1,10 +1,10 @@
-//! What `server/PROTOCOL.md` says that a view is after edits: nothing here uses the server's code.
+//! Model of a view after edits, by `server/PROTOCOL.md`: nothing here uses the server's code.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Map, Value, json};
 
-/// What decides how fine a surface is: an edit that names one of these takes the place of all.
+/// Criteria of a surface's detail: an edit that names one of them replaces all.
 const CRITERIA: [&str; 4] = ["beta", "error", "triangles", "bytes"];
 /// Of these, the budgets, which surfaces share.
 const BUDGETS: [&str; 2] = ["triangles", "bytes"];
@@ -108,7 +108,7 @@ impl View {
     }
 }
 
-/// What one viewer has open, and the views of its surfaces.
+/// The volume that a viewer has open, and the views of its surfaces.
 #[derive(Clone, Debug)]
 pub struct Model {
     pub volume: String,
@@ -197,7 +197,8 @@ impl Model {
         self.is_first_removed |= surface == 0;
     }
 
-    /// The step that a fresh client opens to be shown the same: the first of those of which a range is, or else that at hand.
+    /// The step that a fresh client opens first to get the same surfaces: the first step from which a range was taken, or else the current
+    /// one.
     pub fn first_step(&self) -> u64 {
         let of_ranges = self
             .range_steps
@@ -206,7 +207,7 @@ impl Model {
         of_ranges.map(|(_, step)| *step).min().unwrap_or(self.step)
     }
 
-    /// What it sends then.
+    /// The messages that it sends then.
     pub fn messages(&self) -> Vec<Value> {
         let mut messages = Vec::new();
         if self.is_first_removed && !self.edited.is_empty() {

@@ -1,4 +1,4 @@
-//! Plays a sequence: a server of its own, its viewers and followers, and what befalls them.
+//! Plays a sequence: a server of its own, its viewers and followers, and their events.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ const FOLLOW_LIMIT: Duration = Duration::from_secs(20);
 /// Errors and panics of the server, in the sequence's folder.
 pub const LOG: &str = "log";
 
-/// How much was compared.
+/// Counts of comparisons.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Counts {
     pub edits: usize,
@@ -59,7 +59,7 @@ pub struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// Plays all events; what was compared, or the first difference.
+    /// Plays all events; returns the counts of comparisons, or the first difference.
     pub async fn play(world: &'a World, sequence: &'a Sequence, folder: &'a Path) -> Result<Counts, Difference> {
         let files = Files::write(folder);
         let server = start(world, sequence, folder, &files);
@@ -158,7 +158,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Viewers who look at the upload are told that it is gone, and open their first volume again.
+    /// Viewers of the upload are notified that it was removed, and open their first volume again.
     async fn delete_upload(&mut self) -> Result<(), Difference> {
         self.files.delete_upload(self.address());
         for viewer in 0..self.seats.len() {
@@ -171,7 +171,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// What a fresh client is shown.
+    /// The surfaces that a fresh client gets.
     async fn reference(&mut self, model: &Model) -> Result<Reference, Difference> {
         if CHANGING.iter().all(|volume| volume.name != model.volume) {
             return self.world.reference(model).await;
@@ -194,7 +194,7 @@ impl<'a> Run<'a> {
         seat.send(message.clone()).await;
     }
 
-    /// All read for so long.
+    /// All viewers read for this time.
     async fn listen(&mut self, time: Duration) {
         let until = Instant::now() + time;
         join_all(
@@ -206,7 +206,7 @@ impl<'a> Run<'a> {
         .await;
     }
 
-    /// The device is lost with the next of its work.
+    /// Makes the device fail with its next work.
     fn lose_device(&self) {
         let new = self.folder.join("new");
         std::fs::write(&new, "lost").expect("written");
@@ -234,7 +234,7 @@ impl<'a> Run<'a> {
         self.followers.push(follower);
     }
 
-    /// All rest, and what they show is what a fresh client is shown.
+    /// Waits until all viewers rest, and checks that they show the same as a fresh client.
     async fn settle(&mut self, newcomer: bool) -> Result<(), Difference> {
         let rested = join_all(self.seats.iter_mut().map(Seat::rest)).await;
         rested.into_iter().collect::<Result<(), _>>()?;
@@ -250,7 +250,7 @@ impl<'a> Run<'a> {
         self.settle_followers().await
     }
 
-    /// What a viewer shows is what a fresh client is shown.
+    /// Checks that a viewer shows the same as a fresh client.
     async fn compare(&mut self, number: usize) -> Result<(), Difference> {
         let model = self.seats[number].model.clone();
         let reference = self.reference(&model).await?;
@@ -265,7 +265,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// So is another viewer of the same server.
+    /// Checks the same for another viewer of the same server.
     async fn compare_newcomer(&mut self, number: usize) -> Result<(), Difference> {
         let model = self.seats[number].model.clone();
         let reference = self.reference(&model).await?;
@@ -280,7 +280,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Followers are shown what the leader shows.
+    /// Waits until followers show the same as the leader.
     async fn settle_followers(&mut self) -> Result<(), Difference> {
         let Some(leader) = self.seats.first() else {
             return Ok(());

@@ -1,4 +1,4 @@
-//! A viewer with what it has been sent, and the model of what it should be shown.
+//! A viewer with the frames that it got, and the model of the surfaces that it should get.
 
 use std::collections::{HashMap, HashSet};
 use std::net::SocketAddr;
@@ -17,7 +17,7 @@ use crate::support::viewer::{Frame, Viewer};
 
 /// Longest wait until a viewer rests.
 const REST_LIMIT: Duration = Duration::from_secs(90);
-/// After so long without a frame a question is asked again, which something may have dropped.
+/// Time without a frame after which a question is repeated, because an event may have dropped it.
 const SILENCE: Duration = Duration::from_secs(5);
 /// The same after answers to questions before it.
 const QUIET: Duration = Duration::from_secs(2);
@@ -56,7 +56,7 @@ impl Final {
     }
 }
 
-/// What `measured` states.
+/// Contents of `measured`.
 #[derive(Clone, Debug)]
 pub struct Measured {
     pub error: [f64; 2],
@@ -72,11 +72,11 @@ pub struct Failed {
     pub surface: Option<u8>,
 }
 
-/// What came of the newest generation of a surface.
+/// Outcome of the newest generation of a surface.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     generation: u32,
-    /// The first prefix, if it is above level 0 and all of its regions were sent: its level, and what was shown.
+    /// The first prefix, if it is above level 0 and all of its regions were sent: its level and regions.
     pub first: Option<(u8, Regions)>,
     /// The first, and the better one.
     pub finals: Vec<Final>,
@@ -99,7 +99,7 @@ pub struct Seat {
     pub expected_bad_edits: usize,
     /// Questions that were neither answered nor refused; some of them may have been dropped.
     questions: usize,
-    /// Whether the last one, which waits for rest, was answered, whether others were since it was asked, and chunks that are still to come.
+    /// Whether the last question, which waits for rest, was answered; whether others were answered since; and the number of chunks to come.
     is_answered: bool,
     were_others_answered: bool,
     /// Questions that were dropped, unless their answers are late.
@@ -119,12 +119,12 @@ pub struct Seat {
     /// Whether the prefix at hand is the first one of its generation and has all regions.
     is_whole_first: bool,
     pub is_follower: bool,
-    /// The first thing that is wrong by itself.
+    /// The first fault found in the frames themselves, without a comparison.
     pub found: Option<Difference>,
 }
 
 impl Seat {
-    /// Connects, on a line of so many bytes a second.
+    /// Connects. `line`: limit of the connection in bytes per second.
     pub async fn connect(address: SocketAddr, line: Option<u32>) -> Self {
         let socket = TcpSocket::new_v4().expect("a socket");
         if line.is_some() {
@@ -159,7 +159,7 @@ impl Seat {
         }
     }
 
-    /// Connects and opens a volume; what `opened` has in force.
+    /// Connects and opens a volume; returns the view in force from `opened`.
     pub async fn open(address: SocketAddr, volume: &str, line: Option<u32>) -> Self {
         let mut seat = Self::connect(address, line).await;
         seat.reopen(volume).await;
@@ -186,7 +186,7 @@ impl Seat {
         }
     }
 
-    /// Waits until it is told that the volume was removed.
+    /// Waits for the message that the volume was removed.
     pub async fn wait_until_removed(&mut self) -> Result<(), Difference> {
         let limit = Instant::now() + REST_LIMIT;
         while !self.is_removed {
@@ -252,7 +252,7 @@ impl Seat {
                 self.model.step = step;
                 self.is_open = true;
                 if std::mem::take(&mut self.is_removed) {
-                    // Edits that were on their way found no volume.
+                    // Edits in flight found no volume.
                     self.errors.clear();
                     self.expected_bad_edits = self.bad_edits;
                 }
@@ -264,7 +264,7 @@ impl Seat {
                 self.errors
                     .retain(|error| error.surface.is_some_and(|surface| surface != of.surface));
                 let is_new = of.generation > self.outcomes[usize::from(of.surface)].generation;
-                // A coarse cut of the tree is at level 0, and has as many triangles as the line takes soon.
+                // A coarse cut of the tree has level 0; its number of triangles depends on the line.
                 self.is_whole_first = is_new && of.unchanged == 0 && of.level > 0 && !of.is_final;
                 self.outcome(of.surface, of.generation);
             }
@@ -319,7 +319,7 @@ impl Seat {
         }
     }
 
-    /// A surface of the dual mesher is closed but for the volume's faces, whatever the prefix.
+    /// Checks that a surface of the dual mesher is closed except at the volume's faces, for any prefix.
     fn check_closed(&mut self, surface: u8, level: u8) {
         if self.is_marched || self.had_mask[usize::from(surface)] || self.is_follower {
             return;
@@ -352,7 +352,7 @@ impl Seat {
 
     fn take_error(&mut self, code: String, surface: Option<u8>, suggested_triangles: Option<u64>) {
         match code.as_str() {
-            // It may be the late answer to another one: it is asked again.
+            // It may be the late answer to another question, so the question is repeated.
             "no-surface" if self.questions == 1 && self.doubtful > 0 => {
                 self.doubtful -= 1;
                 self.were_others_answered = true;
@@ -370,7 +370,7 @@ impl Seat {
         });
     }
 
-    /// A question was answered, or is about a surface of which nothing is shown. A refusal does not say which question is meant: it is the one that
+    /// A question was answered, or refused because its surface does not exist. A refusal does not name its question: it is the one that
     /// waits for rest if there is no other.
     fn take_answer(&mut self) {
         self.questions = self.questions.saturating_sub(1);
@@ -380,7 +380,7 @@ impl Seat {
         }
     }
 
-    /// Waits until the viewer rests, and all came that comes then: an annotation is made after all of it.
+    /// Waits until the viewer rests and all frames that follow then have arrived: an annotation is made after all of them.
     pub async fn rest(&mut self) -> Result<(), Difference> {
         let Some(&surface) = self.model.edited.first() else {
             return Ok(());
@@ -443,7 +443,7 @@ impl Seat {
         Ok(())
     }
 
-    /// No final surface has more than its budget, nor have all together.
+    /// Checks that no final surface exceeds its budget, nor all of them together.
     pub fn check_budgets(&self) -> Result<(), Difference> {
         let (mut together, mut limit) = (0, u64::MAX);
         for (&surface, view) in &self.model.surfaces {
@@ -467,7 +467,7 @@ impl Seat {
         }
     }
 
-    /// What a surface states of itself is so.
+    /// Checks that a surface's statistics are true of its mesh.
     pub fn check_statistics(&self) -> Result<(), Difference> {
         for (&surface, view) in &self.model.surfaces {
             let outcome = &self.outcomes[usize::from(surface)];

@@ -1,17 +1,17 @@
-//! A sequence as JSON: what clients send and what befalls the server, so that a failure can be replayed.
+//! A sequence as JSON: messages of clients and events of the server, so that a failure can be replayed.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// What a server keeps of earlier work.
+/// Sizes of a server's caches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Caches {
-    /// Nothing but what was used last.
+    /// Only the last used entries are cached.
     Cold,
-    /// So little that it is evicted all the time.
+    /// So small that entries are evicted all the time.
     Tiny,
-    /// As much as a server keeps unless an option says otherwise.
+    /// The defaults of the server.
     Warm,
 }
 
@@ -36,13 +36,13 @@ pub enum Event {
     Send { viewer: usize, message: Value },
     /// A viewer sends an edit that is answered with `bad-edit`.
     SendBad { viewer: usize, message: Value },
-    /// The same, but what is wrong is found while the surface is made.
+    /// The same, but the error is found while the surface is made.
     SendLateBad { viewer: usize, message: Value },
     /// A viewer opens a volume, and waits until it is open.
     Open { viewer: usize, volume: String },
     /// All viewers read for a while.
     Wait { milliseconds: u64 },
-    /// All viewers wait until they rest, and what they show is compared. `newcomer`: also with what another viewer of the same server gets.
+    /// All viewers wait until they rest, and their surfaces are compared. `newcomer`: also with those of another viewer of the same server.
     Settle { newcomer: bool },
     /// One more viewer follows the first.
     Follow,
@@ -60,14 +60,14 @@ pub enum Event {
     DeleteUpload,
 }
 
-/// A sequence, and the server that it is for.
+/// A sequence, with the settings of its server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct Sequence {
-    /// What it was drawn from.
+    /// Seed from which it was drawn.
     pub seed: u64,
     pub caches: Caches,
-    /// Bytes a second that the first viewer reads; null: as many as come.
+    /// Bytes per second that the first viewer reads; null: no limit.
     pub line: Option<u32>,
     /// Whether it has files of its own, which the server watches, and uploads.
     #[serde(default)]

@@ -12,7 +12,7 @@ use super::world::World;
 
 /// Longest time for one sequence.
 const LIMIT: Duration = Duration::from_secs(120);
-/// Length of a panic's message that says what kind it is.
+/// Length of the part of a panic's message that identifies its kind.
 const KIND_LENGTH: usize = 60;
 
 /// Plays a sequence; a panic of its client, which checks each frame, is a difference too.
@@ -47,7 +47,7 @@ impl<'a> Shrinker<'a> {
         }
     }
 
-    /// Whether the sequence fails in the same way; the shortest is it then.
+    /// Returns whether the sequence fails in the same way; if so, it becomes the shortest one.
     async fn accepts(&mut self, sequence: Sequence) -> bool {
         if Instant::now() > self.until {
             return false;
@@ -112,7 +112,7 @@ impl<'a> Shrinker<'a> {
     }
 }
 
-/// What a client has found wrong with a frame. Numbers say nothing of the kind.
+/// Converts a client's panic about a frame to a difference. Numbers in the message are not part of the kind.
 fn of_panic(panic: Box<dyn std::any::Any + Send>) -> Difference {
     let text = panic.downcast_ref::<String>().cloned();
     let text = text.or_else(|| panic.downcast_ref::<&str>().map(|text| (*text).to_owned()));

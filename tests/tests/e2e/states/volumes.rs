@@ -1,4 +1,4 @@
-//! Small volumes of odd shapes, and what an edit of each may name.
+//! Small volumes of odd shapes, and the names that edits of each may use.
 
 use std::path::{Path, PathBuf};
 
@@ -13,9 +13,9 @@ pub struct Volume {
     pub name: &'static str,
     pub dims: [u32; 3],
     pub isovalues: &'static [f64],
-    /// What `field` may be; empty: it stays.
+    /// Values of `field`; empty: it is not changed.
     pub fields: &'static [&'static str],
-    /// What `mask` may be, beside null.
+    /// Values of `mask`, besides null.
     pub masks: &'static [&'static str],
     pub features: &'static [&'static str],
     /// Time steps.

@@ -1,4 +1,4 @@
-//! What sequences are compared with: a server without caches, which shows each view to a fresh client.
+//! Reference for sequences: a server without caches, which shows each view to a fresh client.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ use super::volumes::{SERIES, VOLUMES, write_all};
 use crate::faults::build_layer;
 use crate::support::process::{self, Process};
 
-/// What a fresh client is shown: the outcome of each surface.
+/// The outcome of each surface for a fresh client.
 pub type Reference = Arc<[Outcome; 4]>;
 
 /// Volumes and the server without caches; all sequences share it.
@@ -25,9 +25,9 @@ pub struct World {
     pub layer: PathBuf,
     pub paths: Vec<PathBuf>,
     server: Process,
-    /// What `opened` has in force, by volume.
+    /// The view in force from `opened`, by volume.
     openings: HashMap<String, Value>,
-    /// By what was sent.
+    /// References by the messages sent.
     known: Mutex<HashMap<String, Reference>>,
 }
 
@@ -53,7 +53,7 @@ impl World {
         })
     }
 
-    /// A model of a volume that was just opened. One of a volume that changes has values of another one, but for its field.
+    /// A model of a volume that was just opened. The model of a changing volume has the values of another volume, except for its field.
     pub fn model(&self, volume: &str) -> Model {
         if let Some(opening) = self.openings.get(volume) {
             return Model::open(volume, opening);
@@ -63,7 +63,7 @@ impl World {
         Model::open(volume, &opening)
     }
 
-    /// What a fresh client is shown of these views.
+    /// Returns the outcomes of these views for a fresh client.
     pub async fn reference(&self, model: &Model) -> Result<Reference, Difference> {
         let messages = model.messages();
         let key = json!([model.volume, model.first_step(), messages]).to_string();
@@ -87,7 +87,7 @@ pub fn options(caches: Caches) -> Vec<&'static str> {
     [&["--no-demo", "--rate-peer", "0"], caches.options()].concat()
 }
 
-/// What a fresh client of a server is shown of these views.
+/// Shows these views to a fresh client of a server; returns the outcomes.
 pub async fn show(server: &Process, model: &Model) -> Result<[Outcome; 4], Difference> {
     let mut seat = Seat::connect(server.address, None).await;
     seat.open_step(&model.volume, model.first_step()).await;

@@ -62,7 +62,7 @@ impl Vertex {
 }
 
 impl Chunk {
-    /// Reads a frame. Whatever the page forbids is an error that names the field.
+    /// Reads a frame. A violation of `server/PROTOCOL.md` is an error that names the field.
     pub fn decode(frame: &[u8]) -> Result<Self, String> {
         if frame.len() < HEADER {
             return Err(format!("frame: {} bytes, a header has {HEADER}", frame.len()));
@@ -131,7 +131,7 @@ impl Chunk {
         })
     }
 
-    /// Position on the lattice of the whole volume: equal numbers are the same point, whatever the region.
+    /// Position on the lattice of the whole volume: equal numbers are the same point in all regions.
     pub fn lattice(&self, vertex: u32) -> [i32; 3] {
         let position = self.vertices[vertex as usize].position;
         std::array::from_fn(|axis| self.region[axis] as i32 * REGION * LATTICE + i32::from(position[axis]))
@@ -148,7 +148,7 @@ impl Chunk {
         start..start + self.level_triangles[level] as usize
     }
 
-    /// Whether two chunks carry the same mesh, whatever generation and prefix they came with, and in whatever order.
+    /// Whether two chunks have the same mesh, regardless of generation, prefix and the order of triangles.
     pub fn same_mesh(&self, other: &Self) -> bool {
         self.sorted() == other.sorted()
     }

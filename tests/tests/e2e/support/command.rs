@@ -24,7 +24,7 @@ pub fn run<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> Output {
         .expect("the binary starts")
 }
 
-/// Runs the binary, which has to succeed; returns what it printed on stdout.
+/// Runs the binary, which must succeed; returns its stdout.
 #[track_caller]
 pub fn succeed<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> String {
     let output = run(arguments);
@@ -37,7 +37,7 @@ pub fn succeed<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> Strin
     String::from_utf8(output.stdout).expect("stdout is UTF-8")
 }
 
-/// Runs the binary, which has to refuse; returns what it said on stderr.
+/// Runs the binary, which must refuse; returns its stderr.
 #[track_caller]
 pub fn fail<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> String {
     let output = run(arguments);

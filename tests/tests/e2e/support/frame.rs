@@ -59,9 +59,9 @@ pub enum Frame {
     },
     /// The members of the group.
     Group(Value),
-    /// What the member in control shows.
+    /// View of the member in control.
     Led(Value),
-    /// How the member in control looks at it.
+    /// Camera pose of the member in control.
     Posed(Value),
     Left {
         reason: String,
@@ -92,7 +92,7 @@ pub enum Frame {
     },
 }
 
-/// What `prefix` announces.
+/// Contents of `prefix`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prefix {
     pub surface: u8,
@@ -132,7 +132,7 @@ impl Frame {
         }
     }
 
-    /// Reads a text frame. Whatever the page does not have is refused.
+    /// Reads a text frame. Panics on anything that `server/PROTOCOL.md` does not define.
     #[track_caller]
     pub fn read(text: &str) -> Self {
         let message = Message(serde_json::from_str(text).expect("a text frame is JSON"));
@@ -299,7 +299,7 @@ impl Frame {
     }
 }
 
-/// Root mean square and maximum, of which the latter is not the smaller.
+/// Root mean square and maximum; checks that the maximum is not the smaller one.
 #[track_caller]
 fn error_of(value: &Value) -> [f64; 2] {
     let [rms, max] = ["rms", "max"].map(|name| value[name].as_f64().unwrap_or_else(|| panic!("{name}: {value}")));
@@ -388,7 +388,7 @@ impl Message {
         level as u8
     }
 
-    /// It has the fields of the page, no fewer and no more but the optional ones.
+    /// Checks that it has exactly the documented fields; optional ones may be missing.
     #[track_caller]
     fn has(&self, fields: &[&str], optional: &[&str]) {
         let object = self.0.as_object().expect("a message is an object");

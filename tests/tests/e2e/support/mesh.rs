@@ -1,10 +1,10 @@
-//! What any mesh of isopeel must be, measured on the triangles themselves.
+//! Properties of every mesh of isopeel, measured on its triangles.
 
 use isopeel_reference::edges::{self, Edge};
 
 use super::chunk::{Chunk, LATTICE};
 
-/// Every vertex lies inside the stated bounds, and they are no wider than the vertices: half a lattice unit is rounding.
+/// Checks that the stated bounds are the bounding box of the vertices, within half a lattice unit of rounding.
 #[track_caller]
 pub fn assert_bounds(chunk: &Chunk) {
     if chunk.vertices.is_empty() {
@@ -35,7 +35,7 @@ pub fn assert_bounds(chunk: &Chunk) {
     }
 }
 
-/// Edges that are not met by as many triangles in one direction as in the other, by the bits of their ends' positions across all regions.
+/// Edges that have different numbers of triangles in their two directions, by the bits of their ends' positions across all regions.
 /// Edges in the volume's own faces, at which a surface may end, are left out.
 pub fn open_edges<'a>(chunks: impl IntoIterator<Item = &'a Chunk>, dims: [u32; 3]) -> Vec<Edge> {
     let last = dims.map(|n| (n as i32 - 1) * LATTICE);

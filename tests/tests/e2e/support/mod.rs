@@ -1,4 +1,4 @@
-//! What the tests share: a server, clients that know nothing of its code, readers of what it writes.
+//! Shared code of the tests: a server, clients that do not use its code, and readers of its files.
 
 pub mod ball;
 pub mod chunk;
@@ -30,7 +30,7 @@ pub fn data_file(name: &str) -> PathBuf {
     path
 }
 
-/// The embedded demo as the tests need it: file of the field whose surface is shown.
+/// File of the embedded demo's field whose surface is shown.
 pub fn demo_file() -> PathBuf {
     repository().join("server/demo/t1.nii.gz")
 }

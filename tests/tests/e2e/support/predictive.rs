@@ -153,7 +153,7 @@ pub struct Mesh {
     pub levels: [u32; 6],
 }
 
-/// Decodes a payload of so many vertices and triangles.
+/// Decodes a payload of `vertices` vertices and `triangles` triangles.
 pub fn decode(payload: &[u8], vertices: usize, triangles: usize) -> Result<Mesh, String> {
     let mut decoder = Decoder {
         reader: Reader::new(payload)?,

@@ -1,4 +1,4 @@
-//! `isopeel serve` as a process of its own: what the system says of it, and signals.
+//! `isopeel serve` as a process of its own: its use of system resources, and signals.
 
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
@@ -81,7 +81,7 @@ pub fn begin(paths: &[PathBuf], options: &[&str]) -> Option<(Process, String)> {
     spawn(Command::new(command::binary()), paths, options, Stdio::null())
 }
 
-/// As [`begin`], with what it says at this level in a file, and panics.
+/// As [`begin`], with its log at this level, and panics, in a file.
 pub fn launch_logged(paths: &[PathBuf], options: &[&str], level: &str, log: &Path) -> Option<(Process, String)> {
     let mut command = Command::new(command::binary());
     command.env("RUST_LOG", level);
@@ -123,7 +123,7 @@ impl Process {
         let stat = self.proc("stat");
         let (_, fields) = stat.rsplit_once(')').expect("a name in brackets");
         let ticks = fields.split_whitespace().skip(11).take(2);
-        // The system has 100 ticks a second, wherever Linux runs.
+        // Linux reports 100 ticks per second on all machines.
         ticks.map(|ticks| ticks.parse::<f64>().expect("a number")).sum::<f64>() / 100.0
     }
 

@@ -39,7 +39,7 @@ impl Drop for Server {
     }
 }
 
-/// Whether there is an OpenCL device. There has to be one unless `ISOPEEL_TESTS_WITHOUT_DEVICE=1`.
+/// Whether there is an OpenCL device. There must be one unless `ISOPEEL_TESTS_WITHOUT_DEVICE=1`.
 pub fn has_device() -> bool {
     static FOUND: LazyLock<Result<(), String>> = LazyLock::new(|| {
         isopeel_kernels::device::list()
@@ -63,7 +63,7 @@ pub fn start() -> Option<Server> {
     start_with(Deadlines::default())
 }
 
-/// Starts a server with the embedded demo that holds its viewers to other times.
+/// Starts a server with the embedded demo and other deadlines for its viewers.
 pub fn start_with(deadlines: Deadlines) -> Option<Server> {
     serve(&[], deadlines)
 }
@@ -73,7 +73,7 @@ pub fn start_with_volumes(paths: &[PathBuf]) -> Option<Server> {
     serve(paths, Deadlines::default())
 }
 
-/// Starts a server with these files beside the embedded demo that holds its viewers to other times.
+/// Starts a server with these files beside the embedded demo and other deadlines for its viewers.
 pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
     if !has_device() {
         return None;
@@ -115,7 +115,7 @@ pub fn serve(paths: &[PathBuf], deadlines: Deadlines) -> Option<Server> {
     })
 }
 
-/// The server that all tests share which do not harm it. Started by the first of them, it ends with the process.
+/// The server shared by all tests that do not harm it. The first of them starts it; it ends with the process.
 pub fn shared() -> Option<SocketAddr> {
     static SHARED: LazyLock<Option<Mutex<Server>>> = LazyLock::new(|| start().map(Mutex::new));
     SHARED

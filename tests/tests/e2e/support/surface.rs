@@ -1,4 +1,4 @@
-//! What a stranger's viewer knows of one surface, and what `server/PROTOCOL.md` lets come next.
+//! State of one surface in an independent viewer, and the frames that `server/PROTOCOL.md` allows next.
 
 use std::collections::HashMap;
 
@@ -26,9 +26,9 @@ enum Stage {
     Ended,
 }
 
-/// What a viewer knows of a surface.
+/// State of a surface in a viewer.
 pub struct Surface {
-    /// What a viewer shows: the last committed mesh of every region that has one.
+    /// The shown meshes: the last committed mesh of every region that has one.
     pub shown: HashMap<[u32; 3], Chunk>,
     /// The newest.
     generation: u32,
@@ -54,12 +54,13 @@ impl Surface {
         self.generation
     }
 
-    /// Whether all came that comes while it rests.
+    /// Whether all frames that follow at rest have arrived.
     pub fn is_measured(&self) -> bool {
         matches!(self.stage, Stage::Done { measured: true, .. })
     }
 
-    /// Whether an annotation may come: all came that comes while it rests, or its newest generation failed. Marching cubes are not measured.
+    /// Whether an annotation may come: all frames that follow at rest have arrived, or its newest generation failed. Marching cubes are not
+    /// measured.
     pub fn may_annotate(&self) -> bool {
         self.is_measured() || self.is_marched && !self.is_running() || self.stage == Stage::Ended
     }
@@ -123,7 +124,7 @@ impl Surface {
         self.stage = Stage::Ended;
     }
 
-    /// A volume was opened: nothing is held, and what was running has ended.
+    /// A volume was opened: no mesh is held, and running generations have ended.
     pub fn on_opened(&mut self) {
         self.shown.clear();
         self.stage = Stage::Ended;
@@ -146,7 +147,7 @@ impl Surface {
         self.shown.values().map(|chunk| chunk.triangles.len()).sum()
     }
 
-    /// Takes a generation up if it is newer; false if it has ended already.
+    /// Takes up a generation if it is newer; returns false if it has already ended.
     fn takes_up(&mut self, generation: u32) -> bool {
         assert!(generation > 0, "generations count from 1");
         assert!(

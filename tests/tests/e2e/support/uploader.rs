@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::process::{self, Process};
 use super::{ball, command, http};
 
-/// What parts are sent as.
+/// Content type of parts.
 pub const PART: &str = "application/offset+octet-stream";
 
 /// A folder for uploads and state, and the bytes of a volume.
@@ -24,7 +24,7 @@ pub struct User {
 }
 
 impl Setting {
-    /// A small ball, and a folder for what the server keeps.
+    /// A small ball, and a folder for the server's state.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("ball.npy");
@@ -42,7 +42,7 @@ impl Setting {
         path.to_str().expect("UTF-8").to_owned()
     }
 
-    /// A server of two users, who may bring volumes and look at them; with these options too.
+    /// Starts a server with two users who may upload volumes and view them, with these options too.
     pub fn server(&self, options: &[&str]) -> Option<(Process, [User; 2], User)> {
         let (state, uploads) = (self.path("state"), self.path("uploads"));
         let token = |user: &str| {
@@ -83,7 +83,7 @@ impl User {
         self.ask("POST", path, &[("content-type", "application/json")], body.as_bytes())
     }
 
-    /// Declares files; the upload's path.
+    /// Declares files; returns the upload's path.
     pub fn create(&self, files: &[(&str, usize)]) -> String {
         let answer = self.post("/api/v1/uploads", &declared(files));
         assert_eq!(answer.status, 201, "{}", String::from_utf8_lossy(&answer.body));
@@ -119,7 +119,7 @@ impl User {
         self.post(&format!("{path}/finish"), &json!({}))
     }
 
-    /// Brings a volume; the upload's path and the volume's id.
+    /// Uploads a volume; returns the upload's path and the volume's id.
     pub fn bring(&self, name: &str, bytes: &[u8]) -> (String, String) {
         let path = self.create(&[(name, bytes.len())]);
         assert_eq!(self.send(&path, 0, bytes).status, 204);
@@ -137,13 +137,13 @@ impl User {
     }
 }
 
-/// What a declaration of files says.
+/// JSON of a declaration of files.
 pub fn declared(files: &[(&str, usize)]) -> Value {
     let file = |(name, bytes): &(&str, usize)| json!({"name": name, "bytes": bytes});
     json!({"files": files.iter().map(file).collect::<Vec<_>>()})
 }
 
-/// Sends the head of a part that says `length` bytes, and fewer: as a connection that is lost.
+/// Sends the head of a part of `length` bytes, but fewer bytes, as if the connection was lost.
 pub fn send_half(user: &User, path: &str, offset: usize, length: usize, bytes: &[u8]) -> TcpStream {
     let mut tcp = TcpStream::connect(user.address).expect("the server listens");
     let head = format!(

@@ -1,5 +1,5 @@
-//! A stranger's viewer, written from `server/PROTOCOL.md` alone. It holds every frame against the page while it reads,
-//! keeps what a viewer must keep (the map from region to mesh) and a log of all frames.
+//! An independent viewer, written from `server/PROTOCOL.md` alone. It checks every frame against that page while it reads,
+//! and keeps the state of a viewer (the map from region to mesh) and a log of all frames.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
@@ -19,7 +19,7 @@ use super::chunk::Chunk;
 pub use super::frame::Frame;
 use super::surface::{Pending, Surface};
 
-/// The longest any one frame may take: a cold start of a small machine's processor, and others beside it.
+/// Longest wait for a frame: long enough for a cold start on a small, busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 pub struct Viewer {
@@ -28,7 +28,7 @@ pub struct Viewer {
     pub log: Vec<Frame>,
     /// By their numbers.
     pub surfaces: [Surface; 4],
-    /// One at a time, whatever the surface.
+    /// At most one at a time over all surfaces.
     pending: Option<Pending>,
     /// Bytes that the last `opening` stated since `open` was sent.
     read_bytes: u64,
@@ -155,7 +155,7 @@ impl Viewer {
         viewer
     }
 
-    /// Reads up to `opened`; what it holds.
+    /// Reads up to `opened` and returns it.
     pub async fn until_opened(&mut self) -> Frame {
         loop {
             match self.next().await {
@@ -205,7 +205,7 @@ impl Viewer {
         self.send(edit).await;
         loop {
             let statistics = self.until_done().await;
-            // A better surface of the generation before may be on its way, or one of another surface.
+            // An improved surface of the previous generation may be in flight, or one of another surface.
             let generation = self.surfaces[surface].generation();
             if generation > before
                 && self
@@ -218,7 +218,7 @@ impl Viewer {
         }
     }
 
-    /// Asks a question and reads up to its answer: the generation that it is about, and what it says.
+    /// Asks a question and reads up to its answer; returns the generation that it is about, and the answer.
     pub async fn ask(&mut self, question: Value) -> (u32, Value) {
         let kind = match question["type"].as_str() {
             Some("probe") => "probed",
@@ -254,7 +254,7 @@ impl Viewer {
         }
     }
 
-    /// Sends an edit and reads until all came that comes while the viewer rests: the statistics of each `done`.
+    /// Sends an edit and reads until all frames that follow at rest have arrived; returns the statistics of each `done`.
     pub async fn edit_and_rest(&mut self, edit: Value) -> Vec<Value> {
         let mut done = vec![self.edit(edit).await];
         loop {
@@ -267,7 +267,7 @@ impl Viewer {
         }
     }
 
-    /// Sends an edit that fails: code and suggested budget.
+    /// Sends an edit that fails; returns the code and the suggested budget.
     pub async fn refused(&mut self, mut edit: Value) -> (String, Option<u64>) {
         edit["type"] = json!("edit");
         self.send(edit).await;

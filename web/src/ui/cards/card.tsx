@@ -18,7 +18,7 @@ export interface Card {
   readonly needs?: Role;
   /** It changes nothing that is shown: of use to those too who follow another. */
   readonly isLocal?: boolean;
-  /** It is about the selected surface, and says so where there are several. */
+  /** The card is about the selected surface, and names it if there are several. */
   readonly isOfSurface?: boolean;
   readonly body: Component;
 }

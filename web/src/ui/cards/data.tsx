@@ -1,4 +1,4 @@
-/** The open volume: where its samples lie, and what each field has. */
+/** The open volume: positions of its samples, and the data of each field. */
 
 import { createMemo, createSignal, For, Show } from "solid-js";
 import type { FieldInfo, VolumeInfo } from "../../protocol/types";

@@ -103,7 +103,7 @@ function maximumOf({ triangles }: View): number | undefined {
   return typeof triangles === "object" ? triangles.max : undefined;
 }
 
-/** All triangles of so many surfaces that share the budget. */
+/** Words for all triangles of `surfaces` surfaces that share the budget. */
 export function allWords(surfaces: number): string {
   if (surfaces < 2) return "all";
   return surfaces === 2 ? "both" : `all ${surfaces}`;

@@ -16,7 +16,7 @@ import { Slider } from "../widgets/slider";
 import { criterion, inSpacings, type Criterion } from "./criterion";
 import { BETA_SCALE, ERROR_SCALE } from "./scales";
 
-/** Where nothing else is known to begin with. */
+/** Initial values if nothing better is known. */
 const FIRST = { beta: 0.02, error: 0.1, share: 0.25 } as const;
 
 export default function Expert() {

@@ -15,7 +15,7 @@ const PAUSE_MS = 350;
 
 interface Props {
   readonly label: string;
-  /** The one in force; empty where there is none. */
+  /** The expression in force; empty if there is none. */
   readonly value: string;
   readonly onUse: (info: FieldInfo) => void;
   readonly onClose: () => void;
@@ -96,7 +96,7 @@ function typedExpression(inForce: () => string) {
   const settle = () => setAsked(text());
   const isBlank = (expression: string) => expression.trim() === "";
   const answer = useDescribed(() => (isBlank(asked()) ? undefined : asked()));
-  /** Where it is about what is typed. */
+  /** The answer, if it is about the typed text. */
   const current = () => (asked() === text() ? answer() : undefined);
   const info = () => (current()?.text === text() ? current()?.info : undefined);
   const fault = () => (current()?.text === text() && !isBlank(text()) ? current()?.fault : undefined);

@@ -118,7 +118,7 @@ function Row(props: { readonly job: JobInfo; readonly onCancel: () => void; read
 /** The list, asked for again and again while the card is unfolded and the page is seen. */
 function useList(actions: () => JobActions) {
   const { say, viewer } = useModel();
-  // Rows stay where their jobs change, and buttons keep the focus.
+  // When jobs change, their rows are kept, and so buttons keep the focus.
   const [list, setList] = createStore<{ jobs: readonly JobInfo[]; error: string | undefined }>({ jobs: [], error: undefined });
   let timer: ReturnType<typeof setTimeout> | undefined;
   let known: readonly JobInfo[] = [];

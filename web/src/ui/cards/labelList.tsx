@@ -29,7 +29,7 @@ interface Props {
   readonly note: (label: LabelEntry) => string;
 }
 
-/** Where a key goes from a row and a column; `undefined` for other keys. */
+/** Row and column to which a key moves the focus; `undefined` for other keys. */
 function keyed(key: string, row: number, column: number): readonly [number, number] | undefined {
   const to: Readonly<Record<string, readonly [number, number]>> = {
     ArrowUp: [row - 1, column],
@@ -52,7 +52,7 @@ export function LabelList(props: Props) {
   let scroller: HTMLDivElement | undefined;
   const first = () => Math.max(0, Math.min(Math.floor(top() / ROW) - MORE, props.labels.length - ROWS_IN_SIGHT - 2 * MORE));
   const shown = () => props.labels.slice(first(), first() + ROWS_IN_SIGHT + 2 * MORE);
-  /** The row that Tab goes to: where the user was, or the first one there is. */
+  /** The row that Tab moves to: the user's last row if it is rendered, or else the first rendered one. */
   const stop = () => (at()[0] >= first() && at()[0] < first() + shown().length ? at()[0] : first());
   const scrollTo = (to: number) => {
     if (scroller !== undefined) scroller.scrollTop = to;

@@ -1,4 +1,4 @@
-/** Where the surface may be: everywhere, or where another field has certain values. */
+/** Mask of the surface: none, or the samples at which another field has certain values. */
 
 import { For, Show } from "solid-js";
 import { COMPARISONS, firstMask, listHas, maskText, plainValue, readMask, refusedValues, takesList, toggled, type Comparison, type Mask } from "../../state/mask";
@@ -32,7 +32,7 @@ export function MaskTools(props: { readonly mask: string | null }) {
 function Values(props: { readonly mask: Mask }) {
   const { actions, volume } = useModel();
   const edit = (change: Partial<Mask>) => actions.edit({ mask: maskText({ ...props.mask, ...change }) });
-  /** Of a list the first number stays, where the new comparison takes one alone. */
+  /** Changes the comparison. If the new one takes a single value, keeps only the first number of a list. */
   const compare = (symbol: string) => {
     const comparison = symbol as Comparison;
     const { values } = props.mask;

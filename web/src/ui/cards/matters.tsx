@@ -1,4 +1,4 @@
-/** Where the surface stays fine: a feature, its weight against the shape, the transfer function, and regions of interest. */
+/** Controls of importance, which keeps the surface fine: a feature, its weight against the shape, the transfer function, and regions of interest. */
 
 import { createMemo, createSignal, Show } from "solid-js";
 import { GRADIENT, NO_FEATURE, bestOther, featureInfo, label, otherFeatures } from "./features";
@@ -49,7 +49,7 @@ function Matters(props: { readonly volume: VolumeInfo; readonly view: View }) {
   const expression = () => (isExpression(props.volume, props.view.feature) ? props.view.feature : undefined);
   const described = useDescribed(expression);
   const info = createMemo(() => (expression() === undefined ? featureInfo(props.volume, props.view) : described()?.info));
-  /** β, where it decides: the view's, or for marching cubes the one that was found for a budget. */
+  /** β, if it decides: the view's, or for marching cubes the one that was found for a budget. */
   const beta = () => props.view.beta ?? (props.view.mesher === "marching-cubes" ? (viewer().statistics?.beta ?? undefined) : undefined);
   const distribution = () => viewer().answers.distribution?.value;
   const [wantsRaw, setRaw] = createSignal(false);

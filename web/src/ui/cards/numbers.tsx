@@ -34,7 +34,7 @@ function diagnosticRows(s: Statistics): readonly Row[] {
   ];
 }
 
-/** β, or the tolerance where an error or a budget decided. */
+/** β, or the tolerance if an error or a budget decided. */
 function criterionRows({ beta, tolerance }: Statistics, scale: LengthScale): readonly Row[] {
   if (beta !== null) return [["β applied", formatValue(beta, 3)]];
   return tolerance === null ? [] : [["Tolerance applied", tolerance < 0 ? "nothing is merged" : formatLength(tolerance, scale, 3)]];

@@ -23,7 +23,7 @@ const TOOLS = [
   { tool: "paint", text: "Mark a region", title: HINTS.paint },
 ] as const;
 
-/** Sphere or box, where and how large. */
+/** Sphere or box with its position and size. */
 export function regionText({ sphere, box }: Region, unit?: string): string {
   const place = (numbers: readonly number[]) => numbers.map((n) => formatValue(n, 3)).join(", ");
   if (sphere !== undefined) return `Radius ${formatValue(sphere.radius, 3)}${unit === undefined ? "" : ` ${unit}`} at ${place(sphere.center)}`;

@@ -29,7 +29,7 @@ export function partsWords(parts: Parts): string {
   return parts !== null && "keep" in parts ? `${count(places)} kept, all others hidden` : `${count(places)} hidden`;
 }
 
-/** What is to be known of the surface on screen; empty where all is as it was chosen. */
+/** Note on the parts of the shown surface; empty if they are as chosen. */
 export function partsNote(parts: Parts, statistics: Statistics | undefined): string {
   if (parts === null || statistics === undefined) return "";
   if (!statistics.isTreeCut) return "All parts are shown until the surface has been refined";

@@ -73,7 +73,7 @@ function ShownField(props: { readonly volume: VolumeInfo }) {
   );
 }
 
-/** While there are slices beside the picture, those in it are where their crosshair is. */
+/** Position of a slice in the picture. While slices are also shown beside the picture, it follows their crosshair. */
 function SlicePlace(props: { readonly axis: 0 | 1 | 2; readonly name: string; readonly volume: VolumeInfo }) {
   const { actions, look, page } = useModel();
   const index = () => planesAt(look().slices.planes, page().slicing, props.volume.geometry.dims)[props.axis];

@@ -20,10 +20,10 @@ import { ExpressionEditor } from "./expressionEditor";
 import { label } from "./features";
 import { broughtIsovalue, SurfaceRows } from "./surfaceRows";
 
-/** Why a field opens with this isovalue; empty where it is another one. */
+/** Explains why a field opens with this isovalue; empty if `iso` is another one. */
 export function openingText(field: FieldInfo | undefined, iso: number): string {
   const opening = field?.openingIso;
-  // A number stays beside its sign where the line breaks.
+  // A line break never separates a number from its per cent sign.
   return opening?.iso === iso ? `Default: ${opening.explanation.replaceAll(" %", "\u00a0%")}` : "";
 }
 

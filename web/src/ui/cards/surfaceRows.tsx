@@ -25,7 +25,7 @@ export function broughtIsovalue(volume: VolumeInfo | undefined, field: string): 
   return volume?.fields[0]?.name === field ? volume.opening?.iso : undefined;
 }
 
-/** Whether a panel is open, and what opens or closes it. Until the user does, it is where it has something to show. */
+/** Whether a panel is open, and a function that toggles it. Until the user toggles it, it is open if it has content. */
 function createPanel(hasContent: () => boolean): readonly [isOpen: () => boolean, toggle: () => void] {
   const [wish, setWish] = createSignal<boolean>();
   const isOpen = () => wish() ?? hasContent();

@@ -23,7 +23,7 @@ interface ToolsProps<T extends Tool> {
 export function Tools<T extends Tool>(props: ToolsProps<T>) {
   const { actions, page } = useModel();
   const inHand = () => props.tools.find(({ tool }) => tool === page().tool)?.tool;
-  // Without these buttons nobody could put it down.
+  // Drops the tool: without these buttons the user could not.
   onCleanup(() => {
     if (inHand() !== undefined) actions.changePage({ tool: undefined });
   });

@@ -1,4 +1,4 @@
-/** From where the surface is seen, and what is drawn beside it. */
+/** The camera's view of the surface, and the things drawn beside it. */
 
 import { createMemo, For, Show } from "solid-js";
 import { EXAGGERATIONS } from "../../state/look";

@@ -14,7 +14,7 @@ export interface CurvePlotProps {
   /** Triangles of the full surface. */
   readonly full: number;
   readonly lengths: LengthScale;
-  /** Where the slider is. */
+  /** Position of the slider. */
   readonly share: number;
   /** Triangles above which none are made, whatever the share. */
   readonly maximum: number | undefined;
@@ -82,7 +82,7 @@ function Unreachable(props: { readonly from: number; readonly to: number; readon
   );
 }
 
-/** Where the error reaches a tenth of a voxel. `besides`: where a line goes down from the curve, which the text leaves free. */
+/** Mark at which the error reaches a tenth of a voxel. `besides`: position of a line down from the curve, which the text must not cover. */
 function FineMark(props: { readonly x: number; readonly besides: number; readonly text: string }) {
   const side = () => fineSide(props.text, props.x, props.besides, SIZE);
   return (

@@ -15,9 +15,9 @@ export interface IsoHandle {
   readonly number: number;
   readonly label: string;
   readonly value: number;
-  /** What stands in its knob; empty where there is one alone. */
+  /** Text in its knob; empty if there is only one handle. */
   readonly mark: string;
-  /** `#rrggbb` of its surface, where it has one. */
+  /** `#rrggbb` of its surface, if it has one. */
   readonly color: string | undefined;
 }
 
@@ -33,7 +33,7 @@ export interface HistogramSliderProps {
   readonly onEnd: () => void;
 }
 
-/** A handle is taken within so many pixels. */
+/** Distance in pixels within which a pointer grabs a handle. */
 const GRAB = 12;
 
 /** Ends of the slider; a histogram of one value has some width too. */
@@ -48,7 +48,7 @@ function roundedTo([low, high]: readonly [number, number], value: number): numbe
   return unit >= 1 ? Math.round(bounded / unit) * unit : Number((Math.round(bounded / unit) * unit).toPrecision(12));
 }
 
-/** Where a key takes the slider. */
+/** The value to which a key moves the slider. */
 function keyed(key: string, shift: boolean, value: number, [low, high]: readonly [number, number]): number | undefined {
   const step = ((high - low) / 256) * (shift ? 10 : 1);
   const next: Partial<Record<string, number>> = {
@@ -64,7 +64,7 @@ function keyed(key: string, shift: boolean, value: number, [low, high]: readonly
   return next[key];
 }
 
-/** Where a value is on the axis, 0 to 1. */
+/** Position of a value on the axis, 0 to 1. */
 function placeOn([low, high]: readonly [number, number], value: number): number {
   return Math.min(1, Math.max(0, (value - low) / (high - low)));
 }

@@ -31,7 +31,7 @@ export interface TransferPlotProps {
   readonly points: Points;
   readonly selected: number;
   readonly background: Background | undefined;
-  /** The importance up to which cubes are decimated, where it is that which decides. */
+  /** The importance up to which cubes are decimated, if importance decides. */
   readonly threshold: number | undefined;
   /** What lies under the pointer in the picture. */
   readonly mark: Mark | undefined;
@@ -50,7 +50,7 @@ export function handleAt(event: Event): number | undefined {
   return handle === null ? undefined : Number(handle.getAttribute("data-index"));
 }
 
-/** Where on the plot the pointer is, rounded to a thousandth. */
+/** Position of the pointer on the plot, rounded to a thousandth. */
 export function locate(plot: SVGSVGElement, event: MouseEvent): { readonly x: number; readonly importance: number } {
   const box = plot.getBoundingClientRect();
   const round = (value: number) => Math.round(Math.min(1, Math.max(0, value)) * 1000) / 1000;
@@ -147,7 +147,7 @@ function Coarse(props: { readonly path: string }) {
   );
 }
 
-/** The importance up to which is decimated; where it is not known of which part of the surface that is, all of it hatched. */
+/** The importance up to which cubes are decimated. If it is not known which part of the surface that is, the whole area is hatched. */
 function Threshold(props: { readonly at: number; readonly isHatched: boolean }) {
   const y = () => toY(Math.min(1, Math.max(0, props.at)));
   const pattern = createUniqueId();

@@ -8,7 +8,7 @@ export interface SliceGestures {
   readonly onPoint: (place: Place) => void;
   /** The pointer rests over a place; `undefined`: it has left. */
   readonly onHover: (place: Place | undefined) => void;
-  /** The right button drags, so many pixels since it was pressed. */
+  /** The right button drags; the distances are in pixels since it was pressed. */
   readonly onWindow: (right: number, down: number) => void;
   /** A drag with the right button begins, or is over. */
   readonly onWindowEnd: (isOver: boolean) => void;
@@ -17,13 +17,13 @@ export interface SliceGestures {
   readonly onZoom: (place: Place | undefined, by: number) => void;
   /** Two fingers move it by a number of pixels. */
   readonly onPan: (right: number, down: number) => void;
-  /** So many slices onward. */
+  /** Scrolls `by` slices onward. */
   readonly onScroll: (by: number) => void;
-  /** So many samples to the right and down. */
+  /** Steps by samples to the right and down. */
   readonly onStep: (right: number, down: number) => void;
 }
 
-/** Turning a wheel by so many pixels is one slice; touchpads send less at a time. */
+/** Pixels of a wheel's turn that scroll one slice; touchpads send less at a time. */
 const PIXELS_A_SLICE = 40;
 const LINES_A_SLICE = 1;
 const FAST = 10;
@@ -81,7 +81,7 @@ export class WheelSteps {
   /** Upwards is onward. */
   take({ deltaY, deltaMode }: Pick<WheelEvent, "deltaY" | "deltaMode">): number {
     const turned = -deltaY / (deltaMode === 0 ? PIXELS_A_SLICE : LINES_A_SLICE);
-    // What is left of a turn the other way does not delay this one.
+    // The remainder of a turn in the other direction does not delay this one.
     this.rest = (turned * this.rest < 0 ? 0 : this.rest) + turned;
     // A notch of a mouse is one, however many pixels a browser takes it for.
     const steps = Math.abs(turned) >= 1 ? Math.sign(turned) * Math.max(1, Math.round(Math.abs(turned) / 3)) : Math.trunc(this.rest);

@@ -20,7 +20,7 @@ export interface NumberFieldProps extends NumberKind {
 
 type Bounds = Pick<NumberKind, "min" | "max">;
 
-/** Why a text is not taken as it is; `undefined` where it is. `taken`: what takes its place. */
+/** Explains why a text is not accepted as it is; `undefined` if it is accepted. `taken`: the value used instead. */
 export function refusedText(text: string, kind: NumberKind & { readonly label: string }, taken: number): string | undefined {
   const { label, min = -Infinity, max = Infinity } = kind;
   const typed = readTyped(text, kind);

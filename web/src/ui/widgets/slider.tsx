@@ -16,7 +16,7 @@ export const LINEAR: Scale = { toValue: (t) => t, toPosition: (v) => v };
 /** Of a slider whose values are not counted. */
 const STEPS = 1000;
 
-/** Where keys move it to: steps, or with Shift ten at once. */
+/** Steps by which keys move it; ten times as many with Shift. */
 const KEYS: Readonly<Record<string, number>> = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 };
 const FAST = 10;
 
@@ -38,7 +38,7 @@ export interface SliderProps extends NumberKind {
   readonly label: string;
   readonly value: number;
   readonly scale: Scale;
-  /** Between one end and the other, where values are counted. */
+  /** Number of steps between the ends, if values are counted. */
   readonly steps?: number;
   /** What the value means, for readers of the screen. */
   readonly words?: string | undefined;

@@ -7,7 +7,7 @@ interface TextFieldProps {
   readonly label: string;
   readonly value: string;
   readonly placeholder?: string;
-  /** Why a text is not taken; `undefined` where it is. */
+  /** Explains why a text is not accepted; `undefined` if it is. */
   readonly refused: (text: string) => string | undefined;
   readonly onChange: (value: string) => void;
 }

@@ -13,12 +13,12 @@ use crate::access::{Identity, Occupant, Role};
 use crate::extraction::Refinement;
 use crate::stream::groups::{Groups, LONGEST_WAIT, Leader, MAX_FOLLOWERS, MAX_GROUPS, MAX_GROUPS_OF_USER};
 
-/// Messages about the group, in between others.
+/// Reads on to the next message of this name about the group.
 async fn group_message(viewer: &mut Viewer, name: &str) -> Value {
     viewer.until(name).await
 }
 
-/// Its surfaces are not measured while it rests, however slow the machine is that the test runs on.
+/// Answers all measurements at rest with nothing, so that a slow machine does not add messages.
 fn unmeasured(mut viewer: Viewer) -> Viewer {
     let mut jobs = std::mem::replace(&mut viewer.measurements, mpsc::channel(1).1);
     tokio::spawn(async move {
@@ -47,7 +47,7 @@ async fn leader(common: &Common, iso: f32) -> (Viewer, String) {
     (leader, id)
 }
 
-/// One who follows, with what is shown there on screen here.
+/// A follower that has received the leader's surface of this isovalue.
 async fn follower(common: &Common, who: Identity, group: &str, iso: f32) -> Viewer {
     let mut follower = unmeasured(Viewer::among(common, who));
     follower
@@ -67,7 +67,7 @@ async fn follower(common: &Common, who: Identity, group: &str, iso: f32) -> View
     follower
 }
 
-/// What another member has done is shown here too, without a job of its own.
+/// Expects that an edit of another member is shown here too, without a job of its own.
 async fn follows(viewer: &mut Viewer, surface: usize, iso: f32) {
     while group_message(viewer, "led").await["surfaces"][surface]["edit"]["iso"] != json!(iso) {}
     viewer.until("done").await;
@@ -80,7 +80,7 @@ async fn shown(viewer: &mut Viewer, iso: f32) {
     shown_by(viewer, job, iso).await;
 }
 
-/// The same, by this job.
+/// The same, with the job that makes it.
 async fn shown_by(viewer: &mut Viewer, job: Job<Refinement>, iso: f32) {
     assert_eq!(job.view.iso.expect("an isovalue").get(), iso);
     job.answer(Answer::last(1, shapes(&[1, 2])));
@@ -124,7 +124,7 @@ async fn who_may_only_look_is_shown_what_the_leader_does() {
     leader.say(r#"{"type":"step","step":3}"#).await;
     assert_eq!(looks.until("stepped").await["step"], 3);
 
-    // What it does itself changes nothing.
+    // Its own messages are refused.
     for message in [
         r#"{"type":"edit","iso":9}"#,
         r#"{"type":"open","volume":"head"}"#,
@@ -137,7 +137,7 @@ async fn who_may_only_look_is_shown_what_the_leader_does() {
     assert_eq!(looks.until("error").await["code"], "forbidden");
     looks.say(r#"{"type":"lead"}"#).await;
     assert_eq!(looks.until("error").await["code"], "forbidden");
-    // The leader leaves, and with it the group.
+    // The group ends when the leader leaves.
     leader.say(r#"{"type":"leave"}"#).await;
     assert_eq!(
         looks.until("left").await["reason"],
@@ -158,13 +158,13 @@ async fn further_steps_of_followers_come_after_the_first_of_all() {
         let began = Instant::now();
         leader.say(&json!({"type": "edit", "iso": iso}).to_string()).await;
         leader.step().await.answer(Answer::prefix(1, shapes(&[iso])));
-        // Who has control has its surface at once.
+        // The member in control gets its surface at once.
         leader.step().await.answer(Answer::last(2, shapes(&[iso, iso])));
         leader.until("done").await;
         follows.until("committed").await;
         follows.until("done").await;
         assert!(follows.steps.try_recv().is_err(), "made once for all");
-        // One who comes to nothing holds the others up so long, and not for ever.
+        // A follower whose first step is never made delays the others by `LONGEST_WAIT` at most.
         assert!(waits.is_none() || began.elapsed() >= LONGEST_WAIT);
         waits = None;
     }
@@ -224,7 +224,7 @@ async fn control_is_given_to_who_asks_and_comes_back() {
     follows(&mut leader, 0, 7.0).await;
     leader.say(r#"{"type":"edit","iso":9}"#).await;
     assert_eq!(leader.until("error").await["code"], "not-in-control");
-    // Who has it leaves: it is the leader's again.
+    // If the follower in control leaves, the leader has control again.
     ann.say(r#"{"type":"leave"}"#).await;
     assert_eq!(ann.until("left").await["reason"], "you have left it");
     while group_message(&mut leader, "group").await["control"] != 0 {}
@@ -282,7 +282,7 @@ async fn a_leader_whose_connection_was_lost_comes_back() {
     other.say(&resume(&key)).await;
     assert_eq!(other.until("error").await["code"], "unknown-group");
 
-    // That of `looks` has left the group by its attempt, as with `lead`.
+    // The attempt of `looks` to resume has made it leave the group, as `lead` does. So another follower joins.
     let mut looks = follower(&common, Identity::without_token(), group.as_str().expect("an id"), 5.0).await;
     let mut again = unmeasured(Viewer::among(&common, Identity::without_token()).open().await);
     again.say(r#"{"type":"edit","iso":5}"#).await;
@@ -301,7 +301,7 @@ async fn a_leader_whose_connection_was_lost_comes_back() {
     );
     while group_message(&mut looks, "group").await["leaderAway"] == true {}
     again.say(r#"{"type":"edit","iso":6}"#).await;
-    // The leader may be about to be measured, so that a follower asks first.
+    // The leader's device may still be busy with a measurement: then the follower's session starts the job.
     let job = tokio::select! {
         job = again.step() => job,
         job = looks.step() => job,
@@ -335,7 +335,7 @@ async fn a_leader_is_waited_for_and_not_for_ever() {
     assert!(groups.resume("0", &wrong).is_err());
     let leads = groups.resume("0", &ann).expect("it is ann's");
     assert!(leads.controls());
-    // The time of before counts no more.
+    // The earlier absence does not count any more.
     tokio::time::sleep(Duration::from_millis(900)).await;
     assert!(groups.join("0", None, true).is_ok());
     drop(leads);
@@ -368,7 +368,7 @@ async fn there_are_only_so_many_groups_and_followers() {
     leaders.remove(0).leave();
     assert!(groups.join("0", None, false).is_err(), "its leader has gone");
     let last = groups.lead("one more".into(), ann.clone()).expect("a group");
-    // Those whose leaders are away make space, the one that was left first before others.
+    // Groups whose leaders are away make space; the one whose leader left first ends first.
     drop(leaders.remove(4));
     tokio::time::sleep(Duration::from_millis(2)).await;
     drop(leaders.remove(7));
@@ -392,7 +392,7 @@ async fn no_user_leads_all_groups_and_administrators_find_a_place() {
         leaders.extend(lead_all(user));
     }
     assert!(leaders.len() < MAX_GROUPS && groups.lead("one more".into(), key_of("sue")).is_err());
-    // A user who has too many loses the one whose leader is away.
+    // If a user leads too many groups, the one whose leader is away ends.
     drop(leaders.remove(3));
     assert!(groups.join("ann 3", None, false).is_ok());
     let again = groups.lead("again".into(), key_of("ann")).expect("a group");

@@ -50,7 +50,7 @@ fn probe(x: f64) -> String {
     json!({"type": "probe", "position": [x, 0, 0]}).to_string()
 }
 
-/// Lets the session take all that it was sent.
+/// Lets the session process all messages that it was sent.
 async fn settle(viewer: &mut Viewer) {
     viewer.quiet().await;
 }
@@ -111,7 +111,7 @@ async fn an_edit_goes_first_and_the_question_is_asked_again_of_its_surface() {
     viewer.say(&probe(7.0)).await;
     let asked = viewer.questions.recv().await.expect("a question");
     viewer.say(r#"{"type":"edit","beta":0.5}"#).await;
-    // Its step is queued though the question has not returned.
+    // Its step is queued although the cancelled question has not returned yet.
     let step = viewer.step().await;
     assert!(asked.token.is_cancelled(), "the device stops to work on the question");
     assert!(asked.reply.send(Err(WorkError::Cancelled)).is_ok());
@@ -255,7 +255,7 @@ async fn a_heartbeat_comes_to_a_client_that_asks_for_it() {
     }
 }
 
-/// What is around the vertices is another annotation, with a name of its own.
+/// Values around the vertices are another annotation, with a name of its own.
 #[tokio::test]
 async fn an_annotation_of_what_is_around_vertices_is_named_as_it_was_asked() {
     let mut viewer = Viewer::showing(&[1]).await;

@@ -1,5 +1,5 @@
-//! Random clients against a device that answers at random: every frame against `PROTOCOL.md`, and in the end each surface is what its last
-//! edit asked for.
+//! Random clients against a device that answers at random. Every frame is checked against `PROTOCOL.md`, and in the end each surface is
+//! that of its last edit.
 
 mod client;
 
@@ -41,7 +41,7 @@ fn full_triangles(iso: f32) -> u64 {
     1000 * (1 + iso as u64)
 }
 
-/// What decides a final surface, and how many triangles it has.
+/// The values that determine a final surface and its number of triangles.
 #[derive(Clone, Debug, PartialEq)]
 struct Wanted {
     iso: f32,
@@ -92,7 +92,7 @@ enum Work {
 }
 
 impl Work {
-    /// Whatever a device might answer.
+    /// Random answers of a device.
     fn answer(self, random: &mut Random, cut: u64) {
         match self {
             Self::Count(job) => {
@@ -163,7 +163,7 @@ struct Play {
 }
 
 impl Play {
-    /// Lets the session run, and takes what it has for the device.
+    /// Lets the session run, and takes its next job for the device.
     async fn turn(&mut self) {
         for _ in 0..4 {
             tokio::task::yield_now().await;
@@ -215,7 +215,7 @@ impl Play {
     }
 }
 
-/// What a client's edits ask for, by the page.
+/// The surfaces that a client's edits request, by `PROTOCOL.md`.
 struct Model {
     surfaces: BTreeMap<u64, Wanted>,
     opening: Wanted,
@@ -264,7 +264,7 @@ impl Model {
         fields + "}"
     }
 
-    /// What a client shows in the end.
+    /// Surfaces that a client shows in the end.
     fn shapes(&self) -> BTreeMap<u64, BTreeMap<u32, i32>> {
         let sharing: Vec<&Wanted> = self
             .surfaces
@@ -288,7 +288,8 @@ impl Model {
     }
 }
 
-/// One script. `decides`: also what decides changes, and work is cancelled; else there is one budget for all, all the time.
+/// Plays one random script. `decides`: edits also change the criterion, and work is cancelled; else all surfaces share one budget all the
+/// time.
 async fn play(seed: u64, decides: bool) {
     let viewer = Viewer::opened().await;
     let opening = Wanted {
@@ -348,7 +349,7 @@ async fn play(seed: u64, decides: bool) {
         }
     }
     if decides {
-        // What was cancelled follows an edit alone.
+        // Cancelled surfaces are made only after another edit.
         for surface in model.surfaces.keys() {
             play.viewer
                 .say(&format!(r#"{{"type":"edit","surface":{surface}}}"#))

@@ -1,4 +1,4 @@
-//! Views and time steps come into force when they are resolved, and not at all where they turn out to be bad.
+//! Views and time steps come into force when they are resolved; invalid ones never do.
 
 use serde_json::json;
 
@@ -74,7 +74,7 @@ async fn edits_that_arrive_meanwhile_come_into_force_with_it() {
     assert_eq!(job.view.feature_range, Some([-1.0, 0.0]));
     job.answer(Answer::last(2, shapes(&[2])));
     viewer.until("done").await;
-    // One that changes what is to be resolved is resolved itself.
+    // An edit that changes values to be resolved is resolved itself.
     viewer.say(r#"{"type":"edit","feature":"local-variance"}"#).await;
     let late = resolution(&mut viewer).await;
     viewer.say(r#"{"type":"edit","feature":"none"}"#).await;
@@ -83,7 +83,7 @@ async fn edits_that_arrive_meanwhile_come_into_force_with_it() {
     assert_eq!(viewer.step().await.view.feature.as_str(), "none");
 }
 
-/// The same as if each had come when the one before was known to be good or bad.
+/// The result is the same as if each edit had arrived after the one before was resolved.
 #[tokio::test]
 async fn a_bad_edit_takes_no_other_one_with_it() {
     let mut viewer = showing(&Common::new(0)).await;

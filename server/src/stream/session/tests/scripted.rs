@@ -201,7 +201,7 @@ pub(super) fn shapes(shapes: &[i32]) -> Vec<Region> {
     regions.map(|(x, shape)| region(x as u32, *shape)).collect()
 }
 
-/// What a step has made: the cut that it ends with, and the regions.
+/// Result of a step: the cut that it ends with, and the regions.
 pub(super) struct Answer {
     cut: u64,
     level: u8,
@@ -228,12 +228,12 @@ impl Answer {
         }
     }
 
-    /// Said to have so many triangles, whatever the regions have.
+    /// Claims this number of triangles, whatever the regions have.
     pub(super) fn of_triangles(self, triangles: u64) -> Self {
         Self { triangles, ..self }
     }
 
-    /// With so many triangles of the full surface.
+    /// With this number of triangles of the full surface.
     pub(super) fn of_full(self, full_triangles: u64) -> Self {
         Self { full_triangles, ..self }
     }
@@ -247,7 +247,7 @@ impl Answer {
         }
     }
 
-    /// Only these regions were made anew.
+    /// Only these regions were remade.
     pub(super) fn of_regions(self, remade: &[u32]) -> Self {
         Self {
             remade: Some(remade.iter().map(|&x| [x, 0, 0]).collect()),
@@ -273,7 +273,7 @@ impl Answer {
 }
 
 impl Job<Refinement> {
-    /// What the client shows when the step begins.
+    /// The surface that the client shows when the step begins.
     pub(super) fn shown(&self) -> Shown {
         self.step.expect("a step").shown
     }

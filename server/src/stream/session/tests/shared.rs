@@ -5,7 +5,7 @@ use super::scripted::{Answer, shapes};
 use super::viewer::Viewer;
 use crate::access::Identity;
 
-/// Viewers of one server, each with a device of its own, so that it is seen whose has a job.
+/// Viewers of one server, each with a device of its own, so that tests see which of them has the job.
 async fn viewers(count: usize, common: &Common) -> Vec<Viewer> {
     let mut viewers = Vec::new();
     for _ in 0..count {
@@ -14,7 +14,7 @@ async fn viewers(count: usize, common: &Common) -> Vec<Viewer> {
     viewers
 }
 
-/// All frames up to `done`, but for the trace, which is the connection's own.
+/// All frames up to `done`, without the trace, which differs between connections.
 async fn frames_to_done(viewer: &mut Viewer) -> Vec<Outgoing> {
     let mut frames = Vec::new();
     loop {

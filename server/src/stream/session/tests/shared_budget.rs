@@ -67,7 +67,7 @@ async fn a_budget_is_shared_in_proportion_to_full_surfaces_and_what_shrinks_is_s
         viewer.until("done").await;
     }
 
-    // Who leaves gives its part back.
+    // A removed surface gives its part back.
     viewer.say(r#"{"type":"remove","surface":1}"#).await;
     assert_eq!(viewer.until("removed").await["surface"], 1);
     let job = viewer.step().await;
@@ -132,7 +132,7 @@ async fn a_minimum_budget_is_one_for_all_surfaces() {
     viewer
         .expect(r#"{"type":"superseded","surface":1,"generation":2}"#)
         .await;
-    // What failed keeps its part: whether it can be made changes no other surface.
+    // A failed surface keeps its part: its failure changes no other surface.
     let job = viewer.step().await;
     assert_eq!((iso(&job), triangles(&job.view)), (10.0, 800));
     job.answer(Answer::last(2, shapes(&[2])).of_full(4000));
@@ -168,7 +168,7 @@ async fn what_a_failed_surface_holds_goes_where_others_share_its_budget() {
         budget: 400,
     };
     assert!(job.reply.send(Err(error)).is_ok());
-    // What is there of it goes before the other one comes, so that both are never above the budget.
+    // Its regions are removed before the other surface is sent, so that both together never exceed the budget.
     viewer.expect(&prefix_of(0, 3, 0, [1, 0, 0], false)).await;
     assert_eq!(viewer.chunk().await.header.vertex_count, 0);
     viewer.expect(&committed_of(0, 3, 0, false)).await;
@@ -179,7 +179,7 @@ async fn what_a_failed_surface_holds_goes_where_others_share_its_budget() {
     );
     assert_eq!(viewer.until("done").await["surface"], 1);
     viewer.quiet().await;
-    // An edit that gives it no other part does not try it again, the end of the other surface does.
+    // An edit that does not change its part does not retry it; the removal of the other surface does.
     viewer.say(r#"{"type":"edit","surface":1,"alpha":0.1}"#).await;
     let job = viewer.step().await;
     assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
@@ -223,7 +223,7 @@ async fn a_surface_that_failed_alone_keeps_what_is_shown_until_others_share_its_
     viewer.quiet().await;
 }
 
-/// Its triangles are not known then.
+/// The number of triangles of such a surface is not known.
 #[tokio::test]
 async fn a_surface_that_failed_uncounted_gets_a_part_when_others_come() {
     let mut viewer = Viewer::opened().await;
@@ -282,7 +282,7 @@ async fn a_failed_count_ends_its_generation_alone() {
     assert_eq!((iso(&job), triangles(&job.view)), (10.0, 2000), "all of the budget");
 }
 
-/// So that a slider that is dragged shows something: a count is of the generation that began, not of the newest edit.
+/// A count belongs to the generation that has begun, not to the newest edit: so a dragged slider shows some steps.
 #[tokio::test]
 async fn edits_while_a_surface_is_counted_still_let_it_commit_a_step() {
     let mut viewer = with_budget().await;

@@ -1,4 +1,4 @@
-//! The steps of an edit, their order, and what of them is sent.
+//! The steps of an edit, their order, and the regions that are sent.
 
 use std::time::Instant;
 

@@ -1,4 +1,4 @@
-//! Several surfaces: whose turn it is, and what ends what.
+//! Several surfaces: scheduling, and which messages end which work.
 
 use std::time::Duration;
 
@@ -83,7 +83,7 @@ async fn first_steps_come_before_further_ones_and_then_surfaces_take_turns() {
             ))
             .await;
         if surface == 0 {
-            // It is on the device when the others come.
+            // It is on the device when the other edits arrive.
             let job = viewer.step().await;
             viewer.say(r#"{"type":"edit","surface":1,"iso":20,"beta":0.1}"#).await;
             viewer.say(r#"{"type":"edit","surface":2,"iso":30,"beta":0.1}"#).await;
@@ -318,7 +318,7 @@ async fn a_pause_to_draw_one_surface_does_not_delay_the_first_picture_of_another
     assert!(said.elapsed() < DRAW_PAUSE, "the pause went on");
 }
 
-/// With a clock that goes on only when there is nothing to do: a rest is then as long as it is said to be, however busy the machine is.
+/// Uses a paused clock, which advances only when all tasks are idle: a rest then lasts exactly its time, however busy the machine is.
 #[tokio::test(start_paused = true)]
 async fn each_surface_that_rests_is_improved_and_measured_and_an_edit_postpones_it() {
     let mut viewer = Viewer::opened().await;
@@ -340,7 +340,7 @@ async fn each_surface_that_rests_is_improved_and_measured_and_an_edit_postpones_
     viewer.step().await.answer(Answer::last(3, shapes(&[2])));
     assert_eq!(viewer.until("done").await["surface"], 0);
 
-    // It begins anew; a better surface before any measurement.
+    // The improvement starts again; a better surface comes before any measurement.
     let job = viewer.improvement_after_rest().await;
     assert_eq!(iso(&job), 2.0);
     assert!(!job.token.is_cancelled());

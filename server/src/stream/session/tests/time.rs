@@ -28,7 +28,7 @@ async fn another_step_sends_what_differs_in_one_commit() {
     assert_eq!((job.volume.step(), job.shown()), (1, Shown::Cut(CutId::new(3))));
 }
 
-/// What it had of the step before would pass for one of this step.
+/// Regions of the earlier step would otherwise look like regions of this step.
 #[tokio::test]
 async fn nothing_is_shown_of_a_surface_that_a_step_has_not() {
     let mut viewer = Viewer::showing(&[1, 2]).await;
@@ -52,7 +52,7 @@ async fn nothing_is_shown_of_a_surface_that_a_step_has_not() {
     viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
     let job = viewer.step().await;
     assert_eq!((job.volume.step(), job.shown()), (1, Shown::Another));
-    // With what was sent before it failed, nothing is left of the other step either.
+    // A prefix that was sent before the failure has already replaced all regions of the other step.
     job.answer(Answer::prefix(7, shapes(&[5])));
     viewer.until("committed").await;
     let error = WorkError::OverBudget {
@@ -81,7 +81,7 @@ async fn the_next_step_is_read_ahead_and_the_latest_is_made() {
     let mut viewer = Viewer::showing(&[1]).await;
     viewer.say(TO_STEP_1).await;
     viewer.until("stepped").await;
-    // Overtaken before anything was made of it.
+    // Overtaken before any surface was made of it.
     let late = viewer.step().await;
     viewer.say(r#"{"type":"step","step":2}"#).await;
     viewer.until("superseded").await;
@@ -130,7 +130,7 @@ async fn steps_that_are_none_change_nothing() {
     assert_eq!(viewer.error().await, ("unknown-step".into(), true));
     viewer.say(TO_STEP_1).await;
     viewer.until("stepped").await;
-    // Nothing was made, so nothing is made anew.
+    // Nothing was made before, so nothing is remade.
     viewer.quiet().await;
     viewer.say(r#"{"type":"edit"}"#).await;
     let job = viewer.step().await;

@@ -38,18 +38,18 @@ impl Viewer {
         Self::with_token_of(Identity::without_token())
     }
 
-    /// One whose token lets do less.
+    /// A viewer with the identity `who`.
     pub(super) fn with_token_of(who: Identity) -> Self {
-        // Nothing is kept: each step is asked of the device.
+        // Without a cache: each step is a job of the device.
         Self::among(&Common::new(0), who)
     }
 
-    /// One of several, each with a device of its own.
+    /// One of several viewers of a server, each with a device of its own.
     pub(super) fn among(common: &Common, who: Identity) -> Self {
         Self::with_device(common, who, false)
     }
 
-    /// One whose views the test resolves.
+    /// A viewer whose views the test resolves.
     pub(super) fn that_resolves(common: &Common) -> Self {
         Self::with_device(common, Identity::without_token(), true)
     }
@@ -111,7 +111,7 @@ impl Viewer {
         let mut viewer = Self::opened().await;
         viewer.say(r#"{"type":"edit"}"#).await;
         viewer.step().await.answer(Answer::prefix(1, shapes(&[9])));
-        // Its pong says how fast the line is; before, there is no second step.
+        // Its pong measures the line; before that, there is no second step.
         viewer.until("committed").await;
         viewer.step().await.answer(Answer::last(2, shapes(start)));
         viewer.until("done").await;
@@ -193,7 +193,7 @@ impl Viewer {
         self.steps.recv().await.expect("a step")
     }
 
-    /// The next job, which counts a full surface of so many triangles; its isovalue.
+    /// Answers the next job, a count of a full surface, with this number of triangles. Returns its isovalue.
     pub(super) async fn count(&mut self, triangles: u64) -> f32 {
         let job = self.counts.recv().await.expect("a count");
         let count = FullCount {

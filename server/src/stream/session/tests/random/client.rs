@@ -1,4 +1,4 @@
-//! A client that holds what it is sent to the rules of `PROTOCOL.md`.
+//! A client that checks received messages against the rules of `PROTOCOL.md`.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -24,20 +24,20 @@ pub(super) struct Held {
     triangles: u64,
 }
 
-/// What the client knows.
+/// State of the client.
 #[derive(Default)]
 pub(super) struct Client {
     pub surfaces: HashMap<u64, Held>,
     pending: Option<Pending>,
     pub newest: u64,
-    /// What all final surfaces together may have.
+    /// Maximum triangles of all final surfaces together.
     max_triangles: Option<u64>,
-    /// Types, surfaces and generations of the messages, for who looks for a failure.
+    /// Types, surfaces and generations of the messages, to help find the cause of a failure.
     pub log: Vec<String>,
 }
 
 impl Client {
-    /// `max_triangles`: what all final surfaces together may have.
+    /// `max_triangles`: maximum triangles of all final surfaces together.
     pub fn new(max_triangles: Option<u64>) -> Self {
         Self {
             max_triangles,
