@@ -1,9 +1,9 @@
-//! Which OpenCL devices there are, and which one is taken.
+//! Lists OpenCL devices and selects one.
 
 use crate::{Error, Result};
 use opencl3::device::{CL_DEVICE_TYPE_ALL, CL_DEVICE_TYPE_CPU, CL_DEVICE_TYPE_GPU, Device, cl_device_id};
 use opencl3::error_codes::ClError;
-use opencl3::platform::get_platforms;
+use opencl3::platform::{Platform, get_platforms};
 use std::sync::{Mutex, PoisonError};
 
 /// `clGetPlatformIDs` could not load the OpenCL library (a code of the `cl3` crate).
@@ -30,6 +30,8 @@ pub struct DeviceInfo {
     pub index: usize,
     /// Name of its platform.
     pub platform: String,
+    /// Version string of its platform, in which some drivers name their compiler, e.g. `OpenCL 3.0 PoCL 6.0 … LLVM 18.1.8`.
+    pub platform_version: String,
     /// Name of the device.
     pub name: String,
     /// What kind of processor.
@@ -80,7 +82,12 @@ pub(crate) struct Found {
     pub handle: cl_device_id,
 }
 
-fn describe(platform: &str, handle: cl_device_id) -> std::result::Result<DeviceInfo, ClError> {
+fn name_of(platform: &Platform) -> String {
+    let name = platform.name();
+    name.map_or_else(|_| "unnamed platform".to_owned(), |name| name.trim().to_owned())
+}
+
+fn describe(platform: &Platform, handle: cl_device_id) -> std::result::Result<DeviceInfo, ClError> {
     let device = Device::new(handle);
     let kind = match device.dev_type()? {
         t if t & CL_DEVICE_TYPE_GPU != 0 => DeviceKind::Gpu,
@@ -89,7 +96,8 @@ fn describe(platform: &str, handle: cl_device_id) -> std::result::Result<DeviceI
     };
     Ok(DeviceInfo {
         index: 0,
-        platform: platform.trim().to_owned(),
+        platform: name_of(platform),
+        platform_version: platform.version().unwrap_or_default().trim().to_owned(),
         name: device.name()?.trim().to_owned(),
         kind,
         memory_bytes: device.global_mem_size()?,
@@ -101,8 +109,8 @@ fn describe(platform: &str, handle: cl_device_id) -> std::result::Result<DeviceI
     })
 }
 
-/// Held while devices are looked for: drivers initialise themselves on first use, and PoCL 3.1 crashes or finds nothing when
-/// two threads make it do so at once.
+/// Held while devices are listed: drivers initialise themselves on first use, and PoCL 3.1 crashes or finds no device if two
+/// threads initialise it at once.
 static LOOKING: Mutex<()> = Mutex::new(());
 
 /// All devices, preferred first, by [`DeviceInfo::preference`].
@@ -120,12 +128,14 @@ pub(crate) fn find() -> Result<Vec<Found>> {
     }
     let mut found = Vec::new();
     for platform in platforms {
-        let name = platform.name().unwrap_or_else(|_| "unnamed platform".to_owned());
-        // A platform without devices answers with an error; the others may still have some.
+        // A platform without devices returns an error; other platforms may still have devices.
         for handle in platform.get_devices(CL_DEVICE_TYPE_ALL).unwrap_or_default() {
-            match describe(&name, handle) {
+            match describe(&platform, handle) {
                 Ok(info) => found.push(Found { info, handle }),
-                Err(e) => tracing::warn!("a device of {name:?} does not answer and is left out: {e}"),
+                Err(e) => {
+                    let name = name_of(&platform);
+                    tracing::warn!("a device of {name:?} does not answer and is left out: {e}");
+                }
             }
         }
     }
@@ -142,7 +152,7 @@ pub(crate) fn find() -> Result<Vec<Found>> {
     Ok(found)
 }
 
-/// Where the device is that `selector` names by index or by a part of its name or platform.
+/// Returns the index of the device that `selector` names by index or by a part of its name or platform.
 pub fn position(devices: &[DeviceInfo], selector: &str) -> Option<usize> {
     if let Ok(index) = selector.parse::<usize>() {
         return (index < devices.len()).then_some(index);

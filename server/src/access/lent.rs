@@ -190,7 +190,7 @@ mod tests {
             roles: vec![Role::View].into(),
             lifetime,
         };
-        let (ann, _) = file.create(new(Some(Duration::from_secs(1)))).expect("a token");
+        let (ann, _) = file.create(new(Some(Duration::from_secs(3)))).expect("a token");
         let access = access().0.with_named(&TokenWatch::open(file).expect("tokens"));
         let lender = access.who(ann.text()).expect("ann");
         let edits = access
@@ -204,7 +204,7 @@ mod tests {
         );
         let token = access.lend(&lender, vec![Role::View], 60).expect("a token");
         let who = access.who(token.text()).expect("somebody");
-        assert!(who.expires_seconds().is_some_and(|seconds| seconds <= 1));
+        assert!(who.expires_seconds().is_some_and(|seconds| seconds <= 3));
         let ended = tokio::time::timeout(Duration::from_secs(5), who.ended());
         ended.await.expect("what is lent ends too");
         assert!(access.who(token.text()).is_none());

@@ -56,7 +56,7 @@ pub struct Args {
     folder_access: FolderAccess,
 
     #[command(flatten)]
-    device: DeviceArgs,
+    pub(super) device: DeviceArgs,
 
     /// Frame of all positions: LPS (left, back and head of a patient are positive), RAS (right, front, head), or index, which counts
     /// samples. Volumes that do not say where a patient's sides are keep their own axes in the first two
@@ -111,30 +111,30 @@ pub enum BatchError {
     /// A file of a surface cannot be written.
     #[error("{0}; what was made is in the manifest, and the same command goes on")]
     Write(#[source] OutputError),
-    /// A request's file beside what it says itself.
+    /// Options beside a request's file, which contains its own.
     #[error("a request has its own format, steps and surfaces: expected none of these options beside {}", .0.display())]
     OptionsBesideRequest(PathBuf),
-    /// The state folder of a job, where there is none.
+    /// A state folder was given with volumes: only a request keeps its state in one.
     #[error("--state-folder is of a request: of volumes, the manifest in the output's folder says how far they are")]
     StateFolderBesideVolumes,
     /// No format.
     #[error("--format is missing: expected the format of the files, {}", Format::EXPECTED)]
     NoFormat,
-    /// A pattern that is none.
+    /// An invalid pattern.
     #[error("{pattern:?} is no pattern of files")]
     Pattern {
         /// The pattern.
         pattern: String,
-        /// What is wrong with it.
+        /// Its fault.
         source: glob::PatternError,
     },
-    /// Nothing to do.
+    /// No file matches.
     #[error("{0:?} matches no file")]
     NoMatch(String),
     /// Ctrl-C, or SIGTERM.
     #[error("interrupted, the same command goes on")]
     Interrupted,
-    /// No thread or signal handler could be had.
+    /// A thread could not be started, or a signal handler not installed.
     #[error("the process could not go on")]
     System(#[from] io::Error),
 }

@@ -19,10 +19,25 @@ pub struct DeviceArgs {
     /// Use the device of --device without a check, at your own risk: wrong surfaces are not noticed
     #[arg(long, requires = "device")]
     trust_device: bool,
+
+    #[arg(skip)]
+    next: NextEnvironment,
 }
 
-/// Variables that the process needs that takes the place of this one.
-pub(super) type NextEnvironment = Arc<Mutex<Vec<(String, String)>>>;
+/// Environment variables of the process that takes the place of this one; none if there is no need of one.
+#[derive(Clone, Debug, Default)]
+pub(super) struct NextEnvironment(Arc<Mutex<Vec<(String, String)>>>);
+
+impl NextEnvironment {
+    fn set(&self, variables: Vec<(String, String)>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = variables;
+    }
+
+    /// Takes the variables.
+    pub(super) fn take(&self) -> Vec<(String, String)> {
+        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
 
 /// Why a command has no device.
 #[derive(Debug, thiserror::Error)]
@@ -33,9 +48,9 @@ pub enum NoDevice {
     /// The device that passed does not open.
     #[error(transparent)]
     Open(#[from] isopeel_kernels::Error),
-    /// Another process with the environment that the device needs could not be started.
-    #[error("a process with the environment that the device needs could not be started")]
-    NewProcess(#[source] std::io::Error),
+    /// Another process can open it.
+    #[error("the device needs another environment than that of this process")]
+    NewProcess,
 }
 
 impl DeviceArgs {
@@ -51,16 +66,17 @@ impl DeviceArgs {
 
     /// A worker's options for a command: all of the check comes before its first result.
     pub(super) fn options(&self, types: Vec<SampleType>, say: impl Fn(&str) + Send + 'static) -> DeviceOptions {
-        let wanted = self.wanted(types.clone(), false);
+        let (wanted, next) = (self.wanted(types.clone(), false), self.next.clone());
         let choose = move |_: &Report| {
             let progress =
                 |done: usize, of: usize| say(&format!("preparing the device: {done} of {of} steps are done"));
             match prepare(&wanted, &progress) {
                 Ok(prepared) => Ok(choice(&prepared, wanted.trusts)),
                 Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
-                Err(Unprepared::NewProcess(environment)) => Err(NoChoice::Refused(
-                    NoDevice::NewProcess(start_again(&environment)).to_string(),
-                )),
+                Err(Unprepared::NewProcess(environment)) => {
+                    next.set(environment);
+                    Err(NoChoice::NewProcess)
+                }
             }
         };
         DeviceOptions {
@@ -71,8 +87,8 @@ impl DeviceArgs {
     }
 
     /// A worker's options for a server, which is ready for a first surface while the rest of the check runs.
-    pub(super) fn server_options(&self, types: Vec<SampleType>, next: NextEnvironment) -> DeviceOptions {
-        let wanted = self.wanted(types.clone(), true);
+    pub(super) fn server_options(&self, types: Vec<SampleType>) -> DeviceOptions {
+        let (wanted, next) = (self.wanted(types.clone(), true), self.next.clone());
         let choose = move |report: &Report| match prepare(&wanted, &|done, of| report.progress(done, of)) {
             Ok(mut prepared) => {
                 let rest = prepared.rest.take();
@@ -84,7 +100,7 @@ impl DeviceArgs {
             }
             Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
             Err(Unprepared::NewProcess(environment)) => {
-                *next.lock().unwrap_or_else(PoisonError::into_inner) = environment;
+                next.set(environment);
                 Err(NoChoice::NewProcess)
             }
         };
@@ -103,8 +119,27 @@ impl DeviceArgs {
         match prepare(&self.wanted(Vec::new(), false), &|_, _| ()) {
             Ok(prepared) => Ok(Engine::open_tuned(prepared.selector.as_deref(), None, prepared.tuning)?),
             Err(Unprepared::Failed(failure)) => Err(failure.into()),
-            Err(Unprepared::NewProcess(environment)) => Err(NoDevice::NewProcess(start_again(&environment))),
+            Err(Unprepared::NewProcess(environment)) => {
+                self.next.set(environment);
+                Err(NoDevice::NewProcess)
+            }
         }
+    }
+
+    /// Environment of the process that takes the place of this one.
+    pub(super) fn next(&self) -> &NextEnvironment {
+        &self.next
+    }
+
+    /// Passes on the outcome of a command. If it has no device because only another process can open it, the same command runs again in that
+    /// process, which takes the place of this one.
+    pub(super) fn or_again<T, E>(&self, outcome: Result<T, E>) -> Result<T, E> {
+        let environment = self.next.take();
+        if outcome.is_err() && !environment.is_empty() {
+            let error = start_again(environment);
+            tracing::error!("a process with the environment that the device needs could not be started: {error}");
+        }
+        outcome
     }
 }
 
@@ -123,7 +158,7 @@ fn checked_meanwhile(rest: Rest, report: Report, next: NextEnvironment) -> Arc<P
                 Err(failure.to_string())
             }
             Err(Unprepared::NewProcess(environment)) => {
-                *next.lock().unwrap_or_else(PoisonError::into_inner) = environment;
+                next.set(environment);
                 report.spoil();
                 Err("the server starts again with a workaround for its driver".to_owned())
             }
@@ -143,9 +178,9 @@ fn choice(prepared: &Prepared, is_trusted: bool) -> Choice {
 }
 
 /// The same command in place of this process, with more in its environment. Returns if that fails.
-fn start_again(environment: &[(String, String)]) -> std::io::Error {
+fn start_again(environment: Vec<(String, String)>) -> std::io::Error {
     Command::new("/proc/self/exe")
         .args(std::env::args_os().skip(1))
-        .envs(environment.iter().map(|(name, value)| (name, value)))
+        .envs(environment)
         .exec()
 }

@@ -13,7 +13,8 @@ use crate::error::BoxError;
 /// Arguments of `isopeel devices`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Check each device anew: all stages on a small volume with known answers, and known workarounds if they fail. Exit code 1 if none passes
+    /// Check each device again: all stages on a small volume with known answers, and known workarounds if they fail. Exit code 1 if none
+    /// passes
     #[arg(long)]
     check: bool,
 
@@ -60,10 +61,7 @@ fn check(folder: Option<PathBuf>) -> Result<(), BoxError> {
         |done: usize, of: usize| bar.set_message(format!("checking a device: {done} of {of} steps are done"));
     let (listed, checked) = device::check_all(folder, &progress);
     bar.finish_and_clear();
-    let mut text = broken(&listed);
-    for one in &checked {
-        let _ = writeln!(text, "{}", verdict(one));
-    }
+    let text = broken(&listed) + &table(&checked);
     super::print(text.as_bytes())?;
     match listed.nothing {
         Some(text) => Err(DevicesError::Nothing(text).into()),
@@ -72,22 +70,51 @@ fn check(folder: Option<PathBuf>) -> Result<(), BoxError> {
     }
 }
 
-/// A device, and how it passed or why it did not.
-fn verdict(checked: &Checked) -> String {
-    let device = &checked.device;
-    let named = format!(
-        "{}: {}\n   {}, driver {}\n",
-        device.index, device.name, device.platform, device.driver
-    );
-    let result = match checked.passed() {
-        Some(Workaround::None) => "   passes".to_owned(),
-        Some(workaround) => format!("   passes with {}; without:\n{}", workaround.text(), checked.report()),
-        None => format!(
-            "   FAILS, and is not used without --trust-device:\n{}",
-            checked.report()
-        ),
+/// A line for each device, then what was found wrong, and the reason of the order if several drivers offer this machine's processors.
+fn table(checked: &[Checked]) -> String {
+    let mut rows = vec![["", "result", "device", "driver"].map(str::to_owned)];
+    rows.extend(checked.iter().map(row));
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let (index, result, device) = (width(0), width(1), width(2));
+    let lines = rows
+        .iter()
+        .map(|[a, b, c, d]| format!("{a:index$}  {b:result$}  {c:device$}  {d}\n"));
+    let mut text: String = if checked.is_empty() {
+        String::new()
+    } else {
+        lines.collect()
     };
-    named + &result
+    for one in checked
+        .iter()
+        .filter(|one| one.tried.iter().any(|(_, ended)| ended.is_some()))
+    {
+        let used = match one.passed() {
+            Some(_) => "is used with a workaround",
+            None => "is not used without --trust-device",
+        };
+        let _ = write!(
+            text,
+            "\n{} {used}, because it fails:\n{}\n",
+            one.device.index,
+            one.report()
+        );
+    }
+    if checked.iter().filter(|one| one.device.kind == DeviceKind::Cpu).count() > 1 {
+        text += "\nThe first that passes is used: GPUs come before processors, and of the drivers of processors PoCL, then Intel's runtime, then \
+                 others, then Mesa's, which compiles longest.\n";
+    }
+    text
+}
+
+fn row(checked: &Checked) -> [String; 4] {
+    let device = &checked.device;
+    let result = match checked.passed() {
+        Some(Workaround::None) => "passes".to_owned(),
+        Some(workaround) => format!("passes with {}", workaround.text()),
+        None => "FAILS".to_owned(),
+    };
+    let driver = format!("{}, {}", device.platform, device.driver);
+    [device.index.to_string(), result, device.name.clone(), driver]
 }
 
 /// Drivers that are left out, a line each.
@@ -131,12 +158,13 @@ fn gibibytes(bytes: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::Ended;
 
-    #[test]
-    fn a_device_is_listed_with_units() {
-        let device = DeviceInfo {
+    fn device() -> DeviceInfo {
+        DeviceInfo {
             index: 1,
             platform: "Portable Computing Language".into(),
+            platform_version: "OpenCL 3.0 PoCL 3.1".into(),
             name: "pthread-skylake ".into(),
             kind: DeviceKind::Cpu,
             memory_bytes: 6 << 30,
@@ -145,12 +173,49 @@ mod tests {
             max_work_group: 4096,
             version: "OpenCL 3.0 PoCL".into(),
             driver: "3.1".into(),
-        };
+        }
+    }
+
+    #[test]
+    fn a_device_is_listed_with_units() {
         assert_eq!(
-            list(&[device]),
+            list(&[device()]),
             "1: pthread-skylake\n   platform           Portable Computing Language\n   kind               CPU\n   \
              memory             6.0 GiB\n   largest allocation 2.0 GiB\n   compute units      2\n   \
              version            OpenCL 3.0 PoCL\n   driver             3.1\n"
         );
+    }
+
+    #[test]
+    fn checked_devices_are_a_table_with_reasons() {
+        let wrong = Ended::Wrong("stage cut fails".into());
+        let passes = Checked {
+            device: device(),
+            tried: vec![(Workaround::None, Some(wrong.clone())), (Workaround::Loops, None)],
+        };
+        let fails = Checked {
+            device: DeviceInfo {
+                index: 2,
+                name: "llvmpipe".into(),
+                ..device()
+            },
+            tried: vec![(Workaround::None, Some(wrong))],
+        };
+        let text = table(&[passes, fails]);
+        let lines: Vec<_> = text.lines().collect();
+        assert_eq!(
+            lines[..3],
+            [
+                "   result                                    device            driver",
+                "1  passes with POCL_WORK_GROUP_METHOD=loops  pthread-skylake   Portable Computing Language, 3.1",
+                "2  FAILS                                     llvmpipe          Portable Computing Language, 3.1",
+            ]
+        );
+        assert!(
+            text.contains("2 is not used without --trust-device") && text.contains("stage cut fails"),
+            "{text}"
+        );
+        assert!(text.contains("Mesa's, which compiles longest"), "{text}");
+        assert_eq!(table(&[]), "");
     }
 }

@@ -42,7 +42,7 @@ pub struct Args {
     frame: Frame,
 
     #[command(flatten)]
-    device: DeviceArgs,
+    pub(super) device: DeviceArgs,
 
     /// File to write; its extension is the format: .glb (in metres, Y up), .ply, .stl, .vtp, .obj, .3mf, .surf.gii (GIFTI)
     /// or .precomputed.zip (Neuroglancer); -: stdout, with --format
@@ -82,13 +82,13 @@ pub enum ExtractError {
     /// The output's file cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// The file is for stdout, and nothing says its format.
+    /// The file is for stdout, and no format is given.
     #[error("-o - does not say the format: expected --format, {}", Format::EXPECTED)]
     NoFormat,
-    /// Two things for stdout.
+    /// Both the file and the statistics are for stdout.
     #[error("--stats beside -o -: both are for stdout, expected one of them")]
     StatisticsBesideFile,
-    /// Stdout is closed, or no thread or signal handler could be had.
+    /// Stdout is closed, a thread could not be started, or a signal handler not installed.
     #[error("the process could not go on")]
     System(#[from] io::Error),
     /// Ctrl-C.
@@ -133,7 +133,7 @@ pub fn run(args: &Args) -> Result<(), ExtractError> {
     })
 }
 
-/// What is to be done.
+/// The work of the command.
 struct Work {
     volume: VolumeStep,
     request: FileRequest,
@@ -223,7 +223,7 @@ fn print_statistics(args: &Args, statistics: ExtractionStatistics) -> io::Result
     super::print(line.as_bytes())
 }
 
-/// What was removed, and which guards gave way.
+/// Lines for people: removed parts, and guards that gave way.
 fn said(args: &Args, statistics: &ExtractionStatistics) -> Vec<String> {
     let mut lines = removed(args.surface.min_part, args.surface.parts().as_ref(), statistics);
     lines.extend(statistics.gave_way.iter().map(|guard| gave_way(*guard, statistics)));
@@ -266,7 +266,7 @@ impl Args {
     }
 }
 
-/// How much was removed, where that was asked for, and which positions chose nothing.
+/// Lines that say how much was removed, if removal was requested, and how many positions chose no part.
 fn removed(min_part: Option<f64>, chosen: Option<&ChosenPartsJson>, statistics: &ExtractionStatistics) -> Vec<String> {
     let (Some(parts), Some(triangles)) = (statistics.removed_parts, statistics.removed_triangles) else {
         return Vec::new();
@@ -304,7 +304,7 @@ fn gave_way(guard: GuardName, statistics: &ExtractionStatistics) -> String {
     }
 }
 
-/// What is being done, on stderr if that is a terminal.
+/// Progress on stderr, if that is a terminal.
 #[derive(Clone)]
 struct Progress {
     shown: bool,

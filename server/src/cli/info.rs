@@ -1,4 +1,4 @@
-//! `isopeel info PATH`: what a dataset is, without a device.
+//! `isopeel info PATH`: describes a dataset, without a device.
 
 use std::io::Write;
 use std::path::Path;
@@ -29,7 +29,7 @@ pub enum InfoError {
 /// Prints a dataset for people.
 ///
 /// # Errors
-/// What is wrong with the path, or with `out`.
+/// The path cannot be read, or `out` not written.
 pub fn run(path: &Path, out: &mut dyn Write) -> Result<(), InfoError> {
     let dataset = open_dataset(path)?;
     let report = Report::of(&dataset)?;
@@ -48,7 +48,7 @@ pub fn run_json(path: &Path, out: &mut dyn Write) -> Result<(), InfoError> {
     Ok(())
 }
 
-/// What is printed, in the order it is printed.
+/// The printed fields, in order.
 #[derive(Serialize)]
 #[serde(rename_all = "camelCase")]
 struct Report {
@@ -62,7 +62,7 @@ struct Report {
     frame: &'static str,
     unit: Option<&'static str>,
     steps: u32,
-    /// Copyright; what its reader repaired or assumed; what the grid does not say. A line each.
+    /// Copyright, and notices on repairs, assumptions and missing information of the grid. A line each.
     notice: Option<String>,
     times: Option<TimesInfo>,
     fields: Vec<FieldReport>,
@@ -79,7 +79,7 @@ struct FieldReport {
     /// Of one step on the device.
     bytes: u64,
     unit: Option<String>,
-    /// What its values mean, of a field of labels.
+    /// Meaning of its values, if it is a field of labels.
     labels: Option<Vec<LabelInfo>>,
     missing: Option<f32>,
     /// Of step 0, as all that follows.
@@ -258,14 +258,14 @@ impl FieldReport {
     }
 }
 
-/// Three numbers of eight digits: what a file computed in single precision has noise behind them.
+/// Formats three numbers with eight digits: numbers computed in single precision have noise behind them.
 fn triple(values: [f64; 3]) -> String {
-    // What was written with an exponent is a number.
+    // Cannot fail: a number with an exponent is a number.
     let rounded = |v: f64| format!("{v:.7e}").parse().unwrap_or(v);
     values.map(|v| number(rounded(v))).join(" ")
 }
 
-/// A number in full, or with a power of ten where that would be a row of zeros.
+/// Formats a number in full, or with a power of ten if that would be a row of zeros.
 fn number<T: Copy + Into<f64> + std::fmt::Display + std::fmt::LowerExp>(value: T) -> String {
     let size = value.into().abs();
     if size == 0.0 || (1e-5..1e9).contains(&size) {

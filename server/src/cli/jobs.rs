@@ -93,11 +93,11 @@ enum Command {
     },
 }
 
-/// Why a command did not do what was asked for.
+/// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum JobsError {
-    /// The server's address is none.
+    /// The server's address is invalid.
     #[error("--server {0:?}: expected http://HOST:PORT or https://HOST")]
     Address(String),
     /// There is no token.
@@ -111,15 +111,15 @@ pub enum JobsError {
         /// Why not.
         source: reqwest::Error,
     },
-    /// The server has refused it.
+    /// The server has refused the request.
     #[error("{detail} ({code})")]
     Refused {
         /// The problem's code.
         code: String,
-        /// What was wrong.
+        /// The problem's detail.
         detail: String,
     },
-    /// A proxy says that its server is not there.
+    /// A proxy answers that its server cannot be reached.
     #[error("a proxy answers for {server}: {status}")]
     Away {
         /// The server.
@@ -127,12 +127,12 @@ pub enum JobsError {
         /// 502, 503 or 504.
         status: StatusCode,
     },
-    /// The answer is not what a server of this version sends.
+    /// The answer is not one of a server of this version.
     #[error("the answer of {server} is not as expected: {why}")]
     Answer {
         /// The server.
         server: String,
-        /// What was wrong with it.
+        /// Its fault.
         why: String,
     },
     /// A file cannot be read or written.
@@ -148,9 +148,9 @@ pub enum JobsError {
     Checksum {
         /// Which, from 0.
         extraction: u32,
-        /// Of what arrived.
+        /// Checksum of the downloaded bytes.
         found: String,
-        /// Of what was made.
+        /// Checksum of the result on the server.
         expected: String,
     },
     /// The job is not done.
@@ -160,7 +160,7 @@ pub enum JobsError {
         id: String,
         /// Its state.
         state: &'static str,
-        /// Why, where it is known.
+        /// Why, if known.
         why: String,
     },
     /// Some results are not there.
@@ -172,7 +172,7 @@ pub enum JobsError {
 }
 
 impl JobsError {
-    /// Whether the server may answer in a while: it is starting again, perhaps behind a proxy that says so, or has too much to do.
+    /// Whether the error is transient: the server is restarting, perhaps behind a proxy that says so, or is busy.
     fn is_passing(&self) -> bool {
         match self {
             Self::Connection { .. } | Self::Away { .. } => true,
@@ -259,7 +259,7 @@ async fn list(client: &Client, json: bool) -> Result<(), JobsError> {
     Ok(super::print(lines.as_bytes())?)
 }
 
-/// What a job is expected to cost.
+/// Formats the estimated cost of a job.
 pub(super) fn cost(estimate: Estimate) -> String {
     format!(
         "up to about {:.1} million triangles and {:.1} MiB, in some {:.0} s",
@@ -307,7 +307,7 @@ fn is_done(job: &JobInfo) -> Result<(), JobsError> {
     })
 }
 
-/// The first extraction that failed, behind what else is said of its job.
+/// Formats the first failed extraction, to be appended to a message about its job.
 pub(super) fn first_failure(job: &JobInfo) -> String {
     let first = job.failures.first();
     first.map_or(String::new(), |f| {
@@ -361,7 +361,7 @@ async fn fetch(client: &Client, id: &str, folder: &Path) -> Result<(), JobsError
     }
 }
 
-/// The file beside the results that says what they are.
+/// The file that lists the results, in the same folder.
 pub(super) const MANIFEST_FILE: &str = "manifest.jsonl";
 
 /// Writes a manifest, a line of JSON for each extraction, in place of one that is there.
@@ -374,7 +374,7 @@ pub(super) fn write_manifest(path: &Path, entries: &[impl Serialize]) -> io::Res
     write_whole(path, &text)
 }
 
-/// What is said of extractions whose surfaces have no triangles; empty if there are none.
+/// Formats a message about extractions whose surfaces have no triangles; empty if there are none.
 pub(super) fn empty_ones(entries: &[ManifestEntry]) -> String {
     let mut empty = entries.iter().filter(|entry| entry.state == ExtractionState::Empty);
     let Some(first) = empty.next() else {

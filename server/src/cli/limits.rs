@@ -1,4 +1,5 @@
-//! Limits of the system in which a device cannot be used. They are looked for at the start, as libraries and drivers end the process at them.
+//! Limits of the system in which a device cannot be used. They are checked at the start, because libraries and drivers end the process
+//! when they hit them.
 
 use std::io;
 use std::num::NonZero;

@@ -68,15 +68,15 @@ pub fn finish() {
     let _ = end.recv_timeout(LIMIT);
 }
 
-/// Writes lines where it can.
+/// Writes lines to `out`. Counts the lines that cannot be written, and reports the number when writing works again.
 struct Lines<W> {
     out: W,
     format: LogFormat,
-    /// Knows the lines that the full queue did not take.
+    /// Counts the lines that the full queue has dropped.
     queue: Arc<OnceLock<ErrorCounter>>,
     /// Lines that could not be written.
     unwritten: usize,
-    /// Lines that are missing and were said to be.
+    /// Missing lines that were already reported.
     said: usize,
 }
 
@@ -95,7 +95,7 @@ impl<W: Write> Lines<W> {
         self.unwritten + self.queue.get().map_or(0, ErrorCounter::dropped_lines)
     }
 
-    /// Says how many lines are missing since this was said last.
+    /// Writes how many lines are missing since the last report.
     fn say_dropped(&mut self) -> io::Result<()> {
         let dropped = self.dropped();
         if dropped == self.said {
@@ -122,7 +122,7 @@ impl<W: Write> Write for Lines<W> {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        // What cannot be written is counted above.
+        // Failed writes are counted in `write`.
         let _ = self.out.flush();
         Ok(())
     }
@@ -145,7 +145,7 @@ fn indented(event: &[u8]) -> Cow<'_, [u8]> {
 mod tests {
     use super::*;
 
-    /// Takes what there is space for.
+    /// A writer with limited space.
     #[derive(Default)]
     struct Disk {
         text: String,

@@ -152,11 +152,11 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
     pool::start()?;
     match cli.command {
         Command::Serve(args) => Ok(serve::run(&args)?),
-        Command::Extract(args) => Ok(extract::run(&args)?),
-        Command::Slice(args) => Ok(slice::run(&args)?),
+        Command::Extract(args) => Ok(args.device.or_again(extract::run(&args))?),
+        Command::Slice(args) => Ok(args.device.or_again(slice::run(&args))?),
         Command::Jobs(args) => Ok(jobs::run(&args)?),
         Command::Token(args) => Ok(token::run(&args)?),
-        Command::Batch(args) => Ok(batch::run(&args)?),
+        Command::Batch(args) => Ok(args.device.or_again(batch::run(&args))?),
         Command::Info(InfoArgs { path, json }) => {
             let (mut text, input) = (Vec::new(), InputPath::new(&path)?);
             if json {
@@ -169,7 +169,7 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
         Command::Devices(args) => devices::run(&args),
         Command::Completions(args) => Ok(completions(&args)?),
         Command::Manual(args) => Ok(manual(&args)?),
-        Command::Bench(args) => Ok(bench::run(&args)?),
+        Command::Bench(args) => Ok(args.device.or_again(bench::run(&args))?),
     }
 }
 

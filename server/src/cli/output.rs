@@ -127,7 +127,7 @@ impl Output {
         })
     }
 
-    /// The same, with a checksum of what is written.
+    /// The same, with a checksum of the written bytes.
     pub(super) fn with_checksum(self) -> Self {
         Self {
             hasher: Some(Sha256::new()),

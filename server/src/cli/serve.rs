@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::device::{DeviceArgs, NextEnvironment};
+use super::device::DeviceArgs;
 use super::log;
 use crate::access::{
     Access, AllowedOrigin, Audit, AuditError, PublicUrl, Rates, Token, TokenError, TokenFile, TokenFileError,
@@ -213,7 +213,7 @@ pub enum Error {
     /// A certificate without its key, or a key alone.
     #[error("--tls-cert and --tls-key belong together, expected both or none")]
     HalfOfTls,
-    /// Nobody can sign in.
+    /// Sign-in through the issuer cannot be set up.
     #[error(transparent)]
     Oidc(#[from] oidc::Error),
     /// There is no audit log.
@@ -245,7 +245,7 @@ pub enum Error {
     /// The server ended.
     #[error(transparent)]
     Serve(#[from] ServeError),
-    /// Nobody would learn its address.
+    /// Standard output cannot be written, so users would not learn the server's address.
     #[error("standard output cannot be written, to which the server's address goes")]
     Output(#[source] std::io::Error),
     /// No thread or signal handler could be had.
@@ -309,7 +309,6 @@ pub fn run(args: &Args) -> Result<(), Error> {
     let jobs = folder.map(|folder| (folder, args.job_limits()));
     pool::start_background()?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    let next = NextEnvironment::default();
     let (half, is_draining) = (Duration::from_secs(args.drain.into()) / 2, Arc::default());
     let drain = signals::Drain {
         time: half,
@@ -323,7 +322,7 @@ pub fn run(args: &Args) -> Result<(), Error> {
         };
         let shutdown = signals::shutdown(reload(tls.clone(), audit.clone()), drain)?;
         // After the listener: an address in use is found before a device is opened.
-        let worker = start_worker(args, &catalog, before.is_some(), Arc::clone(&next))?;
+        let worker = start_worker(args, &catalog, before.is_some())?;
         let address = listener.address()?;
         warn_of_network(args, &address);
         if before.is_none() {
@@ -361,7 +360,11 @@ pub fn run(args: &Args) -> Result<(), Error> {
     if matches!(served, Err(ServeError::Spoiled)) {
         tracing::warn!("another process takes the place of this one");
         log::finish();
-        return Err(Error::Relaunch(relaunch::relaunch(&address, token.as_ref(), &next)));
+        return Err(Error::Relaunch(relaunch::relaunch(
+            &address,
+            token.as_ref(),
+            args.device.next(),
+        )));
     }
     if !has_ended {
         tracing::warn!("the device is at work still, the process ends without it");
@@ -392,7 +395,7 @@ fn tls(args: &Args) -> Result<Option<Arc<Tls>>, Error> {
     Ok(tls.map(Arc::new))
 }
 
-/// Reads again what can be while the server runs, and opens the audit log anew.
+/// Returns the handler of SIGHUP, which reloads the certificate and reopens the audit log, and says what it has reloaded.
 fn reload(tls: Option<Arc<Tls>>, audit: Option<Audit>) -> impl Fn() -> &'static str + Send + 'static {
     move || {
         if let Some(audit) = &audit {
@@ -419,8 +422,8 @@ fn token(args: &Args) -> Result<Option<Token>, Error> {
     })
 }
 
-/// Where the viewer is, a line each. One that has the token in it lets in who opens it; one from a file is known to those who need it, and
-/// stays out of logs.
+/// Returns the addresses of the viewer, one per line. An address with a random token in it admits everyone who opens it. A token from a
+/// file is left out: its users know it, and it stays out of logs.
 fn addresses(args: &Args, listen: &ListenAddress, token: Option<&Token>) -> String {
     let secret = match token {
         Some(token) if args.token_file.is_none() => format!("/#token={}", token.text()),
@@ -465,12 +468,7 @@ fn warn_of_network(args: &Args, address: &ListenAddress) {
     }
 }
 
-fn start_worker(
-    args: &Args,
-    catalog: &SharedCatalog,
-    is_patient: bool,
-    next: NextEnvironment,
-) -> std::io::Result<DeviceWorker> {
+fn start_worker(args: &Args, catalog: &SharedCatalog, is_patient: bool) -> std::io::Result<DeviceWorker> {
     let now = catalog.now();
     let fields = now.datasets().iter().flat_map(|dataset| &dataset.fields);
     let types: HashSet<_> = fields.map(|field| field.sample_type).collect();
@@ -480,7 +478,7 @@ fn start_worker(
         surface_bytes: args.memory.surface_bytes(),
         request_time: limit_of(args.request_time),
         user_time: limit_of(args.user_time),
-        ..args.device.server_options(types, next)
+        ..args.device.server_options(types)
     })
 }
 
@@ -533,7 +531,7 @@ impl Args {
         }
     }
 
-    /// Where exports wait that clients read slowly.
+    /// Returns the folder in which exports wait for slow clients: `--spool`, or one in the state folder.
     fn spool(&self, state: Option<&StateFolder>) -> Result<Option<SpoolFolder>, FolderAccessError> {
         let own = state.map(|folder| folder.path().join("spool"));
         let folder = self.spool.clone().or(own);

@@ -1,5 +1,5 @@
-//! Options of `isopeel serve` from the environment and from a file: each has the same name everywhere, and the same meaning. The command line comes before
-//! the environment, the environment before the file, and the file before what is built in.
+//! Options of `isopeel serve` from the environment and from a file: each has the same name and the same meaning everywhere. The command
+//! line takes precedence over the environment, the environment over the file, and the file over the built-in defaults.
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
@@ -39,10 +39,10 @@ pub enum SettingsError {
     Syntax {
         /// The file.
         path: PathBuf,
-        /// What the parser says.
+        /// Message of the parser.
         why: String,
     },
-    /// A key that is no option.
+    /// A key that is not an option.
     #[error("{}: {key} is no option of isopeel serve, expected one of {expected}", path.display())]
     UnknownKey {
         /// The file.
@@ -61,14 +61,14 @@ pub enum SettingsError {
         key: String,
         /// Its value.
         value: String,
-        /// What may be there.
+        /// The expected kind of value.
         expected: &'static str,
     },
 }
 
-/// The command line of this process, with its environment and file.
+/// Parses the command line of this process, with its environment and file.
 ///
-/// Ends the process with usage or version, as [`clap::Parser::parse`] does, and where an option is wrong.
+/// Exits the process after printing usage or version, as [`clap::Parser::parse`] does, and also if an option is wrong.
 ///
 /// # Errors
 /// [`SettingsError`].
@@ -119,11 +119,11 @@ fn variable_of(option: &str) -> String {
 fn with_variables(command: Command) -> Command {
     command.mut_subcommand(COMMAND, |serve| {
         serve.mut_args(|arg| match arg.get_long() {
-            // These are asked for, not set.
+            // These are requests, not settings.
             None | Some("help" | "version") => arg,
             Some(long) => {
                 let variable = variable_of(long);
-                // What may be given again is a list.
+                // Options that may be repeated are lists.
                 let arg = match arg.get_action() {
                     ArgAction::Append if HAVE_COMMAS.contains(&long) => arg.value_delimiter(';'),
                     ArgAction::Append => arg.value_delimiter(','),
@@ -135,7 +135,7 @@ fn with_variables(command: Command) -> Command {
     })
 }
 
-/// What the file says, instead of what is built in.
+/// Replaces built-in defaults by the values of the file.
 fn with_file(command: Command, path: &Path) -> Result<Command, SettingsError> {
     let read = |source| SettingsError::Read {
         path: path.into(),
@@ -283,7 +283,7 @@ mod tests {
         );
     }
 
-    /// Lines of code in the documentation that call this program, with what a line after a backslash adds.
+    /// Lines of code in the documentation that call this program, joined with lines that continue them after a backslash.
     fn documented() -> Vec<(String, String)> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let pages = ["docs", "docs/how-to", "server", "docker"].map(|folder| root.join(folder));

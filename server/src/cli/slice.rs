@@ -52,7 +52,7 @@ pub struct Args {
     frame: Frame,
 
     #[command(flatten)]
-    device: DeviceArgs,
+    pub(super) device: DeviceArgs,
 
     /// File to write; its extension is the format: .png, .nrrd and .nii (the samples with their place), .raw, .svg or .geojson (contours); -: stdout, with
     /// --format
@@ -74,10 +74,10 @@ pub enum SliceError {
     /// The volume has no such step.
     #[error(transparent)]
     Step(#[from] UnknownStep),
-    /// There is no such plane, or it cannot be shown so.
+    /// There is no such plane, or the options do not fit it.
     #[error(transparent)]
     Slice(#[from] BadSlice),
-    /// Nothing says the format.
+    /// The format is not known.
     #[error(
         "{0:?} does not say the format: expected a name that ends in .png, .nrrd, .nii, .raw, .svg or .geojson, or --format"
     )]
@@ -85,7 +85,7 @@ pub enum SliceError {
     /// The volume has no such field.
     #[error("no field {name:?}, expected an expression or one of {known}")]
     NoField {
-        /// What was asked for.
+        /// The requested name.
         name: String,
         /// The fields that there are.
         known: String,
@@ -102,7 +102,7 @@ pub enum SliceError {
     /// The work panicked.
     #[error(transparent)]
     Panicked(#[from] Panicked),
-    /// No thread could be had.
+    /// A thread could not be started.
     #[error("the process could not go on")]
     System(#[from] io::Error),
 }

@@ -33,7 +33,8 @@ impl InputPath {
         Self::spool().map_err(|error| ReadError::io(path, "stdin", "cannot be read", error))
     }
 
-    /// Copies stdin to a file, which goes with its folder at Ctrl-C too.
+    /// Copies stdin to a file, which goes with its folder at Ctrl-C too. It becomes stdin in turn, for a process that takes the place of
+    /// this one.
     fn spool() -> io::Result<Self> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("stdin");
@@ -51,6 +52,7 @@ impl InputPath {
         // Its thread may wait for stdin for ever.
         runtime.shutdown_background();
         copied?;
+        rustix::stdio::dup2_stdin(File::open(&path)?)?;
         Ok(Self {
             path,
             _folder: Some(folder),

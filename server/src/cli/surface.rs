@@ -174,7 +174,7 @@ pub struct SurfaceArgs {
 pub struct TransferFunctionError {
     /// The file.
     path: PathBuf,
-    /// What is wrong with it.
+    /// Why not.
     source: io::Error,
 }
 

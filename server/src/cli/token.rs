@@ -1,4 +1,4 @@
-//! `isopeel token`: who may use a server, for what, and until when.
+//! `isopeel token`: manages the named tokens of a server.
 
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -118,7 +118,7 @@ pub fn run(args: &Args) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// A token without its hashes, which are of no use to who reads the list.
+/// A token in a list, without its hashes.
 #[derive(Serialize)]
 struct Listed<'a> {
     id: &'a str,

@@ -119,7 +119,7 @@ pub(super) fn pocl_folder() -> Option<PathBuf> {
 }
 
 /// Returns a folder among the temporary files that only this user may use.
-fn spare_folder() -> Result<PathBuf, String> {
+pub(super) fn spare_folder() -> Result<PathBuf, String> {
     let user = rustix::process::geteuid().as_raw();
     let folder = std::env::temp_dir().join(format!("isopeel-kernels-{user}"));
     check_spare(&folder).map(|()| folder)

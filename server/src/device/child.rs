@@ -74,6 +74,7 @@ pub enum Message {
 pub struct Description {
     index: usize,
     platform: String,
+    platform_version: String,
     name: String,
     kind: String,
     memory_bytes: u64,
@@ -94,6 +95,7 @@ impl From<DeviceInfo> for Description {
         Self {
             index: info.index,
             platform: info.platform,
+            platform_version: info.platform_version,
             name: info.name,
             kind: kind.to_owned(),
             memory_bytes: info.memory_bytes,
@@ -111,6 +113,7 @@ impl From<Description> for DeviceInfo {
         Self {
             index: description.index,
             platform: description.platform,
+            platform_version: description.platform_version,
             name: description.name,
             kind: match description.kind.as_str() {
                 "gpu" => DeviceKind::Gpu,

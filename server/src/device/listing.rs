@@ -1,11 +1,14 @@
 //! Devices of this machine, listed by child processes: a driver that crashes or hangs does not hide the others.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use isopeel_kernels::DeviceInfo;
 
+use super::cache;
 use super::child::{Message, Request};
 use super::run::{Ended, Environment, Running};
+use crate::private_folder;
 
 /// Environment variable that names the drivers to the OpenCL loader: a folder of `.icd` files.
 const VENDORS: &str = "OCL_ICD_VENDORS";
@@ -26,6 +29,15 @@ pub struct Listed {
     pub nothing: Option<String>,
 }
 
+impl Listed {
+    fn nothing(text: String) -> Self {
+        Self {
+            nothing: Some(text),
+            ..Self::default()
+        }
+    }
+}
+
 /// A driver that could not be queried.
 #[derive(Debug)]
 pub struct Unlisted {
@@ -36,18 +48,27 @@ pub struct Unlisted {
 }
 
 /// Lists the devices of all drivers. If listing them together crashes or hangs, each driver is queried in a process of its own. `folder`:
-/// receives the `.icd` files of the working drivers in that case.
+/// receives the `.icd` files of the working drivers in that case; a folder of temporary files, if there is none or it cannot be written.
 pub fn list(folder: Option<&Path>) -> Listed {
     match list_in(&Vec::new()) {
         Ok(devices) => Listed {
             devices,
             ..Listed::default()
         },
-        Err(Ended::Wrong(text)) => Listed {
-            nothing: Some(text),
-            ..Listed::default()
-        },
-        Err(ended) => list_apart(folder, &ended),
+        Err(Ended::Wrong(text)) => Listed::nothing(text),
+        Err(ended @ Ended::NotStarted(_)) => Listed::nothing(ended.to_string()),
+        Err(ended) => {
+            let spare = cache::spare_folder().ok();
+            let mut folders = folder.into_iter().chain(spare.as_deref());
+            let folder = folders.find(|folder| name_drivers(folder, &[]).is_ok());
+            let no_folder =
+                || io::Error::other("neither the kernel cache nor the folder of temporary files can be written");
+            folder.ok_or_else(no_folder).and_then(list_apart).unwrap_or_else(|why| {
+                Listed::nothing(format!(
+                    "an OpenCL driver is broken, and cannot be left out ({why}): {ended}"
+                ))
+            })
+        }
     }
 }
 
@@ -63,58 +84,52 @@ fn list_in(environment: &Environment) -> Result<Vec<DeviceInfo>, Ended> {
 }
 
 /// Queries each driver in a process of its own, then all that answered together.
-fn list_apart(folder: Option<&Path>, ended: &Ended) -> Listed {
-    let nothing = |text: String| Listed {
-        nothing: Some(text),
-        ..Listed::default()
-    };
-    let (Some(folder), icds) = (folder, icd_files()) else {
-        return nothing(format!("an OpenCL driver is broken: {ended}"));
-    };
+fn list_apart(folder: &Path) -> io::Result<Listed> {
     let mut listed = Listed::default();
     let mut working = Vec::new();
-    for icd in icds {
-        let alone = folder.join("one-driver");
-        let found = name_drivers(&alone, std::slice::from_ref(&icd)).map(|vendors| list_in(&vendors));
-        match found {
-            Ok(Ok(_) | Err(Ended::Wrong(_))) => working.push(icd),
-            Ok(Err(ended)) => listed.broken.push(Unlisted {
+    for icd in icd_files() {
+        let alone = name_drivers(folder, std::slice::from_ref(&icd))?;
+        match list_in(&alone) {
+            Ok(_) | Err(Ended::Wrong(_)) => working.push(icd),
+            Err(ended) => listed.broken.push(Unlisted {
                 icd,
                 why: ended.to_string(),
             }),
-            Err(error) => {
-                return nothing(format!(
-                    "an OpenCL driver is broken ({ended}), and {} cannot be written: {error}",
-                    folder.display()
-                ));
-            }
         }
     }
-    match name_drivers(&folder.join("drivers"), &working) {
-        Ok(vendors) => listed.environment = vendors,
-        Err(error) => return nothing(format!("{} cannot be written: {error}", folder.display())),
-    }
+    listed.environment = name_drivers(folder, &working)?;
     match list_in(&listed.environment) {
         Ok(devices) => listed.devices = devices,
         Err(ended) => listed.nothing = Some(ended.to_string()),
     }
-    listed
+    Ok(listed)
 }
 
-/// Makes a folder that names only these drivers.
-fn name_drivers(folder: &Path, icds: &[PathBuf]) -> std::io::Result<Environment> {
-    match std::fs::remove_dir_all(folder) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error),
-        _ => std::fs::create_dir_all(folder)?,
-    }
-    for icd in icds {
-        if let Some(name) = icd.file_name() {
-            std::fs::copy(icd, folder.join(name))?;
+/// Makes a folder that names only these drivers. Its own name is a hash of theirs, so that other processes find it complete or not at all.
+fn name_drivers(folder: &Path, icds: &[PathBuf]) -> io::Result<Environment> {
+    let texts: io::Result<Vec<_>> = icds.iter().map(std::fs::read).collect();
+    let named: Vec<_> = icds.iter().zip(texts?).collect();
+    let hash = xxhash_rust::xxh3::xxh3_64(format!("{named:?}").as_bytes());
+    let (parent, name) = (folder.join("drivers"), format!("{hash:016x}"));
+    let complete = parent.join(&name);
+    if !complete.exists() {
+        private_folder::make(&parent)?;
+        let draft = tempfile::tempdir_in(&parent)?;
+        for (icd, text) in named {
+            if let Some(name) = icd.file_name() {
+                std::fs::write(draft.path().join(name), text)?;
+            }
+        }
+        match std::fs::rename(draft.path(), &complete) {
+            // Another process has made it meanwhile.
+            Err(_) if complete.exists() => {}
+            renamed => renamed?,
         }
     }
-    Ok(vec![(VENDORS.to_owned(), folder.display().to_string())])
+    Ok(vec![(VENDORS.to_owned(), complete.display().to_string())])
 }
 
+/// Files that name drivers and can be read.
 fn icd_files() -> Vec<PathBuf> {
     let named = std::env::var_os(VENDORS).map(PathBuf::from);
     let path = named.unwrap_or_else(|| DEFAULT_VENDORS.into());
@@ -123,6 +138,7 @@ fn icd_files() -> Vec<PathBuf> {
         Ok(entries) => entries.flatten().map(|entry| entry.path()).filter(is_icd).collect(),
         Err(_) => vec![path],
     };
+    files.retain(|file| std::fs::read(file).is_ok());
     files.sort();
     files
 }

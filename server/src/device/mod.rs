@@ -21,3 +21,4 @@ mod verdicts;
 pub use listing::{Listed, Unlisted, list};
 pub use prepare::{Checked, DeviceFailure, Prepared, Rest, Unprepared, Wanted, check_all, prepare};
 pub use proven::Proven;
+pub use run::Ended;

@@ -1,5 +1,6 @@
 //! From a selector to a device that passed the check.
 
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::thread::available_parallelism;
 
@@ -66,6 +67,9 @@ pub enum Unprepared {
 /// Why no device is used.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceFailure {
+    /// None is listed; in the words of the loader or of the process that looked for them.
+    #[error("{0}")]
+    Nothing(String),
     /// No device passed the check.
     #[error(
         "no OpenCL device passes the check, so that none is used:\n{report}\nUpdate or replace the driver (docs/opencl-drivers.md says which \
@@ -112,55 +116,111 @@ impl Checked {
     }
 }
 
+/// A search for a device.
+struct Search {
+    /// Devices that may be used and were not refused, preferred first.
+    candidates: VecDeque<DeviceInfo>,
+    /// Ways in which the first of them failed.
+    tried: Vec<(Workaround, Option<Ended>)>,
+    /// What was found wrong with the refused devices: a line for each way that was tried.
+    refused: Vec<String>,
+    types: Types,
+    environment: Environment,
+    verdicts: Verdicts,
+}
+
+/// A device that passed.
+struct Found {
+    device: DeviceInfo,
+    workaround: Workaround,
+    /// Variables with which a process sees the listed devices.
+    environment: Environment,
+    rest: Option<Rest>,
+}
+
+impl Search {
+    /// Finds the first candidate that passes. `early`: a first surface suffices, and the rest of the check continues.
+    fn next(mut self, early: bool, progress: &dyn Fn(usize, usize)) -> Result<Found, DeviceFailure> {
+        while let Some(device) = self.candidates.pop_front() {
+            let id = DeviceId::of(&device);
+            let tried = std::mem::take(&mut self.tried);
+            if tried.is_empty()
+                && let Some(workaround) = self.verdicts.find(&id, &self.types.all())
+            {
+                return Ok(self.found(device, workaround));
+            }
+            tracing::info!(
+                device = device.name,
+                "the device is new to this isopeel, and is checked first"
+            );
+            let (checked, child) = check(&device, &self.types, &self.environment, early, tried, progress);
+            let Some(workaround) = checked.passed() else {
+                tracing::warn!("{id} is not used:\n{}", checked.report());
+                self.refused.push(checked.report());
+                continue;
+            };
+            checked.warn_of(workaround);
+            let Some(child) = child else {
+                keep(&self.verdicts, &id, workaround, &self.types);
+                return Ok(self.found(device, workaround));
+            };
+            let (environment, tried) = (self.environment.clone(), checked.tried);
+            self.candidates.push_front(device.clone());
+            let search = Self { tried, ..self };
+            return Ok(Found {
+                device,
+                workaround,
+                environment,
+                rest: Some(Rest { child, search }),
+            });
+        }
+        let report = self.refused.join("\n");
+        Err(DeviceFailure::Unreliable { report })
+    }
+
+    fn found(self, device: DeviceInfo, workaround: Workaround) -> Found {
+        Found {
+            device,
+            workaround,
+            environment: self.environment,
+            rest: None,
+        }
+    }
+}
+
 /// The rest of a check that runs while a device is in use.
 pub struct Rest {
     child: Building,
-    device: DeviceInfo,
-    types: Types,
-    environment: Environment,
-    /// Ways that were tried, the one in use last.
-    tried: Vec<(Workaround, Option<Ended>)>,
-    verdicts: Verdicts,
+    /// Goes on if the check fails. Its first candidate is the device, which it tried last in the way that is in use.
+    search: Search,
 }
 
 impl Rest {
     /// Waits for the end of the check, and keeps the verdict. `passed` receives the programs that have passed.
     ///
     /// # Errors
-    /// The device must not be used any more, or only by another process, in a way that passed the whole check.
-    pub fn wait(mut self, passed: &dyn Fn(Vec<String>)) -> Result<(), Unprepared> {
-        let id = DeviceId::of(&self.device);
+    /// The device must not be used any more. Another process may use it in a way that passed the whole check, or another device.
+    pub fn wait(self, passed: &dyn Fn(Vec<String>)) -> Result<(), Unprepared> {
+        let Self { mut child, mut search } = self;
         let hear = |message| {
             if let Message::Passed { programs } = message {
                 passed(programs);
             }
         };
-        let ended = self.child.follow(false, &hear).err();
-        let Some((workaround, outcome)) = self.tried.last_mut() else {
+        let ended = child.follow(false, &hear).err();
+        drop(child);
+        let (Some(device), Some((workaround, outcome))) = (search.candidates.front(), search.tried.last_mut()) else {
             return Ok(());
         };
+        let id = DeviceId::of(device);
         *outcome = ended;
         if outcome.is_none() {
-            keep(&self.verdicts, &id, *workaround, &self.types);
+            keep(&search.verdicts, &id, *workaround, &search.types);
             return Ok(());
         }
-        self.verdicts.forget(&id);
-        drop(self.child);
-        let (checked, _) = check(
-            &self.device,
-            &self.types,
-            &self.environment,
-            false,
-            self.tried,
-            &|_, _| (),
-        );
-        let Some(workaround) = checked.passed() else {
-            let report = checked.report();
-            return Err(Unprepared::Failed(DeviceFailure::Unreliable { report }));
-        };
-        checked.warn_of(workaround);
-        keep(&self.verdicts, &id, workaround, &self.types);
-        Err(new_process(self.environment, &self.device, workaround))
+        search.verdicts.forget(&id);
+        let found = search.next(false, &|_, _| ()).map_err(Unprepared::Failed)?;
+        Err(found.new_process())
     }
 }
 
@@ -179,11 +239,6 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
     if let Some(chosen) = chosen_before() {
         return Ok(prepared_as(chosen));
     }
-    let as_is = || Prepared {
-        selector: wanted.selector.clone(),
-        tuning: None,
-        rest: None,
-    };
     let listed = list(wanted.folder.as_deref());
     for broken in &listed.broken {
         tracing::warn!(
@@ -192,54 +247,42 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
             broken.why
         );
     }
+    if listed.devices.is_empty() {
+        return Err(Unprepared::Failed(nothing(listed)));
+    }
     let candidates = candidates(wanted, &listed);
-    if candidates.is_empty() {
-        if !listed.broken.is_empty() {
-            return Err(nothing(&listed));
-        }
-        // The loader's own words are right: no loader, no driver, no such device.
-        return Ok(as_is());
-    }
+    let Some(first) = candidates.front() else {
+        // Opening it says which devices there are.
+        return Ok(Prepared {
+            selector: wanted.selector.clone(),
+            tuning: None,
+            rest: None,
+        });
+    };
     if wanted.trusts {
-        return with_environment(&listed, candidates[0], Workaround::None, None);
+        let trusted = Found {
+            device: first.clone(),
+            workaround: Workaround::None,
+            environment: listed.environment,
+            rest: None,
+        };
+        return trusted.prepared();
     }
-    let verdicts = Verdicts::new(wanted.folder.as_deref());
-    let types = Types::new(&wanted.types, wanted.early);
-    let mut reports = Vec::new();
-    for device in candidates {
-        let id = DeviceId::of(device);
-        if let Some(workaround) = verdicts.find(&id, &types.all()) {
-            return with_environment(&listed, device, workaround, None);
-        }
-        tracing::info!(
-            device = device.name,
-            "the device is new to this isopeel, and is checked first"
-        );
-        let (checked, child) = check(device, &types, &listed.environment, wanted.early, Vec::new(), progress);
-        if let Some(workaround) = checked.passed() {
-            checked.warn_of(workaround);
-            let rest = child.map(|child| Rest {
-                child,
-                device: device.clone(),
-                types: types.clone(),
-                environment: listed.environment.clone(),
-                tried: checked.tried,
-                verdicts: Verdicts::new(wanted.folder.as_deref()),
-            });
-            if rest.is_none() {
-                keep(&verdicts, &id, workaround, &types);
-            }
-            return with_environment(&listed, device, workaround, rest);
-        }
-        tracing::warn!("{id} is not used:\n{}", checked.report());
-        reports.push(checked.report());
-    }
-    Err(Unprepared::Failed(DeviceFailure::Unreliable {
-        report: reports.join("\n"),
-    }))
+    let search = Search {
+        candidates,
+        tried: Vec::new(),
+        refused: Vec::new(),
+        types: Types::new(&wanted.types, wanted.early),
+        environment: listed.environment,
+        verdicts: Verdicts::new(wanted.folder.as_deref()),
+    };
+    search
+        .next(wanted.early, progress)
+        .map_err(Unprepared::Failed)?
+        .prepared()
 }
 
-/// Checks all devices anew, for a report.
+/// Checks all devices again, for a report.
 pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (Listed, Vec<Checked>) {
     let listed = list(folder.as_deref());
     let verdicts = Verdicts::new(folder.as_deref());
@@ -264,14 +307,16 @@ pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (L
     (listed, checked)
 }
 
-fn nothing(listed: &Listed) -> Unprepared {
+/// Why there is no device.
+fn nothing(listed: Listed) -> DeviceFailure {
+    if listed.broken.is_empty() {
+        return DeviceFailure::Nothing(listed.nothing.unwrap_or_else(|| "there is no OpenCL device".to_owned()));
+    }
     let broken = listed.broken.iter();
-    let broken: Vec<_> = broken
-        .map(|one| format!("  the driver of {}: {}", one.icd.display(), one.why))
-        .collect();
-    Unprepared::Failed(DeviceFailure::Unreliable {
-        report: broken.join("\n"),
-    })
+    let broken = broken.map(|one| format!("  the driver of {}: {}", one.icd.display(), one.why));
+    DeviceFailure::Unreliable {
+        report: broken.collect::<Vec<_>>().join("\n"),
+    }
 }
 
 fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround, types: &Types) {
@@ -334,12 +379,12 @@ impl Types {
 }
 
 /// The devices that may be used, preferred first.
-fn candidates<'a>(wanted: &Wanted, listed: &'a Listed) -> Vec<&'a DeviceInfo> {
+fn candidates(wanted: &Wanted, listed: &Listed) -> VecDeque<DeviceInfo> {
     let Some(selector) = &wanted.selector else {
-        return listed.devices.iter().collect();
+        return listed.devices.iter().cloned().collect();
     };
     let found = isopeel_kernels::device::position(&listed.devices, selector);
-    found.map(|at| &listed.devices[at]).into_iter().collect()
+    found.map(|at| listed.devices[at].clone()).into_iter().collect()
 }
 
 /// Tries the workarounds that were not `tried`, one after another. Returns the child if it continues with the rest of the check.
@@ -445,41 +490,44 @@ impl Building {
     }
 }
 
-/// Returns the device as this process may open it, or the environment that another process needs.
-fn with_environment(
-    listed: &Listed,
-    device: &DeviceInfo,
-    workaround: Workaround,
-    rest: Option<Rest>,
-) -> Result<Prepared, Unprepared> {
-    let mut environment = listed.environment.clone();
-    environment.extend(pair(workaround.environment()));
-    let is_set = |(name, value): &(String, String)| std::env::var(name).is_ok_and(|now| now == *value);
-    if environment.iter().all(is_set) {
-        return Ok(Prepared {
-            selector: Some(device.index.to_string()),
-            tuning: workaround.tuning(device),
-            rest,
-        });
+impl Found {
+    /// The device as this process may open it.
+    ///
+    /// # Errors
+    /// [`Unprepared::NewProcess`], if only another process can.
+    fn prepared(mut self) -> Result<Prepared, Unprepared> {
+        let mut needed = self
+            .environment
+            .iter()
+            .cloned()
+            .chain(pair(self.workaround.environment()));
+        if needed.all(|(name, value)| std::env::var(name).is_ok_and(|now| now == value)) {
+            return Ok(Prepared {
+                selector: Some(self.device.index.to_string()),
+                tuning: self.workaround.tuning(&self.device),
+                rest: self.rest,
+            });
+        }
+        // The next process skips the check, so the whole check must have passed.
+        if let Some(rest) = self.rest.take() {
+            rest.wait(&|_| ())?;
+        }
+        Err(self.new_process())
     }
-    // The next process skips the check, so the whole check must have passed.
-    if let Some(rest) = rest {
-        rest.wait(&|_| ())?;
-    }
-    Err(new_process(listed.environment.clone(), device, workaround))
-}
 
-/// Another process uses the device in this way, with `environment` and without a check.
-fn new_process(mut environment: Environment, device: &DeviceInfo, workaround: Workaround) -> Unprepared {
-    environment.extend(pair(workaround.environment()));
-    let chosen = Chosen {
-        index: device.index,
-        workaround,
-    };
-    if let Ok(text) = serde_json::to_string(&chosen) {
-        environment.push((CHOSEN.to_owned(), text));
+    /// Another process uses the device, without a check.
+    fn new_process(self) -> Unprepared {
+        let mut environment = self.environment;
+        environment.extend(pair(self.workaround.environment()));
+        let chosen = Chosen {
+            index: self.device.index,
+            workaround: self.workaround,
+        };
+        if let Ok(text) = serde_json::to_string(&chosen) {
+            environment.push((CHOSEN.to_owned(), text));
+        }
+        Unprepared::NewProcess(environment)
     }
-    Unprepared::NewProcess(environment)
 }
 
 /// Returns the choice of the process that this one replaces.

@@ -11,6 +11,9 @@ use super::child::{Message, Request};
 /// Maximum time between two messages of a child. Slow compilers take minutes for a large kernel; `ISOPEEL_CHECK_SECONDS` overrides it.
 const STEP_LIMIT: Duration = Duration::from_secs(600);
 
+/// Maximum time for a list of the devices, unless `ISOPEEL_CHECK_SECONDS` is less: the first process to use eight GPUs may wait most of a minute.
+const LIST_LIMIT: Duration = Duration::from_secs(120);
+
 /// Bytes of a child's standard error that a report may quote.
 const QUOTED_BYTES: usize = 600;
 
@@ -52,6 +55,8 @@ pub(super) struct Running {
     lines: Receiver<String>,
     errors: Receiver<String>,
     stage: String,
+    /// Maximum time between two messages.
+    limit: Duration,
 }
 
 fn step_limit() -> Duration {
@@ -83,18 +88,22 @@ impl Running {
             lines,
             errors,
             stage: "open".to_owned(),
+            limit: match request {
+                Request::List => step_limit().min(LIST_LIMIT),
+                Request::Build { .. } | Request::Check { .. } => step_limit(),
+            },
         })
     }
 
     /// The next message; `None` after [`Message::Done`].
     pub fn next(&mut self) -> Result<Option<Message>, Ended> {
         loop {
-            let line = match self.lines.recv_timeout(step_limit()) {
+            let line = match self.lines.recv_timeout(self.limit) {
                 Ok(line) => line,
                 Err(RecvTimeoutError::Timeout) => {
                     return Err(Ended::Hung {
                         stage: self.stage.clone(),
-                        seconds: step_limit().as_secs(),
+                        seconds: self.limit.as_secs(),
                     });
                 }
                 Err(RecvTimeoutError::Disconnected) => return Err(self.crashed()),

@@ -10,6 +10,8 @@ pub struct DeviceId {
     pub index: usize,
     /// Name of its platform.
     pub platform: String,
+    /// Version of its platform, which may name the compiler.
+    pub platform_version: String,
     /// Name of the device.
     pub name: String,
     /// Version of its driver.
@@ -22,16 +24,20 @@ impl DeviceId {
         Self {
             index: info.index,
             platform: info.platform.clone(),
+            platform_version: info.platform_version.clone(),
             name: info.name.clone(),
             driver: info.driver.clone(),
         }
     }
-}
 
-impl DeviceId {
     /// Whether both are the same device, or devices of one kind with one driver.
     pub(super) fn is_like(&self, other: &Self) -> bool {
-        (&self.platform, &self.name, &self.driver) == (&other.platform, &other.name, &other.driver)
+        self.kind() == other.kind()
+    }
+
+    /// What devices of one kind with one driver have in common.
+    pub(super) fn kind(&self) -> [&str; 4] {
+        [&self.platform, &self.platform_version, &self.name, &self.driver].map(String::as_str)
     }
 }
 
@@ -116,7 +122,8 @@ impl Workaround {
     }
 }
 
-const POCL_METHOD: &str = "POCL_WORK_GROUP_METHOD";
+/// Variable with which users too choose how PoCL compiles work-groups.
+pub(super) const POCL_METHOD: &str = "POCL_WORK_GROUP_METHOD";
 
 /// Sample types by their names in requests to children.
 pub(super) const TYPES: [(&str, SampleType); 5] = [

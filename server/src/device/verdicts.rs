@@ -1,4 +1,4 @@
-//! Verdicts on devices, kept on disk: one file for each device, driver version and build of isopeel.
+//! Verdicts on devices, kept on disk: one file for each device, version of its driver and compiler, method of PoCL and build of isopeel.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use isopeel_kernels::device::POCL;
 use serde::{Deserialize, Serialize};
 
 use super::cache::pocl_folder;
-use super::setup::{DeviceId, Workaround};
+use super::setup::{DeviceId, POCL_METHOD, Workaround};
 use crate::private_folder;
 
 /// A device that passed the check.
@@ -102,9 +102,8 @@ impl Verdicts {
 }
 
 fn name_of(device: &DeviceId) -> String {
-    let build = build();
-    let named = [&device.platform, &device.name, &device.driver, &build];
-    let text = named.map(|part| part.as_str()).join("\n");
+    let method = std::env::var(POCL_METHOD).unwrap_or_default();
+    let text = [&device.kind()[..], &[&build(), &method]].concat().join("\n");
     format!("{:016x}", xxhash_rust::xxh3::xxh3_64(text.as_bytes()))
 }
 
@@ -117,7 +116,7 @@ mod tests {
     use super::*;
 
     fn device(platform: &str) -> DeviceId {
-        let text = serde_json::json!({"index": 0, "platform": platform, "name": "pthread", "driver": "3.1"});
+        let text = serde_json::json!({"index": 0, "platform": platform, "platform_version": "OpenCL 3.0", "name": "pthread", "driver": "3.1"});
         serde_json::from_value(text).expect("a device")
     }
 

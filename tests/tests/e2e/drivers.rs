@@ -32,7 +32,12 @@ impl Broken {
     }
 
     fn run(&self, arguments: &[&str]) -> Output {
-        Command::new(binary())
+        self.command(arguments).output().expect("the binary starts")
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(binary());
+        command
             .args(arguments)
             .env("OPENCL_LAYERS", &self.layer)
             .env("DEVICE_FAULT", self.folder.path().join("fault"))
@@ -40,9 +45,13 @@ impl Broken {
             // Compiled kernels are those that all tests use.
             .env("POCL_CACHE_DIR", compiled_kernels())
             .env("ISOPEEL_CHECK_SECONDS", "4")
-            .stdin(Stdio::null())
-            .output()
-            .expect("the binary starts")
+            .stdin(Stdio::null());
+        command
+    }
+
+    /// Whether an option of PoCL can help against the fault.
+    fn is_pocl(&self) -> bool {
+        String::from_utf8_lossy(&self.run(&["devices"]).stdout).starts_with("0: pthread")
     }
 
     /// Checks the devices: what is said of them.
@@ -166,15 +175,45 @@ fn compiled_kernels() -> PathBuf {
     std::env::var_os("POCL_CACHE_DIR").map_or(kept, Into::into)
 }
 
+/// Another process takes the place of the one that has read stdin. It finds the volume, and no temporary file of either is left.
+#[test]
+fn a_volume_from_stdin_is_read_by_the_process_with_the_workaround() {
+    let Some(broken) = Broken::new("crash minmax") else {
+        return;
+    };
+    if !broken.is_pocl() {
+        return;
+    }
+    let [volume, temporary, output] =
+        ["ball.npy", "temporary", "out/ball.stl"].map(|name| broken.folder.path().join(name));
+    crate::support::ball::write(&volume);
+    std::fs::create_dir(&temporary).expect("a folder");
+    std::fs::create_dir(output.parent().expect("a folder")).expect("a folder");
+    let extracted = broken
+        .command(&["extract", "-", "--iso", "0.5", "-o", output.to_str().expect("text")])
+        .env("DEVICE_FAULT_UNLESS", "POCL_WORK_GROUP_METHOD")
+        .env("TMPDIR", &temporary)
+        .env("ISOPEEL_CHECK_SECONDS", "120")
+        .stdin(std::fs::File::open(&volume).expect("a file"))
+        .output()
+        .expect("the binary starts");
+    assert_eq!(extracted.status.code(), Some(0), "{extracted:?}");
+    assert!(
+        !crate::support::files::read("stl", &std::fs::read(&output).expect("written"))
+            .triangles
+            .is_empty()
+    );
+    let left = |folder: &Path| std::fs::read_dir(folder).expect("a folder").count();
+    assert_eq!((left(&temporary), left(output.parent().expect("a folder"))), (0, 1));
+}
+
 /// A stage fails that no first surface needs: the server has made surfaces already.
 #[test]
 fn a_server_whose_driver_fails_late_starts_again_with_a_workaround() {
     let Some(broken) = Broken::new("wrong slice") else {
         return;
     };
-    let listed = broken.run(&["devices"]);
-    if !String::from_utf8_lossy(&listed.stdout).starts_with("0: pthread") {
-        // The fault is one that an option of PoCL helps against.
+    if !broken.is_pocl() {
         return;
     }
     let volume = broken.folder.path().join("ball.npy");

@@ -7,9 +7,9 @@ use super::BatchError;
 use crate::export::safe_name;
 use crate::volumes::{Dataset, ReadError, open_each};
 
-/// A volume that was named.
+/// An input volume.
 pub(super) struct Input {
-    /// As it was named.
+    /// Path as the user has written it.
     pub path: PathBuf,
     /// Name of its files without step and extension; no other input has it.
     pub name: String,
@@ -20,7 +20,7 @@ pub(super) struct Input {
 /// Opens the volumes of all arguments in their order, each once.
 ///
 /// # Errors
-/// A pattern that is none, or that no file matches.
+/// A pattern is invalid, or no file matches it.
 pub(super) fn open_all(arguments: &[PathBuf]) -> Result<Vec<Input>, BatchError> {
     let mut seen = HashSet::new();
     let mut opened = Vec::new();
@@ -61,7 +61,7 @@ fn expanded(argument: &Path) -> Result<Vec<PathBuf>, BatchError> {
         pattern: pattern.clone().into_owned(),
         source,
     })?;
-    // What cannot be looked at is no match.
+    // Paths that cannot be accessed are no matches.
     let paths: Vec<PathBuf> = found.flatten().collect();
     if paths.is_empty() {
         return Err(BatchError::NoMatch(pattern.into_owned()));
@@ -69,7 +69,7 @@ fn expanded(argument: &Path) -> Result<Vec<PathBuf>, BatchError> {
     Ok(paths)
 }
 
-/// Names of files: titles, with the names of as many folders before them as it takes to tell equal ones apart.
+/// Returns names of files: titles, preceded by as many names of folders as are needed to make them distinct.
 fn distinct_names(titled: &[(&Path, String)]) -> Vec<String> {
     let named = |(path, title): &(&Path, String), folders: usize| {
         let parents = path.parent().into_iter().flat_map(Path::components);
@@ -100,7 +100,7 @@ fn distinct_names(titled: &[(&Path, String)]) -> Vec<String> {
             }
         }
     }
-    // Volumes of one file, and names that differ in nothing that file names keep.
+    // Several volumes of one file, and names that become equal as file names.
     let mut taken = HashSet::new();
     for name in &mut names {
         let numbered = (2..).map(|n| format!("{name}-{n}"));
@@ -112,7 +112,7 @@ fn distinct_names(titled: &[(&Path, String)]) -> Vec<String> {
     names
 }
 
-/// A name without the difference of capital and small letters, which some file systems ignore.
+/// Returns the name in lower case, because some file systems ignore case.
 pub(super) fn key(name: &str) -> String {
     name.to_ascii_lowercase()
 }

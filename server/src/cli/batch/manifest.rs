@@ -1,4 +1,4 @@
-//! What became of each volume and time step: a line of JSON each, written as soon as it is known, so that the same command goes on from there.
+//! Outcome of each volume and time step: a line of JSON each, written as soon as it is known, so that the same command can resume.
 
 use std::collections::HashMap;
 use std::fs::{File, TryLockError};
@@ -19,10 +19,11 @@ pub(super) struct Line {
     pub volume: String,
     /// The time step.
     pub step: u32,
-    /// What of volume, request and program decides the file's bytes; `None` if the volume cannot be read or is a store over a network.
+    /// Hash of everything in volume, request and program that determines the file's bytes; `None` if the volume cannot be read or is a
+    /// store over a network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub identity: Option<String>,
-    /// What became of it.
+    /// Its outcome.
     #[serde(flatten)]
     pub entry: ManifestEntry,
 }
@@ -36,7 +37,7 @@ pub(super) struct Manifest {
 }
 
 impl Manifest {
-    /// Opens the manifest of a folder, and removes what a process that was killed has left there.
+    /// Opens the manifest of a folder, and removes temporary files that a killed process has left.
     ///
     /// # Errors
     /// It cannot be read or written, or another process writes it.
@@ -96,7 +97,7 @@ impl Manifest {
         (&self.file).write_all(&text)
     }
 
-    /// Writes all lines in their order in place of those that were added.
+    /// Replaces the added lines by all lines, in order.
     pub(super) fn finish(&self, lines: &[Line]) -> io::Result<()> {
         write_manifest(&self.folder.join(MANIFEST_FILE), lines)
     }

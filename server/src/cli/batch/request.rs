@@ -40,7 +40,7 @@ pub(super) fn run(args: &Args, file: &Path) -> Result<(), BatchError> {
     runtime.block_on(async {
         let mut interrupt = Interrupt::new()?;
         let extractor = args.extractor(types)?;
-        let stop = CancellationToken::new();
+        let (worker, stop) = (extractor.worker().clone(), CancellationToken::new());
         // The store counts in 63 bits.
         let unlimited = Limits {
             quota_bytes: i64::MAX as u64,
@@ -50,13 +50,14 @@ pub(super) fn run(args: &Args, file: &Path) -> Result<(), BatchError> {
         let made = tokio::select! {
             made = make(&jobs, request, &args.output) => made,
             () = interrupt.wait() => Err(BatchError::Interrupted),
+            error = worker.unusable() => Err(error.map_or(BatchError::Interrupted, BatchError::Device)),
         };
         stop.cancel();
         let _ = runner.await;
         made
     })?;
     if args.state_folder.is_none() {
-        // What is left of it is empty.
+        // Its results were moved to the output folder, and its job was deleted.
         let _ = std::fs::remove_dir_all(own_folder);
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! The same surface of many volumes and time steps. One that cannot be made is noted, and the others go on.
+//! The same surface of many volumes and time steps. A failure is recorded, and the others continue.
 
 use std::collections::{BTreeSet, HashSet};
 use std::io;
@@ -40,7 +40,7 @@ struct Item {
     opened: Result<(VolumeStep, String), Cause>,
 }
 
-/// What all items share.
+/// State that all items share.
 struct Batch<'a> {
     args: &'a Args,
     request: FileRequest,
@@ -55,7 +55,7 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
     let surface = args.surface.clone().unwrap_or_default();
     let format = surface.format.ok_or(BatchError::NoFormat)?;
     let request = surface.request(format, 0)?;
-    // What is wrong with all volumes ends the command before any is read.
+    // Options that are invalid for every volume end the command before any volume is read.
     request.check_alone()?;
     let inputs = open_all(&args.inputs)?;
     args.create_folder()?;
@@ -99,7 +99,7 @@ pub(super) fn run(args: &Args) -> Result<(), BatchError> {
     summary(&lines)
 }
 
-/// What is to be done.
+/// The work of the command.
 #[derive(Default)]
 struct Plan {
     items: Vec<Item>,
@@ -112,8 +112,8 @@ struct Plan {
 }
 
 impl Plan {
-    /// The files of a volume's steps, which no other volume has, and the name that they begin with: a number behind it tells it from
-    /// names that end as if they had a step.
+    /// Returns the files of a volume's steps, whose names no other volume has, and the name that they begin with. If that name could be
+    /// mistaken for one with a step, a number behind it makes it distinct.
     fn files(&mut self, name: &str, dataset: &Dataset, steps: &[u32], extension: &str) -> (String, Vec<String>) {
         let digits = dataset.steps.saturating_sub(1).to_string().len();
         let named = |name: String| {
@@ -301,7 +301,7 @@ impl Batch<'_> {
         }
     }
 
-    /// What decides the bytes of a file.
+    /// Returns the hash of everything that determines the bytes of a file.
     fn identity(&self, input: &InputIdentity) -> String {
         let request = serde_json::to_string(&self.request).unwrap_or_default();
         let what = format!("{} {request} {}", env!("CARGO_PKG_VERSION"), input.content());
@@ -317,7 +317,7 @@ impl Batch<'_> {
     /// Makes the file of a time step.
     ///
     /// # Errors
-    /// What would end all other items too: the folder cannot be written.
+    /// Errors that would end all other items too: the folder cannot be written.
     async fn make(
         &self,
         volume: &VolumeStep,
@@ -327,7 +327,7 @@ impl Batch<'_> {
         let start = Instant::now();
         let output = Output::create_of_batch(&self.args.output.join(file)).map_err(BatchError::Write)?;
         let made = self.attempts(volume).await;
-        // What is left of it on the device is of no use to any other item.
+        // No other item uses the data of this volume on the device.
         self.extractor.worker().release(volume).await;
         let made = match made {
             Ok(made) => made,
@@ -350,7 +350,7 @@ impl Batch<'_> {
         })
     }
 
-    /// Extracts a surface and makes its file, again if another attempt may succeed.
+    /// Extracts a surface and makes its file; retries if another attempt may succeed.
     async fn attempts(&self, volume: &VolumeStep) -> Result<MadeFile, Unmade> {
         let request = FileRequest {
             step: volume.step(),

@@ -26,7 +26,7 @@ struct Timing {
     stages: Vec<StageTime>,
 }
 
-/// A volume with what its cases use.
+/// A volume with the inputs of its cases.
 struct Bench<'a> {
     engine: &'a Engine,
     speed: &'a DeviceSpeed,
@@ -369,10 +369,10 @@ fn spread(runs: &[Timing], of: impl Fn(&Timing) -> f64) -> Spread {
     Spread::of(runs.iter().map(of))
 }
 
-/// As a viewer's session encodes a final surface that the client holds nothing of.
+/// Encodes a final surface as a viewer's session does if the client holds nothing of it.
 fn encode(surface: &Surface) -> Result<Vec<Bytes>, BenchError> {
     let frames = surface.regions.par_iter().with_max_len(MAX_TASK_REGIONS).map(|region| {
-        // The session compares it with what the client holds.
+        // The session compares the hash with that of the client's mesh.
         std::hint::black_box(MeshHash::of(region));
         Ok(encode::encode(region, PrefixId::cut(0, 1, 0))?)
     });
@@ -384,8 +384,8 @@ fn quantised(region: &Region) -> (&Region, Vec<WireVertex>) {
     (region, region.vertices.iter().map(WireVertex::quantise).collect())
 }
 
-/// What one would do with meshoptimizer alone: strip order inside each level, vertices in the order of their use, codecs.
-/// Header bytes are counted as ours are.
+/// Encodes a region with meshoptimizer alone: strip order inside each level, vertices in the order of their use, codecs. Counts the same
+/// header bytes.
 fn meshopt_encode(region: &Region, vertices: &[WireVertex]) -> u64 {
     let mut indices = region.indices.to_vec();
     let mut first = 0;

@@ -71,7 +71,7 @@ pub struct Args {
     save: Option<PathBuf>,
 
     #[command(flatten)]
-    device: DeviceArgs,
+    pub(super) device: DeviceArgs,
 }
 
 fn fraction(text: &str) -> Result<f64, String> {
@@ -166,7 +166,7 @@ pub enum BenchError {
     Wrong {
         /// Which volume.
         volume: String,
-        /// What was counted.
+        /// Name of the count.
         what: &'static str,
         /// By the device.
         found: String,
@@ -285,7 +285,7 @@ struct Line {
     meshopt_bytes: Option<u64>,
 }
 
-/// The cut of the benchmark, but for β.
+/// Parameters of the benchmark's cut, except β.
 fn params(args: &Args, recipe: &Recipe) -> CutParams {
     CutParams {
         mesher: args.mesher.into(),

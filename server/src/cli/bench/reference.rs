@@ -166,7 +166,8 @@ fn odd_edges(surface: &Surface) -> usize {
     odd.values().filter(|&&odd| odd).count()
 }
 
-/// Fails if a small, closed variant of the volume has a surface that is not watertight, where the mesher guarantees it.
+/// Fails if a small, closed variant of the volume has a surface that is not watertight. Checks the dual mesher only: the other one
+/// guarantees nothing.
 pub(super) fn check_watertight(engine: &Engine, args: &Args, recipe: &Recipe) -> Result<(), BenchError> {
     if args.mesher != MesherName::Dual {
         return Ok(());

@@ -37,7 +37,7 @@ pub enum StreamError {
     /// The server ended.
     #[error(transparent)]
     Server(#[from] ServeError),
-    /// The loopback connection failed, or a message was not what the protocol says.
+    /// The loopback connection failed, or a message violated the protocol.
     #[error("the loopback connection failed")]
     Connection(#[from] std::io::Error),
     /// The WebSocket failed.
@@ -52,7 +52,7 @@ pub enum StreamError {
     /// No frame came.
     #[error("no frame came for {} s", .0.as_secs())]
     Silent(Duration),
-    /// The samples are no dataset.
+    /// The samples do not make a dataset.
     #[error(transparent)]
     Dataset(#[from] ReadError),
 }
@@ -99,7 +99,7 @@ impl Isovalues {
     }
 }
 
-/// What stays the same while one kind of edit is timed: everything but the isovalue.
+/// Values that stay the same while one kind of edit is timed: all except the isovalue.
 struct Setting {
     name: String,
     budget: Option<u64>,
@@ -200,7 +200,7 @@ impl Bench<'_> {
         equal(self.recipe, "triangles of the stream", found.triangles, expected)
     }
 
-    /// Every value in force, but for the isovalue.
+    /// An edit that sets every value except the isovalue, without guards.
     fn unguarded(&self, beta: Option<f32>, triangles: Option<u64>) -> Edit {
         Edit {
             beta,
@@ -212,7 +212,7 @@ impl Bench<'_> {
         }
     }
 
-    /// What the volume opens with, with the mesher that is to be timed.
+    /// The opening view of the volume, with the mesher to be timed.
     fn opened(&self) -> Edit {
         Edit {
             iso: None,
@@ -330,7 +330,7 @@ impl Bench<'_> {
         self.in_turns(setting, name, edits).await
     }
 
-    /// Edits after the viewer has rested: the vertex tree is there, where an error or a budget decides.
+    /// Edits after the viewer has rested: if an error or a budget decides, the vertex tree is built by then.
     async fn rested(&mut self, setting: &Setting) -> Result<(), BenchError> {
         if setting.is_full() || self.args.mesher != MesherName::Dual {
             return Ok(());
@@ -356,7 +356,7 @@ impl Bench<'_> {
         self.print(setting, name, &runs[1..])
     }
 
-    /// One edit from a state that is made anew before each run, and at a fresh isovalue.
+    /// One edit, at a fresh isovalue, from a state that is restored before each run.
     async fn between(
         &mut self,
         setting: &Setting,
@@ -407,7 +407,7 @@ impl Bench<'_> {
         self.print(setting, name, &runs[1..])
     }
 
-    /// A drag of the isovalue or of β, at what the volume opens with.
+    /// A drag of the isovalue or of β, from the opening view.
     async fn drag(&mut self, hz: f64, isovalue: bool) -> Result<(), BenchError> {
         let seconds = self.args.drag_seconds;
         let count = ((hz * seconds) as usize).max(1);
@@ -447,7 +447,7 @@ impl Bench<'_> {
     }
 }
 
-/// Two budgets, a tenth apart, where the setting is one.
+/// Two budgets, a tenth apart; `None` if the setting has no budget.
 fn budgets(setting: &Setting) -> Option<[Edit; 2]> {
     let tight = setting.budget(0.9)?;
     Some([tight, setting.budget(1.0)?].map(|triangles| Edit {

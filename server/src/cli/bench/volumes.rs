@@ -138,7 +138,7 @@ impl Recipe {
         Ok(samples)
     }
 
-    /// Planes to bring to the host at a time, so that what they pass through stays small.
+    /// Planes that are copied to the host at a time, so that the buffers stay small.
     fn parts(&self) -> impl Iterator<Item = Range<u32>> {
         const PLANES: u32 = 64;
         let nz = self.grid.dims[2];

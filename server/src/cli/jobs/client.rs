@@ -11,13 +11,13 @@ use crate::access::Token;
 use crate::jobs::{JobInfo, ManifestEntry};
 use crate::volumes::is_this_machine;
 
-/// A server, and who asks it.
+/// Client of a server's job API.
 pub(super) struct Client {
     server: String,
     http: reqwest::Client,
 }
 
-/// What is read of a problem document.
+/// Fields of a problem document that the client reads.
 #[derive(Deserialize)]
 struct Problem {
     code: String,
@@ -71,7 +71,7 @@ impl Client {
         self.http.request(method, format!("{}/api/v1/jobs{path}", self.server))
     }
 
-    /// A connection that broke, or was none.
+    /// Returns the error of a connection that failed or broke.
     pub(super) fn connection(&self, source: reqwest::Error) -> JobsError {
         JobsError::Connection {
             server: self.server.clone(),
@@ -79,7 +79,7 @@ impl Client {
         }
     }
 
-    /// An answer of success.
+    /// Sends a request; returns its answer if that is a success.
     async fn answer(&self, request: RequestBuilder) -> Result<Response, JobsError> {
         let response = request.send().await.map_err(|error| self.connection(error))?;
         let status = response.status();
@@ -151,7 +151,7 @@ impl Client {
         })
     }
 
-    /// The events of a job after one; `None` where there are no more.
+    /// Returns the events of a job after the event `after`; `None` if there are no more.
     pub(super) async fn events(&self, id: &str, after: &str) -> Result<Option<Response>, JobsError> {
         let request = self
             .request(Method::GET, &format!("/{id}/events"))

@@ -10,10 +10,10 @@ use crate::jobs::{JobEvent, JobInfo};
 
 /// Time between attempts to connect again.
 const PAUSE: Duration = Duration::from_secs(1);
-/// Attempts to connect again before it is given up: a server that starts again is there within a minute.
+/// Maximum attempts to reconnect: a server that is restarted is ready within a minute.
 const MAX_ATTEMPTS: u32 = 60;
 
-/// Follows a job to its end, with a bar on stderr where that is a terminal.
+/// Follows a job to its end, with a progress bar if stderr is a terminal.
 pub(super) async fn watch(client: &Client, id: &str) -> Result<JobInfo, JobsError> {
     let job = client.job(id).await?;
     let bar = bar(job.extractions.total);
@@ -72,10 +72,10 @@ async fn follow(client: &Client, id: &str, last: &mut String, bar: &ProgressBar)
     Ok(())
 }
 
-/// A bar of so many extractions, which is drawn where stderr is a terminal.
+/// Returns a progress bar of this number of extractions, which is drawn only if stderr is a terminal.
 pub(crate) fn bar(extractions: u64) -> ProgressBar {
     let bar = ProgressBar::new(extractions);
-    // A template that is not one would be a fault of this line, and has a test.
+    // An invalid template would be a bug here, and is tested.
     bar.set_style(ProgressStyle::with_template(TEMPLATE).unwrap_or_else(|_| ProgressStyle::default_bar()));
     bar
 }

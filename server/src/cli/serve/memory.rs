@@ -46,7 +46,7 @@ impl MemoryArgs {
         }
     }
 
-    /// Bytes that may be kept of earlier edits, where that was set.
+    /// Bytes that earlier edits may occupy, if `--surface-memory` is given.
     pub(super) fn surface_bytes(&self) -> Option<u64> {
         self.surface_memory.map(|mebibytes| mebibytes.saturating_mul(MIB))
     }

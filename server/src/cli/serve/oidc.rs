@@ -33,7 +33,7 @@ pub struct OidcArgs {
     oidc_role: Vec<GroupRoles>,
 }
 
-/// Why nobody can sign in.
+/// Why sign-in cannot be set up.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -1,10 +1,9 @@
-//! Another process in place of this one, where the device's driver is of no use to it any more: the same program with the same arguments, which listens at
-//! the same address and asks for the same token. Its number stays, so that whatever watches over it sees no end.
+//! Replaces this process if it can no longer use the device's driver. The new process is the same program with the same arguments; it
+//! listens at the same address and accepts the same token. It keeps the process id, so a supervisor does not see the old one end.
 
 use std::io;
 use std::os::unix::process::CommandExt;
 use std::process::Command;
-use std::sync::PoisonError;
 
 use serde::{Deserialize, Serialize};
 
@@ -15,25 +14,25 @@ use crate::serve::ListenAddress;
 /// Says which file the next process finds [`Handed`] in.
 const VARIABLE: &str = "ISOPEEL_RELAUNCHED";
 
-/// What this process has made up, and the next one must not.
+/// What this process has chosen itself (port, token), and the next one has to keep.
 #[derive(Serialize, Deserialize)]
 struct Handed {
     listen: String,
     token: Option<String>,
 }
 
-/// What a process has of the one that it came from.
+/// What a process takes over from the one that it replaces.
 pub(super) struct Before {
     pub listen: ListenAddress,
     pub token: Option<Token>,
 }
 
-/// What there is of a process before this one.
+/// Returns what the process before this one handed over; `None` if there was none.
 pub(super) fn before() -> Option<Before> {
     let file = std::env::var(VARIABLE).ok()?.parse::<i32>().ok()?;
     let path = format!("/proc/self/fd/{file}");
     let handed: Handed = serde_json::from_slice(&std::fs::read(&path).ok()?).ok()?;
-    // The token is nowhere but in the process's memory.
+    // Empties the file, so that the token is only in the memory of this process.
     let _ = std::fs::File::create(path);
     Some(Before {
         listen: handed.listen.parse().ok()?,
@@ -41,7 +40,7 @@ pub(super) fn before() -> Option<Before> {
     })
 }
 
-/// Starts the next process; returns where that cannot be done.
+/// Replaces this process with the next one. Returns only if that fails.
 #[cfg(target_os = "linux")]
 pub(super) fn relaunch(listen: &ListenAddress, token: Option<&Token>, next: &NextEnvironment) -> io::Error {
     use std::io::Write;
@@ -66,11 +65,11 @@ pub(super) fn relaunch(listen: &ListenAddress, token: Option<&Token>, next: &Nex
     Command::new("/proc/self/exe")
         .args(std::env::args_os().skip(1))
         .env(VARIABLE, file.as_raw_fd().to_string())
-        .envs(next.lock().unwrap_or_else(PoisonError::into_inner).drain(..))
+        .envs(next.take())
         .exec()
 }
 
-/// Starts the next process; returns where that cannot be done.
+/// Returns an error: only Linux can replace the process.
 #[cfg(not(target_os = "linux"))]
 pub(super) fn relaunch(_: &ListenAddress, _: Option<&Token>, _: &NextEnvironment) -> io::Error {
     io::ErrorKind::Unsupported.into()

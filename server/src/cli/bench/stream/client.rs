@@ -20,7 +20,7 @@ use crate::wire::messages::SUBPROTOCOL;
 /// Longest wait for a frame: a volume of many gigabytes is read and uploaded meanwhile.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(300);
 
-/// After so long without a frame of a generation the server has settled.
+/// Time without a frame of a generation after which the server has settled.
 const QUIET: Duration = Duration::from_secs(2);
 
 /// A text frame to the server.
@@ -31,7 +31,7 @@ enum Request<'a> {
     Edit(&'a Edit),
 }
 
-/// What the client reads of a text frame.
+/// Fields of a text frame that the client reads.
 #[derive(Deserialize)]
 struct Reply<'a> {
     #[serde(rename = "type")]
@@ -40,7 +40,7 @@ struct Reply<'a> {
     message: Option<String>,
 }
 
-/// What the client reads of `done`.
+/// Fields of `done` that the client reads.
 #[derive(Deserialize)]
 struct Done {
     statistics: Statistics,
@@ -70,9 +70,9 @@ impl Statistics {
 /// One edit from the call to its `done`, with times since the call.
 #[derive(Clone, Debug, Default)]
 pub struct Streamed {
-    /// To `opened`, where the edit came with an `open`.
+    /// To `opened`, if the edit came with an `open`.
     pub opened: Option<Duration>,
-    /// To the first `committed`; none where nothing had to be shown.
+    /// To the first `committed`; `None` if nothing had to be shown.
     pub first: Option<Duration>,
     /// To `done`.
     pub done: Duration,
@@ -82,7 +82,7 @@ pub struct Streamed {
     pub statistics: Statistics,
 }
 
-/// What a viewer saw while a value was dragged.
+/// Measurements of a viewer while a value was dragged.
 #[derive(Clone, Debug, Default)]
 pub struct Dragged {
     /// Prefixes committed until one interval after the last edit.
@@ -232,7 +232,7 @@ impl Client {
         self.settle(seen, last_edit).await
     }
 
-    /// Reads until the server has nothing more to do for this viewer, what it does while a viewer rests included.
+    /// Reads until the server has nothing more to do for this viewer, work at rest included.
     pub async fn rest(&mut self) -> Result<(), StreamError> {
         self.settle(Dragged::default(), Instant::now()).await.map(drop)
     }
@@ -277,7 +277,7 @@ impl Dragged {
     }
 }
 
-/// What a text frame is; an `error` is one here too.
+/// Returns the kind of a text frame; an `error` is returned as an error.
 fn kind(text: &str) -> Result<&str, StreamError> {
     let reply: Reply<'_> = serde_json::from_str(text).map_err(std::io::Error::from)?;
     if reply.kind == "error" {

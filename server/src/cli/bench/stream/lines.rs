@@ -22,13 +22,13 @@ pub(super) struct StreamLine<'a> {
     setting: &'a str,
     edit: &'static str,
     repeats: u32,
-    /// Where the setting is a budget.
+    /// If the setting is a budget.
     #[serde(skip_serializing_if = "Option::is_none")]
     budget_triangles: Option<u64>,
     /// From `open` to `opened`.
     #[serde(skip_serializing_if = "Option::is_none")]
     opened_ms: Option<Spread>,
-    /// To the first `committed`; none where no run had to show anything.
+    /// To the first `committed`; `None` if no run had to show anything.
     #[serde(skip_serializing_if = "Option::is_none")]
     first_ms: Option<Spread>,
     /// To `done`.
