@@ -403,6 +403,18 @@ fn caps_add_no_triangles_that_intersect() {
         let (bounded, ..) = setting.extract(&gyroid, &format!("--iso 0 --cap {options} --measure 60"), "ply");
         assert_eq!(bounded.pointer("/error"), capped.pointer("/error"), "{options}");
     }
+    // In large cubes a cap also changes vertices that are far from it.
+    let wide = setting.path("wide.npy");
+    ball::write_field(&wide, [129; 3], |at| {
+        let [x, y, z] = at.map(|x| x * std::f32::consts::PI / 16.0);
+        x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()
+    });
+    let (capped, ..) = setting.extract(&wide, "--iso 0 --cap --beta 0.2 --no-measure", "ply");
+    assert_eq!(number(&capped, "/shape/selfIntersections"), Some(0), "{capped}");
+    assert!(
+        number(&capped, "/shape/cleaned/movedVertices") > Some(0),
+        "nothing to do"
+    );
 }
 
 /// Counts edges that pierce a triangle without a common corner, over all pairs. Not exact: edges and triangles that hardly meet are left
