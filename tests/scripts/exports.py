@@ -33,6 +33,7 @@ import zipfile
 import lib3mf
 import meshio
 import nibabel
+import nrrd
 import numpy as np
 import trimesh
 import vtk
@@ -192,6 +193,35 @@ def check_precomputed(path, triangles, placed):
     expect("precomputed, nanometres", bool(np.allclose(found[corners], placed * 1e6, rtol=1e-6, atol=1e2)), True)
 
 
+def check_slices(binary, folder):
+    """Planes across each axis in nibabel and pynrrd: samples, and where they are, are those of the volume."""
+    volume = nibabel.load(VOLUME)
+    samples = np.asarray(volume.dataobj)
+    for axis, index in enumerate(np.array(samples.shape) // 3):
+        plane = np.take(samples, index, axis=axis)
+        others = [other for other in range(3) if other != axis]
+        first = np.zeros(3)
+        first[axis] = index
+        columns = [volume.affine[:3, column] for column in others] + [volume.affine[:3] @ [*first, 1]]
+        for extension in ("nii", "nii.gz", "nrrd"):
+            path = folder / f"plane.{extension}"
+            subprocess.run([binary, "slice", VOLUME, "--axis", "xyz"[axis], "--index", str(index), "-o", path], check=True)
+            what = f"plane across {'xyz'[axis]} as {extension}"
+            if extension == "nrrd":
+                image, header = nrrd.read(str(path))
+                read = np.vstack([header["space directions"], header["space origin"]]) * [-1, -1, 1]
+                expect(f"{what}, space", header["space"], "left-posterior-superior")
+            else:
+                image = nibabel.load(path)
+                expect(f"{what}, unit and codes", (image.header.get_xyzt_units()[0], int(image.header["sform_code"])), ("mm", 1))
+                read = image.affine[:3, [0, 1, 3]].T
+                across = image.affine[:3, 2]
+                expect(f"{what}, across", bool(np.allclose(across, volume.affine[:3, axis], atol=1e-4)), True)
+                image = np.asarray(image.dataobj)[..., 0]
+            expect(f"{what}, samples", np.array_equal(image, plane), True)
+            expect(f"{what}, place", bool(np.allclose(read, columns, atol=1e-4)), True)
+
+
 def main():
     binary = sys.argv[1]
     with tempfile.TemporaryDirectory() as temporary:
@@ -208,6 +238,7 @@ def main():
         check_3mf(extract(binary, folder, "3mf")[0], triangles, points)
         check_gifti(extract(binary, folder, "surf.gii")[0], triangles, points)
         check_precomputed(extract(binary, folder, "precomputed.zip")[0], triangles, points[corners])
+        check_slices(binary, folder)
         turned = meshio.read(extract(binary, folder, "ply", "--frame", "RAS")[0])
         expect("--frame RAS", bool(np.allclose(turned.points * [-1, -1, 1], points, atol=1e-4)), True)
         counted = meshio.read(extract(binary, folder, "ply", "--frame", "index")[0])
