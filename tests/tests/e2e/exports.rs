@@ -253,7 +253,8 @@ fn the_surface_of_a_label_is_around_its_samples() {
     }
     // Smoothed, on even ground and with caps: vertices are nearer to one sphere.
     let spread = |options: &str| {
-        let (.., mesh) = setting.extract(&labels, &format!("--label 7 --beta -1 {options}"), "ply");
+        let (statistics, _, mesh) = setting.extract(&labels, &format!("--label 7 --beta -1 {options}"), "ply");
+        assert_eq!(statistics["shape"]["isClosed"], true, "{options}");
         let radius = |at: &[f64; 3]| {
             let square = |i: usize| (at[i] - f64::from(balls[2].1[i])).powi(2);
             (0..3).map(square).sum::<f64>().sqrt()
