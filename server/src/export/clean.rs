@@ -174,6 +174,8 @@ enum Numbers {
     WorldDecimals(Decimals),
     /// As decimals, from the mesh's origin.
     Decimals(Decimals),
+    /// As decimals that are read with 32 bits, from the mesh's origin.
+    RoundedDecimals(Decimals),
 }
 
 impl Numbers {
@@ -181,6 +183,7 @@ impl Numbers {
         match format {
             Format::Obj => Self::WorldDecimals(Decimals::of_spacing(mesh.smallest_spacing)),
             Format::ThreeMf => Self::Decimals(Decimals::of_spacing(mesh.smallest_spacing)),
+            Format::Usdz => Self::RoundedDecimals(Decimals::of_spacing(mesh.smallest_spacing)),
             _ if format.rounds() => Self::Rounded,
             _ => Self::Exact,
         }
@@ -196,6 +199,7 @@ impl Numbers {
             Self::Rounded => world.map(|component| f64::from(component as f32)),
             Self::WorldDecimals(decimals) => world.map(|component| decimals.rounded(component)),
             Self::Decimals(decimals) => position.map(|component| decimals.rounded(component)),
+            Self::RoundedDecimals(decimals) => position.map(|component| f64::from(decimals.rounded(component) as f32)),
         }
     }
 

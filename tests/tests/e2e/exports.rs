@@ -512,7 +512,7 @@ fn several_surfaces_are_nodes_of_one_file() {
     assert_eq!(json["materials"][0]["alphaMode"], "BLEND");
     let extras = json["asset"]["extras"]["surfaces"].as_array().expect("surfaces");
     assert_eq!((extras.len(), &extras[1]["volume"]), (3, &"low".into()));
-    for format in ["3mf", "obj", "precomputed"] {
+    for format in ["3mf", "obj", "precomputed", "usdz"] {
         command::succeed(line(&setting.path("out.any"), format));
     }
     let refused = command::fail(line(&setting.path("out.ply"), "ply"));
