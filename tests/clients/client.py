@@ -1,12 +1,18 @@
-"""A client that openapi-python-client has generated: every operation but signing in.
+"""A client that openapi-python-client has generated: every operation, and the types of their answers.
 
-    client.py FOLDER URL VOLUME      # the folder has the package isopeel_client
+    client.py FOLDER URL VOLUME TOKEN DESCRIPTION      # the folder has the package isopeel_client, the description is openapi.json
 """
 import hashlib
+import importlib
+import json
+import re
 import sys
 import time
+import typing
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
-folder, url, volume = sys.argv[1:]
+folder, url, volume, token, description = sys.argv[1:]
 sys.path.insert(0, folder)
 
 from io import BytesIO
@@ -14,16 +20,61 @@ from io import BytesIO
 from isopeel_client.api.extract import extract, extract_by_address
 from isopeel_client.api.health import healthz, readyz, show_memory, show_metrics
 from isopeel_client.api.jobs import cancel_job, fetch_job_result, follow_job, list_jobs, remove_job, show_job, show_job_results, submit_job
-from isopeel_client.api.session import check_session, issue_ticket, show_embed, show_oidc, sign_out
+from isopeel_client.api.session import (
+    begin_session, check_session, complete_sign_in, issue_ticket, lend_embed_token, show_embed, show_oidc, sign_in, sign_out,
+)
 from isopeel_client.api.uploads import (
     create_upload, finish_upload, list_uploads, remove_upload, send_upload_part, show_upload, show_upload_offset,
 )
 from isopeel_client.api.volumes import list_unreadable, list_volumes, show_expression, show_slice, show_volume
-from isopeel_client.client import Client
-from isopeel_client.models import ExtractRequest, Format, JobRequest, JobState, Problem, ShowSliceAxis, ShowSliceFormat, UploadRequest
+from isopeel_client.client import AuthenticatedClient, Client
+from isopeel_client.models import (
+    EmbedTokenRequest, ExtractRequest, FieldInfo, Format, JobRequest, JobState, Problem, Role, SessionRequest, ShowSliceAxis, ShowSliceFormat,
+    UploadRequest,
+)
 from isopeel_client.types import File
 
-client = Client(base_url=url, timeout=120)
+OPERATIONS = [
+    (method, path, operation)
+    for path, item in json.loads(Path(description).read_text())["paths"].items()
+    for method, operation in item.items()
+    if "operationId" in operation
+]
+
+
+def expected_types(operation):
+    """Names of the types that bodies of answers have in Python."""
+    for status, response in operation["responses"].items():
+        for content in response.get("content", {}).values():
+            if status < "300" or status == "401":
+                for schema in content["schema"].get("oneOf", [content["schema"]]):
+                    yield schema["$ref"].rpartition("/")[2] if "$ref" in schema else {"array": "list", "string": "str"}[schema["type"]]
+
+
+def check_types():
+    """Each operation has a function for waiting and one for asyncio, whose results have the types of its answers."""
+    assert len(OPERATIONS) > 30, OPERATIONS
+    for _, _, operation in OPERATIONS:
+        name = operation["operationId"]
+        module = importlib.import_module(f"isopeel_client.api.{operation['tags'][0]}.{name}")
+        for function in (module.sync_detailed, module.asyncio_detailed):
+            (answer,) = typing.get_args(typing.get_type_hints(function)["return"])
+            types = {getattr(each, "__name__", str(each)) for each in typing.get_args(answer) or [answer]}
+            types |= {"list"} if typing.get_origin(answer) is list else set()
+            missing = set(expected_types(operation)) - types
+            assert not missing, f"{name}: {types}, without {missing}"
+
+
+requested = []
+
+
+def client_of(kind, **options):
+    hooks = {"request": [lambda request: requested.append((request.method, request.url.path))]}
+    return kind(base_url=url, timeout=120, httpx_args={"event_hooks": hooks}, **options)
+
+
+check_types()
+client, stranger = client_of(AuthenticatedClient, token=token), client_of(Client)
 assert volume in [summary.id for summary in list_volumes.sync(client=client)]
 info = show_volume.sync(volume, client=client)
 assert not isinstance(info, Problem), info
@@ -59,12 +110,14 @@ cancelled = cancel_job.sync(other.id, client=client)
 assert not isinstance(cancelled, Problem), cancelled
 assert remove_job.sync_detailed(job.id, client=client).status_code == 204
 
-assert healthz.sync(client=client) and readyz.sync(client=client)
+assert healthz.sync(client=stranger) and readyz.sync(client=stranger)
 assert "isopeel_" in show_metrics.sync(client=client)
 assert not isinstance(show_memory.sync(client=client), Problem)
 assert list_unreadable.sync(client=client) == []
 described = show_expression.sync(volume, client=client, expression="2 * t1")
-assert not isinstance(described, Problem), described
+assert isinstance(described, FieldInfo), described
+mistake = show_expression.sync(volume, client=client, expression="2 *", typed=True)
+assert isinstance(mistake, Problem) and mistake.code == "bad-edit", mistake
 plane = show_slice.sync(volume, client=client, axis=ShowSliceAxis.Z, index=20, format_=ShowSliceFormat.NII).payload.read()
 assert plane[344:347] == b"n+1", plane[:4]
 
@@ -81,10 +134,30 @@ assert not isinstance(show_upload.sync(upload.id, client=client), Problem)
 assert upload.id in [other.id for other in list_uploads.sync(client=client).uploads]
 assert remove_upload.sync_detailed(upload.id, client=client).status_code == 204
 
-# A server without tokens and without an issuer has little to say of sessions.
-for answer in (
-    show_embed.sync_detailed(client=client), show_oidc.sync_detailed(client=client), check_session.sync_detailed(client=client),
-    issue_ticket.sync_detailed(client=client), sign_out.sync_detailed(client=client),
-):
-    assert answer.status_code < 500, answer
+# A page with the token, a frame with a token that was lent, and a browser that an issuer sends back.
+assert show_embed.sync(client=stranger).origins == []
+refused = check_session.sync(client=stranger)
+assert isinstance(refused, Problem) and refused.code == "unauthorized", refused
+# Changes by a cookie need the page that they come from.
+page = client_of(Client, headers={"origin": url})
+assert begin_session.sync_detailed(client=page, body=SessionRequest(token=token)).status_code == 204
+assert Role.ADMIN in check_session.sync(client=page).roles
+assert issue_ticket.sync(client=page).ticket
+assert not isinstance(sign_out.sync(client=page), Problem)
+lent = lend_embed_token.sync(client=client, body=EmbedTokenRequest(roles=[Role.VIEW], seconds=60))
+assert not isinstance(lent, Problem), lent
+assert check_session.sync(client=client_of(AuthenticatedClient, token=lent.token)).roles == [Role.VIEW]
+assert show_oidc.sync(client=stranger).sign_in
+browser = client_of(Client)
+leave = sign_in.sync_detailed(client=browser)
+assert leave.status_code == 303, leave
+asked = parse_qs(urlsplit(leave.headers["location"]).query)
+back = complete_sign_in.sync_detailed(client=browser, code=asked["nonce"][0], state=asked["state"][0])
+assert (back.status_code, back.headers["location"]) == (303, f"{url}/"), back
+assert check_session.sync(client=browser).roles == [Role.VIEW]
+
+for method, path, operation in OPERATIONS:
+    pattern = re.sub(r"\{\w+\}", "[^/]+", path)
+    is_used = any(method.upper() == other and re.fullmatch(pattern, at) for other, at in requested)
+    assert is_used, f"{operation['operationId']} was not used"
 print(triangles)

@@ -29,7 +29,7 @@ CHECKS = [
 HOOKS = '''
 import schemathesis
 
-KINDS = ["application/octet-stream", "application/zip", "model/3mf", "model/gltf-binary", "model/obj", "model/stl", "model/mesh"]
+KINDS = ["application/octet-stream", "application/zip", "model/3mf", "model/gltf-binary", "model/obj", "model/stl", "model/mesh", "model/vnd.usdz+zip"]
 
 @schemathesis.serializer("application/offset+octet-stream")
 def of_bytes(ctx, value):

@@ -32,6 +32,7 @@ import nibabel
 import numpy as np
 import trimesh
 import vtk
+from pxr import Usd, UsdGeom
 from vtk.util.numpy_support import vtk_to_numpy
 
 METRES = {"mm": 1e-3, "um": 1e-6, "angstrom": 1e-10}
@@ -97,9 +98,10 @@ FORMATS = {
     "3mf": ["lib3mf", "trimesh"],
     "surf.gii": ["nibabel"],
     "precomputed.zip": ["itself"],
+    "usdz": ["OpenUSD"],
 }
-SEVERAL = {"glb", "obj", "3mf", "precomputed.zip"}
-FIXED_UNITS = {"glb": 1, "stl": 1e-3, "3mf": 1e-3, "surf.gii": 1e-3, "precomputed.zip": 1e-9}
+SEVERAL = {"glb", "obj", "3mf", "precomputed.zip", "usdz"}
+FIXED_UNITS = {"glb": 1, "stl": 1e-3, "3mf": 1e-3, "surf.gii": 1e-3, "precomputed.zip": 1e-9, "usdz": 1}
 
 
 def of_vtk(data):
@@ -145,6 +147,16 @@ def read_lib3mf(_, path):
     return found
 
 
+def read_usd(_, path):
+    stage = Usd.Stage.Open(str(path))
+    found, metres = [], UsdGeom.GetStageMetersPerUnit(stage)
+    for mesh in (UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)):
+        to_world = np.array(mesh.ComputeLocalToWorldTransform(0))
+        points = np.array(mesh.GetPointsAttr().Get(), float) @ to_world[:3, :3] + to_world[3, :3]
+        found.append((points * metres, np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)))
+    return found
+
+
 def read(reader, form, path):
     if reader == "VTK":
         found = read_vtk(form, path)
@@ -152,6 +164,8 @@ def read(reader, form, path):
         found = read_trimesh(form, path)
     elif reader == "lib3mf":
         found = read_lib3mf(form, path)
+    elif reader == "OpenUSD":
+        found = read_usd(form, path)
     elif reader == "meshio":
         mesh = meshio.read(path)
         found = [(mesh.points.astype(float), mesh.cells_dict["triangle"])]
@@ -168,7 +182,7 @@ def read(reader, form, path):
                 count = struct.unpack_from("<I", data)[0]
                 points = np.frombuffer(data, "<f4", 3 * count, 4).reshape(-1, 3).astype(float)
                 found.append((points, np.frombuffer(data, "<u4", offset=4 + 12 * count).reshape(-1, 3)))
-    if form == "glb":
+    if form in ("glb", "usdz"):
         # Y up, z towards the viewer: back to LPS.
         found = [(points[:, [0, 2, 1]] * [1, -1, 1], corners) for points, corners in found]
     return found

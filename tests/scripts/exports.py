@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Exported surfaces in the programs of others: meshio, VTK, trimesh, lib3mf, nibabel, and Open3D where it is installed.
+"""Exported surfaces in the programs of others: meshio, VTK, trimesh, lib3mf, nibabel, OpenUSD, and Open3D where it is installed.
 
     tests/scripts/exports.py ISOPEEL      # the binary
 
@@ -33,9 +33,11 @@ import zipfile
 import lib3mf
 import meshio
 import nibabel
+import nrrd
 import numpy as np
 import trimesh
 import vtk
+from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 from vtk.util.numpy_support import vtk_to_numpy
 
 
@@ -192,6 +194,65 @@ def check_precomputed(path, triangles, placed):
     expect("precomputed, nanometres", bool(np.allclose(found[corners], placed * 1e6, rtol=1e-6, atol=1e2)), True)
 
 
+def check_usdz(path, triangles, points):
+    """Millimetres and Y up, by the stage and its root: x stays, y is the head, z the face."""
+    stage = Usd.Stage.Open(str(path))
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    expect("USDZ, validators", len(validators) > 20, True)
+    found = [error.GetMessage() for error in UsdValidation.ValidationContext(validators).Validate(stage)]
+    expect("USDZ, errors of OpenUSD's validators", found, [])
+    with zipfile.ZipFile(path) as package:
+        (layer,) = package.infolist()
+    start = layer.header_offset + 30 + sum(struct.unpack_from("<HH", path.read_bytes(), layer.header_offset + 26))
+    expect("USDZ, stored at a multiple of 64", (layer.compress_type, start % 64), (zipfile.ZIP_STORED, 0))
+    expect("USDZ, unit and axis", (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)), (1e-3, "Y"))
+    (prim,) = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    mesh = UsdGeom.Mesh(prim)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    found, normals = np.array(mesh.GetPointsAttr().Get(), float), np.array(mesh.GetNormalsAttr().Get())
+    expect("USDZ, triangles and vertices", (len(corners), len(found), len(normals)), (triangles, len(points), len(points)))
+    expect("USDZ, counts of corners", set(mesh.GetFaceVertexCountsAttr().Get()), {3})
+    expect("USDZ, corners", (corners.min(), corners.max()), (0, len(points) - 1))
+    to_world = np.array(mesh.ComputeLocalToWorldTransform(0))
+    turned = points @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    expect("USDZ, place", bool(np.abs(found @ to_world[:3, :3] + to_world[3, :3] - turned).max() < 1e-4), True)
+    expect("USDZ, extent", bool(np.allclose(np.array(mesh.GetExtentAttr().Get()).ravel(), bounds(found), atol=1e-6)), True)
+    expect("USDZ, name", prim.GetDisplayName().startswith("t1"), True)
+    expect("USDZ, volume and frame", [prim.GetCustomData()["isopeel"][name] for name in ("volume", "frame")], ["t1", "LPS"])
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    shader, _, _ = material.ComputeSurfaceSource()
+    expect("USDZ, material", shader.GetShaderId(), "UsdPreviewSurface")
+
+
+def check_slices(binary, folder):
+    """Planes across each axis in nibabel and pynrrd: samples, and where they are, are those of the volume."""
+    volume = nibabel.load(VOLUME)
+    samples = np.asarray(volume.dataobj)
+    for axis, index in enumerate(np.array(samples.shape) // 3):
+        plane = np.take(samples, index, axis=axis)
+        others = [other for other in range(3) if other != axis]
+        first = np.zeros(3)
+        first[axis] = index
+        columns = [volume.affine[:3, column] for column in others] + [volume.affine[:3] @ [*first, 1]]
+        for extension in ("nii", "nii.gz", "nrrd"):
+            path = folder / f"plane.{extension}"
+            subprocess.run([binary, "slice", VOLUME, "--axis", "xyz"[axis], "--index", str(index), "-o", path], check=True)
+            what = f"plane across {'xyz'[axis]} as {extension}"
+            if extension == "nrrd":
+                image, header = nrrd.read(str(path))
+                read = np.vstack([header["space directions"], header["space origin"]]) * [-1, -1, 1]
+                expect(f"{what}, space", header["space"], "left-posterior-superior")
+            else:
+                image = nibabel.load(path)
+                expect(f"{what}, unit and codes", (image.header.get_xyzt_units()[0], int(image.header["sform_code"])), ("mm", 1))
+                read = image.affine[:3, [0, 1, 3]].T
+                across = image.affine[:3, 2]
+                expect(f"{what}, across", bool(np.allclose(across, volume.affine[:3, axis], atol=1e-4)), True)
+                image = np.asarray(image.dataobj)[..., 0]
+            expect(f"{what}, samples", np.array_equal(image, plane), True)
+            expect(f"{what}, place", bool(np.allclose(read, columns, atol=1e-4)), True)
+
+
 def main():
     binary = sys.argv[1]
     with tempfile.TemporaryDirectory() as temporary:
@@ -208,6 +269,8 @@ def main():
         check_3mf(extract(binary, folder, "3mf")[0], triangles, points)
         check_gifti(extract(binary, folder, "surf.gii")[0], triangles, points)
         check_precomputed(extract(binary, folder, "precomputed.zip")[0], triangles, points[corners])
+        check_slices(binary, folder)
+        check_usdz(extract(binary, folder, "usdz")[0], triangles, points)
         turned = meshio.read(extract(binary, folder, "ply", "--frame", "RAS")[0])
         expect("--frame RAS", bool(np.allclose(turned.points * [-1, -1, 1], points, atol=1e-4)), True)
         counted = meshio.read(extract(binary, folder, "ply", "--frame", "index")[0])

@@ -44,8 +44,8 @@ pub struct Args {
     #[command(flatten)]
     pub(super) device: DeviceArgs,
 
-    /// File to write; its extension is the format: .glb (in metres, Y up), .ply, .stl, .vtp, .obj, .3mf, .surf.gii (GIFTI)
-    /// or .precomputed.zip (Neuroglancer); -: stdout, with --format
+    /// File to write; its extension is the format: .glb (in metres, Y up), .ply, .stl, .vtp, .obj, .3mf, .surf.gii (GIFTI),
+    /// .precomputed.zip (Neuroglancer) or .usdz; -: stdout, with --format
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
 

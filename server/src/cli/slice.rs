@@ -54,7 +54,7 @@ pub struct Args {
     #[command(flatten)]
     pub(super) device: DeviceArgs,
 
-    /// File to write; its extension is the format: .png, .nrrd and .nii (the samples with their place), .raw, .svg or .geojson (contours); -: stdout, with
+    /// File to write; its extension is the format: .png, .nrrd, .nii and .nii.gz (the samples with their place), .raw, .svg or .geojson (contours); -: stdout, with
     /// --format
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
@@ -79,7 +79,7 @@ pub enum SliceError {
     Slice(#[from] BadSlice),
     /// The format is not known.
     #[error(
-        "{0:?} does not say the format: expected a name that ends in .png, .nrrd, .nii, .raw, .svg or .geojson, or --format"
+        "{0:?} does not say the format: expected a name that ends in .png, .nrrd, .nii, .nii.gz, .raw, .svg or .geojson, or --format"
     )]
     NoFormat(PathBuf),
     /// The volume has no such field.

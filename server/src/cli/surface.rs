@@ -126,13 +126,13 @@ pub struct SurfaceArgs {
     #[arg(long, value_name = "SIDE")]
     outward: Option<Outward>,
 
-    /// Unit of positions in a PLY, VTP or OBJ, and of those of a volume that declares none: m, mm, cm, um, nm, km or angstrom. A GLB is always in
+    /// Unit of positions in a PLY, VTP, OBJ or USDZ, and of those of a volume that declares none: m, mm, cm, um, nm, km or angstrom. A GLB is always in
     /// metres, STL, 3MF and GIFTI are in millimetres, precomputed meshes in nanometres [default: the volume's]
     #[arg(long, value_name = "UNIT")]
     unit: Option<String>,
 
     /// Fields, and expressions over fields, whose values become attributes of the vertices, in their own units:
-    /// `temperature,magnitude(u,v,w)`; in GLB, PLY and VTP
+    /// `temperature,magnitude(u,v,w)`; in GLB, PLY, VTP and USDZ
     #[arg(long, value_name = "NAMES")]
     field_values: Option<String>,
 
@@ -158,7 +158,7 @@ pub struct SurfaceArgs {
     #[arg(long)]
     clean: bool,
 
-    /// One of several surfaces of a GLB, 3MF, OBJ or precomputed file, JSON with what differs from the other options: any name of a request, beside `volume` (a
+    /// One of several surfaces of a GLB, 3MF, OBJ, USDZ or precomputed file, JSON with what differs from the other options: any name of a request, beside `volume` (a
     /// path), `step`, `label`, `name`, `color` and `opacity`, as `{"iso":300,"color":"#d2b48c","opacity":0.4}`. May be given up to 64 times
     #[arg(long = "surface", value_name = "JSON", value_parser = parse_surface)]
     surfaces: Vec<SurfaceOptions>,

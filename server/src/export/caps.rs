@@ -8,18 +8,19 @@ use crate::volumes::Geometry;
 pub(crate) struct ToCaps {
     /// The faces that it lies on, a bit each: that at the low end of the first axis, that at its high end, and so on.
     faces: u8,
-    /// Whether it is less than a cell from a face.
+    /// Whether it is so near to a face that the cap may have changed the surface there.
     pub is_near: bool,
 }
 
 impl ToCaps {
-    /// Classifies a position in the index space of a capped volume, which has `dims` samples with its padding.
-    pub fn of(position: [f32; 3], dims: [u32; 3]) -> Self {
+    /// Classifies a position in the index space of a capped volume, which has `dims` samples with its padding. It is near a face if it is less than
+    /// `reach` cells from it.
+    pub fn of(position: [f32; 3], dims: [u32; 3], reach: f32) -> Self {
         let mut to = Self::default();
         for (axis, (at, n)) in position.into_iter().zip(dims).enumerate() {
             let [first, last] = [1.0, n as f32 - 2.0];
             to.faces |= u8::from(at == first) << (2 * axis) | u8::from(at == last) << (2 * axis + 1);
-            to.is_near |= at < first + 1.0 || at > last - 1.0;
+            to.is_near |= at < first + reach || at > last - reach;
         }
         to
     }
@@ -111,8 +112,10 @@ mod tests {
             let [i, j, k] = index.map(f64::from);
             (x * i + y * j + z * k).to_array().map(|at| at as f32)
         });
-        let caps = indices.map(|index| ToCaps::of(index, geometry.dims));
+        let caps = indices.map(|index| ToCaps::of(index, geometry.dims, 1.0));
         let faces = Faces::new(&geometry, &world, &caps);
+        assert!(!ToCaps::of([2.5, 3.0, 3.5], geometry.dims, 1.5).is_near);
+        assert!(ToCaps::of([2.5, 3.0, 3.5], geometry.dims, 1.6).is_near);
         assert_eq!(caps.map(|to| to.is_near), [false, true, true, true, true, true]);
         let at = |i: usize| DVec3::from(world[i].map(f64::from));
         let go = |i: usize, by: DVec3| faces.constrained(at(i), at(i) + by, caps[i]).map(|to| to - at(i));

@@ -15,10 +15,10 @@ use crate::math::DVec3;
 /// Maximum rounds over the groups of intersecting triangles before the repair is given up.
 const MAX_ROUNDS: usize = 16;
 
-/// The same for capped surfaces, whose triangles may still intersect afterwards.
+/// The same for capped surfaces whose vertices each stand for a cell: the cut was refined near caps before.
 const CAP_ROUNDS: usize = 4;
 
-/// Smallest spacings that a vertex of a capped surface is moved at most.
+/// Smallest spacings that a vertex of a capped surface is moved at most. One that stands for a larger cube is moved by its length at most.
 const CAP_REACH: f64 = 2.0;
 
 /// Each time after this many rounds, a group grows by the vertices around it.
@@ -89,7 +89,10 @@ pub(super) enum Scope {
     /// All: it is an error if some still intersect.
     All,
     /// Only pairs with a corner near a cap: other intersections also occur in surfaces without caps.
-    AtCaps,
+    AtCaps {
+        /// Cells along the largest cube that a vertex stands for.
+        cells: f32,
+    },
 }
 
 /// Moves vertices of triangles that intersect, and if that does not suffice those around, until no triangles of a file of the format intersect.
@@ -107,7 +110,10 @@ pub(super) fn repair(
     let mut cleaned = Cleaned::default();
     let (reach, rounds) = match scope {
         Scope::All => (f64::INFINITY, MAX_ROUNDS),
-        Scope::AtCaps => (CAP_REACH * mesh.smallest_spacing, CAP_ROUNDS),
+        Scope::AtCaps { cells } => {
+            let rounds = if cells > 1.0 { MAX_ROUNDS } else { CAP_ROUNDS };
+            (CAP_REACH.max(cells.into()) * mesh.smallest_spacing, rounds)
+        }
     };
     let around = Around::new(mesh);
     let numbers = Numbers::new(mesh, format);
@@ -168,6 +174,8 @@ enum Numbers {
     WorldDecimals(Decimals),
     /// As decimals, from the mesh's origin.
     Decimals(Decimals),
+    /// As decimals that are read with 32 bits, from the mesh's origin.
+    RoundedDecimals(Decimals),
 }
 
 impl Numbers {
@@ -175,6 +183,7 @@ impl Numbers {
         match format {
             Format::Obj => Self::WorldDecimals(Decimals::of_spacing(mesh.smallest_spacing)),
             Format::ThreeMf => Self::Decimals(Decimals::of_spacing(mesh.smallest_spacing)),
+            Format::Usdz => Self::RoundedDecimals(Decimals::of_spacing(mesh.smallest_spacing)),
             _ if format.rounds() => Self::Rounded,
             _ => Self::Exact,
         }
@@ -190,6 +199,7 @@ impl Numbers {
             Self::Rounded => world.map(|component| f64::from(component as f32)),
             Self::WorldDecimals(decimals) => world.map(|component| decimals.rounded(component)),
             Self::Decimals(decimals) => position.map(|component| decimals.rounded(component)),
+            Self::RoundedDecimals(decimals) => position.map(|component| f64::from(decimals.rounded(component) as f32)),
         }
     }
 
@@ -266,7 +276,7 @@ impl Repair<'_> {
         let mut corners = pair.iter().flat_map(|&triangle| self.mesh.triangles[triangle as usize]);
         match scope {
             Scope::All => true,
-            Scope::AtCaps => corners.any(|corner| self.mesh.caps[corner as usize].is_near),
+            Scope::AtCaps { .. } => corners.any(|corner| self.mesh.caps[corner as usize].is_near),
         }
     }
 

@@ -123,6 +123,16 @@ fn turn_outward(mesh: &mut Mesh, topology: Topology, outward: Outward) -> Shape 
     }
 }
 
+/// Returns the cells along the largest cube that a vertex of a surface stands for: a cap changes the vertices of all cubes that it cuts. 1 for a
+/// cut of the vertex tree, which is refined near caps.
+fn cells_of_largest(statistics: &ExtractionStatistics) -> f32 {
+    let coarsest = statistics.leaves.iter().rposition(|&leaves| leaves > 0);
+    match coarsest {
+        Some(level) if !statistics.is_tree_cut => (1u32 << level) as f32,
+        _ => 1.0,
+    }
+}
+
 /// Returns notices on properties of a mesh that the format does not keep, and on an error that was not measured in time.
 fn notices(mesh: &Mesh, options: &FileOptions, is_measured: bool) -> Vec<String> {
     let format = options.format;
@@ -321,8 +331,10 @@ impl MadeSurface {
         let padding = if view.cap { 1.0 } else { 0.0 };
         mesh.fields = fields.iter().map(|field| field.at(&mesh.index, padding)).collect();
         drop(fields);
+        let cells = cells_of_largest(&statistics);
         if view.cap {
-            mesh.caps = mesh.index.iter().map(|&at| ToCaps::of(at, of_view.dims)).collect();
+            let to_caps = |&at: &[f32; 3]| ToCaps::of(at, of_view.dims, cells);
+            mesh.caps = mesh.index.iter().map(to_caps).collect();
         }
         mesh.index = Vec::new();
         let topology = split_pinched(&mut mesh);
@@ -331,7 +343,7 @@ impl MadeSurface {
             scope: if options.clean {
                 Some(Scope::All)
             } else {
-                view.cap.then_some(Scope::AtCaps)
+                view.cap.then_some(Scope::AtCaps { cells })
             },
             measuring: options.measuring(),
             faces: Faces::new(&of_view, &mesh.positions, &mesh.caps),

@@ -327,12 +327,17 @@ pub(super) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<
     for field in &mesh.fields {
         let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
         let name = format!("{prefix}{}", field.name.chars().map(plain).collect::<String>());
-        let free = |name: &String| !names.iter().any(|other| other.eq_ignore_ascii_case(name));
-        let numbered = (2..).map(|n| format!("{name}_{n}"));
-        let found = std::iter::once(name.clone()).chain(numbered).find(free);
-        names.push(found.unwrap_or(name));
+        names.push(free_name(name, &names));
     }
     names.split_off(taken.len())
+}
+
+/// Returns a name, with a number appended if another one has it, compared without regard to case.
+pub(super) fn free_name(name: String, taken: &[String]) -> String {
+    let free = |name: &String| !taken.iter().any(|other| other.eq_ignore_ascii_case(name));
+    let numbered = (2..).map(|n| format!("{name}_{n}"));
+    let found = std::iter::once(name.clone()).chain(numbered).find(free);
+    found.unwrap_or(name)
 }
 
 /// Converts a text to a line of ASCII. Other characters are escaped as in Rust.

@@ -39,6 +39,8 @@ mod surfaces;
 mod three_mf;
 mod topology;
 mod transform;
+mod usda;
+mod usdz;
 mod vtp;
 mod xml;
 
@@ -79,6 +81,8 @@ pub enum Format {
     Gifti,
     /// Neuroglancer's single-resolution meshes in a ZIP, in nanometres; several surfaces are segments.
     Precomputed,
+    /// USDZ: a stage of Universal Scene Description with Y up, with names, materials and colours; several surfaces are meshes.
+    Usdz,
 }
 
 /// How a file is compressed.
@@ -130,10 +134,10 @@ impl Compress {
 
 impl Format {
     /// The names of all, for people.
-    pub const EXPECTED: &str = "glb, ply, stl, vtp, obj, 3mf, gifti or precomputed";
+    pub const EXPECTED: &str = "glb, ply, stl, vtp, obj, 3mf, gifti, precomputed or usdz";
 
     /// Endings of file names.
-    const ENDINGS: [(&str, Self); 9] = [
+    const ENDINGS: [(&str, Self); 10] = [
         (".glb", Self::Glb),
         (".ply", Self::Ply),
         (".stl", Self::Stl),
@@ -143,6 +147,7 @@ impl Format {
         (".surf.gii", Self::Gifti),
         (".gii", Self::Gifti),
         (".precomputed.zip", Self::Precomputed),
+        (".usdz", Self::Usdz),
     ];
 
     /// The format that a file's name says.
@@ -181,6 +186,7 @@ impl Format {
             Self::ThreeMf => "3MF",
             Self::Gifti => "GIFTI",
             Self::Precomputed => "precomputed",
+            Self::Usdz => "USDZ",
         }
     }
 
@@ -195,6 +201,7 @@ impl Format {
             Self::ThreeMf => "3mf",
             Self::Gifti => "surf.gii",
             Self::Precomputed => "precomputed.zip",
+            Self::Usdz => "usdz",
         }
     }
 
@@ -215,6 +222,8 @@ impl Format {
             Self::ThreeMf => 80,
             // Vertices of 12 bytes, three indices of 4.
             Self::Gifti | Self::Precomputed => 18,
+            // Text of some 65 bytes a vertex, and of 30 a triangle.
+            Self::Usdz => 65,
         };
         triangles.saturating_mul(per_triangle)
     }
@@ -229,37 +238,47 @@ impl Format {
             Self::Obj => "model/obj",
             Self::ThreeMf => "model/3mf",
             Self::Precomputed => "application/zip",
+            Self::Usdz => "model/vnd.usdz+zip",
         }
     }
 
     /// Whether a file holds values of fields.
     pub const fn holds_values(self) -> bool {
-        matches!(self, Self::Glb | Self::Ply | Self::Vtp)
+        matches!(self, Self::Glb | Self::Ply | Self::Vtp | Self::Usdz)
     }
 
     /// Whether a file holds the name of its surface.
     const fn holds_names(self) -> bool {
-        matches!(self, Self::Glb | Self::Obj | Self::ThreeMf | Self::Precomputed)
+        matches!(
+            self,
+            Self::Glb | Self::Obj | Self::ThreeMf | Self::Precomputed | Self::Usdz
+        )
     }
 
     /// Whether a file holds the colour of its surface.
     const fn holds_color(self) -> bool {
-        matches!(self, Self::Glb | Self::Obj | Self::ThreeMf)
+        matches!(self, Self::Glb | Self::Obj | Self::ThreeMf | Self::Usdz)
     }
 
     /// Whether a file holds the colours of a transfer function.
     const fn holds_colors(self) -> bool {
-        matches!(self, Self::Glb | Self::Ply | Self::Vtp | Self::Obj | Self::ThreeMf)
+        matches!(
+            self,
+            Self::Glb | Self::Ply | Self::Vtp | Self::Obj | Self::ThreeMf | Self::Usdz
+        )
     }
 
     /// Whether a file holds the opacity of its surface.
     const fn holds_opacity(self) -> bool {
-        matches!(self, Self::Glb | Self::ThreeMf)
+        matches!(self, Self::Glb | Self::ThreeMf | Self::Usdz)
     }
 
     /// Whether a file holds several surfaces.
     pub const fn holds_several(self) -> bool {
-        matches!(self, Self::Glb | Self::Obj | Self::ThreeMf | Self::Precomputed)
+        matches!(
+            self,
+            Self::Glb | Self::Obj | Self::ThreeMf | Self::Precomputed | Self::Usdz
+        )
     }
 
     /// Whether world positions are rounded to 32 bits.
@@ -272,7 +291,7 @@ impl Format {
         match self {
             Self::Stl | Self::ThreeMf | Self::Gifti => Some(LengthUnit::Millimetre),
             Self::Precomputed => Some(LengthUnit::Nanometre),
-            Self::Glb | Self::Ply | Self::Vtp | Self::Obj => None,
+            Self::Glb | Self::Ply | Self::Vtp | Self::Obj | Self::Usdz => None,
         }
     }
 }
@@ -283,7 +302,7 @@ impl Format {
 pub enum ExportError {
     /// The name does not say the format.
     #[error(
-        "{0:?} does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii or .precomputed.zip"
+        "{0:?} does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii, .precomputed.zip or .usdz"
     )]
     UnknownExtension(String),
     /// More than the format or its 32-bit numbers can hold.
@@ -347,6 +366,7 @@ impl Content {
             Format::ThreeMf => three_mf::write(meshes, self.compress == Compress::Zlib, out),
             Format::Gifti => gifti::write(self.only()?, out),
             Format::Precomputed => precomputed::write(meshes, out),
+            Format::Usdz => usdz::write(meshes, out),
         }
     }
 

@@ -39,11 +39,11 @@ pub struct FileOptions {
     /// Which side is the outside.
     #[serde(default, skip_serializing_if = "Outward::is_auto")]
     pub outward: Outward,
-    /// Unit of positions in a PLY, VTP or OBJ, and what those of a volume are in that declares none: `mm`, `um`, `m` and so on. A GLB is always
+    /// Unit of positions in a PLY, VTP, OBJ or USDZ, and what those of a volume are in that declares none: `mm`, `um`, `m` and so on. A GLB is always
     /// in metres, STL, 3MF and GIFTI are in millimetres, precomputed meshes in nanometres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
-    /// Names of fields, and expressions over fields, whose values are attributes of the vertices, in their own units; in GLB, PLY and VTP, at most
+    /// Names of fields, and expressions over fields, whose values are attributes of the vertices, in their own units; in GLB, PLY, VTP and USDZ, at most
     /// 16.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 16)]
@@ -65,7 +65,7 @@ pub struct FileOptions {
     /// are moved. A budget holds. `shape.cleaned` says what it cost.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub clean: bool,
-    /// Several surfaces in one GLB, 3MF, OBJ or precomputed, each with what differs from the request: `[{"iso":300,"color":"#d2b48c","opacity":0.4},
+    /// Several surfaces in one GLB, 3MF, OBJ, USDZ or precomputed, each with what differs from the request: `[{"iso":300,"color":"#d2b48c","opacity":0.4},
     /// {"iso":900}]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 64)]

@@ -1,8 +1,12 @@
 //! Planes of samples and their contours as files: raw samples, pictures, NRRD, NIfTI, SVG and GeoJSON.
 
-use std::fmt::Write;
+use std::fmt::Write as _;
+use std::io::{self, Write as _};
 use std::path::Path;
 
+use clap::ValueEnum;
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use utoipa::ToSchema;
@@ -67,6 +71,10 @@ pub enum SliceFormat {
     Nrrd,
     /// The samples with their place in the world: NIfTI-1, one sample across the plane.
     Nii,
+    /// The same, compressed by gzip.
+    #[serde(rename = "nii.gz")]
+    #[value(name = "nii.gz")]
+    NiiGz,
     /// Contours at isovalues, in the plane's own coordinates.
     Svg,
     /// Contours at isovalues, in the world's coordinates.
@@ -76,17 +84,27 @@ pub enum SliceFormat {
 impl SliceFormat {
     /// The format that a file's name says.
     pub fn from_path(path: &Path) -> Option<Self> {
-        clap::ValueEnum::from_str(path.extension()?.to_str()?, true).ok()
+        let name = path.file_name()?.to_str()?.to_ascii_lowercase();
+        let formats = Self::value_variants().iter().copied();
+        let mut named = formats.filter_map(|format| Some((format, format.to_possible_value()?)));
+        named
+            .find(|(_, value)| name.ends_with(&format!(".{}", value.get_name())))
+            .map(|(format, _)| format)
     }
 
     /// Media type for HTTP.
     pub const fn content_type(self) -> &'static str {
         match self {
-            Self::Raw | Self::Nrrd | Self::Nii => "application/octet-stream",
+            Self::Raw | Self::Nrrd | Self::Nii | Self::NiiGz => "application/octet-stream",
             Self::Png => "image/png",
             Self::Svg => "image/svg+xml",
             Self::Geojson => "application/geo+json",
         }
+    }
+
+    /// Whether it is a NIfTI.
+    const fn is_nifti(self) -> bool {
+        matches!(self, Self::Nii | Self::NiiGz)
     }
 
     /// Whether it has contours, and no samples.
@@ -183,11 +201,11 @@ impl Plane {
         if let Some(iso) = isovalues.iter().find(|iso| !iso.is_finite()) {
             return refuse(format!("iso: {iso}, expected a finite number"));
         }
-        let is_placed = matches!(format, SliceFormat::Nrrd | SliceFormat::Nii);
+        let is_placed = format.is_nifti() || *format == SliceFormat::Nrrd;
         if is_placed && self.space.uneven.is_some() {
             return refuse("format: NRRD and NIfTI hold samples at even distances, and the volume's axes are uneven: expected another format".into());
         }
-        if *format == SliceFormat::Nii && self.dims.iter().any(|&n| n > i16::MAX as u32) {
+        if format.is_nifti() && self.dims.iter().any(|&n| n > i16::MAX as u32) {
             return refuse(format!(
                 "format: NIfTI holds {} samples along an axis, and the plane has {:?}: expected nrrd",
                 i16::MAX,
@@ -224,13 +242,14 @@ impl Plane {
     /// The file of the plane, whose samples these are. `range`: of the field's values.
     ///
     /// # Errors
-    /// A picture cannot be written.
+    /// A picture cannot be written, or nothing compressed.
     pub fn file(&self, slice: Slice, options: &SliceOptions, range: [f32; 2]) -> Result<Vec<u8>, png::EncodingError> {
         match options.format {
             SliceFormat::Raw => Ok(slice.bytes),
             SliceFormat::Png => self.picture(options, range).png(&slice),
             SliceFormat::Nrrd => Ok(nrrd(&self.placed(), &slice)),
             SliceFormat::Nii => Ok(nifti(&self.placed(), &slice)),
+            SliceFormat::NiiGz => Ok(gzipped(&nifti(&self.placed(), &slice))?),
             SliceFormat::Svg => Ok(self.svg(&self.contours(&slice, &options.isovalues)).into_bytes()),
             SliceFormat::Geojson => Ok(self.geojson(&self.contours(&slice, &options.isovalues)).into_bytes()),
         }
@@ -351,6 +370,13 @@ impl Plane {
     }
 }
 
+/// Compresses a file, without a name or a time: equal requests have equal files.
+fn gzipped(file: &[u8]) -> io::Result<Vec<u8>> {
+    let mut gzip = GzEncoder::new(Vec::new(), Compression::default());
+    gzip.write_all(file)?;
+    gzip.finish()
+}
+
 /// The isovalues of a list with commas between them.
 ///
 /// # Errors
@@ -448,6 +474,10 @@ mod tests {
         assert_eq!(rows.map(|row| row.map(|x| x + 0.0)), expected);
         assert_eq!([80, 84, 88, 108].map(float), [0.5, 3.0, 2.0, 352.0]);
         assert!(nifti[344..348] == *b"n+1\0" && nifti[352..] == ramp().bytes[..]);
+        let packed = lps.file(ramp(), &options(SliceFormat::NiiGz, &[]), [0.0, 4.0]).unwrap();
+        let mut unpacked = Vec::new();
+        io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&packed[..]), &mut unpacked).unwrap();
+        assert_eq!(unpacked, nifti);
         let svg = text(&lps, options(SliceFormat::Svg, &[1.5, 9.0]));
         assert!(
             svg.contains("width=\"2mm\" height=\"6mm\" viewBox=\"0 0 2 6\""),
@@ -467,6 +497,20 @@ mod tests {
         for point in line {
             assert_eq!((&point[0], &point[1]), (&10.75.into(), &22.0.into()));
         }
+    }
+
+    #[test]
+    fn names_say_the_format() {
+        let format = |name: &str| SliceFormat::from_path(Path::new(name));
+        for (name, expected) in [
+            ("a.PNG", SliceFormat::Png),
+            ("a.b.nii", SliceFormat::Nii),
+            ("folder/a.nii.gz", SliceFormat::NiiGz),
+            ("a.geojson", SliceFormat::Geojson),
+        ] {
+            assert_eq!(format(name), Some(expected), "{name}");
+        }
+        assert_eq!([format("png"), format("a.gz"), format("a.tiff")], [None; 3]);
     }
 
     #[test]

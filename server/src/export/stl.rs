@@ -21,7 +21,7 @@ pub fn rounding(mesh: &Mesh, format: &str) -> Option<String> {
     (spacings > UNNOTICED).then(|| {
         format!(
             "{format} holds numbers of 32 bits: so far from the origin positions are rounded by up to {largest:.1e} {unit}, {spacings:.2} of the \
-             smallest spacing; GLB, PLY, VTP, OBJ and 3MF keep them"
+             smallest spacing; GLB, PLY, VTP, OBJ, 3MF and USDZ keep them"
         )
     })
 }

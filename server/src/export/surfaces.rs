@@ -91,7 +91,7 @@ impl FileRequest {
         if surfaces.len() > 1 && !self.options.format.holds_several() {
             let title = self.options.format.title();
             return refuse(format!(
-                "{} surfaces in a {title}, expected one, or a GLB, 3MF, OBJ or precomputed",
+                "{} surfaces in a {title}, expected one, or a GLB, 3MF, OBJ, USDZ or precomputed",
                 surfaces.len()
             ));
         }

@@ -4,9 +4,12 @@ use clap::ValueEnum as _;
 use utoipa::Modify;
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
-use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response};
+use utoipa::openapi::{Content, OneOfBuilder, OpenApi, Ref, RefOr, Response};
 
 use crate::export::Format;
+
+/// Media type of problems.
+const PROBLEM: &str = "application/problem+json";
 
 /// The scheme of tokens.
 const TOKEN: &str = "token";
@@ -74,16 +77,31 @@ fn name_formats(operation: &mut Operation) {
     }
 }
 
+/// Gives the JSON of an answer that may be a problem the schemas of both: generated clients take one kind of content for a status.
+fn join_problems(operation: &mut Operation) {
+    for response in operation.responses.responses.values_mut() {
+        let RefOr::T(response) = response else { continue };
+        let Some(RefOr::T(Content {
+            schema: Some(problem), ..
+        })) = response.content.get(PROBLEM).cloned()
+        else {
+            continue;
+        };
+        if let Some(RefOr::T(Content { schema: Some(json), .. })) = response.content.get_mut("application/json") {
+            *json = OneOfBuilder::new().item(json.clone()).item(problem).into();
+        }
+    }
+}
+
 fn complete(operation: &mut Operation) {
     name_formats(operation);
+    join_problems(operation);
     for (status, description) in OF_GATE {
         let answers = &mut operation.responses.responses;
         answers.entry(status.to_owned()).or_insert_with(|| {
             let problem = Content::new(Some(Ref::from_schema_name("Problem")));
             let mut response = Response::new(description);
-            response
-                .content
-                .insert("application/problem+json".into(), problem.into());
+            response.content.insert(PROBLEM.into(), problem.into());
             RefOr::T(response)
         });
     }

@@ -63,7 +63,10 @@ pub async fn show(State(state): State<ApiState>) -> Json<SignInWays> {
     operation_id = "sign_in",
     tag = "session",
     responses(
-        (status = 303, description = "To the issuer"),
+        (status = 303, description = "To the issuer", headers(
+            ("location" = String, description = "An address of the issuer"),
+            ("set-cookie" = String, description = "What the browser brings back"),
+        )),
         (status = 404, description = "`not-found`: there is none", body = Problem, content_type = "application/problem+json"),
         (status = 502, description = "`issuer`: it cannot be asked", body = Problem, content_type = "application/problem+json"),
     ),
@@ -81,7 +84,9 @@ pub async fn login(State(state): State<ApiState>) -> Result<Response, ApiError> 
     tag = "session",
     params(Callback),
     responses(
-        (status = 303, description = "Home: with a cookie, or with `#sign-in-failed=` and why"),
+        (status = 303, description = "Home: with a cookie, or with `#sign-in-failed=` and why", headers(
+            ("location" = String, description = "The viewer's address"),
+        )),
         (status = 404, description = "`not-found`: there is no issuer", body = Problem, content_type = "application/problem+json"),
     ),
 )]

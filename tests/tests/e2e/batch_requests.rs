@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::jobs::{Setting, checksum, extracted, extraction, files_below, manifest};
-use crate::support::{command, server};
+use crate::support::{ball, command, server};
 
 #[test]
 fn a_batch_needs_no_server() {
@@ -49,34 +49,59 @@ fn a_batch_needs_no_server() {
 
 #[test]
 fn the_same_words_make_the_same_surface_by_command_batch_and_rest() {
+    check_same_surfaces(
+        &Setting::new(),
+        &[
+            (json!({"iso": 1}), "--iso 1"),
+            (json!({}), ""),
+            (json!({"iso": 1, "beta": 0.02}), "--iso 1 --beta 0.02"),
+            (
+                json!({"iso": 1, "feature": "gradient-magnitude"}),
+                "--iso 1 --feature gradient-magnitude",
+            ),
+            (
+                json!({"iso": 1, "triangles": {"share": 0.1}}),
+                "--iso 1 --triangles 10%",
+            ),
+            (
+                json!({"iso": 1, "error": "0.1vx", "topology": "free"}),
+                "--iso 1 --error 0.1vx --topology free",
+            ),
+            (
+                json!({"iso": 1, "mesher": "marching-cubes"}),
+                "--iso 1 --mesher marching-cubes",
+            ),
+            (
+                json!({"iso": -9, "cap": true, "maxLevel": 3}),
+                "--iso -9 --cap --max-level 3",
+            ),
+        ],
+    );
+}
+
+#[test]
+fn the_surface_of_a_label_is_the_same_by_command_batch_and_rest() {
     let setting = Setting::new();
+    ball::write_field(&setting.volume, [24; 3], |at| {
+        let distance = at.iter().map(|x| (x - 11.0).powi(2)).sum::<f32>().sqrt();
+        if distance < 7.5 { 7.0 } else { 0.0 }
+    });
+    check_same_surfaces(
+        &setting,
+        &[
+            (json!({"label": "7"}), "--label 7"),
+            (
+                json!({"label": "7", "labelSmoothing": 0.8}),
+                "--label 7 --label-smoothing 0.8",
+            ),
+        ],
+    );
+}
+
+/// Makes surfaces by names in JSON and by options in three ways: files must be equal.
+fn check_same_surfaces(setting: &Setting, words: &[(Value, &str)]) {
     let Some(server) = setting.server() else { return };
     let folder = setting.folder.path();
-    let words = [
-        (json!({"iso": 1}), "--iso 1"),
-        (json!({}), ""),
-        (json!({"iso": 1, "beta": 0.02}), "--iso 1 --beta 0.02"),
-        (
-            json!({"iso": 1, "feature": "gradient-magnitude"}),
-            "--iso 1 --feature gradient-magnitude",
-        ),
-        (
-            json!({"iso": 1, "triangles": {"share": 0.1}}),
-            "--iso 1 --triangles 10%",
-        ),
-        (
-            json!({"iso": 1, "error": "0.1vx", "topology": "free"}),
-            "--iso 1 --error 0.1vx --topology free",
-        ),
-        (
-            json!({"iso": 1, "mesher": "marching-cubes"}),
-            "--iso 1 --mesher marching-cubes",
-        ),
-        (
-            json!({"iso": -9, "cap": true, "maxLevel": 3}),
-            "--iso -9 --cap --max-level 3",
-        ),
-    ];
     let extractions: Vec<Value> = (words.iter())
         .map(|(edit, _)| {
             let mut extraction = edit.clone();
@@ -89,7 +114,7 @@ fn the_same_words_make_the_same_surface_by_command_batch_and_rest() {
     std::fs::write(&file, job.to_string()).expect("written");
     let output = folder.join("out");
     command::succeed(["batch".as_ref(), file.as_os_str(), "-o".as_ref(), output.as_os_str()]);
-    for (n, (extraction, (_, options))) in extractions.iter().zip(&words).enumerate() {
+    for (n, (extraction, (_, options))) in extractions.iter().zip(words).enumerate() {
         let one = folder.join("one.ply");
         let by_command = command::extract_to(&setting.volume, options, &one);
         let bytes = std::fs::read(&one).expect("a file");

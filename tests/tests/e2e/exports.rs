@@ -253,7 +253,8 @@ fn the_surface_of_a_label_is_around_its_samples() {
     }
     // Smoothed, on even ground and with caps: vertices are nearer to one sphere.
     let spread = |options: &str| {
-        let (.., mesh) = setting.extract(&labels, &format!("--label 7 --beta -1 {options}"), "ply");
+        let (statistics, _, mesh) = setting.extract(&labels, &format!("--label 7 --beta -1 {options}"), "ply");
+        assert_eq!(statistics["shape"]["isClosed"], true, "{options}");
         let radius = |at: &[f64; 3]| {
             let square = |i: usize| (at[i] - f64::from(balls[2].1[i])).powi(2);
             (0..3).map(square).sum::<f64>().sqrt()
@@ -403,6 +404,18 @@ fn caps_add_no_triangles_that_intersect() {
         let (bounded, ..) = setting.extract(&gyroid, &format!("--iso 0 --cap {options} --measure 60"), "ply");
         assert_eq!(bounded.pointer("/error"), capped.pointer("/error"), "{options}");
     }
+    // In large cubes a cap also changes vertices that are far from it.
+    let wide = setting.path("wide.npy");
+    ball::write_field(&wide, [129; 3], |at| {
+        let [x, y, z] = at.map(|x| x * std::f32::consts::PI / 16.0);
+        x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()
+    });
+    let (capped, ..) = setting.extract(&wide, "--iso 0 --cap --beta 0.2 --no-measure", "ply");
+    assert_eq!(number(&capped, "/shape/selfIntersections"), Some(0), "{capped}");
+    assert!(
+        number(&capped, "/shape/cleaned/movedVertices") > Some(0),
+        "nothing to do"
+    );
 }
 
 /// Counts edges that pierce a triangle without a common corner, over all pairs. Not exact: edges and triangles that hardly meet are left
@@ -499,7 +512,7 @@ fn several_surfaces_are_nodes_of_one_file() {
     assert_eq!(json["materials"][0]["alphaMode"], "BLEND");
     let extras = json["asset"]["extras"]["surfaces"].as_array().expect("surfaces");
     assert_eq!((extras.len(), &extras[1]["volume"]), (3, &"low".into()));
-    for format in ["3mf", "obj", "precomputed"] {
+    for format in ["3mf", "obj", "precomputed", "usdz"] {
         command::succeed(line(&setting.path("out.any"), format));
     }
     let refused = command::fail(line(&setting.path("out.ply"), "ply"));

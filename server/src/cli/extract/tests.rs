@@ -271,13 +271,14 @@ fn the_extension_says_the_format() {
     let error = Format::from_path(Path::new("head.xyz")).unwrap_err().to_string();
     assert_eq!(
         error,
-        "\"head.xyz\" does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii or .precomputed.zip"
+        "\"head.xyz\" does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii, .precomputed.zip or .usdz"
     );
     for (name, format) in [
         ("a.PLY", Format::Ply),
         ("a.3mf", Format::ThreeMf),
         ("lh.white.surf.gii", Format::Gifti),
         ("a.precomputed.zip", Format::Precomputed),
+        ("a.usdz", Format::Usdz),
     ] {
         assert_eq!(Format::from_path(Path::new(name)).unwrap(), format);
     }

@@ -69,12 +69,12 @@ fn at_caps_vertices_stay_on_the_faces_and_others_are_left_alone() {
         let mut mesh = pillow(9, 2.5);
         let pushed = mesh.positions.iter().position(|at| at[2] == -1.5).unwrap();
         mesh.smallest_spacing = 1.0;
-        mesh.caps = vec![ToCaps::of([3.0; 3], [7; 3]); mesh.positions.len()];
+        mesh.caps = vec![ToCaps::of([3.0; 3], [7; 3], 1.0); mesh.positions.len()];
         if is_at_cap {
-            mesh.caps[pushed] = ToCaps::of([3.0, 3.0, 1.0], [7; 3]);
+            mesh.caps[pushed] = ToCaps::of([3.0, 3.0, 1.0], [7; 3], 1.0);
         }
         let before = mesh.clone();
-        let repaired = repair(&mut mesh, Format::Ply, Scope::AtCaps, faces(), &|| false).unwrap();
+        let repaired = repair(&mut mesh, Format::Ply, Scope::AtCaps { cells: 1.0 }, faces(), &|| false).unwrap();
         assert_eq!(repaired.intersections > 0, left > 0, "{repaired:?}");
         assert_eq!(mesh.positions[pushed][2], -1.5);
         assert_eq!(mesh == before, left > 0);

@@ -1,0 +1,349 @@
+//! The text form of Universal Scene Description (<https://openusd.org>), the layer of a USDZ.
+//!
+//! `/Surfaces` turns positions so that Y is up, as in a GLB. Below it are a mesh for each surface and `Materials` with a material each. Meshes
+//! have positions in the unit of the file, which `metersPerUnit` says, relative to an origin to which a translation of 64 bits moves them.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+
+use super::decimal::{Decimals, push_whole};
+use super::mesh::{FieldValues, attribute_names, free_name, linear};
+use super::{ExportError, Mesh, PIECE_BYTES, flush};
+use crate::volumes::LengthUnit;
+
+/// The scope of materials.
+const MATERIALS: &str = "Materials";
+/// Digits behind the point of components of normals and colours.
+const SHARE_DIGITS: usize = 5;
+
+/// Writes `meshes` that have triangles as a stage.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
+    let shown: Vec<&Mesh> = meshes.iter().filter(|mesh| !mesh.triangles.is_empty()).collect();
+    let of_stage = shown.first().map_or(1.0, |mesh| metres(mesh));
+    let names = identifiers(&shown);
+    let mut text = head(of_stage).into_bytes();
+    for (mesh, name) in shown.iter().zip(&names) {
+        surface(mesh, name, metres(mesh) / of_stage, &mut text, out)?;
+    }
+    text.extend(format!("    def Scope \"{MATERIALS}\"\n    {{\n").bytes());
+    for (mesh, name) in shown.iter().zip(&names) {
+        text.extend(material(mesh, name).bytes());
+    }
+    text.extend_from_slice(b"    }\n}\n");
+    flush(&mut text, out, 0)
+}
+
+/// Metres of a mesh's unit. Without a unit one is one metre, as in a GLB.
+fn metres(mesh: &Mesh) -> f64 {
+    mesh.unit.and_then(LengthUnit::metres).unwrap_or(1.0)
+}
+
+/// Returns the beginning, up to the meshes. The matrix is of rows: (x, y, z) becomes (x, z, −y).
+fn head(metres: f64) -> String {
+    let version = env!("CARGO_PKG_VERSION");
+    format!(
+        "#usda 1.0\n(\n    defaultPrim = \"Surfaces\"\n    doc = \"isopeel {version}\"\n    metersPerUnit = {metres:?}\n    upAxis = \"Y\"\n)\n\n\
+         def Xform \"Surfaces\" (\n    kind = \"component\"\n)\n{{\n    \
+         matrix4d xformOp:transform = ( (1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1) )\n    \
+         uniform token[] xformOpOrder = [\"xformOp:transform\"]\n\n"
+    )
+}
+
+/// Names of the meshes' prims: their own, as identifiers.
+fn identifiers(meshes: &[&Mesh]) -> Vec<String> {
+    let mut names = vec![MATERIALS.to_owned()];
+    for mesh in meshes {
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+        let mut name: String = mesh.name.chars().map(plain).collect();
+        if !name.starts_with(|c: char| c.is_ascii_alphabetic()) {
+            name.insert(0, '_');
+        }
+        names.push(free_name(name, &names));
+    }
+    names.split_off(1)
+}
+
+/// A string in quotation marks.
+fn quoted(string: &str) -> String {
+    let escaped = |c: char| match c {
+        '"' | '\\' => format!("\\{c}"),
+        '\n' => "\\n".to_owned(),
+        c if c.is_control() => " ".to_owned(),
+        c => c.to_string(),
+    };
+    format!("\"{}\"", string.chars().map(escaped).collect::<String>())
+}
+
+/// Writes a mesh. `scale`: units of the stage in one of the mesh's.
+fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+    let decimals = Decimals::of_spacing(mesh.smallest_spacing);
+    let [low, high] = [f32::min, f32::max].map(|choose| {
+        let first = mesh.positions.first().copied().unwrap_or_default();
+        let end = |end: [f32; 3], at: &[f32; 3]| [0, 1, 2].map(|axis| choose(end[axis], at[axis]));
+        mesh.positions.iter().fold(first, end)
+    });
+    let mut extent = Vec::new();
+    tuples(&[low, high], decimals, &mut extent, &mut std::io::sink())?;
+    let [x, y, z] = mesh.origin.map(|component| component * scale);
+    let scaled = scale != 1.0;
+    text.extend(
+        format!(
+            "    def Mesh \"{name}\" (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n{}        displayName = {}\n    )\n    {{\n        \
+             uniform bool doubleSided = 1\n        uniform token subdivisionScheme = \"none\"\n        \
+             uniform token orientation = \"rightHanded\"\n        rel material:binding = </Surfaces/{MATERIALS}/{name}>\n        \
+             double3 xformOp:translate = ({x:?}, {y:?}, {z:?})\n{}        \
+             uniform token[] xformOpOrder = [\"xformOp:translate\"{}]\n        float3[] extent = [{}]\n",
+            provenance(mesh),
+            quoted(&mesh.name),
+            if scaled { format!("        double3 xformOp:scale = ({scale:?}, {scale:?}, {scale:?})\n") } else { String::new() },
+            if scaled { ", \"xformOp:scale\"" } else { "" },
+            String::from_utf8_lossy(&extent),
+        )
+        .bytes(),
+    );
+    topology(mesh, text, out)?;
+    text.extend_from_slice(b"        point3f[] points = [");
+    tuples(&mesh.positions, decimals, text, out)?;
+    text.extend_from_slice(b"]\n        normal3f[] normals = [");
+    tuples(&mesh.normals, Decimals::new(SHARE_DIGITS), text, out)?;
+    text.extend_from_slice(b"] (\n            interpolation = \"vertex\"\n        )\n");
+    colors(mesh, text, out)?;
+    fields(mesh, text, out)?;
+    text.extend_from_slice(b"    }\n\n");
+    Ok(())
+}
+
+/// Returns the metadata that name volume, view, frame and notices, in the order of their names, as USD writes dictionaries.
+fn provenance(mesh: &Mesh) -> String {
+    let mut pairs: BTreeMap<&str, String> = mesh
+        .provenance
+        .iter()
+        .map(|(name, text)| (*name, text.clone()))
+        .collect();
+    pairs.insert("frame", mesh.frame.name().to_owned());
+    pairs.insert("unit", mesh.unit.map_or("unknown", LengthUnit::ascii_symbol).to_owned());
+    let notices: Vec<&str> = mesh
+        .notices
+        .iter()
+        .map(String::as_str)
+        .filter(|line| !line.is_empty())
+        .collect();
+    if !notices.is_empty() {
+        pairs.insert("notice", notices.join("\n"));
+    }
+    let line = |(name, text): (&str, String)| format!("                string {name} = {}\n", quoted(&text));
+    let lines: String = pairs.into_iter().map(line).collect();
+    format!("        customData = {{\n            dictionary isopeel = {{\n{lines}            }}\n        }}\n")
+}
+
+fn topology(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+    text.extend_from_slice(b"        int[] faceVertexCounts = [");
+    for triangle in 0..mesh.triangles.len() {
+        text.extend_from_slice(if triangle == 0 { b"3" } else { b", 3" });
+        flush(text, out, PIECE_BYTES)?;
+    }
+    text.extend_from_slice(b"]\n        int[] faceVertexIndices = [");
+    for (i, corner) in mesh.triangles.as_flattened().iter().enumerate() {
+        if i > 0 {
+            text.extend_from_slice(b", ");
+        }
+        push_whole(text, (*corner).into());
+        flush(text, out, PIECE_BYTES)?;
+    }
+    text.extend_from_slice(b"]\n");
+    Ok(())
+}
+
+/// Writes rows of three numbers, with commas between them.
+fn tuples(rows: &[[f32; 3]], decimals: Decimals, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+    for (i, row) in rows.iter().enumerate() {
+        text.extend_from_slice(if i == 0 { b"(" } else { b", (" });
+        for (axis, &component) in row.iter().enumerate() {
+            if axis > 0 {
+                text.extend_from_slice(b", ");
+            }
+            decimals.push(text, component.into());
+        }
+        text.push(b')');
+        flush(text, out, PIECE_BYTES)?;
+    }
+    Ok(())
+}
+
+/// Colours of the vertices, or that of the surface; linear, as USD defines them.
+fn colors(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+    let decimals = Decimals::new(SHARE_DIGITS);
+    let of_vertices: Vec<[f32; 3]> = (mesh.colors.iter())
+        .map(|color| color.map(|component| f32::from(component) / 65535.0))
+        .collect();
+    let (colors, interpolation) = match of_vertices.is_empty() {
+        true => (vec![color(mesh)], "constant"),
+        false => (of_vertices, "vertex"),
+    };
+    text.extend_from_slice(b"        color3f[] primvars:displayColor = [");
+    tuples(&colors, decimals, text, out)?;
+    let opacity = mesh.material.opacity;
+    text.extend(
+        format!(
+            "] (\n            interpolation = \"{interpolation}\"\n        )\n        \
+             float[] primvars:displayOpacity = [{opacity:?}] (\n            interpolation = \"constant\"\n        )\n"
+        )
+        .bytes(),
+    );
+    Ok(())
+}
+
+/// The colour of the whole surface, linear.
+fn color(mesh: &Mesh) -> [f32; 3] {
+    mesh.material
+        .color
+        .unwrap_or([255; 3])
+        .map(|byte| linear(f32::from(byte) / 255.0))
+}
+
+/// Values of fields at the vertices; a missing one is NaN.
+fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
+    let is_name = |field: &FieldValues| field.name.starts_with(|c: char| c.is_ascii_alphabetic());
+    let prefix = if mesh.fields.iter().all(is_name) { "" } else { "_" };
+    let names = attribute_names(mesh, prefix, &["displayColor", "displayOpacity"]);
+    for (field, name) in mesh.fields.iter().zip(names) {
+        text.extend(format!("        float[] primvars:{name} = [").bytes());
+        for (i, value) in field.values.iter().enumerate() {
+            if i > 0 {
+                text.extend_from_slice(b", ");
+            }
+            if value.is_nan() {
+                text.extend_from_slice(b"nan");
+            } else {
+                // Writing to a vector does not fail.
+                let _ = write!(text, "{value:?}");
+            }
+            flush(text, out, PIECE_BYTES)?;
+        }
+        let unit = field.unit.as_ref();
+        let unit = unit.map_or(String::new(), |unit| {
+            format!("                string unit = {}\n", quoted(unit))
+        });
+        text.extend(
+            format!(
+                "] (\n            customData = {{\n                string field = {}\n{unit}            }}\n            \
+                 interpolation = \"vertex\"\n        )\n",
+                quoted(&field.name)
+            )
+            .bytes(),
+        );
+    }
+    Ok(())
+}
+
+/// The material of a mesh. With colours of vertices it reads those.
+fn material(mesh: &Mesh, name: &str) -> String {
+    let path = format!("/Surfaces/{MATERIALS}/{name}");
+    let ([red, green, blue], opacity) = (color(mesh), mesh.material.opacity);
+    let (diffuse, reader) = match mesh.colors.is_empty() {
+        true => (format!(" = ({red:?}, {green:?}, {blue:?})"), String::new()),
+        false => (
+            format!(".connect = <{path}/Colors.outputs:result>"),
+            "\n            def Shader \"Colors\"\n            {\n                \
+             uniform token info:id = \"UsdPrimvarReader_float3\"\n                \
+             string inputs:varname = \"displayColor\"\n                float3 outputs:result\n            }\n"
+                .to_owned(),
+        ),
+    };
+    format!(
+        "        def Material \"{name}\"\n        {{\n            token outputs:surface.connect = <{path}/Surface.outputs:surface>\n\n            \
+         def Shader \"Surface\"\n            {{\n                uniform token info:id = \"UsdPreviewSurface\"\n                \
+         color3f inputs:diffuseColor{diffuse}\n                float inputs:metallic = 0\n                \
+         float inputs:opacity = {opacity:?}\n                float inputs:roughness = 0.8\n                \
+         token outputs:surface\n            }}\n{reader}        }}\n"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::mesh::tests::{geometry, two_quads};
+    use super::*;
+
+    fn mesh(name: &str, unit: LengthUnit) -> Mesh {
+        let mut mesh = Mesh::new(&two_quads(), &geometry()).unwrap();
+        (mesh.name, mesh.unit) = (name.to_owned(), Some(unit));
+        mesh
+    }
+
+    fn layer(meshes: &[Mesh]) -> String {
+        let mut text = Vec::new();
+        write(meshes, &mut text).unwrap();
+        String::from_utf8(text).unwrap()
+    }
+
+    #[test]
+    fn surfaces_have_their_names_and_their_place_in_the_unit_of_the_first() {
+        let mut skin = mesh("head: t1 = 3", LengthUnit::Millimetre);
+        skin.material.color = Some([0, 255, 0]);
+        skin.material.opacity = 0.5;
+        skin.provenance = vec![("volume", "a \"b\"\\".to_owned())];
+        let text = layer(&[
+            skin.clone(),
+            Mesh::default(),
+            skin,
+            mesh("7 µm", LengthUnit::Micrometre),
+        ]);
+        for line in [
+            "metersPerUnit = 0.001\n",
+            "upAxis = \"Y\"\n",
+            "def Mesh \"head__t1___3\" (\n",
+            "def Mesh \"head__t1___3_2\" (\n",
+            "def Mesh \"_7__m\" (\n",
+            "displayName = \"7 µm\"\n",
+            "string volume = \"a \\\"b\\\"\\\\\"\n",
+            "double3 xformOp:translate = (48.0, 16.0, 16.0)\n",
+            "double3 xformOp:translate = (0.048, 0.016, 0.016)\n",
+            "double3 xformOp:scale = (0.001, 0.001, 0.001)\n",
+            "int[] faceVertexIndices = [0, 1, 2, 1, 4, 5, 1, 5, 2, 0, 2, 3]\n",
+            "color3f[] primvars:displayColor = [(0.00000, 1.00000, 0.00000)]",
+            "float[] primvars:displayOpacity = [0.5]",
+            "color3f inputs:diffuseColor = (0.0, 1.0, 0.0)\n",
+            "rel material:binding = </Surfaces/Materials/head__t1___3_2>\n",
+        ] {
+            assert!(text.contains(line), "{line:?} in {text}");
+        }
+        assert_eq!(text.matches("def Mesh").count(), 3, "one without triangles is none");
+        assert_eq!(text.matches("def Material ").count(), 3);
+    }
+
+    #[test]
+    fn vertices_have_colours_and_values() {
+        let mut mesh = mesh("a", LengthUnit::Millimetre);
+        mesh.colors = vec![[65535, 0, 0]; 6];
+        let values = vec![1.5, f32::NAN, -2e-10, 0.0, 1.0, 3e30];
+        mesh.fields = vec![
+            FieldValues {
+                name: "t (2)".to_owned(),
+                unit: Some("°C".to_owned()),
+                values: values.clone(),
+            },
+            FieldValues {
+                name: "t_[2]".to_owned(),
+                unit: None,
+                values,
+            },
+        ];
+        let text = layer(std::slice::from_ref(&mesh));
+        for line in [
+            "float[] primvars:t__2_ = [1.5, nan, -2e-10, 0.0, 1.0, 3e30] (\n",
+            "float[] primvars:t__2__2 = [",
+            "string unit = \"°C\"\n",
+            "color3f inputs:diffuseColor.connect = </Surfaces/Materials/a/Colors.outputs:result>\n",
+            "string inputs:varname = \"displayColor\"\n",
+        ] {
+            assert!(text.contains(line), "{line:?} in {text}");
+        }
+        assert_eq!(text.matches("(1.00000, 0.00000, 0.00000)").count(), 6);
+        mesh.fields[1].name = "2".to_owned();
+        assert!(layer(&[mesh]).contains("primvars:_2 = ["));
+        assert!(layer(&[]).contains("def Xform \"Surfaces\""));
+    }
+}
