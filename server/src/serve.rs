@@ -295,6 +295,7 @@ fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
         .expose_headers([
             rest::STATISTICS_HEADER,
             rest::SLICE_HEADER,
+            rest::OVERVIEW_HEADER,
             rest::DIGEST_HEADER,
             header::RETRY_AFTER,
             header::ACCEPT_RANGES,

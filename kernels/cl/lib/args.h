@@ -296,6 +296,23 @@ typedef struct {
     uint count; // Samples of this launch.
 } SliceArgs;
 
+// Arguments of `overview`.
+typedef struct {
+    Grid grid; // Extent of the volume.
+    uint z0; // First plane of the slab.
+    uint factor_x; // Samples of a block along x.
+    uint factor_y; // Samples of a block along y.
+    uint factor_z; // Samples of a block along z.
+    uint width; // Blocks of a row.
+    uint height; // Rows of blocks of a plane.
+    uint first_row; // The first row of blocks of this launch.
+    uint count; // Blocks of this launch.
+    uint first_plane; // The first plane of samples that this launch reads.
+    uint end_plane; // The plane of samples after its last one.
+    float scale; // What values are multiplied by before they are added.
+    uint is_maximum; // Whether maxima are wanted, not sums.
+} OverviewArgs;
+
 // Arguments of `probe`.
 typedef struct {
     Grid grid; // Extent of the volume.

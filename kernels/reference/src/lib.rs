@@ -3,7 +3,7 @@
 //! need neither.
 //!
 //! One file per stage, named as the stage: [`minmax`], [`histogram`], [`classify`], [`derive`], [`construct`], [`cut`], [`march`],
-//! [`patch`], [`pack`], [`dual`], [`error`], [`tree`], [`tree_part`], [`tree_cut`], [`slice`], [`probe`], [`distribution`],
+//! [`patch`], [`pack`], [`dual`], [`error`], [`tree`], [`tree_part`], [`tree_cut`], [`slice`], [`overview`], [`probe`], [`distribution`],
 //! [`curve`] and [`distance`]; beside them [`expression`], [`distance_field`], [`cell_values`] and, for tests of whole surfaces, [`edges`]. What `construct` does for the dual mesher is in [`sheets`], [`vertices`] and `relax`, over
 //! [`quadric`] and [`octahedral`]; the rounds of `tree` are in `block`, over `cluster`. Both cuts use [`interest`].
 //! [`Pipeline`] runs the stages of the paper's mesher in order. Every stage can also be fed with another's results: a test
@@ -38,6 +38,7 @@ pub mod interest;
 pub mod march;
 pub mod minmax;
 pub mod octahedral;
+pub mod overview;
 pub mod pack;
 pub mod patch;
 pub mod probe;

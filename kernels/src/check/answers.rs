@@ -19,6 +19,9 @@ const EDGE_SLACK: u64 = 8;
 /// The largest value, also of the upper end of the histogram.
 pub(super) const VALUE_END: u32 = 120;
 
+/// Values along the longest axis of the overview, whose blocks have different sizes along the axes.
+pub(super) const OVERVIEW_SIDE: u32 = 20;
+
 /// Cubes of an importance up to this are decimated.
 pub(super) const BETA: f32 = 0.05;
 

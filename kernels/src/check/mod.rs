@@ -7,15 +7,15 @@
 use crate::expression::{Binary, Comparison, Expression, Op};
 use crate::{
     CurvePoint, Cut, CutParams, DerivedFeature, DistanceOf, Engine, Error, Feature, Interest, InterestShape, Isovalue,
-    Level, MAX_BINS, Mesher, Never, PartFilter, Pyramid, RectilinearGrid, SampleType, ShownCut, Surface, TreeGoal,
-    ValueSet, VertexTree, Volume,
+    Level, MAX_BINS, Mesher, Never, OverviewMode, OverviewWork, PartFilter, Pyramid, RectilinearGrid, SampleType,
+    ShownCut, Surface, TreeGoal, ValueSet, VertexTree, Volume,
 };
 
 mod answers;
 mod volume;
 
 use answers::*;
-use volume::{DIMS, active_cells, grid, samples, values};
+use volume::{DIMS, active_cells, block_means, grid, samples, values};
 
 /// Why a device is not to be believed.
 #[derive(Debug, thiserror::Error)]
@@ -75,6 +75,7 @@ pub const STEPS: &[Step] = &[
     step("derive", Scope::Rest, |check| check.derive()),
     step("probe", Scope::Rest, |check| check.probe()),
     step("slice", Scope::Rest, |check| check.slice()),
+    step("overview", Scope::Rest, |check| check.overview()),
     step("distribution", Scope::Rest, |check| check.distribution()),
     step("curve", Scope::Rest, |check| check.curve()),
     step("march", Scope::Rest, |check| check.march()),
@@ -345,6 +346,23 @@ impl<'a> Check<'a> {
                 .collect(),
         };
         exact("samples of a slice", bytes == expected, true)
+    }
+
+    fn overview(&mut self) -> Result<(), Finding> {
+        let mut work = OverviewWork::new(DIMS, OverviewMode::Mean, OVERVIEW_SIDE);
+        let found = loop {
+            match work.complete() {
+                Some(found) => break found,
+                None => self.engine.continue_overview(self.volume(), &mut work)?,
+            }
+        };
+        let (means, [lo, hi]) = block_means(found.factors, found.dims);
+        near("smallest mean", found.range[0], lo)?;
+        near("largest mean", found.range[1], hi)?;
+        let code = |mean: f32| 1.0 + 254.0 * (mean - lo) / (hi - lo);
+        // Rounding may decide otherwise in the middle between two codes.
+        let same = |(&found, &mean): (&u8, &f32)| (f32::from(found) - code(mean)).abs() < 0.51;
+        exact("means of blocks", found.codes.iter().zip(&means).all(same), true)
     }
 
     fn distribution(&mut self) -> Result<(), Finding> {

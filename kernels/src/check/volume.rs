@@ -35,6 +35,23 @@ pub(super) fn samples(sample_type: SampleType) -> Samples {
     }
 }
 
+/// Means of blocks of samples, and the smallest and largest of them.
+pub(super) fn block_means(factors: [u32; 3], dims: [u32; 3]) -> (Vec<f32>, [f32; 2]) {
+    let mut sums = vec![[0u32; 2]; dims.iter().product::<u32>() as usize];
+    for (i, value) in (0..).zip(values()) {
+        let at = [i % DIMS[0], i / DIMS[0] % DIMS[1], i / DIMS[0] / DIMS[1]];
+        let [x, y, z] = [0, 1, 2].map(|axis: usize| at[axis] / factors[axis]);
+        let [sum, count] = &mut sums[((z * dims[1] + y) * dims[0] + x) as usize];
+        *sum += value;
+        *count += 1;
+    }
+    let means: Vec<f32> = sums.iter().map(|[sum, count]| *sum as f32 / *count as f32).collect();
+    let range = means.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], &v| {
+        [lo.min(v), hi.max(v)]
+    });
+    (means, range)
+}
+
 /// Cells whose corners are not all on one side of the isovalue.
 pub(super) fn active_cells() -> u64 {
     let inside: Vec<bool> = values().map(|value| value as f32 >= ISOVALUE).collect();

@@ -48,6 +48,7 @@ stages! {
     tree_mesh
     tree_relax
     slice: samples
+    overview: samples
     probe
     distribution
     curve

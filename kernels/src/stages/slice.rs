@@ -67,7 +67,7 @@ pub fn run(cx: &Context, volume: &Volume, axis: usize, index: u32) -> Result<Vec
 }
 
 /// Returns the planes along z that a slab owns; the last layer also owns the planes after its last cell.
-fn own_planes(volume: &Volume, layers: &Range<u32>) -> Range<u32> {
+pub(super) fn own_planes(volume: &Volume, layers: &Range<u32>) -> Range<u32> {
     let last = volume.grid.dims[2];
     let is_last = layers.end == volume.grid.regions()[2];
     let end = if is_last {

@@ -367,6 +367,7 @@ mod tests {
             (&get, "/api/v1/volumes", "view edit export admin"),
             (&get, "/api/v1/volumes/head", "view edit export admin"),
             (&get, "/api/v1/volumes/head/slices", "view edit admin"),
+            (&get, "/api/v1/volumes/head/overview", "view edit admin"),
             (&get, "/api/v1/stream", "view edit admin"),
             (&post, "/api/v1/embed-tokens", "view edit admin"),
             (&get, "/api/v1/embed", "view edit export upload push admin"),

@@ -142,7 +142,9 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
         ["oidc"] | ["oidc", "login" | "callback"] if *method == Method::GET => Need::Nothing,
         ["session"] => Need::Token,
         ["volumes"] | ["volumes", _] | ["unreadable"] => Need::OneOf(&[View, Export]),
-        ["volumes", _, "slices" | "expression"] | ["stream"] | ["tickets"] | ["embed-tokens"] => Need::OneOf(&[View]),
+        ["volumes", _, "slices" | "overview" | "expression"] | ["stream"] | ["tickets"] | ["embed-tokens"] => {
+            Need::OneOf(&[View])
+        }
         ["extract"] | ["jobs", ..] => Need::OneOf(&[Export]),
         ["uploads", ..] => Need::OneOf(&[Upload]),
         _ => Need::OneOf(&[Admin]),

@@ -11,7 +11,7 @@
 //! - `counting`: counts the triangles of a full surface before it is made.
 //! - `questions`: queries on the current surface of a viewer.
 //! - `histograms`: ranges and histograms, made a slice at a time between other jobs; `unfinished`: partial histograms, which their callers share.
-//! - `slices`: planes of samples.
+//! - `slices`: planes of samples; `overviews`: volumes at a low resolution, in `overview_cache`.
 //! - `refine`: steps from a surface that is shown to another one; `tree_steps`: intermediate, coarser cuts of the vertex tree;
 //!   `chunk_bytes`: estimates of their bytes.
 //! - `extractor`: budgets and limits on top; other layers extract through it. `byte_search` chooses its trials for a budget of bytes.
@@ -46,6 +46,8 @@ mod lock;
 mod memory;
 mod observed;
 mod open_steps;
+mod overview_cache;
+mod overviews;
 mod pins;
 mod questions;
 mod refine;

@@ -23,6 +23,7 @@ use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::lock::lock;
 use super::memory::ThreadMemory;
 use super::open_steps::AheadState;
+use super::overview_cache::Overviews;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::results::{Making, Refining};
@@ -74,6 +75,7 @@ pub(super) struct Shared {
     /// A mutex of std: held for a look-up, never across an await.
     pub histograms: Histograms,
     pub unfinished: Unfinished,
+    pub overviews: Overviews,
     /// Held while a slice of work on a whole volume is queued: edits wait for at most one slice, and callers take turns.
     pub slices: Semaphore,
     /// Time of the last successful probe.
@@ -150,6 +152,7 @@ impl DeviceWorker {
                 engine,
                 histograms,
                 unfinished: Unfinished::default(),
+                overviews: Overviews::default(),
                 slices: Semaphore::new(1),
                 last_answer: tokio::sync::Mutex::default(),
                 user_times: UserTimes::new(user_time),

@@ -13,6 +13,7 @@ mod health;
 mod jobs;
 mod metrics;
 mod oidc;
+mod overview;
 mod precompressed;
 mod ranges;
 mod session;
@@ -44,6 +45,7 @@ use utoipa_axum::routes;
 pub use embed::EmbedInfo;
 pub use extract::{ExtractRequest, STATISTICS_HEADER, SpoolFolder};
 pub use jobs::{DIGEST_HEADER, KEY_HEADER, LAST_EVENT_ID};
+pub use overview::OVERVIEW_HEADER;
 pub use session::SessionInfo;
 pub use slices::SLICE_HEADER;
 pub use uploads::{LENGTH_HEADER, OFFSET_HEADER, TUS_HEADER};
@@ -84,6 +86,15 @@ const SLICES: SeatLimits = SeatLimits {
     reserve: 1,
 };
 
+/// Overviews that are made at a time, up to 16 MiB each until they are complete. A viewer that steps through time asks for one after another.
+const OVERVIEWS: SeatLimits = SeatLimits {
+    what: "overviews that are being made",
+    all: 6,
+    of_user: 3,
+    of_address: 5,
+    reserve: 1,
+};
+
 /// Streams of jobs' events: each holds a connection.
 const EVENT_STREAMS: SeatLimits = SeatLimits {
     what: "streams of events",
@@ -101,6 +112,7 @@ pub struct ApiState {
     exports: ExportQueue,
     known_tags: KnownTags,
     slices: Seats,
+    overviews: Seats,
     events: Seats,
     spool: SpoolFolder,
     access: Access,
@@ -121,6 +133,7 @@ impl ApiState {
             exports: ExportQueue::new(EXPORTS),
             known_tags: KnownTags::default(),
             slices: Seats::new(SLICES),
+            overviews: Seats::new(OVERVIEWS),
             events: Seats::new(EVENT_STREAMS),
             spool: SpoolFolder::default(),
             access,
@@ -178,6 +191,7 @@ fn routed() -> OpenApiRouter<ApiState> {
         .routes(routes!(volumes::expression))
         .routes(routes!(volumes::unreadable))
         .routes(routes!(slices::slice))
+        .routes(routes!(overview::overview))
         .routes(routes!(extract::extract, extract::address::extract_by_address))
         .merge(jobs::routed())
         .merge(uploads::routed())

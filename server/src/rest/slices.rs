@@ -111,7 +111,7 @@ pub async fn slice(
     let (slice, range) = shown_slice(&worker, &volume, &plane, &options)
         .await
         .map_err(|error| state.failed_on(&who, &volume, error))?;
-    let info = header_of(&info(&plane, slice.sample_type))?;
+    let info = ascii_header(&info(&plane, slice.sample_type))?;
     let content_type = HeaderValue::from_static(options.format.content_type());
     let file = pool::run(move || plane.file(slice, &options, range)).await;
     let file = file.map_err(ApiError::internal)?.map_err(ApiError::internal)?;
@@ -134,7 +134,7 @@ impl SliceQuery {
     }
 }
 
-fn field_of(volume: &VolumeStep, name: Option<&str>) -> Result<Field, ApiError> {
+pub(super) fn field_of(volume: &VolumeStep, name: Option<&str>) -> Result<Field, ApiError> {
     let dataset = volume.dataset();
     let found = match name {
         None => dataset.fields.first().cloned(),
@@ -165,7 +165,7 @@ fn info(plane: &Plane, sample_type: SampleType) -> SliceInfo<'_> {
 }
 
 /// Converts to a header's value. Other characters than ASCII are escaped.
-fn header_of(info: &SliceInfo<'_>) -> Result<HeaderValue, ApiError> {
+pub(super) fn ascii_header(info: &impl Serialize) -> Result<HeaderValue, ApiError> {
     let json = serde_json::to_string(info).map_err(ApiError::internal)?;
     let mut ascii = String::with_capacity(json.len());
     for unit in json.encode_utf16() {
@@ -194,7 +194,7 @@ mod tests {
             origin: [0.0; 3],
             steps: [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
         };
-        let value = header_of(&info).expect("a header");
+        let value = ascii_header(&info).expect("a header");
         let text = value.to_str().expect("ASCII");
         let json: serde_json::Value = serde_json::from_str(text).expect("JSON");
         assert_eq!(json["field"], "Dichte ρ 🧠 \"\n");

@@ -7,7 +7,7 @@ use std::time::Duration;
 use isopeel::extraction::{DeviceOptions, DeviceWorker, WorkError};
 use isopeel::view::{FeatureName, View};
 use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
-use isopeel_kernels::{DerivedFeature, Samples};
+use isopeel_kernels::{DerivedFeature, Overview, OverviewMode, Samples};
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
@@ -123,6 +123,29 @@ async fn others_work_while_a_large_volume_is_described() {
         SIDE.pow(3) as u64
     );
     assert!(jobs >= 10, "{jobs} jobs of others while a histogram was made");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn others_work_while_an_overview_of_a_large_volume_is_made() {
+    let _alone = ALONE.lock().await;
+    let volumes = Volumes::start(DeviceOptions::unchecked(None)).await;
+    let Volumes { worker, large, .. } = &volumes;
+    let (jobs, overview) = volumes
+        .jobs_beside(worker.overview(large, "waves", OverviewMode::Mean))
+        .await;
+    let overview = overview.expect("an overview");
+    assert_eq!((overview.dims, overview.factors), ([128; 3], [2; 3]));
+    assert!(jobs >= 2, "{jobs} jobs of others while an overview was made");
+    let again = worker.overview(large, "waves", OverviewMode::Mean).await;
+    assert!(Arc::ptr_eq(&overview, &again.expect("it is cached")));
+    let maxima = worker.overview(large, "waves", OverviewMode::Maximum).await;
+    let maxima = maxima.expect("another one");
+    let decoded = |overview: &Overview, code: u8| {
+        let [lo, hi] = overview.range;
+        lo + (hi - lo) * (f32::from(code) - 1.0) / 254.0
+    };
+    let below = |(mean, maximum): (&u8, &u8)| decoded(&overview, *mean) <= decoded(&maxima, *maximum) + 0.05;
+    assert!(overview.codes.iter().zip(&maxima.codes).all(below));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -27,6 +27,7 @@ mod log;
 mod memory;
 mod metrics;
 mod mutated;
+mod overview;
 mod parts;
 mod questions;
 mod rest;

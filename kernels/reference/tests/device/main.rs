@@ -22,6 +22,7 @@ mod interest;
 mod march;
 mod mask;
 mod minmax;
+mod overview;
 mod probe;
 mod recipes;
 mod slabs;

@@ -1,0 +1,232 @@
+//! A volume at a low resolution, a launch at a time.
+
+use super::BRICK_GROUP;
+use super::args::kernel_args;
+use super::slice::own_planes;
+use crate::context::Context;
+use crate::layout::Grid;
+use crate::pace::Pace;
+use crate::{Error, Result, Volume};
+use std::time::Instant;
+
+/// Name of the stage.
+pub const STAGE: &str = "overview";
+
+kernel_args! {
+    /// Arguments of `overview`.
+    OverviewArgs {
+        /// Extent of the volume.
+        grid: Grid,
+        /// First plane of the slab.
+        z0: u32,
+        /// Samples of a block along x.
+        factor_x: u32,
+        /// Samples of a block along y.
+        factor_y: u32,
+        /// Samples of a block along z.
+        factor_z: u32,
+        /// Blocks of a row.
+        width: u32,
+        /// Rows of blocks of a plane.
+        height: u32,
+        /// The first row of blocks of this launch.
+        first_row: u32,
+        /// Blocks of this launch.
+        count: u32,
+        /// The first plane of samples that this launch reads.
+        first_plane: u32,
+        /// The plane of samples after its last one.
+        end_plane: u32,
+        /// What values are multiplied by before they are added.
+        scale: f32,
+        /// Whether maxima are wanted, not sums.
+        is_maximum: u32,
+    }
+}
+
+/// Samples of the first launch.
+const FIRST_SAMPLES: u64 = 1 << 20;
+
+/// The code of the largest value; that of the smallest one is 1, and 0 is nothing.
+const LARGEST_CODE: f32 = 255.0;
+
+/// What stands for the samples of a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum OverviewMode {
+    /// Their mean.
+    Mean,
+    /// Their maximum.
+    Maximum,
+}
+
+/// A volume at a low resolution: a value for each block of samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Overview {
+    /// Values along each axis.
+    pub dims: [u32; 3],
+    /// Samples of a block along each axis. The last block along an axis may have fewer.
+    pub factors: [u32; 3],
+    /// Smallest and largest of the values; both 0 if there is none.
+    pub range: [f32; 2],
+    /// The values, x fastest: from 1, the smallest, to 255, the largest; 0 for a block without a finite sample.
+    pub codes: Vec<u8>,
+}
+
+/// An overview that is being made.
+#[derive(Debug)]
+pub struct OverviewWork {
+    mode: OverviewMode,
+    samples: [u32; 3],
+    factors: [u32; 3],
+    dims: [u32; 3],
+    /// What comes next: a slab, and of its rows of blocks.
+    next: Option<(usize, u32)>,
+    values: Vec<f32>,
+    counts: Vec<u32>,
+    pace: Pace,
+}
+
+impl OverviewWork {
+    /// Begins with a volume of so many samples. The overview has at most `side` values along each axis.
+    pub fn new(samples: [u32; 3], mode: OverviewMode, side: u32) -> Self {
+        let factors = samples.map(|n| n.div_ceil(side.max(1)).max(1));
+        let dims = [0, 1, 2].map(|axis| samples[axis].div_ceil(factors[axis]));
+        let blocks = dims.iter().map(|&n| n as usize).product();
+        let nothing = match mode {
+            OverviewMode::Mean => 0.0,
+            OverviewMode::Maximum => f32::NEG_INFINITY,
+        };
+        let row = u64::from(samples[0]) * u64::from(factors[1]) * u64::from(factors[2]);
+        Self {
+            mode,
+            samples,
+            factors,
+            dims,
+            next: Some((0, 0)),
+            values: vec![nothing; blocks],
+            counts: vec![0; blocks],
+            pace: Pace::new(FIRST_SAMPLES / row.max(1), 1, u64::from(dims[1]) * u64::from(dims[2])),
+        }
+    }
+
+    /// Whether all launches have run.
+    pub fn is_done(&self) -> bool {
+        self.next.is_none()
+    }
+
+    /// The overview, once it is complete.
+    pub fn complete(&self) -> Option<Overview> {
+        if !self.is_done() {
+            return None;
+        }
+        let values = || {
+            self.values
+                .iter()
+                .zip(&self.counts)
+                .map(|(&value, &count)| self.value(value, count))
+        };
+        let range = (values().flatten()).fold(None, |range: Option<[f32; 2]>, v| {
+            Some(range.map_or([v; 2], |[lo, hi]| [lo.min(v), hi.max(v)]))
+        });
+        let [lo, hi] = range.unwrap_or_default();
+        // Halves: the span from end to end of the type would overflow.
+        let span = 0.5 * hi - 0.5 * lo;
+        let code = |v: f32| {
+            let share = if span > 0.0 { (0.5 * v - 0.5 * lo) / span } else { 0.0 };
+            1 + (share * (LARGEST_CODE - 1.0)).round() as u8
+        };
+        Some(Overview {
+            dims: self.dims,
+            factors: self.factors,
+            range: [lo, hi],
+            codes: values().map(|value| value.map_or(0, code)).collect(),
+        })
+    }
+
+    /// The value of a block.
+    fn value(&self, value: f32, count: u32) -> Option<f32> {
+        match self.mode {
+            _ if count == 0 => None,
+            OverviewMode::Mean => Some(value / (count as f32 * self.scale())),
+            OverviewMode::Maximum => Some(value),
+        }
+    }
+
+    /// A power of two, with which no sum of a block's values overflows.
+    fn scale(&self) -> f32 {
+        let block: u64 = self.factors.iter().map(|&n| u64::from(n)).product();
+        1.0 / block.next_power_of_two() as f32
+    }
+
+    /// Adds what a launch found for the blocks from one on.
+    fn merge(&mut self, first: usize, values: &[f32], counts: &[u32]) {
+        for (i, (&value, &count)) in values.iter().zip(counts).enumerate() {
+            let own = &mut self.values[first + i];
+            match self.mode {
+                OverviewMode::Mean => *own += value,
+                OverviewMode::Maximum => *own = own.max(value),
+            }
+            self.counts[first + i] += count;
+        }
+    }
+}
+
+/// Does one launch of some milliseconds.
+pub fn step(cx: &Context, volume: &Volume, work: &mut OverviewWork) -> Result<()> {
+    if volume.grid.dims != work.samples {
+        let why = format!(
+            "a volume of {:?} samples, expected one of {:?}",
+            volume.grid.dims, work.samples
+        );
+        return Err(Error::Invalid { what: "overview", why });
+    }
+    let Some((number, next)) = work.next else { return Ok(()) };
+    let Some(slab) = volume.slabs.get(number) else {
+        work.next = None;
+        return Ok(());
+    };
+    let start = Instant::now();
+    let planes = own_planes(volume, &slab.layers);
+    let [width, height, _] = work.dims;
+    let depth = work.factors[2];
+    // A block may lie in two slabs, each of which has some of its planes.
+    let [first, end] = [planes.start / depth * height, planes.end.div_ceil(depth) * height];
+    let row = first + next;
+    let rows = work.pace.units().min(u64::from(end - row)) as u32;
+    let count = rows * width;
+    let args = OverviewArgs {
+        grid: volume.layout(),
+        z0: slab.z0,
+        factor_x: work.factors[0],
+        factor_y: work.factors[1],
+        factor_z: depth,
+        width,
+        height,
+        first_row: row,
+        count,
+        first_plane: planes.start,
+        end_plane: planes.end,
+        scale: work.scale(),
+        is_maximum: u32::from(work.mode == OverviewMode::Maximum),
+    };
+    let kernel = cx.kernel(volume.sample_type, "overview")?;
+    let values = cx.buffer::<f32>(STAGE, count as usize)?;
+    let counts = cx.buffer::<u32>(STAGE, count as usize)?;
+    let groups = (count as usize).div_ceil(BRICK_GROUP);
+    cx.launch(
+        STAGE,
+        &kernel,
+        groups,
+        BRICK_GROUP,
+        &[&args, &slab.samples, &values, &counts],
+    )?;
+    let values = cx.read(STAGE, &values, count as usize)?;
+    let counts = cx.read(STAGE, &counts, count as usize)?;
+    work.merge(row as usize * width as usize, &values, &counts);
+    work.pace.took(rows.into(), start.elapsed());
+    work.next = match row + rows < end {
+        true => Some((number, next + rows)),
+        false => Some((number + 1, 0)).filter(|(number, _)| *number < volume.slabs.len()),
+    };
+    Ok(())
+}

@@ -1,0 +1,105 @@
+//! Overviews that are cached, and those in the making, which their callers share. What is in the making is dropped with the last of them.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, Weak};
+
+use isopeel_kernels::{Overview, OverviewMode, OverviewWork};
+
+use super::keys::VolumeKey;
+use super::lock::lock;
+use super::residency::Lru;
+
+/// Maximum number of values along each axis: at most 2 MiB in all, which a page draws in a browser without a GPU.
+const OVERVIEW_SIDE: u32 = 128;
+
+/// Maximum bytes of cached overviews: some time steps of a field, in both modes.
+const KEPT_BYTES: u64 = 32 << 20;
+
+/// Which overview.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) struct OverviewKey {
+    pub volume: VolumeKey,
+    pub mode: OverviewMode,
+}
+
+/// Overviews that are cached, and those in the making.
+pub(super) struct Overviews {
+    cached: Mutex<Lru<OverviewKey, Arc<Overview>>>,
+    /// One for each key for which there are callers, 16 MiB at most.
+    unfinished: Mutex<HashMap<OverviewKey, Weak<Mutex<OverviewWork>>>>,
+}
+
+impl Default for Overviews {
+    fn default() -> Self {
+        Self {
+            cached: Mutex::new(Lru::new(KEPT_BYTES)),
+            unfinished: Mutex::default(),
+        }
+    }
+}
+
+impl Overviews {
+    pub(super) fn cached(&self, key: &OverviewKey) -> Option<Arc<Overview>> {
+        lock(&self.cached).get(key).cloned()
+    }
+
+    pub(super) fn keep(&self, key: OverviewKey, overview: &Arc<Overview>) {
+        lock(&self.cached).insert(key, overview.codes.len() as u64, Arc::clone(overview));
+    }
+
+    /// Returns the work on an overview, begun if there is none.
+    pub(super) fn work(&self, key: &OverviewKey, samples: [u32; 3]) -> Arc<Mutex<OverviewWork>> {
+        let mut works = lock(&self.unfinished);
+        works.retain(|_, work| work.strong_count() > 0);
+        if let Some(work) = works.get(key).and_then(Weak::upgrade) {
+            return work;
+        }
+        let work = Arc::new(Mutex::new(OverviewWork::new(samples, key.mode, OVERVIEW_SIDE)));
+        works.insert(key.clone(), Arc::downgrade(&work));
+        work
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volumes::{VolumeStep, testing};
+
+    fn key(field: &str) -> OverviewKey {
+        let dataset = Arc::new(testing::dataset("head", [5, 6, 7], &["density"]));
+        let volume = VolumeStep::new(dataset, 0).expect("a step");
+        OverviewKey {
+            volume: VolumeKey::new(&volume, field, false),
+            mode: OverviewMode::Mean,
+        }
+    }
+
+    #[test]
+    fn callers_share_work_that_ends_with_the_last_of_them() {
+        let overviews = Overviews::default();
+        let first = overviews.work(&key("density"), [5, 6, 7]);
+        assert!(Arc::ptr_eq(&first, &overviews.work(&key("density"), [5, 6, 7])));
+        assert!(!Arc::ptr_eq(&first, &overviews.work(&key("2*density"), [5, 6, 7])));
+        assert_eq!(lock(&overviews.unfinished).len(), 2);
+        drop(first);
+        overviews.work(&key("3*density"), [5, 6, 7]);
+        assert_eq!(lock(&overviews.unfinished).len(), 1);
+    }
+
+    #[test]
+    fn only_so_many_are_cached() {
+        let overviews = Overviews::default();
+        let overview = Arc::new(Overview {
+            dims: [OVERVIEW_SIDE; 3],
+            factors: [1; 3],
+            range: [0.0; 2],
+            codes: vec![0; OVERVIEW_SIDE.pow(3) as usize],
+        });
+        for n in 0..20 {
+            overviews.keep(key(&format!("{n}*density")), &overview);
+        }
+        assert_eq!(lock(&overviews.cached).len(), 16);
+        assert!(overviews.cached(&key("19*density")).is_some());
+        assert!(overviews.cached(&key("3*density")).is_none());
+    }
+}
