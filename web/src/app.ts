@@ -112,7 +112,7 @@ export class App {
     this.together = this.makeTogether(viewport);
     if (this.embedOptions !== undefined) this.embedding = new Embedding(this.embedOptions, around);
     showPage(root, this.model, viewport, this.store.isEmbedded);
-    followTheme((theme) => this.scene.setEdgeColor(theme === "dark" ? "#0b0e12" : "#101418"));
+    followTheme((theme) => this.display.setTheme(theme));
     installStatus(() => statusOf({ store, model, scene, framing, pipeline, client }, this.settled));
     this.refresh();
   }

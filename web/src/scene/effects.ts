@@ -67,9 +67,11 @@ uniform float coarseness;
 uniform sampler2D picture;
 uniform sampler2D occlusion;
 uniform sampler2D layers;
+uniform sampler2D volume;
 uniform bool hasOcclusion;
 uniform bool hasSilhouettes;
 uniform bool hasLayers;
+uniform bool hasVolume;
 uniform float lineWidth; // pixels
 uniform float radius;
 out vec4 color;
@@ -106,6 +108,10 @@ void main() {
     if (hasOcclusion) color.rgb *= mix(0.25, 1.0, occlusionAt(uv));
     if (hasSilhouettes) color.rgb *= 1.0 - 0.85 * smoothstep(0.03, 0.09, bend(uv, here) / radius);
   }
+  if (hasVolume) {
+    vec4 front = texture(volume, uv);
+    color = front + (1.0 - front.a) * color;
+  }
   if (hasLayers) {
     vec4 front = texture(layers, uv);
     color = front + (1.0 - front.a) * color;
@@ -121,6 +127,8 @@ export interface Resolve {
   readonly normals: Texture | undefined;
   /** Translucent layers before it. */
   readonly layers: Texture | undefined;
+  /** A volume before the picture, and behind the layers. */
+  readonly volume: Texture | undefined;
   readonly occlusion: boolean;
   readonly silhouettes: boolean;
   /** Pixels of the target for one on the page. */
@@ -157,6 +165,8 @@ export class Effects {
       picture: { value: null as Texture | null },
       occlusion: { value: this.occluded.texture },
       layers: { value: null as Texture | null },
+      volume: { value: null as Texture | null },
+      hasVolume: { value: false },
       hasOcclusion: { value: false },
       hasSilhouettes: { value: false },
       hasLayers: { value: false },
@@ -180,6 +190,8 @@ export class Effects {
     uniforms.picture.value = of.picture;
     uniforms.layers.value = of.layers ?? null;
     uniforms.hasLayers.value = of.layers !== undefined;
+    uniforms.volume.value = of.volume ?? null;
+    uniforms.hasVolume.value = of.volume !== undefined;
     uniforms.hasOcclusion.value = of.occlusion;
     uniforms.hasSilhouettes.value = of.silhouettes;
     uniforms.lineWidth.value = Math.max(1, of.scale);

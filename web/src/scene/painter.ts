@@ -21,6 +21,7 @@ import { Effects } from "./effects";
 import { SHADINGS, type Look } from "./look";
 import { Peeling } from "./peeling";
 import { Picking, type Picked } from "./picking";
+import type { RayVolume } from "./rays";
 import type { MiddleDepths } from "./scale";
 import type { Side, Surfaces } from "./surfaces";
 
@@ -47,6 +48,8 @@ export interface FrameRequest {
   readonly swipe: number | undefined;
   /** Radius of what is shown. */
   readonly radius: number;
+  /** Pixels of a volume for one of the picture, along each side. */
+  readonly fineness: number;
 }
 
 export class Painter {
@@ -54,6 +57,8 @@ export class Painter {
   readonly solids = new Scene();
   /** Objects that are rendered over the picture and hidden by surfaces in front of them: lines, markers. */
   readonly overlay = new Scene();
+  /** What is drawn along the rays, up to the surfaces. */
+  volume: RayVolume | undefined;
   private readonly surfaceScene = new Scene();
   private between: WebGLRenderTarget | undefined;
   private normals: WebGLRenderTarget | undefined;
@@ -140,6 +145,7 @@ export class Painter {
     this.normals?.dispose();
     this.normals = undefined;
     this.peeling.dispose();
+    this.volume?.releaseTargets();
     this.effects.dispose();
   }
 
@@ -148,7 +154,7 @@ export class Painter {
     if (!this.clipping.caps) this.clipping.hideCaps();
     const translucent = this.surfaces.visible(false);
     const effects = request.effects && (look.occlusion || look.silhouettes);
-    if (translucent.length > 0 || effects || this.clipping.caps) this.paintInSteps(side, translucent, request);
+    if (translucent.length > 0 || effects || this.clipping.caps || this.volume !== undefined) this.paintInSteps(side, translucent, request);
     else {
       this.begin(request);
       this.paintOpaque(side, request);
@@ -188,7 +194,7 @@ export class Painter {
   }
 
   private paintInSteps(side: Side, translucent: readonly number[], request: FrameRequest): void {
-    const { webgl, surfaces } = this;
+    const { webgl } = this;
     const { camera, look, width, height } = request;
     const between = (this.between ??= this.makeBetween());
     between.setSize(width, height);
@@ -196,13 +202,9 @@ export class Painter {
     if (this.clipping.caps) this.markInsides(side, request);
     this.paintOpaque(side, request);
     const depth = between.depthTexture as DepthTexture;
-    let layers;
-    if (translucent.length > 0) {
-      layers = this.peeling.render(webgl, surfaces.shared, depth, request.layers, () => {
-        surfaces.prepare("peel", translucent, side);
-        webgl.render(this.surfaceScene, camera);
-      });
-    }
+    const isBetween = translucent.length > 0 && this.volume?.isBetweenLayers === true;
+    const layers = translucent.length > 0 ? this.paintLayers(side, translucent, request, depth, isBetween) : undefined;
+    const volume = isBetween ? undefined : this.paintVolume(request, depth);
     const { effects, target, scale, radius } = request;
     // Normals from depths alone are those of the triangles, which would be visible in an image.
     const normals = effects && look.occlusion && target !== null && !this.hasSolids ? this.paintNormals(side, request) : undefined;
@@ -211,6 +213,7 @@ export class Painter {
       picture: between.texture,
       depth,
       layers,
+      volume,
       occlusion: effects && look.occlusion,
       silhouettes: effects && look.silhouettes,
       scale,
@@ -218,6 +221,21 @@ export class Painter {
       camera,
       target,
     });
+  }
+
+  /** @param isBetween the volume is between the layers */
+  private paintLayers(side: Side, translucent: readonly number[], request: FrameRequest, depth: DepthTexture, isBetween: boolean): Texture {
+    const { webgl, surfaces } = this;
+    const draw = () => {
+      surfaces.prepare("peel", translucent, side);
+      webgl.render(this.surfaceScene, request.camera);
+    };
+    const between = (from: Texture, to: Texture | undefined) => this.paintVolume(request, depth, from, to) as Texture;
+    return this.peeling.render(webgl, surfaces.shared, depth, request.layers, draw, isBetween ? between : undefined);
+  }
+
+  private paintVolume({ camera, width, height, fineness }: FrameRequest, opaque: DepthTexture, from?: Texture, to?: Texture): Texture | undefined {
+    return this.volume?.render(this.webgl, { camera, clipPlanes: this.surfaces.shared.clipPlanes.value, opaque, from, to, width, height, fineness });
   }
 
   /**

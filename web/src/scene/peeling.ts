@@ -11,6 +11,7 @@ import {
   NearestFilter,
   OneFactor,
   OneMinusDstAlphaFactor,
+  Vector2,
   WebGLRenderTarget,
   type Texture,
   type WebGLRenderer,
@@ -29,15 +30,18 @@ function layerTarget(): WebGLRenderTarget {
   return new WebGLRenderTarget(1, 1, { depthTexture, minFilter: NearestFilter, magFilter: NearestFilter });
 }
 
+const depthOf = (target: WebGLRenderTarget) => target.depthTexture as DepthTexture;
+
 export class Peeling {
   private targets: [WebGLRenderTarget, WebGLRenderTarget] | undefined;
   private sum: WebGLRenderTarget | undefined;
   private readonly under = new ScreenPass(
     /* glsl */ `
     uniform sampler2D layer;
+    uniform vec2 texel;
     out vec4 color;
-    void main() { color = texelFetch(layer, ivec2(gl_FragCoord.xy), 0); }`,
-    { layer: { value: null as Texture | null } },
+    void main() { color = texture(layer, gl_FragCoord.xy * texel); }`,
+    { layer: { value: null as Texture | null }, texel: { value: new Vector2() } },
     { blending: CustomBlending, blendEquation: AddEquation, blendSrc: OneMinusDstAlphaFactor, blendDst: OneFactor, transparent: true },
   );
 
@@ -45,9 +49,10 @@ export class Peeling {
    * Draws the translucent surfaces in front of the opaque ones.
    * @param opaque its depth
    * @param draw renders the surfaces in the materials of pass `peel`
+   * @param between what lies between two layers, of which the depths are given; behind the last one there is no depth
    * @returns their colours, premultiplied
    */
-  render(webgl: WebGLRenderer, shared: SharedUniforms, opaque: DepthTexture, layers: number, draw: () => void): Texture {
+  render(webgl: WebGLRenderer, shared: SharedUniforms, opaque: DepthTexture, layers: number, draw: () => void, between?: (from: Texture, to: Texture | undefined) => Texture): Texture {
     const { width, height } = opaque.image as { width: number; height: number };
     const targets = (this.targets ??= [layerTarget(), layerTarget()]);
     const sum = (this.sum ??= new WebGLRenderTarget(1, 1, { depthBuffer: false, minFilter: NearestFilter, magFilter: NearestFilter }));
@@ -68,11 +73,18 @@ export class Peeling {
       webgl.setRenderTarget(next);
       webgl.clear(true, true, false);
       draw();
-      this.under.uniforms.layer.value = next.texture;
-      this.under.render(webgl, sum);
+      if (between !== undefined) this.layUnder(webgl, between(depthOf(before), depthOf(next)), sum);
+      this.layUnder(webgl, next.texture, sum);
       [next, before] = [before, next];
     }
+    if (between !== undefined) this.layUnder(webgl, between(depthOf(before), undefined), sum);
     return sum.texture;
+  }
+
+  private layUnder(webgl: WebGLRenderer, layer: Texture, sum: WebGLRenderTarget): void {
+    this.under.uniforms.layer.value = layer;
+    this.under.uniforms.texel.value.set(1 / sum.width, 1 / sum.height);
+    this.under.render(webgl, sum);
   }
 
   dispose(): void {

@@ -11,6 +11,7 @@ import { prepareCanvas } from "./canvas";
 import { CentreDepth } from "./centreDepth";
 import { Clipping, type Clip } from "./clipping";
 import { gpuDone, hasGpu } from "./gpu";
+import type { RendererHandlers } from "./handlers";
 import { HIDDEN_MS } from "./hiddenPlaces";
 import { DEFAULT_LOOK, type Look, type SurfaceStyle } from "./look";
 import type { ColorTables } from "./material";
@@ -19,6 +20,7 @@ import { LAYERS_BY_PROCESSOR, LAYERS_ON_SCREEN } from "./peeling";
 import type { Picked } from "./picking";
 import { axisView, homeDirection } from "./pose";
 import { AdaptiveQuality, type Quality } from "./quality";
+import type { RayVolume } from "./rays";
 import type { RegionMesh, RegionMeshData } from "./regionMesh";
 import { Slices, type Slice } from "./slices";
 import { takeSnapshot, type Snapshot, type SnapshotRequest } from "./snapshot";
@@ -28,20 +30,6 @@ import type { SwipeTexts } from "./swipe";
 import { UploadQueue } from "./uploads";
 import { WhenStill } from "./whenStill";
 import type { Grid, Vec3 } from "./world";
-
-export interface RendererHandlers {
-  /** A region mesh is on the GPU and can be shown. */
-  readonly onResident: (id: number) => void;
-  /** A frame was rendered. */
-  readonly onFrame: () => void;
-  /** The GPU lost its memory; all region meshes are gone and have to be uploaded again. */
-  readonly onContextLost: () => void;
-  readonly onContextRestored: () => void;
-  /** Whether frames are painted with reduced quality while the camera moves, so that they are fast enough; otherwise all are painted in full. */
-  readonly adaptsQuality?: boolean;
-  /** The user moved a handle of the clip plane or box. */
-  readonly onClip?: (clip: Clip) => void;
-}
 
 export class SurfaceRenderer {
   /** Whether a GPU renders. A processor would take twice the time for smooth edges and delay the first frame of an edit. */
@@ -232,6 +220,13 @@ export class SurfaceRenderer {
     this.invalidate();
   }
 
+  /** A volume along the rays of the picture, anew or as it was changed. */
+  setVolume(volume: RayVolume | undefined): void {
+    this.painter.volume = volume;
+    this.boundCamera();
+    this.invalidate();
+  }
+
   /**
    * A value of each vertex of a region mesh on screen, in the order of its chunk, for colour mode `value`. Meshes without values are grey.
    * @throws when there are not as many as vertices
@@ -324,7 +319,7 @@ export class SurfaceRenderer {
 
   /** If nothing else is drawn, the camera's depths are those of the surfaces alone, for the depth buffer's precision. */
   private boundCamera(): void {
-    const more = this.annotations.fillsVolume || this.slices.object.children.length > 0;
+    const more = this.annotations.fillsVolume || this.slices.object.children.length > 0 || this.painter.volume !== undefined;
     const around = this.surfaces.keptBox;
     this.camera.bound(this.box, more ? around.union(this.clipBounds()) : around);
   }
@@ -381,6 +376,8 @@ export class SurfaceRenderer {
       scale: this.webgl.getPixelRatio(),
       swipe: annotations.swipe.value,
       radius: camera.radius,
+      // A cloud has no edges that fewer pixels would show.
+      fineness: this.onGpu && quality.effects ? 1 : 0.5,
     });
   }
 

@@ -16,6 +16,7 @@ precision highp sampler2D;
 export class ScreenPass<U extends Record<string, IUniform>> {
   private readonly scene = new Scene();
   private readonly camera = new Camera();
+  private readonly mesh: Mesh<BufferGeometry, RawShaderMaterial>;
 
   constructor(
     fragmentShader: string,
@@ -26,13 +27,18 @@ export class ScreenPass<U extends Record<string, IUniform>> {
     // One triangle that covers the target.
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(Float32Array.of(-1, -1, 0, 3, -1, 0, -1, 3, 0), 3));
-    const mesh = new Mesh(geometry, Object.assign(material, flags));
-    mesh.frustumCulled = false;
-    this.scene.add(mesh);
+    this.mesh = new Mesh(geometry, Object.assign(material, flags));
+    this.mesh.frustumCulled = false;
+    this.scene.add(this.mesh);
   }
 
   render(webgl: WebGLRenderer, target: WebGLRenderTarget | null): void {
     webgl.setRenderTarget(target);
     webgl.render(this.scene, this.camera);
+  }
+
+  dispose(): void {
+    this.mesh.geometry.dispose();
+    this.mesh.material.dispose();
   }
 }

@@ -68,6 +68,7 @@ export function takeSnapshot(scene: SnapshotScene, { scale, transparent, pose }:
       scale,
       swipe,
       radius: scene.camera.radius,
+      fineness: 1,
     });
     const depth = commonDepth(camera, painter.depthsNow(camera));
     const unitsPerPixel = depth === undefined ? undefined : heightAt(camera, depth) / height;

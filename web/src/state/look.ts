@@ -38,6 +38,18 @@ export interface SliceChoice {
   readonly window?: readonly [number, number] | undefined;
 }
 
+/** The volume at a low resolution along the rays of the picture: their maxima, or a cloud. */
+export const VOLUME_MODES = ["off", "maximum", "rendering"] as const;
+
+export interface VolumeChoice {
+  readonly mode: (typeof VOLUME_MODES)[number];
+  readonly opacity: number;
+  /** Values that are not seen, and seen best; without it nearly the field's range. */
+  readonly window?: readonly [number, number] | undefined;
+  /** Values from the isovalue on have a colour of their own. */
+  readonly marksIso: boolean;
+}
+
 export interface Look {
   readonly colorBy: ColorBy;
   /** Of the field, the blended value and the importance. */
@@ -68,12 +80,15 @@ export interface Look {
   readonly box: boolean;
   readonly clip: ClipChoice;
   readonly slices: SliceChoice;
+  readonly volume: VolumeChoice;
   /** What was measured on the surface, in this order. */
   readonly measures: readonly Measure[];
 }
 
 export const NO_CLIP: ClipChoice = { caps: true };
 export const NO_SLICES: SliceChoice = { planes: [null, null, null] };
+
+export const NO_VOLUME: VolumeChoice = { mode: "off", opacity: 0.7, marksIso: true };
 
 export const DEFAULT_LOOK: Look = {
   colorBy: "material",
@@ -94,6 +109,7 @@ export const DEFAULT_LOOK: Look = {
   box: false,
   clip: NO_CLIP,
   slices: NO_SLICES,
+  volume: NO_VOLUME,
   measures: [],
 };
 

@@ -2,7 +2,7 @@
 
 import type { Vec3 } from "../protocol/types";
 import { LinkError, toNumber, type Reader } from "./linkReader";
-import { BACKGROUNDS, COLOR_BY, EXAGGERATIONS, levelOf, MAPS, MATERIALS, MAX_ISOLINES, NO_CLIP, NO_SLICES, type ClipChoice, type Look, type SliceChoice } from "./look";
+import { BACKGROUNDS, COLOR_BY, EXAGGERATIONS, levelOf, MAPS, MATERIALS, MAX_ISOLINES, NO_CLIP, NO_SLICES, NO_VOLUME, VOLUME_MODES, type ClipChoice, type Look, type SliceChoice, type VolumeChoice } from "./look";
 import { MAX_MEASURES, measureText, readMeasure } from "./measure";
 import { digits, list } from "./numbers";
 
@@ -43,7 +43,18 @@ export function lookParts(look: Look, opening: Look): (readonly [string, string 
     ["caps", clip.caps ? undefined : "0"],
     ["slices", slices.planes.every((index) => index === null) ? undefined : slices.planes.map((index) => (index === null ? "" : digits(index))).join(",")],
     ["window", slices.window && list(slices.window)],
+    ...volumeParts(look.volume),
     ["measure", measures.length === 0 ? undefined : measures.map(measureText).join(";")],
+  ];
+}
+
+/** `vr`: volume rendering. */
+function volumeParts({ mode, opacity, window, marksIso }: VolumeChoice): readonly (readonly [string, string | undefined])[] {
+  return [
+    ["vr", mode === NO_VOLUME.mode ? undefined : mode],
+    ["vropacity", opacity === NO_VOLUME.opacity ? undefined : digits(opacity)],
+    ["vrwindow", window && list(window)],
+    ["vrmark", marksIso === NO_VOLUME.marksIso ? undefined : "0"],
   ];
 }
 
@@ -54,7 +65,7 @@ export function readLook(read: Reader): Partial<Look> {
     colorBy: oneOf(read, "color", COLOR_BY),
     map: oneOf(read, "map", MAPS),
     exaggeration: readExaggeration(read),
-    colorRange: readRange(read),
+    colorRange: readRange(read, "colors"),
     isolines: readCount(read),
     material: oneOf(read, "material", MATERIALS),
     background: oneOf(read, "background", BACKGROUNDS),
@@ -62,6 +73,7 @@ export function readLook(read: Reader): Partial<Look> {
     ...Object.fromEntries(Object.entries(SWITCHES).map(([name, short]) => [name, read.flag(short)])),
     clip: readClip(read),
     slices: readSlices(read),
+    volume: readVolume(read),
     measures: read.list("measure", readMeasure)?.slice(0, MAX_MEASURES),
   };
   return Object.fromEntries(Object.entries(found).filter(([, value]) => value !== undefined));
@@ -75,11 +87,18 @@ function oneOf<T extends string>(read: Reader, name: string, known: readonly T[]
   return found;
 }
 
-function readRange(read: Reader): Look["colorRange"] {
-  const [low, high] = read.numbers("colors", 2) ?? [];
+function readRange(read: Reader, name: string): readonly [number, number] | undefined {
+  const [low, high] = read.numbers(name, 2) ?? [];
   if (low === undefined || high === undefined) return undefined;
-  if (!(low < high)) throw new LinkError(`This link's “colors” is ${low},${high}, expected a range from a lower to a higher value`);
+  if (!(low < high)) throw new LinkError(`This link's “${name}” is ${low},${high}, expected a range from a lower to a higher value`);
   return [low, high];
+}
+
+function readVolume(read: Reader): VolumeChoice | undefined {
+  const [mode, opacity, window, marksIso] = [oneOf(read, "vr", VOLUME_MODES), read.number("vropacity"), readRange(read, "vrwindow"), read.flag("vrmark")];
+  if ([mode, opacity, window, marksIso].every((one) => one === undefined)) return undefined;
+  if (opacity !== undefined && !(opacity >= 0 && opacity <= 1)) throw new LinkError(`This link's “vropacity” is ${opacity}, expected a number from 0 to 1`);
+  return { mode: mode ?? NO_VOLUME.mode, opacity: opacity ?? NO_VOLUME.opacity, window, marksIso: marksIso ?? NO_VOLUME.marksIso };
 }
 
 function readExaggeration(read: Reader): number | undefined {

@@ -6,6 +6,7 @@ import type { ColoredRegion } from "../scene/coloredRegions";
 import type { ColorBar } from "../scene/colorScale";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { SliceLoader, type SliceSource } from "./sliceLoader";
+import { VolumeDisplay } from "./volumeDisplay";
 import type { Distances } from "../state/distances";
 import { lengthUnit, unitWord } from "../state/lengths";
 import type { ColorBy, Look } from "../state/look";
@@ -14,6 +15,7 @@ import { LEVEL_COLORS, mappedLut, rampLut, transferLut } from "../transfer/lut";
 import { IDENTITY } from "../transfer/model";
 import { fieldBarOf, fieldScaleOf, linePlaces, type FieldScale } from "../ui/cards/fieldColors";
 import { formatValue } from "../ui/format";
+import type { Theme } from "../ui/theme";
 import { physicalAxes } from "../world/physicalAxes";
 
 type Points = TransferFunction["points"];
@@ -92,6 +94,7 @@ export class Display {
   /** Scales of the fields of surfaces, as text. */
   private readonly fields = new Map<number, string>();
   private readonly slices: SliceLoader;
+  private readonly volume: VolumeDisplay;
   private unit: string | undefined;
 
   /** @param onError what cannot be shown, for the user */
@@ -102,6 +105,7 @@ export class Display {
     private readonly isEmbedded = false,
   ) {
     this.slices = new SliceLoader((slices) => this.scene.setSlices(slices), onError, base);
+    this.volume = new VolumeDisplay(scene, base, onError);
   }
 
   /**
@@ -120,6 +124,12 @@ export class Display {
     if (distances !== undefined && isRecolored) this.scene.colors.setValueColors(0, distances.upper, colorTable(DISTANCE_COLORS));
     this.showColorBar(look, legend, source.volume, isRecolored);
     this.slices.show(look.slices, source);
+    this.volume.show(look, source.volume, source.step, surfaces.find(({ number }) => number === selected));
+  }
+
+  setTheme(theme: Theme): void {
+    this.scene.setEdgeColor(theme === "dark" ? "#0b0e12" : "#101418");
+    this.volume.setTheme(theme);
   }
 
   /** The volume that is shown: unit and axes of its world. */

@@ -25,6 +25,7 @@ export const CARDS: readonly Card[] = [
   onDemand({ id: "view", title: "View", icon: "view" }, () => import("./view")),
   onDemand({ id: "clip", title: "Clip", icon: "clip" }, () => import("./clip")),
   onDemand({ id: "slices", title: "Slices", icon: "slices" }, () => import("./slices")),
+  onDemand({ id: "volume", title: "Volume", icon: "volume" }, () => import("./volume")),
   onDemand({ id: "measure", title: "Measure", icon: "measure" }, () => import("./measure")),
   onDemand({ id: "compare", title: "Compare", icon: "compare" }, () => import("./compare")),
   onDemand({ id: "story", isLocal: true, title: "Story", icon: "story" }, () => import("./story")),
