@@ -6,11 +6,12 @@ use std::path::Path;
 use isopeel_kernels::{DerivedFeature, Histogram, VectorFeature};
 use serde::Serialize;
 
-use crate::extraction::{LabelInfo, TimesInfo};
+use crate::extraction::{AxisInfo, LabelInfo, TimesInfo};
+use crate::math::DVec3;
 use crate::view::{FeatureName, OpeningIso, VectorName};
 use crate::volumes::statistics::FieldStatistics;
 use crate::volumes::vectors::vectors;
-use crate::volumes::{Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
+use crate::volumes::{AxisKind, Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
 
 /// Labels of a field that are printed for people.
 const SHOWN_LABELS: usize = 32;
@@ -65,6 +66,9 @@ struct Report {
     /// Copyright, and notices on repairs, assumptions and missing information of the grid. A line each.
     notice: Option<String>,
     times: Option<TimesInfo>,
+    /// Absent if the file describes none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    axes: Option<[Option<AxisInfo>; 3]>,
     fields: Vec<FieldReport>,
     /// Names of the features that are computed from the shown field, then those from vector fields.
     features: Vec<String>,
@@ -112,6 +116,7 @@ impl Report {
             unit: unit.map(LengthUnit::symbol),
             steps: dataset.steps,
             times: dataset.times.as_ref().map(|times| TimesInfo::new(times, 0)),
+            axes: AxisInfo::all(dataset),
             fields: dataset.fields.iter().map(FieldReport::of).collect::<Result<_, _>>()?,
             // After the samples were read.
             notice: dataset.notice(),
@@ -157,6 +162,9 @@ impl Report {
                 .unwrap_or_default();
             writeln!(out, "  times       {first} to {last}{calendar}")?;
         }
+        for line in axis_lines(dataset) {
+            writeln!(out, "{line}")?;
+        }
         for field in &self.fields {
             field.print(out)?;
         }
@@ -166,6 +174,33 @@ impl Report {
         }
         Ok(())
     }
+}
+
+/// What the positions along the axes are, and their ends; a line for each axis that the file describes.
+fn axis_lines(dataset: &Dataset) -> Vec<String> {
+    let ends = [[0; 3], dataset.geometry.dims.map(|n| n.saturating_sub(1))];
+    let line = |axis: usize| {
+        let scale = dataset.axes.as_deref()?.get(axis)?.as_ref()?;
+        let position = |sample: [u32; 3]| match &scale.positions {
+            Some(positions) => positions.get(sample[axis] as usize).copied(),
+            None => {
+                let world = dataset.sample_space().world(DVec3::from_array(sample.map(f64::from)));
+                Some(if scale.points_down { -world[axis] } else { world[axis] })
+            }
+        };
+        let [first, last] = ends.map(position);
+        let unit = scale.unit.as_deref().map(|unit| format!(" {unit}")).unwrap_or_default();
+        let kind = match scale.kind {
+            AxisKind::Other => String::new(),
+            kind => format!(" ({})", kind.name()),
+        };
+        let (name, letter) = (&scale.name, ["x", "y", "z"][axis]);
+        Some(format!(
+            "  along {letter}     {name}{kind}: {} to {}{unit}",
+            first?, last?
+        ))
+    };
+    (0..3).filter_map(line).collect()
 }
 
 /// Names of the features that the device can compute.

@@ -336,6 +336,13 @@ fn info_describes_a_file_and_a_folder() {
 }
 
 #[test]
+fn info_says_what_the_positions_along_axes_are() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/volumes/named_longitude.nc");
+    let said = command::succeed([OsStr::new("info"), file.as_os_str()]);
+    assert!(said.contains("along x     lon (longitude): 358 to 364 °\n"), "{said}");
+}
+
+#[test]
 fn devices_lists_what_there_is() {
     if !server::has_device() {
         return;
