@@ -303,9 +303,21 @@ describe("the page", { timeout: 6 * TIMEOUT_MS }, () => {
     await page.context().close();
   });
 
-  test("single keys work in the picture alone", MORE, async () => {
+  test("single keys act in the picture and where nothing has the focus, unless they are restricted to the picture", MORE, async () => {
     const { page } = await openAt("desktop", "dark");
-    const { camera } = await settled(page);
+    const first = (await settled(page)).camera.fitted;
+    assert.equal(await page.evaluate(() => document.activeElement === document.body), true);
+    await page.keyboard.press("f");
+    assert.equal((await status(page)).camera.fitted, first + 1, "a page just opened");
+    await page.keyboard.press("?");
+    const onlyPicture = page.getByRole("switch", { name: "Single keys act without a click into the picture" });
+    await onlyPicture.press("Space");
+    await page.keyboard.press("Escape");
+    await page.locator("dialog").waitFor({ state: "detached" });
+    await page.evaluate(() => document.activeElement.blur());
+    await page.keyboard.press("f");
+    assert.equal((await status(page)).camera.fitted, first + 1, "restricted to the picture");
+    const { camera } = await status(page);
     await page.getByRole("slider", { name: "Triangles" }).focus();
     await page.keyboard.press("f");
     await page.keyboard.press("?");

@@ -2,25 +2,27 @@
 
 import { For, onMount, type JSX } from "solid-js";
 import { DOCUMENTS } from "./documents";
+import { chooseKeys, keysEverywhere } from "./keys";
 import { Button } from "./widgets/button";
+import { Toggle } from "./widgets/choice";
 import { Icon } from "./widgets/icon";
 
 const KEYS: readonly (readonly [string, string])[] = [
   ["Drag, or arrow keys in the picture", "turn the surface"],
   ["Right-drag, or two fingers", "move it"],
   ["Wheel, or pinch", "zoom in or out"],
-  ["F in the picture", "fit the surface into it"],
-  ["S in the picture or a slice", "slices beside the picture, slices alone, the picture alone"],
+  ["F", "fit the surface into the picture"],
+  ["S", "slices beside the picture, slices alone, the picture alone"],
   ["Click or drag in a slice, or arrow keys", "move the crosshair; so does a click on the surface"],
   ["Wheel in a slice, or Page Up and Page Down", "go through the slices"],
   ["Right-drag in a slice", "change window and level; double-click resets them"],
-  [", and . in the picture", "previous and next time step; P plays them"],
+  [", and .", "previous and next time step; P plays them"],
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo: values, colours and look"],
   ["Arrow keys on a slider, a point or a number", "move it; with Shift by more"],
   ["Arrow keys in the list of labels", "go from label to label, and from switch to switch"],
   ["Double-click in the editor, or Insert", "add a point; Delete removes it"],
   ["Pick a value, Mark a region, Measure", "then click the surface, or Enter in the picture for its centre"],
-  ["? in the picture", "this page"],
+  ["?", "this page"],
 ];
 
 /** The browser's own dialog: it keeps the focus, and Escape closes it. */
@@ -44,6 +46,7 @@ export default function Help(props: { readonly onClose: () => void; readonly onT
       <dl class="rows keys">
         <For each={KEYS}>{([keys, about]) => <Row term={keys} about={about} />}</For>
       </dl>
+      <Toggle label="Single keys act without a click into the picture" on={keysEverywhere()} onChange={chooseKeys} />
       <h3>Documentation</h3>
       <dl class="rows keys">
         <For each={DOCUMENTS}>{({ name, about }) => <Row term={<Page address={`docs/${name}.txt`} text={name} />} about={about} />}</For>

@@ -1,12 +1,13 @@
 /** The page: the picture and what lies over it, the top line, and the inspector. */
 
-import { createSignal, lazy, onCleanup, Show, Suspense } from "solid-js";
+import { createSignal, lazy, Show, Suspense } from "solid-js";
 import { render } from "solid-js/web";
 import { ConnectionBanner } from "./connectionBanner";
 import { EmbeddedPage } from "./embeddedPage";
 import { FollowBar } from "./followBar";
 import { Hint } from "./hint";
 import { Inspector } from "./inspector";
+import { listenToKeys } from "./keys";
 import { Legend } from "./legend";
 import { Announcer } from "./announcer";
 import { ModelContext, useModel, type Model } from "./model";
@@ -17,8 +18,6 @@ import { TopLine } from "./topLine";
 import { isTourDue } from "./tourState";
 import { DropTarget, UploadProgress } from "./uploadProgress";
 import { isLed } from "../state/group";
-import { nextLayout } from "../state/slicing";
-import { stepCount } from "../state/timeSteps";
 
 const Help = lazy(() => import("./help"));
 const SlicePanel = lazy(() => import("./slicePanel/panel"));
@@ -103,37 +102,4 @@ function Stage(props: { readonly viewport: HTMLElement }) {
       </div>
     </div>
   );
-}
-
-/** Types of inputs that hold a text. */
-const TEXTS: readonly string[] = ["text", "search"];
-
-/** Undo and redo anywhere but in texts, which have their own; single keys only while the picture or a slice has the focus. */
-function listenToKeys({ actions, group, step, page, viewer }: Model, viewport: HTMLElement, onHelp: () => void): void {
-  const onKey = (event: KeyboardEvent) => {
-    const { target } = event;
-    if (event.altKey || (target instanceof HTMLInputElement && TEXTS.includes(target.type))) return;
-    const key = event.key.toLowerCase();
-    if (event.ctrlKey || event.metaKey) {
-      if (key !== "z" && key !== "y") return;
-      event.preventDefault();
-      return key === "y" || event.shiftKey ? actions.redo() : actions.undo();
-    }
-    if (!(target instanceof Element) || !(viewport.contains(target) || target.matches(".slice-picture"))) return;
-    const count = stepCount(viewer());
-    const to = { ",": step() - 1, ".": step() + 1 }[key];
-    if (to !== undefined && to >= 0 && to < count) actions.goToStep(to);
-    const { player } = page();
-    if (key === "p" && count > 1) actions.changePage({ player: { ...player, playing: !player.playing } });
-    if (key === "f") actions.fit();
-    if (key === "s" && !isLed(group())) {
-      const layout = nextLayout(page().slicing);
-      actions.changePage({ slicing: { ...page().slicing, layout } });
-      // The slice that had the focus is gone.
-      if (layout === "picture") viewport.querySelector("canvas")?.focus();
-    }
-    if (key === "?") onHelp();
-  };
-  window.addEventListener("keydown", onKey);
-  onCleanup(() => window.removeEventListener("keydown", onKey));
 }

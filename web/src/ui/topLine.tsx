@@ -23,14 +23,14 @@ export function TopLine(props: { readonly onHelp: () => void; readonly onUploads
       <div class="actions" role="toolbar" aria-label="Page">
         <IconButton icon="undo" label="Undo" keys="Ctrl+Z" disabled={!history().canUndo || isLed(group())} onClick={actions.undo} />
         <IconButton icon="redo" label="Redo" keys="Ctrl+Shift+Z" disabled={!history().canRedo || isLed(group())} onClick={actions.redo} />
-        <IconButton icon="fit" label="Fit the surface into the picture" keys="F in the picture" onClick={actions.fit} />
+        <IconButton icon="fit" label="Fit the surface into the picture" keys="F" onClick={actions.fit} />
         <IconButton class="panel-toggle" icon="slices" label="Slices beside the picture" pressed={isSliced()} disabled={isLed(group())} onClick={toggleSlices} />
         <Show when={model.may("upload")}>
           <IconButton icon="upload" label="Your volumes: upload files" onClick={() => props.onUploads()} />
         </Show>
         <ExportMenu />
         <IconButton icon="theme" label="Switch between dark and light" onClick={toggleTheme} />
-        <IconButton icon="help" label="Help" keys="? in the picture" onClick={() => props.onHelp()} />
+        <IconButton icon="help" label="Help" keys="?" onClick={() => props.onHelp()} />
         <IconButton class="panel-toggle" icon="panel" label="Inspector" pressed={page().inspector} onClick={() => actions.changePage({ inspector: !page().inspector })} />
       </div>
     </header>
