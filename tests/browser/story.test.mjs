@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync, statSync } from "node:fs";
 import { test } from "node:test";
+import { PNG } from "pngjs";
 import { violations } from "./accessibility.mjs";
 import { openPage, saveScreenshot, settled, status, TIMEOUT_MS } from "./harness.mjs";
 import { setUp } from "./setup.mjs";
@@ -21,6 +22,24 @@ const FILE = {
 const asFile = (content) => ({ name: "tour.json", mimeType: "application/json", buffer: Buffer.from(content) });
 const sentence = (page, number) => page.getByRole("textbox", { name: `Sentence of bookmark ${number}` });
 const unfold = (page) => page.getByRole("button", { name: "Story", exact: true }).and(page.locator(".card-head")).click();
+
+/** Its length in seconds, as the browser plays it; in a page without a policy. */
+async function playable(bytes) {
+  const page = await at.browser.newPage();
+  const seconds = await page.evaluate(
+    (base64) =>
+      new Promise((done, failed) => {
+        const video = document.createElement("video");
+        video.onloadeddata = () => done(video.duration);
+        video.onerror = () => failed(new Error(`not playable: ${video.error?.message}`));
+        const blob = new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))], { type: "video/mp4" });
+        video.src = URL.createObjectURL(blob);
+      }),
+    bytes.toString("base64"),
+  );
+  await page.close();
+  return seconds;
+}
 
 test("bookmarks are made, changed, saved, opened and deleted", { timeout: 3 * TIMEOUT_MS }, async () => {
   const { page, faults } = await openPage(at.browser, `${at.server.url}/#v=1&volume=bumpy&iso=0`);
@@ -68,7 +87,7 @@ test("bookmarks are made, changed, saved, opened and deleted", { timeout: 3 * TI
   await page.context().close();
 });
 
-test("a story is played with a moving camera, and recorded", { timeout: 3 * TIMEOUT_MS }, async () => {
+test("a story is played with a moving camera, and recorded", { timeout: 6 * TIMEOUT_MS }, async () => {
   const { page, faults } = await openPage(at.browser, `${at.server.url}/#v=1&volume=bumpy&iso=0`);
   await settled(page);
   await unfold(page);
@@ -89,13 +108,38 @@ test("a story is played with a moving camera, and recorded", { timeout: 3 * TIME
   assert.deepEqual((await status(page)).camera.position.map(Math.round), [-10, 23, 60]);
 
   const download = page.waitForEvent("download");
-  await page.getByRole("button", { name: "Save video" }).click();
+  await page.getByRole("button", { name: "Save the story as WebM" }).click();
   const video = await download;
   assert.equal(video.suggestedFilename(), "story.webm");
   const path = await video.path();
   // EBML's mark.
   assert.equal(readFileSync(path).readUInt32BE(0), 0x1a45dfa3);
   assert.ok(statSync(path).size > 10_000, `${statSync(path).size} bytes`);
+
+  const made = page.waitForEvent("download");
+  await page.getByRole("button", { name: "Save the story as MP4" }).click();
+  const mp4 = await made;
+  assert.equal(mp4.suggestedFilename(), "story.mp4");
+  const seconds = await playable(readFileSync(await mp4.path()));
+  // Two sentences of 2.5 s at least, and moves of 1 s and 2 s.
+  assert.ok(seconds > 7 && seconds < 10, `${seconds} s`);
+
+  const zipped = page.waitForEvent("download");
+  await page.getByRole("button", { name: "Save the story as PNGs" }).click();
+  const zip = await zipped;
+  assert.equal(zip.suggestedFilename(), "story.zip");
+  const bytes = readFileSync(await zip.path());
+  const text = bytes.toString("latin1");
+  // Of the zip's directory: files are stored as they are.
+  const names = [...text.matchAll(/PK\x01\x02[^]{42}(\d{4}\.png|story\.ffconcat)/g)].map(([, name]) => name);
+  assert.deepEqual([names[0], names.at(-1)], ["0000.png", "story.ffconcat"]);
+  // Moves have 25 images a second, and each rest has one.
+  assert.ok(names.length > 70 && names.length < 90, `${names.length} files`);
+  assert.match(text, /ffconcat version 1\.0\nfile '0000\.png'\nduration 0\.04\n/);
+  assert.equal([...text.matchAll(/\nduration \d/g)].length, names.length - 1);
+  const first = text.indexOf("\x89PNG");
+  const image = PNG.sync.read(bytes.subarray(first, text.indexOf("IEND", first) + 8));
+  assert.ok(image.width > 500 && image.height > 400, `${image.width} × ${image.height}`);
   await page.getByRole("button", { name: "Play", exact: true }).click();
   await page.locator(".telling").getByRole("button", { name: "Stop" }).click();
   await page.locator(".telling").waitFor({ state: "detached" });

@@ -1,9 +1,9 @@
 /** A turn around the surface as numbered PNGs in a zip. Loaded when it is requested. */
 
-import { Zip, ZipPassThrough } from "fflate";
 import type { CameraPose } from "../scene/pose";
 import type { Snapshot } from "../scene/snapshot";
 import { composeImage, type ImageParts } from "./compose";
+import { imageName, StoredZip } from "./zip";
 
 export interface TurntableRequest {
   /** Pictures of a whole turn. */
@@ -36,28 +36,13 @@ export async function makeTurntable(snapshot: (pose: CameraPose) => Snapshot, re
   if (!Number.isInteger(frames) || frames < 1 || frames > MAX_FRAMES) {
     throw new Error(`a turn of ${frames} pictures, expected 1 to ${MAX_FRAMES}`);
   }
-  const pieces: Uint8Array<ArrayBuffer>[] = [];
-  const done = new Promise<void>((resolve, reject) => {
-    // A PNG is compressed already.
-    const zip = new Zip((error, piece, last) => {
-      if (error !== null) return reject(error);
-      pieces.push(piece.slice());
-      if (last) resolve();
-    });
-    void addFrames(zip).catch(reject);
-  });
-  async function addFrames(zip: Zip): Promise<void> {
-    const digits = String(frames - 1).length;
-    for (let i = 0; i < frames; i += 1) {
-      signal?.throwIfAborted();
-      const png = await composeImage(snapshot(turnedPose(from, i, frames)), parts);
-      const file = new ZipPassThrough(`${String(i).padStart(digits, "0")}.png`);
-      zip.add(file);
-      file.push(new Uint8Array(await png.arrayBuffer()), true);
-      onProgress?.(i + 1);
-    }
-    zip.end();
+  const zip = new StoredZip();
+  const digits = String(frames - 1).length;
+  for (let i = 0; i < frames; i += 1) {
+    signal?.throwIfAborted();
+    const png = await composeImage(snapshot(turnedPose(from, i, frames)), parts);
+    zip.add(imageName(i, digits), new Uint8Array(await png.arrayBuffer()));
+    onProgress?.(i + 1);
   }
-  await done;
-  return new Blob(pieces, { type: "application/zip" });
+  return zip.end();
 }

@@ -62,6 +62,9 @@ export interface Actions {
   readonly story: (act: StoryAct) => void;
 }
 
+/** Files that a story becomes. */
+export type StoryFormat = "webm" | "mp4" | "images";
+
 /** What is done with bookmarks, besides changing their list. */
 export type StoryAct =
   /** Of what is shown. */
@@ -69,7 +72,7 @@ export type StoryAct =
   | { readonly type: "open"; readonly file: File }
   | { readonly type: "show"; readonly index: number }
   | { readonly type: "play"; readonly from?: number }
-  | { readonly type: "record"; readonly request: ImageRequest }
+  | { readonly type: "record"; readonly format: StoryFormat; readonly request: ImageRequest }
   | { readonly type: "stop" };
 
 /** What is compared: edits with what was before, the decimated surface with the full one, or the surface with importance and without. */

@@ -1,4 +1,4 @@
-/** Bookmarks of what is shown, and the story that they are: played with a moving camera, or recorded as a video. Loaded when there is something to do. */
+/** Bookmarks of what is shown, and the story that they are: played with a moving camera, or recorded as a video or as images. Loaded when there is something to do. */
 
 import type { SurfaceRenderer } from "../scene/renderer";
 import type { Link, LinkState } from "../state/link";
@@ -7,9 +7,10 @@ import type { Store } from "../state/store";
 import { MAX_BOOKMARKS, StoryError, type Bookmark } from "../state/story";
 import { MAX_FILE_BYTES, readStoryFile } from "../state/storyFile";
 import { poseBetween, readingSeconds } from "../state/storyMoves";
-import type { ImageRequest, StoryAct } from "../ui/actions";
+import type { ImageRequest, StoryAct, StoryFormat } from "../ui/actions";
 import type { Model } from "../ui/model";
 import { saveFile } from "../ui/takeAlong";
+import type { StoryRecorder } from "./storyFrames";
 
 /** Of a move from one bookmark to the next. */
 const MOVE_SECONDS = 2;
@@ -49,7 +50,7 @@ export class Storyteller {
     else if (act.type === "open") void this.open(act.file);
     else if (act.type === "show") void this.show(act.index);
     else if (act.type === "play") void this.tell(act.from ?? 0, this.screen());
-    else void this.record(act.request);
+    else void this.record(act.format, act.request);
   };
 
   private add(): void {
@@ -160,16 +161,29 @@ export class Storyteller {
     };
   }
 
-  private async record(request: ImageRequest): Promise<void> {
-    const { model, scene, store } = this.parts;
-    const { StoryRecorder } = await import("./storyRecorder");
-    const recorder = StoryRecorder.begin(scene, store, request);
-    if (recorder === undefined) return model.toast("This browser records no video: play the story and record the screen, or save images of its bookmarks");
+  private async record(format: StoryFormat, request: ImageRequest): Promise<void> {
+    const { model } = this.parts;
+    const recorder = await this.recorder(format, request);
+    if (recorder === undefined) return model.toast(`This browser makes no ${format === "mp4" ? "MP4" : "video"}: choose another kind of file`);
     const isWhole = await this.tell(0, { pass: (seconds, at, text) => recorder.pass(seconds, at, text, this.running?.signal) });
-    const file = await recorder.end();
-    if (!isWhole) return;
-    saveFile(`story.${file.type.includes("mp4") ? "mp4" : "webm"}`, file);
-    model.toast("The video is ready", "brief");
+    if (!isWhole) return recorder.cancel();
+    try {
+      const { blob, ending } = await recorder.end();
+      saveFile(`story.${ending}`, blob);
+      model.toast(`story.${ending} is ready`, "brief");
+    } catch (error) {
+      model.toast(`The story could not be saved: ${error instanceof Error ? error.message : String(error)}`);
+    }
+  }
+
+  /** `undefined` if the browser cannot make such a file. */
+  private async recorder(format: StoryFormat, request: ImageRequest): Promise<StoryRecorder | undefined> {
+    const { scene, store } = this.parts;
+    const { StoryFrames } = await import("./storyFrames");
+    const frames = new StoryFrames(scene, store, request);
+    if (format === "webm") return (await import("./storyWebm")).WebmRecorder.begin(frames);
+    if (format === "mp4") return (await import("./storyMp4")).Mp4Recorder.begin(frames);
+    return new (await import("./storyImages")).ImagesRecorder(frames);
   }
 }
 

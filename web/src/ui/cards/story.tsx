@@ -13,6 +13,12 @@ import "../style/story.css";
 /** Images of a video have the size of the picture, and what is in them. */
 const VIDEO = { scale: 1, transparent: false, colorBar: true, scaleBar: true, isovalues: true, slices: false, caption: "" };
 
+const FORMATS = [
+  { format: "webm", text: "WebM", about: "A video, recorded while the story is played" },
+  { format: "mp4", text: "MP4", about: "A video, made frame by frame" },
+  { format: "images", text: "PNGs", about: "Numbered images of all frames in a ZIP, with a list for ffmpeg" },
+] as const;
+
 export default function Body() {
   const model = useModel();
   const { actions, page, telling } = model;
@@ -29,9 +35,15 @@ export default function Body() {
       <Show when={story().length > 0}>
         <div class="control row">
           <Show when={telling() === undefined} fallback={<Button onClick={() => actions.story({ type: "stop" })}>Stop</Button>}>
-            <span class="inline">
-              <Button onClick={() => actions.story({ type: "play" })}>Play</Button>
-              <Button onClick={() => actions.story({ type: "record", request: VIDEO })}>Save video</Button>
+            <Button onClick={() => actions.story({ type: "play" })}>Play</Button>
+            <span class="inline" role="group" aria-label="Save the story">
+              <For each={FORMATS}>
+                {({ format, text, about }) => (
+                  <button type="button" class="chip" title={about} aria-label={`Save the story as ${text}`} on:click={() => actions.story({ type: "record", format, request: VIDEO })}>
+                    {text}
+                  </button>
+                )}
+              </For>
             </span>
           </Show>
         </div>
