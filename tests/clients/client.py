@@ -26,7 +26,7 @@ from isopeel_client.api.session import (
 from isopeel_client.api.uploads import (
     create_upload, finish_upload, list_uploads, remove_upload, send_upload_part, show_upload, show_upload_offset,
 )
-from isopeel_client.api.volumes import list_unreadable, list_volumes, show_expression, show_slice, show_volume
+from isopeel_client.api.volumes import list_unreadable, list_volumes, show_expression, show_overview, show_slice, show_volume
 from isopeel_client.client import AuthenticatedClient, Client
 from isopeel_client.models import (
     EmbedTokenRequest, ExtractRequest, FieldInfo, Format, JobRequest, JobState, Problem, Role, SessionRequest, ShowSliceAxis, ShowSliceFormat,
@@ -120,6 +120,7 @@ mistake = show_expression.sync(volume, client=client, expression="2 *", typed=Tr
 assert isinstance(mistake, Problem) and mistake.code == "bad-edit", mistake
 plane = show_slice.sync(volume, client=client, axis=ShowSliceAxis.Z, index=20, format_=ShowSliceFormat.NII).payload.read()
 assert plane[344:347] == b"n+1", plane[:4]
+assert len(show_overview.sync(volume, client=client).payload.read()) > 1000
 
 # A volume that the client brings.
 header = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n\n"

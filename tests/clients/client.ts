@@ -76,6 +76,7 @@ async function asksOfVolumes() {
   const query = { axis: 'z', index: 20, format: 'nii' } as const
   const plane = Buffer.from(body(await client.GET('/api/v1/volumes/{id}/slices', { params: { path, query }, parseAs: 'arrayBuffer' })))
   assert.equal(plane.subarray(344, 347).toString(), 'n+1')
+  assert.ok(body(await client.GET('/api/v1/volumes/{id}/overview', { params: { path }, parseAs: 'arrayBuffer' })).byteLength > 1000)
   assert.deepEqual(body(await client.GET('/api/v1/unreadable')), [])
 }
 
