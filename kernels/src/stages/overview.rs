@@ -87,7 +87,7 @@ pub struct OverviewWork {
 }
 
 impl OverviewWork {
-    /// Begins with a volume of so many samples. The overview has at most `side` values along each axis.
+    /// Begins with a volume of `samples` along each axis. The overview has at most `side` values along each axis.
     pub fn new(samples: [u32; 3], mode: OverviewMode, side: u32) -> Self {
         let factors = samples.map(|n| n.div_ceil(side.max(1)).max(1));
         let dims = [0, 1, 2].map(|axis| samples[axis].div_ceil(factors[axis]));

@@ -83,7 +83,7 @@ fn file_bytes(text: u64) -> u64 {
     (ALIGNMENT + ENTRY_BYTES + LAYER.len() + END_BYTES) as u64 + text
 }
 
-/// Returns the directory behind so many bytes of text.
+/// Returns the central directory of an archive whose layer has `text` bytes.
 fn directory(about: &[u8], text: u64) -> Vec<u8> {
     let mut entry = b"PK\x01\x02".to_vec();
     entry.extend(VERSION.to_le_bytes());

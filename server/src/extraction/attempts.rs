@@ -20,7 +20,41 @@ const MAX_REQUEST_ATTEMPTS: usize = 6;
 /// How often a job is queued again after the device was lost while it ran: a job that loses every device it runs on is given up.
 const MAX_LOSSES: usize = 1;
 
+/// Attempts at a slice of work that failed.
+#[derive(Default)]
+pub(super) struct FailedSlices {
+    /// Keeps the fields that were loaded after one.
+    pin: Option<pins::Pin>,
+    losses: usize,
+}
+
 impl DeviceWorker {
+    /// Prepares another attempt at a slice: loads and pins fields that were not resident, or accepts that the device was lost.
+    ///
+    /// # Errors
+    /// The failure, if another attempt would fail as well.
+    pub(super) async fn after_failed_slice(
+        &self,
+        volume: &VolumeStep,
+        error: JobError,
+        failed: &mut FailedSlices,
+    ) -> Result<(), WorkError> {
+        match error {
+            JobError::NotResident { needed, budget } => {
+                // A caller that waits for other pins holds none.
+                drop(failed.pin.take());
+                let never = CancellationToken::new();
+                failed.pin = Some(self.load_pinned(volume, needed, budget, &never).await?);
+                Ok(())
+            }
+            JobError::Failed(WorkError::DeviceLost) if failed.losses < MAX_LOSSES => {
+                failed.losses += 1;
+                Ok(())
+            }
+            error => Err(error.into()),
+        }
+    }
+
     /// Runs a job; runs it again after loading volumes that were not resident, as a long job, or on a device that was reopened.
     pub(super) async fn with_volumes<T, F>(
         &self,

@@ -5,6 +5,7 @@ use isopeel_kernels::{Histogram, HistogramWork};
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
+use super::attempts::FailedSlices;
 use super::keys::{HistogramKey, feature_keys};
 use super::lock::lock;
 use super::turns::{Caller, Length, Turn};
@@ -13,9 +14,6 @@ use super::worker_state::{JobError, WorkerState};
 use crate::metrics;
 use crate::view::FeatureName;
 use crate::volumes::VolumeStep;
-
-/// How often a slice is retried after the device was lost while it ran.
-const MAX_LOSSES: usize = 1;
 
 impl DeviceWorker {
     /// Range and 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. Cached. Dropping the future
@@ -63,7 +61,7 @@ impl DeviceWorker {
             .await?;
         let shared_work = self.shared.unfinished.of(key);
         let mut work = shared_work.lock().await;
-        let (mut _pin, mut losses) = (None, 0);
+        let mut failed = FailedSlices::default();
         loop {
             match self.histogram_slice(volume, key, &work).await {
                 Ok((more, None)) => *work = more,
@@ -71,13 +69,7 @@ impl DeviceWorker {
                     self.shared.unfinished.forget(key);
                     return Ok(histogram);
                 }
-                Err(JobError::NotResident { needed, budget }) => {
-                    // A caller that waits for other pins holds none.
-                    drop(_pin.take());
-                    _pin = Some(self.load_pinned(volume, needed, budget, &never).await?);
-                }
-                Err(JobError::Failed(WorkError::DeviceLost)) if losses < MAX_LOSSES => losses += 1,
-                Err(error) => return Err(error.into()),
+                Err(error) => self.after_failed_slice(volume, error, &mut failed).await?,
             }
         }
     }

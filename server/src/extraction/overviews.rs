@@ -6,6 +6,7 @@ use isopeel_kernels::{Overview, OverviewMode, OverviewWork};
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
+use super::attempts::FailedSlices;
 use super::keys::VolumeKey;
 use super::lock::lock;
 use super::overview_cache::OverviewKey;
@@ -14,9 +15,6 @@ use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::volumes::VolumeStep;
 use crate::{metrics, pool};
-
-/// How often a slice is retried after the device was lost while it ran.
-const MAX_LOSSES: usize = 1;
 
 impl DeviceWorker {
     /// Returns a field, or an expression over fields, at a low resolution. Loads or computes it if it is not on the device. Cached. Dropping
@@ -61,20 +59,14 @@ impl DeviceWorker {
         };
         self.with_volumes(volume, &never, Caller::Request, Length::Short, require)
             .await?;
-        let (mut _pin, mut losses) = (None, 0);
+        let mut failed = FailedSlices::default();
         loop {
             let (volume_step, key, work) = (volume.clone(), key.clone(), Arc::clone(work));
             let slice = move |state: &mut WorkerState| state.continue_overview(&volume_step, &key, &mut lock(&work));
             match self.run_slice(Caller::Request, slice).await {
                 Ok(true) => return Ok(()),
                 Ok(false) => {}
-                Err(JobError::NotResident { needed, budget }) => {
-                    // A caller that waits for other pins holds none.
-                    drop(_pin.take());
-                    _pin = Some(self.load_pinned(volume, needed, budget, &never).await?);
-                }
-                Err(JobError::Failed(WorkError::DeviceLost)) if losses < MAX_LOSSES => losses += 1,
-                Err(error) => return Err(error.into()),
+                Err(error) => self.after_failed_slice(volume, error, &mut failed).await?,
             }
         }
     }

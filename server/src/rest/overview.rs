@@ -129,13 +129,13 @@ pub async fn overview(
             header::CONTENT_TYPE,
             HeaderValue::from_static("application/octet-stream"),
         ),
-        (header::CONTENT_ENCODING, HeaderValue::from_static(encoding.name())),
         (header::VARY, HeaderValue::from_static("accept-encoding")),
         (OVERVIEW_HEADER, info),
     ];
     let mut response = (head, body.map_err(ApiError::internal)?).into_response();
-    if encoding == ContentEncoding::Identity {
-        response.headers_mut().remove(header::CONTENT_ENCODING);
+    if encoding != ContentEncoding::Identity {
+        let name = HeaderValue::from_static(encoding.name());
+        response.headers_mut().insert(header::CONTENT_ENCODING, name);
     }
     Ok(response)
 }

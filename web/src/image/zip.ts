@@ -25,5 +25,5 @@ export class StoredZip {
   }
 }
 
-/** The name of image `i`, with so many digits. */
+/** The name of image `i`, padded with zeros to `digits` digits. */
 export const imageName = (i: number, digits: number): string => `${String(i).padStart(digits, "0")}.png`;

@@ -4,7 +4,7 @@ import type { Matrix4, OrthographicCamera, PerspectiveCamera, Texture, Vector4, 
 
 export interface Rays {
   readonly camera: PerspectiveCamera | OrthographicCamera;
-  /** In view space, with what is kept on their positive side. */
+  /** In view space. Points on the negative side of any plane are clipped. */
   readonly clipPlanes: readonly Vector4[];
   /** Depth of what is opaque. */
   readonly opaque: Texture;

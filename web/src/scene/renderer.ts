@@ -220,7 +220,7 @@ export class SurfaceRenderer {
     this.invalidate();
   }
 
-  /** A volume along the rays of the picture, anew or as it was changed. */
+  /** Sets the volume that is drawn along the rays of the picture, or redraws it after a change. `undefined`: none. */
   setVolume(volume: RayVolume | undefined): void {
     this.painter.volume = volume;
     this.boundCamera();
