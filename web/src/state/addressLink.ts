@@ -18,16 +18,26 @@ export interface AddressHandlers {
 export class AddressLink {
   private timer: ReturnType<typeof setTimeout> | undefined;
   private written = "";
+  /** The part of the address after `#` that was read or written last. */
+  private known: string;
 
   constructor(private readonly handlers: AddressHandlers) {
     window.addEventListener("hashchange", () => {
-      if (window.location.hash.slice(1) !== this.written) this.read();
+      this.known = window.location.hash;
+      if (this.known.slice(1) !== this.written) this.read();
     });
     restoreUnwritten();
+    this.known = window.location.hash;
     window.addEventListener("pagehide", () => {
-      const state = this.timer === undefined ? undefined : this.handlers.link();
+      const state = this.timer === undefined || this.isChanged ? undefined : this.handlers.link();
       if (state !== undefined) keepUnwritten(encodeLink(state));
     });
+  }
+
+  /** The user has changed the address, and its event has not arrived: the state of before must not replace it. */
+  private get isChanged(): boolean {
+    const { hash } = window.location;
+    return hash !== "" && hash !== this.known;
   }
 
   /** Follows the address. `false`: it asks for nothing. */
@@ -49,12 +59,13 @@ export class AddressLink {
     clearTimeout(this.timer);
     this.timer = undefined;
     const state = this.handlers.link();
-    if (state === undefined) return window.location.href;
+    if (state === undefined || this.isChanged) return window.location.href;
     const address = new URL(window.location.href);
     this.written = encodeLink(state);
     address.hash = this.written;
     // The browser may write some characters otherwise.
-    this.written = address.hash.slice(1);
+    this.known = address.hash;
+    this.written = this.known.slice(1);
     if (address.href !== window.location.href) window.history.replaceState(null, "", address);
     return address.href;
   }
