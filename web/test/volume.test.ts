@@ -66,8 +66,8 @@ test("a link has what differs", () => {
   const link = (look: Look) => encodeLink({ volume: "v", step: 0, surfaces: [SURFACE], selected: 0, opening: OPENING, look, openingLook: DEFAULT_LOOK, pose: undefined });
   expect(link(DEFAULT_LOOK)).not.toContain("vr");
   expect(link(withVolume({}))).toContain("vr=maximum");
-  const look = withVolume({ mode: "rendering", opacity: 0.25, window: [-3, 8.5], marksIso: false });
-  expect(link(look)).toContain("vr=rendering&vropacity=0.25&vrwindow=-3,8.5&vrmark=0");
+  const look = withVolume({ mode: "rendering", opacity: 0.25, window: [-3, 8.5], windowField: "depth", marksIso: false });
+  expect(link(look)).toContain("vr=rendering&vropacity=0.25&vrwindow=-3,8.5&vrfield=depth&vrmark=0");
   expect(decodeLink(link(look))?.look.volume).toEqual(look.volume);
   expect(decodeLink("volume=v")?.look).not.toHaveProperty("volume");
   expect(() => decodeLink("volume=v&vr=fog")).toThrow("expected one of off, maximum, rendering");
@@ -80,6 +80,9 @@ test("what is shown follows the surface, the window and the background", () => {
   expect(volumeWanted(withVolume({}), volume, 0, undefined, "dark")).toBeUndefined();
   const of = (look: Look, theme: "dark" | "light" = "dark") => volumeWanted(look, volume, 2, SURFACE, theme);
   expect(of(withVolume({ window: [1, 2] }))).toMatchObject({ step: 2, field: OPENING.field, style: { isMaximum: true, window: [1, 2], iso: OPENING.iso } });
+  // A window is about the field that it was chosen for.
+  expect(of(withVolume({ window: [1, 2], windowField: OPENING.field }))?.style.window).toEqual([1, 2]);
+  expect(of(withVolume({ window: [1, 2], windowField: "another" }))?.style.window).toEqual(of(withVolume({}))?.style.window);
   expect(of(withVolume({ marksIso: false }))?.style.iso).toBeUndefined();
   const ink = (look: Look, theme: "dark" | "light") => of(look, theme)?.style.ink;
   expect(ink(withVolume({}), "dark")).not.toBe(ink(withVolume({}), "light"));

@@ -2,7 +2,11 @@
 
 import { Zip, ZipPassThrough } from "fflate";
 
+/** Places and lengths in a zip have 32 bits. */
+const MAX_BYTES = 2 ** 32 - 2 ** 20;
+
 export class StoredZip {
+  private bytes = 0;
   private readonly pieces: Uint8Array<ArrayBuffer>[] = [];
   private fault: Error | undefined;
   private readonly zip = new Zip((error, piece) => {
@@ -12,6 +16,8 @@ export class StoredZip {
 
   /** @throws if it cannot be added */
   add(name: string, content: Uint8Array): void {
+    this.bytes += content.length;
+    if (this.bytes > MAX_BYTES) throw new Error(`the files have more than ${Math.floor(MAX_BYTES / 2 ** 20)} MB, which a zip cannot hold`);
     const file = new ZipPassThrough(name);
     this.zip.add(file);
     file.push(content, true);

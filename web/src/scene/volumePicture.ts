@@ -3,7 +3,7 @@
  * enclose has a colour of its own.
  */
 
-import { Data3DTexture, LinearFilter, Matrix4, RedFormat, UnsignedByteType, Vector2, Vector3, Vector4, WebGLRenderTarget, type Color, type Texture, type WebGLRenderer } from "three";
+import { Data3DTexture, LinearFilter, Matrix4, RGFormat, UnsignedByteType, Vector2, Vector3, Vector4, WebGLRenderTarget, type Color, type Texture, type WebGLRenderer } from "three";
 import { indexOfEven } from "../world/places";
 import { unevenOf } from "../world/uneven";
 import { srgb } from "./plain";
@@ -67,6 +67,11 @@ vec3 placeAt(vec2 uv, float depth) {
   return p.xyz / p.w;
 }
 
+// How well a value is seen. All values may be equal.
+float shareIn(float value) {
+  return clamp((value - window.x) / max(window.y - window.x, 1e-6), 0.0, 1.0);
+}
+
 void main() {
   color = vec4(0.0);
   vec2 uv = gl_FragCoord.xy * texel;
@@ -105,13 +110,16 @@ void main() {
   vec3 sum = vec3(0.0);
   float thickness = ${DENSITY}.0 * opacity * opacity * stride * length(way);
   for (float i = 0.0; i < steps; i += 1.0) {
-    float value = texture(samples, start + way * (first + (i + shift) * stride)).r;
+    // Interpolated among the values that are there.
+    vec2 found = texture(samples, start + way * (first + (i + shift) * stride)).rg;
+    if (found.g < 0.5) continue;
+    float value = found.r / found.g;
     if (isMaximum) {
       largest = max(largest, value);
       continue;
     }
-    float share = clamp((value - window.x) / (window.y - window.x), 0.0, 1.0);
-    if (share == 0.0 || value < 0.5 / 255.0) continue;
+    float share = shareIn(value);
+    if (share == 0.0) continue;
     float cover = 1.0 - exp(-thickness * share * share);
     sum += clear * cover * (value >= iso && i < unmarked ? marked : ink) * mix(0.45, 1.0, share);
     clear *= 1.0 - cover;
@@ -122,7 +130,7 @@ void main() {
     return;
   }
   if (largest < 0.5 / 255.0) return;
-  float share = clamp((largest - window.x) / (window.y - window.x), 0.0, 1.0);
+  float share = shareIn(largest);
   // The border of what is marked is one step of the values wide.
   vec3 drawn = mix(ink, marked, smoothstep(-0.5, 0.5, 255.0 * (largest - iso)));
   color = vec4(drawn, 1.0) * (opacity * share);
@@ -149,6 +157,16 @@ export function evenCodes({ dims, factors, codes }: VolumeSamples, grid: Grid): 
   return found;
 }
 
+/** Each code, and whether there is a value. */
+function withPresence(codes: Uint8Array<ArrayBuffer>): Uint8Array<ArrayBuffer> {
+  const texels = new Uint8Array(2 * codes.length);
+  codes.forEach((code, i) => {
+    texels[2 * i] = code;
+    texels[2 * i + 1] = code === 0 ? 0 : 255;
+  });
+  return texels;
+}
+
 /** From the world to the texture, and where the samples end in it. */
 export function placeInTexture({ dims, factors }: VolumeSamples, grid: Grid): { readonly fromWorld: Matrix4; readonly end: Vector3 } {
   const uneven = unevenOf(grid);
@@ -172,8 +190,8 @@ export class VolumePicture implements RayVolume {
     private readonly samples: VolumeSamples,
     grid: Grid,
   ) {
-    this.texture = new Data3DTexture(evenCodes(samples, grid), ...samples.dims);
-    Object.assign(this.texture, { format: RedFormat, type: UnsignedByteType, minFilter: LinearFilter, magFilter: LinearFilter, unpackAlignment: 1, needsUpdate: true });
+    this.texture = new Data3DTexture(withPresence(evenCodes(samples, grid)), ...samples.dims);
+    Object.assign(this.texture, { format: RGFormat, type: UnsignedByteType, minFilter: LinearFilter, magFilter: LinearFilter, unpackAlignment: 1, needsUpdate: true });
     const { fromWorld, end } = placeInTexture(samples, grid);
     this.fromWorld = fromWorld;
     this.pass = new ScreenPass(RAYS, uniformsOf(this.texture, end, new Vector3(...samples.dims)));

@@ -46,8 +46,15 @@ export interface VolumeChoice {
   readonly opacity: number;
   /** Values that are not seen, and seen best; without it nearly the field's range. */
   readonly window?: readonly [number, number] | undefined;
+  /** The field that the window is about; without it that of any surface. */
+  readonly windowField?: string | undefined;
   /** Values from the isovalue on have a colour of their own. */
   readonly marksIso: boolean;
+}
+
+/** The window if it is about this field: another one has other values. */
+export function windowOf({ window, windowField }: VolumeChoice, field: string): VolumeChoice["window"] {
+  return windowField === undefined || windowField === field ? window : undefined;
 }
 
 export interface Look {

@@ -49,11 +49,12 @@ export function lookParts(look: Look, opening: Look): (readonly [string, string 
 }
 
 /** `vr`: volume rendering. */
-function volumeParts({ mode, opacity, window, marksIso }: VolumeChoice): readonly (readonly [string, string | undefined])[] {
+function volumeParts({ mode, opacity, window, windowField, marksIso }: VolumeChoice): readonly (readonly [string, string | undefined])[] {
   return [
     ["vr", mode === NO_VOLUME.mode ? undefined : mode],
     ["vropacity", opacity === NO_VOLUME.opacity ? undefined : digits(opacity)],
     ["vrwindow", window && list(window)],
+    ["vrfield", window && windowField],
     ["vrmark", marksIso === NO_VOLUME.marksIso ? undefined : "0"],
   ];
 }
@@ -98,7 +99,8 @@ function readVolume(read: Reader): VolumeChoice | undefined {
   const [mode, opacity, window, marksIso] = [oneOf(read, "vr", VOLUME_MODES), read.number("vropacity"), readRange(read, "vrwindow"), read.flag("vrmark")];
   if ([mode, opacity, window, marksIso].every((one) => one === undefined)) return undefined;
   if (opacity !== undefined && !(opacity >= 0 && opacity <= 1)) throw new LinkError(`This link's “vropacity” is ${opacity}, expected a number from 0 to 1`);
-  return { mode: mode ?? NO_VOLUME.mode, opacity: opacity ?? NO_VOLUME.opacity, window, marksIso: marksIso ?? NO_VOLUME.marksIso };
+  const windowField = window && read.text("vrfield");
+  return { mode: mode ?? NO_VOLUME.mode, opacity: opacity ?? NO_VOLUME.opacity, window, windowField, marksIso: marksIso ?? NO_VOLUME.marksIso };
 }
 
 function readExaggeration(read: Reader): number | undefined {

@@ -46,7 +46,8 @@ export class WebmRecorder implements StoryRecorder {
   }
 
   cancel(): void {
-    this.recorder.stop();
+    // The browser may have ended it.
+    if (this.recorder.state !== "inactive") this.recorder.stop();
   }
 
   /** Records what is drawn for this long. */

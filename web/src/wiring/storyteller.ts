@@ -163,11 +163,11 @@ export class Storyteller {
 
   private async record(format: StoryFormat, request: ImageRequest): Promise<void> {
     const { model } = this.parts;
-    const recorder = await this.recorder(format, request);
-    if (recorder === undefined) return model.toast(`This browser makes no ${format === "mp4" ? "MP4" : "video"}: choose another kind of file`);
-    const isWhole = await this.tell(0, { pass: (seconds, at, text) => recorder.pass(seconds, at, text, this.running?.signal) });
-    if (!isWhole) return recorder.cancel();
     try {
+      const recorder = await this.recorder(format, request);
+      if (recorder === undefined) return model.toast(`This browser makes no ${format === "mp4" ? "MP4" : "video"}: choose another kind of file`);
+      const isWhole = await this.tell(0, { pass: (seconds, at, text) => recorder.pass(seconds, at, text, this.running?.signal) });
+      if (!isWhole) return recorder.cancel();
       const { blob, ending } = await recorder.end();
       saveFile(`story.${ending}`, blob);
       model.toast(`story.${ending} is ready`, "brief");

@@ -3,7 +3,7 @@
 import type { VolumeInfo } from "../protocol/types";
 import type { SurfaceRenderer } from "../scene/renderer";
 import { usualWindow } from "../state/bounds";
-import type { Look } from "../state/look";
+import { windowOf, type Look } from "../state/look";
 import type { Surface } from "../state/surfaceList";
 import type { Theme } from "../ui/theme";
 import { once } from "./later";
@@ -19,11 +19,12 @@ function inksOn({ background }: Pick<Look, "background">, page: Theme): (typeof 
 
 /** What is to be shown of a volume with a surface; `undefined`: nothing. */
 export function volumeWanted(look: Look, volume: VolumeInfo, step: number, surface: Pick<Surface, "view"> | undefined, page: Theme): VolumeWanted | undefined {
-  const { mode, opacity, window, marksIso } = look.volume;
+  const { mode, opacity, marksIso } = look.volume;
   if (mode === "off" || surface === undefined) return undefined;
   const { field, iso } = surface.view;
   const isOwn = volume.fields.some(({ name }) => name === field);
-  const style = { isMaximum: mode === "maximum", opacity, window: window ?? (isOwn ? usualWindow(volume, field) : undefined), iso: marksIso ? iso : undefined, ...inksOn(look, page) };
+  const window = windowOf(look.volume, field) ?? (isOwn ? usualWindow(volume, field) : undefined);
+  const style = { isMaximum: mode === "maximum", opacity, window, iso: marksIso ? iso : undefined, ...inksOn(look, page) };
   return { volume, step, field, style };
 }
 

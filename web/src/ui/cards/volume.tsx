@@ -3,7 +3,7 @@
 import { createMemo, createSignal, Show } from "solid-js";
 import type { FieldInfo } from "../../protocol/types";
 import { usualWindow } from "../../state/bounds";
-import type { VolumeChoice } from "../../state/look";
+import { windowOf, type VolumeChoice } from "../../state/look";
 import { useDescribed } from "../expressions";
 import { digitsBetween, formatShare, formatValue } from "../format";
 import { useModel } from "../model";
@@ -60,12 +60,14 @@ function Window(props: { readonly field: FieldInfo; readonly onChange: (of: Part
     const known = volume();
     return known?.fields.some(({ name }) => name === props.field.name) === true ? usualWindow(known, props.field.name) : range();
   };
-  const window = () => look().volume.window ?? usual();
+  const chosen = () => windowOf(look().volume, view()?.field ?? props.field.name);
+  const window = () => chosen() ?? usual();
   const digits = () => digitsBetween(...range());
   const set = (end: number, value: number, gesture?: string) => {
     const [low, high] = window();
     const least = (range()[1] - range()[0]) / 256 || 1;
-    props.onChange({ window: end === LOW ? [Math.min(value, high - least), high] : [low, Math.max(value, low + least)] }, gesture);
+    const ends = end === LOW ? ([Math.min(value, high - least), high] as const) : ([low, Math.max(value, low + least)] as const);
+    props.onChange({ window: ends, windowField: view()?.field ?? props.field.name }, gesture);
   };
   const handles = (): readonly IsoHandle[] => [
     { number: LOW, label: "Lower end of the window", value: window()[0], mark: "‹", color: undefined },
@@ -93,8 +95,8 @@ function Window(props: { readonly field: FieldInfo; readonly onChange: (of: Part
         <span>{formatValue(range()[0], digits())}</span>
         <span>{formatValue(range()[1], digits())}</span>
       </div>
-      <Show when={look().volume.window !== undefined}>
-        <Button quiet onClick={() => props.onChange({ window: undefined })}>
+      <Show when={chosen() !== undefined}>
+        <Button quiet onClick={() => props.onChange({ window: undefined, windowField: undefined })}>
           Usual window
         </Button>
       </Show>
