@@ -147,8 +147,10 @@ test-web: web-client ## the web client's unit tests
 # Random cases are the same in each run, so that only a change makes it fail; `make fuzz` draws new ones.
 # Twice as many threads as cores of a small machine, for many tests wait.
 test-rust: export RUST_TEST_THREADS ?= 4
+# More than there are cores: many tests wait most of their time, for a dead line or a driver that hangs.
+TEST_THREADS := $(shell echo $$(($$(nproc) + 2)))
 test-rust: web-client ## Rust: unit, twin, property and end-to-end tests on the OpenCL device
-	PROPTEST_RNG_SEED=2013 cargo test --locked --workspace --tests --no-fail-fast
+	PROPTEST_RNG_SEED=2013 RUST_TEST_THREADS=$(TEST_THREADS) cargo test --locked --workspace --tests --no-fail-fast
 
 KILLS ?= 100
 VIEWERS ?= 1000

@@ -87,7 +87,7 @@ test("says that nothing comes through, and goes on when the line is back", { tim
     await settled(page);
     line.cut(true);
     await page.waitForFunction(() => window.isopeel.status.connection !== "connected");
-    await page.getByText(/nothing has come from the server for \d s. Reconnecting/).waitFor();
+    await page.getByText(/nothing has come from the server for \d+ s. Reconnecting/).waitFor();
     await saveScreenshot(page, "line-cut");
     line.cut(false);
     await settled(page);

@@ -62,7 +62,7 @@ test("bookmarks are made, changed, saved, opened and deleted", { timeout: 3 * TI
   }
   await page.getByRole("button", { name: "Show bookmark 2" }).click();
   await settled(page, (now) => now.edit.iso === 0);
-  const download = page.waitForEvent("download");
+  const download = page.waitForEvent("download", { timeout: 3 * TIMEOUT_MS });
   await page.getByRole("button", { name: "Save story" }).click();
   const file = await download;
   assert.equal(file.suggestedFilename(), "bumpy-story.json");
@@ -107,7 +107,7 @@ test("a story is played with a moving camera, and recorded", { timeout: 6 * TIME
   await page.locator(".telling").waitFor({ state: "detached" });
   assert.deepEqual((await status(page)).camera.position.map(Math.round), [-10, 23, 60]);
 
-  const download = page.waitForEvent("download");
+  const download = page.waitForEvent("download", { timeout: 3 * TIMEOUT_MS });
   await page.getByRole("button", { name: "Save the story as WebM" }).click();
   const video = await download;
   assert.equal(video.suggestedFilename(), "story.webm");
@@ -116,7 +116,7 @@ test("a story is played with a moving camera, and recorded", { timeout: 6 * TIME
   assert.equal(readFileSync(path).readUInt32BE(0), 0x1a45dfa3);
   assert.ok(statSync(path).size > 10_000, `${statSync(path).size} bytes`);
 
-  const made = page.waitForEvent("download");
+  const made = page.waitForEvent("download", { timeout: 3 * TIMEOUT_MS });
   await page.getByRole("button", { name: "Save the story as MP4" }).click();
   const mp4 = await made;
   assert.equal(mp4.suggestedFilename(), "story.mp4");
@@ -124,7 +124,7 @@ test("a story is played with a moving camera, and recorded", { timeout: 6 * TIME
   // Two sentences of 2.5 s at least, and moves of 1 s and 2 s.
   assert.ok(seconds > 7 && seconds < 10, `${seconds} s`);
 
-  const zipped = page.waitForEvent("download");
+  const zipped = page.waitForEvent("download", { timeout: 3 * TIMEOUT_MS });
   await page.getByRole("button", { name: "Save the story as PNGs" }).click();
   const zip = await zipped;
   assert.equal(zip.suggestedFilename(), "story.zip");
