@@ -42,6 +42,11 @@ impl StoredType {
         Self::F64,
     ];
 
+    /// Whether all of its values are whole numbers.
+    pub const fn is_whole(self) -> bool {
+        !matches!(self, Self::F16 | Self::F32 | Self::F64)
+    }
+
     /// Returns the bytes of one sample.
     pub const fn bytes(self) -> u64 {
         match self {

@@ -10,6 +10,9 @@ use super::header::{self, Channels, FieldHead, GridFields};
 /// Offset of the samples in bytes.
 const HEADER_BYTES: usize = 284;
 
+/// Deviation of a direction's length from 1 that is not worth a notice: rounding of a program that writes few digits.
+const UNIT_TOLERANCE: f64 = 1e-3;
+
 const FIELDS: GridFields = GridFields {
     dims: "width, height, depth",
     spacing: "spacing",
@@ -69,9 +72,10 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         return fail("type", why);
     };
     let mut notices = Notices::default();
-    let has_axes = u16::from_be_bytes([head[28], head[29]]) == 1;
+    // Any other number than 0, as nibabel takes it.
+    let has_axes = head[28..30] != [0; 2];
     let geometry = if has_axes {
-        geometry(location, &head, dims)?
+        geometry(location, &head, dims, &mut notices)?
     } else {
         notices.add("the header has no axes: they are those of a coronal scan, as FreeSurfer takes them, 1 mm apart");
         coronal(location, dims)?
@@ -108,18 +112,18 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     })
 }
 
-/// Returns the grid around the position of its centre, which the header states.
+/// Returns the grid around the position of its centre. `axes` are the vectors from sample to sample.
 fn placed(
     location: &FileLocation,
     dims: [u32; 3],
-    spacing: [f64; 3],
-    direction: [[f64; 3]; 3],
+    axes: [[f64; 3]; 3],
     centre: [f64; 3],
 ) -> Result<Geometry, ReadError> {
     let origin = std::array::from_fn(|row| {
-        let to_centre = |axis: usize| direction[axis][row] * spacing[axis] * f64::from(dims[axis]) / 2.0;
+        let to_centre = |axis: usize| axes[axis][row] * f64::from(dims[axis]) / 2.0;
         centre[row] - to_centre(0) - to_centre(1) - to_centre(2)
     });
+    let (spacing, direction) = header::split_axes(axes);
     let geometry = header::geometry(location.path(), &FIELDS, dims, spacing, origin, direction)?;
     Ok(Geometry {
         frame: Frame::Ras,
@@ -128,14 +132,28 @@ fn placed(
     })
 }
 
-fn geometry(location: &FileLocation, head: &[u8], dims: [u32; 3]) -> Result<Geometry, ReadError> {
-    let axes: [[f64; 3]; 3] = [42, 54, 66].map(|at| floats(head, at));
-    // The axes are unit vectors up to rounding.
-    let (_, direction) = header::split_axes(axes);
-    placed(location, dims, floats(head, 30), direction, floats(head, 78))
+/// Returns the grid by the affine of nibabel and FreeSurfer: directions times distances. Directions that are no unit vectors change the
+/// distances.
+fn geometry(
+    location: &FileLocation,
+    head: &[u8],
+    dims: [u32; 3],
+    notices: &mut Notices,
+) -> Result<Geometry, ReadError> {
+    let stored: [[f64; 3]; 3] = [42, 54, 66].map(|at| floats(head, at));
+    let (distances, axes) = header::signed_distances(floats(head, 30), stored, notices);
+    let (lengths, _) = header::split_axes(axes);
+    if lengths.iter().any(|length| (length - 1.0).abs() > UNIT_TOLERANCE) {
+        notices.add(format!(
+            "x_ras, y_ras, z_ras are {:?} long, expected unit vectors: they multiply the distances of samples, as in nibabel and FreeSurfer",
+            lengths.map(|length| length as f32)
+        ));
+    }
+    let axes = std::array::from_fn(|axis| axes[axis].map(|component| component * distances[axis]));
+    placed(location, dims, axes, floats(head, 78))
 }
 
 fn coronal(location: &FileLocation, dims: [u32; 3]) -> Result<Geometry, ReadError> {
-    let direction = [[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]];
-    placed(location, dims, [1.0; 3], direction, [0.0; 3])
+    let axes = [[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]];
+    placed(location, dims, axes, [0.0; 3])
 }

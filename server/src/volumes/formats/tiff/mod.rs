@@ -1,11 +1,12 @@
 //! TIFF: stacks of pages, ImageJ's hyperstacks, OME-TIFF, and folders of numbered slices.
 //!
 //! - [`directory`]: the directories of a file; [`page`]: the image of a directory; the crate `tiff` decodes it if it is compressed.
-//! - [`stack`]: assigns pages to slices, channels and time steps, by ImageJ's description; [`ome`]: by OME's XML.
+//! - [`stack`]: assigns pages to slices, channels and time steps; [`imagej`]: by ImageJ's description; [`ome`]: by OME's XML.
 //! - [`source`] reads the pages; [`folder`]: one file for each slice.
 
 mod directory;
 pub mod folder;
+mod imagej;
 mod ome;
 mod page;
 mod source;
@@ -26,7 +27,7 @@ use super::named_axes::doubt_of_order;
 const FIELDS: GridFields = GridFields {
     dims: "dimensions",
     spacing: "resolution",
-    origin: "resolution",
+    origin: "xorigin, yorigin, zorigin",
     direction: "resolution",
 };
 
@@ -250,10 +251,16 @@ fn image_of(location: &FileLocation, stack: &Stack, files: &[Pages]) -> Result<I
 fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<OpenedFile, ReadError> {
     let image = image_of(location, stack, &files)?;
     let dims = [image.width, image.height, stack.slices];
-    let Geometry { origin, direction, .. } = Geometry::of_index(dims);
     let geometry = Geometry {
         unit: stack.unit,
-        ..header::geometry(location.path(), &FIELDS, dims, stack.spacing, origin, direction)?
+        ..header::geometry(
+            location.path(),
+            &FIELDS,
+            dims,
+            stack.spacing,
+            stack.origin,
+            Geometry::IDENTITY,
+        )?
     };
     let interval = stack.interval.as_ref().filter(|_| stack.frames > 1);
     let times = interval.and_then(|(interval, unit)| TimeAxis::even(0.0, *interval, stack.frames, unit));
@@ -268,9 +275,11 @@ fn volume(location: &FileLocation, stack: &Stack, files: Vec<Pages>) -> Result<O
         (calibration, StoredType::U8) if is_calibrated => calibration.map(Calibration::as_line),
         _ => None,
     };
-    let is_whole = !matches!(image.stored, StoredType::F16 | StoredType::F32 | StoredType::F64);
     let missing = stack.missing.filter(|value| {
-        calibration.is_none() && !image.is_rgb && value.is_finite() && (!is_whole || value.fract() == 0.0)
+        calibration.is_none()
+            && !image.is_rgb
+            && value.is_finite()
+            && (!image.stored.is_whole() || value.fract() == 0.0)
     });
     let fields = fields(location, stack, image).into_iter().map(|(name, channel, pick)| {
         let steps = (0..stack.frames).map(|frame| stack.step(channel, frame).to_vec());

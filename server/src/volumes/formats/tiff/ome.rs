@@ -140,6 +140,7 @@ fn stack(pixels: &Pixels, find: &mut FindFile<'_>) -> Result<Stack, String> {
         frames,
         interval: interval(&pixels.attributes),
         spacing,
+        origin: [0.0; 3],
         unit,
         calibration: None,
         value_unit: None,
