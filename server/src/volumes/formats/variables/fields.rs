@@ -5,8 +5,8 @@ use std::sync::Arc;
 use super::super::super::stored::{Begin, StoredSamples};
 use super::super::super::{Field, FileLocation, Findings, Geometry, ReadError, Source};
 use super::super::header::Channels;
-use super::axes::Layout;
 use super::file::Variable;
+use super::layout::Layout;
 use super::source::VariableSource;
 use super::values::Values;
 

@@ -57,7 +57,8 @@ pub struct AxisLabel {
 pub enum Attribute {
     Text(String),
     Texts(Vec<String>),
-    Numbers(Vec<f64>),
+    /// Numbers, with the type in which they are stored, if they have one.
+    Numbers(Vec<f64>, Option<StoredType>),
 }
 
 /// Attributes of a variable or a group, by name.
@@ -92,12 +93,15 @@ pub const ATTRIBUTES: [&str; 24] = [
     "voxelsize",
 ];
 
+/// Attributes with the bounds of valid values.
+const VALID_BOUNDS: [&str; 3] = ["valid_range", "valid_min", "valid_max"];
+
 impl Attributes {
     /// Returns a text, trimmed; `None` if it is empty, or no text.
     pub fn text(&self, name: &str) -> Option<&str> {
         match self.get(name)? {
             Attribute::Text(text) => Some(text.trim().trim_end_matches('\0')).filter(|text| !text.is_empty()),
-            Attribute::Texts(_) | Attribute::Numbers(_) => None,
+            Attribute::Texts(_) | Attribute::Numbers(..) => None,
         }
     }
 
@@ -113,7 +117,7 @@ impl Attributes {
     /// Returns numbers, also those that are written as text; none if there is no such attribute.
     pub fn numbers(&self, name: &str) -> Vec<f64> {
         match self.get(name) {
-            Some(Attribute::Numbers(numbers)) => numbers.clone(),
+            Some(Attribute::Numbers(numbers, _)) => numbers.clone(),
             Some(Attribute::Text(text)) => numbers_of_text(text).unwrap_or_default(),
             Some(Attribute::Texts(_)) | None => Vec::new(),
         }
@@ -122,6 +126,14 @@ impl Attributes {
     /// Returns exactly `N` numbers.
     pub fn array<const N: usize>(&self, name: &str) -> Option<[f64; N]> {
         self.numbers(name).try_into().ok()
+    }
+
+    /// Returns the type in which numbers are stored; `None` if they have none, or are none.
+    pub fn stored_type(&self, name: &str) -> Option<StoredType> {
+        match self.get(name)? {
+            Attribute::Numbers(_, stored) => *stored,
+            Attribute::Text(_) | Attribute::Texts(_) => None,
+        }
     }
 
     /// Returns the value of an attribute.
@@ -154,8 +166,33 @@ impl Variable {
         self.attributes.numbers(name)
     }
 
-    /// Returns notices of the attributes that should be numbers and are not.
-    pub fn unread_numbers(&self) -> Vec<String> {
+    /// Returns the names of the bounds of valid values that are unpacked values, by the convention of NetCDF: their type is the wider one
+    /// of scale and offset, and wider than that of the samples. Other bounds are stored numbers.
+    pub fn unpacked_bounds(&self) -> Vec<&'static str> {
+        // Of a wider type first by kind, then by size.
+        let rank = |stored: StoredType| (!stored.is_whole(), stored.bytes());
+        let type_of = |name: &str| self.attributes.stored_type(name).map(rank);
+        let (of_scale, own) = (
+            type_of("scale_factor").max(type_of("add_offset")),
+            self.stored.as_ref().ok().map(|&stored| rank(stored)),
+        );
+        let is_unpacked = |name: &&str| of_scale > own && type_of(name) == of_scale;
+        VALID_BOUNDS.into_iter().filter(is_unpacked).collect()
+    }
+
+    /// Returns notices of attributes that are read in a way that the file does not prescribe, and of those that should be numbers and are not.
+    pub fn notices(&self) -> Vec<String> {
+        let unpacked = self.unpacked_bounds();
+        let unpacked = (!unpacked.is_empty()).then(|| {
+            format!(
+                "{} taken for unpacked values, as the type is that of scale_factor or add_offset",
+                unpacked.join(", ")
+            )
+        });
+        unpacked.into_iter().chain(self.unread_numbers()).collect()
+    }
+
+    fn unread_numbers(&self) -> Vec<String> {
         let names = [
             "_FillValue",
             "add_offset",
@@ -168,7 +205,7 @@ impl Variable {
         let unread = |name: &str| match self.attributes.get(name) {
             Some(Attribute::Text(text)) => numbers_of_text(text).is_none(),
             Some(Attribute::Texts(_)) => true,
-            Some(Attribute::Numbers(_)) | None => false,
+            Some(Attribute::Numbers(..)) | None => false,
         };
         let shown = |name: &str| {
             format!(

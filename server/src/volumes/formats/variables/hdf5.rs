@@ -478,10 +478,11 @@ fn value(
             .raw_data
             .chunks_exact(kind.bytes)
             .map(|bytes| kind.value(bytes));
-        return Some(Attribute::Numbers(numbers.collect()));
+        return Some(Attribute::Numbers(numbers.collect(), Some(StoredType::F64)));
     }
     if let Ok((stored, endian)) = stored_type(&attribute.datatype, encoded) {
-        return Some(Attribute::Numbers(numbers(&attribute.raw_data, stored, endian)));
+        let numbers = numbers(&attribute.raw_data, stored, endian);
+        return Some(Attribute::Numbers(numbers, Some(stored)));
     }
     match attribute.read_string() {
         Ok(text) if attribute.num_elements().is_ok_and(|count| count == 1) => Some(Attribute::Text(text)),

@@ -8,7 +8,7 @@
 //! - [`file`]: variables; the two kinds of files: [`hdf5`], [`netcdf3`]; [`reader`] detects the kind.
 //! - [`kinds`]: HDF5 files whose groups follow a convention for the positions of samples.
 //! - [`fields`]: makes fields of a variable.
-//! - [`axes`]: grid, positions and time; [`values`]: meaning of samples; [`source`] reads them.
+//! - [`axes`]: roles of axes, and times; [`layout`]: the axes of the volume; [`place`]: positions; [`values`]: meaning of samples; [`source`] reads them.
 
 pub(super) mod axes;
 mod fields;
@@ -16,10 +16,12 @@ pub(super) mod file;
 mod hdf5;
 mod kinds;
 mod labels;
+pub(super) mod layout;
 mod long_float;
 mod lzf;
 mod netcdf3;
 mod nexus;
+pub(super) mod place;
 mod reader;
 mod scale;
 mod source;
@@ -59,12 +61,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let mut notices = Vec::new();
     let mut fields = Vec::new();
     for (variable, name) in chosen.into_iter().zip(names) {
-        notices.extend(
-            variable
-                .unread_numbers()
-                .into_iter()
-                .map(|why| format!("{name}: {why}")),
-        );
+        notices.extend(variable.notices().into_iter().map(|why| format!("{name}: {why}")));
         let channels = header::Channels::numbered(&name, layout.channels);
         fields.extend(fields_of(location, channels, &variable, &placed.geometry, &layout)?);
     }

@@ -143,6 +143,22 @@ fn stored_type(kind: &NcType) -> Result<StoredType, String> {
 fn value(value: &NcAttrValue) -> Option<Attribute> {
     match value.as_string() {
         Some(text) => Some(Attribute::Text(text)),
-        None => value.as_f64_vec().map(Attribute::Numbers),
+        None => Some(Attribute::Numbers(value.as_f64_vec()?, type_of(value))),
     }
+}
+
+fn type_of(value: &NcAttrValue) -> Option<StoredType> {
+    Some(match value {
+        NcAttrValue::Bytes(_) => StoredType::I8,
+        NcAttrValue::UBytes(_) => StoredType::U8,
+        NcAttrValue::Shorts(_) => StoredType::I16,
+        NcAttrValue::UShorts(_) => StoredType::U16,
+        NcAttrValue::Ints(_) => StoredType::I32,
+        NcAttrValue::UInts(_) => StoredType::U32,
+        NcAttrValue::Int64s(_) => StoredType::I64,
+        NcAttrValue::UInt64s(_) => StoredType::U64,
+        NcAttrValue::Floats(_) => StoredType::F32,
+        NcAttrValue::Doubles(_) => StoredType::F64,
+        NcAttrValue::Chars(_) | NcAttrValue::Strings(_) | NcAttrValue::UserDefined { .. } => return None,
+    })
 }

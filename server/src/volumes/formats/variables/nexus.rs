@@ -79,6 +79,6 @@ mod tests {
         let expected = ["qz", "qy", "qx"];
         assert_eq!(of(Attribute::Text("[qz:qy, qx]".to_owned())), expected);
         assert_eq!(of(Attribute::Texts(expected.map(str::to_owned).to_vec())), expected);
-        assert!(of(Attribute::Numbers(vec![1.0])).is_empty());
+        assert!(of(Attribute::Numbers(vec![1.0], None)).is_empty());
     }
 }

@@ -43,7 +43,7 @@ impl Scale {
         let [factor, offset] = scale.packing();
         let mut values: Vec<f64> = values.into_iter().map(|value| value * factor + offset).collect();
         let mut notices: Vec<String> = scale
-            .unread_numbers()
+            .notices()
             .into_iter()
             .map(|why| format!("{name:?}: {why}"))
             .collect();

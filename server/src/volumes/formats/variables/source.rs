@@ -12,8 +12,8 @@ use super::super::super::turned::Turned;
 use super::super::super::{
     FileLocation, Findings, LabelRanks, Notices, ReadError, ReadProgress, Sink, Source, only_piece,
 };
-use super::axes::Layout;
 use super::file::Variable;
+use super::layout::Layout;
 use super::reader::open_file;
 use super::values::Values;
 

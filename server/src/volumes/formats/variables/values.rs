@@ -55,15 +55,24 @@ impl Values {
         holes.retain(|&value| can_be(value, stored));
         holes.sort_by(f64::total_cmp);
         holes.dedup();
-        let range = read("valid_range");
-        let bound = |name: &str, i: usize, open: f64| read(name).first().or(range.get(i)).copied().unwrap_or(open);
-        let valid = [
-            bound("valid_min", 0, f64::NEG_INFINITY),
-            bound("valid_max", 1, f64::INFINITY),
-        ];
+        let scale = scale(variable)?;
+        let unpacked = variable.unpacked_bounds();
+        let mut valid = [f64::NEG_INFINITY, f64::INFINITY];
+        for (end, name) in ["valid_min", "valid_max"].into_iter().enumerate() {
+            for (name, number) in [("valid_range", end), (name, 0)] {
+                if unpacked.contains(&name)
+                    && let Some(&bound) = variable.numbers(name).get(number)
+                {
+                    let (end, bound) = packed_bound(bound, end, scale.unwrap_or([1.0, 0.0]), stored);
+                    valid[end] = bound;
+                } else if let Some(&bound) = read(name).get(number) {
+                    valid[end] = bound;
+                }
+            }
+        }
         Ok(Self {
             stored,
-            scale: scale(variable)?,
+            scale,
             holes,
             valid: Some(valid).filter(|&[min, max]| excludes(min, max, stored)),
         })
@@ -121,6 +130,21 @@ fn scale(variable: &Variable) -> Result<Option<[f64; 2]>, String> {
     Ok(Some(scale).filter(|scale| *scale != [1.0, 0.0]))
 }
 
+/// Converts an unpacked bound to a stored number. Returns the end of the stored range, 0 or 1, at which it is, and the number. A stored
+/// number whose value is the bound up to rounding is valid.
+fn packed_bound(bound: f64, end: usize, [slope, offset]: [f64; 2], stored: StoredType) -> (usize, f64) {
+    let end = if slope < 0.0 { 1 - end } else { end };
+    let rounding = f64::from(f32::EPSILON) * (bound.abs() + offset.abs()) / slope.abs();
+    let outwards = rounding.min(0.25) * if end == 0 { -1.0 } else { 1.0 };
+    let bound = (bound - offset) / slope + outwards;
+    let bound = match end {
+        _ if !stored.is_whole() => bound,
+        0 => bound.ceil(),
+        _ => bound.floor(),
+    };
+    (end, bound)
+}
+
 /// Lowest and highest value of an integer type.
 fn limits(stored: StoredType) -> Option<[f64; 2]> {
     let bits = 8 * stored.bytes() as i32;
@@ -168,7 +192,8 @@ mod tests {
     use super::*;
 
     fn variable(attributes: &[(&str, &[f64])]) -> Variable {
-        let numbers = |(name, numbers): &(&str, &[f64])| ((*name).to_owned(), Attribute::Numbers(numbers.to_vec()));
+        let numbers =
+            |(name, numbers): &(&str, &[f64])| ((*name).to_owned(), Attribute::Numbers(numbers.to_vec(), None));
         Variable {
             path: "/v".into(),
             axes: Vec::new(),
@@ -236,6 +261,59 @@ mod tests {
         let plain = variable(&[]);
         assert_eq!(Values::of(&plain, StoredType::I16).unwrap().missing(), Some(-32767.0));
         assert_eq!(Values::of(&plain, StoredType::U8).unwrap().missing(), None);
+    }
+
+    /// Stored numbers of 16 bits that are valid, by attributes with types.
+    fn valid(attributes: &[(&str, &[f64], StoredType)]) -> (Option<[f64; 2]>, Vec<String>) {
+        let mut packed = variable(&[]);
+        for &(name, numbers, stored) in attributes {
+            let value = Attribute::Numbers(numbers.to_vec(), Some(stored));
+            packed.attributes.set(name, value);
+        }
+        let values = Values::of(&packed, StoredType::I16).unwrap();
+        (values.valid, packed.notices())
+    }
+
+    #[test]
+    fn bounds_in_the_type_of_the_scale_are_unpacked() {
+        use StoredType::{F32, F64, I16, I32};
+        let scale = |stored| ("scale_factor", &[0.1][..], stored);
+        let offset = |stored| ("add_offset", &[20.0][..], stored);
+        let range = |stored| ("valid_range", &[15.0, 50.0][..], stored);
+        let (unpacked, notices) = valid(&[scale(F64), offset(F64), range(F64)]);
+        assert_eq!(unpacked, Some([-50.0, 300.0]));
+        assert_eq!(notices.len(), 1, "{notices:?}");
+        // Of scale and offset the wider type counts.
+        assert_eq!(valid(&[scale(F32), offset(F64), range(F64)]).0, Some([-50.0, 300.0]));
+        let packed = (Some([15.0, 50.0]), Vec::new());
+        for stored in [I16, F32] {
+            assert_eq!(valid(&[scale(F64), offset(F64), range(stored)]), packed, "{stored:?}");
+        }
+        assert_eq!(valid(&[range(F64)]), packed);
+        // Of whole numbers the wider ones, too.
+        let (unpacked, _) = valid(&[("scale_factor", &[10.0], I32), ("valid_max", &[99.0], I32)]);
+        assert_eq!(unpacked, Some([f64::NEG_INFINITY, 9.0]));
+    }
+
+    #[test]
+    fn unpacked_bounds_change_their_ends_with_a_negative_scale() {
+        let scale = ("scale_factor", &[-0.5][..], StoredType::F32);
+        let only = |name| valid(&[scale, (name, &[10.0], StoredType::F32)]).0;
+        assert_eq!(only("valid_min"), Some([f64::NEG_INFINITY, -20.0]));
+        assert_eq!(only("valid_max"), Some([-20.0, f64::INFINITY]));
+    }
+
+    #[test]
+    fn a_value_at_an_unpacked_bound_is_valid() {
+        // In single precision 0.1 is a little more.
+        let single = f64::from(0.1f32);
+        for (scale, stored) in [(single, StoredType::F32), (0.1, StoredType::F64)] {
+            let attributes = [
+                ("scale_factor", &[scale][..], stored),
+                ("valid_range", &[0.3, 50.0], stored),
+            ];
+            assert_eq!(valid(&attributes).0, Some([3.0, 500.0]));
+        }
     }
 
     #[test]

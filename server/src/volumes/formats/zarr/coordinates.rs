@@ -117,25 +117,32 @@ fn attributes(array: &Array) -> Attributes {
         let found = array.attributes.get(name).unwrap_or(&Value::Null);
         match (name, found) {
             // In version 2 it is a property of the array, not an attribute.
-            ("_FillValue", Value::Null) => array.missing.map(|value| Attribute::Numbers(vec![value])),
+            ("_FillValue", Value::Null) => array.missing.map(|value| Attribute::Numbers(vec![value], None)),
             ("_FillValue", Value::String(text)) => Some(match packed_number(text, array.stored) {
-                Some(value) => Attribute::Numbers(vec![value]),
+                Some(value) => Attribute::Numbers(vec![value], None),
                 None => Attribute::Text(text.clone()),
             }),
             (_, Value::String(text)) => Some(Attribute::Text(text.clone())),
             (_, Value::Array(list)) => list_of(list),
-            (_, value) => value.as_f64().map(|value| Attribute::Numbers(vec![value])),
+            (_, value) => value
+                .as_f64()
+                .map(|number| Attribute::Numbers(vec![number], type_of(value))),
         }
     };
     let named = ATTRIBUTES.iter().map(|&name| (name.to_owned(), value(name)));
     Attributes(named.filter_map(|(name, value)| Some((name, value?))).collect())
 }
 
+/// Returns the type of a number that is written with a decimal point or an exponent; whole numbers may be of any type.
+fn type_of(number: &Value) -> Option<StoredType> {
+    number.is_f64().then_some(StoredType::F64)
+}
+
 /// Converts a list of numbers or of texts.
 fn list_of(list: &[Value]) -> Option<Attribute> {
     let numbers: Option<Vec<f64>> = list.iter().map(Value::as_f64).collect();
     if let Some(numbers) = numbers {
-        return Some(Attribute::Numbers(numbers));
+        return Some(Attribute::Numbers(numbers, list.iter().find_map(type_of)));
     }
     let texts: Option<Vec<String>> = list.iter().map(|value| value.as_str().map(str::to_owned)).collect();
     texts.map(Attribute::Texts)
@@ -144,7 +151,7 @@ fn list_of(list: &[Value]) -> Option<Attribute> {
 /// Parses a floating-point number in JSON as xarray writes it: the eight bytes of a double, little-endian, in base64; or its name.
 fn packed_number(text: &str, stored: StoredType) -> Option<f64> {
     use base64::Engine;
-    let is_float = matches!(stored, StoredType::F16 | StoredType::F32 | StoredType::F64);
+    let is_float = !stored.is_whole();
     let bytes = base64::engine::general_purpose::STANDARD.decode(text).ok();
     match bytes.as_deref().and_then(|bytes| <[u8; 8]>::try_from(bytes).ok()) {
         Some(bytes) if is_float => Some(f64::from_le_bytes(bytes)),

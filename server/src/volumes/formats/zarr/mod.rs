@@ -29,7 +29,9 @@ use super::FolderVolume;
 use super::header::{self, GridFields};
 use super::spim_data::SpimData;
 use super::store::{self, Store};
-use super::variables::axes::{self, Layout};
+use super::variables::axes;
+use super::variables::layout::Layout;
+use super::variables::place::place_grid;
 use super::variables::values::Values;
 use crate::volumes::open::title_of;
 use crate::volumes::{Field, FileLocation, Geometry, Notices, OpenedFile, ReadError, TimeAxis};
@@ -133,7 +135,7 @@ fn open_array(store: &Arc<Store>, path: &str, array: Array) -> Result<OpenedFile
     let fail = |why: String| ReadError::new(&shown, "shape", why);
     let roles = axes::roles(&variable, &scales).map_err(fail)?;
     let layout = Layout::new(variable.sizes(), &roles).map_err(fail)?;
-    let placed = axes::place_grid(&shown, &variables, &variable, &scales, layout.axes, layout.dims)?;
+    let placed = place_grid(&shown, &variables, &variable, &scales, layout.axes, layout.dims)?;
     let steps = u64::from(layout.steps);
     let times = layout
         .time
@@ -272,7 +274,7 @@ fn open_samples(
     let variable = Variables::beside(store, path).describe(path, &array);
     let values = Values::of(&variable, array.stored).map_err(|why| ReadError::new(&shown, "attributes", why))?;
     let unit = variable.text("units").filter(|&unit| unit != "1");
-    let notices = variable.unread_numbers();
+    let notices = variable.notices();
     let base = ZarrSamples::new(store.clone(), path.to_owned(), array, roles, values)?;
     let field = |(channel, name): (u32, String)| {
         let samples = base.of_channel(channel);

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::super::store::Store;
 use super::metadata::Array;
-use crate::volumes::formats::variables::{axes::Layout, values::Values};
+use crate::volumes::formats::variables::{layout::Layout, values::Values};
 use crate::volumes::scalar::{DeviceScalar, Scalar};
 use crate::volumes::stored::{Endian, StoredType};
 use crate::volumes::{FileLocation, Findings, LabelRanks, Notices, ReadError, ReadProgress, Source, only_piece};

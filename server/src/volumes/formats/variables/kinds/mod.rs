@@ -16,9 +16,9 @@ use super::super::super::{
 use super::super::header::{self, Channels, GridFields};
 use super::super::named_axes::AxisRoles;
 use super::super::spim_data::SpimData;
-use super::axes::Layout;
 use super::fields::fields_of;
 use super::file::{Variable, VariableFile};
+use super::layout::Layout;
 
 /// Maximum time steps of a file.
 const MAX_STEPS: usize = 1 << 16;

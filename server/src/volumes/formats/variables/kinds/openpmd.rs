@@ -165,7 +165,7 @@ impl Mesh {
         let unit = |axis: usize| units.get(axis).or(units.first()).copied().unwrap_or(1.0);
         let mut world = of_index();
         let Some((known, notice)) =
-            super::super::axes::known_spacing(space.map(|axis| spacing.get(axis).map(|step| step * unit(axis))))
+            super::super::place::known_spacing(space.map(|axis| spacing.get(axis).map(|step| step * unit(axis))))
         else {
             return (
                 world,
@@ -242,7 +242,7 @@ fn open_meshes(location: &FileLocation, meshes: Vec<Mesh>) -> Result<OpenedFile,
             if let Some(&factor) = variable.attributes.numbers("unitSI").first() {
                 variable
                     .attributes
-                    .set("scale_factor", Attribute::Numbers(vec![factor]));
+                    .set("scale_factor", Attribute::Numbers(vec![factor], None));
             }
             if let Some(unit) = &unit {
                 variable.attributes.set("units", Attribute::Text(unit.clone()));
