@@ -120,6 +120,30 @@ fn npy_round_trips() {
     }
 }
 
+/// `.npy` whose `descr` has another order character, or none.
+fn npy_of_order(v: &Volume, order: &str) -> Vec<u8> {
+    let file = write::npy(v, false);
+    let begin = file.len() - v.bytes().len();
+    let header = String::from_utf8_lossy(&file[10..begin]).replace(['<', '|'], order);
+    let length = (header.len() as u16).to_le_bytes();
+    [&file[..8], &length, header.as_bytes(), &v.bytes()].concat()
+}
+
+/// NumPy takes the order of the machine.
+#[test]
+fn npy_without_a_byte_order_is_little_endian() {
+    for (kind, order) in KINDS.into_iter().flat_map(|kind| [(kind, ""), (kind, "=")]) {
+        let (v, what) = (Volume::new(DIMS, 2, kind, false), format!("{order:?} {kind:?}"));
+        let opened = open("a.npy", npy_of_order(&v, order)).unwrap_or_else(|e| panic!("{what}: {e}"));
+        same(&opened, &v, &what);
+        let is_noticed = opened
+            .notices
+            .lines()
+            .any(|line| line.contains("does not state the byte order"));
+        assert_eq!(is_noticed, kind.1 > 1, "{what}");
+    }
+}
+
 /// Any format in any compression, the plain samples of which are decoded as a stream and all others from a temporary
 /// file.
 #[test]

@@ -234,13 +234,39 @@ fn scaled_values_and_missing_ones() {
     }
 }
 
-const FOLDERS: [&str; 7] = [
+/// In JSON a number with a decimal point has the type of the scale; whole ones may have that of the samples.
+#[test]
+fn bounds_with_a_decimal_point_are_unpacked() {
+    let of = |range: serde_json::Value| {
+        let folder = with_attributes("v2-blosc.zarr", ".zattrs", |attributes| {
+            *attributes = serde_json::json!({"scale_factor": 0.5, "add_offset": 10.0, "valid_range": range});
+        });
+        let dataset = read(&folder).unwrap();
+        let samples = dataset.fields[0].source.load(0).unwrap();
+        let values = (0..samples.len())
+            .map(|i| samples.get(i))
+            .filter(|value| !value.is_nan());
+        let (lowest, highest) = values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| {
+            (low.min(value), high.max(value))
+        });
+        (
+            lowest,
+            highest,
+            dataset.notices.lines().any(|line| line.contains("unpacked")),
+        )
+    };
+    assert_eq!(of(serde_json::json!([20.0, 30.0])), (20.0, 30.0, true));
+    assert_eq!(of(serde_json::json!([20, 30])), (20.0, 25.0, false));
+}
+
+const FOLDERS: [&str; 8] = [
     "v2-blosc.zarr",
     "blosc-blosclz-bytes.zarr",
     "blosc-lz4-bits.zarr",
     "v3-shards.zarr",
     "v3-transpose.zarr",
     "v2-lz4.zarr",
+    "v2-delta.zarr",
     "image-0.5.ome.zarr",
 ];
 

@@ -28,7 +28,7 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
     let geometry = array.geometry(location.path())?;
     let samples = array.samples(location, Begin::At(array.header_bytes), &geometry)?;
     let file = header::opened(location, "shape", geometry, samples, array.descr, None, None)?;
-    Ok(header::with_notices(file, array.doubt))
+    Ok(header::with_notices(file, array.notices))
 }
 
 /// Properties of an array that its header states.
@@ -41,8 +41,8 @@ pub(super) struct Array {
     /// Along x, y and z.
     pub(super) dims: [u32; 3],
     pub(super) steps: u32,
-    /// Why its axes may have other meanings than assumed.
-    pub(super) doubt: Option<String>,
+    /// What its header does not state and was assumed.
+    pub(super) notices: Vec<String>,
     /// Bytes before the samples.
     pub(super) header_bytes: u64,
 }
@@ -56,10 +56,13 @@ impl Array {
             fortran_order,
             shape,
         } = Dict::parse(&text).map_err(|why| ReadError::new(path, "header", why))?;
-        let Some((endian, stored)) = parse_descr(&descr) else {
+        let Some((order, stored)) = parse_descr(&descr) else {
             let why = format!("{descr:?}, expected an integer, a bool, f4 or f8, one component a sample");
             return Err(ReadError::new(path, "descr", why));
         };
+        let unordered = order
+            .is_none()
+            .then(|| format!("descr {descr:?} does not state the byte order: little-endian was taken"));
         let mut sizes = header::sizes(path, "shape", &shape)?;
         // Axes of one sample are removed while more than three axes remain.
         while let Some(one) = sizes.iter().rposition(|&n| n == 1).filter(|_| sizes.len() > 3) {
@@ -71,13 +74,13 @@ impl Array {
             _ => return Err(not_3d(path, "shape", format!("{} axes", sizes.len()))),
         };
         Ok(Self {
+            notices: doubt_of_order(&shape).into_iter().chain(unordered).collect(),
             descr,
-            endian,
+            endian: order.unwrap_or(Endian::Little),
             stored,
             fortran_order,
             dims: [nx, ny, nz],
             steps,
-            doubt: doubt_of_order(&shape),
             header_bytes,
         })
     }
@@ -143,16 +146,16 @@ fn header_text(path: &Path, mut stream: impl Read) -> Result<(String, u64), Read
     Ok((String::from_utf8_lossy(&text).into_owned(), 8 + length_bytes + length))
 }
 
-pub(super) fn parse_descr(descr: &str) -> Option<(Endian, StoredType)> {
-    let mut rest = descr.chars();
-    let endian = match rest.next()? {
-        '>' => Endian::Big,
-        '<' | '|' => Endian::Little,
-        '=' if cfg!(target_endian = "big") => Endian::Big,
-        '=' => Endian::Little,
-        _ => return None,
+/// Returns byte order and type of samples. Without an order, or with `=`, the order is that of the machine that wrote the array: `None`,
+/// unless the type has one byte.
+pub(super) fn parse_descr(descr: &str) -> Option<(Option<Endian>, StoredType)> {
+    let (order, code) = match descr.as_bytes().first()? {
+        b'>' => (Some(Endian::Big), &descr[1..]),
+        b'<' | b'|' => (Some(Endian::Little), &descr[1..]),
+        b'=' => (None, &descr[1..]),
+        _ => (None, descr),
     };
-    let stored = match rest.as_str() {
+    let stored = match code {
         "u1" | "b1" => StoredType::U8,
         "i1" => StoredType::I8,
         "u2" => StoredType::U16,
@@ -166,7 +169,7 @@ pub(super) fn parse_descr(descr: &str) -> Option<(Endian, StoredType)> {
         "f8" => StoredType::F64,
         _ => return None,
     };
-    Some((endian, stored))
+    Some((order.or((stored.bytes() == 1).then_some(Endian::Little)), stored))
 }
 
 /// The dictionary in the header.

@@ -67,7 +67,9 @@ pub fn open(location: &FileLocation) -> Result<OpenedFile, ReadError> {
         fields,
         notices: Notices::default(),
     };
-    Ok(header::with_notices(file, first.doubt.clone()))
+    // Arrays of one shape have the same doubts, which are listed once.
+    let notices = volumes.iter().flat_map(|(_, array)| array.notices.clone());
+    Ok(header::with_notices(file, notices))
 }
 
 /// Returns the error for arrays of different shapes.

@@ -1,15 +1,16 @@
 //! Decodes the bytes of a chunk to its samples.
 //!
 //! Read: `bytes`, `transpose`, `gzip`, `zlib`, `zstd`, `bz2`, `lz4`, `blosc` (see `blosc` for its compressors), `crc32c`,
-//! `sharding_indexed`. Whatever its input, no codec returns more bytes than a chunk should have.
+//! `sharding_indexed`, and [`Filter`]s. Whatever its input, no codec returns more bytes than a chunk should have.
 
 use std::io::Read;
 
 use serde_json::Value;
 
 use super::blosc;
+use super::filters::Filter;
 use crate::volumes::codec::decoder;
-use crate::volumes::stored::{Encoding, Endian};
+use crate::volumes::stored::{Encoding, Endian, StoredType};
 
 /// Maximum bytes beside the samples between two codecs: headers and checksums.
 const OVERHEAD: usize = 1 << 12;
@@ -22,6 +23,7 @@ enum Bytes {
     Lz4,
     Blosc,
     Crc32c,
+    Filter(Filter),
 }
 
 /// The codecs of a chunk.
@@ -51,17 +53,31 @@ pub(super) struct Shard {
 }
 
 impl Pipeline {
-    /// Returns the pipeline of an array of version 2, with one compressor.
-    pub(super) fn second(compressor: &Value, endian: Endian, fortran: bool, axes: usize) -> Result<Self, String> {
+    /// Returns the pipeline of an array of version 2 with samples of a type, whose filters precede one compressor.
+    pub(super) fn second(
+        filters: &[Value],
+        compressor: &Value,
+        own: (StoredType, Endian),
+        fortran: bool,
+        axes: usize,
+    ) -> Result<Self, String> {
         let mut order: Vec<usize> = (0..axes).collect();
         if fortran {
             order.reverse();
         }
-        let bytes = match compressor.get("id").and_then(Value::as_str) {
-            None if compressor.is_null() => Vec::new(),
+        let id = |codec: &Value| codec.get("id").and_then(Value::as_str).map(str::to_owned);
+        let mut bytes = Vec::new();
+        for filter in filters {
+            let id = id(filter).ok_or("a filter without an id, expected one")?;
+            bytes.extend(Filter::parse(&id, filter, Some(own))?.map(Bytes::Filter));
+        }
+        match id(compressor).as_deref() {
+            None if compressor.is_null() => {}
             None => return Err("a compressor without an id, expected one".to_owned()),
-            Some(id) => vec![Bytes::of(id)?],
-        };
+            Some("shuffle") => bytes.extend(Filter::parse("shuffle", compressor, None)?.map(Bytes::Filter)),
+            Some(id) => bytes.push(Bytes::of(id)?),
+        }
+        let endian = own.1;
         Ok(Self {
             order,
             endian,
@@ -132,6 +148,11 @@ impl Pipeline {
                 }
                 "transpose" | "bytes" | "sharding_indexed" => {
                     return Err(format!("codec {name:?} after the bytes, expected it before them"));
+                }
+                "numcodecs.bitround" if !has_bytes => {}
+                "numcodecs.shuffle" if has_bytes => {
+                    let shuffle = Filter::parse(name, configuration, None)?;
+                    pipeline.bytes.extend(shuffle.map(Bytes::Filter));
                 }
                 name if has_bytes => pipeline.bytes.push(Bytes::of(name)?),
                 name => return Err(format!("codec {name:?} before the bytes, expected bytes first")),
@@ -284,6 +305,7 @@ impl Bytes {
             }
             Self::Blosc => blosc::decode(stored, limit),
             Self::Crc32c => checked(stored).map(<[u8]>::to_vec),
+            Self::Filter(filter) => filter.undo(stored),
         }
     }
 }

@@ -7,6 +7,7 @@ use serde_json::Value;
 use super::super::store::{Store, join};
 use super::codecs::{Pipeline, integers};
 use crate::volumes::ReadError;
+use crate::volumes::formats::npy::parse_descr;
 use crate::volumes::stored::StoredType;
 
 /// An array or a group.
@@ -203,12 +204,15 @@ impl Second {
             return fail(format!("zarr_format {}, expected 2 in .zarray", self.zarr_format));
         }
         let name = self.dtype.as_str().unwrap_or("a structure").to_owned();
-        let Some((endian, stored)) = crate::volumes::formats::npy::parse_descr(&name) else {
-            return fail(format!("dtype {name:?}, expected a bool, an integer, f4 or f8"));
+        let Some((Some(endian), stored)) = parse_descr(&name) else {
+            let what = "a bool, an integer, f4 or f8, with its byte order, as <f4";
+            return fail(format!("dtype {name:?}, expected {what}"));
         };
-        if self.filters.as_array().is_some_and(|filters| !filters.is_empty()) {
-            return fail(format!("filters {}, expected none", self.filters));
-        }
+        let filters = match &self.filters {
+            Value::Null => &[],
+            Value::Array(filters) => filters.as_slice(),
+            other => return fail(format!("filters {other}, expected a list")),
+        };
         let fortran = match self.order.as_str() {
             "C" => false,
             "F" => true,
@@ -218,7 +222,7 @@ impl Second {
         if !matches!(separator.as_str(), "/" | ".") {
             return fail(format!("dimension_separator {separator:?}, expected / or ."));
         }
-        let pipeline = Pipeline::second(&self.compressor, endian, fortran, self.chunks.len());
+        let pipeline = Pipeline::second(filters, &self.compressor, (stored, endian), fortran, self.chunks.len());
         let names = attributes.get("_ARRAY_DIMENSIONS").and_then(Value::as_array);
         let fill_value = fill(&self.fill_value, stored);
         let missing = names.filter(|_| !self.fill_value.is_null()).map(|_| fill_value);

@@ -15,6 +15,7 @@
 mod blosc;
 mod codecs;
 mod coordinates;
+mod filters;
 mod metadata;
 mod n5;
 mod ome;
