@@ -15,6 +15,7 @@ const FILES: [&[&str]; 5] = [
         "hdf5_filters.h5",
         "hdf5_half.h5",
         "hdf5_indexes.h5",
+        "hdf5_plugins.h5",
         "hdf5_scales.h5",
         "named_axistags.h5",
         "named_labels.h5",

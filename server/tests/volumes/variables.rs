@@ -4,6 +4,7 @@ use std::path::Path;
 
 use isopeel::volumes::open_dataset;
 
+use crate::bounds::within;
 use crate::write;
 
 fn open(name: &str) -> Result<isopeel::volumes::Dataset, String> {
@@ -28,7 +29,7 @@ fn what_is_not_read_is_named() {
             "external",
             "its samples are in other files (external storage), which are not read",
         ),
-        ("blosc", "filter 32001"),
+        ("blosc2", "filter 32026"),
         ("assembled/virtual", "a virtual dataset, which is not read"),
         ("none", "expected one of /bfloat16 (floats in 16 bits"),
     ] {
@@ -38,6 +39,13 @@ fn what_is_not_read_is_named() {
             "{part}: {error}"
         );
     }
+}
+
+#[test]
+fn a_chunk_that_decodes_to_too_many_bytes_is_refused() {
+    let dataset = open("hdf5_bomb.h5").unwrap();
+    let error = within(1 << 20, || dataset.fields[0].source.load(0)).unwrap_err();
+    assert!(error.to_string().contains("zstd: more than 4332 bytes"), "{error}");
 }
 
 #[test]

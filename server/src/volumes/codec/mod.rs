@@ -92,6 +92,29 @@ pub enum VtkCompressor {
     Lz4,
 }
 
+/// Maximum ratio of bytes to those of a block of LZ4 that holds them.
+const LZ4_RATIO: usize = 256;
+
+/// Decodes bytes in memory to at most `limit` bytes.
+pub(super) fn decoded(encoding: Encoding, stored: &[u8], limit: usize) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    let stream = decoder(encoding, stored, stored.len() as u64);
+    let read = stream.and_then(|stream| stream.take(limit as u64 + 1).read_to_end(&mut bytes));
+    read.map_err(|e| e.to_string())?;
+    if bytes.len() > limit {
+        return Err(format!("more than {limit} bytes, which a chunk does not have"));
+    }
+    Ok(bytes)
+}
+
+/// Decodes a block of LZ4 of at most `size` bytes.
+pub(super) fn lz4_block(packed: &[u8], size: usize) -> Result<Vec<u8>, String> {
+    if size > packed.len().saturating_mul(LZ4_RATIO) {
+        return Err(format!("{} bytes of LZ4 cannot hold {size}", packed.len()));
+    }
+    lz4_flex::block::decompress(packed, size).map_err(|e| e.to_string())
+}
+
 /// Returns a reader of the decoded bytes of `stored`, of which at most `stored_bytes` are read. Plain samples and text are passed through.
 pub(super) fn decoder<'a>(
     encoding: Encoding,

@@ -27,6 +27,7 @@
 pub(super) mod ahead;
 mod analyze;
 pub mod big_data_viewer;
+mod blosc;
 mod content;
 pub mod dicom;
 pub(super) mod header;

@@ -227,6 +227,15 @@ impl Variable {
         sizes.join(" x ")
     }
 
+    /// Returns the bytes of a chunk; 0 if it has none.
+    pub fn chunk_bytes(&self) -> u64 {
+        let width = self.stored.as_ref().map_or(1, |stored| stored.bytes());
+        let chunk = self.chunk.iter().flatten();
+        chunk
+            .fold(None, |n, &size| Some(n.unwrap_or(width).saturating_mul(size)))
+            .unwrap_or(0)
+    }
+
     /// Returns the bytes of its samples; `None` above 64 bits.
     pub fn bytes(&self) -> Option<u64> {
         let width = self.stored.as_ref().map_or(1, |stored| stored.bytes());

@@ -10,48 +10,46 @@ use std::sync::Arc;
 use bytemuck::TransparentWrapper;
 use hdf5_reader::io::Cursor;
 use hdf5_reader::messages::HdfMessage;
-use hdf5_reader::messages::filter_pipeline::FilterPipelineMessage;
 use hdf5_reader::messages::layout::DataLayout;
-use hdf5_reader::{
-    ByteOrder, Dataset, Datatype, FilterRegistry, H5Type, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem, Storage,
-};
+use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem, Storage};
 
 use super::super::super::FileLocation;
 use super::super::super::scalar::numbers;
 use super::super::super::stored::{DEFLATE_RATIO, Endian, StoredType};
 use super::file::{ATTRIBUTES, Attribute, Attributes, Axis, Variable, VariableFile};
+use super::filters::{self, ChunkLimit};
 use super::labels::labels;
 use super::long_float::LongFloat;
-use super::lzf;
 
 /// Maximum groups and datasets that are visited. In a file with more, the location must name one.
 const MAX_OBJECTS: usize = 10_000;
-
-/// Filters that are read, by their numbers: deflate, shuffle, Fletcher's checksum, szip, n-bit, scale-offset, LZ4, LZF.
-const FILTERS: [u16; 8] = [1, 2, 3, 4, 5, 6, 32004, lzf::FILTER];
 
 /// An HDF5 file.
 pub struct Hdf5 {
     file: Hdf5File,
     file_bytes: u64,
+    chunk_limit: ChunkLimit,
 }
 
 impl Hdf5 {
     /// Reads the superblock.
     pub fn open(location: &FileLocation, storage: Arc<dyn Storage>) -> Result<Self, String> {
         let file_bytes = storage.len();
-        let mut filters = FilterRegistry::new();
-        filters.register(lzf::FILTER, Box::new(|_, data, _| lzf::decode(data)));
+        let chunk_limit = ChunkLimit::default();
         // A chunk may be as large as its bytes can decode to. The caches are off: no chunk is read twice.
         let largest = usize::try_from(file_bytes.saturating_mul(DEFLATE_RATIO)).unwrap_or(usize::MAX);
         let options = OpenOptions::default()
-            .with_filter_registry(filters)
+            .with_filter_registry(filters::registry(&chunk_limit))
             .with_chunk_cache_bytes(0)
             .with_max_chunk_bytes(largest)
             .with_max_object_header_bytes(1 << 24);
         let file = Hdf5File::from_storage_with_options(storage, options)
             .map_err(|e| format!("{e}, expected an HDF5 or NetCDF file ({:?})", location.stem()))?;
-        Ok(Self { file, file_bytes })
+        Ok(Self {
+            file,
+            file_bytes,
+            chunk_limit,
+        })
     }
 
     fn dataset(&self, path: &str) -> Result<Dataset, String> {
@@ -154,7 +152,7 @@ impl Hdf5 {
                 HdfMessage::ExternalFiles(_) => {
                     return Err("its samples are in other files (external storage), which are not read".into());
                 }
-                HdfMessage::FilterPipeline(pipeline) => check_filters(pipeline)?,
+                HdfMessage::FilterPipeline(pipeline) => filters::check(pipeline)?,
                 HdfMessage::DataLayout(message) => {
                     if let DataLayout::Contiguous { address, .. } = message.layout {
                         begin = self.contiguous(address, bytes)?;
@@ -183,16 +181,6 @@ impl Hdf5 {
             }
         }
     }
-}
-
-fn check_filters(pipeline: &FilterPipelineMessage) -> Result<(), String> {
-    let mut filters = pipeline.filters.iter();
-    let Some(filter) = filters.find(|filter| !FILTERS.contains(&filter.id)) else {
-        return Ok(());
-    };
-    let name = filter.name.as_deref().unwrap_or("without a name");
-    let expected = "expected deflate, shuffle, fletcher32, szip, nbit, scaleoffset, lz4 or lzf";
-    Err(format!("filter {} ({name}), {expected}", filter.id))
 }
 
 /// A dataset whose axis other datasets share: HDF5's dimension scale.
@@ -255,6 +243,7 @@ impl VariableFile for Hdf5 {
 
     fn read(&self, variable: &Variable, selection: &[Range<u64>]) -> Result<Vec<u8>, String> {
         let dataset = self.dataset(&variable.path)?;
+        self.chunk_limit.permit(variable.chunk_bytes());
         match variable.stored.clone()?.bytes() {
             1 => read_box::<1>(&dataset, selection),
             2 => read_box::<2>(&dataset, selection),

@@ -11,8 +11,10 @@
 //! - [`axes`]: roles of axes, and times; [`layout`]: the axes of the volume; [`place`]: positions; [`values`]: meaning of samples; [`source`] reads them.
 
 pub(super) mod axes;
+mod bitshuffle;
 mod fields;
 pub(super) mod file;
+mod filters;
 mod hdf5;
 mod kinds;
 mod labels;

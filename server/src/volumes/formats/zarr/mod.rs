@@ -12,7 +12,6 @@
 //! A chunk that is not stored has the fill value. Links are followed only below the folder. `codecs` lists the encodings of chunks that
 //! are read.
 
-mod blosc;
 mod codecs;
 mod coordinates;
 mod filters;

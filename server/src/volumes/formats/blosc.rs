@@ -4,9 +4,7 @@
 //! Read: no compressor, BloscLZ, LZ4, zlib, Zstandard; bytes or bits shuffled. Its library is in C and trusts its
 //! input.
 
-use std::io::Read;
-
-use crate::volumes::codec::decoder;
+use crate::volumes::codec::{decoded, lz4_block};
 use crate::volumes::stored::Encoding;
 
 const HEADER_BYTES: usize = 16;
@@ -21,7 +19,7 @@ const MAX_PARTS: usize = 16;
 const MIN_PART_BYTES: usize = 128;
 
 /// Decodes a buffer of at most `limit` bytes.
-pub(super) fn decode(stored: &[u8], limit: usize) -> Result<Vec<u8>, String> {
+pub fn decode(stored: &[u8], limit: usize) -> Result<Vec<u8>, String> {
     let header = stored.get(..HEADER_BYTES).ok_or("too short for a header of Blosc")?;
     let (flags, width) = (header[2], usize::from(header[3]).max(1));
     let [total, block, packed] = [4, 8, 12].map(|at| number(header, at));
@@ -80,20 +78,11 @@ fn part(rest: &mut &[u8], compressor: u8, size: usize, plain: &mut Vec<u8>) -> R
         plain.extend(packed);
         return Ok(());
     }
-    let stream = |encoding: Encoding| -> Result<Vec<u8>, String> {
-        let mut bytes = Vec::new();
-        let stream = decoder(encoding, packed, packed.len() as u64);
-        let read = stream.and_then(|stream| stream.take(size as u64 + 1).read_to_end(&mut bytes));
-        read.map(|_| bytes).map_err(|e| e.to_string())
-    };
     let bytes = match compressor {
         0 => blosclz(packed, size)?,
-        1 if size <= packed.len().saturating_mul(256) => {
-            lz4_flex::block::decompress(packed, size).map_err(|e| e.to_string())?
-        }
-        1 => return Err(format!("{} bytes of LZ4 cannot hold {size}", packed.len())),
-        3 => stream(Encoding::Deflate)?,
-        4 => stream(Encoding::Zstd)?,
+        1 => lz4_block(packed, size)?,
+        3 => decoded(Encoding::Deflate, packed, size)?,
+        4 => decoded(Encoding::Zstd, packed, size)?,
         2 => return Err("compressed by Snappy, expected BloscLZ, LZ4, zlib or Zstandard".to_owned()),
         other => return Err(format!("compressor {other}, expected BloscLZ, LZ4, zlib or Zstandard")),
     };
@@ -115,15 +104,39 @@ fn unshuffled(plain: Vec<u8>, flags: u8, width: usize) -> Vec<u8> {
             }
         }
     } else if flags & SHUFFLE_BITS != 0 && count > 0 && count.is_multiple_of(8) {
-        bytes[..count * width].fill(0);
-        for (bit, plane) in plain.chunks_exact(count / 8).take(8 * width).enumerate() {
-            for i in 0..count {
-                let value = plane[i / 8] >> (i % 8) & 1;
-                bytes[i * width + bit / 8] |= value << (bit % 8);
+        bytes[..count * width].copy_from_slice(&unshuffled_bits(&plain[..count * width], width));
+    }
+    bytes
+}
+
+/// Undoes the shuffling of bits: the first bits of all samples come first. The samples, of `width` bytes, are a multiple of 8.
+pub fn unshuffled_bits(plain: &[u8], width: usize) -> Vec<u8> {
+    let eighths = plain.len() / width / 8;
+    let mut bytes = vec![0; plain.len()];
+    for byte in 0..width {
+        let planes = &plain[8 * byte * eighths..];
+        for eighth in 0..eighths {
+            let rows = std::array::from_fn(|bit| planes[bit * eighths + eighth]);
+            let samples = transposed(u64::from_le_bytes(rows)).to_le_bytes();
+            for (i, value) in samples.into_iter().enumerate() {
+                bytes[(8 * eighth + i) * width + byte] = value;
             }
         }
     }
     bytes
+}
+
+/// Transposes 8 rows of 8 bits, by swapping ever larger squares across the diagonal.
+fn transposed(mut bits: u64) -> u64 {
+    for (distance, mask) in [
+        (7, 0x00aa_00aa_00aa_00aa),
+        (14, 0x0000_cccc_0000_cccc),
+        (28, 0x0000_0000_f0f0_f0f0),
+    ] {
+        let swapped = (bits ^ bits >> distance) & mask;
+        bits ^= swapped ^ swapped << distance;
+    }
+    bits
 }
 
 /// Distances from this one on are written in 16 bits.
