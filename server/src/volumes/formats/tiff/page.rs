@@ -226,6 +226,7 @@ fn stored_type(directory: &Directory<'_>) -> Result<StoredType, String> {
         (32, 2) => StoredType::I32,
         (64, 1 | 4) => StoredType::U64,
         (64, 2) => StoredType::I64,
+        (16, 3) => StoredType::F16,
         (32, 3) => StoredType::F32,
         (64, 3) => StoredType::F64,
         _ => {
@@ -233,7 +234,7 @@ fn stored_type(directory: &Directory<'_>) -> Result<StoredType, String> {
                 .get((format as usize).wrapping_sub(1))
                 .unwrap_or(&"samples");
             return Err(format!(
-                "{kind} of {first} bits, expected integers of 8 to 64 bits, or floats of 32 or 64"
+                "{kind} of {first} bits, expected integers of 8 to 64 bits, or floats of 16 to 64"
             ));
         }
     })
@@ -315,8 +316,7 @@ fn check(
 ) -> Result<(), String> {
     let photometric = directory.number(tag::PHOTOMETRIC, 1)?;
     check_colours(photometric, image)?;
-    let is_float = matches!(image.stored, StoredType::F32 | StoredType::F64);
-    if photometric == 0 && is_float && compression != 1 {
+    if photometric == 0 && !image.stored.is_whole() && compression != 1 {
         return Err("compressed floats in which 0 is white, expected BlackIsZero".into());
     }
     let have = chunks.bytes.iter().fold(0u64, |n, bytes| n.saturating_add(*bytes));
