@@ -234,6 +234,36 @@ fn scaled_values_and_missing_ones() {
     }
 }
 
+/// Two chunks of 4 samples in a shard whose index says that they are there.
+fn shard(index: [[u64; 2]; 2]) -> tempfile::TempDir {
+    let codec = r#"{"name":"sharding_indexed","configuration":{"chunk_shape":[1,2,2],
+        "codecs":[{"name":"bytes"}],"index_codecs":[{"name":"bytes"}]}}"#;
+    let index = index.into_iter().flatten().flat_map(u64::to_le_bytes);
+    array("[2,2,2]", "[2,2,2]", codec, &(1..9).chain(index).collect::<Vec<u8>>())
+}
+
+#[test]
+fn false_indices_of_shards_are_refused() {
+    let load = |index| within(1 << 20, || read(&shard(index))?.fields[0].source.load(0));
+    let samples = load([[4, 4], [0, 4]]).unwrap();
+    let values: Vec<f32> = (0..8).map(|i| samples.get(i)).collect();
+    assert_eq!(values, [5.0, 6.0, 7.0, 8.0, 1.0, 2.0, 3.0, 4.0]);
+    let samples = load([[u64::MAX; 2], [0, 4]]).unwrap();
+    assert_eq!((samples.get(0), samples.get(4)), (0.0, 1.0));
+    for (index, words) in [
+        ([[0, 4], [38, 4]], "a chunk of 4 bytes at 38, the file has 40"),
+        ([[0, 4], [1 << 60, 4]], "the file has 40"),
+        ([[0, 4], [u64::MAX, 4]], "the file has 40"),
+        ([[0, 1 << 60], [4, 4]], "the file has 40"),
+        ([[0, 3], [4, 4]], "3 bytes of samples, expected 4"),
+        ([[0, 4], [0, 0]], "0 bytes of samples, expected 4"),
+        ([[0, 40], [0, 40]], "40 bytes of samples, expected 4"),
+    ] {
+        let error = load(index).unwrap_err().to_string();
+        assert!(error.contains(words), "expected {words:?} in: {error}");
+    }
+}
+
 /// In JSON a number with a decimal point has the type of the scale; whole ones may have that of the samples.
 #[test]
 fn bounds_with_a_decimal_point_are_unpacked() {
@@ -259,11 +289,12 @@ fn bounds_with_a_decimal_point_are_unpacked() {
     assert_eq!(of(serde_json::json!([20, 30])), (20.0, 25.0, false));
 }
 
-const FOLDERS: [&str; 8] = [
+const FOLDERS: [&str; 9] = [
     "v2-blosc.zarr",
     "blosc-blosclz-bytes.zarr",
     "blosc-lz4-bits.zarr",
     "v3-shards.zarr",
+    "v3-shards-start.zarr",
     "v3-transpose.zarr",
     "v2-lz4.zarr",
     "v2-delta.zarr",

@@ -16,6 +16,8 @@ mod fields;
 pub(super) mod file;
 mod filters;
 mod hdf5;
+mod hdf5_attributes;
+mod hdf5_types;
 mod kinds;
 mod labels;
 pub(super) mod layout;

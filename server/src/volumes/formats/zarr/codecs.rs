@@ -44,6 +44,8 @@ pub(super) struct Shard {
     /// Samples of an inner chunk along each axis.
     pub(super) chunks: Vec<u64>,
     pub(super) pipeline: Pipeline,
+    /// Byte order of the index.
+    index_endian: Endian,
     /// Whether the index ends with its checksum.
     checksum: bool,
     /// Whether the index follows the chunks.
@@ -324,9 +326,6 @@ impl Shard {
             [Bytes::Crc32c] => true,
             _ => return Err("index_codecs, expected bytes and perhaps crc32c".to_owned()),
         };
-        if index.endian != Endian::Little {
-            return Err("a big-endian index, expected a little-endian one".to_owned());
-        }
         let at_end = match configuration.get("index_location").and_then(Value::as_str) {
             None | Some("end") => true,
             Some("start") => false,
@@ -336,6 +335,7 @@ impl Shard {
         Ok(Self {
             chunks,
             pipeline,
+            index_endian: index.endian,
             checksum,
             at_end,
         })
@@ -349,12 +349,16 @@ impl Shard {
     /// Parses the index: offset and length of each chunk; `None` for a chunk that is not stored.
     pub(super) fn index(&self, stored: &[u8]) -> Result<Vec<Option<[u64; 2]>>, String> {
         let bytes = if self.checksum { checked(stored)? } else { stored };
-        let number = |at: &[u8]| at.iter().rev().fold(0, |n, &b| n << 8 | u64::from(b));
-        let entry = |bytes: &[u8]| match [number(&bytes[..8]), number(&bytes[8..])] {
+        let number = match self.index_endian {
+            Endian::Little => u64::from_le_bytes,
+            Endian::Big => u64::from_be_bytes,
+        };
+        let entry = |[offset, length]: &[[u8; 8]; 2]| match [number(*offset), number(*length)] {
             [u64::MAX, u64::MAX] => None,
             place => Some(place),
         };
-        Ok(bytes.chunks_exact(16).map(entry).collect())
+        let numbers = bytes.as_chunks::<8>().0;
+        Ok(numbers.as_chunks::<2>().0.iter().map(entry).collect())
     }
 }
 
