@@ -4,7 +4,7 @@
 use std::io::Write;
 
 use isopeel_kernels::check::{Check, CheckError, STEPS, Scope};
-use isopeel_kernels::{DeviceInfo, DeviceKind, Engine, SampleType};
+use isopeel_kernels::{DeviceInfo, DeviceKind, Engine, Error, SampleType};
 use serde::{Deserialize, Serialize};
 
 use super::setup::{Workaround, type_of};
@@ -64,6 +64,11 @@ pub enum Message {
     Done,
     /// What was found wrong.
     Wrong {
+        /// The whole sentence.
+        text: String,
+    },
+    /// The device failed, in a way whose cause may be gone the next time.
+    Failed {
         /// The whole sentence.
         text: String,
     },
@@ -221,7 +226,12 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
             for step in STEPS.iter().filter(|step| step.scope == scope) {
                 begin(step.stage)?;
                 if let Err(error) = check.run(step) {
-                    say(&Message::Wrong { text: text_of(&error) })?;
+                    let text = text_of(&error);
+                    say(&if may_pass(&error) {
+                        Message::Failed { text }
+                    } else {
+                        Message::Wrong { text }
+                    })?;
                     return Ok(false);
                 }
                 say(&Message::Passed {
@@ -238,6 +248,17 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
     let all_right =
         run(&mut first, Scope::Rest)? && run(&mut later, Scope::FirstSurface)? && run(&mut later, Scope::Rest)?;
     if all_right { say(&Message::Done) } else { Ok(()) }
+}
+
+/// Whether a failure says as much of the moment as of the driver: the device was lost, or out of memory, perhaps by the work of others.
+fn may_pass(error: &CheckError) -> bool {
+    matches!(
+        error,
+        CheckError::Failed {
+            source: Error::Launch { .. } | Error::OutOfDeviceMemory { .. },
+            ..
+        }
+    )
 }
 
 /// Returns an error's chain, with a compiler's log shortened to its first lines.

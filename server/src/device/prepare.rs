@@ -207,11 +207,16 @@ impl Rest {
                 passed(programs);
             }
         };
-        let ended = child.follow(false, &hear).err();
+        let mut ended = child.follow(false, &hear).err();
         drop(child);
         let (Some(device), Some((workaround, outcome))) = (search.candidates.front(), search.tried.last_mut()) else {
             return Ok(());
         };
+        if let Some(Ended::Failed(text)) = &ended {
+            tracing::warn!("the check of {} is done once more: {text}", device.name);
+            let again = try_once(device, &search.types, *workaround, &search.environment, false, &hear);
+            ended = again.err();
+        }
         let id = DeviceId::of(device);
         *outcome = ended;
         if outcome.is_none() {
@@ -408,10 +413,12 @@ fn check(
         }
     };
     for workaround in workarounds {
-        let mut environment = environment.clone();
-        environment.extend(pair(workaround.environment()));
-        let outcome = Building::start(device, types, workaround, &environment)
-            .and_then(|mut child| child.follow(early, &hear).map(|()| child));
+        let attempt = || try_once(device, types, workaround, environment, early, &hear);
+        // A workaround would be kept although the cause may be gone.
+        let outcome = attempt().or_else(|ended| match ended {
+            Ended::Failed(_) => attempt(),
+            ended => Err(ended),
+        });
         match outcome {
             Ok(child) => {
                 checked.tried.push((workaround, None));
@@ -424,6 +431,22 @@ fn check(
         }
     }
     (checked, None)
+}
+
+/// Checks a device in one way. Returns the child, which if `early` continues with the rest of the check.
+fn try_once(
+    device: &DeviceInfo,
+    types: &Types,
+    workaround: Workaround,
+    environment: &Environment,
+    early: bool,
+    hear: &dyn Fn(Message),
+) -> Result<Building, Ended> {
+    let mut environment = environment.clone();
+    environment.extend(pair(workaround.environment()));
+    let mut child = Building::start(device, types, workaround, &environment)?;
+    child.follow(early, hear)?;
+    Ok(child)
 }
 
 fn pair(variable: Option<(&str, &str)>) -> Option<(String, String)> {

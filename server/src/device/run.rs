@@ -44,6 +44,9 @@ pub enum Ended {
     /// It found an error.
     #[error("{0}")]
     Wrong(String),
+    /// The device failed, in a way whose cause may be gone the next time.
+    #[error("{0}")]
+    Failed(String),
     /// It could not be started.
     #[error("the check could not be started: {0}")]
     NotStarted(String),
@@ -112,6 +115,7 @@ impl Running {
             match serde_json::from_str(&line) {
                 Ok(Message::Done) => return Ok(None),
                 Ok(Message::Wrong { text }) => return Err(Ended::Wrong(text)),
+                Ok(Message::Failed { text }) => return Err(Ended::Failed(text)),
                 Ok(Message::Begin { stage, done, of }) => {
                     self.stage.clone_from(&stage);
                     return Ok(Some(Message::Begin { stage, done, of }));

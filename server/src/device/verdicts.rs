@@ -64,7 +64,8 @@ impl Verdicts {
         is_valid.then_some(verdict)
     }
 
-    /// Keeps how a device passed. Failures are not kept: their cause may be gone next time.
+    /// Keeps how a device passed. Failures are not kept: their cause may be gone next time. A workaround for one whose cause may be gone at once
+    /// is kept only if the device failed twice.
     ///
     /// # Errors
     /// The folder cannot be written.

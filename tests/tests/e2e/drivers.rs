@@ -123,6 +123,22 @@ fn a_device_without_memory_is_a_sentence() {
 }
 
 #[test]
+fn a_fault_that_passes_leaves_no_workaround() {
+    let Some(broken) = Broken::new("fail") else { return };
+    let output = broken.run(&["devices", "--check"]);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        !broken.folder.path().join("fault").exists(),
+        "no kernel has failed: {said}"
+    );
+    assert!(output.status.success(), "{output:?}");
+    assert!(
+        !said.contains("POCL_WORK_GROUP_METHOD") && !said.contains("fails"),
+        "{said}"
+    );
+}
+
+#[test]
 fn a_device_that_fails_is_used_only_if_it_is_trusted() {
     let Some(broken) = Broken::new("crash minmax") else {
         return;
