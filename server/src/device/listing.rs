@@ -1,6 +1,6 @@
 //! Devices of this machine, listed by child processes: a driver that crashes or hangs does not hide the others.
 
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use isopeel_kernels::DeviceInfo;
@@ -55,12 +55,12 @@ pub fn list(folder: Option<&Path>) -> Listed {
             devices,
             ..Listed::default()
         },
-        Err(Ended::Wrong(text)) => Listed::nothing(text),
+        Err(Ended::Wrong(text) | Ended::Failed(text)) => Listed::nothing(text),
         Err(ended @ Ended::NotStarted(_)) => Listed::nothing(ended.to_string()),
         Err(ended) => {
             let spare = cache::spare_folder().ok();
             let mut folders = folder.into_iter().chain(spare.as_deref());
-            let folder = folders.find(|folder| name_drivers(folder, &[]).is_ok());
+            let folder = folders.find(|folder| check_writable(folder).is_ok());
             let no_folder =
                 || io::Error::other("neither the kernel cache nor the folder of temporary files can be written");
             folder.ok_or_else(no_folder).and_then(list_apart).unwrap_or_else(|why| {
@@ -90,7 +90,7 @@ fn list_apart(folder: &Path) -> io::Result<Listed> {
     for icd in icd_files() {
         let alone = name_drivers(folder, std::slice::from_ref(&icd))?;
         match list_in(&alone) {
-            Ok(_) | Err(Ended::Wrong(_)) => working.push(icd),
+            Ok(_) | Err(Ended::Wrong(_) | Ended::Failed(_)) => working.push(icd),
             Err(ended) => listed.broken.push(Unlisted {
                 icd,
                 why: ended.to_string(),
@@ -105,12 +105,24 @@ fn list_apart(folder: &Path) -> io::Result<Listed> {
     Ok(listed)
 }
 
+/// Checks that [`name_drivers`] can write to a folder, by a real file: what was made there earlier says nothing, as the folder may have become
+/// read-only, or its disk full.
+fn check_writable(folder: &Path) -> io::Result<()> {
+    let parent = drivers_in(folder);
+    private_folder::make(&parent)?;
+    tempfile::tempfile_in(&parent)?.write_all(&[0; 4096])
+}
+
+fn drivers_in(folder: &Path) -> PathBuf {
+    folder.join("drivers")
+}
+
 /// Makes a folder that names only these drivers. Its own name is a hash of theirs, so that other processes find it complete or not at all.
 fn name_drivers(folder: &Path, icds: &[PathBuf]) -> io::Result<Environment> {
     let texts: io::Result<Vec<_>> = icds.iter().map(std::fs::read).collect();
     let named: Vec<_> = icds.iter().zip(texts?).collect();
     let hash = xxhash_rust::xxh3::xxh3_64(format!("{named:?}").as_bytes());
-    let (parent, name) = (folder.join("drivers"), format!("{hash:016x}"));
+    let (parent, name) = (drivers_in(folder), format!("{hash:016x}"));
     let complete = parent.join(&name);
     if !complete.exists() {
         private_folder::make(&parent)?;
@@ -141,4 +153,36 @@ fn icd_files() -> Vec<PathBuf> {
     files.retain(|file| std::fs::read(file).is_ok());
     files.sort();
     files
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
+
+    use super::*;
+
+    /// Runs a function in a thread for which permissions count also if root runs it.
+    fn without_privileges<T: Send>(run: impl FnOnce() -> T + Send) -> T {
+        let unprivileged = || {
+            let mut sets = capabilities(None).unwrap();
+            sets.effective -= CapabilitySet::DAC_OVERRIDE;
+            set_capabilities(None, sets).unwrap();
+            run()
+        };
+        std::thread::scope(|scope| scope.spawn(unprivileged).join().unwrap())
+    }
+
+    #[test]
+    fn a_folder_that_became_read_only_is_found_out() {
+        let folder = tempfile::tempdir().unwrap();
+        name_drivers(folder.path(), &[]).unwrap();
+        check_writable(folder.path()).unwrap();
+        let parent = drivers_in(folder.path());
+        std::fs::set_permissions(&parent, PermissionsExt::from_mode(0o500)).unwrap();
+        let error = without_privileges(|| check_writable(folder.path())).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::PermissionDenied);
+        std::fs::set_permissions(&parent, PermissionsExt::from_mode(0o700)).unwrap();
+    }
 }
