@@ -323,17 +323,30 @@ fn color_at(points: &[(f32, [f32; 3])], x: f32) -> [f32; 3] {
 /// Names of attributes for the fields of a mesh: their own, with anything but ASCII letters and digits as `_`, behind a prefix; with a number
 /// if another one has that name.
 pub(super) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<String> {
+    let names = mesh
+        .fields
+        .iter()
+        .map(|field| format!("{prefix}{}", plain(&field.name)));
+    free_names(names, taken)
+}
+
+/// Returns a text with anything but ASCII letters and digits as `_`.
+pub(super) fn plain(text: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+    text.chars().map(plain).collect()
+}
+
+/// Returns names with a number appended to those that another one, or one that is `taken`, has.
+pub(super) fn free_names(wanted: impl Iterator<Item = String>, taken: &[&str]) -> Vec<String> {
     let mut names: Vec<String> = taken.iter().map(|&name| name.to_owned()).collect();
-    for field in &mesh.fields {
-        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-        let name = format!("{prefix}{}", field.name.chars().map(plain).collect::<String>());
+    for name in wanted {
         names.push(free_name(name, &names));
     }
     names.split_off(taken.len())
 }
 
 /// Returns a name, with a number appended if another one has it, compared without regard to case.
-pub(super) fn free_name(name: String, taken: &[String]) -> String {
+fn free_name(name: String, taken: &[String]) -> String {
     let free = |name: &String| !taken.iter().any(|other| other.eq_ignore_ascii_case(name));
     let numbered = (2..).map(|n| format!("{name}_{n}"));
     let found = std::iter::once(name.clone()).chain(numbered).find(free);

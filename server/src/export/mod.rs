@@ -205,8 +205,8 @@ impl Format {
         }
     }
 
-    /// About how many bytes a closed surface takes, which has half as many vertices as triangles.
-    pub const fn typical_bytes(self, triangles: u64) -> u64 {
+    /// About how many bytes a closed surface with the values of some fields takes. It has half as many vertices as triangles.
+    pub const fn typical_bytes(self, triangles: u64, fields: u64) -> u64 {
         let per_triangle = match self {
             // Vertices of 42 bytes (position, normal, two features, colour), three indices of 4.
             Self::Glb => 33,
@@ -225,7 +225,13 @@ impl Format {
             // Text of some 65 bytes a vertex, and of 30 a triangle.
             Self::Usdz => 65,
         };
-        triangles.saturating_mul(per_triangle)
+        let per_value = match self {
+            Self::Glb | Self::Ply | Self::Vtp => 4,
+            // Text.
+            Self::Usdz => 12,
+            _ => 0,
+        };
+        triangles.saturating_mul(per_triangle + fields * per_value / 2)
     }
 
     /// Media type for HTTP.

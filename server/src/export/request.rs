@@ -131,7 +131,7 @@ impl FileOptions {
     /// Checks the options that do not depend on the volume.
     ///
     /// # Errors
-    /// A unit that is not one of lengths, too many fields, or options that exclude each other.
+    /// A unit that is not one of lengths, too many fields, one of them twice, or options that exclude each other.
     fn check_alone(&self) -> Result<(), EditError> {
         let refuse = |field, why| Err(EditError { field, why });
         if self.field_values.len() > MAX_FIELD_VALUES {
@@ -140,6 +140,10 @@ impl FileOptions {
                 "fieldValues",
                 format!("{count} fields, expected at most {MAX_FIELD_VALUES}"),
             );
+        }
+        let is_repeated = |(at, name): &(usize, &String)| self.field_values[..*at].contains(name);
+        if let Some((_, name)) = self.field_values.iter().enumerate().find(is_repeated) {
+            return refuse("fieldValues", format!("{name:?} twice, expected each field once"));
         }
         if !self.compress.is_of(self.format) {
             let (name, title, expected) = (self.compress.name(), self.format.title(), self.compress.expected());
@@ -370,12 +374,18 @@ mod tests {
     fn fields_at_the_vertices_are_limited() {
         let dataset = crate::volumes::testing::dataset("head", [4; 3], &["t1"]);
         let options = |count| FileOptions {
-            field_values: vec!["t1".to_owned(); count],
+            field_values: (0..count).map(|n| format!("{n}*t1")).collect(),
             ..FileOptions::new(Format::Ply)
         };
         assert!(options(MAX_FIELD_VALUES).check(&dataset).is_ok());
         let error = options(MAX_FIELD_VALUES + 1).check(&dataset).unwrap_err();
         assert_eq!(error.to_string(), "fieldValues: 17 fields, expected at most 16");
+        let twice = FileOptions {
+            field_values: ["t1", "2*t1", "t1"].map(str::to_owned).to_vec(),
+            ..FileOptions::new(Format::Usdz)
+        };
+        let error = twice.check_alone().unwrap_err();
+        assert_eq!(error.to_string(), "fieldValues: \"t1\" twice, expected each field once");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 
 use super::decimal::{Decimals, push_whole};
-use super::mesh::{FieldValues, attribute_names, free_name, linear};
+use super::mesh::{free_names, linear, plain};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
 use crate::volumes::LengthUnit;
 
@@ -16,13 +16,29 @@ const MATERIALS: &str = "Materials";
 /// Digits behind the point of components of normals and colours.
 const SHARE_DIGITS: usize = 5;
 
-/// Writes `meshes` that have triangles as a stage.
+/// Names of primvars that have a meaning to readers of USD: those of colours and texture coordinates, and attributes of UsdGeom that a primvar of
+/// the same name overrides.
+const TAKEN: [&str; 11] = [
+    "displayColor",
+    "displayOpacity",
+    "points",
+    "normals",
+    "tangents",
+    "bitangents",
+    "velocities",
+    "accelerations",
+    "widths",
+    "st",
+    "uv",
+];
+
+/// Writes `meshes` that have triangles as a stage, in the unit of the first of all.
 ///
 /// # Errors
 /// Those of `out`.
 pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     let shown: Vec<&Mesh> = meshes.iter().filter(|mesh| !mesh.triangles.is_empty()).collect();
-    let of_stage = shown.first().map_or(1.0, |mesh| metres(mesh));
+    let of_stage = meshes.first().map_or(1.0, metres);
     let names = identifiers(&shown);
     let mut text = head(of_stage).into_bytes();
     for (mesh, name) in shown.iter().zip(&names) {
@@ -54,16 +70,16 @@ fn head(metres: f64) -> String {
 
 /// Names of the meshes' prims: their own, as identifiers.
 fn identifiers(meshes: &[&Mesh]) -> Vec<String> {
-    let mut names = vec![MATERIALS.to_owned()];
-    for mesh in meshes {
-        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-        let mut name: String = mesh.name.chars().map(plain).collect();
-        if !name.starts_with(|c: char| c.is_ascii_alphabetic()) {
-            name.insert(0, '_');
-        }
-        names.push(free_name(name, &names));
+    free_names(meshes.iter().map(|mesh| identifier(&mesh.name)), &[MATERIALS])
+}
+
+/// A name as an identifier, which begins with a letter or `_`.
+fn identifier(name: &str) -> String {
+    let name = plain(name);
+    match name.starts_with(|c: char| c.is_ascii_alphabetic()) {
+        true => name,
+        false => format!("_{name}"),
     }
-    names.split_off(1)
 }
 
 /// A string in quotation marks.
@@ -206,9 +222,7 @@ fn color(mesh: &Mesh) -> [f32; 3] {
 
 /// Values of fields at the vertices; a missing one is NaN.
 fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
-    let is_name = |field: &FieldValues| field.name.starts_with(|c: char| c.is_ascii_alphabetic());
-    let prefix = if mesh.fields.iter().all(is_name) { "" } else { "_" };
-    let names = attribute_names(mesh, prefix, &["displayColor", "displayOpacity"]);
+    let names = free_names(mesh.fields.iter().map(|field| identifier(&field.name)), &TAKEN);
     for (field, name) in mesh.fields.iter().zip(names) {
         text.extend(format!("        float[] primvars:{name} = [").bytes());
         for (i, value) in field.values.iter().enumerate() {
@@ -264,6 +278,7 @@ fn material(mesh: &Mesh, name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::mesh::FieldValues;
     use super::super::mesh::tests::{geometry, two_quads};
     use super::*;
 
@@ -342,8 +357,34 @@ mod tests {
             assert!(text.contains(line), "{line:?} in {text}");
         }
         assert_eq!(text.matches("(1.00000, 0.00000, 0.00000)").count(), 6);
-        mesh.fields[1].name = "2".to_owned();
-        assert!(layer(&[mesh]).contains("primvars:_2 = ["));
         assert!(layer(&[]).contains("def Xform \"Surfaces\""));
+    }
+
+    #[test]
+    fn values_have_names_without_another_meaning() {
+        let mut mesh = mesh("a", LengthUnit::Millimetre);
+        let names = ["normals", "ST", "ball", "2*ball", "µ"];
+        let values = |name: &str| FieldValues {
+            name: name.to_owned(),
+            unit: None,
+            values: vec![0.0; 6],
+        };
+        mesh.fields = names.map(values).to_vec();
+        let text = layer(&[mesh]);
+        for name in ["normals_2", "ST_2", "ball", "_2_ball", "__"] {
+            assert!(
+                text.contains(&format!("float[] primvars:{name} = [")),
+                "{name} in {text}"
+            );
+        }
+    }
+
+    #[test]
+    fn an_empty_surface_has_its_unit() {
+        let empty = Mesh {
+            unit: Some(LengthUnit::Millimetre),
+            ..Mesh::default()
+        };
+        assert!(layer(&[empty]).contains("metersPerUnit = 0.001\n"));
     }
 }

@@ -42,9 +42,10 @@ pub(super) async fn estimate(
         }
     }
     let of_each = triangles / samples.len() as f64;
-    let bytes = extractions
-        .iter()
-        .map(|(request, _)| request.options.format.typical_bytes(of_each as u64));
+    let bytes = extractions.iter().map(|(request, _)| {
+        let fields = request.options.field_values.len();
+        request.options.format.typical_bytes(of_each as u64, fields as u64)
+    });
     let all = extractions.len() as f64;
     Ok(Estimate {
         triangles: (of_each * all) as u64,
