@@ -18,8 +18,11 @@ const MAX_ROUNDS: usize = 16;
 /// The same for capped surfaces whose vertices each stand for a cell: the cut was refined near caps before.
 const CAP_ROUNDS: usize = 4;
 
-/// Smallest spacings that a vertex of a capped surface is moved at most. One that stands for a larger cube is moved by its length at most.
-const CAP_REACH: f64 = 2.0;
+/// Share of the mean length of its edges that a vertex of a capped surface is moved at most: it stays where its own triangles were.
+const REACH_SHARE: f64 = 0.25;
+
+/// Smallest spacings that it may always be moved.
+const MIN_REACH: f64 = 2.0;
 
 /// Each time after this many rounds, a group grows by the vertices around it.
 const ROUNDS_BEFORE_GROWTH: usize = 3;
@@ -108,12 +111,9 @@ pub(super) fn repair(
     is_cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Result<Repaired, RepairError> {
     let mut cleaned = Cleaned::default();
-    let (reach, rounds) = match scope {
-        Scope::All => (f64::INFINITY, MAX_ROUNDS),
-        Scope::AtCaps { cells } => {
-            let rounds = if cells > 1.0 { MAX_ROUNDS } else { CAP_ROUNDS };
-            (CAP_REACH.max(cells.into()) * mesh.smallest_spacing, rounds)
-        }
+    let rounds = match scope {
+        Scope::AtCaps { cells } if cells <= 1.0 => CAP_ROUNDS,
+        Scope::All | Scope::AtCaps { .. } => MAX_ROUNDS,
     };
     let around = Around::new(mesh);
     let numbers = Numbers::new(mesh, format);
@@ -122,7 +122,7 @@ pub(super) fn repair(
         numbers,
         mesh,
         faces,
-        reach,
+        scope,
         around: &around,
         moved: Vec::new(),
         originals: FxHashMap::default(),
@@ -138,7 +138,7 @@ pub(super) fn repair(
         let pairs = tree.intersections(&soup, is_cancelled);
         let mut pairs = pairs.ok_or(RepairError::Cancelled)?;
         let all = pairs.len() as u64;
-        pairs.retain(|pair| repair.is_repaired(pair, scope));
+        pairs.retain(|pair| repair.is_repaired(pair));
         if round == 0 {
             cleaned.intersections = pairs.len() as u64;
         }
@@ -260,8 +260,7 @@ struct Repair<'a> {
     positions: Vec<[f64; 3]>,
     numbers: Numbers,
     faces: Faces,
-    /// Maximum distance of a vertex of a capped surface from its original position.
-    reach: f64,
+    scope: Scope,
     around: &'a Around,
     /// Triangles that have moved since the tree was built.
     moved: Vec<u32>,
@@ -272,9 +271,9 @@ struct Repair<'a> {
 
 impl Repair<'_> {
     /// Whether a pair of triangles is in the scope.
-    fn is_repaired(&self, pair: &[u32; 2], scope: Scope) -> bool {
+    fn is_repaired(&self, pair: &[u32; 2]) -> bool {
         let mut corners = pair.iter().flat_map(|&triangle| self.mesh.triangles[triangle as usize]);
-        match scope {
+        match self.scope {
             Scope::All => true,
             Scope::AtCaps { .. } => corners.any(|corner| self.mesh.caps[corner as usize].is_near),
         }
@@ -364,10 +363,7 @@ impl Repair<'_> {
         let next = self.next_to(vertex);
         let middle = next.iter().map(|&next| position(next)).sum::<DVec3>() / next.len().max(1) as f64;
         let length = next.iter().map(|&next| position(next).distance(at)).sum::<f64>() / next.len().max(1) as f64;
-        let original = self
-            .originals
-            .get(&vertex)
-            .map(|original| DVec3::from(original.map(f64::from)));
+        let original = self.originals.contains_key(&vertex).then(|| self.original(vertex));
         let mut tried: Vec<DVec3> = MIDDLE_SHARES.iter().map(|&share| at.lerp(middle, share)).collect();
         tried.extend(
             RANDOM_RADII
@@ -376,13 +372,31 @@ impl Repair<'_> {
         );
         tried.extend(original);
         if let Some(&to) = self.mesh.caps.get(vertex as usize) {
+            let (original, reach) = (self.original(vertex), self.reach(vertex, &next));
             tried = (tried.iter())
                 .filter_map(|&place| self.faces.constrained(at, place, to))
-                .filter(|place| place.distance(original.unwrap_or(at)) <= self.reach)
+                .filter(|place| place.distance(original) <= reach)
                 .collect();
         }
         tried.sort_by(|a, b| a.distance(at).total_cmp(&b.distance(at)));
         tried
+    }
+
+    /// The original position of a vertex.
+    fn original(&self, vertex: u32) -> DVec3 {
+        let current = &self.mesh.positions[vertex as usize];
+        DVec3::from(self.originals.get(&vertex).unwrap_or(current).map(f64::from))
+    }
+
+    /// Maximum distance of a vertex of a capped surface from its original position, given the vertices next to it.
+    fn reach(&self, vertex: u32, next: &[u32]) -> f64 {
+        if matches!(self.scope, Scope::All) {
+            return f64::INFINITY;
+        }
+        let at = self.original(vertex);
+        let edges = next.iter().map(|&next| self.original(next).distance(at));
+        let mean = edges.sum::<f64>() / next.len().max(1) as f64;
+        (REACH_SHARE * mean).max(MIN_REACH * self.mesh.smallest_spacing)
     }
 
     /// Faults with a vertex at a position: triangles around it without area, pairs of these that intersect, and pairs of one of these and one of

@@ -397,6 +397,9 @@ fn caps_add_no_triangles_that_intersect() {
             number(&capped, &format!("/shape/cleaned/{what}")) > Some(0),
             "nothing to do: {options}"
         );
+        // By less than triangles are long, although some vertices stand for cubes of 16 cells.
+        let moved = capped.pointer("/shape/cleaned/largestMove").and_then(|n| n.as_f64());
+        assert!(moved.is_some_and(|moved| moved < 2.5), "{options}: {moved:?}");
         // Nothing was moved out of the volume, whose faces are closed.
         let all = || mesh.positions.iter().flatten();
         assert!(all().all(|at| (0.0..=39.0).contains(at)), "{options}");
@@ -520,6 +523,21 @@ fn several_surfaces_are_nodes_of_one_file() {
         refused.contains("surfaces: 3 surfaces in a PLY, expected one"),
         "{refused}"
     );
+}
+
+#[test]
+fn errors_on_stdin_name_no_temporary_file() {
+    for command in [
+        "info -",
+        "extract - --stats",
+        "slice - --axis z --index 0 -o /dev/null --format png",
+    ] {
+        let said = command::fail(command.split(' '));
+        assert!(
+            said.contains("error: stdin: file: is empty, expected a volume"),
+            "{said}"
+        );
+    }
 }
 
 #[test]
