@@ -137,7 +137,7 @@ impl<T> Buffer<T> {
             return Err(Error::OutOfDeviceMemory {
                 stage,
                 needed_bytes: bytes,
-                limit_bytes,
+                limit_bytes: Some(limit_bytes),
             });
         }
         // SAFETY: no host pointer is passed, so OpenCL allocates the memory itself.
@@ -152,7 +152,7 @@ impl<T> Buffer<T> {
                     pool.release_idle();
                     create()
                 });
-                (bytes, made.map_err(|e| allocation_error(stage, bytes, limit_bytes, e))?)
+                (bytes, made.map_err(|e| allocation_error(stage, bytes, e))?)
             }
         };
         pool.add(allocated_bytes);
@@ -213,12 +213,12 @@ impl<T> Drop for Buffer<T> {
 }
 
 /// Out-of-memory has several codes; anything else is a launch failure.
-pub(crate) fn allocation_error(stage: &'static str, needed_bytes: u64, limit_bytes: u64, e: ClError) -> Error {
+pub(crate) fn allocation_error(stage: &'static str, needed_bytes: u64, e: ClError) -> Error {
     match e.0 {
         CL_MEM_OBJECT_ALLOCATION_FAILURE | CL_OUT_OF_RESOURCES | CL_INVALID_BUFFER_SIZE => Error::OutOfDeviceMemory {
             stage,
             needed_bytes,
-            limit_bytes,
+            limit_bytes: None,
         },
         _ => Error::Launch { stage, source: e },
     }

@@ -395,7 +395,7 @@ impl Context {
     }
 
     pub fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {
-        let event = event.map_err(|e| allocation_error(stage, bytes, self.limit_bytes, e))?;
+        let event = event.map_err(|e| allocation_error(stage, bytes, e))?;
         self.events.borrow_mut().push((stage, event));
         // Some jobs never take their times, such as expressions and histograms.
         if self.events.borrow().len() >= MAX_EVENTS {

@@ -49,14 +49,14 @@ pub enum Error {
         source: opencl3::error_codes::ClError,
     },
     /// A buffer could not be allocated.
-    #[error("stage {stage} needs {needed_bytes} bytes of device memory, the limit is {limit_bytes}")]
+    #[error("{}", out_of_memory(stage, *needed_bytes, *limit_bytes))]
     OutOfDeviceMemory {
         /// Stage that requested the buffer.
         stage: &'static str,
-        /// Requested bytes.
+        /// Requested bytes; 0 if no buffer was requested.
         needed_bytes: u64,
-        /// Bytes the device allows (for one allocation, or in total).
-        limit_bytes: u64,
+        /// Bytes the device allows for one allocation; `None` if it has less memory left than it allows.
+        limit_bytes: Option<u64>,
     },
     /// A parameter or input is invalid; the text says what was expected.
     #[error("{what}: {why}")]
@@ -84,6 +84,15 @@ impl Error {
     pub fn needs_new_process(&self) -> bool {
         matches!(self, Self::Launch { stage: OPEN, source }
             if ![CL_DEVICE_NOT_FOUND, CL_DEVICE_NOT_AVAILABLE].contains(&source.0))
+    }
+}
+
+fn out_of_memory(stage: &str, needed_bytes: u64, limit_bytes: Option<u64>) -> String {
+    match (needed_bytes, limit_bytes) {
+        (_, Some(limit)) => format!("stage {stage} needs {needed_bytes} bytes of device memory, the limit is {limit}"),
+        // Not of a buffer.
+        (0, None) => format!("the driver ran out of memory in stage {stage}"),
+        (_, None) => format!("the driver ran out of memory in stage {stage}, for {needed_bytes} bytes"),
     }
 }
 

@@ -296,7 +296,7 @@ pub(crate) fn slab_layers(grid: &Grid, limit_bytes: u64) -> Result<Vec<Range<u32
         return Err(Error::OutOfDeviceMemory {
             stage: "upload",
             needed_bytes: one,
-            limit_bytes,
+            limit_bytes: Some(limit_bytes),
         });
     }
     let planes = limit_bytes / plane_bytes;

@@ -93,7 +93,7 @@ impl Engine {
                 .ok_or(Error::OutOfDeviceMemory {
                     stage: construct::STAGE,
                     needed_bytes: u64::from(u32::MAX) * size_of::<Node>() as u64,
-                    limit_bytes: cx.limit_bytes,
+                    limit_bytes: Some(cx.limit_bytes),
                 })?;
         }
         cx.write(classify::STAGE, &mut regions, &arranged)?;

@@ -307,7 +307,7 @@ impl Engine {
             return Err(Error::OutOfDeviceMemory {
                 stage,
                 needed_bytes: triangles * 12,
-                limit_bytes: limit * 4,
+                limit_bytes: Some(limit * 4),
             });
         }
         Ok((self.cx.upload(stage, meshes)?, vertices as usize, triangles as usize))
