@@ -50,6 +50,9 @@ const FIRST_SAMPLES: u64 = 1 << 20;
 /// The code of the largest value; that of the smallest one is 1, and 0 is nothing.
 const LARGEST_CODE: f32 = 255.0;
 
+/// Values that differ by at most this share of the largest one are equal: a few units in the last place, which are rounding.
+const FLAT: f32 = 4.0 * f32::EPSILON;
+
 /// What stands for the samples of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum OverviewMode {
@@ -68,7 +71,7 @@ pub struct Overview {
     pub factors: [u32; 3],
     /// Smallest and largest of the values; both 0 if there is none.
     pub range: [f32; 2],
-    /// The values, x fastest: from 1, the smallest, to 255, the largest; 0 for a block without a finite sample.
+    /// The values, x fastest: from 1, the smallest, to 255, the largest; 0 for a block whose samples are all missing or not finite.
     pub codes: Vec<u8>,
 }
 
@@ -81,7 +84,8 @@ pub struct OverviewWork {
     dims: [u32; 3],
     /// What comes next: a slab, and of its rows of blocks.
     next: Option<(usize, u32)>,
-    values: Vec<f32>,
+    /// Sums of scaled samples, or maxima.
+    values: Vec<f64>,
     counts: Vec<u32>,
     pace: Pace,
 }
@@ -94,7 +98,7 @@ impl OverviewWork {
         let blocks = dims.iter().map(|&n| n as usize).product();
         let nothing = match mode {
             OverviewMode::Mean => 0.0,
-            OverviewMode::Maximum => f32::NEG_INFINITY,
+            OverviewMode::Maximum => f64::NEG_INFINITY,
         };
         let row = u64::from(samples[0]) * u64::from(factors[1]) * u64::from(factors[2]);
         Self {
@@ -131,6 +135,8 @@ impl OverviewWork {
         let [lo, hi] = range.unwrap_or_default();
         // Halves: the span from end to end of the type would overflow.
         let span = 0.5 * hi - 0.5 * lo;
+        let is_flat = span <= 0.5 * FLAT * lo.abs().max(hi.abs());
+        let (hi, span) = if is_flat { (lo, 0.0) } else { (hi, span) };
         let code = |v: f32| {
             let share = if span > 0.0 { (0.5 * v - 0.5 * lo) / span } else { 0.0 };
             1 + (share * (LARGEST_CODE - 1.0)).round() as u8
@@ -144,11 +150,11 @@ impl OverviewWork {
     }
 
     /// The value of a block.
-    fn value(&self, value: f32, count: u32) -> Option<f32> {
+    fn value(&self, value: f64, count: u32) -> Option<f32> {
         match self.mode {
             _ if count == 0 => None,
-            OverviewMode::Mean => Some(value / (count as f32 * self.scale())),
-            OverviewMode::Maximum => Some(value),
+            OverviewMode::Mean => Some((value / (f64::from(count) * f64::from(self.scale()))) as f32),
+            OverviewMode::Maximum => Some(value as f32),
         }
     }
 
@@ -159,11 +165,13 @@ impl OverviewWork {
     }
 
     /// Adds what a launch found for the blocks from one on.
-    fn merge(&mut self, first: usize, values: &[f32], counts: &[u32]) {
-        for (i, (&value, &count)) in values.iter().zip(counts).enumerate() {
+    fn merge(&mut self, first: usize, values: &[[f32; 2]], counts: &[u32]) {
+        let scale = f64::from(self.scale());
+        for (i, (value, &count)) in values.iter().zip(counts).enumerate() {
             let own = &mut self.values[first + i];
+            let [value, differences] = value.map(f64::from);
             match self.mode {
-                OverviewMode::Mean => *own += value,
+                OverviewMode::Mean => *own += value * f64::from(count) * scale + differences,
                 OverviewMode::Maximum => *own = own.max(value),
             }
             self.counts[first + i] += count;
@@ -192,7 +200,8 @@ pub fn step(cx: &Context, volume: &Volume, work: &mut OverviewWork) -> Result<()
     // A block may lie in two slabs, each of which has some of its planes.
     let [first, end] = [planes.start / depth * height, planes.end.div_ceil(depth) * height];
     let row = first + next;
-    let rows = work.pace.units().min(u64::from(end - row)) as u32;
+    let most = cx.limit_bytes / (u64::from(width) * size_of::<[f32; 2]>() as u64);
+    let rows = work.pace.units().min(u64::from(end - row)).min(most.max(1)) as u32;
     let count = rows * width;
     let args = OverviewArgs {
         grid: volume.layout(),
@@ -210,7 +219,7 @@ pub fn step(cx: &Context, volume: &Volume, work: &mut OverviewWork) -> Result<()
         is_maximum: u32::from(work.mode == OverviewMode::Maximum),
     };
     let kernel = cx.kernel(volume.sample_type, "overview")?;
-    let values = cx.buffer::<f32>(STAGE, count as usize)?;
+    let values = cx.buffer::<[f32; 2]>(STAGE, count as usize)?;
     let counts = cx.buffer::<u32>(STAGE, count as usize)?;
     let groups = (count as usize).div_ceil(BRICK_GROUP);
     cx.launch(

@@ -2,7 +2,7 @@
 
 use super::recipes::{Pattern, any_recipe};
 use super::*;
-use isopeel_kernels::{Overview, OverviewMode, OverviewWork};
+use isopeel_kernels::{Overview, OverviewMode, OverviewWork, Samples};
 use isopeel_reference::overview::{Mode, overview};
 
 /// The overview and the number of its launches.
@@ -18,7 +18,7 @@ fn made(engine: &Engine, volume: &Volume, mode: OverviewMode, side: u32) -> (Ove
 }
 
 fn check(engine: &Engine, loaded: &Loaded, side: u32) -> Result<(), TestCaseError> {
-    // Sums are of 32-bit floats, whose errors are shares of the samples.
+    // Sums are of 32-bit floats, whose errors are shares of the differences of samples.
     let finite = loaded.field.values.iter().filter(|v| v.is_finite());
     let largest = finite.fold(0.0, |largest: f64, v| largest.max(f64::from(v.abs())));
     for (mode, twin) in [(OverviewMode::Mean, Mode::Mean), (OverviewMode::Maximum, Mode::Maximum)] {
@@ -91,6 +91,41 @@ fn infinite_and_missing_samples_do_not_count() {
         for side in [40, 9, 2] {
             check(&engine, &load(&engine, &recipe), side).expect("the twin's values");
         }
+    }
+}
+
+#[test]
+fn large_blocks_of_one_value_have_that_value() {
+    let Some(engine) = device() else { return };
+    let count = 1_500_000;
+    for (samples, value) in [
+        (Samples::U16(vec![60_001; count as usize]), 60_001.0),
+        (Samples::F32(vec![0.1; count as usize]), 0.1),
+        (Samples::F32(vec![-1e30; count as usize]), -1e30),
+    ] {
+        for (dims, side) in [([count / 4, 2, 2], 128), ([100, 125, 120], 7), ([100, 125, 120], 1)] {
+            let grid = Grid::new(dims, [1.0; 3]).expect("a grid");
+            let loaded = load_samples(&engine, grid, &samples, None, 0.0);
+            for mode in [OverviewMode::Mean, OverviewMode::Maximum] {
+                let (found, _) = made(&engine, &loaded.volume, mode, side);
+                assert_eq!(found.range, [value; 2], "{mode:?} of {dims:?}");
+                assert!(found.codes.iter().all(|code| *code == 1), "{mode:?} of {dims:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn values_that_rounding_alone_tells_apart_are_equal() {
+    let Some(engine) = device() else { return };
+    let noise = |i: u32| f32::from_bits(0.1f32.to_bits() + i % 3);
+    let grid = Grid::new([90, 2, 2], [1.0; 3]).expect("a grid");
+    let samples = Samples::F32((0..360).map(noise).collect());
+    let loaded = load_samples(&engine, grid, &samples, None, 0.0);
+    for mode in [OverviewMode::Mean, OverviewMode::Maximum] {
+        let (found, _) = made(&engine, &loaded.volume, mode, 90);
+        assert_eq!(found.range, [0.1; 2]);
+        assert!(found.codes.iter().all(|code| *code == 1));
     }
 }
 
