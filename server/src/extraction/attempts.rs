@@ -20,38 +20,46 @@ const MAX_REQUEST_ATTEMPTS: usize = 6;
 /// How often a job is queued again after the device was lost while it ran: a job that loses every device it runs on is given up.
 const MAX_LOSSES: usize = 1;
 
-/// Attempts at a slice of work that failed.
+/// Attempts at a job, or at slices of work, that failed.
 #[derive(Default)]
-pub(super) struct FailedSlices {
+pub(super) struct Failures {
     /// Keeps the fields that were loaded after one.
     pin: Option<pins::Pin>,
     losses: usize,
 }
 
 impl DeviceWorker {
-    /// Prepares another attempt at a slice: loads and pins fields that were not resident, or accepts that the device was lost.
+    /// Prepares another attempt: loads and pins fields that were not resident, makes histograms, or accepts that the device was lost.
     ///
     /// # Errors
     /// The failure, if another attempt would fail as well.
-    pub(super) async fn after_failed_slice(
+    pub(super) async fn after_failure(
         &self,
         volume: &VolumeStep,
         error: JobError,
-        failed: &mut FailedSlices,
+        failures: &mut Failures,
+        token: &CancellationToken,
     ) -> Result<(), WorkError> {
-        match error {
+        let prepared = match error {
             JobError::NotResident { needed, budget } => {
-                // A caller that waits for other pins holds none.
-                drop(failed.pin.take());
-                let never = CancellationToken::new();
-                failed.pin = Some(self.load_pinned(volume, needed, budget, &never).await?);
-                Ok(())
+                // A caller that waits for pins holds none, so callers cannot deadlock.
+                drop(failures.pin.take());
+                let loaded = self.load_pinned(volume, needed, budget, token).await;
+                loaded.map(|pin| failures.pin = Some(pin))
             }
-            JobError::Failed(WorkError::DeviceLost) if failed.losses < MAX_LOSSES => {
-                failed.losses += 1;
-                Ok(())
+            JobError::NeedsHistograms(keys) => {
+                // Histograms pin the fields that they are made of.
+                drop(failures.pin.take());
+                self.make_histograms(volume, keys, token).await
             }
             error => Err(error.into()),
+        };
+        match prepared {
+            Err(WorkError::DeviceLost) if failures.losses < MAX_LOSSES => {
+                failures.losses += 1;
+                Ok(())
+            }
+            prepared => prepared,
         }
     }
 
@@ -71,47 +79,19 @@ impl DeviceWorker {
             + Send
             + 'static,
     {
-        let mut _pin = None;
+        let mut failures = Failures::default();
         let attempts = match caller {
             Caller::Request => MAX_REQUEST_ATTEMPTS,
             Caller::Viewer | Caller::Cache => usize::MAX,
         };
-        let mut losses = 0;
         for _ in 0..attempts {
             let (job, step) = (job.clone(), volume.clone());
             let outcome = self.run_when_proven(token, caller, length, move |state, turn| job(state, &step, turn));
-            let failed = match outcome.await {
+            match outcome.await {
                 Ok(value) => return Ok(value),
-                Err(JobError::Failed(error)) => error,
-                Err(JobError::NotResident { needed, budget }) => {
-                    // A caller that waits for pins holds none, so callers cannot deadlock.
-                    drop(_pin.take());
-                    match self.load_pinned(volume, needed, budget, token).await {
-                        Ok(pin) => {
-                            _pin = Some(pin);
-                            continue;
-                        }
-                        Err(error) => error,
-                    }
-                }
-                Err(JobError::NeedsHistograms(keys)) => {
-                    // Histograms pin the fields that they are made of.
-                    drop(_pin.take());
-                    match self.make_histograms(volume, keys, token).await {
-                        Ok(()) => continue,
-                        Err(error) => error,
-                    }
-                }
-                Err(halt @ JobError::Unproven { .. }) => halt.into(),
-                Err(JobError::TakesLong) => {
-                    length = caller.long();
-                    continue;
-                }
-            };
-            if !matches!(failed, WorkError::DeviceLost) || losses == MAX_LOSSES {
-                return Err(failed);
+                Err(JobError::TakesLong) => length = caller.long(),
+                Err(error) => self.after_failure(volume, error, &mut failures, token).await?,
             }
-            losses += 1;
         }
         Err(WorkError::Busy)
     }

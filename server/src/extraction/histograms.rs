@@ -5,7 +5,7 @@ use isopeel_kernels::{Histogram, HistogramWork};
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
-use super::attempts::FailedSlices;
+use super::attempts::Failures;
 use super::keys::{HistogramKey, feature_keys};
 use super::lock::lock;
 use super::turns::{Caller, Length, Turn};
@@ -61,7 +61,7 @@ impl DeviceWorker {
             .await?;
         let shared_work = self.shared.unfinished.of(key);
         let mut work = shared_work.lock().await;
-        let mut failed = FailedSlices::default();
+        let mut failures = Failures::default();
         loop {
             match self.histogram_slice(volume, key, &work).await {
                 Ok((more, None)) => *work = more,
@@ -69,7 +69,7 @@ impl DeviceWorker {
                     self.shared.unfinished.forget(key);
                     return Ok(histogram);
                 }
-                Err(error) => self.after_failed_slice(volume, error, &mut failed).await?,
+                Err(error) => self.after_failure(volume, error, &mut failures, &never).await?,
             }
         }
     }

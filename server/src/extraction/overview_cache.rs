@@ -25,8 +25,17 @@ pub(super) struct OverviewKey {
 /// Overviews that are cached, and those in the making.
 pub(super) struct Overviews {
     cached: Mutex<Lru<OverviewKey, Arc<Overview>>>,
-    /// One for each key for which there are callers, 16 MiB at most.
-    unfinished: Mutex<HashMap<OverviewKey, Weak<Mutex<OverviewWork>>>>,
+    /// One for each key for which there are callers, of 24 MiB at most.
+    unfinished: Mutex<HashMap<OverviewKey, Weak<Unfinished>>>,
+}
+
+/// An overview in the making, one for all callers of a key.
+pub(super) struct Unfinished {
+    pub work: Mutex<OverviewWork>,
+    /// Locked by the caller who continues the work; the others wait for the result, or for their turn if that caller leaves.
+    pub turn: tokio::sync::Mutex<()>,
+    /// The place of the work among those that may be made at a time.
+    _place: Box<dyn Send + Sync>,
 }
 
 impl Default for Overviews {
@@ -47,16 +56,28 @@ impl Overviews {
         lock(&self.cached).insert(key, overview.codes.len() as u64, Arc::clone(overview));
     }
 
-    /// Returns the work on an overview, begun if there is none.
-    pub(super) fn work(&self, key: &OverviewKey, samples: [u32; 3]) -> Arc<Mutex<OverviewWork>> {
-        let mut works = lock(&self.unfinished);
-        works.retain(|_, work| work.strong_count() > 0);
-        if let Some(work) = works.get(key).and_then(Weak::upgrade) {
-            return work;
+    /// Returns the work on an overview. If there is none, begins it with the place that `admit` returns.
+    ///
+    /// # Errors
+    /// Those of `admit`.
+    pub(super) fn unfinished<P: Send + Sync + 'static, E>(
+        &self,
+        key: &OverviewKey,
+        samples: [u32; 3],
+        admit: impl FnOnce() -> Result<P, E>,
+    ) -> Result<Arc<Unfinished>, E> {
+        let mut all = lock(&self.unfinished);
+        all.retain(|_, unfinished| unfinished.strong_count() > 0);
+        if let Some(unfinished) = all.get(key).and_then(Weak::upgrade) {
+            return Ok(unfinished);
         }
-        let work = Arc::new(Mutex::new(OverviewWork::new(samples, key.mode, OVERVIEW_SIDE)));
-        works.insert(key.clone(), Arc::downgrade(&work));
-        work
+        let unfinished = Arc::new(Unfinished {
+            _place: Box::new(admit()?),
+            work: Mutex::new(OverviewWork::new(samples, key.mode, OVERVIEW_SIDE)),
+            turn: tokio::sync::Mutex::default(),
+        });
+        all.insert(key.clone(), Arc::downgrade(&unfinished));
+        Ok(unfinished)
     }
 }
 
@@ -75,14 +96,26 @@ mod tests {
     }
 
     #[test]
-    fn callers_share_work_that_ends_with_the_last_of_them() {
+    fn callers_share_work_and_its_place_which_end_with_the_last_of_them() {
         let overviews = Overviews::default();
-        let first = overviews.work(&key("density"), [5, 6, 7]);
-        assert!(Arc::ptr_eq(&first, &overviews.work(&key("density"), [5, 6, 7])));
-        assert!(!Arc::ptr_eq(&first, &overviews.work(&key("2*density"), [5, 6, 7])));
+        let place = Arc::new(());
+        let admitted = |field: &str| {
+            let admit = || Ok::<_, String>(Arc::clone(&place));
+            overviews.unfinished(&key(field), [5, 6, 7], admit).expect("a place")
+        };
+        let refused = |field: &str| {
+            let admit = || Err::<(), _>("no place".to_owned());
+            overviews.unfinished(&key(field), [5, 6, 7], admit)
+        };
+        let first = admitted("density");
+        assert!(Arc::ptr_eq(&first, &refused("density").expect("the same work")));
+        assert_eq!(refused("2*density").err().as_deref(), Some("no place"));
+        assert!(!Arc::ptr_eq(&first, &admitted("2*density")));
         assert_eq!(lock(&overviews.unfinished).len(), 2);
+        assert_eq!(Arc::strong_count(&place), 2);
         drop(first);
-        overviews.work(&key("3*density"), [5, 6, 7]);
+        assert_eq!(Arc::strong_count(&place), 1);
+        admitted("3*density");
         assert_eq!(lock(&overviews.unfinished).len(), 1);
     }
 

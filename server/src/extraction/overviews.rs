@@ -1,15 +1,15 @@
 //! Volumes at a low resolution, made a slice of work at a time between other jobs.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use isopeel_kernels::{Overview, OverviewMode, OverviewWork};
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
-use super::attempts::FailedSlices;
+use super::attempts::Failures;
 use super::keys::VolumeKey;
 use super::lock::lock;
-use super::overview_cache::OverviewKey;
+use super::overview_cache::{OverviewKey, Unfinished};
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
@@ -18,16 +18,18 @@ use crate::{metrics, pool};
 
 impl DeviceWorker {
     /// Returns a field, or an expression over fields, at a low resolution. Loads or computes it if it is not on the device. Cached. Dropping
-    /// the future ends the work.
+    /// the future ends the work, unless there are other callers of the same. `admit` returns a place among the overviews that may be made at a
+    /// time; it is called for one that is neither cached nor in the making.
     ///
     /// # Errors
-    /// [`WorkError`], but never `Cancelled`.
-    pub async fn overview(
+    /// [`WorkError`], but never `Cancelled`; those of `admit`.
+    pub async fn overview<P: Send + Sync + 'static, E: From<WorkError>>(
         &self,
         volume: &VolumeStep,
         field: &str,
         mode: OverviewMode,
-    ) -> Result<Arc<Overview>, WorkError> {
+        admit: impl FnOnce() -> Result<P, E>,
+    ) -> Result<Arc<Overview>, E> {
         let key = OverviewKey {
             volume: VolumeKey::new(volume, field, false),
             mode,
@@ -38,9 +40,15 @@ impl DeviceWorker {
         if let Some(overview) = cached {
             return Ok(overview);
         }
-        let work = overviews.work(&key, volume.dataset().geometry.dims);
-        self.work_on_overview(volume, &key.volume, &work).await?;
-        let complete = pool::run(move || lock(&work).complete()).await;
+        let unfinished = overviews.unfinished(&key, volume.dataset().geometry.dims, admit)?;
+        let _turn = unfinished.turn.lock().await;
+        // Another caller may have finished it meanwhile.
+        if let Some(overview) = overviews.cached(&key) {
+            return Ok(overview);
+        }
+        self.work_on_overview(volume, &key.volume, &unfinished).await?;
+        let finished = Arc::clone(&unfinished);
+        let complete = pool::run(move || lock(&finished.work).complete()).await;
         let overview = Arc::new(complete.ok().flatten().ok_or(WorkError::Stopped)?);
         overviews.keep(key, &overview);
         Ok(overview)
@@ -50,7 +58,7 @@ impl DeviceWorker {
         &self,
         volume: &VolumeStep,
         key: &VolumeKey,
-        work: &Arc<Mutex<OverviewWork>>,
+        unfinished: &Arc<Unfinished>,
     ) -> Result<(), WorkError> {
         let never = CancellationToken::new();
         let own = key.clone();
@@ -59,14 +67,15 @@ impl DeviceWorker {
         };
         self.with_volumes(volume, &never, Caller::Request, Length::Short, require)
             .await?;
-        let mut failed = FailedSlices::default();
+        let mut failures = Failures::default();
         loop {
-            let (volume_step, key, work) = (volume.clone(), key.clone(), Arc::clone(work));
-            let slice = move |state: &mut WorkerState| state.continue_overview(&volume_step, &key, &mut lock(&work));
+            let (volume_step, key, own) = (volume.clone(), key.clone(), Arc::clone(unfinished));
+            let slice =
+                move |state: &mut WorkerState| state.continue_overview(&volume_step, &key, &mut lock(&own.work));
             match self.run_slice(Caller::Request, slice).await {
                 Ok(true) => return Ok(()),
                 Ok(false) => {}
-                Err(error) => self.after_failed_slice(volume, error, &mut failed).await?,
+                Err(error) => self.after_failure(volume, error, &mut failures, &never).await?,
             }
         }
     }

@@ -36,6 +36,8 @@ use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
 use utoipa::{Modify, OpenApi};
@@ -86,7 +88,7 @@ const SLICES: SeatLimits = SeatLimits {
     reserve: 1,
 };
 
-/// Overviews that are made at a time, up to 16 MiB each until they are complete. A viewer that steps through time asks for one after another.
+/// Overviews that are made at a time, up to 24 MiB each until they are complete. Equal requests share one. A viewer that steps through time asks for one after another.
 const OVERVIEWS: SeatLimits = SeatLimits {
     what: "overviews that are being made",
     all: 6,
@@ -251,6 +253,13 @@ pub fn metrics_router(state: ApiState) -> Router {
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
         .with_state(state)
+}
+
+/// Reads a whole number of a query.
+fn whole_number<'de, D: Deserializer<'de>>(from: D) -> Result<u32, D::Error> {
+    let text = String::deserialize(from)?;
+    text.parse()
+        .map_err(|_| D::Error::custom(format!("{text:?}, expected a whole number, 0 to {}", u32::MAX)))
 }
 
 /// The answer to a request whose handler panicked.

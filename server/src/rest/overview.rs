@@ -10,10 +10,10 @@ use isopeel_kernels::OverviewMode;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use super::ApiState;
 use super::content_encoding::ContentEncoding;
 use super::extract::File;
 use super::slices::{ascii_header, field_of};
+use super::{ApiState, whole_number};
 use crate::access::{Identity, Occupant};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
@@ -24,6 +24,7 @@ pub const OVERVIEW_HEADER: HeaderName = HeaderName::from_static("isopeel-overvie
 /// What stands for the samples of a block.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
+#[schema(default = "mean")]
 pub enum Mode {
     /// Their mean.
     #[default]
@@ -47,7 +48,7 @@ impl From<Mode> for OverviewMode {
 #[into_params(parameter_in = Query)]
 pub struct OverviewQuery {
     /// Time step.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole_number")]
     step: u32,
     /// Name of the field, or an expression over some; left out: the first.
     field: Option<String>,
@@ -74,8 +75,9 @@ struct OverviewInfo<'a> {
 }
 
 /// The volume at a low resolution: a byte for each block of samples, x fastest, at most 128 along each axis. 1 stands for the smallest value, 255 for
-/// the largest, those between are linear, and 0 is a block without a finite sample. The header `isopeel-overview` of the answer has the
-/// range of the values, their number along each axis, and the samples of a block. Reads the volume the first time.
+/// the largest, those between are linear, and 0 is a block whose samples are all missing or not finite; other blocks leave such samples out. The
+/// header `isopeel-overview` of the answer has the range of the values, their number along each axis, and the samples of a block. Reads the
+/// volume the first time.
 #[utoipa::path(
     get,
     path = "/api/v1/volumes/{id}/overview",
@@ -104,10 +106,12 @@ pub async fn overview(
     let (Path(id), Query(query)) = (id?, query?);
     let volume = state.volume(&who, &id, query.step)?;
     let field = field_of(&volume, query.field.as_deref())?;
-    let seat = state.overviews.take(Occupant::from(&who));
-    let _seat = seat.map_err(|none| ApiError::busy(none.to_string()))?;
     let worker = state.worker_for(&who);
-    let found = worker.overview(&volume, &field.name, query.mode.into()).await;
+    let admit = || {
+        let seat = state.overviews.take(Occupant::from(&who));
+        seat.map_err(|none| ApiError::busy(none.to_string()))
+    };
+    let found = worker.overview(&volume, &field.name, query.mode.into(), admit).await;
     let overview = found.map_err(|error| state.failed_on(&who, &volume, error))?;
     let info = ascii_header(&OverviewInfo {
         field: &field.name,

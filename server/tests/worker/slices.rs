@@ -13,6 +13,11 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{ALONE, dataset, field, view};
 
+/// Admits any overview.
+fn admit() -> Result<(), WorkError> {
+    Ok(())
+}
+
 /// Samples along each axis of the large volume.
 const SIDE: usize = 256;
 
@@ -131,15 +136,17 @@ async fn others_work_while_an_overview_of_a_large_volume_is_made() {
     let volumes = Volumes::start(DeviceOptions::unchecked(None)).await;
     let Volumes { worker, large, .. } = &volumes;
     let (jobs, overview) = volumes
-        .jobs_beside(worker.overview(large, "waves", OverviewMode::Mean))
+        .jobs_beside(worker.overview(large, "waves", OverviewMode::Mean, admit))
         .await;
     let overview = overview.expect("an overview");
     assert_eq!((overview.dims, overview.factors), ([128; 3], [2; 3]));
     assert!(jobs >= 2, "{jobs} jobs of others while an overview was made");
-    let again = worker.overview(large, "waves", OverviewMode::Mean).await;
+    let again = worker.overview(large, "waves", OverviewMode::Mean, admit).await;
     assert!(Arc::ptr_eq(&overview, &again.expect("it is cached")));
-    let maxima = worker.overview(large, "waves", OverviewMode::Maximum).await;
+    let maximum = || worker.overview(large, "waves", OverviewMode::Maximum, admit);
+    let (maxima, same) = tokio::join!(maximum(), maximum());
     let maxima = maxima.expect("another one");
+    assert!(Arc::ptr_eq(&maxima, &same.expect("the same one")));
     let decoded = |overview: &Overview, code: u8| {
         let [lo, hi] = overview.range;
         lo + (hi - lo) * (f32::from(code) - 1.0) / 254.0
