@@ -103,7 +103,7 @@ pub enum ExtractError {
 pub fn run(args: &Args) -> Result<(), ExtractError> {
     let format = args.format()?;
     let input = InputPath::new(&args.path)?;
-    let (dataset, others) = args.volumes(input.path())?;
+    let (dataset, others) = args.volumes(&input)?;
     let request = args.surface.request(format, args.step)?;
     let volume = VolumeStep::new(dataset, args.step)?;
     let surfaces = request.surfaces(&volume, &others)?;
@@ -247,7 +247,7 @@ impl Args {
     }
 
     /// The volume, and those that surfaces name by their paths.
-    fn volumes(&self, path: &Path) -> Result<(Arc<Dataset>, OtherVolumes), ExtractError> {
+    fn volumes(&self, input: &InputPath) -> Result<(Arc<Dataset>, OtherVolumes), ExtractError> {
         let open = |path: &Path, revision| {
             let mut dataset = open_dataset(path)?;
             dataset.set_frame(self.frame);
@@ -262,7 +262,8 @@ impl Args {
                 others.insert(path.to_owned(), open(Path::new(path), revision)?);
             }
         }
-        Ok((open(path, 0)?, others))
+        let own = open(input.path(), 0).map_err(|error| input.named(error))?;
+        Ok((own, others))
     }
 }
 

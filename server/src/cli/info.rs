@@ -197,7 +197,8 @@ fn axis_lines(dataset: &Dataset) -> Vec<String> {
         let (name, letter) = (&scale.name, ["x", "y", "z"][axis]);
         Some(format!(
             "  along {letter}     {name}{kind}: {} to {}{unit}",
-            first?, last?
+            number(rounded(first?)),
+            number(rounded(last?))
         ))
     };
     (0..3).filter_map(line).collect()
@@ -293,11 +294,15 @@ impl FieldReport {
     }
 }
 
-/// Formats three numbers with eight digits: numbers computed in single precision have noise behind them.
+/// Formats three numbers with eight digits.
 fn triple(values: [f64; 3]) -> String {
-    // Cannot fail: a number with an exponent is a number.
-    let rounded = |v: f64| format!("{v:.7e}").parse().unwrap_or(v);
     values.map(|v| number(rounded(v))).join(" ")
+}
+
+/// Rounds a number to eight digits: numbers computed in single precision have noise behind them. -0 becomes 0.
+fn rounded(value: f64) -> f64 {
+    // Cannot fail: a number with an exponent is a number.
+    format!("{value:.7e}").parse().unwrap_or(value) + 0.0
 }
 
 /// Formats a number in full, or with a power of ten if that would be a row of zeros.
@@ -337,7 +342,10 @@ fn sparkline(bins: &[u64]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::volumes::{AxisScale, testing};
 
     fn write_volume(folder: &Path) -> std::path::PathBuf {
         let path = folder.join("ramp.nrrd");
@@ -384,6 +392,23 @@ mod tests {
                 && text.contains("\"level\" is not even"),
             "{text}"
         );
+    }
+
+    #[test]
+    fn positions_have_neither_noise_nor_a_negative_zero() {
+        let axis = |positions: Option<Vec<f64>>| AxisScale {
+            name: "depth".to_owned(),
+            unit: Some("m".to_owned()),
+            kind: AxisKind::Depth,
+            points_down: positions.is_none(),
+            positions,
+        };
+        let noisy = axis(Some(vec![f64::from(0.1f32), f64::from(0.5f32), 1.0]));
+        let mut dataset = testing::dataset("sea", [3, 3, 3], &["salt"]);
+        dataset.axes = Some(Arc::new([Some(noisy), None, Some(axis(None))]));
+        let lines = axis_lines(&dataset);
+        assert_eq!(lines[0], "  along x     depth (depth): 0.1 to 1 m");
+        assert_eq!(lines[1], "  along z     depth (depth): 0 to -2 m");
     }
 
     #[test]

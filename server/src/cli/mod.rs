@@ -159,11 +159,15 @@ pub fn run(cli: Cli) -> Result<(), BoxError> {
         Command::Batch(args) => Ok(args.device.or_again(batch::run(&args))?),
         Command::Info(InfoArgs { path, json }) => {
             let (mut text, input) = (Vec::new(), InputPath::new(&path)?);
-            if json {
-                info::run_json(input.path(), &mut text)?;
+            let informed = if json {
+                info::run_json(input.path(), &mut text)
             } else {
-                info::run(input.path(), &mut text)?;
-            }
+                info::run(input.path(), &mut text)
+            };
+            informed.map_err(|error| match error {
+                info::InfoError::Read(error) => info::InfoError::Read(input.named(error)),
+                error => error,
+            })?;
             Ok(print(&text)?)
         }
         Command::Devices(args) => devices::run(&args),

@@ -15,7 +15,7 @@ const STDIN: &str = "-";
 /// A path that was named; stdin is kept in a file as long as this is.
 pub(super) struct InputPath {
     path: PathBuf,
-    _folder: Option<TempDir>,
+    folder: Option<TempDir>,
 }
 
 impl InputPath {
@@ -27,7 +27,7 @@ impl InputPath {
         if path != Path::new(STDIN) {
             return Ok(Self {
                 path: path.to_owned(),
-                _folder: None,
+                folder: None,
             });
         }
         Self::spool().map_err(|error| ReadError::io(path, "stdin", "cannot be read", error))
@@ -55,11 +55,19 @@ impl InputPath {
         rustix::stdio::dup2_stdin(File::open(&path)?)?;
         Ok(Self {
             path,
-            _folder: Some(folder),
+            folder: Some(folder),
         })
     }
 
     pub(super) fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Returns an error with `stdin` in place of the name of its file.
+    pub(super) fn named(&self, error: ReadError) -> ReadError {
+        match &self.folder {
+            Some(folder) if error.path.starts_with(folder.path()) => error.in_folder(folder.path()),
+            _ => error,
+        }
     }
 }

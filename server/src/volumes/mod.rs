@@ -483,11 +483,27 @@ impl ReadError {
     /// Returns the message for a client: without the folder of the file.
     pub fn without_folder(&self) -> String {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        let why = match self.path.parent().map(|folder| format!("{}/", folder.display())) {
-            Some(folder) if folder.len() > 1 => self.why.replace(&folder, ""),
-            _ => self.why.clone(),
-        };
+        let why = self
+            .path
+            .parent()
+            .map_or(self.why.clone(), |folder| self.why_in(folder));
         format!("{name}: {}: {why}", self.field)
+    }
+
+    /// Returns the error with paths relative to a folder.
+    #[must_use]
+    pub fn in_folder(self, folder: &Path) -> Self {
+        let path = self.path.strip_prefix(folder).unwrap_or(&self.path).to_owned();
+        let why = self.why_in(folder);
+        Self { path, why, ..self }
+    }
+
+    fn why_in(&self, folder: &Path) -> String {
+        let folder = format!("{}/", folder.display());
+        match folder.len() {
+            2.. => self.why.replace(&folder, ""),
+            _ => self.why.clone(),
+        }
     }
 
     /// Whether the server's disk lacked space: no fault of the file.
