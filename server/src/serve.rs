@@ -263,10 +263,21 @@ fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
         .layer(set(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")))
         .layer(set(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")))
         .layer(CompressionLayer::new().compress_when(compress))
+        .layer(middleware::map_request(accept_plain))
         .layer(CatchPanicLayer::new())
         // Failures are logged with their causes when the answer is made.
         .layer(middleware::from_fn(count))
         .layer(TraceLayer::new_for_http().make_span_with(request_span).on_failure(()))
+}
+
+/// Adds `identity` as the last choice to `Accept-Encoding`. Otherwise the compression layer changes the status of an answer to 406 if the client
+/// accepts none of its own encodings, also if the answer is already encoded as the client wants it.
+async fn accept_plain(mut request: Request<Body>) -> Request<Body> {
+    let headers = request.headers_mut();
+    if headers.contains_key(header::ACCEPT_ENCODING) {
+        headers.append(header::ACCEPT_ENCODING, HeaderValue::from_static("identity;q=0.001"));
+    }
+    request
 }
 
 /// Leaves out the query, which may contain a ticket.

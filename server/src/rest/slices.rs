@@ -8,12 +8,13 @@ use isopeel_kernels::SampleType;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use super::ApiState;
 use super::extract::File;
+use super::{ApiState, whole_number};
 use crate::access::{Identity, Occupant};
 use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, isovalues, shown_slice};
 use crate::pool;
 use crate::problem::{ApiError, Problem};
+use crate::view::FieldExpression;
 use crate::volumes::{Field, VolumeStep};
 
 /// Header with the type of a slice's samples and their positions, JSON in ASCII ([`SliceInfo`]).
@@ -28,9 +29,10 @@ pub struct SliceQuery {
     #[param(inline)]
     axis: Axis,
     /// Which plane along it, from 0 on.
+    #[serde(deserialize_with = "whole_number")]
     index: u32,
     /// Time step.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole_number")]
     step: u32,
     /// Name of the field, or an expression over some; left out: the first.
     field: Option<String>,
@@ -142,8 +144,13 @@ pub(super) fn field_of(volume: &VolumeStep, name: Option<&str>) -> Result<Field,
     };
     found.ok_or_else(|| {
         let (name, names) = (name.unwrap_or_default(), dataset.field_names());
+        let mistake = match FieldExpression::may_be(name) {
+            true => FieldExpression::parse(name, &names, "field").err(),
+            false => None,
+        };
+        let mistake = mistake.map_or(String::new(), |error| format!(". As an expression: {}", error.why));
         let message = format!(
-            "volume {:?} has no field {name:?}, expected an expression or one of {names:?}",
+            "volume {:?} has no field {name:?}, expected an expression or one of {names:?}{mistake}",
             dataset.id
         );
         ApiError::new(StatusCode::NOT_FOUND, "unknown-field", message)

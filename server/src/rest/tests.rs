@@ -198,7 +198,7 @@ async fn slices_that_are_not_there_are_refused_before_any_work() {
         ("", "missing field `axis`"),
         ("axis=w&index=0", "unknown variant `w`"),
         ("axis=x", "missing field `index`"),
-        ("axis=x&index=-1", "invalid digit"),
+        ("axis=x&index=-1", "index: \"-1\", expected a whole number"),
         ("axis=x&index=0&format=jpg", "unknown variant `jpg`"),
         ("axis=x&index=0&colour=red", "unknown field `colour`"),
         ("axis=x&index=0&format=png&window=wide", "invalid float"),

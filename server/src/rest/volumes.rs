@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use super::ApiState;
+use super::{ApiState, whole_number};
 use crate::access::Identity;
 use crate::extraction::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_expression};
 use crate::problem::{ApiError, Problem};
@@ -96,7 +96,7 @@ pub async fn unreadable(State(state): State<ApiState>) -> Json<Vec<UnreadablePat
 #[into_params(parameter_in = Query)]
 pub struct StepQuery {
     /// Time step that ranges and histograms are made of.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole_number")]
     step: u32,
 }
 
@@ -139,7 +139,7 @@ pub struct ExpressionQuery {
     /// An expression over the volume's fields, such as `log(rho)`, or a distance, such as `distance(labels==3)`.
     expression: String,
     /// Time step that range and histogram are made of.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole_number")]
     step: u32,
     /// It is being typed: a mistake is an answer, a problem document with status 200, which browsers do not log as an error.
     #[serde(default)]

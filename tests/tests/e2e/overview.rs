@@ -79,6 +79,13 @@ fn overviews_are_compressed_for_clients_that_take_it_and_wrong_requests_are_prob
     let zipped = http::send(address, "GET", &path, &[("accept-encoding", "zstd")], &[]).expect("an answer");
     assert_eq!((zipped.status, zipped.header("content-encoding")), (200, "zstd"));
     assert_eq!(zipped.header("isopeel-overview"), plain.header("isopeel-overview"));
+    let only = [("accept-encoding", "zstd, identity;q=0")];
+    let only_zipped = http::send(address, "GET", &path, &only, &[]).expect("an answer");
+    assert_eq!(
+        (only_zipped.status, only_zipped.header("content-encoding")),
+        (200, "zstd")
+    );
+    assert!(only_zipped.body == zipped.body);
     assert!(
         zipped.body.len() * 3 < plain.body.len() * 2,
         "{} of {}",
@@ -93,4 +100,36 @@ fn overviews_are_compressed_for_clients_that_take_it_and_wrong_requests_are_prob
     ] {
         assert_eq!(http::get(address, &path).problem(status), code, "{path}");
     }
+    let problem = |query: &str| {
+        let answer = http::get(address, &format!("{path}?{query}"));
+        serde_json::from_slice::<serde_json::Value>(&answer.body).expect("JSON")["detail"].to_string()
+    };
+    let mistake = problem("field=t1%2B");
+    assert!(
+        mistake.contains("As an expression: ") && mistake.contains("character"),
+        "{mistake}"
+    );
+    for query in ["step=NaN", "step=-1"] {
+        let detail = problem(query);
+        let value = &query["step=".len()..];
+        assert!(
+            detail.contains(&format!("step: {value:?}, expected a whole number").replace('"', "\\\"")),
+            "{detail}"
+        );
+    }
+}
+
+#[test]
+fn equal_requests_for_an_overview_share_one_place() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("ramp.npy");
+    ball::write_field(&file, [200, 200, 200], value);
+    let Some(own) = server::start_with_volumes(std::slice::from_ref(&file)) else {
+        return;
+    };
+    let address = own.address;
+    let ask = move || http::get(address, "/api/v1/volumes/ramp/overview").status;
+    let requests: Vec<_> = (0..12).map(|_| std::thread::spawn(ask)).collect();
+    let statuses: Vec<u16> = requests.into_iter().map(|one| one.join().expect("an answer")).collect();
+    assert_eq!(statuses, [200; 12]);
 }
