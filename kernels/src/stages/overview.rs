@@ -200,8 +200,8 @@ pub fn step(cx: &Context, volume: &Volume, work: &mut OverviewWork) -> Result<()
     // A block may lie in two slabs, each of which has some of its planes.
     let [first, end] = [planes.start / depth * height, planes.end.div_ceil(depth) * height];
     let row = first + next;
-    let most = cx.limit_bytes / (u64::from(width) * size_of::<[f32; 2]>() as u64);
-    let rows = work.pace.units().min(u64::from(end - row)).min(most.max(1)) as u32;
+    let max_rows = cx.limit_bytes / (u64::from(width) * size_of::<[f32; 2]>() as u64);
+    let rows = work.pace.units().min(u64::from(end - row)).min(max_rows.max(1)) as u32;
     let count = rows * width;
     let args = OverviewArgs {
         grid: volume.layout(),
