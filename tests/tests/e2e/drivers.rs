@@ -119,7 +119,7 @@ fn a_driver_whose_compiler_fails_is_a_sentence() {
 #[test]
 fn a_device_without_memory_is_a_sentence() {
     let Some(broken) = Broken::new("full 1000") else { return };
-    says(&broken.check(), &["FAILS", "device memory"]);
+    says(&broken.check(), &["FAILS", "the driver ran out of memory in stage", "bytes"]);
 }
 
 #[test]
