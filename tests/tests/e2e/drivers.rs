@@ -119,7 +119,10 @@ fn a_driver_whose_compiler_fails_is_a_sentence() {
 #[test]
 fn a_device_without_memory_is_a_sentence() {
     let Some(broken) = Broken::new("full 1000") else { return };
-    says(&broken.check(), &["FAILS", "the driver ran out of memory in stage", "bytes"]);
+    says(
+        &broken.check(),
+        &["FAILS", "the driver ran out of memory in stage", "bytes"],
+    );
 }
 
 #[test]
