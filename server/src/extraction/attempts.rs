@@ -20,10 +20,10 @@ const MAX_REQUEST_ATTEMPTS: usize = 6;
 /// How often a job is queued again after the device was lost while it ran: a job that loses every device it runs on is given up.
 const MAX_LOSSES: usize = 1;
 
-/// Attempts at a job, or at slices of work, that failed.
+/// What earlier attempts at a job, or at slices of work, leave to the next one.
 #[derive(Default)]
 pub(super) struct Failures {
-    /// Keeps the fields that were loaded after one.
+    /// Keeps the fields that were loaded for the next attempt.
     pin: Option<pins::Pin>,
     losses: usize,
 }

@@ -17,7 +17,8 @@ pub(super) enum Decided {
     },
 }
 
-/// Returns the one of two refusals of a view that asks for less: of the cut of the tree, if there is a tree, and of the cut of cubes.
+/// Returns the milder of two refusals of a view: that of the tree's cut, if there is a tree, or that of the cut of cubes. The milder one
+/// accepts a view with a smaller budget.
 pub(super) fn lesser(tree: Option<WorkError>, cubes: WorkError) -> WorkError {
     match (&tree, &cubes) {
         (Some(WorkError::OverBudget { minimum, .. }), WorkError::OverBudget { minimum: of_cubes, .. })
@@ -28,7 +29,7 @@ pub(super) fn lesser(tree: Option<WorkError>, cubes: WorkError) -> WorkError {
                 triangles: of_cubes, ..
             },
         ) if triangles < of_cubes => {}
-        // A larger budget would be accepted; no budget makes a surface smaller than the limit that an error asks to be larger.
+        // With a larger budget the tree's cut is accepted; the cut of cubes exceeds the limit whatever the budget.
         (Some(WorkError::OverBudget { .. }), WorkError::TooManyTriangles { .. }) => {}
         _ => return cubes,
     }

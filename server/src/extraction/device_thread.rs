@@ -63,7 +63,7 @@ pub struct Choice {
     pub tuning: Option<Tuning>,
     /// Whether its user trusts it without a check.
     pub is_trusted: bool,
-    /// Programs that a check which still runs has proven; no others are run, except those of a first surface.
+    /// If the check still runs: the programs that have passed it. Only these and the programs of a first surface are run.
     pub proven: Option<Arc<Proven>>,
 }
 
@@ -175,7 +175,7 @@ impl DeviceThread {
         let engine = loop {
             match self.open(&choice) {
                 Ok(engine) => break engine,
-                Err(error) if self.is_patient && !error.is_wrong() && !waiting.is_closed() => self.not_yet(&error),
+                Err(error) if self.is_patient && !error.is_wrong() && !waiting.is_closed() => self.report_lost(&error),
                 Err(error) => {
                     // Sent before the queue is dropped, so that the callers of waiting jobs find it.
                     self.state.send_replace(DeviceState::Failed(Arc::new(error)));
@@ -240,7 +240,8 @@ impl DeviceThread {
         });
     }
 
-    fn not_yet(&self, error: &OpenError) {
+    /// Reports that the device is lost, because an attempt to open it again has failed.
+    fn report_lost(&self, error: &OpenError) {
         tracing::error!(
             error = crate::error::chain(error),
             "the device cannot be opened again so far"
@@ -286,7 +287,7 @@ impl DeviceThread {
                     );
                     self.state.send_replace(DeviceState::Spoiled);
                 }
-                Err(error) => self.not_yet(&error),
+                Err(error) => self.report_lost(&error),
             }
             if !queue.drop_waiting() {
                 return;
@@ -299,7 +300,7 @@ impl DeviceThread {
 /// Drops what belongs to a lost device. A panic of its driver is logged and otherwise ignored: no caller could act on it.
 fn discard(work: impl FnOnce()) {
     if catch_unwind(AssertUnwindSafe(work)).is_err() {
-        tracing::warn!("the driver of the lost device did not take back all that it had given");
+        tracing::warn!("the driver of the lost device did not free all its objects");
     }
 }
 

@@ -67,7 +67,7 @@ impl Extractor {
         self.worker.count(volume, view, token).await
     }
 
-    /// A step from the surface that a client shows to that of a view.
+    /// Makes the next step on the way from the surface that a client shows to the surface of a view.
     ///
     /// # Errors
     /// [`WorkError::TooManyTriangles`] if the final surface exceeds the ceiling, and the device's errors.
@@ -234,7 +234,7 @@ impl Extractor {
                 made => made?,
             };
             let Some(fitted) = extraction.view.fitted else { break };
-            // The full surface, one that an error decides, or the smallest.
+            // Another budget leads to the same surface: the full one, one that an error decides, or the smallest.
             let is_same = |other: &Fitted| (other.threshold, other.topology) == (fitted.threshold, fitted.topology);
             if made.iter().any(is_same) {
                 break;

@@ -1,4 +1,5 @@
-//! Overviews that are cached, and those in the making, which their callers share. What is in the making is dropped with the last of them.
+//! Cache of overviews, and the overviews that are being made. All callers that ask for one overview share the work on it; the work ends when
+//! the last of them leaves.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, Weak};
@@ -22,14 +23,14 @@ pub(super) struct OverviewKey {
     pub mode: OverviewMode,
 }
 
-/// Overviews that are cached, and those in the making.
+/// Overviews that are cached, and those that are being made.
 pub(super) struct Overviews {
     cached: Mutex<Lru<OverviewKey, Arc<Overview>>>,
-    /// One for each key for which there are callers, of 24 MiB at most.
+    /// The work on each key that has callers, of 24 MiB at most for each.
     unfinished: Mutex<HashMap<OverviewKey, Weak<Unfinished>>>,
 }
 
-/// An overview in the making, one for all callers of a key.
+/// Work on an overview, shared by all callers of its key.
 pub(super) struct Unfinished {
     pub work: Mutex<OverviewWork>,
     /// Locked by the caller who continues the work; the others wait for the result, or for their turn if that caller leaves.

@@ -73,7 +73,7 @@ impl OnDevice<'_> {
             return Ok(Some(tree));
         }
         metrics::looked_up("tree", false);
-        if !self.pauses && !self.builds_tree_soon() {
+        if !self.yields && !self.builds_tree_soon() {
             return Err(JobError::TakesLong);
         }
         let tree = match self.engine.build_tree(self.volume, self.pyramid, params, cancel) {

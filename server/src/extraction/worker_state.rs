@@ -83,22 +83,22 @@ pub(super) fn no_finite_sample() -> WorkError {
     })
 }
 
-/// Inputs of a job on a view.
+/// What a job on a view uses on the device: its volume, its pyramid and the caches.
 pub(super) struct OnDevice<'a> {
     pub engine: &'a Engine,
     /// These two are borrowed only for a moment: other jobs use them while this job yields.
     pub cuts: &'a RefCell<Cuts>,
     pub trees: &'a RefCell<Trees>,
-    /// Of the pyramid and its tree.
+    /// Key of the pyramid and its tree.
     pub key: PyramidKey,
     pub volume: &'a Volume,
     pub pyramid: &'a Pyramid,
     /// Whether the pyramid was cached before the job.
     was_cached: bool,
     /// Whether the job yields, so that it may take long.
-    pub pauses: bool,
+    pub yields: bool,
     aside: &'a Aside,
-    /// Of the view as it was before the job.
+    /// Parameters of the view as it was before the job.
     pub params: CutParams,
     /// Smallest spacing: the unit of lengths on the device, world units.
     pub smallest: f64,
@@ -388,7 +388,7 @@ impl WorkerState {
     }
 
     /// Runs `work` with the volume and the pyramid of a view. If the device runs out of memory, caches are freed and it runs once more. The
-    /// volumes of a long job are pinned, if there is space for them beside those that are.
+    /// volumes of a long job are pinned, if there is space for them beside the volumes that are pinned already.
     pub(super) fn with_pyramid<T>(
         &mut self,
         volume: &VolumeStep,
@@ -461,7 +461,7 @@ impl WorkerState {
             volume: &shown_volume,
             pyramid: &pyramid,
             was_cached: is_cached,
-            pauses: turn.others.is_some(),
+            yields: turn.others.is_some(),
             aside: &aside,
             params,
             smallest,

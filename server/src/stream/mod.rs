@@ -46,7 +46,7 @@ const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 /// default is 128 KiB, for servers to which much is sent.
 const READ_BUFFER_BYTES: usize = 4 << 10;
 
-/// State that all sessions share; clones are cheap.
+/// What sessions share with each other: viewers, surfaces and groups. Clones are cheap.
 #[derive(Clone)]
 struct Common {
     viewers: Viewers,
@@ -65,7 +65,7 @@ impl Common {
     }
 }
 
-/// State of the stream that all connections share; clones are cheap.
+/// State of the route `/stream`, one for all connections. Clones are cheap.
 #[derive(Clone)]
 pub struct StreamState<B> {
     backend: B,

@@ -52,7 +52,7 @@ pub(super) struct Changes {
 /// The part of a prefix that is sent for a region.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Part {
-    /// The mesh of a step's region, by its number there.
+    /// The mesh of a region, by the index of the region in the step.
     Made(usize),
     /// The region has no mesh any more.
     Gone([u32; 3]),
@@ -142,7 +142,7 @@ fn differences(step: Arc<SharedStep>, held: &HeldRegions, coding: Coding) -> Cha
     }
 }
 
-/// Takes the next batch off the end of a step's `parts`, the last one first. At least one, while there is one.
+/// Takes the next batch from the end of a step's `parts`, in reverse order: at least one part if any is left.
 pub(super) fn take_batch(step: &SharedStep, parts: &mut Vec<Part>) -> Vec<Part> {
     take_batch_for(rayon::current_num_threads(), |part| part.triangles(step), parts)
 }
@@ -186,7 +186,7 @@ pub(super) async fn encode(
     .await?
 }
 
-/// Encodes the errors of those regions that the client holds as they are, in parallel.
+/// Encodes the errors of the regions of which the client holds the current mesh, in parallel.
 pub(super) async fn encode_errors(
     errors: Vec<VertexErrors>,
     held: Arc<HeldRegions>,

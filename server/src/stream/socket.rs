@@ -25,7 +25,8 @@ const INBOX: usize = 16;
 /// small frames share a write to the network.
 const OUTGOING: usize = 32;
 
-/// Bytes of frames, beside a last frame, that are sent within one deadline. A line that takes fewer in that time is too slow to use.
+/// Maximum bytes of small frames that are written together, under one deadline; a last frame may exceed it. A line that takes fewer bytes in
+/// that time is too slow to use.
 const TOGETHER_BYTES: usize = 64 << 10;
 
 /// Maximum messages that are read per [`WINDOW`], pings and pongs included: several times those of a slider that is dragged on a fast
@@ -44,7 +45,7 @@ const TOKEN_GRACE: Duration = Duration::from_secs(2);
 /// Deadlines of a connection.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadlines {
-    /// For a frame, or some small ones, to be taken by the network.
+    /// For one write: a frame, or several small ones.
     pub send: Duration,
     /// Between two pings.
     pub ping: Duration,

@@ -41,7 +41,7 @@ pub(in crate::stream) struct OthersFirst(watch::Receiver<usize>);
 
 impl OthersFirst {
     /// Returns when no member waits for a first step any more, but no later than after [`LONGEST_WAIT`].
-    pub(in crate::stream) async fn made(mut self) {
+    pub(in crate::stream) async fn wait(mut self) {
         // The event that woke this member wakes others as well: let them begin to wait first.
         yield_now().await;
         // If it takes longer, or the group has ended, only the order is lost.
@@ -102,21 +102,21 @@ mod tests {
         };
         let leader = groups.lead("1".into(), who).expect("a group");
         let follower = groups.join("1", None, false).expect("space");
-        assert!(is_ready(&mut pin!(leader.others_first().made())).await, "nobody waits");
+        assert!(is_ready(&mut pin!(leader.others_first().wait())).await, "nobody waits");
 
         let (one, other) = (leader.first_step(), follower.first_step());
-        let mut made = pin!(leader.others_first().made());
-        assert!(!is_ready(&mut made).await);
+        let mut wait = pin!(leader.others_first().wait());
+        assert!(!is_ready(&mut wait).await);
         drop(one);
-        assert!(!is_ready(&mut made).await);
+        assert!(!is_ready(&mut wait).await);
         drop(other);
-        assert!(is_ready(&mut made).await);
+        assert!(is_ready(&mut wait).await);
 
         let _stalls = follower.first_step();
-        let mut made = pin!(leader.others_first().made());
+        let mut wait = pin!(leader.others_first().wait());
         advance(LONGEST_WAIT - Duration::from_millis(2)).await;
-        assert!(!is_ready(&mut made).await);
+        assert!(!is_ready(&mut wait).await);
         advance(LONGEST_WAIT).await;
-        assert!(is_ready(&mut made).await);
+        assert!(is_ready(&mut wait).await);
     }
 }

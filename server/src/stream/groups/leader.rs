@@ -25,16 +25,16 @@ impl Groups {
     /// Takes a seat for a group of this leader. If none is free, ends one of the groups that share the limit: the one whose leader has been
     /// away longest.
     pub(super) fn seat_for(&self, leader: &Leader) -> Result<Seat, GroupError> {
-        let none = match self.seats.take(leader.who.clone()) {
+        let full = match self.seats.take(leader.who.clone()) {
             Ok(seat) => return Ok(seat),
-            Err(none) => none,
+            Err(full) => full,
         };
         let all: Vec<Arc<Group>> = self
             .all()
             .values()
             .filter_map(|seated| seated.group.upgrade())
             .collect();
-        let shares = |other: &Occupant| match none.share {
+        let shares = |other: &Occupant| match full.share {
             Share::User => other.user == leader.who.user,
             Share::Address => other.address == leader.who.address,
             Share::All => true,

@@ -459,7 +459,7 @@ impl<B: Backend> Session<B> {
         };
         let refine = async move {
             if let Some(others) = others_first {
-                token.run_until_cancelled(others.made()).await;
+                token.run_until_cancelled(others.wait()).await;
             }
             DeviceDone::Refined(number, shared.refine(wanted, step, &token).await)
         };

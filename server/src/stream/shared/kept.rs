@@ -67,10 +67,13 @@ impl Kept {
             Some((*note, entries.chunks.get(&key)?.clone()))
         };
         let regions = kept.regions.iter().map(with_chunk).collect::<Option<_>>()?;
-        let again = SharedStep::again(kept.made.clone(), Arc::clone(&kept.volume), regions);
-        let again = Arc::new(again);
-        kept.shared = Arc::downgrade(&again);
-        Some(again)
+        let cached = Arc::new(SharedStep::from_cache(
+            kept.made.clone(),
+            Arc::clone(&kept.volume),
+            regions,
+        ));
+        kept.shared = Arc::downgrade(&cached);
+        Some(cached)
     }
 
     pub(super) fn keep_step(&self, key: RequestKey, step: &Arc<SharedStep>) {

@@ -94,7 +94,7 @@ impl Offered {
     pub(super) fn nothing(view: &View, volume: &VolumeStep) -> Self {
         let volume = Arc::new(volume.dataset().key());
         Self {
-            step: Arc::new(SharedStep::again(Refinement::nothing(view), volume, Vec::new())),
+            step: Arc::new(SharedStep::from_cache(Refinement::nothing(view), volume, Vec::new())),
             is_own: false,
         }
     }

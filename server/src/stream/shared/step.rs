@@ -28,7 +28,7 @@ pub(in crate::stream) struct HeldRegion {
     pub coding: Coding,
 }
 
-/// About how many bytes a region and a hundred triangles are in chunks.
+/// Estimates of the bytes of chunks: of a region whatever it holds, and of a hundred triangles.
 const REGION_BYTES: u64 = 160;
 const BYTES_OF_100_TRIANGLES: u64 = 450;
 
@@ -43,13 +43,13 @@ pub(in crate::stream) struct SharedStep {
     volume: Arc<DatasetKey>,
 }
 
-/// A region of it.
+/// A region of a [`SharedStep`].
 #[derive(Debug)]
 pub(in crate::stream) struct SharedRegion {
     pub coords: [u32; 3],
     pub hash: MeshHash,
     pub triangles: usize,
-    /// Until it is encoded.
+    /// The mesh; `None` once it is encoded.
     mesh: Mutex<Option<Region>>,
     chunk: OnceLock<Result<Bytes, EncodeError>>,
     /// The same chunk in the coding for slow lines.
@@ -169,8 +169,8 @@ impl SharedStep {
     }
 
     /// Restores a step from its [`Self::notes`], with the chunks of its regions in the same order.
-    pub(super) fn again(made: Refinement, volume: Arc<DatasetKey>, regions: Vec<(RegionNote, Bytes)>) -> Self {
-        let again = |(note, chunk): (RegionNote, Bytes)| SharedRegion {
+    pub(super) fn from_cache(made: Refinement, volume: Arc<DatasetKey>, regions: Vec<(RegionNote, Bytes)>) -> Self {
+        let cached = |(note, chunk): (RegionNote, Bytes)| SharedRegion {
             coords: note.coords,
             hash: note.hash,
             triangles: note.triangles,
@@ -180,7 +180,7 @@ impl SharedStep {
         };
         Self {
             made,
-            regions: regions.into_iter().map(again).collect(),
+            regions: regions.into_iter().map(cached).collect(),
             volume,
         }
     }
@@ -207,7 +207,7 @@ impl SharedRegion {
         chunk.get().is_some()
     }
 
-    /// Its mesh is not needed any more.
+    /// Encodes the mesh, and frees it.
     fn encode(&self, prefix: PrefixId) -> Result<Bytes, EncodeError> {
         let mesh = self.mesh.lock().unwrap_or_else(PoisonError::into_inner).take();
         let mesh = mesh.ok_or_else(|| EncodeError {
