@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use axum::http::Method;
 use governor::clock::{Clock, DefaultClock};
-use governor::{DefaultKeyedRateLimiter, Quota, RateLimiter};
+use governor::{DefaultKeyedRateLimiter, InsufficientCapacity, Quota, RateLimiter};
 
 use super::peer::counted_as;
 
@@ -96,11 +96,8 @@ impl<K: Clone + std::hash::Hash + Eq> Limit<K> {
         match limiter.check_key_n(key, cost) {
             Ok(Ok(())) => Ok(()),
             Ok(Err(later)) => Err(later.wait_time_from(DefaultClock::default().now())),
-            // The cost exceeds the whole burst, at a very low rate. The request has to wait for the whole burst.
-            Err(_) => match limiter.check_key(key) {
-                Ok(()) => Ok(()),
-                Err(later) => Err(later.wait_time_from(DefaultClock::default().now())),
-            },
+            // At a very low rate the cost exceeds the whole burst. The request takes all of it.
+            Err(InsufficientCapacity(burst)) => self.take(key, burst),
         }
     }
 }
@@ -160,6 +157,8 @@ mod tests {
         assert!(limits.take_of_peer(ip(2), 100).is_ok(), "another peer");
         assert!(limits.take_of_token("a", 10).is_ok() && limits.take_of_token("b", 10).is_ok());
         assert!(limits.take_of_token("a", 1).is_err());
+        // More than the whole burst takes the whole burst.
+        assert!(limits.take_of_token("c", 1000).is_ok() && limits.take_of_token("c", 1).is_err());
         let free = RateLimits::new(Rates { peer: 0, token: 0 });
         assert!((0..1_000).all(|_| free.take_of_peer(ip(1), 1_000).is_ok()));
         // A request that costs more than ever may be asked for at once is possible still.
