@@ -1,5 +1,5 @@
-//! Read-ahead: loads time steps before a viewer reaches them, as it goes through them one by one. Read-ahead takes no memory from data in
-//! use: neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open ([`Held`]).
+//! Read-ahead: while a viewer goes through the time steps one by one, loads the next steps before the viewer reaches them. Read-ahead takes
+//! no memory from data in use: neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open ([`Held`]).
 
 use isopeel_kernels::{Error, RectilinearGrid, SampleType};
 use tokio_util::sync::CancellationToken;
@@ -24,7 +24,7 @@ impl DeviceWorker {
     /// yet, and beside all volumes in use. A load that has begun is finished unless `token` is cancelled, even if the future is dropped.
     ///
     /// # Errors
-    /// The file's or the device's.
+    /// Errors of the file or of the device.
     pub async fn read_ahead(
         &self,
         volume: &VolumeStep,
@@ -37,7 +37,7 @@ impl DeviceWorker {
         }
         let mut keys: Vec<VolumeKey> = Vec::new();
         for view in views {
-            // Only fields that are read from files: the device computes others from them when they are needed.
+            // Reads only fields that come from files: the device computes the others from them when they are needed.
             let all = with_inputs(volume, &view_keys(volume, view), Masking::OnDevice);
             for key in all.into_iter().filter(|key| key.recipe(volume).is_none()) {
                 if !keys.contains(&key) {

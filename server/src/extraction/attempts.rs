@@ -20,7 +20,7 @@ const MAX_REQUEST_ATTEMPTS: usize = 6;
 /// How often a job is queued again after the device was lost while it ran: a job that loses every device it runs on is given up.
 const MAX_LOSSES: usize = 1;
 
-/// What earlier attempts at a job, or at slices of work, leave to the next one.
+/// State that earlier attempts at a job, or at slices of work, leave to the next attempt.
 #[derive(Default)]
 pub(super) struct Failures {
     /// Keeps the fields that were loaded for the next attempt.
@@ -29,7 +29,8 @@ pub(super) struct Failures {
 }
 
 impl DeviceWorker {
-    /// Prepares another attempt: loads and pins fields that were not resident, makes histograms, or accepts that the device was lost.
+    /// Prepares another attempt after a failure: loads and pins fields that were not resident, makes histograms, or counts a loss of the
+    /// device.
     ///
     /// # Errors
     /// The failure, if another attempt would fail as well.
@@ -48,7 +49,7 @@ impl DeviceWorker {
                 loaded.map(|pin| failures.pin = Some(pin))
             }
             JobError::NeedsHistograms(keys) => {
-                // Histograms pin the fields that they are made of.
+                // Making histograms pins the fields that they are made of, and a caller that waits for pins must hold none.
                 drop(failures.pin.take());
                 self.make_histograms(volume, keys, token).await
             }

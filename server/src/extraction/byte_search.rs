@@ -23,16 +23,16 @@ const SHRINK: u64 = 4;
 /// A surface that was encoded.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Trial {
-    /// Its triangles.
+    /// Triangles of the surface.
     pub triangles: u64,
-    /// Bytes of its chunks.
+    /// Bytes of the surface's chunks.
     pub bytes: u64,
-    /// Its regions.
+    /// Regions of the surface.
     pub regions: u64,
 }
 
 /// Returns the triangles of the surface to try next; `None` if the search is over. Two trials suffice unless both exceed the budget. Then
-/// the search continues, because a budget is a promise.
+/// the search continues, because the result must keep the budget.
 pub(super) fn next_triangles(budget: u64, trials: &[Trial]) -> Option<u64> {
     let is_kept = |trial: &Trial| trial.bytes <= budget;
     let is_filled = |trial: &Trial| is_kept(trial) && trial.bytes as f64 >= FILLED * budget as f64;

@@ -14,10 +14,10 @@ use crate::view::EditError;
 use crate::volumes::{ReadProgress, VolumeStep};
 
 impl WorkerState {
-    /// Makes a field resident that is computed from others. False if the host has to mask one: its fields are not resident because there
-    /// was no space for them, or the device is not proven yet. Other jobs run between its launches, which are sized by their time. It ends if
-    /// `progress` is cancelled, because no caller waits for the field any more, and when it has taken as much of the device's time as a request or
-    /// its user may.
+    /// Computes a field from others and makes it resident. Returns false if the host has to mask the field: its inputs are not resident
+    /// because there was no space for them, or the check of the device has not reached masking yet. The computation is launched in pieces
+    /// of limited time, and other jobs run between them. It ends early if `progress` is cancelled, because no caller waits for the field
+    /// any more, or if it exceeds the device time of a request or of the user.
     pub(super) fn compute(
         &mut self,
         volume: &VolumeStep,
@@ -39,7 +39,7 @@ impl WorkerState {
         let limit = TimeLimit::of(self.request_time, payer)?;
         self.use_fields(volume, &inputs)?;
         let resident = |input: &VolumeKey| self.volumes.peek(input).map(Rc::clone).ok_or(WorkError::Stopped);
-        // Held, so that none of them is freed meanwhile.
+        // Holds the inputs, so that none of them is freed meanwhile.
         let fields = inputs.iter().map(resident).collect::<Result<Vec<_>, _>>()?;
         let fields: Vec<&Volume> = fields.iter().map(|field| &**field).collect();
         let bytes = self.make_space(volume, key, &recipe)?;
@@ -92,7 +92,7 @@ impl WorkerState {
     fn make_space(&mut self, volume: &VolumeStep, key: &VolumeKey, recipe: &Recipe) -> Result<u64, JobError> {
         let bytes = self.bytes_of(volume, std::slice::from_ref(key))?;
         let bytes: u64 = bytes.iter().map(|(_, bytes)| bytes).sum();
-        // Distances are computed in two fields by turns.
+        // Computing distances takes two fields, which are written alternately.
         let is_distance = matches!(recipe, Recipe::Expression(found) if found.is_distance);
         let held = if is_distance { 2 * bytes } else { bytes };
         self.evict_for(held + self.upload_bytes());
@@ -103,17 +103,17 @@ impl WorkerState {
     }
 }
 
-/// Time of the device that a field may take.
+/// Device time that computing a field may take.
 #[derive(Clone, Copy)]
 struct TimeLimit {
     request: Option<Duration>,
-    /// Time that its user has left.
+    /// Device time that the user has left; `None`: there is no limit.
     user: Option<Duration>,
 }
 
 impl TimeLimit {
     /// # Errors
-    /// The user has none left.
+    /// The user has no time left.
     fn of(request: Option<Duration>, payer: Option<&Payer>) -> Result<Self, WorkError> {
         let left = payer.and_then(|payer| payer.left(Instant::now()));
         let limit = Self {
@@ -131,7 +131,7 @@ impl TimeLimit {
         limits.min().is_some_and(|limit| time > limit)
     }
 
-    /// Why work that took too long was ended.
+    /// Returns the error of work that was ended because it took too long.
     fn error(self, payer: Option<&Payer>) -> WorkError {
         let of_request = self.request.unwrap_or(Duration::MAX);
         let left = payer.and_then(|payer| payer.left(Instant::now()));
@@ -154,7 +154,7 @@ struct Wanted<'a> {
 
 impl Cancel for Wanted<'_> {
     fn cancelled(&self) -> bool {
-        // Other jobs run first.
+        // The first check yields to other jobs.
         self.cancel.cancelled() || self.progress.is_cancelled() || (self.is_over)()
     }
 }

@@ -1,4 +1,4 @@
-//! How many triangles the full surface of a view has: known once its pyramid is built, which the first step then uses.
+//! Counts the triangles of the full surface of a view. This builds the view's pyramid, which the first step then uses.
 
 use std::time::Instant;
 

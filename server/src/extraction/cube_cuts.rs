@@ -11,8 +11,8 @@ use crate::view::quality::{Fitted, TopologyName};
 const MAX_TRIANGLES_PER_LEAF: u64 = 24;
 
 impl OnDevice<'_> {
-    /// Returns the cut of cubes of a view, and its parameters. Fits a budget of triangles, and does so again if the existing fit is one of
-    /// the vertex tree, which is gone. Ignores a budget of bytes that has not been fitted.
+    /// Returns the cut of cubes of a view, and its parameters. Fits a budget of triangles. Also fits it again if the existing fit was made
+    /// for the vertex tree, which is no longer available. Ignores a budget of bytes that has not been fitted.
     ///
     /// # Errors
     /// [`WorkError::OverBudget`] if the smallest cut exceeds the budget, and the device's errors.
@@ -85,7 +85,7 @@ impl OnDevice<'_> {
         Ok(self.pyramid.full_triangles())
     }
 
-    /// The cut that keeps a budget, and its triangles. An error that was asked for is the minimum tolerance.
+    /// Returns the parameters and the cut that keep a budget, and the number of triangles. A requested error is the minimum tolerance.
     fn fitted(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<(CutParams, Cut, u64), Error> {
         let (engine, volume, pyramid) = (self.engine, self.volume, self.pyramid);
         let (fitted, cut, triangles) = engine.fit(volume, pyramid, params, budget, cancel)?;
@@ -100,8 +100,7 @@ impl OnDevice<'_> {
         Ok((params.clone(), cut, triangles))
     }
 
-    /// Refuses a surface of more than `ceiling` triangles before it is made. Counts triangles only if the number of leaves does not settle
-    /// it.
+    /// Refuses a surface of more than `ceiling` triangles before it is made. Counts triangles only if the number of leaves does not decide.
     fn check_ceiling(&self, cut: &Cut, ceiling: u64, cancel: &dyn Cancel) -> Result<(), WorkError> {
         if cut.leaves().iter().sum::<u64>().saturating_mul(MAX_TRIANGLES_PER_LEAF) <= ceiling {
             return Ok(());

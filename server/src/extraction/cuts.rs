@@ -7,11 +7,11 @@ use isopeel_kernels::Cut;
 use super::CutId;
 use super::residency::Lru;
 
-/// Number of the latest cuts that are kept whatever their size, so that a large volume's surface changes region by region too: the one that
-/// a client shows, its target, and that of the next step.
+/// Number of most recently used cuts that are kept even above the budget: the cut that a client shows, its target, and the cut of the next
+/// step. With these three, the surface of a large volume can change region by region too.
 const MIN_CUTS: usize = 3;
 
-/// Cuts that clients show or are on the way to.
+/// Cuts that clients show, and the cuts that their surfaces are refined to.
 pub(super) struct Cuts {
     kept: Lru<CutId, Rc<Cut>>,
 }
@@ -25,7 +25,7 @@ impl Cuts {
         }
     }
 
-    /// Bytes of all of them.
+    /// Returns the device bytes of all cuts.
     pub(super) fn cost(&self) -> u64 {
         self.kept.cost()
     }

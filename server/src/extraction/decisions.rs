@@ -17,8 +17,8 @@ pub(super) enum Decided {
     },
 }
 
-/// Returns the milder of two refusals of a view: that of the tree's cut, if there is a tree, or that of the cut of cubes. The milder one
-/// accepts a view with a smaller budget.
+/// Returns the milder of two refusals of a view: the one of the tree's cut, if there is a tree, or the one of the cut of cubes. The milder
+/// one names the smaller surface.
 pub(super) fn lesser(tree: Option<WorkError>, cubes: WorkError) -> WorkError {
     match (&tree, &cubes) {
         (Some(WorkError::OverBudget { minimum, .. }), WorkError::OverBudget { minimum: of_cubes, .. })

@@ -61,18 +61,19 @@ pub struct Choice {
     pub selector: Option<String>,
     /// How its kernels are built and launched, if not by default.
     pub tuning: Option<Tuning>,
-    /// Whether its user trusts it without a check.
+    /// Whether the user trusts the device without a check.
     pub is_trusted: bool,
-    /// If the check still runs: the programs that have passed it. Only these and the programs of a first surface are run.
+    /// Set while the check is still running: the programs that have passed it so far. Only these and the programs of a first surface are
+    /// run.
     pub proven: Option<Arc<Proven>>,
 }
 
 /// Why no device was chosen.
 #[derive(Debug)]
 pub enum NoChoice {
-    /// None may be used; the text says why, and what to do.
+    /// No device may be used; the text says why, and what to do.
     Refused(String),
-    /// Only another process can use the device.
+    /// This process cannot use the device, but a new one can.
     NewProcess,
 }
 
@@ -115,12 +116,12 @@ pub struct DeviceOptions {
     pub types: Vec<SampleType>,
     /// Whether to retry opening a device until it succeeds, because it existed before.
     pub is_patient: bool,
-    /// Maximum bytes that are kept of earlier edits; by default [`super::PROCESSOR_BYTES`] if the device is this machine's processors, else
-    /// a third of its memory, and never more than a third.
+    /// Maximum bytes of cached data of earlier edits. The default is [`super::PROCESSOR_BYTES`] if the device is this machine's processors,
+    /// else a third of its memory. A third of its memory is also the maximum.
     pub surface_bytes: Option<u64>,
-    /// Maximum time of the device that a request may take for a field that it has computed.
+    /// Maximum device time that a request may take to compute a field.
     pub request_time: Option<Duration>,
-    /// Time of the device that the computed fields of one user may take within [`super::USER_TIME_PERIOD`]; `None`: as much as they take.
+    /// Maximum device time that one user's computed fields may take within [`super::USER_TIME_PERIOD`]; `None`: no limit.
     pub user_time: Option<Duration>,
 }
 
@@ -177,7 +178,7 @@ impl DeviceThread {
                 Ok(engine) => break engine,
                 Err(error) if self.is_patient && !error.is_wrong() && !waiting.is_closed() => self.report_lost(&error),
                 Err(error) => {
-                    // Sent before the queue is dropped, so that the callers of waiting jobs find it.
+                    // The state is set before the queue is dropped, so that the callers of waiting jobs find the error there.
                     self.state.send_replace(DeviceState::Failed(Arc::new(error)));
                     return;
                 }
@@ -305,7 +306,7 @@ fn discard(work: impl FnOnce()) {
 }
 
 impl WorkerState {
-    /// Classifies a job's failure: if a program that it needs is still being checked, the job can be queued again once that has passed.
+    /// Classifies a job's failure: if a program that the job needs is still being checked, the job can be retried after that check.
     pub(super) fn look_for_unproven(&self, error: JobError) -> JobError {
         let JobError::Failed(WorkError::Device(Error::NotYet(program))) = &error else {
             return error;

@@ -15,10 +15,10 @@ use crate::volumes::ReadError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OpenError {
-    /// There is none, or it does not open.
+    /// There is no device, or it does not open.
     #[error(transparent)]
     Device(#[from] isopeel_kernels::Error),
-    /// It computes wrong results.
+    /// The device computes wrong results.
     #[error("{device} (driver {driver}): {}; `isopeel devices --check` checks it again and looks for a workaround", chain(.why))]
     Check {
         /// Name of the device.
@@ -28,7 +28,7 @@ pub enum OpenError {
         /// The stage, and what it found.
         why: Box<CheckError>,
     },
-    /// It is not to be used; the text says why, and what to do.
+    /// The device is not to be used; the text says why, and what to do.
     #[error("{0}")]
     Refused(String),
 }
@@ -42,7 +42,7 @@ impl OpenError {
         }
     }
 
-    /// Whether the device works, and computes wrong results.
+    /// Whether the device opens but computes wrong results.
     pub(super) fn is_wrong(&self) -> bool {
         matches!(self, Self::Check { why, .. } if matches!(**why, CheckError::Differs { .. }))
     }
@@ -66,13 +66,13 @@ pub enum WorkError {
         /// Maximum bytes of volumes on this device.
         limit_bytes: u64,
     },
-    /// The host has no memory for it now.
+    /// The host has no memory for this work now.
     #[error("there is no memory for it now on this machine, it needs {needed_bytes} bytes: try again in a few seconds")]
     HostBusy {
         /// Bytes that it would take.
         needed_bytes: u64,
     },
-    /// The host will never have memory for it.
+    /// The host will never have memory for this work.
     #[error("it needs {needed_bytes} bytes of this machine's memory, the limit is {limit_bytes}")]
     TooLargeForHost {
         /// Bytes that it would take.
@@ -90,22 +90,22 @@ pub enum WorkError {
         /// Maximum triangles; also the budget that is suggested.
         ceiling: u64,
     },
-    /// No surface of the view is as small as its budget, with the guards that were set.
+    /// Every surface of the view exceeds its budget, given the guards that were set.
     #[error(
         "the smallest surface that the guards allow has {minimum} triangles, the budget is {budget}: ask for {minimum} or more"
     )]
     OverBudget {
-        /// Triangles of the smallest surface there is.
+        /// Triangles of the smallest surface that the guards allow.
         minimum: u64,
         /// Maximum triangles that were asked for.
         budget: u64,
     },
-    /// No surface of the view takes as few bytes as its budget.
+    /// Every surface of the view that was tried takes more bytes than its budget.
     #[error("the smallest surface found takes {minimum} bytes, the budget is {budget}: ask for {minimum} or more")]
     OverBytes {
         /// Bytes of the smallest surface that was made.
         minimum: u64,
-        /// Its triangles.
+        /// Triangles of that surface.
         triangles: u64,
         /// Maximum bytes that were asked for.
         budget: u64,
@@ -121,13 +121,13 @@ pub enum WorkError {
     /// The view does not fit the dataset.
     #[error(transparent)]
     Edit(#[from] EditError),
-    /// It took more of the device's time than a request may.
+    /// The work took more of the device's time than a request may.
     #[error("it takes more than {} s of the device's time, which is the limit of a request: ask for a simpler expression", limit.as_secs_f64())]
     TookTooLong {
         /// Maximum time of a request.
         limit: Duration,
     },
-    /// Fields of the user took as much of the device's time as those of one user may.
+    /// The user's computed fields have used up the device time that one user may take.
     #[error(
         "expressions and distances of yours have taken the {} s of the device's time that one user may take within {} minutes: try again in {} s, or \
          ask for a simpler expression",

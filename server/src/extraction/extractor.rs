@@ -31,7 +31,7 @@ pub struct Extractor {
 }
 
 impl Extractor {
-    /// Works on a device. Surfaces of more than `ceiling_triangles` are refused; `u64::MAX`: none is.
+    /// Creates an extractor that uses `worker`'s device. It refuses surfaces of more than `ceiling_triangles`; `u64::MAX`: no limit.
     pub fn new(worker: DeviceWorker, ceiling_triangles: u64, encoded_bytes: EncodedBytes) -> Self {
         Self {
             worker,
@@ -49,12 +49,12 @@ impl Extractor {
         }
     }
 
-    /// The device.
+    /// Returns the handle to the device.
     pub fn worker(&self) -> &DeviceWorker {
         &self.worker
     }
 
-    /// How many triangles the full surface of a view has.
+    /// Counts the triangles of the full surface of a view.
     ///
     /// # Errors
     /// The device's errors.
@@ -67,7 +67,7 @@ impl Extractor {
         self.worker.count(volume, view, token).await
     }
 
-    /// Makes the next step on the way from the surface that a client shows to the surface of a view.
+    /// Makes the next step from the surface that a client shows to the surface of a view.
     ///
     /// # Errors
     /// [`WorkError::TooManyTriangles`] if the final surface exceeds the ceiling, and the device's errors.
@@ -83,8 +83,8 @@ impl Extractor {
             .await
     }
 
-    /// Makes the final surface of a view once more, as a cut of the vertex tree, which takes longer to build: for a viewer at rest. `None`
-    /// if there is no better surface.
+    /// Makes the final surface of a view again, as a cut of the vertex tree. For a viewer at rest, because building the tree takes longer.
+    /// `None` if there is no better surface.
     ///
     /// # Errors
     /// As [`Extractor::refine`].
@@ -126,7 +126,7 @@ impl Extractor {
         self.worker.measure_for(caller, volume, view, token).await
     }
 
-    /// The final surface of a view for an export.
+    /// Makes the final surface of a view for an export, and measures its error.
     ///
     /// # Errors
     /// As [`Extractor::refine`].
@@ -176,7 +176,7 @@ impl Extractor {
         extraction.wall += planning;
         if let Measuring::Within(limit) = work.measuring {
             let measured = async {
-                // A refined cut is not kept, so it has to be made again.
+                // A refined cut is not cached, so the surface is made again and measured.
                 if extraction.refined.is_some() {
                     let again = make(true).await?;
                     return Ok(again.statistics(volume, "").error);
@@ -222,7 +222,7 @@ impl Extractor {
         token: &CancellationToken,
     ) -> Result<Fitted, WorkError> {
         let (mut trials, mut made): (Vec<Trial>, Vec<Fitted>) = (Vec::new(), Vec::new());
-        // Minimum triangles, once it is known.
+        // Triangles of the smallest surface that the guards allow; 0 until a budget below it was refused.
         let mut minimum = 0;
         while let Some(triangles) = next_triangles(budget, &trials) {
             let asked = triangles.max(minimum);
@@ -234,7 +234,8 @@ impl Extractor {
                 made => made?,
             };
             let Some(fitted) = extraction.view.fitted else { break };
-            // Another budget leads to the same surface: the full one, one that an error decides, or the smallest.
+            // Two budgets gave the same surface, so further trials do not help: it is the full surface, one that an error decides, or the
+            // smallest.
             let is_same = |other: &Fitted| (other.threshold, other.topology) == (fitted.threshold, fitted.topology);
             if made.iter().any(is_same) {
                 break;
@@ -267,7 +268,7 @@ impl Extractor {
         }))
     }
 
-    /// The final surface of a view with another budget of triangles.
+    /// Makes the final surface of a view with this budget of triangles in place of the view's own budget.
     async fn make_of(
         &self,
         triangles: u64,
@@ -293,7 +294,7 @@ impl Extractor {
         .await
     }
 
-    /// Makes a surface that the host has memory for, of no more triangles than the server's limit. If memory is short, evicts caches and
+    /// Makes a surface whose triangles exceed neither the server's limit nor the memory of the host. If memory is short, evicts caches and
     /// retries once.
     async fn within_memory<T, F>(&self, make: impl Fn(u64) -> F) -> Result<T, WorkError>
     where

@@ -16,7 +16,7 @@ pub(super) enum FeatureFields {
 }
 
 impl FeatureFields {
-    /// The feature of this name. `resident`: a field by its name.
+    /// Returns the feature of this name with its fields. `resident` returns a resident field by its name.
     pub fn new(
         feature: &FeatureName,
         resident: impl Fn(&str) -> Result<Rc<Volume>, WorkError>,

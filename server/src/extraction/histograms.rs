@@ -16,8 +16,8 @@ use crate::view::FeatureName;
 use crate::volumes::VolumeStep;
 
 impl DeviceWorker {
-    /// Range and 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. Cached. Dropping the future
-    /// pauses the work.
+    /// Returns the range and the 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. The result
+    /// is cached. Dropping the future pauses the work.
     ///
     /// # Errors
     /// [`WorkError`], but never `Cancelled`.
@@ -52,7 +52,7 @@ impl DeviceWorker {
 
     async fn make_histogram(&self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, WorkError> {
         let never = CancellationToken::new();
-        // First its fields, so that each caller knows how far they are.
+        // Loads the histogram's fields first, so that each caller sees the progress of the loads.
         let own = key.clone();
         let require = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut Turn<'_, WorkerState>| {
             state.use_histogram_fields(volume, &own)
@@ -91,7 +91,7 @@ impl DeviceWorker {
 }
 
 impl WorkerState {
-    /// Marks the fields as used that a histogram is made of; an error if one is not resident.
+    /// Marks the fields that a histogram is made of as used. Returns an error if one is not resident.
     fn use_histogram_fields(&mut self, volume: &VolumeStep, key: &HistogramKey) -> Result<(), JobError> {
         let keys = feature_keys(volume, &key.volume.field, &key.computed, false);
         match keys.as_slice() {

@@ -28,14 +28,14 @@ static LIMIT: OnceLock<u64> = OnceLock::new();
 
 /// Limits the memory of the machine that volumes and surfaces take in this process, in bytes. To be called once, before any work.
 pub fn limit_host_memory(bytes: u64) {
-    // A second server in one process has no effect on the limit: the first call counts.
+    // Only the first call counts: a second server in the same process cannot change the limit.
     let _ = LIMIT.set(bytes);
 }
 
 /// Makes glibc return freed memory to the system. To be called once, before any work. Pieces of 1 MiB or more are mapped one by one, and
-/// unmapped when they are freed. By default glibc does so from 128 KiB on, but once such pieces are freed it raises the threshold to up to
-/// 32 MiB: a driver's buffers on a CPU then lie in its heaps, where live pieces between them keep freed ones from the system. Free pages
-/// between smaller pieces are returned every 30 s: in ten minutes of many viewers they had grown to 0.1 GB.
+/// unmapped when they are freed. By default glibc maps pieces from 128 KiB on, but raises this threshold to up to 32 MiB once such pieces
+/// are freed. The buffers of a CPU driver then lie in glibc's heaps, where live pieces keep freed ones between them from being returned.
+/// Free pages between smaller pieces are returned every 30 s: in ten minutes of many viewers they had grown to 0.1 GB.
 pub fn return_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
@@ -47,7 +47,7 @@ pub fn return_freed_memory() {
                 trim_heaps();
             }
         };
-        // Without that thread the process only takes more memory.
+        // Without this thread the process works, but takes more memory.
         if let Err(error) = std::thread::Builder::new().name("isopeel-trim".into()).spawn(trim) {
             tracing::warn!(%error, "freed memory is kept");
         }
@@ -57,7 +57,7 @@ pub fn return_freed_memory() {
 /// Gives unused pages of the allocator's heaps back to the system. Takes 10 to 15 ms for a hundred megabytes, during which allocations wait.
 pub(super) fn trim_heaps() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: gives unused pages of the allocator's heaps back, which no pointer is to.
+    // SAFETY: the call returns unused pages of the allocator's heaps, and no pointer refers to them.
     unsafe {
         libc::malloc_trim(0)
     };
@@ -142,7 +142,7 @@ impl HostMemory {
             WorkError::TooManyTriangles { triangles, ceiling } if ceiling < ceiling_triangles => {
                 match self.admit(triangles.saturating_mul(BYTES_PER_TRIANGLE)) {
                     Err(no_memory) => no_memory,
-                    // Something was freed meanwhile.
+                    // Memory was freed meanwhile, so the surface might fit now.
                     Ok(()) => error,
                 }
             }
@@ -189,7 +189,7 @@ mod tests {
     #[test]
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     fn free_pages_between_used_ones_go_back() {
-        // Of a size that lies in a heap whatever was freed before.
+        // Pieces of this size lie in a heap, whatever was freed before.
         let mut pieces: Vec<_> = (0..2000)
             .map(|_| Some(std::hint::black_box(vec![1u8; 100_000])))
             .collect();

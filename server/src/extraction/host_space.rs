@@ -31,11 +31,12 @@ impl DeviceWorker {
 }
 
 impl WorkerState {
-    /// Makes sure that this machine has memory for `needed_bytes`. Evicts, until it has: freed buffers, computed fields, other fields, then caches
-    /// of earlier edits. Fields also leave some memory to the next surfaces, so that edits do not wait for an eviction.
+    /// Makes sure that this machine has memory for `needed_bytes`. Evicts, until it has: freed buffers, computed fields, other fields, then
+    /// caches of earlier edits. Fields are evicted until they leave some memory for the next surfaces too, so that edits need not wait for
+    /// an eviction.
     ///
     /// # Errors
-    /// As [`HostMemory::admit`]: the rest is pinned by running jobs, or is no cache.
+    /// As [`HostMemory::admit`]. Memory that is still in use then is pinned by running jobs or is not part of a cache.
     pub(super) fn make_host_space(&mut self, needed_bytes: u64) -> Result<(), WorkError> {
         let mut memory = HostMemory::now();
         let admitted = memory.admit(needed_bytes);
@@ -46,7 +47,7 @@ impl WorkerState {
         let unused = self.surface_bytes.saturating_sub(self.kept_surface_bytes());
         let for_surfaces = unused.min(SURFACE_RESERVE_BYTES);
         let evictions: [Eviction; 6] = [
-            // Freed buffers: each eviction releases them.
+            // Evicts nothing: freed buffers are released after each entry of this list anyway.
             (for_surfaces, |_, _| ()),
             (for_surfaces, Self::evict_computed),
             (for_surfaces, Self::evict_fields),

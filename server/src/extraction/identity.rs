@@ -24,7 +24,7 @@ impl EngineId {
         Self(LAST_ENGINE.fetch_add(1, Ordering::Relaxed) + 1)
     }
 
-    /// As a number, to be shared between threads.
+    /// Returns the id as a number, which threads can share in an atomic.
     pub(super) fn number(self) -> u64 {
         self.0
     }
@@ -35,7 +35,7 @@ impl EngineId {
     }
 }
 
-/// Returns bits that are equal if the numbers are equal: both zeros have the same.
+/// Returns bits that are equal if the numbers are equal: 0 and −0 have the same bits.
 fn bits(number: f32) -> u32 {
     (number + 0.0).to_bits()
 }
@@ -81,7 +81,7 @@ impl PyramidKey {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct PartRules {
     min_area: u64,
-    /// Whether the parts at these positions are hidden, or else kept alone.
+    /// Positions that select parts. True: these parts are hidden; false: only these parts are kept.
     chosen: Option<(bool, Vec<[u64; 3]>)>,
 }
 
@@ -127,7 +127,7 @@ impl SurfaceKey {
         self.0.pyramid.crossing == other.0.pyramid.crossing
     }
 
-    /// Whether they have the same vertices, too, with the values of the feature.
+    /// Whether the full surfaces also have the same vertices, including the values of the feature.
     pub fn has_vertices_of(&self, other: &Self) -> bool {
         let vertices = |key: &Self| (key.0.engine, key.0.feature_range);
         self.0.pyramid == other.0.pyramid && vertices(self) == vertices(other)
@@ -212,12 +212,12 @@ impl ViewKey {
         }))
     }
 
-    /// The key of its full surface.
+    /// Returns the key of the view's full surface.
     pub fn surface(&self) -> &SurfaceKey {
         &self.0.surface
     }
 
-    /// About how many bytes it takes.
+    /// Estimates the bytes that this key takes.
     pub fn bytes(&self) -> usize {
         let ViewParts {
             surface,

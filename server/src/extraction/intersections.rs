@@ -1,4 +1,4 @@
-//! Finds the places at which triangles of a surface intersect, so that it is refined there.
+//! Finds the places at which triangles of a surface intersect, so that the surface can be refined there.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -35,8 +35,8 @@ impl CapFaces {
     }
 }
 
-/// Returns the vertices of triangles that intersect others; if there are `faces`, only of pairs with a corner near one. Triangles are
-/// tested on the processors; meanwhile the device's thread yields to other jobs.
+/// Returns the vertices of triangles that intersect others; with `faces`, only the vertices of pairs that have a corner near a face.
+/// Triangles are tested on the processors; meanwhile the device's thread yields to other jobs.
 ///
 /// # Errors
 /// [`Error::Cancelled`].

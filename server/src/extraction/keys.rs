@@ -6,7 +6,8 @@ use super::WorkError;
 use crate::view::{EditError, FeatureName, FieldExpression, Mask, View};
 use crate::volumes::{Field, StepKey, VolumeStep};
 
-/// Derived features whose values every description has. Others take longer, and are described only once a view has used them.
+/// Derived features whose values are part of every description of a volume. Others take longer, and are described only once a view has used
+/// them.
 pub(super) const ALWAYS_DESCRIBED: &[DerivedFeature] = &[DerivedFeature::GradientMagnitude];
 
 /// One time step of one field, padded by a sample on every side or not.
@@ -30,7 +31,7 @@ impl VolumeKey {
         }
     }
 
-    /// The field of a view: masked as the view says.
+    /// Returns the key of the field that a view shows, masked as the view says.
     pub(super) fn shown(volume: &VolumeStep, view: &View, padded: bool) -> Self {
         Self {
             mask: view.mask.as_deref().cloned(),
@@ -53,7 +54,7 @@ impl VolumeKey {
         Ok(if may_widen { (2 * bytes).min(4) } else { bytes })
     }
 
-    /// The field's description, also of one that an expression gives.
+    /// Returns the field's description. The field may be given by an expression.
     pub(super) fn field_of(&self, volume: &VolumeStep) -> Result<Field, WorkError> {
         let dataset = volume.dataset();
         dataset.field_or_computed(&self.field).ok_or_else(|| {
@@ -66,8 +67,8 @@ impl VolumeKey {
 }
 
 impl VolumeKey {
-    /// Returns how the device makes a field, and the keys of the fields that it is made of; `None` if it does not. A field that is padded
-    /// or smoothed is made on the host.
+    /// Returns how the device makes this field from others, and the keys of its inputs. `None` if the host makes the field or reads it:
+    /// padded and smoothed fields are made on the host.
     pub(super) fn recipe(&self, volume: &VolumeStep) -> Option<(Recipe, Vec<Self>)> {
         if self.padded {
             return None;
@@ -88,9 +89,9 @@ impl VolumeKey {
 
 /// How a field is made from others on the device.
 pub(super) enum Recipe {
-    /// By an expression.
+    /// Evaluates an expression.
     Expression(FieldExpression),
-    /// From a field and the label field of the mask, described here: samples outside are missing.
+    /// Masks a field: samples outside the mask become missing. The second value describes the mask's label field.
     Mask(Mask, Field),
 }
 
@@ -103,13 +104,14 @@ pub(super) enum Masking {
     OnHost,
 }
 
-/// The values inside a mask as they are on the device. `labels`: the mask's field, which was read.
+/// Returns the label values that count as inside a mask, as they are on the device. `labels`: the mask's field, which was read.
 pub(super) fn values_inside(mask: &Mask, labels: &Field) -> ValueSet {
     let ranks = labels.source.ranks();
     mask.by_ranks(|number| Some(ranks.as_ref()?.position(number))).values()
 }
 
-/// Returns the keys with those of the fields from which the device makes them, each once, and inputs before the fields made from them.
+/// Returns the keys and the keys of all inputs from which the device makes these fields. Each key occurs once, and inputs come before the
+/// fields made from them.
 pub(super) fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey], masking: Masking) -> Vec<VolumeKey> {
     let mut all: Vec<VolumeKey> = Vec::new();
     for key in keys {
@@ -154,14 +156,14 @@ pub(super) fn view_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
 /// A histogram: of a field, or of a feature computed from it or from three fields.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct HistogramKey {
-    /// Of a feature of three fields: the first of them.
+    /// Key of the field; of a feature of three fields, the key of the first one.
     pub volume: VolumeKey,
-    /// Never a field: that has the histogram of its samples.
+    /// The feature, or none for the field's own samples. Never the name of a field: such a feature has that field's histogram.
     pub computed: FeatureName,
 }
 
 impl HistogramKey {
-    /// The histogram of a feature of `field`; a field as a feature has its own, whichever field is shown.
+    /// Returns the key for a feature of `field`. If the feature is itself a field, its key is that field's, whichever field is shown.
     pub(super) fn new(volume: &VolumeStep, field: &str, feature: &FeatureName) -> Self {
         let computed = match feature {
             FeatureName::None | FeatureName::Field(_) => FeatureName::None,

@@ -19,7 +19,7 @@ use crate::pool::ReadPool;
 use crate::view::Mask;
 use crate::volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
-/// Copies in memory of a field that is not sent in pieces: as it is read, as it is masked or padded, and as it is sent to the device.
+/// Copies in memory of a field that is not sent in pieces: the samples as read, as masked or padded, and as sent to the device.
 const WHOLE_COPIES: u64 = 3;
 /// Pieces in memory: one is being read, one waits, one is being sent to the device.
 const HELD_PIECES: u64 = 3;
@@ -40,8 +40,8 @@ enum Purpose {
 }
 
 impl DeviceWorker {
-    /// Makes a field resident. Loads are single-flight: callers of the same field wait for one load. It continues for a while when all of
-    /// them have given up, and is then cancelled.
+    /// Makes a field resident. Loads are single-flight: callers of the same field wait for one load. When the last caller has given up, the
+    /// load continues for a while and is then cancelled.
     pub(super) async fn load(&self, volume: &VolumeStep, key: VolumeKey) -> Result<(), WorkError> {
         let load = self.shared.loads.of(&key);
         let _waiting = load.wait();
@@ -122,7 +122,7 @@ impl DeviceWorker {
         let permits = Arc::clone(&self.shared.loads.permits);
         let _permit = permits.acquire_owned().await.map_err(|_| WorkError::Stopped)?;
         match self.transfer(volume, &key, &progress, purpose).await {
-            // Once more: the samples need another type, or the file changed while it was read.
+            // Retry: the samples need another type, or the file changed while it was read.
             Err(WorkError::Unreadable(error)) if error.again => {
                 progress.restart();
                 self.transfer(volume, &key, &progress, purpose).await
@@ -185,8 +185,9 @@ impl DeviceWorker {
         }
     }
 
-    /// Computes a field on the device from others, which are loaded if they are not resident. Waiting callers have pinned them. A while
-    /// after the last caller is gone, `progress` is cancelled, which ends the computation. Returns false if the host has to mask the field.
+    /// Computes a field on the device from others, which are loaded if they are not resident. Waiting callers have pinned all of them. A
+    /// while after the last caller is gone, `progress` is cancelled, which ends the computation. Returns false if the host has to mask the
+    /// field.
     fn compute<'a>(
         &'a self,
         volume: &'a VolumeStep,
@@ -207,7 +208,7 @@ impl DeviceWorker {
         })
     }
 
-    /// Makes sure that the host has memory for a field before it is read; caches are evicted for one that a caller waits for.
+    /// Makes sure that the host has memory for a field before it is read. If a caller waits for the field, evicts caches to make space.
     async fn admit(&self, volume: &VolumeStep, key: &VolumeKey, purpose: Purpose) -> Result<(), WorkError> {
         let samples = volume.dataset().geometry.sample_count();
         let held = if key.padded || key.mask.is_some() {
@@ -299,7 +300,7 @@ fn stamps(volume: &VolumeStep, key: &VolumeKey) -> Vec<(FileLocation, Option<Fil
         .collect()
 }
 
-/// As [`read_samples`]. If a file was written or replaced meanwhile, returns an error after which it is read once more.
+/// As [`read_samples`]. If a file was written or replaced meanwhile, returns an error that tells the caller to read once more.
 fn read(
     volume: &VolumeStep,
     key: &VolumeKey,
@@ -335,7 +336,7 @@ fn read_samples(
     let (Ok(field), Ok(mask)) = (key.field_of(volume), key.mask_of(volume)) else {
         return Ok(());
     };
-    // The receiver is gone if the device failed or had no space, which its side reports.
+    // Sending fails if the receiver is gone because the device failed or had no space. The receiving side reports that.
     let send = |samples, missing| {
         if pieces.blocking_send(Piece { samples, missing }).is_err() {
             progress.cancel();

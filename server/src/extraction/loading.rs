@@ -15,13 +15,14 @@ use super::residency::Lru;
 use crate::view::{FeatureName, View};
 use crate::volumes::{Field, ReadProgress, VolumeStep};
 
-/// Files read at the same time. Each holds a few pieces of a field in host memory.
+/// Maximum number of files that are read at the same time. Each load holds a few pieces of a field in host memory.
 const CONCURRENT_LOADS: usize = 2;
 
-/// Maximum number of entries, some hundred bytes each: clients name new fields for as long as they write expressions.
+/// Number of entries above which the unused ones are dropped. An entry takes some hundred bytes, and each new expression of a client adds
+/// one.
 const MAX_IDLE: usize = 4096;
 
-/// How long a load continues without waiting callers: an edit in that time needs the same field again.
+/// How long a load continues without waiting callers, because an edit in that time may need the same field again.
 const LINGER: Duration = Duration::from_secs(2);
 
 /// The loads of all fields.
@@ -55,9 +56,9 @@ impl Loads {
 pub(super) struct FieldLoad {
     /// Held by the caller that loads the field, so that concurrent callers load it once.
     pub turn: Arc<tokio::sync::Mutex<()>>,
-    /// Of the running load, or the last one.
+    /// Progress of the running load, or of the last one.
     pub progress: Arc<ReadProgress>,
-    /// Callers that wait for it.
+    /// Number of callers that wait for this load.
     waiting: AtomicUsize,
 }
 
@@ -100,9 +101,9 @@ impl Drop for Waiting {
 pub struct OpeningProgress {
     /// The device is being prepared; nothing else was done yet.
     pub device: Option<Preparation>,
-    /// Bytes so far.
+    /// Bytes that have been processed so far.
     pub bytes: u64,
-    /// Bytes in all: those of files to read, and those of samples, once for each time that the device goes through them.
+    /// Bytes to process in all: those of files to read, and those of samples, which count once for each pass of the device over them.
     pub total_bytes: u64,
 }
 
@@ -114,7 +115,7 @@ pub struct OpeningWatch {
 /// Remaining work on a field.
 pub(super) struct FieldWork {
     key: VolumeKey,
-    /// Of its samples on the device.
+    /// Bytes of the field's samples on the device.
     sample_bytes: u64,
     load: Option<LoadWork>,
     /// Histograms that are still to be made.
@@ -129,12 +130,12 @@ struct LoadWork {
     stored_bytes: u64,
     /// `None` until the field's load was requested.
     progress: Option<Arc<ReadProgress>>,
-    /// It is on the device.
+    /// Whether the field is on the device by now.
     finished: bool,
 }
 
 impl FieldWork {
-    /// Of the opening of a volume with this view.
+    /// Returns the work on a field that opening a volume with this view requires.
     pub(super) fn new(
         volume: &VolumeStep,
         view: &View,
@@ -186,7 +187,7 @@ impl OpeningWatch {
     fn with_load(&self, key: &VolumeKey, change: impl FnOnce(&mut LoadWork)) {
         let mut fields = lock(&self.fields);
         let field = fields.iter_mut().find(|field| field.key == *key);
-        // `None` if it was resident at first, and was evicted since.
+        // `load` is `None` if the field was resident at first and has been evicted since.
         if let Some(load) = field.and_then(|field| field.load.as_mut()) {
             change(load);
         }
@@ -201,7 +202,7 @@ impl OpeningWatch {
         }
     }
 
-    /// Returns the current progress of all of it.
+    /// Returns the current progress over all fields.
     pub fn progress(&self) -> OpeningProgress {
         let mut all = OpeningProgress::default();
         for field in lock(&self.fields).iter() {

@@ -6,7 +6,7 @@ use super::memory::MemoryUse;
 use super::worker::DeviceWorker;
 
 impl DeviceWorker {
-    /// Jobs in the queue, now.
+    /// Returns the number of jobs in the queue.
     pub fn queued(&self) -> usize {
         let jobs = self.shared.jobs.as_ref();
         jobs.map_or(0, |jobs| jobs.max_capacity() - jobs.capacity())

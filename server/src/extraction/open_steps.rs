@@ -1,4 +1,4 @@
-//! Time steps that viewers have open, and the semaphore of those that are read ahead.
+//! Time steps that viewers have open, and the semaphore that limits read-ahead.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -9,13 +9,14 @@ use super::keys::VolumeKey;
 use super::lock::lock;
 use crate::volumes::StepKey;
 
-/// Time steps that are read ahead at the same time: one, as each occupies a disk, and a processor if it has to be decoded.
+/// Maximum number of time steps that are read ahead at the same time. One, because each occupies a disk, and a processor if it has to be
+/// decoded.
 const CONCURRENT: usize = 1;
 
 /// How many viewers have each time step open.
 type OpenSteps = Arc<Mutex<HashMap<StepKey, usize>>>;
 
-/// Steps that read-ahead must not evict, and its semaphore.
+/// State of read-ahead: the open steps, which it must not evict, and its semaphore.
 pub(super) struct AheadState {
     open: OpenSteps,
     pub turn: Semaphore,

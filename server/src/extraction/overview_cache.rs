@@ -16,7 +16,7 @@ const OVERVIEW_SIDE: u32 = 128;
 /// Maximum bytes of cached overviews: some time steps of a field, in both modes.
 const KEPT_BYTES: u64 = 32 << 20;
 
-/// Which overview.
+/// Key of an overview.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct OverviewKey {
     pub volume: VolumeKey,
@@ -26,7 +26,7 @@ pub(super) struct OverviewKey {
 /// Overviews that are cached, and those that are being made.
 pub(super) struct Overviews {
     cached: Mutex<Lru<OverviewKey, Arc<Overview>>>,
-    /// The work on each key that has callers, of 24 MiB at most for each.
+    /// Unfinished work by key, at most 24 MiB each. The callers own it, so it ends with the last of them.
     unfinished: Mutex<HashMap<OverviewKey, Weak<Unfinished>>>,
 }
 
@@ -35,7 +35,7 @@ pub(super) struct Unfinished {
     pub work: Mutex<OverviewWork>,
     /// Locked by the caller who continues the work; the others wait for the result, or for their turn if that caller leaves.
     pub turn: tokio::sync::Mutex<()>,
-    /// The place of the work among those that may be made at a time.
+    /// Permit to make this overview, which is released when the last caller is gone.
     _place: Box<dyn Send + Sync>,
 }
 
@@ -57,10 +57,10 @@ impl Overviews {
         lock(&self.cached).insert(key, overview.codes.len() as u64, Arc::clone(overview));
     }
 
-    /// Returns the work on an overview. If there is none, begins it with the place that `admit` returns.
+    /// Returns the work on an overview. If there is none, begins it with the permit that `admit` returns.
     ///
     /// # Errors
-    /// Those of `admit`.
+    /// The errors of `admit`.
     pub(super) fn unfinished<P: Send + Sync + 'static, E>(
         &self,
         key: &OverviewKey,

@@ -1,4 +1,4 @@
-//! Volumes at a low resolution, made a slice of work at a time between other jobs.
+//! Volumes at a low resolution. The device makes them in slices of work, between other jobs.
 
 use std::sync::Arc;
 
@@ -17,9 +17,9 @@ use crate::volumes::VolumeStep;
 use crate::{metrics, pool};
 
 impl DeviceWorker {
-    /// Returns a field, or an expression over fields, at a low resolution. Loads or computes it if it is not on the device. Cached. Dropping
-    /// the future ends the work, unless there are other callers of the same. `admit` returns a place among the overviews that may be made at a
-    /// time; it is called for one that is neither cached nor in the making.
+    /// Returns a field, or an expression over fields, at a low resolution. Loads or computes the field if it is not on the device. The
+    /// result is cached. Dropping the future ends the work, unless another caller waits for the same overview. `admit` returns the permit
+    /// to make an overview; it is called only if the overview is neither cached nor being made.
     ///
     /// # Errors
     /// [`WorkError`], but never `Cancelled`; those of `admit`.

@@ -1,5 +1,5 @@
 //! Volumes that jobs wait for or work on: they are not evicted meanwhile, so that two viewers of different volumes do not evict each
-//! other's.
+//! other's volumes.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -22,7 +22,7 @@ struct Shared {
     released: Notify,
 }
 
-/// Keeps volumes resident until it is dropped.
+/// Guard that keeps volumes resident until it is dropped.
 pub(super) struct Pin {
     shared: Arc<Shared>,
     keys: Vec<VolumeKey>,
@@ -30,7 +30,7 @@ pub(super) struct Pin {
 
 impl Pins {
     /// Pins volumes of these sizes, all at once, when they fit into `budget` bytes beside those that are pinned; volumes larger than the
-    /// budget are pinned when no others are. It pins all or none, so waiters cannot deadlock.
+    /// budget are pinned when no other volumes are pinned. It pins all or none, so waiters cannot deadlock.
     pub(super) async fn pin(&self, volumes: &[(VolumeKey, u64)], budget: u64) -> Pin {
         loop {
             let released = self.shared.released.notified();

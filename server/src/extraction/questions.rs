@@ -43,7 +43,7 @@ pub enum Question {
     VertexErrors(DistanceOf),
 }
 
-/// The surface that a question is about: its view, with the fit of its budget, and its cut.
+/// The surface that a question is about.
 #[derive(Clone, Debug)]
 pub struct ShownSurface {
     /// The view.
@@ -221,7 +221,7 @@ impl WorkerState {
         })
     }
 
-    /// Every field at a position of index space. Fields are not loaded for this.
+    /// Returns the value of every field at a position of index space. Does not load fields for this.
     fn values_at(&self, volume: &VolumeStep, index: [f32; 3]) -> Result<Vec<FieldValue>, JobError> {
         let fields = volume.dataset().fields.iter().map(|field| {
             let value = match self.resident(&VolumeKey::new(volume, &field.name, false)) {
@@ -240,7 +240,7 @@ impl WorkerState {
         fields.collect()
     }
 
-    /// Runs `work` with the cut of a surface that is shown, and the parameters of its view. A cut that was evicted is made again.
+    /// Runs `work` with the cut of a surface that is shown, and the parameters of its view. If the cut was evicted, makes it again.
     fn of_shown<T>(
         &mut self,
         volume: &VolumeStep,
@@ -286,13 +286,13 @@ impl OnDevice<'_> {
     }
 }
 
-/// Index space of a position in the world; `None` outside the volume.
+/// Converts a position from the world to index space; `None` outside the volume.
 fn index_of(volume: &VolumeStep, position: [f64; 3]) -> Option<[f32; 3]> {
     let dataset = volume.dataset();
     index_inside(&dataset.sample_space(), dataset.geometry.dims, position)
 }
 
-/// Index space of a position in the world; `None` outside a volume whose samples lie in it like this.
+/// Converts a position from the world to index space; `None` outside a volume of these dimensions.
 pub(super) fn index_inside(index_space: &IndexSpace, dims: [u32; 3], position: [f64; 3]) -> Option<[f32; 3]> {
     let index = index_space.index(position.into());
     let ends = dims.map(|n| f64::from(n - 1));

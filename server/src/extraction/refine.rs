@@ -2,14 +2,14 @@
 //! bytes.
 //!
 //! - If nothing is shown, or a surface of another isovalue or feature: the final surface if it is small enough, else the finest prefix that
-//!   is. If fitting a budget takes long, a prefix that depends on no budget comes before.
-//! - If another cut of the same surface is shown, be it a prefix: regions take their final leaves, as many as the step allows, and the
-//!   meshes of these and their neighbours are made. Each step shows a mixed cut, which is watertight like any other. On a slow line a
-//!   prefix is first followed by the finest one that is small enough.
+//!   is small enough. If fitting a budget takes long, a prefix that depends on no budget is made first.
+//! - If another cut of the same surface is shown, such as a prefix: the step replaces the leaves of some regions by the final ones, up to
+//!   its limits, and makes the meshes of these regions and their neighbours. Each step shows a mixed cut, which is watertight like any
+//!   other. On a slow line a prefix is first followed by the finest one that is small enough.
 //! - If an error or a budget decides, the final surface is a cut of the vertex tree, provided that the tree is built or soon will be: on a
-//!   GPU, unless the full surface is too large. Otherwise it comes when the viewer is at rest ([`Refinement::can_improve`]), and until then
-//!   the surface is a cut of cubes. If parts are to be removed, the cut of cubes is an intermediate step, and the cut of the tree the last
-//!   one. On a slow line a cut of the tree comes after coarser ones ([`tree_steps`]).
+//!   GPU, unless the full surface is too large. Otherwise the tree is cut when the viewer is at rest ([`Refinement::can_improve`]), and
+//!   until then the surface is a cut of cubes. If parts are to be removed, the cut of cubes is an intermediate step, and the cut of the
+//!   tree the last one. On a slow line a cut of the tree comes after coarser ones ([`tree_steps`]).
 
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -29,24 +29,24 @@ use crate::volumes::VolumeStep;
 /// Triangles of a closed surface for each leaf.
 const TRIANGLES_PER_LEAF: u64 = 2;
 
-/// A step is the last one up to this share of its triangles, in percent, so that no small remainder needs one more.
+/// The last step may have up to this percentage of a step's triangles, so that a small remainder needs no further step.
 const LAST_STEP_PERCENT: u64 = 150;
 
-/// If an error alone decides, the final surface is expected to have the full surface's triangles divided by this.
+/// If a view has an error but no budget, the final surface is expected to have the full surface's triangles divided by this.
 const EXPECTED_SHARE: u64 = 4;
 
 /// A prefix that comes before its budget is fitted has at most this share of the budget's triangles, in percent.
 const UNFITTED_PERCENT: u64 = 20;
 
-/// A prefix that follows a coarser one may have the bytes of this many steps. Region by region, these bytes would be sent more than
-/// once, and the surface would look uneven meanwhile.
+/// A prefix that follows a coarser one may have the bytes of this many steps. Refining region by region instead would send these bytes more
+/// than once, and the surface would look uneven meanwhile.
 const NEXT_PREFIX_STEPS: u64 = 6;
 
-/// A step takes at least the target's leaves divided by this. Each step sends the regions at its border again: on a slow line, small
+/// A step replaces at least the target's leaves divided by this. Each step resends the regions at its border, so on a slow line smaller
 /// steps would send everything three times.
 const MAX_STEPS: u64 = 12;
 
-/// However fast the device is, the first prefix of a new surface is one that any client draws at once, in software too.
+/// Maximum triangles of a new surface's first prefix, however fast the device is: any client can draw them at once, even in software.
 const MAX_PREFIX_TRIANGLES: u64 = 30_000;
 
 /// A new surface's first prefix has at most this share of the final bytes, in percent, so that it arrives at once.
@@ -92,7 +92,7 @@ impl WorkerState {
                 && let Some(expected) = expected
                 && let Some(prefix) = tree_steps::next_prefix(step, on.regions(), expected)
                 && let Some(surface) = on.tree_prefix(view, prefix, cancel)?
-                // Else it would be no progress towards the final surface: if parts are removed, every cut has few triangles.
+                // A cut without additional triangles is no progress. It occurs if parts are removed: then every cut has few triangles.
                 && surface.statistics.triangles > step.made_triangles
             {
                 return Ok(on.tree_prefix_refinement(surface, view, on.own_time(start)));
@@ -132,7 +132,7 @@ impl WorkerState {
                 cancel,
             };
             let (surface, cut) = next.make(shown.as_deref())?;
-            // Cubes still contain the parts that are to be removed: the cut of the tree follows.
+            // A cut of cubes still contains the parts that are to be removed, so a cut of the tree follows.
             let is_final = cut.is_none() && !view.removes_parts();
             let made = Made {
                 surface: on.with_all_stages(surface),
@@ -147,15 +147,15 @@ impl WorkerState {
 }
 
 impl OnDevice<'_> {
-    /// Regions that have cells of the surface.
+    /// Returns the number of regions that have cells of the surface.
     fn regions(&self) -> u64 {
         self.pyramid.active_regions() as u64
     }
 
-    /// Whether a step cuts the vertex tree rather than cubes first, for a view that an error or a budget decides.
+    /// Whether a step cuts the vertex tree, and not cubes first. For a view that an error or a budget decides.
     fn cuts_tree(&self, view: &View, step: Step) -> bool {
         let Some(target) = step.target else {
-            // The fitted budget of bytes was kept by a cut of the tree; a cut of cubes with as many triangles would exceed it.
+            // The budget of bytes was fitted with a cut of the tree. A cut of cubes with the same number of triangles would exceed it.
             let is_fitted =
                 matches!(view.budget, Some(Budget::Bytes(_))) && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             // A surface that replaces another one at once has to be final.
@@ -181,8 +181,9 @@ impl Made {
     }
 }
 
-/// The prefix that comes before a budget is fitted or the vertex tree is built, if one does: the search for a threshold counts several
-/// cuts, on a CPU about as long as it takes to build the pyramid. `expected`: triangles of the final surface.
+/// Returns the prefix that is made before a budget is fitted or the vertex tree is built, if one is needed. Fitting searches for a
+/// threshold and counts several cuts: on a CPU this takes about as long as building the pyramid. `expected`: triangles of the final
+/// surface.
 fn unfitted_prefix(on: &OnDevice<'_>, expected: u64, step: Step) -> Option<Level> {
     let step_triangles = match on.engine.device().kind {
         DeviceKind::Cpu => step.fresh_triangles,
@@ -203,7 +204,7 @@ fn finest_prefix(coarsest: u8, fits: impl FnMut(&Level) -> bool) -> Option<Level
     (1..=coarsest).filter_map(|level| Level::new(level).ok()).find(fits)
 }
 
-/// A prefix as it would be at threshold 0, which is on the way to any cut.
+/// Makes the surface of a prefix at threshold 0, which is a step towards the surface of any threshold.
 fn unfitted(on: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) -> Result<Made, WorkError> {
     let start = Instant::now();
     let params = CutParams {
@@ -222,7 +223,7 @@ fn unfitted(on: &OnDevice<'_>, view: &View, prefix: Level, cancel: &dyn Cancel) 
     })
 }
 
-/// Whether the last step may have this number of leaves.
+/// Whether `leaves` are few enough for the last step, given the `triangles` of a step.
 fn is_last(leaves: u64, triangles: u64) -> bool {
     leaves * TRIANGLES_PER_LEAF * 100 <= triangles.saturating_mul(LAST_STEP_PERCENT)
 }
@@ -259,12 +260,12 @@ impl Next<'_> {
         match (shown, differences) {
             (Some(shown), Some(differences)) => self.refined(shown, &differences),
             _ if self.step.shown == Shown::Another => self.fresh(),
-            // Also if the cut that is shown, or its pyramid, was evicted.
+            // This case includes a shown cut that was evicted, or whose pyramid was.
             _ => self.whole(),
         }
     }
 
-    /// Makes the surface of a cut, or its differences from the one that is kept.
+    /// Makes the whole surface of a cut; with `kept` only the regions that differ from the shown cut.
     fn surface(&self, cut: &Cut, kept: Option<Kept<'_>>) -> Result<Surface, WorkError> {
         let on = self.on;
         Ok(on
@@ -287,7 +288,7 @@ impl Next<'_> {
         Ok((self.surface(&cut, None)?, Some(cut)))
     }
 
-    /// Returns the finest prefix that is small enough, or else the coarsest; `None` if the target can be made as soon.
+    /// Returns the finest prefix that is small enough, or else the coarsest. `None` if the target itself can be made in the first step.
     fn first_prefix(&self) -> Option<Level> {
         let target = self.target.prefix_leaves(Level::FINEST);
         if is_last(target, self.step.fresh_triangles) {
@@ -320,8 +321,8 @@ impl Next<'_> {
         bytes_of(leaves, regions, BYTES_OF_100_TRIANGLES) <= self.step.bytes
     }
 
-    /// On a slow line, returns the finest prefix that the step allows, after a coarser one: it changes the whole surface at once, and takes
-    /// few of its bytes.
+    /// Returns the finest prefix that the step allows and that is finer than the shown one. It is used on a slow line: it improves the
+    /// whole surface at once, for a small share of the final bytes.
     fn next_prefix(&self, shown: &Cut) -> Option<Level> {
         let allowed = self.step.bytes.saturating_mul(NEXT_PREFIX_STEPS);
         let fits = |level: &Level| {
@@ -331,7 +332,8 @@ impl Next<'_> {
         finest_prefix(shown.prefix().get().saturating_sub(1), fits)
     }
 
-    /// Replaces the shown leaves by the target's in as many regions as the step allows.
+    /// Replaces the shown leaves by the target's, region by region until the step's limits are reached. On a slow line, makes a finer
+    /// prefix instead if there is one.
     fn refined(&self, shown: &Cut, differences: &Differences) -> Result<SurfaceOfCut, WorkError> {
         let on = self.on;
         let remade = differences.meshes.iter().enumerate().filter(|(_, remake)| **remake);

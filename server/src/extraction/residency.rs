@@ -8,7 +8,7 @@ use std::hash::Hash;
 pub(super) struct Lru<K, V> {
     entries: Vec<(K, u64, V)>,
     budget: u64,
-    /// Entries that stay whatever they cost.
+    /// Number of most recently used entries that stay even above the budget.
     min_entries: usize,
 }
 
@@ -53,7 +53,7 @@ impl<K: Eq + Hash, V> Lru<K, V> {
     /// Evicts the least recently used entries among those that `may_go`, until `cost` fits into the budget with the rest.
     pub(super) fn evict_for(&mut self, cost: u64, may_go: impl Fn(&K) -> bool) {
         let mut total: u64 = self.entries.iter().map(|e| e.1).sum();
-        // Counts the next entry too.
+        // `entries` counts the new entry too.
         let (budget, mut entries) = (self.budget, self.entries.len() + 1);
         self.entries.retain(|(key, bytes, _)| {
             let goes = total.saturating_add(cost) > budget && entries > self.min_entries && may_go(key);
@@ -75,8 +75,8 @@ impl<K: Eq + Hash, V> Lru<K, V> {
         });
     }
 
-    /// Inserts or replaces an entry as the most recently used, and evicts others until it fits. An entry above the budget is kept alone, or
-    /// with those that stay anyway.
+    /// Inserts or replaces an entry as the most recently used, and evicts others until it fits. An entry above the budget is kept too,
+    /// together with the other most recently used entries that always stay.
     pub(super) fn insert(&mut self, key: K, cost: u64, value: V) {
         self.entries.retain(|e| e.0 != key);
         self.evict_for(cost, |_| true);

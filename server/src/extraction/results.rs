@@ -41,7 +41,7 @@ impl Extraction {
 pub struct ExportWork {
     /// Whether the error is measured.
     pub measuring: Measuring,
-    /// In which places the surface is refined if its triangles intersect.
+    /// Where the surface is refined if its triangles intersect.
     pub refining: Refining,
 }
 
@@ -67,19 +67,19 @@ pub enum Refining {
     Everywhere,
 }
 
-/// Whether the error of a surface is measured, which takes about as long as all else.
+/// Whether the error of a surface is measured. Measuring takes about as long as all other work on the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measuring {
-    /// It is.
+    /// The error is measured.
     Always,
-    /// If it takes no longer than that.
+    /// The error is measured, but given up if that takes longer than this.
     Within(Duration),
-    /// It is not.
+    /// The error is not measured.
     Never,
 }
 
-/// The number of the last cut. Numbers are unique in the process, because sessions still refer to cuts of a lost device after another one
-/// has taken its place.
+/// The number of the last cut. Numbers are unique in the process, because sessions may refer to cuts of a lost device after it was
+/// reopened.
 static LAST_CUT: AtomicU64 = AtomicU64::new(0);
 
 /// A cut that the device's thread keeps for a while: the one that a client shows, or its target.
@@ -135,9 +135,9 @@ pub struct Refinement {
     pub surface: Surface,
     /// The view that the step leads to, with every value in force, including the fit that keeps a budget.
     pub view: View,
-    /// Its cut.
+    /// The cut of the surface.
     pub cut: CutId,
-    /// The cut of the view, once it is known.
+    /// The final cut of the view, once it is known.
     pub target: Option<CutId>,
     /// Whether the surface is that of the view.
     pub is_final: bool,
@@ -145,7 +145,7 @@ pub struct Refinement {
     pub can_improve: bool,
     /// Time on the device's thread, without time spent waiting or reading files.
     pub wall: Duration,
-    /// The part of it from the cut to the mesh on the host.
+    /// The part of `wall` from the cut to the mesh on the host.
     pub meshing: Duration,
 }
 
@@ -184,9 +184,9 @@ pub struct FullCount {
 /// How far a final surface is from the undecimated one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
-    /// Of the whole surface, world units.
+    /// Error of the whole surface, world units.
     pub whole: MeasuredError,
-    /// Of each region that has triangles, world units.
+    /// Error of each region that has triangles, world units.
     pub regions: Vec<([u32; 3], MeasuredError)>,
 }
 

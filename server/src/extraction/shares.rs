@@ -6,21 +6,21 @@ use isopeel_kernels::DeviceKind;
 /// transfer function reuse.
 const PYRAMIDS: u64 = 150;
 
-/// The same for vertex trees: larger than pyramids, but made only for viewers at rest, and for those whose surface an error or a budget
-/// decides.
+/// The same for vertex trees. They are larger than pyramids, but are made only for viewers at rest and for surfaces that an error or a
+/// budget decides.
 const TREES: u64 = 100;
 
 /// The same for cuts: a cut takes one byte a node, a pyramid 40.
 const CUTS: u64 = 20;
 
-/// The same for freed buffers that the next edit reuses, which is quicker than with pages that the system has to clear.
+/// The same for freed buffers. Reusing them in the next edit is quicker than allocating pages, which the system has to clear.
 const IDLE: u64 = 63;
 
 const ALL: u64 = PYRAMIDS + TREES + CUTS + IDLE;
 
-/// Maximum bytes of all of these together if the device is this machine's processors, unless `--surface-memory` sets another limit. For the
-/// demo (197 × 233 × 189 samples) it holds pyramids of 70 isovalues, and trees of eight. With a share alone a server would grow for as long
-/// as viewers choose isovalues, up to a third of the machine's memory, which other programs use too.
+/// Maximum bytes of these four together if the device is this machine's processors, unless `--surface-memory` sets another limit. For the
+/// demo (197 × 233 × 189 samples) it holds pyramids of 70 isovalues, and trees of eight. Without this limit, each new isovalue would let
+/// the server grow, up to a third of the machine's memory, which other programs use too.
 pub const PROCESSOR_BYTES: u64 = 1 << 30;
 
 /// Maximum bytes of each cache. The most recently used entries are kept even if they take more.
@@ -33,7 +33,7 @@ pub(super) struct Shares {
 }
 
 impl Shares {
-    /// Maximum bytes of all of them together.
+    /// Returns the maximum bytes of all four caches together.
     pub(super) fn total(&self) -> u64 {
         self.pyramids + self.trees + self.cuts + self.idle
     }

@@ -23,8 +23,8 @@ pub struct Slice {
 const COPIED_SAMPLES: u64 = 16 << 20;
 
 impl DeviceWorker {
-    /// Returns all samples of a field or of an expression over fields, in pieces of whole planes across z, and the number of planes of
-    /// each; the last piece may have fewer. Loads or computes fields that are not on the device.
+    /// Returns all samples of a field, or of an expression over fields, in pieces of whole planes across z. Also returns the number of
+    /// planes of a piece; the last one may have fewer. Loads or computes fields that are not on the device.
     ///
     /// # Errors
     /// [`WorkError`].

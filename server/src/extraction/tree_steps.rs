@@ -1,7 +1,7 @@
 //! Coarser cuts of the vertex tree that come before the final one, so that a slow line shows a change soon.
 //!
-//! Each one is a whole surface, which the next one replaces, so all bytes before the final one are overhead. Therefore there are few, each
-//! several times as large as the one before, and none on a line that takes the final surface at once.
+//! Each one is a whole surface, which the next one replaces, so all bytes before the final one are overhead. Therefore there are few such
+//! cuts, each several times as large as the one before, and none on a line that takes the final surface at once.
 
 use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
 use super::{Shown, Step};
@@ -18,12 +18,12 @@ const MIN_FIRST_BYTES: u64 = 80 << 10;
 const GROWTH: u64 = 4;
 /// Minimum of that ratio: the final surface is sent instead of a cut that grows by less.
 const MIN_GROWTH: u64 = 2;
-/// There is a further cut only if the bytes of the final surface, divided by those of a step, are above this.
+/// A further coarser cut is made only if the final surface has more than this number of steps' bytes.
 const LONG_STEPS: u64 = 8;
 
 /// Bytes of the final surface, divided by those of the largest cut.
 const TARGET_FINAL_PART: u64 = 5;
-/// The same for a cut whose topology needs more triangles.
+/// Bytes of the final surface, divided by the maximum of a cut whose topology needs more triangles.
 const MAX_FINAL_PART: u64 = 3;
 
 /// Cuts of fewer triangles show too little of a surface.

@@ -56,8 +56,8 @@ impl OnDevice<'_> {
         self.engine.device().kind != DeviceKind::Cpu && self.pyramid.full_triangles() <= MAX_FULL_TRIANGLES
     }
 
-    /// Returns the vertex tree, which is built if it is not cached. `None`: the surface is too large for a tree on this device; cubes take
-    /// less.
+    /// Returns the vertex tree, which is built if it is not cached. `None`: the surface is too large for a tree on this device; a cut of
+    /// cubes needs less memory.
     ///
     /// # Errors
     /// [`WorkError::NoTree`] if parts are to be removed, because cubes contain all parts; [`JobError::TakesLong`] if a short job would have
@@ -201,8 +201,8 @@ impl OnDevice<'_> {
         Ok(TreeCut::Made(self.with_all_stages(surface)))
     }
 
-    /// Makes a coarser cut of the tree than that of a view: it has the same parts and topology, and no guard. `None` if there is no tree,
-    /// or no cut of it has so few triangles.
+    /// Makes a coarser cut of the tree than the view's final one. It has the same parts and topology, but no guard on the error. `None` if
+    /// there is no tree, or no cut of it has so few triangles.
     pub(super) fn tree_prefix(
         &self,
         view: &View,
@@ -270,9 +270,9 @@ impl OnDevice<'_> {
         Ok((self.with_all_stages(surface), cost))
     }
 
-    /// Makes the surface of a view that an error or a budget decides: a cut of the tree, or a cut of cubes. `tree_first`: the tree is
-    /// there, or worth waiting for; else cubes are tried first, and the tree can improve their surface later. The order affects only the
-    /// time it takes to the final surface: a view is refused if both cuts are.
+    /// Makes the surface of a view that an error or a budget decides: a cut of the tree, or a cut of cubes. `tree_first`: whether to cut
+    /// the tree first, because it is cached or quickly built. Otherwise cubes are tried first, and a cut of the tree can replace them
+    /// later. The order affects only the time to the final surface: a view is refused only if both cuts are.
     ///
     /// # Errors
     /// As [`OnDevice::tree_surface`] and [`OnDevice::target`].
@@ -313,8 +313,8 @@ impl OnDevice<'_> {
         Err(lesser(tree_refusal, refusal).into())
     }
 
-    /// Returns a cut of the tree as the last step towards its view. It has no states of cubes, so the surface that follows it is made in
-    /// full.
+    /// Returns a cut of the tree as the last step towards its view. The next surface after it is made in full, because a cut of the tree
+    /// has no states of cubes to compare.
     pub(super) fn tree_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
         Refinement {
             is_final: true,

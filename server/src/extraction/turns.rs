@@ -1,5 +1,5 @@
-//! Cooperative scheduler of the device's thread. Jobs run in the order in which they were queued; a long job yields to waiting jobs
-//! wherever it could be cancelled, which is every 50 ms or so.
+//! Cooperative scheduler of the device's thread. Jobs run in the order in which they were queued; a long job yields to waiting jobs each
+//! time it checks for cancellation, about every 50 ms.
 
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
@@ -17,7 +17,7 @@ pub(super) enum Caller {
     /// A viewer. Its job waits if the queue is full, and stops before its next stage when the viewer is gone. Viewers have one job each, so
     /// that each has its turn.
     Viewer,
-    /// A request. Its job is refused if the queue is full, and stops likewise.
+    /// A request. Its job is refused if the queue is full, and stops before its next stage when the request is gone.
     Request,
     /// The result is cached for other callers: the job waits if the queue is full, and is finished even if its caller is gone.
     Cache,
@@ -33,7 +33,7 @@ impl Caller {
     }
 }
 
-/// How a job shares the device. When a long job yields, the jobs run that come before it in this order.
+/// How a job shares the device, from the highest priority to the lowest. When a long job yields, the waiting jobs of higher priority run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Length {
     /// Ends soon: other jobs wait for its end.
@@ -66,7 +66,8 @@ pub(super) fn job_labels(caller: Caller, length: Length) -> JobLabels {
     }
 }
 
-/// Permits for viewers' jobs in the queue, and for the single long job of each kind, as each holds the memory of its result.
+/// Permits limit the number of viewers' short jobs in the queue. Of each other length they allow one job at a time, because such a job
+/// holds the memory of its result.
 pub(super) struct Permits {
     viewers: Arc<Semaphore>,
     long: Arc<Semaphore>,
@@ -122,8 +123,8 @@ pub(super) type Run<S> = Box<dyn FnOnce(&mut S, &mut Queue<S>) + Send>;
 /// The waiting jobs.
 pub(super) struct Queue<S> {
     waiting: mpsc::Receiver<Job<S>>,
-    /// Jobs that were received while a job that comes before them yielded: an export, or a job of a viewer at rest. [`Permits`] admits no
-    /// second job of a kind.
+    /// Jobs that were received while a job yielded but have no higher priority than that job: an export, or a job of a viewer at rest.
+    /// There are few, because [`Permits`] admits one such job of each length.
     deferred: Vec<Job<S>>,
     /// Called after each job.
     after: Box<dyn Fn(&S)>,
@@ -146,7 +147,7 @@ impl<S> Queue<S> {
         }
     }
 
-    /// Drops the waiting jobs, whose callers then ask for the reason. Returns false if all senders are dropped.
+    /// Drops the waiting jobs. Their callers then take the reason from the device's state. Returns false if all senders are dropped.
     pub(super) fn drop_waiting(&mut self) -> bool {
         self.deferred.clear();
         while self.waiting.try_recv().is_ok() {}
@@ -193,7 +194,7 @@ impl<S> Queue<S> {
 /// Finishes the work that was started on the device, and returns how long each stage took since the last call.
 type TakeTimes<'a> = &'a dyn Fn() -> Vec<StageTime>;
 
-/// A job's turn.
+/// What a running job needs to check for cancellation and to yield.
 pub(super) struct Turn<'a, S> {
     pub token: CancellationToken,
     pub length: Length,
@@ -238,7 +239,7 @@ impl Cancel for Token<'_> {
     }
 }
 
-/// The same for a long job, which yields at each check.
+/// Cancellation of a long job. Each check also yields to waiting jobs.
 struct Pauses<'a, S> {
     token: &'a CancellationToken,
     length: Length,
@@ -262,12 +263,12 @@ impl<S> Cancel for Pauses<'_, S> {
     }
 }
 
-/// Times of a job that yields to others.
+/// Keeps a job's own times apart from those of the jobs that it yields to.
 #[derive(Default)]
 pub(super) struct Aside {
     /// Stages of the job before its last yield.
     stages: RefCell<Vec<StageTime>>,
-    /// Time that other jobs took meanwhile.
+    /// Time that other jobs took while this job yielded.
     elsewhere: Cell<Duration>,
 }
 

@@ -1,4 +1,4 @@
-//! Histograms in the making, which their callers share.
+//! Partial histograms, shared by all callers that need the same one.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -18,7 +18,7 @@ pub(super) struct Unfinished {
 }
 
 impl Unfinished {
-    /// Returns the work on a histogram. The caller that does it holds its lock.
+    /// Returns the work on a histogram. The caller that continues the work holds its lock.
     pub(super) fn of(&self, key: &HistogramKey) -> Arc<tokio::sync::Mutex<HistogramWork>> {
         let mut works = lock(&self.works);
         if works.len() >= MAX_UNFINISHED && !works.contains_key(key) {

@@ -1,4 +1,4 @@
-//! Fields on their way to the device, piece by piece between other jobs.
+//! Uploads of fields to the device, piece by piece between other jobs.
 
 use std::rc::Rc;
 
@@ -8,7 +8,7 @@ use super::keys::VolumeKey;
 use super::worker_state::{JobError, WorkerState};
 
 impl WorkerState {
-    /// Allocates a field; evicts the least recently used ones.
+    /// Allocates a field on the device, and evicts the least recently used fields to make space for it.
     pub(super) fn begin_upload(
         &mut self,
         key: VolumeKey,
@@ -44,7 +44,8 @@ impl WorkerState {
         is_complete
     }
 
-    /// Makes a field resident once all of its samples are on the device. `ahead`: it was read ahead, before a viewer needed it.
+    /// Makes a field resident once all of its samples are on the device. `ahead`: whether the field was read ahead, before a viewer needed
+    /// it.
     pub(super) fn finish_upload(&mut self, key: VolumeKey, ahead: bool) -> Result<(), JobError> {
         let Some((bytes, upload)) = self.uploads.remove(&key) else {
             return Ok(());

@@ -9,7 +9,7 @@ use super::lock::lock;
 /// Period in which a user may take the limit.
 pub const USER_TIME_PERIOD: Duration = Duration::from_secs(600);
 
-/// Number of entries above which those of users with their whole limit available are dropped.
+/// Number of entries above which the server drops the entries of users who have their whole limit available.
 const MANY_USERS: usize = 1024;
 
 /// Device time taken by the users of a server.
@@ -19,7 +19,7 @@ pub(super) struct UserTimes {
     taken: Mutex<HashMap<Arc<str>, Taken>>,
 }
 
-/// Time that was taken, as of a moment. It is restored evenly, the whole limit in one period.
+/// Device time that a user had taken at a given moment. It is restored evenly, the whole limit in one period.
 #[derive(Clone, Copy)]
 struct Taken {
     time: Duration,
@@ -27,7 +27,7 @@ struct Taken {
 }
 
 impl Taken {
-    /// Returns the part of it that still counts.
+    /// Returns the part of the taken time that still counts.
     fn remaining(self, limit: Duration, now: Instant) -> Duration {
         let back = now.saturating_duration_since(self.at).as_secs_f64() / USER_TIME_PERIOD.as_secs_f64();
         self.time.saturating_sub(limit.mul_f64(back))

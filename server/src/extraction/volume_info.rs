@@ -107,7 +107,7 @@ impl AxisInfo {
         }
     }
 
-    /// Of all axes of a volume.
+    /// Returns the meaning of the positions along all axes of a volume; `None` if the file describes none.
     pub fn all(dataset: &Dataset) -> Option<[Option<Self>; 3]> {
         let axes = dataset.axes.as_deref()?;
         Some([0, 1, 2].map(|axis| axes[axis].as_ref().map(Self::of)))

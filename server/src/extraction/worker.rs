@@ -2,10 +2,10 @@
 //!
 //! The OpenCL context stays on one named thread; [`DeviceWorker`] is a cheap handle to it. The queue is first in, first out, and a job is
 //! short (one slice of a histogram, one prefix). A caller queues a new job for each further prefix, so viewers take turns and none starves.
-//! A long job, such as a vertex tree, a measured error or an export, yields to waiting jobs (`turns`).
+//! A long job, such as building a vertex tree, measuring an error or an export, yields to waiting jobs (`turns`).
 //!
 //! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
-//! [`JobError::NotResident`], its caller reads and uploads them, and queues it again.
+//! [`JobError::NotResident`]. Its caller then loads the volumes and queues the job again.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -40,7 +40,7 @@ use crate::volumes::VolumeStep;
 /// viewers wait.
 pub const QUEUED_JOBS: usize = 64;
 
-/// Maximum number of viewers' jobs among them: the other half is left for REST.
+/// Maximum number of viewers' jobs in the queue: the other half is left for REST.
 const VIEWERS_JOBS: usize = QUEUED_JOBS / 2;
 
 /// Maximum number of cached histograms, 2 KiB each: every field and feature of a dataset of some hundred steps.
@@ -61,7 +61,7 @@ pub struct DeviceWorker {
     pub(super) shared: Arc<Shared>,
     /// Observes the jobs of this handle.
     pub(super) watch: Option<Arc<OpeningWatch>>,
-    /// The user who is charged for the fields that this handle computes.
+    /// The user who is charged for computing fields with this handle.
     pub(super) payer: Option<Payer>,
 }
 
@@ -101,8 +101,8 @@ impl Drop for Shared {
 }
 
 impl DeviceWorker {
-    /// Starts the thread for the device that `selector` names, an index or a part of a name as `isopeel devices` lists them; otherwise as
-    /// [`DeviceWorker::start_with`].
+    /// As [`DeviceWorker::start_with`], for the device that `selector` names and without a check. `selector` is an index or a part of a
+    /// name, as `isopeel devices` lists them.
     ///
     /// # Errors
     /// The thread cannot be started.
@@ -110,7 +110,8 @@ impl DeviceWorker {
         Self::start_with(DeviceOptions::unchecked(selector))
     }
 
-    /// Starts the thread and returns at once. The device is chosen and opened there, while jobs wait; [`DeviceWorker::ready`] waits for it.
+    /// Starts the thread and returns at once. The thread chooses and opens the device while jobs wait; [`DeviceWorker::ready`] waits until
+    /// it is open.
     ///
     /// # Errors
     /// The thread cannot be started.
@@ -167,7 +168,7 @@ impl DeviceWorker {
         })
     }
 
-    /// Returns the same handle, which charges the device's time of computed fields to this user; `None`: to no user.
+    /// Returns a handle that charges the device time of computed fields to this user. `None`: to no user.
     #[must_use]
     pub fn paid_by(&self, user: Option<&str>) -> Self {
         Self {
@@ -186,7 +187,7 @@ impl DeviceWorker {
         let start = Instant::now();
         while shared.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
             if start.elapsed() > limit {
-                // Else dropping the handle would wait for the thread.
+                // Detaches the thread: otherwise dropping `shared` would wait for it.
                 drop(shared.thread.take());
                 return false;
             }
@@ -195,13 +196,13 @@ impl DeviceWorker {
         true
     }
 
-    /// The engine that jobs run on, now.
+    /// Returns the id of the engine that jobs run on now.
     pub fn engine(&self) -> EngineId {
         EngineId::of_number(self.shared.engine.load(Ordering::Relaxed))
     }
 
-    /// Waits until the device has done a job, unless one has succeeded within the last second. Returns false if that exceeds the limit,
-    /// because the driver is stuck or the queue is that long.
+    /// Runs a probe job and returns whether the device answers within the limit. If it does not, the driver is stuck or the queue takes
+    /// longer. A probe that has succeeded counts for a second.
     pub async fn answers_within(&self, limit: Duration) -> bool {
         let ask = async {
             // One probe at a time: other callers wait for its answer.
@@ -213,7 +214,7 @@ impl DeviceWorker {
             let asked = self.run(&never, Caller::Viewer, Length::Short, |state, _| {
                 Ok(state.engine().answers())
             });
-            // Errors other than a stuck driver are visible in its state, not here.
+            // A probe that fails counts as an answer: such errors are visible in the device's state.
             let answers = asked.await.unwrap_or(true);
             *last = answers.then(Instant::now);
             answers
@@ -234,7 +235,8 @@ impl DeviceWorker {
     /// Waits until the device is open.
     ///
     /// # Errors
-    /// [`WorkError::NoDevice`]: it could not be opened; [`WorkError::Reopening`].
+    /// [`WorkError::NoDevice`] if it could not be opened, [`WorkError::Reopening`] if it was lost, [`WorkError::Stopped`] if the thread has
+    /// ended.
     pub async fn ready(&self) -> Result<DeviceInfo, WorkError> {
         let mut state = self.states();
         let settled = state.wait_for(|s| !matches!(s, DeviceState::Opening(_))).await;
@@ -246,7 +248,8 @@ impl DeviceWorker {
         }
     }
 
-    /// Resolves when the device can never be used by this process: it could not be opened at the start, or its driver is spoiled (`None`).
+    /// Resolves when this process can never use the device: with the error if it could not be opened at the start or its thread has ended,
+    /// and with `None` if its driver is spoiled.
     pub async fn unusable(&self) -> Option<WorkError> {
         let mut state = self.states();
         let is_final = |state: &DeviceState| matches!(state, DeviceState::Failed(_) | DeviceState::Spoiled);
@@ -257,7 +260,8 @@ impl DeviceWorker {
         }
     }
 
-    /// Returns the same handle for the opening of a volume, and its progress with the work of `describe` and of the `resolve` of a view.
+    /// Returns a handle for opening a volume, and a watch of its progress. The progress covers describing the volume and resolving the
+    /// view.
     ///
     /// # Errors
     /// [`WorkError`], but never `Cancelled`.
@@ -327,8 +331,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// The final surface of a view with its measured error, unless it has more than `ceiling_triangles`. Cancelled between two stages by
-    /// `token`, or by dropping the future.
+    /// Makes the final surface of a view with its measured error, unless it has more than `ceiling_triangles`. Cancelling `token` or
+    /// dropping the future cancels the job before its next stage.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -366,8 +370,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// Measures how far the final surface of a view, whose budget is fitted, is from the undecimated one, if a triangle is left of it. The
-    /// first argument is the caller and how the job shares the device. `token` as in [`DeviceWorker::extract`].
+    /// Measures how far the final surface of a view, whose budget is fitted, is from the undecimated one. `None` if the surface has no
+    /// triangles. `token` as in [`DeviceWorker::extract`].
     ///
     /// # Errors
     /// [`WorkError`].
@@ -385,7 +389,8 @@ impl DeviceWorker {
         .await
     }
 
-    /// A step from the surface that a client shows to that of a view. `token` and `ceiling_triangles` as in [`DeviceWorker::extract`].
+    /// Makes a step from the surface that a client shows to the surface of a view. `token` and `ceiling_triangles` as in
+    /// [`DeviceWorker::extract`].
     ///
     /// # Errors
     /// [`WorkError`].
@@ -431,9 +436,9 @@ impl DeviceWorker {
         .await
     }
 
-    /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, so a caller never has two jobs in it. The
-    /// exception is a job at rest, whose caller does not wait for the end of a cancelled one: there is only one such job, and an export may
-    /// run to its end while it yields.
+    /// Queues a job and waits for its end. A cancelled job stays in the queue until its turn, and its caller waits for that too, so a
+    /// caller never has two jobs in the queue. The exception is a job of [`Length::Rest`]: its caller returns as soon as the job is
+    /// cancelled, because an export may run to its end while the job yields. At most one such job exists.
     pub(super) async fn run<T, F>(
         &self,
         token: &CancellationToken,
@@ -492,8 +497,8 @@ impl DeviceWorker {
         }
     }
 
-    /// As [`DeviceWorker::run`]; retries for each program of the job that was still being checked. Others use the device until it has
-    /// passed.
+    /// As [`DeviceWorker::run`], but if a program of the job is still being checked, waits for that check and retries. Other jobs use the
+    /// device meanwhile.
     pub(super) async fn run_when_proven<T, F>(
         &self,
         token: &CancellationToken,
@@ -518,7 +523,8 @@ impl DeviceWorker {
         }
     }
 
-    /// Runs a slice of work on a whole volume, for one caller at a time; others take their turns while it waits for the check of a program.
+    /// Runs a slice of work on a whole volume. Callers take turns: only one slice is queued at a time. If a program is still being checked,
+    /// gives up the turn, waits for the check and retries.
     pub(super) async fn run_slice<T, F>(&self, caller: Caller, job: F) -> Result<T, JobError>
     where
         T: Send + 'static,

@@ -37,8 +37,8 @@ const VOLUME_PERCENT: u64 = 50;
 
 /// Why a job ended without a result.
 pub(super) enum JobError {
-    /// Not all of these fields are resident: load them and queue the job again. Has their bytes on the device, and the maximum bytes of all
-    /// resident fields.
+    /// Not all fields in `needed` are resident: load them and queue the job again. `needed` has each field's bytes on the device; `budget`
+    /// is the maximum for all resident fields together.
     NotResident { needed: Vec<(VolumeKey, u64)>, budget: u64 },
     /// These histograms are not cached: make them and queue the job again.
     NeedsHistograms(Vec<HistogramKey>),
@@ -63,7 +63,7 @@ impl From<Error> for JobError {
 }
 
 impl From<JobError> for WorkError {
-    /// Applies to jobs that use no volume.
+    /// For jobs that use no volume: only `Failed` is expected of them.
     fn from(halt: JobError) -> Self {
         match halt {
             JobError::Failed(error) => error,
@@ -86,7 +86,7 @@ pub(super) fn no_finite_sample() -> WorkError {
 /// What a job on a view uses on the device: its volume, its pyramid and the caches.
 pub(super) struct OnDevice<'a> {
     pub engine: &'a Engine,
-    /// These two are borrowed only for a moment: other jobs use them while this job yields.
+    /// `cuts` and `trees` are borrowed only for a moment, because other jobs use them while this job yields.
     pub cuts: &'a RefCell<Cuts>,
     pub trees: &'a RefCell<Trees>,
     /// Key of the pyramid and its tree.
@@ -95,7 +95,7 @@ pub(super) struct OnDevice<'a> {
     pub pyramid: &'a Pyramid,
     /// Whether the pyramid was cached before the job.
     was_cached: bool,
-    /// Whether the job yields, so that it may take long.
+    /// Whether the job yields to waiting jobs. Only such a job may take long.
     pub yields: bool,
     aside: &'a Aside,
     /// Parameters of the view as it was before the job.
@@ -112,7 +112,7 @@ impl OnDevice<'_> {
             .unwrap_or_else(|| self.params.clone())
     }
 
-    /// Returns the job's own time since `start`, without that of other jobs.
+    /// Returns the time since `start`, without the time that other jobs took while this job yielded.
     pub(super) fn own_time(&self, start: Instant) -> Duration {
         self.aside.own_time(start)
     }
@@ -131,7 +131,7 @@ impl OnDevice<'_> {
         } = making;
         let refines = refining != Refining::Never;
         let (params, cut) = if view.is_by_error() {
-            // A surface that is refined is measured afterwards.
+            // If the surface is to be refined, its error is measured after the refinement.
             match self.decided(view, ceiling, true, measures && !refines, cancel)? {
                 Decided::Tree(_) if refines => {
                     let (surface, cost) = self.refined_tree_surface(view, making, cancel)?;
@@ -154,7 +154,8 @@ impl OnDevice<'_> {
         Ok((self.with_all_stages(surface), None))
     }
 
-    /// Adds the other stages of this job: those before its last yield and, first, those of the pyramid if the job has built it.
+    /// Completes the surface's stages with those of the job before its last yield. If the job has built the pyramid, the pyramid's stages
+    /// come first.
     pub(super) fn with_all_stages(&self, mut surface: Surface) -> Surface {
         let stages = &mut surface.statistics.stages;
         self.aside.complete(stages);
@@ -174,13 +175,13 @@ impl OnDevice<'_> {
 /// Which nodes of a pyramid a job needs.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Nodes {
-    /// Those that the view's cut may have as leaves.
+    /// Only nodes that can be leaves of the view's cut.
     OfTheView,
-    /// All: coarse prefixes are made, and the next edit changes the cut.
+    /// All nodes, because the job cuts coarse prefixes too, and the next edit changes the cut.
     All,
 }
 
-/// Vertex trees, by their pyramids.
+/// Cache of vertex trees, by the keys of their pyramids.
 pub(super) type Trees = Lru<PyramidKey, Rc<VertexTree>>;
 
 /// Histograms, shared between the thread and the handles.
@@ -194,14 +195,14 @@ pub(super) struct WorkerState {
     pub(super) volumes: Lru<VolumeKey, Rc<Volume>>,
     /// Volumes that were read ahead and are not used yet, the oldest first.
     pub(super) ahead: Vec<VolumeKey>,
-    /// Resident fields that expressions gave.
+    /// Resident fields that the device has computed from others, by an expression or a mask.
     pub(super) computed: HashSet<VolumeKey>,
     pub(super) pyramids: Lru<PyramidKey, Rc<Pyramid>>,
     pub(super) trees: Rc<RefCell<Trees>>,
     pub(super) cuts: Rc<RefCell<Cuts>>,
-    /// Maximum bytes of pyramids, trees, cuts and freed buffers.
+    /// Maximum bytes of cached pyramids, trees, cuts and freed buffers together.
     pub(super) surface_bytes: u64,
-    /// Maximum time of the device for a field that a request has computed.
+    /// Maximum device time for computing one field.
     pub(super) request_time: Option<Duration>,
     pub(super) histograms: Histograms,
     pub(super) pins: Pins,
@@ -209,12 +210,13 @@ pub(super) struct WorkerState {
     pub(super) uploads: HashMap<VolumeKey, (u64, Upload)>,
     /// Whether the device no longer answers: all its data is gone.
     pub(super) is_lost: bool,
-    /// Programs that have passed a check which still runs; the engine builds no others.
+    /// Set while the device's check is still running: the programs that have passed it so far. The engine builds no others.
     pub(super) proven: Option<Arc<Proven>>,
 }
 
 impl WorkerState {
-    /// `surface_bytes`: maximum bytes kept of earlier edits, if that is set. `request_time`: as in [`super::DeviceOptions`].
+    /// `surface_bytes`: maximum bytes of cached data of earlier edits; `None`: a default that depends on the device. `request_time`: as in
+    /// [`super::DeviceOptions`].
     pub(super) fn new(
         engine: Engine,
         histograms: Histograms,
@@ -245,7 +247,7 @@ impl WorkerState {
         }
     }
 
-    /// Returns the memory by purpose. `program`: memory of the process before it opened a volume.
+    /// Returns the memory by purpose. `program`: bytes that the process held before it opened a volume.
     pub(super) fn memory(&self, program: u64) -> Result<ThreadMemory, Error> {
         Ok(ThreadMemory {
             device: self.engine.memory()?,
@@ -292,12 +294,13 @@ impl WorkerState {
         self.computed.retain(|key| volumes.peek(key).is_some());
     }
 
-    /// Bytes that are kept of earlier edits, without freed buffers.
+    /// Returns the bytes of cached pyramids, trees and cuts, without freed buffers.
     pub(super) fn kept_surface_bytes(&self) -> u64 {
         self.pyramids.cost() + self.trees.borrow().cost() + self.cuts.borrow().cost()
     }
 
-    /// Fills in isovalue and feature range. Requests all histograms for that at once.
+    /// Fills in isovalue and feature range from cached histograms. If any is missing, returns an error that names all missing ones, so that
+    /// the caller makes them before the next attempt.
     pub(super) fn resolve(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), JobError> {
         if view.iso.is_some() && view.feature_range.is_some() {
             return Ok(());
@@ -330,8 +333,7 @@ impl WorkerState {
         )
     }
 
-    /// Makes the final surface, with or without its measured error, from a cached pyramid if there is one. Its stages are those of this
-    /// job.
+    /// Makes the final surface as `making` says, from a cached pyramid if there is one. The surface's stages are those of this job alone.
     pub(super) fn extract(
         &mut self,
         volume: &VolumeStep,
@@ -354,8 +356,8 @@ impl WorkerState {
         })
     }
 
-    /// Measures the final surface of a view of the dual mesher, which is a cut of the vertex tree if that is cached. `None` if no triangle
-    /// is left of it.
+    /// Measures the error of a view's final surface, which the dual mesher made: a cut of the vertex tree if `view.fitted` says so and the
+    /// tree can be built, else a cut of cubes. `None` if the surface has no triangles.
     pub(super) fn measure(
         &mut self,
         volume: &VolumeStep,
@@ -387,8 +389,8 @@ impl WorkerState {
         })
     }
 
-    /// Runs `work` with the volume and the pyramid of a view. If the device runs out of memory, caches are freed and it runs once more. The
-    /// volumes of a long job are pinned, if there is space for them beside the volumes that are pinned already.
+    /// Runs `work` with the volume and the pyramid of a view. If the device runs out of memory, frees caches and retries once. Pins the
+    /// volumes of a long job, if there is space for them beside the volumes that are pinned already.
     pub(super) fn with_pyramid<T>(
         &mut self,
         volume: &VolumeStep,
@@ -437,7 +439,7 @@ impl WorkerState {
             .is_some_and(|kept| cells_suffice || kept.is_whole());
         metrics::looked_up("pyramid", is_cached);
         let (engine, cuts, trees) = (Rc::clone(&self.engine), Rc::clone(&self.cuts), Rc::clone(&self.trees));
-        // If the device fails, the job's next launch reports it.
+        // An error is ignored here: if the device failed, the job's next launch reports it.
         let take_times = || engine.take_times().unwrap_or_default();
         let aside = Aside::default();
         if !is_cached {
@@ -446,7 +448,7 @@ impl WorkerState {
                 true => engine.build_cells(&shown_volume, feature.get(), iso, cancel),
                 false => engine.build_pyramid(&shown_volume, feature.get(), iso, cancel),
             })?;
-            // A job that ran meanwhile may have made all of it, and a tree.
+            // While this job yielded, another job may have cached the whole pyramid and a tree of it: keep those.
             if self.pyramids.peek(&key).is_none_or(|kept| !kept.is_whole()) {
                 self.pyramids
                     .insert(key.clone(), pyramid.device_bytes(), Rc::new(pyramid));
@@ -470,14 +472,14 @@ impl WorkerState {
         turn.run(self, &take_times, &aside, |cancel| work(&on, view, cancel))
     }
 
-    /// Returns the keys of the fields that a view uses, and marks them as used; an error if one is not resident.
+    /// Returns the keys of the fields that a view uses, and marks the fields as used. Returns an error if one is not resident.
     pub(super) fn require(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, JobError> {
         let keys = view_keys(volume, view);
         self.use_fields(volume, &keys)?;
         Ok(keys)
     }
 
-    /// Marks fields as used; an error that names all of them if one is not resident.
+    /// Marks fields as used. If one is not resident, returns an error that names all of them.
     pub(super) fn use_fields(&mut self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<(), JobError> {
         self.ahead.retain(|key| !keys.contains(key));
         let missing = keys.iter().filter(|key| self.volumes.get(key).is_none()).count();
@@ -488,7 +490,7 @@ impl WorkerState {
         Ok(())
     }
 
-    /// A feature with its fields, which are resident.
+    /// Returns a feature with its fields, which must be resident.
     pub(super) fn feature_fields(
         &self,
         volume: &VolumeStep,
@@ -501,7 +503,8 @@ impl WorkerState {
         })
     }
 
-    /// Returns the error that names the fields a job needs; or, before any file is read, that they cannot be resident together.
+    /// Returns [`JobError::NotResident`] with the fields that a job needs. If they cannot be resident together, returns
+    /// [`WorkError::TooLarge`], so that no file is read in vain.
     fn not_resident(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> JobError {
         // Includes the inputs of computed fields: all of them are pinned together until the fields are made.
         let needed = |masking| {
@@ -525,7 +528,7 @@ impl WorkerState {
         }
     }
 
-    /// The fields with their bytes on the device.
+    /// Returns the fields with their bytes on the device.
     pub(super) fn bytes_of(&self, volume: &VolumeStep, keys: &[VolumeKey]) -> Result<Vec<(VolumeKey, u64)>, WorkError> {
         let bytes = |key: &VolumeKey| {
             let grid = padded_grid(volume, key.padded)?;

@@ -20,12 +20,12 @@ use crate::volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
 /// Default bytes of chunks that are cached for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;
 
-/// Interval at which the progress of an open is polled, and so published at most.
+/// Interval at which the progress of opening a volume is polled, and thus the minimum between two reports.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Catalog and device of a session.
 pub trait Backend: Clone + Send + Sync + 'static {
-    /// The dataset of that id, if the viewer may see it.
+    /// Returns the dataset of that id, if the viewer may see it.
     fn find(&self, volume: &str, who: &Identity) -> Option<Arc<Dataset>>;
 
     /// Returns a backend whose work is accounted to this viewer's user.
@@ -55,7 +55,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<Box<RawValue>, WorkError>> + Send;
 
-    /// Prefetches the samples of a time step that these views use, as far as there is memory for them.
+    /// Prefetches the samples of a time step that these views use, if there is memory for them.
     fn read_ahead(
         &self,
         volume: &VolumeStep,
@@ -73,12 +73,12 @@ pub trait Backend: Clone + Send + Sync + 'static {
         false
     }
 
-    /// The engine that is in use now.
+    /// Returns the id of the engine that is in use now.
     fn engine(&self) -> EngineId {
         EngineId::default()
     }
 
-    /// A view of a time step with every value in force, when the samples of all fields that it uses are there.
+    /// Loads the samples of all fields that a view of a time step uses, and returns the view with every value resolved.
     fn resolve(
         &self,
         volume: &VolumeStep,
@@ -86,7 +86,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<View, WorkError>> + Send;
 
-    /// How many triangles the full surface of a view has, which the next step of the view then starts from.
+    /// Counts the triangles of the full surface of a view. The next step of the view reuses this work.
     fn count(
         &self,
         volume: &VolumeStep,
@@ -94,7 +94,7 @@ pub trait Backend: Clone + Send + Sync + 'static {
         token: &CancellationToken,
     ) -> impl Future<Output = Result<FullCount, WorkError>> + Send;
 
-    /// A step from the surface that the client shows to that of a view.
+    /// Makes a step from the surface that the client shows to the surface of a view.
     fn refine(
         &self,
         volume: &VolumeStep,
@@ -133,13 +133,13 @@ pub trait Backend: Clone + Send + Sync + 'static {
 /// An open volume.
 #[derive(Clone, Debug)]
 pub struct Opening {
-    /// As `GET /api/v1/volumes/{id}`.
+    /// Description of the volume, the same JSON as that of `GET /api/v1/volumes/{id}`.
     pub volume: Box<RawValue>,
     /// The view with every value in force.
     pub view: View,
     /// Name of the device.
     pub device: String,
-    /// Whether it is this machine's processors, which the pool needs too.
+    /// Whether the device is this machine's processors, which the CPU pool needs too.
     pub shares_processors: bool,
 }
 
@@ -156,7 +156,7 @@ pub struct Live {
 pub struct LiveOptions {
     /// Maximum bytes on the device of prefetched time steps; 0 turns prefetching off.
     pub ahead_bytes: u64,
-    /// Maximum bytes of chunks that are kept for viewers of equal views; 0: none are.
+    /// Maximum bytes of chunks that are cached for viewers of equal views; 0 disables the cache.
     pub shared_bytes: u64,
     /// Whether volumes and time steps may appear.
     pub watches: bool,
@@ -224,7 +224,7 @@ impl Backend for Live {
                 device: device.name,
             })
         };
-        // Histograms are finished for the cache; a viewer that is gone does not wait for them.
+        // Stop waiting if the viewer is gone. The histogram in progress is still finished for the cache.
         tokio::select! {
             opening = open => opening,
             () = token.cancelled() => Err(WorkError::Cancelled),
@@ -307,14 +307,15 @@ impl Backend for Live {
     }
 }
 
-/// A view with every value in force, and the description of its volume.
+/// Returns a view with every value resolved, and the description of its volume.
 async fn read(
     worker: &DeviceWorker,
     volume: &VolumeStep,
     view: &View,
     token: &CancellationToken,
 ) -> Result<(View, Box<RawValue>), WorkError> {
-    // The description first: it takes many jobs, so viewers see progress, and the view then finds its histograms in the cache.
+    // The description comes first: it takes many jobs, so viewers see progress, and resolving the view then finds the histograms in the
+    // cache.
     let description = described(worker, volume).await?;
     let view = worker.resolve(volume, view, token).await?;
     Ok((view, description))

@@ -1,8 +1,8 @@
 //! Groups: the followers see the surfaces and the camera of the member in control.
 //!
-//! A group has a leader, who has started it, and followers. One member has control, at first the leader. What that member opens, edits
-//! and looks at is broadcast to the others; only the newest state is kept. When the leader leaves, the group ends. If the leader's
-//! connection is lost, the group waits for the leader to come back with the key that no one else has.
+//! A group has a leader, who has started it, and followers. One member has control, at first the leader. The volume, edits and camera of
+//! that member are broadcast to the others; only the newest state is kept. When the leader leaves, the group ends. If the leader's
+//! connection is lost, the group waits for the leader, who resumes with a secret key.
 
 mod first_steps;
 mod leader;
@@ -40,7 +40,7 @@ const SEATS: SeatLimits = SeatLimits {
     of_address: MAX_GROUPS / 2,
     reserve: MAX_GROUPS / 16,
 };
-/// Maximum followers of a group: a lecture, and some viewers beside it.
+/// Maximum followers of a group: enough for a lecture, with some of the server's viewers left.
 pub(super) const MAX_FOLLOWERS: usize = 1000;
 /// Lifetime of a group, so that a forgotten one ends.
 const MAX_AGE: Duration = Duration::from_secs(12 * 3600);
@@ -48,9 +48,9 @@ const MAX_AGE: Duration = Duration::from_secs(12 * 3600);
 /// Maximum followers that are listed for the leader. Followers who ask for control come first.
 const MAX_LISTED: usize = 32;
 
-/// Minimum interval between two poses that a follower is sent: as often as hands move.
+/// Minimum interval between two poses that a follower is sent, short enough for a smooth picture.
 const POSE_INTERVAL: Duration = Duration::from_millis(50);
-/// The same, per follower of the group: all followers together get at most 5,000 poses a second.
+/// The interval is at least this multiplied by the number of followers, so that all followers together get at most 5,000 poses a second.
 const POSE_INTERVAL_EACH: Duration = Duration::from_micros(200);
 /// Minimum interval between two messages that list the members of the group.
 const MEMBERS_INTERVAL: Duration = Duration::from_millis(250);
@@ -157,11 +157,12 @@ pub(super) enum GroupEvent {
     Ended(&'static str),
 }
 
-/// A viewer in a group. Dropping it takes the viewer out of the group; the group waits for a leader that was dropped without leaving.
+/// A viewer's membership of a group. Dropping it takes the viewer out of the group. If the leader's is dropped without `leave`, the group
+/// waits for the leader.
 pub(super) struct Member {
-    /// Of a leader: cancelled when the leader resumes on another connection.
+    /// Token of the viewer's connection. If the viewer is the leader, it is cancelled when the leader resumes on another connection.
     connection: CancellationToken,
-    /// It has left for good, so the group does not wait for it.
+    /// Whether the viewer has left for good, so that the group does not wait for it.
     has_left: bool,
     group: Arc<Group>,
     groups: Groups,
@@ -187,7 +188,7 @@ impl Groups {
         self.all.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts a group. `id` is random, and the only secret that a viewer needs to join.
+    /// Starts a group. `id` is random: it is the only secret that a viewer needs to join.
     pub(super) fn lead(&self, id: String, leader: Leader) -> Result<Member, GroupError> {
         let seat = self.seat_for(&leader)?;
         let mut all = self.all();
@@ -263,7 +264,7 @@ impl Member {
     fn new(group: Arc<Group>, groups: Groups, number: u32, connection: CancellationToken) -> Self {
         let (mut scene, mut pose) = (group.scene.subscribe(), group.pose.subscribe());
         let mut members = group.members.subscribe();
-        // The present state is new to a viewer who joins.
+        // A viewer who joins has not seen the present scene, so it counts as changed.
         scene.mark_changed();
         pose.mark_changed();
         members.mark_changed();
@@ -286,7 +287,7 @@ impl Member {
         self.has_left = true;
     }
 
-    /// Whether it has control, so that the others follow it.
+    /// Whether this member has control, so that the others follow it.
     pub(super) fn controls(&self) -> bool {
         !self.connection.is_cancelled() && self.members.borrow().control == self.number
     }
@@ -296,7 +297,7 @@ impl Member {
         self.members.borrow().followers.len() as u32
     }
 
-    /// Waits for the next event. Scenes and poses are events only for members without control, as the member in control sends them.
+    /// Waits for the next event. Members without control also get scenes and poses, which the member in control sends.
     async fn event(&mut self) -> GroupEvent {
         let follows = !self.controls();
         tokio::select! {
@@ -321,7 +322,7 @@ impl Member {
         scene.filter(|_| !self.controls())
     }
 
-    /// Broadcasts what this member is shown, if it has control.
+    /// Broadcasts the scene that this member is shown, if it has control.
     pub(super) fn show(&self, scene: Scene) {
         if self.controls() {
             self.group.scene.send_if_modified(|before| {
@@ -334,7 +335,7 @@ impl Member {
         }
     }
 
-    /// Broadcasts the pose of the member in control; parts that are left out stay as they were.
+    /// Broadcasts the pose of the member in control. Parts that `pose` leaves out keep their values.
     pub(super) fn pose(&self, pose: Pose) -> Result<(), GroupError> {
         if !self.controls() {
             return Err(GroupError::NotInControl);
@@ -451,7 +452,7 @@ impl Scene {
     }
 }
 
-/// Resolves when there is something newer, but not before a point in time.
+/// Resolves when the watched value has changed, but not before `due`.
 async fn changed_from<T>(watched: &mut watch::Receiver<T>, due: Instant) -> Result<(), watch::error::RecvError> {
     sleep_until(due).await;
     watched.changed().await

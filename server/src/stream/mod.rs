@@ -38,12 +38,12 @@ pub use socket::Deadlines;
 pub use viewers::MAX_VIEWERS;
 use viewers::Viewers;
 
-/// Maximum bytes of a message that is read. Above [`MAX_MESSAGE_BYTES`], so that a message that is a little too long gets its close code;
-/// a longer one ends the connection.
+/// Maximum bytes of a message that is read. Above [`MAX_MESSAGE_BYTES`], so that a message slightly over the limit is answered with its
+/// close code; a longer one ends the connection.
 const MAX_READ_BYTES: usize = 16 * MAX_MESSAGE_BYTES;
 
-/// Size of a connection's read buffer: edits have some hundred bytes. Each read clears the buffer first; the library's
-/// default is 128 KiB, for servers to which much is sent.
+/// Size of a connection's read buffer: edits have some hundred bytes. Each read clears the buffer first; the library's default is 128 KiB,
+/// for servers that receive large messages.
 const READ_BUFFER_BYTES: usize = 4 << 10;
 
 /// What sessions share with each other: viewers, surfaces and groups. Clones are cheap.
@@ -71,7 +71,7 @@ pub struct StreamState<B> {
     backend: B,
     deadlines: Deadlines,
     common: Common,
-    /// Every connection, so that a shutdown can wait for the last.
+    /// Tasks of all connections, so that a shutdown can wait for the last one.
     tasks: TaskTracker,
     shutdown: CancellationToken,
 }

@@ -16,7 +16,8 @@ use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 
 /// Triangles in a batch for each thread of the pool. Another viewer's work waits for two batches, which take about 5 ms.
 const BATCH_TRIANGLES: usize = 25_000;
-/// Chunks in a batch for each thread; bounds the frames that wait for the socket. The coarsest prefixes are many tiny chunks.
+/// Chunks in a batch for each thread. Bounds the number of frames that wait for the socket, because the coarsest prefixes are many tiny
+/// chunks.
 const BATCH_CHUNKS: usize = 128;
 
 /// Maximum regions of two surfaces that are compared on the calling task: for so few, a dispatch to the pool takes longer than the
@@ -37,9 +38,9 @@ pub(super) enum PrefixError {
 /// The difference between two surfaces.
 #[derive(Debug)]
 pub(super) struct Changes {
-    /// The step that has them.
+    /// The step that has the changed regions.
     pub step: Arc<SharedStep>,
-    /// Coding in which it is sent.
+    /// Coding in which the regions are sent.
     pub coding: Coding,
     /// Regions to send or to remove.
     pub changed: Vec<Part>,
@@ -66,7 +67,7 @@ impl Part {
         }
     }
 
-    /// Whether its chunk is encoded already; the prefix that it names is set when it is sent.
+    /// Whether the region's chunk is encoded already. The prefix in its header is set when it is sent.
     fn is_encoded(self, step: &SharedStep, coding: Coding) -> bool {
         match self {
             Self::Made(region) => step.regions[region].is_encoded(coding),
@@ -159,8 +160,8 @@ fn take_batch_for<P>(threads: usize, triangles_of: impl Fn(&P) -> usize, parts: 
     batch
 }
 
-/// Returns the chunks of a batch of a step. Chunks that were not encoded before are quantised and encoded in parallel on the pool. If
-/// all were, the pool is not used.
+/// Returns the chunks of a batch of a step. Chunks that were not encoded before are quantised and encoded in parallel on the pool. If all
+/// chunks were encoded before, the pool is not used.
 pub(super) async fn encode(
     step: Arc<SharedStep>,
     batch: Vec<Part>,
@@ -186,7 +187,7 @@ pub(super) async fn encode(
     .await?
 }
 
-/// Encodes the errors of the regions of which the client holds the current mesh, in parallel.
+/// Encodes in parallel the errors of those regions whose current mesh the client holds.
 pub(super) async fn encode_errors(
     errors: Vec<VertexErrors>,
     held: Arc<HeldRegions>,

@@ -11,20 +11,21 @@
 //! the line      one step: compared and encoded on the pool, then in the outbox; prefixes do not mix
 //! ```
 //!
-//! - **Edits.** An edit comes into force when all samples that it uses are loaded and every value is resolved (`resolving`), most at once.
-//!   Then its surface is marked, and when the device is free of the session's last job, the view starts a new
-//!   [`generation::Generation`]. Edits that arrive before change the same view, so they coalesce.
+//! - **Edits.** An edit comes into force when all samples that it uses are loaded and every value is resolved (`resolving`); for most edits
+//!   this is at once. Then its surface is marked as changed. When the session's last job has left the device, the view starts a new
+//!   [`generation::Generation`]. Edits that arrive before that change the same view, so they coalesce.
 //! - **Steps.** A generation makes and sends its surface in steps (`generation` draws their phases). At most one job is on the device
-//!   (`jobs`). `pace` says how large a step may be, `line` how much of it may be on its way.
+//!   (`jobs`). `pace` limits the size of a step, and `line` the bytes in flight.
 //! - **Scheduling.** First steps come before further steps of other surfaces, and the surface that was edited last before others. A
 //!   surface that has waited for a few jobs of others comes before all (`schedule`).
-//! - **Budget.** A connection has one budget. Surfaces share it in proportion to their full triangles, which are counted first if two
-//!   or more share. A surface whose part changes is made again, and surfaces that shrink are shown before those that grow (`sharing`).
+//! - **Budget.** A connection has one budget. Surfaces share it in proportion to their full triangles, which are counted first if two or
+//!   more share. A surface whose part of the budget changes is made again, and surfaces that shrink are shown before those that grow
+//!   (`sharing`).
 //! - **Outbox.** Frames wait here until the writer takes them. [`super::viewers::Viewers::ahead_bytes`] bounds what is encoded ahead.
-//!   [`HIGH_WATER`] bounds what a client that sends and does not read can cause.
-//! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between
-//!   two stages, its frames leave the outbox, and `superseded` follows. A generation of which nothing was committed first commits a step,
-//!   so that a viewer who drags a slider faster than surfaces are made still sees some.
+//!   [`HIGH_WATER`] bounds the memory of a client that sends but does not read.
+//! - **Supersession.** A newer edit ends a generation of which something was committed: its token cancels the device's job between two
+//!   stages, its frames leave the outbox, and `superseded` follows. A generation of which nothing was committed first commits a step, so
+//!   that a viewer who drags a slider faster than surfaces are made still sees some of them.
 //! - **Pictures.** `draw_pause` gives a client on the same machine time to draw.
 //! - **Questions.** Queries on a surface are answered when no generation is running (`questions`).
 //! - **Time.** At another time step the surfaces are made again, and regions that are equal are not sent again. The next step is
@@ -90,13 +91,13 @@ use resolving::Resolved;
 use time::{Ahead, read_ahead};
 use trace::ConnectionId;
 
-/// Bytes of other frames from which on no message is read: a client that sends and does not read cannot fill memory. On a slow line
-/// edits are still read, however much of a surface waits.
+/// The session stops reading messages when frames of this many bytes wait that belong to no generation. So a client that sends but does not
+/// read cannot fill memory. Frames of a surface do not count, so edits are read on a slow line too.
 const HIGH_WATER: usize = 1 << 20;
-/// Frames of at most this size go on a full line, too.
+/// Frames of at most this size are sent even if the line is full.
 const SMALL_FRAME: usize = 1 << 10;
 
-/// From the reader.
+/// Input from the reader.
 #[derive(Debug)]
 pub(super) enum Incoming {
     /// A text frame of at most [`MAX_MESSAGE_BYTES`].
@@ -107,7 +108,7 @@ pub(super) enum Incoming {
     Fault(CloseCode),
 }
 
-/// To the writer.
+/// Output to the writer.
 #[derive(Debug, PartialEq)]
 pub(super) enum Outgoing {
     /// A text frame.
@@ -123,7 +124,7 @@ pub(super) enum Outgoing {
 enum Event<'a> {
     OpeningProgress(OpeningProgress),
     Shutdown,
-    /// The viewer's token.
+    /// The viewer's token has ended.
     TokenEnded,
     WriterGone,
     /// A sign of life is due.
@@ -151,13 +152,13 @@ pub(super) struct Session<B> {
     who: Identity,
     id: ConnectionId,
     opened: Option<OpenVolume>,
-    /// Counts volumes opened, so that the result of an earlier `open` is recognised.
+    /// Number of volumes opened so far, which tells the result of an earlier `open` from that of the current one.
     opens: u32,
     open_pace: OpenPace,
     last_generation: u32,
-    /// Counts edits, so that the surface that was edited last comes first.
+    /// Number of edits so far. The surface that was edited last has priority.
     edits: u64,
-    /// Counts jobs of surfaces on the device, so that each gets its turn.
+    /// Number of surfaces' jobs on the device so far. It shows how long a surface has waited.
     jobs: u64,
     /// The job on the device. It outlives its generation: a cancelled job must return before the next one is queued.
     device: Option<BoxFuture<DeviceDone>>,
@@ -166,7 +167,7 @@ pub(super) struct Session<B> {
     outbox: Outbox,
     /// Malformed messages in a row.
     malformed: u32,
-    /// The client has sent `drawn` before, so it will again.
+    /// Whether the client has sent `drawn` before: then it acknowledges later pictures too.
     acknowledges: bool,
     pace: Pace,
     heartbeat: Heartbeat,
@@ -177,11 +178,11 @@ pub(super) struct Session<B> {
     questions: Questions,
     /// The time step that is read ahead.
     ahead: Option<Ahead>,
-    /// The group that it is in.
+    /// The viewer's membership of a group.
     member: Option<Member>,
     /// The last volume that this session tried to open because the member in control has opened it.
     tried: Option<StepKey>,
-    /// The edit or time step that the device resolves now. Dropping it cancels that.
+    /// The job that resolves an edit or a time step on the device. Dropping it cancels the job.
     resolving: Option<BoxFuture<Resolved>>,
 }
 
@@ -320,7 +321,7 @@ impl<B: Backend> Session<B> {
                     }
                     None
                 }
-                // The next iteration of the loop starts the work that waited for this.
+                // These events need no action: the next iteration of the loop starts the work that waited for them.
                 Event::PongWaitElapsed | Event::OpenPaceElapsed | Event::RestDue | Event::ReadAhead => None,
             };
             if let Some(code) = close {
@@ -365,7 +366,7 @@ impl<B: Backend> Session<B> {
         self.send_error(error.code(), error.public_message(), true);
     }
 
-    /// Whether the writer may take the next frame. A small frame is sent on a full line, too, such as the ping whose pong frees capacity.
+    /// Whether the writer may take the next frame. A small frame is sent on a full line too, such as the ping whose pong frees capacity.
     fn may_write(&self) -> bool {
         let next = self.outbox.next_bytes();
         next.is_some_and(|bytes| bytes <= SMALL_FRAME || self.line.has_capacity())
@@ -456,8 +457,8 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Opens the volume of the member in control, if this viewer may open it. The samples are the same as the other
-    /// member's, even if the catalogue has newer ones under this id.
+    /// Opens the volume of the member in control, if this viewer may see it. Uses that member's samples, even if the catalogue has newer
+    /// ones under this id.
     fn open_led(&mut self, led: &VolumeStep) {
         let id = &led.dataset().id;
         let lease = self.backend.lease(id);

@@ -18,47 +18,47 @@ use crate::access::Identity;
 use crate::metrics;
 use crate::wire::messages::{CloseCode, MAX_MESSAGE_BYTES};
 
-/// Capacity of the queue between reader and session. Messages wait in it only when the client does not read; when it is full, TCP gives
-/// back-pressure.
+/// Capacity of the queue between reader and session. Messages wait in it only if the client does not read its own; when the queue is full,
+/// TCP gives back-pressure.
 const INBOX: usize = 16;
-/// Capacity of the queue between session and writer. Small, because a newer edit cannot drop frames in it any more; large enough that
+/// Capacity of the queue between session and writer. Small, because a newer edit can no longer drop frames in it, but large enough that
 /// small frames share a write to the network.
 const OUTGOING: usize = 32;
 
-/// Maximum bytes of small frames that are written together, under one deadline; a last frame may exceed it. A line that takes fewer bytes in
-/// that time is too slow to use.
+/// Maximum bytes of small frames that are written together, under one deadline; a last frame may exceed it. A line that cannot take that
+/// many bytes before the deadline is too slow to use.
 const TOGETHER_BYTES: usize = 64 << 10;
 
 /// Maximum messages that are read per [`WINDOW`], pings and pongs included: several times those of a slider that is dragged on a fast
-/// screen. If a client sends more, TCP gives back-pressure, so that reading them costs other viewers nothing.
+/// screen. If a client sends more, TCP gives back-pressure, so that reading its messages does not slow down other viewers.
 const MAX_WINDOW_MESSAGES: u32 = 50;
 /// The window of [`MAX_WINDOW_MESSAGES`].
 const WINDOW: Duration = Duration::from_millis(100);
 
-/// Time between the close frame and the end of a connection that cannot be read any more: unread bytes reset the connection, and a client
-/// that is reset may lose the frame.
+/// Time between the close frame and the end of a connection that cannot be read any more. Ending it at once with unread bytes would reset
+/// the connection, and the client could lose the close frame.
 const LINGER: Duration = Duration::from_secs(1);
 
-/// Time for the close frame after a token has ended, and for the frames that wait before it.
+/// Time to send the waiting frames and the close frame after a token has ended.
 const TOKEN_GRACE: Duration = Duration::from_secs(2);
 
 /// Deadlines of a connection.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadlines {
-    /// For one write: a frame, or several small ones.
+    /// Deadline of one write: a frame, or several small ones.
     pub send: Duration,
-    /// Between two pings.
+    /// Interval between two pings.
     pub ping: Duration,
-    /// Without a frame from the client, pongs included, until it counts as gone.
+    /// Time without a frame from the client, pongs included, after which the client counts as gone.
     pub silence: Duration,
-    /// For the close handshake.
+    /// Deadline of the close handshake.
     pub close: Duration,
-    /// For the steps of a surface.
+    /// Target times for the steps of a surface.
     pub steps: StepTimes,
 }
 
 impl Default for Deadlines {
-    /// Those of `PROTOCOL.md`.
+    /// Returns the deadlines of `PROTOCOL.md`.
     fn default() -> Self {
         Self {
             send: Duration::from_secs(20),
@@ -125,7 +125,7 @@ where
             Ok(Some(Ok(message))) => incoming(message),
         };
         if let Some(incoming) = incoming {
-            // Fails when the session has ended: further messages are dropped.
+            // Sending fails when the session has ended: further messages are dropped.
             let _ = session.send(incoming).await;
         }
         read_in_window += 1;
@@ -151,7 +151,7 @@ fn incoming(message: Message) -> Option<Incoming> {
     }
 }
 
-/// How a client has broken the protocol; `None` if the connection was lost.
+/// Returns the close code for a violation of the protocol; `None` if the connection was lost.
 fn violation(error: axum::Error) -> Option<CloseCode> {
     match error.into_inner().downcast_ref()? {
         tungstenite::Error::Protocol(ProtocolError::ResetWithoutClosingHandshake) => None,
@@ -192,8 +192,7 @@ where
     }
 }
 
-/// Sends a message and those that wait behind it, up to [`TOGETHER_BYTES`]. If the session closes the connection next, returns the code
-/// to close it with.
+/// Sends a message and those that wait behind it, up to [`TOGETHER_BYTES`]. If one of them closes the connection, returns the close code.
 async fn send<S>(
     sink: &mut S,
     first: Result<Message, CloseCode>,
@@ -243,7 +242,7 @@ where
         code: code as u16,
         reason: code.reason().into(),
     };
-    // The connection ends whether it was sent or not.
+    // The connection ends whether or not the close frame was sent.
     let _ = timeout(deadline, sink.send(Message::Close(Some(frame)))).await;
 }
 

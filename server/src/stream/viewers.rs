@@ -3,15 +3,15 @@
 use crate::access::{Identity, NoSeat, Seat, SeatLimits, Seats};
 
 /// Maximum viewers. One user can have half of them, one address three quarters, and the last ones are reserved for administrators; a
-/// further connection is closed with 4002. Most viewers only look. Of those that edit, as many have a job in the device's queue as it has
-/// space for, and the others wait in order.
+/// further connection is closed with 4002. Most viewers only look. Viewers who edit share the device's queue; when it is full, further ones
+/// wait in order.
 pub const MAX_VIEWERS: usize = 1024;
 
 /// Bytes of surfaces that are encoded ahead for all viewers together.
 const AHEAD_BYTES: usize = 256 << 20;
-/// The same for one viewer: the socket sends these while the next batch is encoded.
+/// Maximum for one viewer: the socket sends these bytes while the next batch is encoded.
 const MAX_AHEAD_BYTES: usize = 4 << 20;
-/// The same for one of [`MAX_VIEWERS`], some chunks.
+/// Bytes for one viewer if [`MAX_VIEWERS`] are connected: some chunks.
 const MIN_AHEAD_BYTES: usize = AHEAD_BYTES / MAX_VIEWERS;
 
 /// The connected viewers. Clones share the count.
@@ -31,7 +31,7 @@ impl Default for Viewers {
 }
 
 impl Viewers {
-    /// Admits one more viewer, who leaves when the seat is dropped.
+    /// Admits one more viewer. Dropping the returned seat frees the place.
     ///
     /// # Errors
     /// There is no seat for this user.

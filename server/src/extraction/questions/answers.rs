@@ -8,13 +8,13 @@ use crate::extraction::statistics::in_world;
 /// The answer to a [`Question`](super::Question).
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
-    /// To [`Question::Probe`](super::Question::Probe).
+    /// Answer to [`Question::Probe`](super::Question::Probe).
     Probe(Probe),
-    /// To [`Question::Distribution`](super::Question::Distribution).
+    /// Answer to [`Question::Distribution`](super::Question::Distribution).
     Distribution(Distribution),
-    /// To [`Question::Curve`](super::Question::Curve).
+    /// Answer to [`Question::Curve`](super::Question::Curve).
     Curve(Curve),
-    /// To [`Question::VertexErrors`](super::Question::VertexErrors): of the regions of the surface.
+    /// Answer to [`Question::VertexErrors`](super::Question::VertexErrors), one entry for each region of the surface.
     VertexErrors(Vec<VertexErrors>),
 }
 
@@ -23,7 +23,7 @@ pub enum Answer {
 pub struct VertexErrors {
     /// The region, as it was made.
     pub region: Region,
-    /// Of each of its vertices.
+    /// Distance of each vertex of the region.
     pub distances: Vec<f32>,
 }
 
@@ -159,7 +159,7 @@ pub struct Curve {
 }
 
 impl CurvePoint {
-    /// In world units, from the device's multiples of the smallest spacing. β has no unit.
+    /// Converts a point to world units, from the device's multiples of the smallest spacing. β has no unit.
     pub(super) fn in_world(point: isopeel_kernels::CurvePoint, by_error: bool, smallest: f64) -> Self {
         let threshold = match by_error {
             true => in_world(point.threshold, smallest),

@@ -12,7 +12,7 @@ use tokio::time::timeout;
 
 use super::{Group, Member};
 
-/// Longest wait for the first steps of others: the time that the largest group takes.
+/// Longest wait for the first steps of others: about the time that the first steps of the largest group take.
 pub(in crate::stream) const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 /// Members that wait for a first step.
@@ -42,9 +42,9 @@ pub(in crate::stream) struct OthersFirst(watch::Receiver<usize>);
 impl OthersFirst {
     /// Returns when no member waits for a first step any more, but no later than after [`LONGEST_WAIT`].
     pub(in crate::stream) async fn wait(mut self) {
-        // The event that woke this member wakes others as well: let them begin to wait first.
+        // The event that woke this member wakes others as well. Yield, so that they are counted as waiting first.
         yield_now().await;
-        // If it takes longer, or the group has ended, only the order is lost.
+        // A time-out or the end of the group is harmless: only the order of steps is lost.
         let _ = timeout(LONGEST_WAIT, self.0.wait_for(|waiting| *waiting == 0)).await;
     }
 }

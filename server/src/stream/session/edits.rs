@@ -57,8 +57,8 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Gives each surface its part of the budget, once all that share it are counted. Surfaces whose part has changed are remade;
-    /// `edited` is remade in any case.
+    /// Gives each surface its part of the budget, once all surfaces that share it are counted. Remakes surfaces whose part has changed, and
+    /// `edited` in any case.
     pub(super) fn allot(&mut self, edited: Option<u8>) {
         let lacking = self.opened.as_mut().map(OpenVolume::lacking);
         lacking.into_iter().flatten().for_each(|number| self.change(number));
@@ -91,7 +91,7 @@ impl<B: Backend> Session<B> {
                 continue;
             };
             if session.is_busy() {
-                // Its surface was not made with its part of the budget. Without a part it is remade after the next edit.
+                // The surface was not made with its part of the budget. Clearing the part makes the next edit remake it.
                 session.allotted = None;
             }
             session.edit_pending = false;
@@ -105,7 +105,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Returns the surface of this number. If there is none, sends the error `unknown-surface`.
+    /// Returns the number if the surface exists; otherwise sends the error `unknown-surface`, or `not-open` if no volume is open.
     pub(super) fn find_surface(&mut self, surface: u32) -> Option<u8> {
         let Some(opened) = &self.opened else {
             self.send_error("not-open", "no volume is open, expected `open` first", true);
@@ -154,7 +154,7 @@ impl<B: Backend> Session<B> {
         };
         let Some(mut generation) = session.stop() else { return };
         if !matches!(generation.sending, Sending::Idle) {
-            // The pool's results are not awaited.
+            // Drops the jobs on the pool: their results are not needed any more.
             self.pool = FuturesOrdered::new();
         }
         self.outbox.drop_surface(surface);

@@ -35,7 +35,7 @@ impl<B: Backend> Session<B> {
         self.end_failed(surface);
     }
 
-    /// Whether the view in force was shown before, be it of another time step.
+    /// Whether a surface of the view in force was made before, at this or another time step.
     fn is_proven(&self, surface: u8) -> bool {
         let session = self.opened.as_ref().and_then(|opened| opened.surface(surface));
         session.is_some_and(|session| session.proven.as_ref() == Some(&session.view))
@@ -55,7 +55,7 @@ impl<B: Backend> Session<B> {
         (Some(whole), message)
     }
 
-    /// Reverts the view in force, which turned out to be invalid, to the one before, for followers too.
+    /// Reverts the view in force, which turned out to be invalid, to the previous one; also for followers.
     fn take_back(&mut self, surface: u8) {
         self.end_generation(surface);
         let Some(opened) = &mut self.opened else { return };
@@ -77,8 +77,8 @@ impl<B: Backend> Session<B> {
         self.end_failed(surface);
     }
 
-    /// Ends a failed generation. If the client may not keep its surface, removes that first. Other surfaces may have waited for its
-    /// triangles.
+    /// Ends a failed generation. If the client may not keep its surface, removes that first. Finally allots the budget again, because other
+    /// surfaces may have waited for this one's count of triangles.
     pub(super) fn end_failed(&mut self, surface: u8) {
         let Some(opened) = &mut self.opened else { return };
         let (volume, may_stay) = (opened.volume.clone(), opened.may_stay(surface));

@@ -1,7 +1,7 @@
 //! One generation: the steps in which an edit's surface is made and sent.
 //!
-//! Two lanes, each with one phase at a time. A step passes through both; the next one is made while the one before is sent. Of all surfaces
-//! of a connection one at a time is `OnDevice`, and one at a time is sent.
+//! A generation has two lanes, making and sending, each in one phase at a time. A step passes through both; the next step is made while the
+//! one before is sent. Of all surfaces of a connection, at most one is `OnDevice` and at most one is sent.
 //!
 //! ```text
 //! making    Waiting --device--> OnDevice --made--> Made --taken by the sending lane--> Waiting
@@ -30,13 +30,13 @@ use crate::wire::chunk::{Coding, PrefixId};
 use crate::wire::messages::ServerMessage;
 
 pub(super) struct Generation {
-    /// Number of its surface.
+    /// Number of the generation's surface.
     pub surface: u8,
     /// Unique in a connection, whatever the surface.
     pub number: u32,
-    /// Resolved. Its budget is the part of its surface.
+    /// The resolved view. Its budget is the surface's part of the connection's budget.
     pub view: View,
-    /// Of that view.
+    /// Key of `view`.
     pub key: ViewKey,
     pub making: Making,
     pub sending: Sending,
@@ -51,21 +51,22 @@ pub(super) struct Generation {
     pub committed: bool,
     /// Whether a better surface may follow the final one.
     pub can_improve: bool,
-    /// A newer edit waits until a step is committed: so that a client sees something of a drag.
+    /// Whether a newer edit waits until a step of this generation is committed, so that the client sees some surfaces during a drag.
     pub is_overtaken: bool,
     /// Device time so far.
     pub wall: Duration,
     /// Time of each stage so far.
     pub stages: Vec<StageTime>,
-    /// Until the client has drawn its first prefix.
+    /// Pause until the client has drawn the first prefix.
     pub draw_pause: DrawPause,
     /// Number of the connection's last job when this generation began to wait for its next one.
     pub waits_since: u64,
-    /// Error of its work. It is sent once regions that the client may not keep are removed.
+    /// Error of the generation's work. It is sent after the regions that the client may not keep are removed.
     pub failure: Option<Box<ServerMessage>>,
-    /// If the viewer is in a group and its line is not full: held until the first step is ready to be sent.
+    /// Guard that delays the further steps of other members of the group until this first step is ready to be sent. `None` if the viewer is
+    /// in no group or its line is full.
     pub first_step: Option<FirstStep>,
-    /// When an edit began it; `None` for a surface that is improved at rest.
+    /// When an edit began this generation; `None` for a surface that is improved at rest.
     begun: Option<Instant>,
     pub token: CancellationToken,
     /// Cancels `token` when the generation is dropped.
@@ -87,14 +88,14 @@ pub(super) enum Making {
 /// A step on its way to the client.
 pub(super) enum Sending {
     Idle,
-    /// The pool compares it with the regions that the client holds.
+    /// The pool compares the step with the regions that the client holds.
     Comparing(Sent),
-    /// Its regions are encoded in batches.
+    /// The regions of the step are encoded in batches.
     Encoding {
         sent: Sent,
         step: Arc<SharedStep>,
         coding: Coding,
-        /// Regions that are in no batch yet; the next one is the last of the list.
+        /// Regions that are in no batch yet, in reverse order: the last one is taken next.
         remaining: Vec<Part>,
         /// Batches on the pool.
         batches: usize,
@@ -112,17 +113,17 @@ pub(super) struct Sent {
     pub is_final: bool,
     /// Whether a better surface of the same view may follow when the viewer rests.
     pub can_improve: bool,
-    /// Triangles of the whole surface once it is committed.
+    /// Triangles of the whole surface once the step is committed.
     pub surface_triangles: u64,
     /// Triangles that were made for this viewer, and the time since their cut was known; `None` if another viewer's job made them.
     pub own: Option<(u64, Duration)>,
-    /// When its comparison began.
+    /// When the comparison of the step began.
     pub began: Instant,
-    /// Bytes of its chunks so far.
+    /// Bytes of the step's chunks so far.
     pub bytes: u64,
     /// When the writer took the first frame.
     pub handed_over: Option<Instant>,
-    /// With the final surface.
+    /// Statistics of the final surface; `None` for other steps.
     pub statistics: Option<ExtractionStatistics>,
 }
 
@@ -155,13 +156,13 @@ impl Generation {
         }
     }
 
-    /// Whether it is a better surface of a generation that was done, and the client has seen nothing of it.
+    /// Whether this generation only improves a final surface at rest, and none of its frames was sent.
     pub(super) fn is_unsent_improvement(&mut self) -> bool {
         let is_seen = |sent: &mut Sent| sent.handed_over.is_some();
         self.begun.is_none() && !self.committed && !self.sent().is_some_and(is_seen)
     }
 
-    /// A new generation that an edit has requested.
+    /// Creates a generation that an edit has requested.
     pub(super) fn of_edit(surface: u8, number: u32, view: View, key: ViewKey, shown: Shown) -> Self {
         metrics::edit_begun();
         Self {
@@ -170,7 +171,7 @@ impl Generation {
         }
     }
 
-    /// A step is ready to be committed.
+    /// Records that a step is ready to be committed.
     pub(super) fn note_commit(&mut self, is_final: bool) {
         self.first_step = None;
         let Some(begun) = self.begun else { return };
@@ -182,13 +183,13 @@ impl Generation {
         }
     }
 
-    /// The device has counted the full surface.
+    /// Records that the device has counted the full surface.
     pub(super) fn counted(&mut self, count: &FullCount) {
         self.add_times(count.wall, &count.stages);
         self.making = Making::Waiting;
     }
 
-    /// The device has made a step.
+    /// Records that the device has made a step.
     pub(super) fn made(&mut self, offered: Offered) {
         let made = &offered.step.made;
         self.add_times(made.wall, &made.surface.statistics.stages);
@@ -196,7 +197,7 @@ impl Generation {
         self.target = made.target;
         self.steps_made += 1;
         self.made_triangles = made.surface.statistics.triangles;
-        // The threshold that keeps the budget: the next steps need not search for it again.
+        // Keep the threshold that was fitted to the budget, so that the next steps need not search for it again.
         self.view.fitted = made.view.fitted;
         self.making = Making::Made(offered);
     }
@@ -210,7 +211,7 @@ impl Generation {
         }
     }
 
-    /// Takes another part of the budget, while nothing is made yet.
+    /// Sets another part of the budget. Called only before anything is made.
     pub(super) fn set_budget(&mut self, budget: Option<Budget>) {
         if self.view.budget.is_some() && budget.is_some() && self.view.budget != budget {
             self.view.budget = budget;
@@ -228,12 +229,12 @@ impl Generation {
         }
     }
 
-    /// Whether no step was begun: its part of the budget may still change.
+    /// Whether no step was begun, so that the part of the budget may still change.
     pub(super) fn is_unstepped(&self) -> bool {
         self.steps_made == 0 && matches!(self.making, Making::Waiting)
     }
 
-    /// Makes an empty surface the next step, behind the one that is being sent: the work failed, and the client is to hold nothing.
+    /// After a failure: makes an empty surface the next step, behind the one that is being sent, so that the client then holds nothing.
     pub(super) fn clear(&mut self, volume: &VolumeStep) {
         self.making = match self.sending {
             Sending::Idle => Making::Made(Offered::nothing(&self.view, volume)),
@@ -241,7 +242,7 @@ impl Generation {
         };
     }
 
-    /// The step that waits to be sent.
+    /// Takes the step that waits to be sent.
     pub(super) fn take_made(&mut self) -> Option<Offered> {
         match std::mem::replace(&mut self.making, Making::Waiting) {
             Making::Made(offered) => {
@@ -283,7 +284,7 @@ impl Generation {
         }
     }
 
-    /// The pool has compared the step that is sent.
+    /// Records that the pool has compared the step that is being sent.
     pub(super) fn compared(&mut self, changes: Changes) {
         let Sending::Comparing(sent) = std::mem::replace(&mut self.sending, Sending::Idle) else {
             return;
@@ -300,7 +301,7 @@ impl Generation {
         };
     }
 
-    /// The step that is sent, if there is one.
+    /// Returns the step that is being sent, if there is one.
     pub(super) fn sent(&mut self) -> Option<&mut Sent> {
         match &mut self.sending {
             Sending::Idle => None,

@@ -36,7 +36,7 @@ impl<B: Backend> Session<B> {
         self.lead_or_follow();
     }
 
-    /// A message about the group itself.
+    /// Handles a message about the group itself.
     pub(super) fn on_group_message(&mut self, message: ClientMessage) {
         match message {
             ClientMessage::Lead { .. } | ClientMessage::AskControl { .. } if !self.who.may(Role::Edit) => {
@@ -120,7 +120,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Leaves the group that it is in, if it is in one.
+    /// Leaves the viewer's group, if there is one.
     fn part(&mut self) {
         if let Some(member) = self.member.take() {
             member.leave();
@@ -226,7 +226,7 @@ impl<B: Backend> Session<B> {
             opened.stepping = None;
             opened.surfaces_mut().for_each(|(_, surface)| surface.pending = None);
         }
-        // The surfaces follow once the volume is open.
+        // The surfaces are applied once the volume is open.
         if self
             .opened
             .as_ref()

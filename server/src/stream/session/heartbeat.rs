@@ -6,7 +6,7 @@ use tokio::time::Instant;
 
 /// Interval between two `heartbeat` messages.
 const BEAT: Duration = Duration::from_millis(1500);
-/// Bytes that may go before a beat: a slow line needs longer for them than between two beats.
+/// Bytes that may be sent before a beat. A slow line may need more than [`BEAT`] for them.
 pub(super) const BEFORE_BEAT: u64 = 128 << 10;
 /// Heartbeats without an answer after which the line counts as dead.
 const MISSED: u32 = 3;
@@ -27,12 +27,12 @@ impl Heartbeat {
         }
     }
 
-    /// The client asks for it; the first beat is due now.
+    /// Starts the heartbeat at the client's request. The first beat is due now.
     pub(super) fn begin(&mut self) {
         self.next.get_or_insert_with(Instant::now);
     }
 
-    /// A frame of the client was read.
+    /// Records that a frame of the client was read.
     pub(super) fn heard(&mut self, is_pong: bool) {
         self.heard = Instant::now();
         self.answers_pings |= is_pong;
@@ -44,13 +44,13 @@ impl Heartbeat {
     }
 
     /// Called when a beat is due; `line` is the time that the line needs for [`BEFORE_BEAT`]. Returns the longest time until the next beat,
-    /// or `None` if the client was silent for too long. A client that has never answered a ping may be silent: it may be behind a proxy
-    /// that answers none.
+    /// or `None` if the client was silent for too long. A client that has never answered a ping may be silent, because a proxy may drop its
+    /// pings.
     pub(super) fn beat(&mut self, is_listening: bool, line: Duration) -> Option<Duration> {
         self.next = Some(Instant::now() + BEAT);
         let longest = BEAT.max(line);
         if !is_listening {
-            // The server itself does not read now: its frames wait in the queue.
+            // The server itself does not read now, so the client's frames wait in the queue: count them as heard.
             self.heard = Instant::now();
         }
         // The next check is one beat later.

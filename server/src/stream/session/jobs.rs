@@ -26,13 +26,15 @@ use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, Su
 use crate::wire::chunk::{ChunkKind, Coding};
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
-/// Triangles of a new surface's first step, summed over the followers of a group: they reach a thousand followers within 70 ms on two
-/// cores.
+/// Maximum triangles of a new surface's first step, summed over the followers of a group. They reach a thousand followers within 70 ms on
+/// two cores.
 const FOLLOWED_TRIANGLES: u64 = 2_000_000;
 
-/// Rate, bytes a second, from which on a line takes bytes faster than the coding for slow lines saves them.
+/// Rate in bytes a second above which the coding for slow lines is not used: sending the bytes that it saves takes less time than that
+/// coding.
 const MIN_FAST_LINE: u64 = 4_000_000;
-/// The same for an intermediate step: coarse meshes are harder to predict, so the coding saves only a fifth of their bytes.
+/// The rate above which the coding is not used for an intermediate step. It is lower, because coarse meshes are harder to predict, so the
+/// coding saves only a fifth of their bytes.
 const MIN_FAST_LINE_OF_COARSE: u64 = 1_250_000;
 
 /// Batches that are encoded at once: the next one uses the threads that are idle at the end of the one before.
@@ -45,7 +47,7 @@ pub(super) enum DeviceDone {
     Refined(u32, Outcome<Offered>),
     Improved(u32, Outcome<Option<Offered>>),
     Measured(u32, Outcome<Option<Arc<Measurement>>>),
-    /// With the number of the open and the time step.
+    /// Description of a time step, with the number of the open and the step.
     Described(u32, u32, Result<Box<RawValue>, WorkError>),
 }
 
@@ -66,7 +68,7 @@ pub(super) async fn finished<T>(job: &mut Option<BoxFuture<T>>) -> T {
 }
 
 impl<B: Backend> Session<B> {
-    /// A result of an earlier open or generation is dropped.
+    /// Handles a result of the device. Drops a result of an earlier open or generation.
     pub(super) fn on_device(&mut self, done: DeviceDone) {
         match done {
             DeviceDone::Opened(open, result) if open == self.opens => match result {
@@ -147,7 +149,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// The better surface is sent as one more step of its generation, with another `done`.
+    /// Handles the better surface of a viewer at rest: it is sent as one more step of the same generation, with another `done`.
     fn on_improved(&mut self, number: u32, result: Outcome<Option<Offered>>) {
         let Some((surface, session)) = self.opened.as_mut().and_then(|opened| opened.of_rest(number)) else {
             return;
@@ -209,14 +211,14 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// The generation of which a step is being sent.
+    /// Returns the generation whose step is being sent.
     fn sending(&mut self) -> Option<&mut Generation> {
         let opened = self.opened.as_mut()?;
         let surface = opened.sending()?;
         opened.surface_mut(surface)?.generation_mut()
     }
 
-    /// A result of the step that is being sent; those of a step that is not sent any more do not come.
+    /// Handles a result of the pool for the step that is being sent. Results of a dropped step never arrive.
     pub(super) fn on_pool(&mut self, done: PoolDone) {
         let Some(generation) = self.sending() else { return };
         let (surface, mesher) = (generation.surface, generation.view.mesher);
@@ -299,7 +301,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Starts what the pool can do: the next batches of the step that is being sent, or else the comparison of one that is ready.
+    /// Starts the next work on the pool: batches of the step that is being sent, or else the comparison of a step that is ready.
     pub(super) fn advance_pool(&mut self) {
         while let Some(opened) = &self.opened
             && opened.sending().is_none()
@@ -398,7 +400,7 @@ impl<B: Backend> Session<B> {
         for (number, surface) in opened.surfaces_mut() {
             if surface.edit_pending && surface.generation().is_none() {
                 self.last_generation += 1;
-                // If the line is full, the step is not sent soon: further steps of others need not wait for it.
+                // If the line is full, this member's first step is not sent soon, so further steps of others need not wait for it.
                 let waiting = self.member.as_ref().filter(|_| !self.pace.is_line_full());
                 let key = SurfaceKey::new(engine, &volume, &surface.view);
                 let first_step = waiting.map(Member::first_step);
@@ -475,7 +477,8 @@ impl<B: Backend> Session<B> {
     }
 
     /// Converts the bytes that the line takes for a step to bytes of chunks in the coding `meshopt`. On a line that uses the coding for
-    /// slow lines these are half as many more, also for a coarse cut that is sent in `meshopt` because the line is not very slow.
+    /// slow lines, the result is larger by half. This holds also for a coarse cut that is sent in `meshopt` because the line is not very
+    /// slow.
     fn meshopt_bytes(&self, bytes: u64) -> u64 {
         match self.line_coding(MIN_FAST_LINE) {
             Coding::Meshopt => bytes,
@@ -483,7 +486,8 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Triangles of the first step of a new surface: the more followers a group has, the fewer, so that all get it soon.
+    /// Returns the triangles of the first step of a new surface. The more followers a group has, the fewer triangles, so that all get the
+    /// step soon.
     fn fresh_triangles(&self) -> u64 {
         let followers = self.member.as_ref().map_or(0, Member::followers);
         self.pace.fresh().min(FOLLOWED_TRIANGLES / u64::from(followers.max(1)))

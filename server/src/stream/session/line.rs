@@ -1,9 +1,9 @@
-//! Flow control: bounds the bytes in flight, which the client has not confirmed yet, so that a newer edit waits for little of an older
-//! surface.
+//! Flow control: bounds the bytes in flight, which the client has not confirmed yet. So a newer edit does not wait until much of an older
+//! surface is sent.
 //!
-//! A ping follows each eighth of the window, and its pong confirms that all before it has arrived. The window is the number of bytes that
-//! the line takes in its round trip plus [`QUEUE`]. Without a window, buffers of the operating system and the network take several
-//! megabytes, for which a slow line needs seconds.
+//! A ping follows each eighth of the window, and its pong confirms that all bytes before it have arrived. The window is the number of bytes
+//! that the line takes in its round trip plus [`QUEUE`]. Without a window, buffers of the operating system and the network would take
+//! several megabytes, for which a slow line needs seconds.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -13,22 +13,22 @@ use tokio::time::Instant;
 /// Time that bytes may wait for the line, beyond a round trip.
 const QUEUE: Duration = Duration::from_millis(120);
 
-/// The window until the first pong, and of slow lines.
+/// The window before the first pong, and the minimum for slow lines.
 const FIRST_WINDOW: u64 = 64 << 10;
 const MIN_WINDOW: u64 = 24 << 10;
 
-/// Pings in a window, at most; the reader limits how many messages it takes.
+/// Maximum number of pings in a window. There must be few, because the server limits how many messages, pongs included, it reads.
 const PINGS_PER_WINDOW: u64 = 8;
 const MIN_BYTES_PER_PING: u64 = 8 << 10;
 
-/// Rates of which the highest counts: a pause of the sender or the network makes some of them too low.
+/// Number of latest rates, of which the highest is used: a pause of the sender or the network makes some of them too low.
 const RATES: usize = 10;
 
 /// Time without a pong after which the window is ignored: the client may be behind a proxy that answers no pings. A client that does not
 /// read is closed by the writer's deadline.
 const MAX_PONG_WAIT: Duration = Duration::from_secs(2);
 
-/// Bit that is set in the numbers of these pings, and not in those of [`super::pace`].
+/// Bit that is set in the numbers of this module's pings, but not in those of [`super::pace`].
 const MARK: u32 = 1 << 31;
 
 /// A ping whose pong is awaited.
@@ -36,11 +36,11 @@ struct Ping {
     number: u32,
     /// Bytes sent before it.
     sent: u64,
-    /// Bytes that were confirmed when it was sent, and since when: `progress`.
+    /// Bytes that had been confirmed when the ping was sent; `since` is the line's `progress` at that time.
     confirmed: u64,
     since: Instant,
     at: Instant,
-    /// Whether the line was not full: then the rate may be that of the sender.
+    /// Whether the line had capacity. If so, the measured rate may be limited by the sender, not by the line.
     had_capacity: bool,
 }
 
@@ -48,13 +48,13 @@ struct Ping {
 pub(super) struct Line {
     sent: u64,
     confirmed: u64,
-    /// The oldest first.
+    /// Pings whose pongs are awaited, the oldest first.
     pings: VecDeque<Ping>,
     next: u32,
     /// Bytes a second, the latest last.
     rates: VecDeque<f64>,
     round_trip: Option<Duration>,
-    /// When bytes were confirmed, or when the first of those that are not were sent.
+    /// When bytes were last confirmed, or when sending began again with nothing in flight.
     progress: Instant,
 }
 
@@ -71,7 +71,7 @@ impl Line {
         }
     }
 
-    /// Whether a ping of this number is one of these.
+    /// Whether the ping of this number is one of this module's.
     pub(super) fn is_own(number: u32) -> bool {
         number & MARK != 0
     }
@@ -101,7 +101,7 @@ impl Line {
         }
     }
 
-    /// Bytes that the line takes in a time; no bound while its rate is not known.
+    /// Bytes that the line takes in this time; unlimited while its rate is not known.
     pub(super) fn bytes_within(&self, time: Duration) -> u64 {
         match self.highest_rate() {
             rate if rate > 0.0 => (rate * time.as_secs_f64()) as u64,
@@ -114,7 +114,7 @@ impl Line {
         self.sent - self.confirmed < self.window() || self.progress.elapsed() >= MAX_PONG_WAIT
     }
 
-    /// When a full line has capacity without a pong; `None` if it is not full.
+    /// Returns when a full line counts as having capacity although no pong has come; `None` if it is not full.
     pub(super) fn capacity_at(&self) -> Option<Instant> {
         (!self.has_capacity()).then(|| self.progress + MAX_PONG_WAIT)
     }
@@ -143,7 +143,7 @@ impl Line {
         Some(number)
     }
 
-    /// A pong arrived. Those that belong to no ping are ignored.
+    /// Handles a pong. Ignores one that belongs to no ping.
     pub(super) fn received(&mut self, number: u32) {
         let Some(at) = self.pings.iter().position(|ping| ping.number == number) else {
             return;

@@ -4,26 +4,26 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Burst: openings that are read without a pause, for a user who goes through the volumes of a study by hand.
+/// Burst: number of openings that are read without a pause, for a user who looks through the volumes of a study.
 const OPENS_AT_ONCE: u32 = 8;
 /// Interval between openings once the burst is used up. An opening with its first step takes some 50 ms of the device, so a client that
 /// opens volumes without end takes a tenth of it.
 const OPEN_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Decides until when no message is read. Unread messages stay in order, and TCP gives back-pressure to the client.
+/// Decides until when the session reads no message. Unread messages stay in order, and TCP gives back-pressure to the client.
 #[derive(Default)]
 pub(super) struct OpenPace {
-    /// When all openings so far would have been read at a rate of one per interval.
+    /// When all openings so far would be done if they were read at one per interval.
     even: Option<Instant>,
 }
 
 impl OpenPace {
-    /// A volume is opened now.
+    /// Records that a volume is opened now.
     pub fn opened(&mut self, now: Instant) {
         self.even = Some(self.even.map_or(now, |even| even.max(now)) + OPEN_INTERVAL);
     }
 
-    /// Until when the client's messages wait; `None`: they do not.
+    /// Returns until when the client's messages have to wait; `None`: they are read now.
     pub fn held_until(&self, now: Instant) -> Option<Instant> {
         let ahead = self.even?.saturating_duration_since(now);
         let wait = ahead.checked_sub(OPEN_INTERVAL * (OPENS_AT_ONCE - 1))?;
@@ -49,7 +49,7 @@ mod tests {
         assert_eq!(pace.held_until(now), None);
         pace.opened(now);
         assert_eq!(pace.held_until(now), Some(now + OPEN_INTERVAL));
-        // After a while many are read at once again, and no more than that.
+        // After a while a full burst is read at once again, and not more.
         now += 100 * OPEN_INTERVAL;
         for _ in 0..OPENS_AT_ONCE {
             assert_eq!(pace.held_until(now), None);

@@ -20,22 +20,22 @@ pub(super) struct OpenVolume {
     /// The opening view, with which a new surface begins.
     view: View,
     pub phase: OpeningPhase,
-    /// How far its opening is, until it is open.
+    /// Progress of the opening, until the volume is open.
     pub progress: Option<watch::Receiver<OpeningProgress>>,
     pub device: String,
     /// Whether the device is this machine's processors, which the pool needs too.
     pub shares_processors: bool,
-    /// By their numbers.
+    /// Surfaces, indexed by their numbers.
     surfaces: [Option<SurfaceSession>; MAX_SURFACES as usize],
     /// The connection's budget, once an edit has named one.
     named: Option<NamedBudget>,
-    /// The step that the client goes to, until it comes into force.
+    /// The time step that the client has requested, until it comes into force.
     pub stepping: Option<PendingStep>,
-    /// The step that the client is expected to go to next, until it is read ahead.
+    /// The time step that the client is expected to request next, until it is read ahead.
     pub expected: Option<u32>,
-    /// Since when the client shows a step whose values it does not know.
+    /// Since when the client shows a time step whose description it does not have.
     pub undescribed_since: Option<Instant>,
-    /// The volume is in use, and may be removed.
+    /// Marks the volume as in use, and tells when it is removed.
     pub lease: Lease,
     /// Keeps the step's samples on the device while others are read ahead.
     pub held: Held,
@@ -51,7 +51,7 @@ pub(super) struct OpenVolume {
 pub(super) enum OpeningPhase {
     /// The job that opens the volume was not yet queued.
     Waiting,
-    /// It is queued or runs.
+    /// The job is queued or runs.
     Opening,
     Open,
 }
@@ -68,7 +68,7 @@ pub(super) async fn opening_progress(opened: &mut Option<OpenVolume>) -> Opening
 }
 
 impl<B: Backend> Session<B> {
-    /// Ends all that is done for the open volume.
+    /// Ends all work for the open volume.
     pub(super) fn close_volume(&mut self) {
         for surface in 0..MAX_SURFACES {
             self.end_generation(surface);
@@ -89,7 +89,7 @@ impl<B: Backend> Session<B> {
 }
 
 impl OpenVolume {
-    /// With surface 0, of which nothing is made before an edit.
+    /// Creates an open volume with surface 0, which is not made before an edit.
     pub(super) fn new(volume: VolumeStep, view: View, held: Held, lease: Lease) -> Self {
         let (token, step_token) = (CancellationToken::new(), CancellationToken::new());
         let mut surfaces = [const { None }; MAX_SURFACES as usize];
@@ -118,8 +118,8 @@ impl OpenVolume {
         }
     }
 
-    /// The volume is open with this view, which is resolved. Values edited meanwhile stay, others are those that `opened` states. Edits that
-    /// have to be resolved wait for that.
+    /// Records that the volume is open, with its resolved opening view. Values that were edited meanwhile stay; the others are taken from
+    /// this view, which `opened` states. Edits that need resolving are held back.
     pub(super) fn opened(&mut self, view: View, edits: u64) {
         (self.phase, self.progress) = (OpeningPhase::Open, None);
         let opening = std::mem::replace(&mut self.view, view);
@@ -171,7 +171,7 @@ impl OpenVolume {
             .filter_map(|(number, s)| Some((number, s.as_mut()?)))
     }
 
-    /// The surface whose generation has this number.
+    /// Returns the surface whose generation has this number.
     pub(super) fn of_generation(&mut self, number: u32) -> Option<(u8, &mut SurfaceSession)> {
         self.surfaces_mut().find(|(_, surface)| {
             surface
@@ -180,21 +180,21 @@ impl OpenVolume {
         })
     }
 
-    /// The surface that rests after the generation of this number.
+    /// Returns the surface that rests after the generation of this number.
     pub(super) fn of_rest(&mut self, number: u32) -> Option<(u8, &mut SurfaceSession)> {
         self.surfaces_mut()
             .find(|(_, surface)| surface.rest().is_some_and(|rest| rest.generation == number))
     }
 
-    /// The surface of which a step is being sent: one at a time, so that prefixes do not mix.
+    /// Returns the surface whose step is being sent. There is at most one, so that prefixes do not mix.
     pub(super) fn sending(&self) -> Option<u8> {
         let is_sending = |generation: &Generation| !matches!(generation.sending, Sending::Idle);
         let mut surfaces = self.surfaces();
         surfaces.find_map(|(number, surface)| surface.generation().is_some_and(is_sending).then_some(number))
     }
 
-    /// The view of a surface as edits left it, in force or not. One that is not there yet begins as the volume opens, with the budget that
-    /// edits gave the connection.
+    /// Returns the view of a surface after all of its edits, in force or not. A surface that does not exist yet begins with the opening
+    /// view and the connection's latest budget, in force or not.
     pub(super) fn edited_view_of(&self, number: u8) -> View {
         let fields = self.volume.dataset().field_names();
         if let Some(surface) = self.surface(number) {
@@ -208,7 +208,7 @@ impl OpenVolume {
         view
     }
 
-    /// The view in force of a surface: one that is not there yet begins as the volume opens, with the connection's budget.
+    /// Returns the view in force of a surface. A surface that does not exist yet begins with the opening view and the connection's budget.
     pub(super) fn view_of(&self, number: u8) -> View {
         if let Some(surface) = self.surface(number) {
             return surface.view.clone();
@@ -219,7 +219,7 @@ impl OpenVolume {
         view
     }
 
-    /// Takes a view that edits have changed; `named`: and with it the connection's budget, unless a later edit has changed it.
+    /// Sets the view of a surface that edits have changed. `named`: also sets the connection's budget, unless a later edit has changed it.
     pub(super) fn set_view(&mut self, number: u8, mut view: View, named: Option<NamedBudget>) {
         if let Some(named) = named {
             let newest = self.name_budget(number, named);
@@ -229,7 +229,8 @@ impl OpenVolume {
         surface.view = view;
     }
 
-    /// Gives the other surfaces the budget that an edit of this one has named, unless a later edit has named another. Returns the latest.
+    /// Gives the other surfaces the budget that an edit of this surface has named, unless a later edit has named another budget. Returns
+    /// the latest budget.
     fn name_budget(&mut self, number: u8, named: NamedBudget) -> NamedBudget {
         if let Some(newer) = self.named.filter(|newer| newer.edit > named.edit) {
             return newer;
@@ -246,7 +247,7 @@ impl OpenVolume {
         named
     }
 
-    /// A surface; one that is not there yet is made with a view.
+    /// Returns a surface; creates it with `view` if it does not exist yet.
     pub(super) fn surface_or_new(&mut self, number: u8, view: View) -> &mut SurfaceSession {
         self.surfaces[usize::from(number)].get_or_insert_with(|| SurfaceSession::new(view))
     }
@@ -268,7 +269,7 @@ impl OpenVolume {
         self.remove(number);
     }
 
-    /// Forgets a surface.
+    /// Drops the state of a surface.
     pub(super) fn remove(&mut self, number: u8) {
         self.surfaces[usize::from(number)] = None;
     }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use super::Outgoing;
 
-/// Messages of which the newest alone counts: of each there is at most one, however little its client reads.
+/// Kinds of messages of which only the newest counts. At most one message of each kind waits, even if the client does not read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Newest {
     Opening,
@@ -23,7 +23,7 @@ pub(super) enum Frame {
     Prefix(u8, Outgoing),
     /// `committed`: from here on the client holds this prefix.
     Commit(u8, String),
-    /// Behind `committed`: the pong says that the client has all of it.
+    /// Follows `committed`: the pong confirms that the client has received the whole step.
     Ping(u32),
     /// `done`: ends the generation.
     Done(u8, String),
@@ -32,7 +32,7 @@ pub(super) enum Frame {
 }
 
 impl Frame {
-    /// The surface whose generation it belongs to.
+    /// Returns the surface whose generation the frame belongs to.
     fn surface(&self) -> Option<u8> {
         match self {
             Self::Prefix(surface, _)
@@ -47,12 +47,12 @@ impl Frame {
         matches!(self, Self::Newest(own, _) if *own == kind)
     }
 
-    /// Whether it outlives its generation.
+    /// Whether the frame outlives a generation that ends.
     fn is_kept(&self) -> bool {
         self.surface().is_none()
     }
 
-    /// Bytes that it holds in memory.
+    /// Bytes that the frame holds in memory.
     fn bytes(&self) -> usize {
         let payload = match self {
             Self::Control(text) | Self::Newest(_, text) | Self::Commit(_, text) | Self::Done(_, text) => text.len(),
@@ -70,9 +70,9 @@ impl Frame {
 #[derive(Default)]
 pub(super) struct Outbox {
     frames: VecDeque<Frame>,
-    /// Of the frames that outlive their generation.
+    /// Bytes of the frames that outlive a generation.
     kept_bytes: usize,
-    /// Of the others.
+    /// Bytes of the other frames.
     surface_bytes: usize,
 }
 
@@ -128,7 +128,7 @@ impl Outbox {
         self.kept_bytes -= before.bytes();
     }
 
-    /// Drops the one of this kind.
+    /// Drops the waiting message of this kind.
     pub(super) fn drop_newest(&mut self, kind: Newest) {
         if self.frames.iter().any(|frame| frame.is_newest(kind)) {
             self.retain(|frame| !frame.is_newest(kind));

@@ -1,24 +1,24 @@
-//! How much of a surface a step makes, so that it comes within the time that a viewer should wait: from the speed of the device and the
+//! Size of a step, chosen so that it arrives within the time that a viewer should wait. It follows from the measured speeds of device and
 //! pool, and of the line.
 //!
-//! Every step ends with a ping. The client's pong says that all of it has arrived, which the operating system's buffers would
-//! otherwise hide: on a slow line they hold bytes for seconds.
+//! Every step ends with a ping. The client's pong confirms that the whole step has arrived. Without it the server could not know: on a slow
+//! line, buffers of the operating system hold bytes for seconds.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// How long the device and the pool, and then the line, may take for a step.
+/// Time that device and pool together, and then the line, may take for a step.
 #[derive(Clone, Copy, Debug)]
 pub struct StepTimes {
-    /// The mesh of a new surface's first step, beside its pyramid. A surface that takes hardly longer comes in one step.
+    /// The first step of a new surface, without the time for its pyramid. A surface that takes hardly longer is made in one step.
     pub fresh: Duration,
     /// The first step of a surface that changes.
     pub first: Duration,
-    /// A further step. Each remakes the regions that it shares with the one before, so fewer, longer steps are done sooner.
+    /// A further step. Each remakes regions at the border of the step before, so fewer and longer steps finish sooner.
     pub next: Duration,
-    /// The new regions of a step, on the line. Regions at its border, which are sent once more, come on top.
+    /// Sending the new regions of a step. The regions at its border, which are sent again, take additional time.
     pub line: Duration,
 }
 
@@ -33,32 +33,34 @@ impl Default for StepTimes {
     }
 }
 
-/// Triangles that two processors mesh and encode in a millisecond, until it was measured.
+/// Triangles that are meshed and encoded in a millisecond, assumed until that is measured: the speed of two processors.
 const TRIANGLES_PER_MS: f64 = 3000.0;
 
-/// Triangles from which a step says how fast steps are made: smaller ones are mostly launches.
+/// Minimum triangles of a step whose time is measured: smaller steps spend most of their time on launches.
 const MEASURED_TRIANGLES: u64 = 20_000;
-/// Bytes from which a step says how fast the line is: smaller ones are mostly latency, unless that is itself long.
+/// Minimum bytes of a step whose time on the line is measured: smaller ones show mostly the latency. A step that takes at least [`LONG_MS`]
+/// is measured too.
 const MEASURED_BYTES: u64 = 16 << 10;
 const LONG_MS: f64 = 5.0;
 
-/// Weight of the latest measurement against those before.
+/// Weight of the latest measurement in the running mean, against those before.
 const LATEST: f64 = 0.5;
 
 /// The smallest step: a prefix of the coarsest level is hardly larger.
 const MIN_TRIANGLES: f64 = 1000.0;
 
-/// Steps that may be on the line: one that arrives, and one behind it, so that the line is never idle.
+/// Maximum number of steps on the line: one that is arriving and one behind it, so that the line is never idle.
 const MAX_ON_LINE: usize = 2;
-/// The same before the first pong has said how fast the line is.
+/// Maximum number of steps on the line before the first pong, when the speed of the line is unknown.
 const MAX_ON_UNKNOWN_LINE: usize = 1;
-/// Longest wait for a pong. A client must answer pings; one that sits behind a proxy that does not still gets its surface.
+/// Longest wait for a pong. A client must answer pings, but if a proxy does not forward them, the client still gets its surface after this
+/// wait.
 const MAX_PONG_WAIT: Duration = Duration::from_secs(2);
 
 struct StepOnLine {
     number: u32,
     bytes: u64,
-    /// When the writer took the first and the last frame of it.
+    /// When the writer took the first and the last frame of the step.
     first: Instant,
     last: Instant,
 }
@@ -87,12 +89,12 @@ impl Pace {
         }
     }
 
-    /// Triangles of the first step of a new surface.
+    /// Returns the triangles of the first step of a new surface.
     pub(super) fn fresh(&self) -> u64 {
         self.within(self.times.fresh)
     }
 
-    /// Triangles of a step of a surface that changes.
+    /// Returns the triangles of a step of a surface that changes.
     pub(super) fn changing(&self, is_first: bool) -> u64 {
         self.within(if is_first { self.times.first } else { self.times.next })
     }
@@ -101,12 +103,12 @@ impl Pace {
         (self.triangles_per_ms * time.as_secs_f64() * 1e3).max(MIN_TRIANGLES) as u64
     }
 
-    /// How long the line may take for a step.
+    /// Returns the time that the line may take for a step.
     pub(super) fn line_time(&self) -> Duration {
         self.times.line
     }
 
-    /// Bytes of any step.
+    /// Returns the maximum bytes of a step.
     pub(super) fn bytes(&self) -> u64 {
         (self.bytes_per_ms * self.times.line.as_secs_f64() * 1e3) as u64
     }
@@ -119,8 +121,8 @@ impl Pace {
         }
     }
 
-    /// Records that the writer took the last frame of a step; `first`: when it took the first one. Returns the number of the ping behind
-    /// it.
+    /// Records that the writer took the last frame of a step; `first`: when it took the first one. Returns the number of the ping to send
+    /// after the step.
     pub(super) fn handed_over(&mut self, bytes: u64, first: Instant) -> u32 {
         self.next = self.next.wrapping_add(1);
         let (number, last) = (self.next, Instant::now());
@@ -135,7 +137,7 @@ impl Pace {
         number
     }
 
-    /// Steps whose pong may still come.
+    /// Returns the steps whose pong may still come.
     fn awaited(&self) -> impl Iterator<Item = &StepOnLine> {
         self.on_line.iter().filter(|step| step.last.elapsed() < MAX_PONG_WAIT)
     }
@@ -150,7 +152,7 @@ impl Pace {
         self.awaited().count() >= max
     }
 
-    /// Whether the client has answered a ping. Before, no step but the first has a size that fits the line.
+    /// Whether the client has answered a ping. Until then the size of a further step cannot be fitted to the line.
     pub(super) fn is_line_known(&self) -> bool {
         self.last_pong.is_some()
     }
@@ -163,7 +165,7 @@ impl Pace {
         }
     }
 
-    /// A pong arrived. Those that belong to no ping of a step are ignored.
+    /// Handles a pong. Ignores one that belongs to no step's ping.
     pub(super) fn received(&mut self, number: u32) {
         let Some(at) = self.on_line.iter().position(|step| step.number == number) else {
             return;

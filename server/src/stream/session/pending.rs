@@ -4,7 +4,8 @@ use crate::view::quality::Budget;
 use crate::view::{Edit, View};
 use crate::volumes::VolumeStep;
 
-/// Edits of a surface that are kept one by one while they wait, so that a bad one among them takes no other one with it.
+/// Maximum number of edits of a surface that are kept one by one while they wait, so that an invalid one can be rejected without the
+/// others.
 pub(super) const MAX_KEPT_EDITS: usize = 64;
 
 /// An edit that waits.
@@ -15,7 +16,7 @@ pub(super) struct KeptEdit {
     pub at: VolumeStep,
     /// Place among the edits of the connection, from 1.
     pub number: u64,
-    /// Whether its surface is made when it comes into force: not after a `cancel`.
+    /// Whether the surface is made when the edit comes into force: not after a `cancel`.
     pub is_made: bool,
 }
 
@@ -42,43 +43,45 @@ impl NamedBudget {
 /// Edits of a surface that have not come into force.
 #[derive(Clone)]
 pub(super) struct PendingView {
-    /// As the edits left it.
+    /// The view after the edits.
     pub view: View,
-    /// The time step whose values fill those that the view leaves open.
+    /// The time step from which the values are resolved that the view leaves open.
     pub at: VolumeStep,
-    /// The last budget that one of the edits has named. A later one may have left the surface without any.
+    /// The last budget that one of the edits has named. A later edit may have removed the surface's budget.
     pub named: Option<NamedBudget>,
     /// Number of the last edit.
     pub edit: u64,
-    /// Whether the surface is made then: not after a `cancel`.
+    /// Whether the surface is made when the view comes into force: not after a `cancel`.
     pub is_made: bool,
-    /// The query to the device has failed; the next edit retries it.
+    /// Whether the query to the device has failed; the next edit retries it.
     pub is_paused: bool,
     /// The edits that led to the view from the one in force; empty if there were more than [`MAX_KEPT_EDITS`].
     pub edits: Vec<KeptEdit>,
-    /// Edits that are applied one by one after this one has come into force or was found to be invalid: they were resolved together before.
+    /// Edits that are applied one by one after this view has come into force or was found to be invalid. They are left from edits that were
+    /// resolved together.
     pub queue: Vec<KeptEdit>,
 }
 
 /// A time step that has not come into force.
 pub(super) struct PendingStep {
     pub volume: VolumeStep,
-    /// Number of the last edit before a `cancel`: surfaces that no later edit has changed are not made then. `None`: no `cancel` came.
+    /// Number of the last edit before a `cancel`; `None`: no `cancel` came. A surface that no later edit has changed is not made at this
+    /// step.
     pub cancelled_after: Option<u64>,
 }
 
 impl PendingView {
-    /// The view once all edits are applied that wait.
+    /// Returns the view after all waiting edits.
     pub(super) fn last_view(&self, fields: &[&str]) -> View {
         self.with_queue(fields).0
     }
 
-    /// The last budget that one of the edits that wait has named.
+    /// Returns the last budget that a waiting edit has named.
     pub(super) fn last_named(&self, fields: &[&str]) -> Option<NamedBudget> {
         self.with_queue(fields).1
     }
 
-    /// The view and the last named budget once all edits are applied that wait. A bad one among them changes nothing.
+    /// Returns the view and the last named budget after all waiting edits. An invalid edit among them changes nothing.
     fn with_queue(&self, fields: &[&str]) -> (View, Option<NamedBudget>) {
         let (mut view, mut named) = (self.view.clone(), self.named);
         for kept in &self.queue {
@@ -90,19 +93,19 @@ impl PendingView {
         (view, named)
     }
 
-    /// Number of the first edit that waits, or of the last one if there were too many to keep.
+    /// Returns the number of the first waiting edit, or of the last one if there were too many to keep.
     pub(super) fn first_edit(&self) -> u64 {
         self.edits.first().map_or(self.edit, |first| first.number)
     }
 
-    /// Nothing is made when it comes into force.
+    /// Cancels the making of the surface: the view still comes into force, but no surface of it is made.
     pub(super) fn cancel(&mut self) {
         self.is_made = false;
         let kept = self.edits.iter_mut().chain(&mut self.queue);
         kept.for_each(|kept| kept.is_made = false);
     }
 
-    /// Whether the values that were resolved for `asked` hold for this view, too.
+    /// Whether the values that were resolved for `asked` are valid for this view too.
     pub(super) fn resolves_like(&self, asked: &Self) -> bool {
         let inputs = |pending: &Self| {
             let view = &pending.view;

@@ -1,7 +1,7 @@
-//! Questions of a viewer about a surface that it is shown. Of each kind of question only the newest waits. One question is answered at a
-//! time, and only when no generation of any surface is running: questions wait for edits, and edits never wait for questions. If an edit
-//! overtakes a question, the question is repeated for the edit's surface. Work at rest pauses for an answer. An annotation takes long: it
-//! comes after the work at rest, and an edit drops it.
+//! Questions of a viewer about a surface that it is shown. Only the newest question of each kind waits. One question is answered at a time,
+//! and only when no generation of any surface is running: questions wait for edits, and edits never wait for questions. If an edit
+//! overtakes a question, the question is repeated for the edit's surface. Work at rest pauses for an answer. An annotation (distances of
+//! all vertices) takes long, so it comes after the work at rest, and an edit drops it.
 
 use std::sync::Arc;
 
@@ -31,10 +31,10 @@ pub(super) enum Found {
     Chunks(Vec<Bytes>),
 }
 
-/// A question that the device works on. Dropping it cancels that.
+/// A question that the device is answering. Dropping it cancels the job.
 struct Running {
     number: u32,
-    /// Of which surface.
+    /// The surface that the question is about.
     surface: u8,
     generation: u32,
     question: Question,
@@ -44,16 +44,16 @@ struct Running {
 /// A viewer's questions.
 #[derive(Default)]
 pub(super) struct Questions {
-    /// Of each kind the newest and its surface, in the order in which they are asked.
+    /// The newest waiting question of each kind with its surface, in order of priority ([`place`]).
     waiting: [Option<(u8, Question)>; 4],
     running: Option<Running>,
     /// Questions that were asked so far.
     asked: u32,
-    /// The job of the one that is running, or of one that is cancelled, which must return before the next is queued.
+    /// The job of the running question. A cancelled job must also return before the next question is queued.
     pub job: Option<BoxFuture<Answered>>,
 }
 
-/// Place of annotations, the last.
+/// Place of annotations in `waiting`: the last, because they have the lowest priority.
 const ANNOTATIONS: usize = 3;
 
 /// Returns the question to the device for an annotation.
@@ -87,7 +87,7 @@ impl Questions {
     }
 
     /// Cancels the running question because an edit goes first. It is repeated afterwards, unless a newer one of its kind waits. An
-    /// annotation is dropped, because it is of the surface that was shown.
+    /// annotation is dropped, because it belongs to the surface that was shown before the edit.
     pub(super) fn overtaken(&mut self) {
         self.drop_annotation();
         if let Some(Running { surface, question, .. }) = self.running.take() {
@@ -141,7 +141,7 @@ impl<B: Backend> Session<B> {
         if opened.phase != OpeningPhase::Open || opened.is_awaited() {
             return;
         }
-        // The chunks of one annotation wait in the outbox at most.
+        // Take no annotation while another one's chunks wait in the outbox.
         let rests = self.device.is_none()
             && self.outbox.surface_bytes() == 0
             && opened.surfaces().all(|(_, surface)| surface.rest().is_none());

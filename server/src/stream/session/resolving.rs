@@ -1,9 +1,9 @@
 //! Resolves views before they come into force. A view is resolved if its isovalue and the range of its feature are numbers, and if the
-//! samples of its fields, computed and masked ones too, are there. Until then the view before it stays in force and is shown. So an edit
-//! that turns out to be invalid changes nothing, and neither does a time step of which a surface cannot be made.
+//! samples of its fields are loaded, including computed and masked ones. Until then the previous view stays in force and is shown. So an
+//! invalid edit changes nothing. Nor does a time step if one of the surfaces cannot be made of it.
 //!
-//! Messages take effect in the order in which they came. Values that an edit leaves open are those of the time step that was in force, or
-//! pending, when the edit came, even if another step follows soon. Edits that change nothing that has to be resolved come into force at
+//! Messages take effect in the order in which they came. Values that an edit leaves open are resolved for the time step that was pending
+//! when the edit came, or else the one in force, even if another step follows soon. An edit that needs no resolving comes into force at
 //! once.
 
 use tokio_util::sync::CancellationToken;
@@ -31,7 +31,7 @@ pub(super) enum Resolved {
     },
     Step {
         step: StepKey,
-        /// Or the surface that cannot be made of the step.
+        /// The resolved views of all surfaces, or the surface that cannot be made of the step with its error.
         result: Result<Vec<(u8, View)>, (u8, WorkError)>,
     },
 }
@@ -44,12 +44,12 @@ impl OpenVolume {
         view.iso.is_none() || view.feature_range.is_none() || inputs(view) != inputs(&in_force)
     }
 
-    /// The pending time step, or else the one in force.
+    /// Returns the pending time step, or else the one in force.
     fn newest_step(&self) -> &VolumeStep {
         self.stepping.as_ref().map_or(&self.volume, |stepping| &stepping.volume)
     }
 
-    /// Whether a surface that is not in force yet begins with a budget that edits of others, not in force either, have named or given up.
+    /// Whether a new surface has to wait because pending edits of other surfaces may change the budget with which it begins.
     fn waits_for_budget(&self, surface: u8) -> bool {
         let fields = self.volume.dataset().field_names();
         let is_open_question = |other: &SurfaceSession| {
@@ -61,7 +61,7 @@ impl OpenVolume {
                 .any(|(number, other)| number != surface && is_open_question(other))
     }
 
-    /// Takes the edits of all surfaces that are not in force yet, in the order in which they came, and removes these surfaces.
+    /// Removes the surfaces that are not in force yet, and returns their waiting edits in the order in which they came.
     fn take_new_surfaces(&mut self) -> Vec<(u8, Vec<KeptEdit>)> {
         let new = self.surfaces().filter_map(|(number, surface)| {
             let pending = surface.pending.as_ref().filter(|pending| !pending.edits.is_empty())?;
@@ -76,7 +76,8 @@ impl OpenVolume {
         new
     }
 
-    /// The next view to be resolved: one of the time step in force, as long as that is, or of a step that another one has overtaken.
+    /// Returns the next view to resolve on its own: the one with the oldest waiting edit. Skips views of the pending time step, which wait
+    /// for that step.
     fn next_pending(&self) -> Option<(u8, &PendingView)> {
         let comes = self.stepping.as_ref().map(|stepping| stepping.volume.key());
         let pending = self.surfaces().filter_map(|(number, surface)| {
@@ -88,7 +89,7 @@ impl OpenVolume {
 }
 
 impl<B: Backend> Session<B> {
-    /// Takes an edit that leads to this view: it comes into force at once, or when it is resolved.
+    /// Handles an edit that leads to this view. The edit comes into force at once, or when the view is resolved.
     pub(super) fn take_edit(&mut self, surface: u8, view: View, edit: &Edit) {
         self.count_edit(surface);
         let Some(opened) = &mut self.opened else { return };
@@ -101,7 +102,7 @@ impl<B: Backend> Session<B> {
         self.apply(surface, view, kept);
     }
 
-    /// As [`Session::take_edit`], for an edit that was taken before and kept.
+    /// As [`Session::take_edit`], for an edit that was kept until now.
     fn apply(&mut self, surface: u8, view: View, kept: KeptEdit) {
         let Some(opened) = &mut self.opened else { return };
         let named = NamedBudget::of(&kept, &view);
@@ -110,7 +111,7 @@ impl<B: Backend> Session<B> {
             return self.come_into_force(surface, view, named, self.edits, true);
         }
         let pending = opened.surface_mut(surface).and_then(|session| session.pending.as_mut());
-        // Waiting edits come into force with this one, and so does the budget that they have named.
+        // Waiting edits come into force with this one, so keep the budget that they have named.
         let named = named.or(pending.as_ref().and_then(|pending| pending.named));
         if let Some(pending) = pending.filter(|pending| !pending.queue.is_empty()) {
             if pending.queue.len() < MAX_KEPT_EDITS {
@@ -126,7 +127,7 @@ impl<B: Backend> Session<B> {
         opened.hold_back(surface, view, named, self.edits, Some(kept));
     }
 
-    /// Applies edits that were taken before, one by one: the first that has to be resolved holds those behind it back.
+    /// Applies edits that were kept, one by one. The first edit that has to be resolved holds back those behind it.
     fn apply_all(&mut self, surface: u8, edits: Vec<KeptEdit>) {
         let mut edits = edits.into_iter();
         while let Some(kept) = edits.next() {
@@ -147,7 +148,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Counts an edit of a surface. It takes precedence over questions and over the work at rest of other surfaces.
+    /// Counts an edit of a surface, and lets it take precedence over questions and over the work at rest of other surfaces.
     pub(super) fn count_edit(&mut self, surface: u8) {
         self.edits += 1;
         self.questions.overtaken();
@@ -215,7 +216,7 @@ impl<B: Backend> Session<B> {
         let Some(session) = opened.surface_mut(surface) else {
             return;
         };
-        // A newer edit has changed what has to be resolved, and is resolved next.
+        // A newer edit needs other values: drop this result and resolve that edit next.
         let Some(pending) = session.pending.as_mut().filter(|pending| pending.resolves_like(asked)) else {
             return;
         };
@@ -231,8 +232,8 @@ impl<B: Backend> Session<B> {
                 } = pending.clone();
                 view.iso = view.iso.or(resolved.iso);
                 view.feature_range = view.feature_range.or(resolved.feature_range);
-                // The values are those of a time step that was overtaken. The samples that the view uses must also be there in the step in
-                // force.
+                // The view was resolved for a time step that was overtaken. Its values are kept, but its samples must also be loaded for
+                // the step in force.
                 if pending.at.key() != here.key() {
                     (pending.view, pending.at) = (view, here);
                     return;
@@ -356,7 +357,7 @@ impl OpenVolume {
         });
     }
 
-    /// After a time step has failed: views that were to be resolved at that step are resolved at the one in force instead.
+    /// After a time step has failed: views that were waiting for that step are resolved for the step in force instead.
     fn resolve_here(&mut self, failed: &StepKey) {
         let here = self.volume.clone();
         let pending = self.surfaces_mut().filter_map(|(_, surface)| surface.pending.as_mut());
@@ -366,7 +367,7 @@ impl OpenVolume {
     }
 }
 
-/// Dropping the job cancels it.
+/// Returns the job that resolves a view. Dropping the job cancels it.
 fn resolve_view<B: Backend>(backend: B, surface: u8, asked: PendingView) -> BoxFuture<Resolved> {
     let token = CancellationToken::new();
     let guard = token.clone().drop_guard();
@@ -381,7 +382,7 @@ fn resolve_view<B: Backend>(backend: B, surface: u8, asked: PendingView) -> BoxF
     })
 }
 
-/// As [`resolve_view`], of all surfaces that are made of a step.
+/// As [`resolve_view`], for all surfaces that are made of a step.
 fn resolve_step<B: Backend>(backend: B, volume: VolumeStep, views: Vec<(u8, View)>) -> BoxFuture<Resolved> {
     let token = CancellationToken::new();
     let guard = token.clone().drop_guard();

@@ -9,7 +9,7 @@ use super::generation::Generation;
 use crate::extraction::ViewKey;
 use crate::view::View;
 
-/// Time without an edit after which a viewer rests: longer than between two edits of a hand that still moves.
+/// Time without an edit after which a viewer counts as resting. Longer than the time between two edits during a drag.
 pub(super) const REST_AFTER: Duration = Duration::from_millis(250);
 
 /// Work for a viewer that rests.
@@ -25,10 +25,10 @@ pub(super) enum RestWork {
 pub(super) struct Rest {
     pub generation: u32,
     pub view: View,
-    /// Of that view.
+    /// Key of `view`.
     pub key: ViewKey,
     due: Instant,
-    /// The work that is done next, or now.
+    /// The work that is next, queued or running.
     work: RestWork,
     is_queued: bool,
     pub token: CancellationToken,
@@ -36,7 +36,7 @@ pub(super) struct Rest {
 }
 
 impl Rest {
-    /// The final surface of a generation was committed.
+    /// Creates the state after the final surface of a generation was committed.
     pub(super) fn new(generation: &Generation) -> Self {
         let token = CancellationToken::new();
         Self {
@@ -60,12 +60,12 @@ impl Rest {
         (!self.is_queued).then_some((self.due, self.work))
     }
 
-    /// Its work is queued.
+    /// Records that the work is queued.
     pub(super) fn begin(&mut self) {
         self.is_queued = true;
     }
 
-    /// There is no better surface: this one is measured.
+    /// Records that there is no better surface, so that this one is measured next.
     pub(super) fn cannot_improve(&mut self) {
         self.work = RestWork::Measure;
         self.is_queued = false;
@@ -77,7 +77,7 @@ impl Rest {
         if self.is_queued {
             self.is_queued = false;
             self.token = CancellationToken::new();
-            // Cancels the work with the token before.
+            // Replacing the guard cancels the work that holds the previous token.
             self._cancel = self.token.clone().drop_guard();
         }
     }

@@ -10,7 +10,7 @@ use super::pace::Pace;
 use super::rest::RestWork;
 use super::sharing::Verdict;
 
-/// Jobs of other surfaces that a surface waits for at most, whatever comes first.
+/// Maximum number of other surfaces' jobs that a surface waits for, whatever their ranks.
 const MAX_WAIT: u64 = 4;
 
 /// The next job of a surface, in the order of their ranks.
@@ -18,7 +18,7 @@ const MAX_WAIT: u64 = 4;
 pub(super) enum NextJob {
     /// Count the full surface: surfaces share a budget in proportion to the counts.
     Count,
-    /// The first step of a generation, of any surface, before refinements of others.
+    /// The first step of a generation. It comes before further steps of any surface.
     First,
     /// A further step.
     Further,
@@ -27,7 +27,7 @@ pub(super) enum NextJob {
 }
 
 impl OpenVolume {
-    /// The next job and its surface. `jobs`: how many the connection has had.
+    /// Returns the next job and its surface. `jobs`: number of jobs that the connection has had.
     pub(super) fn next_job(&self, jobs: u64, pace: &Pace) -> Option<(u8, NextJob)> {
         let last_edited = self.surfaces().max_by_key(|(_, surface)| surface.edited)?.0;
         let steps: Vec<_> = self
@@ -51,7 +51,7 @@ impl OpenVolume {
         }
     }
 
-    /// The next job of a generation, unless something is to be waited for.
+    /// Returns the next job of a generation; `None` if it has to wait.
     fn next_of(&self, number: u8, generation: &Generation, pace: &Pace) -> Option<NextJob> {
         let is_ready = matches!(generation.making, Making::Waiting) && generation.failure.is_none();
         if !is_ready || self.encodes_first_step() {
@@ -64,7 +64,7 @@ impl OpenVolume {
                 false => (!self.waits_for_counts(surface)).then_some(NextJob::First),
             };
         }
-        // The size of a further step depends on how fast the line is, which the pong of the first one says.
+        // The size of a further step depends on the speed of the line, which is known after the pong of the first step.
         let measuring_line = !pace.is_line_known() && (self.sending().is_some() || pace.is_line_full());
         let is_waiting = measuring_line || generation.is_overtaken || self.draw_pause_until().is_some();
         (!is_waiting).then_some(NextJob::Further)
@@ -116,7 +116,8 @@ impl OpenVolume {
         })
     }
 
-    /// The surface whose step is next to be sent, or given up: of those that do not wait, the one that was begun first.
+    /// Returns the surface whose step is the next to be sent or given up: the one whose generation has waited longest, among those whose
+    /// verdict is not [`Verdict::Wait`].
     pub(super) fn next_made(&self) -> Option<(u8, Verdict)> {
         let made = self.surfaces().filter_map(|(number, surface)| {
             let generation = surface.generation()?;

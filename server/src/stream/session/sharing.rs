@@ -1,5 +1,5 @@
-//! How surfaces share the connection's budget: in proportion to the triangles of their full surfaces, as far as a budget is in force for
-//! them. So a surface's part depends only on the values that determine full surfaces, and other edits change no other surface.
+//! How surfaces share the connection's budget: those that have a budget get parts in proportion to the triangles of their full surfaces. So
+//! the parts depend only on the full surfaces, and an edit that changes no full surface affects no other surface's part.
 //!
 //! Failures do not change the parts either. A surface whose generation failed keeps its part, and is retried when its part changes. If
 //! others share the budget and the client holds more of the failed surface than its part, its regions are removed. A surface whose
@@ -17,7 +17,7 @@ pub(super) enum Verdict {
     Send,
     /// Other surfaces are sent first.
     Wait,
-    /// Its part has become smaller: another one is made.
+    /// The surface's part has become smaller: drop this step and make another.
     GiveUp,
 }
 
@@ -26,11 +26,11 @@ fn total(numbers: impl Iterator<Item = u64>) -> u64 {
     numbers.fold(0, u64::saturating_add)
 }
 
-/// The part of the budget of each surface.
+/// The part of the budget of each surface, by its number.
 pub(super) type Allotments = [Option<Budget>; MAX_SURFACES as usize];
 
 impl SurfaceSession {
-    /// Whether it has a part of the budget: not if β or an error decides alone, nor if it was cancelled.
+    /// Whether the surface has a part of the budget. It has none if β or an error decides alone, or if it was cancelled.
     fn shares(&self) -> bool {
         self.view.budget.is_some() && (self.is_busy() || self.is_counted())
     }
@@ -51,13 +51,13 @@ impl SurfaceSession {
         self.full.as_ref().map_or(0, |(_, triangles)| *triangles)
     }
 
-    /// Size at the client, in the budget's unit, of a surface without a part of the budget; 0 if it has a part. The others share the budget
-    /// less this.
+    /// If the surface has no part of the budget: its size at the client, in the budget's unit; otherwise 0. The other surfaces share the
+    /// budget less this size.
     fn reserved(&self) -> u64 {
         if self.shares() { 0 } else { self.held_of_budget() }
     }
 
-    /// Whether it has failed, and its regions are being removed from the client.
+    /// Whether the surface has failed, so that its regions are being removed from the client.
     fn is_leaving(&self) -> bool {
         self.generation().is_some_and(|generation| generation.failure.is_some())
     }
@@ -71,7 +71,8 @@ impl SurfaceSession {
         }
     }
 
-    /// Whether it failed before its triangles were counted, and may be retried to get a part of a budget that others share.
+    /// Whether the surface failed before its triangles were counted, and may be retried to get a part of the budget. Clears that permission
+    /// to retry.
     fn lacks_part(&mut self) -> bool {
         let is_uncounted = self.view.budget.is_some() && !self.is_busy() && !self.is_counted();
         let failed = self.failed.as_mut().filter(|_| is_uncounted);
@@ -88,7 +89,7 @@ impl SurfaceSession {
         }
     }
 
-    /// Whether a budget of this surface allows more than another one. Triangles and bytes are not compared.
+    /// Whether budget `one` of this surface allows more than `other`. False if one counts triangles and the other bytes.
     fn exceeds(&self, one: Option<Budget>, other: Option<Budget>) -> bool {
         let full = self.full_triangles();
         let as_number = |budget: Option<Budget>| match budget?.as_number(full) {
@@ -156,8 +157,8 @@ impl OpenVolume {
         Some(allotments)
     }
 
-    /// Failed surfaces that are retried although their parts are unchanged, because the client may no longer keep their regions, or because
-    /// another budget is to be suggested.
+    /// Returns the failed surfaces that are retried although their parts are unchanged: the client may no longer keep their regions, or the
+    /// budget to suggest has changed.
     pub(super) fn outdated(&self) -> Vec<u8> {
         let all = self.shared_triangles();
         let is_outdated = |number: u8, surface: &SurfaceSession| {
@@ -170,7 +171,7 @@ impl OpenVolume {
         outdated.map(|(number, _)| number).collect()
     }
 
-    /// The budget of all surfaces together that gives this surface `part` triangles.
+    /// Returns the budget of all surfaces together that gives this surface `part` triangles.
     pub(super) fn whole_of(&self, number: u8, part: u64) -> u64 {
         let whole = match (self.surface(number), self.shared_triangles()) {
             (Some(surface), Some(all)) => Budget::whole_of(part, surface.full_triangles(), all),
@@ -193,7 +194,7 @@ impl OpenVolume {
         failed.for_each(|failed| failed.may_retry = true);
     }
 
-    /// Surfaces that failed before they were counted, and are to be counted now because others share the budget.
+    /// Returns the surfaces that failed before they were counted, and are to be counted now because others share the budget.
     pub(super) fn lacking(&mut self) -> Vec<u8> {
         if !self.surfaces().any(|(_, surface)| surface.shares()) {
             return Vec::new();
@@ -214,8 +215,8 @@ impl OpenVolume {
         let is_final = matches!(&generation.making, Making::Made(made) if made.step.made.is_final);
         let made_with = generation.view.budget;
         let is_superseded = is_final && surface.shares() && surface.edit_pending;
-        // Other surfaces may have got its former part meanwhile. A single surface is sent, so that the viewer sees something while they
-        // drag the budget down.
+        // Other surfaces may have got this surface's former part meanwhile, so its step is given up. The step of a single surface is sent,
+        // so that the viewer sees something while they drag the budget down.
         if is_superseded && self.surfaces().count() > 1 && surface.exceeds(made_with, surface.allotted) {
             return Verdict::GiveUp;
         }
@@ -227,7 +228,7 @@ impl OpenVolume {
         if !grows || !others_shrink() {
             return Verdict::Send;
         }
-        // Two surfaces that waited for each other would deadlock.
+        // A surface that has to shrink itself gives its step up instead of waiting: two surfaces that waited for each other would deadlock.
         match surface.exceeds(made_with, surface.allotted) {
             true => Verdict::GiveUp,
             false => Verdict::Wait,

@@ -9,18 +9,19 @@ use crate::view::quality::MesherName;
 pub(super) struct HeldSurface {
     /// The view, with the threshold that was fitted to its budget.
     pub view: View,
-    /// Of its full surface.
+    /// Key of the view's full surface.
     pub key: SurfaceKey,
     pub cut: CutId,
 }
 
 impl HeldSurface {
-    /// How it relates to a surface of another view, whose full surface has this key.
+    /// Returns how the held surface relates to the surface of another view, whose full surface has this key.
     pub(super) fn shown_for(&self, key: &SurfaceKey, view: &View) -> Shown {
         if !self.key.has_triangles_of(key) {
             return Shown::Another;
         }
-        // Values of the feature are in every vertex; the paper's mesher makes whole surfaces.
+        // Regions can be kept only if both surfaces are of the dual mesher, because the other mesher makes whole surfaces. A change of the
+        // feature affects every vertex.
         let by_region = |view: &View| view.mesher == MesherName::Dual;
         if self.key.has_vertices_of(key) && by_region(&self.view) && by_region(view) {
             Shown::Cut(self.cut)

@@ -15,17 +15,17 @@ use crate::view::quality::Budget;
 pub(super) struct SurfaceSession {
     /// The view in force: resolved, with all samples that it uses loaded. Its budget is that of the connection.
     pub view: View,
-    /// It exists since the volume was opened, without an edit.
+    /// Whether the surface exists since the volume was opened, without an edit.
     pub is_opening: bool,
-    /// Of its full surface, once the view has come into force.
+    /// Key of the view's full surface, once the view has come into force.
     pub key: Option<SurfaceKey>,
     /// Edits that have not come into force yet.
     pub pending: Option<PendingView>,
     /// The last view in force of which the device has made something.
     pub proven: Option<View>,
-    /// The view in force or its part of the budget has changed since the last generation began.
+    /// Whether the view in force or the surface's part of the budget has changed since the last generation began.
     pub edit_pending: bool,
-    /// Counts the connection's edits: which was the last of this surface that came into force.
+    /// Number, among the connection's edits, of the last edit of this surface that came into force.
     pub edited: u64,
     pub phase: Phase,
     /// Regions that the client holds.
@@ -38,13 +38,13 @@ pub(super) struct SurfaceSession {
     pub shown_generation: u32,
     /// The newest full surface whose triangles were counted, and their number.
     pub full: Option<(SurfaceKey, u64)>,
-    /// Its part of the budget, with which its newest generation is made, or the next one will be.
+    /// The surface's part of the budget. The newest or the next generation is made with it.
     pub allotted: Option<Budget>,
-    /// The budget of the last final surface that the client got, as a number.
+    /// The budget with which the last final surface at the client was made, as an absolute number.
     pub kept: Option<Budget>,
-    /// The last generation of the view in force failed.
+    /// Set if the last generation of the view in force failed.
     pub failed: Option<Failed>,
-    /// The regions that the client holds are of another time step.
+    /// Whether the regions that the client holds are of another time step.
     pub holds_another_step: bool,
 }
 
@@ -118,7 +118,7 @@ impl SurfaceSession {
         }
     }
 
-    /// Begins the generation of the view, whose full surface has this key. `first_step`: of a member of a group.
+    /// Begins the generation of the view, whose full surface has this key. `first_step`: the guard of a member of a group.
     pub(super) fn begin(
         &mut self,
         surface: u8,
@@ -145,8 +145,8 @@ impl SurfaceSession {
         self.phase = Phase::Working(Box::new(generation));
     }
 
-    /// Switches to another time step of the volume. The values in force stay, the range of the feature too. A surface that an edit has made
-    /// is made again.
+    /// Switches to another time step of the volume. All values in force stay, including the range of the feature. A surface that an edit
+    /// has requested is made again.
     pub(super) fn step(&mut self) {
         self.holds_another_step |= !self.held.is_empty();
         (self.shown, self.shown_generation, self.full, self.key) = (None, 0, None, None);
@@ -161,29 +161,29 @@ impl SurfaceSession {
         }
     }
 
-    /// The device has made something of the view of the generation.
+    /// Marks the generation's view as valid, because the device has made a surface of it.
     pub(super) fn prove(&mut self) {
         if !self.edit_pending {
             self.proven = Some(self.view.clone());
         }
     }
 
-    /// Whether a generation is made, or is to be.
+    /// Whether a generation is being made, or is still to be made.
     pub(super) fn is_busy(&self) -> bool {
         self.edit_pending || self.generation().is_some()
     }
 
-    /// Whether no edit of it has come into force, nor was it there when the volume was opened.
+    /// Whether the surface was added by an edit that has not come into force yet.
     pub(super) fn is_new(&self) -> bool {
         self.edited == 0 && !self.is_opening
     }
 
-    /// Whether something of it is still to come: a generation, or an edit that has not come into force.
+    /// Whether the surface still has a generation to finish, or an edit that has not come into force.
     pub(super) fn is_awaited(&self) -> bool {
         self.is_busy() || self.pending.is_some()
     }
 
-    /// The view as edits left it, in force or not.
+    /// Returns the view after all edits of the surface, in force or not.
     pub(super) fn edited_view(&self, fields: &[&str]) -> View {
         let pending = self.pending.as_ref();
         pending.map_or_else(|| self.view.clone(), |pending| pending.last_view(fields))

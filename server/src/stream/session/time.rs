@@ -1,6 +1,6 @@
 //! Time steps. A client that goes to another step of the open volume keeps its surfaces, and regions that are equal in both steps are not
 //! sent again. A step comes into force when all surfaces can be made of it (`resolving`). If the client goes on in equal strides, the
-//! next step is prefetched. The values of a step are described when the viewer rests.
+//! session prefetches the next step. It describes the values of a step when the viewer rests.
 
 use std::sync::Arc;
 
@@ -23,14 +23,14 @@ use crate::wire::messages::ServerMessage;
 /// Maximum stride between two consecutive steps for which the next step is predicted.
 const MAX_STRIDE: u32 = 4;
 
-/// A time step that is being prefetched. Dropping it cancels that.
+/// A time step that is being prefetched. Dropping it cancels the prefetch.
 pub(super) struct Ahead {
     step: u32,
     pub job: Option<BoxFuture<()>>,
     _cancel: DropGuard,
 }
 
-/// Resolves when the time step that is being prefetched is there; never if none is.
+/// Resolves when the prefetch of a time step has ended; never if there is none.
 pub(super) async fn read_ahead(ahead: &mut Option<Ahead>) {
     match ahead.as_mut().and_then(|ahead| ahead.job.as_mut()) {
         Some(job) => job.await,
@@ -41,7 +41,8 @@ pub(super) async fn read_ahead(ahead: &mut Option<Ahead>) {
     }
 }
 
-/// The step that is expected after going from one to another: the same stride further, wrapping from the last step to the first.
+/// Returns the step that is expected after the client went from `from` to `to`: the same stride further. After the last step it is the
+/// first one.
 fn expected(from: u32, to: u32, steps: u32) -> Option<u32> {
     if to == 0 && from > 1 && from == steps - 1 {
         return Some(1);
@@ -52,13 +53,13 @@ fn expected(from: u32, to: u32, steps: u32) -> Option<u32> {
     match u32::try_from(next) {
         _ if !is_near => None,
         Ok(next) if next < steps => Some(next),
-        // A player starts over.
+        // At the end a player starts over at step 0.
         _ => (stride > 0 && to == steps - 1).then_some(0),
     }
 }
 
 impl<B: Backend> Session<B> {
-    /// The client goes to another time step of the open volume.
+    /// Handles the client's request for another time step of the open volume.
     pub(super) fn on_step(&mut self, step: u32) {
         let opened = self.opened.as_ref().filter(|opened| opened.phase == OpeningPhase::Open);
         let Some(opened) = opened else {
@@ -69,7 +70,7 @@ impl<B: Backend> Session<B> {
             );
         };
         let before = Arc::clone(opened.volume.dataset());
-        // Steps may have been added to it since.
+        // The dataset may have got new steps since it was opened.
         let newest = self.backend.find(&before.id, &self.who);
         let newest = newest.filter(|newest| newest.continues(&before));
         let volume = match VolumeStep::new(newest.unwrap_or(before), step) {
@@ -80,7 +81,8 @@ impl<B: Backend> Session<B> {
         self.go_to(volume);
     }
 
-    /// Goes to another step of the open volume, as soon as all surfaces can be made of it. The latest step wins.
+    /// Begins to go to another step of the open volume, which comes into force as soon as all surfaces can be made of it. A later request
+    /// replaces this one.
     fn go_to(&mut self, volume: VolumeStep) {
         if let Some(opened) = &mut self.opened {
             let is_checked = opened.stepping.is_some();
@@ -94,7 +96,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// The open volume is at another step from now on.
+    /// Puts another step of the open volume into force.
     pub(super) fn step_into_force(&mut self, step: PendingStep) {
         let PendingStep {
             volume,
@@ -125,7 +127,7 @@ impl<B: Backend> Session<B> {
         self.allot(None);
     }
 
-    /// Starts to read the step ahead that the client is expected to go to, when all surfaces of this one are made.
+    /// Starts to prefetch the step that the client is expected to request next, once all surfaces of the current step are made.
     pub(super) fn advance_ahead(&mut self) {
         let Some(opened) = &mut self.opened else { return };
         if self.ahead.as_ref().is_some_and(|ahead| ahead.job.is_some()) || opened.is_awaited() {
@@ -146,7 +148,7 @@ impl<B: Backend> Session<B> {
         });
     }
 
-    /// Starts to describe the step, if nothing else is to be done.
+    /// Starts to describe the current step, if no other work is pending. Returns whether it did.
     pub(super) fn start_describing(&mut self) -> bool {
         let Some(opened) = &mut self.opened else { return false };
         if opened.description_due().is_none_or(|due| due > Instant::now()) {
@@ -161,7 +163,7 @@ impl<B: Backend> Session<B> {
         true
     }
 
-    /// Sends the description of a step's values. Ignores that of a step that is no longer open.
+    /// Sends the description of a step's values, unless that step is no longer open.
     pub(super) fn on_described(&mut self, open: u32, step: u32, result: Result<Box<RawValue>, WorkError>) {
         let opened = self.opened.as_mut().filter(|opened| opened.volume.step() == step);
         let (Some(opened), true) = (opened, open == self.opens) else {
@@ -169,7 +171,7 @@ impl<B: Backend> Session<B> {
         };
         match result {
             Ok(volume) => self.send(&ServerMessage::Described { volume, step }),
-            // An edit has cancelled it: the step is described later.
+            // An edit has cancelled the description: it is made later.
             Err(WorkError::Cancelled) => opened.undescribed_since = Some(Instant::now()),
             Err(error) => self.send_work_error(&error),
         }
@@ -177,7 +179,8 @@ impl<B: Backend> Session<B> {
 }
 
 impl OpenVolume {
-    /// Switches to another step of the same volume. Its surfaces are made of that step with unchanged views, in one commit each.
+    /// Switches to another step of the same volume. The surfaces are made again of that step with unchanged views, and each changes in one
+    /// commit.
     fn step_to(&mut self, volume: VolumeStep, held: Held) {
         self.volume = volume;
         self.held = held;
@@ -189,12 +192,12 @@ impl OpenVolume {
         }
     }
 
-    /// Whether anything of a surface is still to come.
+    /// Whether work for any surface is pending.
     pub(super) fn is_awaited(&self) -> bool {
         self.stepping.is_some() || self.surfaces().any(|(_, surface)| surface.is_awaited())
     }
 
-    /// When the time step is to be described; `None` if it has been, or while a surface is still to come.
+    /// Returns when the time step is to be described; `None` if that is done, or while work for a surface is pending.
     pub(super) fn description_due(&self) -> Option<Instant> {
         let since = self.undescribed_since.filter(|_| !self.is_awaited())?;
         Some(since + REST_AFTER)

@@ -45,7 +45,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// The client holds a step.
+    /// Records that the client holds a step.
     fn on_commit(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {
@@ -86,7 +86,7 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// The client holds the final surface.
+    /// Records that the client holds the final surface.
     fn on_done(&mut self, surface: u8) {
         let opened = self.opened.as_mut();
         let Some(session) = opened.and_then(|opened| opened.surface_mut(surface)) else {

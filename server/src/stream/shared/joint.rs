@@ -16,8 +16,8 @@ pub(in crate::stream) type Outcome<T> = Result<T, Arc<WorkError>>;
 
 type Job<T> = future::Shared<Pin<Box<dyn Future<Output = Outcome<T>> + Send>>>;
 
-/// Jobs in flight, by the key of their result. Each has one waiter or more and is cancelled with its last one, so there are at most as
-/// many jobs as waiters.
+/// Jobs in flight, by the key of their result. Each has at least one waiter and is cancelled with its last one, so the number of jobs never
+/// exceeds that of waiters.
 pub(super) struct Joint<K, T: Clone>(Mutex<Jobs<K, T>>);
 
 struct Jobs<K, T: Clone> {
@@ -50,7 +50,8 @@ impl<K, T: Clone> Joint<K, T> {
 }
 
 impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> Joint<K, T> {
-    /// Waits for the job of this key, which `start` begins if it is not in flight. Returns its result, and whether it was in flight.
+    /// Waits for the job of this key; calls `start` to begin it if it is not in flight. Returns the result, and whether the job was in
+    /// flight already.
     ///
     /// If `token` is cancelled, this waiter leaves and the others go on waiting. The last waiter cancels the job and returns only when it
     /// has ended, so that a caller never has two jobs at once.
@@ -136,7 +137,7 @@ impl<K: Eq + Hash, T: Clone> Waiter<'_, K, T> {
         true
     }
 
-    /// Removes the job, which has ended: the next request begins another.
+    /// Removes the job, which has ended, so that the next request begins another.
     fn end(mut self) {
         self.waits = false;
         let mut jobs = self.joint.jobs();

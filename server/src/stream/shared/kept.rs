@@ -12,7 +12,7 @@ use crate::extraction::{MeasuredError, Measurement, Refinement};
 use crate::metrics;
 use crate::volumes::DatasetKey;
 
-/// The budget divided by this is for steps without their chunks, and as much for measured errors; the rest is for chunks.
+/// The budget divided by this is the capacity for steps without their chunks, and again for measured errors. The rest is for chunks.
 const NOTES_PART: u64 = 16;
 
 /// Bytes that an entry takes beside its value: key, links and the table.
@@ -27,7 +27,7 @@ struct Entries {
     measured: Bounded<RequestKey, Arc<Measurement>>,
 }
 
-/// A cached step without its meshes. While a session still holds the step, `shared` has all of it.
+/// A cached step without its meshes. While a session still holds the step, `shared` refers to the complete one.
 struct KeptStep {
     made: Refinement,
     volume: Arc<DatasetKey>,

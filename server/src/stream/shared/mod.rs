@@ -5,8 +5,8 @@
 //! - `kept`: the cache of steps and chunks, within a budget of bytes.
 //!
 //! Two requests are equal if they have the same volume, time step and view (colours do not count), and if their clients show the same
-//! surface and are on the way to the same one. There is no access check here: a session requests only volumes that it has opened, which
-//! checked that the viewer may see them.
+//! surface and have the same target. There is no access check here: a session requests only volumes that it has opened, which checked that
+//! the viewer may see them.
 
 mod joint;
 mod kept;
@@ -26,14 +26,16 @@ pub(super) use joint::Outcome;
 pub(super) use kept::Kept;
 pub(super) use step::{HeldRegion, HeldRegions, SharedStep};
 
-/// Jobs of other viewers that a request waits for before it starts its own, if none of their steps suits its line.
+/// Maximum number of other viewers' jobs that a request waits for. If none of their steps suits its line, it starts its own job.
 const MAX_JOINED: usize = 2;
 
-/// A step may exceed the bytes that suit the viewer's line by this factor, because it exists already: a smaller one would have to be made.
+/// An existing step is used if it has at most this many times the bytes that suit the viewer's line, because a smaller one would have to be
+/// made first.
 const MAX_LINE_FACTOR: u64 = 4;
 /// A step of at most this size suits any line.
 const ANY_LINE_BYTES: u64 = 256 << 10;
-/// A step that is not final must have at least the bytes that suit the viewer's line divided by this; else the viewer gets its own.
+/// An existing step that is not final must have at least the bytes that suit the viewer's line, divided by this. Otherwise a step is made
+/// for this viewer.
 const MIN_LINE_PART: u64 = 8;
 
 /// A request: the view of a surface, with the backend and volume to make it.
@@ -64,7 +66,7 @@ enum RequestKind {
 }
 
 impl RequestKey {
-    /// About how many bytes it takes.
+    /// Estimates the bytes that this key takes.
     fn bytes(&self) -> usize {
         size_of::<Self>() + self.view.bytes()
     }
@@ -85,7 +87,7 @@ struct Inner {
 /// A step, and its origin.
 pub(super) struct Offered {
     pub step: Arc<SharedStep>,
-    /// Whether it was made for this request: then the time that it took predicts how long the next ones take.
+    /// Whether the step was made for this request. Only then does its time predict how long the next steps take.
     pub is_own: bool,
 }
 
@@ -112,12 +114,12 @@ impl Shared {
         }))
     }
 
-    /// The chunks that are kept.
+    /// Returns the cache of chunks.
     pub(super) fn kept(&self) -> Arc<Kept> {
         Arc::clone(&self.0.kept)
     }
 
-    /// How many triangles the full surface of a view has.
+    /// Counts the triangles of the full surface of a view.
     pub(super) async fn count<B: Backend>(&self, wanted: Wanted<B>, token: &CancellationToken) -> Outcome<FullCount> {
         let key = wanted.request(RequestKind::Count);
         let make = |token: CancellationToken| async move {
@@ -127,7 +129,7 @@ impl Shared {
         self.0.counted.make(&key, token, make).await.0
     }
 
-    /// A step from the surface that a client shows to that of a view.
+    /// Makes a step from the surface that a client shows to the surface of a view, or finds one in the cache or in flight.
     pub(super) async fn refine<B: Backend>(
         &self,
         wanted: Wanted<B>,
@@ -155,7 +157,7 @@ impl Shared {
                 kept.keep_step(own_key, &made);
                 Ok(made)
             };
-            // If the steps of other viewers did not suit, this one is made for this viewer alone: others do not join it.
+            // If the steps of other viewers did not suit, a step is made for this viewer alone, and others do not join it.
             let (made, was_joined) = match joined {
                 ..MAX_JOINED => self.0.steps.make(&key, token, make).await,
                 MAX_JOINED.. => (make(token.clone()).await, false),
@@ -199,7 +201,7 @@ impl Shared {
         Ok(made?.map(|step| Offered { step, is_own }))
     }
 
-    /// How far the final surface of a view is from the undecimated one; `None` as in [`Backend::measure`].
+    /// Measures how far the final surface of a view is from the undecimated one; `None` as in [`Backend::measure`].
     pub(super) async fn measure<B: Backend>(
         &self,
         wanted: Wanted<B>,

@@ -17,18 +17,18 @@ use crate::wire::chunk::{Coding, PrefixId, with_prefix};
 use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 use crate::wire::predictive;
 
-/// Each region that a client holds.
+/// The regions that a client holds, by their positions.
 pub(in crate::stream) type HeldRegions = FxHashMap<[u32; 3], HeldRegion>;
 
 /// A region that a client holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::stream) struct HeldRegion {
     pub hash: MeshHash,
-    /// Of the chunk that it was sent in, which decides the order of its vertices.
+    /// Coding of the chunk in which the region was sent. It decides the order of the vertices.
     pub coding: Coding,
 }
 
-/// Estimates of the bytes of chunks: of a region whatever it holds, and of a hundred triangles.
+/// Estimated bytes of chunks: a fixed number for each region, and a number for each hundred triangles.
 const REGION_BYTES: u64 = 160;
 const BYTES_OF_100_TRIANGLES: u64 = 450;
 
@@ -37,9 +37,9 @@ const BYTES_OF_100_TRIANGLES: u64 = 450;
 pub(in crate::stream) struct SharedStep {
     /// The result of the step, without its regions.
     pub made: Refinement,
-    /// Those that have triangles.
+    /// The regions that have triangles.
     pub regions: Vec<SharedRegion>,
-    /// The volume, so that chunks of another one are not mistaken for its own.
+    /// Key of the volume, so that chunks of another volume are not mistaken for this one's.
     volume: Arc<DatasetKey>,
 }
 
@@ -52,7 +52,7 @@ pub(in crate::stream) struct SharedRegion {
     /// The mesh; `None` once it is encoded.
     mesh: Mutex<Option<Region>>,
     chunk: OnceLock<Result<Bytes, EncodeError>>,
-    /// The same chunk in the coding for slow lines.
+    /// The region's chunk in the coding for slow lines.
     predictive: OnceLock<Result<Bytes, EncodeError>>,
 }
 
@@ -113,7 +113,7 @@ impl SharedStep {
         self.made.is_final || step.shown == Shown::Another || bytes >= line / MIN_LINE_PART
     }
 
-    /// The chunk of one of its regions, which is encoded if it is not cached.
+    /// Returns the chunk of one of the step's regions; encodes it if it is not cached.
     ///
     /// # Errors
     /// As [`encode::encode`].
@@ -133,7 +133,7 @@ impl SharedStep {
         chunk.map(|chunk| with_prefix(&chunk, prefix))
     }
 
-    /// The chunk in the coding of every client; it may name another prefix.
+    /// Returns the chunk in the coding that every client reads. Its header may name another prefix.
     fn meshopt_chunk(&self, region: &SharedRegion, prefix: PrefixId, kept: &impl Chunks) -> Result<Bytes, EncodeError> {
         let mut was_there = true;
         let chunk = region.chunk.get_or_init(|| {
@@ -198,7 +198,7 @@ impl SharedRegion {
         }
     }
 
-    /// Whether its chunk in this coding is encoded.
+    /// Whether the region's chunk in this coding is encoded.
     pub(in crate::stream) fn is_encoded(&self, coding: Coding) -> bool {
         let chunk = match coding {
             Coding::Meshopt => &self.chunk,

@@ -162,7 +162,7 @@ async fn how_far_a_volume_is_is_said_until_it_is_open() {
         progress.send_replace(at(bytes));
         tokio::task::yield_now().await;
     }
-    // A viewer that did not read meanwhile has two at most: one on its way, and the newest.
+    // A viewer that did not read meanwhile gets at most two messages: one that was on its way, and the newest.
     let mut last = viewer.text().await;
     if last["bytes"] != 90 {
         last = viewer.text().await;
@@ -175,7 +175,7 @@ async fn how_far_a_volume_is_is_said_until_it_is_open() {
         next = viewer.text().await;
     }
     assert_eq!(next["type"], "opened");
-    // A late one is of a volume that is open.
+    // Progress that arrives late is ignored, because the volume is open.
     progress.send_replace(at(101));
     viewer.quiet().await;
 }

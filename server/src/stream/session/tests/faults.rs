@@ -122,7 +122,7 @@ async fn a_client_that_talks_and_does_not_read_fills_no_memory() {
     .is_ok()
     {
         taken += 1;
-        // An answer has some hundred bytes.
+        // Each answer takes some hundred bytes of the limit.
         assert!(taken < HIGH_WATER / 64, "every message is taken");
     }
     assert!(taken > HIGH_WATER / 1024, "{taken}");
@@ -146,7 +146,7 @@ async fn a_client_that_vanishes_leaves_nothing_behind() {
     viewer.step().await.answer(Answer::prefix(3, shapes(&[2; 64])));
     viewer.frame().await;
     let job = viewer.step().await;
-    // Mid-send: 64 chunks wait. First only the writer goes, as when the network breaks.
+    // The connection breaks during a step: 64 chunks wait. First only the writer ends, as when the network fails.
     viewer.frames.close();
     viewer.session.await.expect("ends");
     assert!(job.token.is_cancelled());

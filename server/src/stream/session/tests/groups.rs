@@ -74,13 +74,13 @@ async fn follows(viewer: &mut Viewer, surface: usize, iso: f32) {
     assert!(viewer.steps.try_recv().is_err(), "made once for all");
 }
 
-/// A surface of this isovalue is made and shown.
+/// Makes a surface of this isovalue and shows it to the viewer.
 async fn shown(viewer: &mut Viewer, iso: f32) {
     let job = viewer.step().await;
     shown_by(viewer, job, iso).await;
 }
 
-/// The same, with the job that makes it.
+/// As [`shown`], for a job that was received already.
 async fn shown_by(viewer: &mut Viewer, job: Job<Refinement>, iso: f32) {
     assert_eq!(job.view.iso.expect("an isovalue").get(), iso);
     job.answer(Answer::last(1, shapes(&[1, 2])));
@@ -107,13 +107,13 @@ async fn who_may_only_look_is_shown_what_the_leader_does() {
     leader.say(r#"{"type":"edit","iso":6}"#).await;
     shown(&mut leader, 6.0).await;
     follows(&mut looks, 0, 6.0).await;
-    // A surface more, and one less.
+    // Followers get an added surface, and its removal.
     leader.say(r#"{"type":"edit","surface":1,"iso":8,"beta":0.5}"#).await;
     shown(&mut leader, 8.0).await;
     follows(&mut looks, 1, 8.0).await;
     leader.say(r#"{"type":"remove","surface":1}"#).await;
     looks.until("removed").await;
-    // Another volume, and a step of it.
+    // Followers get another volume, and another time step of it.
     leader.say(r#"{"type":"open","volume":"other"}"#).await;
     leader.opens.recv().await.expect("an open job").answer();
     leader.until("opened").await;
@@ -124,7 +124,7 @@ async fn who_may_only_look_is_shown_what_the_leader_does() {
     leader.say(r#"{"type":"step","step":3}"#).await;
     assert_eq!(looks.until("stepped").await["step"], 3);
 
-    // Its own messages are refused.
+    // The follower's own messages are refused.
     for message in [
         r#"{"type":"edit","iso":9}"#,
         r#"{"type":"open","volume":"head"}"#,

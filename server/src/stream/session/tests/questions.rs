@@ -229,7 +229,7 @@ async fn an_annotation_comes_at_rest_for_the_regions_that_the_client_holds() {
     let asked = viewer.questions.recv().await.expect("a question");
     assert_eq!(asked.question, Question::VertexErrors(DistanceOf::Vertex));
     asked.answer();
-    // The second region is not the one that was made again.
+    // The chunk of the second region is left out: its mesh is not the one that was made again.
     viewer
         .expect(r#"{"type":"annotated","surface":0,"generation":1,"annotation":"error","regions":1}"#)
         .await;
@@ -294,7 +294,7 @@ async fn an_annotation_is_of_its_surface_and_waits_until_all_rest() {
     }
     let asked = viewer.questions.recv().await.expect("a question");
     assert_eq!(asked.shown.as_ref().expect("a surface is shown").cut, CutId::new(2));
-    // The last region is not the one that the client holds.
+    // The client does not hold this mesh of the last region.
     let errors = shapes(&[3, 0, 5]).into_iter().map(|region| VertexErrors {
         distances: vec![0.5; region.vertices.len()],
         region,
@@ -312,7 +312,7 @@ async fn an_annotation_is_of_its_surface_and_waits_until_all_rest() {
     settle(&mut viewer).await;
 }
 
-/// Until `annotated` waits for the viewer, and its chunk behind it.
+/// Requests an annotation, and waits until `annotated` and its chunk are queued for the viewer.
 async fn annotated_unread(viewer: &mut Viewer) {
     viewer.say(ANNOTATE).await;
     viewer.questions.recv().await.expect("a question").answer();
@@ -335,7 +335,7 @@ async fn an_annotation_is_dropped_unsent_by_whatever_changes_a_surface() {
         let mut viewer = two_at_rest().await;
         annotated_unread(&mut viewer).await;
         viewer.say(message).await;
-        // It takes this one after the other.
+        // The session handles this message after the one above.
         viewer.say(r#"{"type":"drawn","generation":1}"#).await;
         assert_eq!(viewer.text().await["type"], "annotated");
         while let Ok(frame) = tokio::time::timeout(Duration::from_millis(50), viewer.frame()).await {

@@ -36,7 +36,7 @@ impl Random {
     }
 }
 
-/// Of the full surface of an isovalue.
+/// Returns the triangles of the full surface of an isovalue.
 fn full_triangles(iso: f32) -> u64 {
     1000 * (1 + iso as u64)
 }
@@ -72,7 +72,7 @@ impl Wanted {
 
     /// The shapes of eight regions; 0 stands for no region.
     fn shapes(&self) -> [i32; 8] {
-        // In the low bits, from which all others follow.
+        // The values go into the low bits, from which the generator derives all others.
         let mut hash =
             Random(self.triangles() + 10_000 * self.alpha + 1_000_000 * self.beta.map_or(0, |beta| beta + 1));
         hash.0 += u64::from(self.iso.to_bits()) << 24;
@@ -201,7 +201,7 @@ impl Play {
         true
     }
 
-    /// Reads and answers until nothing has come for longer than a pause to draw lasts, or than until a viewer rests.
+    /// Reads and answers until nothing has arrived for longer than both the draw pause and the time until a viewer rests.
     async fn settle(&mut self) {
         let mut last = Instant::now();
         while last.elapsed() < 4 * DRAW_PAUSE.max(REST_AFTER) {

@@ -12,7 +12,7 @@ use crate::view::{EditError, View};
 
 const FEATURE: &str = r#"{"type":"edit","feature":"mean-curvature"}"#;
 
-/// With the final surface of the opening view shown.
+/// Returns a viewer that is shown the final surface of the opening view.
 async fn showing(common: &Common) -> Viewer {
     let mut viewer = Viewer::that_resolves(common).open().await;
     viewer.say(r#"{"type":"edit"}"#).await;
@@ -87,7 +87,7 @@ async fn edits_that_arrive_meanwhile_come_into_force_with_it() {
 #[tokio::test]
 async fn a_bad_edit_takes_no_other_one_with_it() {
     let mut viewer = showing(&Common::new(0)).await;
-    // While another surface's edit is resolved, these wait together.
+    // While an edit of another surface is being resolved, the following edits wait together.
     viewer.say(r#"{"type":"edit","surface":1,"feature":"none"}"#).await;
     let other = resolution(&mut viewer).await;
     for edit in [
@@ -105,7 +105,7 @@ async fn a_bad_edit_takes_no_other_one_with_it() {
     let all = resolution(&mut viewer).await;
     assert_eq!((all.view.alpha, all.view.feature.as_str()), (0.25, "mean-curvature"));
     all.refuse();
-    // One by one: the mask is good, the feature is not, the others need not be resolved.
+    // The edits are applied one by one: the mask is valid, the feature is not, and the others need no resolving.
     let first = resolution(&mut viewer).await;
     assert_eq!(
         (first.view.feature.as_str(), first.view.mask.is_some()),
@@ -152,7 +152,7 @@ async fn values_that_an_edit_leaves_open_are_those_of_its_step() {
     viewer.quiet().await;
     assert_eq!(job.volume.step(), 0);
     job.resolve();
-    // The step comes into force after it, and is checked with it.
+    // The step comes into force after the edit, and is resolved with the edit applied.
     let job = resolution(&mut viewer).await;
     assert_eq!((job.volume.step(), job.view.feature_range), (3, Some([-1.0, 0.0])));
     job.resolve();
@@ -182,7 +182,7 @@ async fn a_cancelled_step_leaves_the_edits_behind_it_to_be_made() {
     let job = viewer.step().await;
     assert_eq!((job.volume.step(), job.view.alpha), (3, 0.25));
 
-    // Without one, nothing is made of the step.
+    // Without an edit after `cancel`, nothing is made of the step.
     job.answer(Answer::last(2, shapes(&[2])));
     viewer.until("done").await;
     viewer.say(r#"{"type":"step","step":4}"#).await;
@@ -206,7 +206,7 @@ async fn values_are_those_of_a_step_that_another_one_has_overtaken() {
     let job = resolution(&mut viewer).await;
     assert_eq!((job.volume.step(), job.view.feature_range), (3, None));
     job.resolve();
-    // The step, and then what the view uses in it.
+    // First the step is resolved, and then the samples that the view uses in it.
     resolution(&mut viewer).await.resolve();
     viewer.until("stepped").await;
     let there = resolution(&mut viewer).await;
@@ -270,7 +270,7 @@ async fn a_surface_that_never_was_is_gone_with_its_bad_edit() {
     assert_eq!(viewer.until("error").await["surface"], 2);
     viewer.say(r#"{"type":"remove","surface":2}"#).await;
     assert_eq!(viewer.error().await, ("unknown-surface".into(), true));
-    // Nor is surface 0 there, once it was removed.
+    // After its removal surface 0 does not exist either.
     viewer.say(r#"{"type":"remove","surface":0}"#).await;
     viewer.until("removed").await;
     viewer.say(FEATURE).await;
@@ -327,7 +327,7 @@ async fn followers_are_shown_what_has_come_into_force() {
         (&json!("mean-curvature"), &json!([-1.0, 0.0])),
         "nothing of the edit that was refused"
     );
-    // Both wait for one job.
+    // The leader and the follower wait for the same job.
     let job = leader.step().await;
     assert_eq!(job.view.feature_range, Some([-1.0, 0.0]));
     job.answer(Answer::last(2, shapes(&[2])));
@@ -348,7 +348,7 @@ async fn a_new_surface_has_the_budget_that_edits_left_in_force() {
         tokio::task::yield_now().await;
         if is_bad {
             first.refuse();
-            // Two share it.
+            // Two surfaces share the budget.
             let job = viewer.counts.recv().await.expect("a count");
             assert_eq!(job.view.budget, Some(Budget::Triangles(TriangleBudget::AtMost(77))));
         } else {
@@ -376,7 +376,7 @@ async fn a_new_surface_does_not_have_the_budget_of_a_bad_new_one() {
     assert_eq!(viewer.step().await.view.budget, Some(opening), "not that of surface 1");
 }
 
-/// Surface 1 is edited, with a budget of 77 triangles; the job that resolves it.
+/// Edits surface 1 with a budget of 77 triangles, and returns the job that resolves the edit.
 async fn naming_a_budget(viewer: &mut Viewer) -> Job<View> {
     let edit = r#"{"type":"edit","surface":1,"feature":"none","triangles":77}"#;
     viewer.say(edit).await;

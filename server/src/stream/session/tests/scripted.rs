@@ -30,7 +30,7 @@ pub(super) struct Job<T> {
     step: Option<Step>,
     pub token: CancellationToken,
     pub reply: oneshot::Sender<Result<T, WorkError>>,
-    /// Of an `open`.
+    /// Progress of an `open`; `None` for other jobs.
     pub progress: Option<watch::Sender<OpeningProgress>>,
 }
 
@@ -50,9 +50,9 @@ pub(super) struct Scripted {
     pub improvements: mpsc::Sender<Job<Option<Refinement>>>,
     pub measurements: mpsc::Sender<Job<Option<Measurement>>>,
     pub questions: mpsc::Sender<Asked>,
-    /// Of time steps that are read ahead.
+    /// Jobs that read time steps ahead.
     pub ahead: mpsc::Sender<Job<()>>,
-    /// Views that are resolved, if the test does it; else that is done at once.
+    /// Jobs that resolve views, if the test answers them. `None`: views are resolved at once.
     pub resolutions: Option<mpsc::Sender<Job<View>>>,
 }
 
@@ -228,12 +228,12 @@ impl Answer {
         }
     }
 
-    /// Claims this number of triangles, whatever the regions have.
+    /// Sets the reported number of triangles, whatever the regions have.
     pub(super) fn of_triangles(self, triangles: u64) -> Self {
         Self { triangles, ..self }
     }
 
-    /// With this number of triangles of the full surface.
+    /// Sets the number of triangles of the full surface.
     pub(super) fn of_full(self, full_triangles: u64) -> Self {
         Self { full_triangles, ..self }
     }
@@ -247,7 +247,7 @@ impl Answer {
         }
     }
 
-    /// Only these regions were remade.
+    /// Reports that only these regions were remade.
     pub(super) fn of_regions(self, remade: &[u32]) -> Self {
         Self {
             remade: Some(remade.iter().map(|&x| [x, 0, 0]).collect()),
@@ -255,7 +255,7 @@ impl Answer {
         }
     }
 
-    /// A better one may follow.
+    /// Reports that a better surface may follow.
     pub(super) fn improvable(self) -> Self {
         Self {
             can_improve: true,
@@ -263,7 +263,7 @@ impl Answer {
         }
     }
 
-    /// Not the final surface yet.
+    /// Reports that this is not the final surface yet.
     pub(super) fn on_the_way(self) -> Self {
         Self {
             is_final: false,
@@ -298,7 +298,7 @@ impl Job<Refinement> {
 }
 
 impl Answer {
-    /// As the device's answer to a job of this view.
+    /// Converts this to the device's answer to a job of this view.
     pub(super) fn refinement(self, view: &View) -> Refinement {
         let answer = self;
         let statistics = SurfaceStatistics {

@@ -42,7 +42,7 @@ async fn who_asks_for_the_same_gets_the_same_of_one_job() {
     for other in others {
         assert_eq!(frames_to_done(other).await, alone);
         assert!(other.steps.try_recv().is_err(), "a job of its own");
-        // Measured once, too.
+        // The surface is measured only once, too.
         assert!(other.measurements.try_recv().is_err());
     }
 }
@@ -63,7 +63,7 @@ async fn who_comes_later_is_sent_what_was_kept() {
     later.say(r#"{"type":"edit"}"#).await;
     later.until("done").await;
     assert!(later.steps.try_recv().is_err());
-    // Colours are the client's. A generation of its own has chunks of its number.
+    // Colours do not make another view, because clients apply them. But the chunks carry the number of this viewer's own generation.
     colours.say(r##"{"type":"edit","transferFunction":{"points":[{"x":0,"importance":0,"color":"#ffffff"},{"x":1,"importance":1,"color":"#000000"}]}}"##).await;
     colours.until("done").await;
     assert!(colours.steps.try_recv().is_err());
@@ -71,7 +71,7 @@ async fn who_comes_later_is_sent_what_was_kept() {
     colours.step().await.answer(Answer::last(3, shapes(&[1, 4])));
     colours.until("prefix").await;
     assert_eq!(colours.chunk().await.header.prefix.generation, 2);
-    // Another view, and the same of another volume, are made.
+    // Another view is made, and so is the same view of another volume.
     other.say(r#"{"type":"edit","beta":0.7}"#).await;
     other.step().await.answer(Answer::last(4, shapes(&[5])));
     other.until("done").await;
@@ -96,7 +96,7 @@ async fn a_job_goes_on_for_those_who_stay() {
     };
     let job = first.step().await;
     second.quiet().await;
-    // One cancels, one vanishes.
+    // One viewer cancels, another one disconnects.
     second.say(r#"{"type":"cancel"}"#).await;
     second.until("superseded").await;
     first.inbox = None;

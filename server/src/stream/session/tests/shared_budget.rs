@@ -30,7 +30,7 @@ async fn a_budget_is_shared_in_proportion_to_full_surfaces_and_what_shrinks_is_s
     let mut viewer = with_budget().await;
     viewer.say(r#"{"type":"edit","surface":1,"iso":20}"#).await;
     assert_eq!(viewer.count(6000).await, 20.0);
-    // The surface that was edited first; it is small, so that its first step is its last.
+    // The surface that was edited last comes first. It is small, so its first step is the final one.
     let job = viewer.step().await;
     assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
     job.answer(Answer::last(2, shapes(&[2])).of_full(6000));
@@ -46,7 +46,7 @@ async fn a_budget_is_shared_in_proportion_to_full_surfaces_and_what_shrinks_is_s
     viewer.expect(&prefix_of(1, 2, 0, [1, 0, 1], true)).await;
     assert_eq!(viewer.until("done").await["surface"], 1);
 
-    // α changes no other surface.
+    // An edit of α affects no other surface.
     viewer.say(r#"{"type":"edit","surface":1,"alpha":0.1}"#).await;
     let job = viewer.step().await;
     assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
@@ -54,7 +54,7 @@ async fn a_budget_is_shared_in_proportion_to_full_surfaces_and_what_shrinks_is_s
     viewer.until("done").await;
     viewer.quiet().await;
 
-    // The budget is one: an edit of any surface changes it for all.
+    // All surfaces share one budget: an edit of any surface changes it for all.
     viewer.say(r#"{"type":"edit","surface":1,"triangles":2000}"#).await;
     for (surface, cut) in [(20.0, 5), (10.0, 6)] {
         let job = viewer.step().await;
@@ -179,7 +179,7 @@ async fn what_a_failed_surface_holds_goes_where_others_share_its_budget() {
     );
     assert_eq!(viewer.until("done").await["surface"], 1);
     viewer.quiet().await;
-    // An edit that does not change its part does not retry it; the removal of the other surface does.
+    // An edit that does not change the failed surface's part does not retry it; removing the other surface does.
     viewer.say(r#"{"type":"edit","surface":1,"alpha":0.1}"#).await;
     let job = viewer.step().await;
     assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
@@ -300,7 +300,7 @@ async fn edits_while_a_surface_is_counted_still_let_it_commit_a_step() {
     assert_eq!((iso(&job), triangles(&job.view)), (20.0, 600));
     job.answer(Answer::prefix(2, shapes(&[2])).of_full(6000));
     assert_eq!(viewer.until("superseded").await["generation"], 2);
-    // Surface 0 shrinks for 6000, until the newest is counted.
+    // Surface 0 shrinks because surface 1 counts 6000 triangles, until the newer full surface of surface 1 is counted.
     loop {
         tokio::select! {
             job = viewer.steps.recv() => {

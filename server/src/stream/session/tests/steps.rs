@@ -81,7 +81,7 @@ async fn the_device_works_on_the_next_step_while_this_one_is_sent() {
     viewer.until("committed").await;
     let job = viewer.step().await;
     job.answer(Answer::last(2, shapes(&[2, 3, 4, 5, 6, 7])).on_the_way());
-    // Not one frame of it was read.
+    // The viewer has not read any frame of that step.
     viewer.step().await.answer(Answer::last(3, shapes(&[1])));
     let mut chunks = Vec::new();
     loop {
@@ -108,7 +108,7 @@ async fn only_what_changed_is_sent() {
         Shown::Cut(CutId::new(2)),
         "the same surface, cut otherwise"
     );
-    // One region new, one gone, three as they were.
+    // One region is new, one is gone, three are unchanged.
     job.answer(Answer::last(3, shapes(&[1, 7, 3, 0, 5])));
     viewer.expect(&prefix(2, 0, [2, 3, 4], true)).await;
     let (changed, gone) = (viewer.chunk().await, viewer.chunk().await);
@@ -127,7 +127,7 @@ async fn only_what_changed_is_sent() {
 async fn regions_that_were_not_made_anew_stay() {
     let mut viewer = Viewer::showing(&[1, 2, 3, 4]).await;
     viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
-    // Of regions 0, 1 and 3 the first changes, the next does not, the last has no triangles any more.
+    // Of the remade regions 0, 1 and 3, region 0 changes, region 1 does not, and region 3 has no triangles any more.
     let regions = shapes(&[5, 2, 0, 0]);
     viewer
         .step()
@@ -161,7 +161,7 @@ async fn a_drag_commits_a_step_of_every_edit_that_it_begins() {
     for generation in [2, 4, 6] {
         viewer.say(&format!(r#"{{"type":"edit","beta":0.{generation}}}"#)).await;
         let job = viewer.step().await;
-        // Faster than the device.
+        // Further edits arrive faster than the device makes steps.
         for more in 0..3 {
             viewer
                 .say(&format!(r#"{{"type":"edit","beta":0.{generation}{more}}}"#))
@@ -183,7 +183,7 @@ async fn a_drag_commits_a_step_of_every_edit_that_it_begins() {
     }
 }
 
-/// With the first step of generation 2 committed, to a client that has said `drawn` before.
+/// Returns a viewer that has sent `drawn` before, and to which the first step of generation 2 is committed.
 async fn waiting_for_drawn() -> Viewer {
     let mut viewer = Viewer::showing(&[1, 2]).await;
     viewer.say(r#"{"type":"drawn","generation":1}"#).await;

@@ -83,7 +83,7 @@ async fn first_steps_come_before_further_ones_and_then_surfaces_take_turns() {
             ))
             .await;
         if surface == 0 {
-            // It is on the device when the other edits arrive.
+            // The job of surface 0 is on the device when the other edits arrive.
             let job = viewer.step().await;
             viewer.say(r#"{"type":"edit","surface":1,"iso":20,"beta":0.1}"#).await;
             viewer.say(r#"{"type":"edit","surface":2,"iso":30,"beta":0.1}"#).await;
@@ -92,7 +92,7 @@ async fn first_steps_come_before_further_ones_and_then_surfaces_take_turns() {
             job.answer(Answer::prefix(1, shapes(&[1])));
         }
     }
-    // The one that was edited last, then the others' first steps; then the same order again.
+    // The first steps come in this order: the surface that was edited last, then the others. Then the same order is repeated.
     let mut order = Vec::new();
     let mut done = Vec::new();
     while done.len() < 3 {
@@ -182,7 +182,7 @@ async fn a_surface_is_removed_while_its_job_runs() {
     viewer.say(r#"{"type":"remove","surface":1}"#).await;
     assert_eq!(viewer.error().await, ("unknown-surface".into(), true));
 
-    // It begins as the volume opens, and to the server the client holds nothing of it.
+    // A surface that is added again begins with the opening view, and the server assumes that the client holds nothing of it.
     viewer.say(r#"{"type":"edit","surface":1,"beta":0.3}"#).await;
     let job = viewer.step().await;
     assert_eq!((iso(&job), job.shown()), (100.0, Shown::Another));
@@ -331,7 +331,7 @@ async fn each_surface_that_rests_is_improved_and_measured_and_an_edit_postpones_
         viewer.step().await.answer(Answer::last(cut, shapes(&[1])).improvable());
         viewer.until("done").await;
     }
-    // The one that was edited last comes first.
+    // The surface that was edited last comes first.
     let job = viewer.improvement_after_rest().await;
     assert_eq!(iso(&job), 2.0);
     viewer.say(r#"{"type":"edit","surface":0,"alpha":0.1}"#).await;

@@ -22,7 +22,7 @@ async fn another_step_sends_what_differs_in_one_commit() {
     viewer.expect(&prefix(2, 0, [1, 2, 3], true)).await;
     assert_eq!(viewer.chunk().await.header.region, [1, 0, 0]);
     viewer.until("done").await;
-    // From here on an edit is one of this step.
+    // From here on edits apply to this step.
     viewer.say(r#"{"type":"edit","beta":0.7}"#).await;
     let job = viewer.step().await;
     assert_eq!((job.volume.step(), job.shown()), (1, Shown::Cut(CutId::new(3))));
@@ -81,7 +81,7 @@ async fn the_next_step_is_read_ahead_and_the_latest_is_made() {
     let mut viewer = Viewer::showing(&[1]).await;
     viewer.say(TO_STEP_1).await;
     viewer.until("stepped").await;
-    // Overtaken before any surface was made of it.
+    // Step 1 is overtaken before any surface was made of it.
     let late = viewer.step().await;
     viewer.say(r#"{"type":"step","step":2}"#).await;
     viewer.until("superseded").await;
@@ -94,7 +94,7 @@ async fn the_next_step_is_read_ahead_and_the_latest_is_made() {
     viewer.until("done").await;
     let ahead = viewer.ahead.recv().await.expect("a step read ahead");
     assert_eq!(ahead.volume.step(), 3);
-    // To that step: it goes on. Elsewhere: it ends.
+    // The read-ahead goes on if the client goes to that step, and is cancelled if it goes to another one.
     viewer.say(r#"{"type":"step","step":3}"#).await;
     viewer.until("stepped").await;
     assert!(!ahead.token.is_cancelled());

@@ -27,7 +27,7 @@ pub(super) struct Viewer {
     pub measurements: mpsc::Receiver<Job<Option<Measurement>>>,
     pub questions: mpsc::Receiver<Asked>,
     pub ahead: mpsc::Receiver<Job<()>>,
-    /// Of [`Viewer::that_resolves`].
+    /// Jobs that resolve views, of a viewer made by [`Viewer::that_resolves`].
     pub resolutions: mpsc::Receiver<Job<View>>,
     pub shutdown: CancellationToken,
     pub session: JoinHandle<()>,
@@ -93,7 +93,7 @@ impl Viewer {
         }
     }
 
-    /// With a volume open and `opened` read.
+    /// Returns a viewer that has opened a volume and read `opened`.
     pub(super) async fn opened() -> Self {
         Self::new().open().await
     }
@@ -106,12 +106,12 @@ impl Viewer {
         viewer
     }
 
-    /// With the final surface of these shapes shown, generation 1, cut 2.
+    /// Returns a viewer that is shown the final surface of these shapes: generation 1, cut 2.
     pub(super) async fn showing(start: &[i32]) -> Self {
         let mut viewer = Self::opened().await;
         viewer.say(r#"{"type":"edit"}"#).await;
         viewer.step().await.answer(Answer::prefix(1, shapes(&[9])));
-        // Its pong measures the line; before that, there is no second step.
+        // The pong after the first step measures the line; before that, no second step is made.
         viewer.until("committed").await;
         viewer.step().await.answer(Answer::last(2, shapes(start)));
         viewer.until("done").await;
@@ -142,7 +142,7 @@ impl Viewer {
         frame
     }
 
-    /// As any client's network layer does.
+    /// Answers pings, as any client's network layer does.
     async fn answer_ping(&self, number: u32) {
         if let Some(inbox) = &self.inbox {
             inbox.send(Incoming::Pong(number)).await.expect("the session listens");
@@ -210,7 +210,7 @@ impl Viewer {
         assert_eq!(self.text().await, expected);
     }
 
-    /// Nothing happens any more: neither a frame nor a job.
+    /// Expects that nothing happens any more: neither a frame nor a job comes.
     pub(super) async fn quiet(&mut self) {
         let next = tokio::time::timeout(Duration::from_millis(50), self.frame()).await;
         assert!(next.is_err(), "{next:?}");

@@ -17,10 +17,10 @@ pub(super) struct Held {
     /// Shapes of regions.
     pub map: BTreeMap<u32, i32>,
     newest: u64,
-    /// Of the newest generation.
+    /// Whether the newest generation has ended.
     has_ended: bool,
     final_committed: bool,
-    /// Of the last final surface.
+    /// Triangles of the last final surface.
     triangles: u64,
 }
 
