@@ -9,12 +9,12 @@ fn within(time: SystemTime) -> SystemTime {
     time.clamp(UNIX_EPOCH, UNIX_EPOCH + Duration::from_secs(LAST_SECOND))
 }
 
-/// A time as RFC 3339 writes it, to the second; the nearest one that can be written.
+/// Formats a time as in RFC 3339, to the second. A time that RFC 3339 cannot express becomes the nearest one that it can.
 pub fn rfc3339_seconds(time: SystemTime) -> String {
     humantime::format_rfc3339_seconds(within(time)).to_string()
 }
 
-/// The same to the millisecond.
+/// As [`rfc3339_seconds`], to the millisecond.
 pub fn rfc3339_millis(time: SystemTime) -> String {
     humantime::format_rfc3339_millis(within(time)).to_string()
 }

@@ -5,7 +5,7 @@ use std::error::Error;
 /// Any error; [`chain`] prints it with its causes.
 pub type BoxError = Box<dyn Error + Send + Sync>;
 
-/// An error and its causes on one line. A cause that the line already ends with is left out.
+/// Formats an error and its causes on one line. A cause that the line already ends with is left out.
 pub fn chain(error: &(dyn Error + 'static)) -> String {
     let mut line = error.to_string();
     let mut cause = error.source();

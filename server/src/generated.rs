@@ -19,7 +19,7 @@ use crate::wire::messages::{ClientMessage, SUBPROTOCOL, ServerMessage};
 
 const HEADER: &str = "/** Generated from the server's types: `make generated` writes it anew. */\n";
 
-/// Declarations of types and of all that they contain, by name.
+/// Declarations of types and of all types that they contain, by name.
 struct Declarations {
     config: Config,
     by_name: BTreeMap<String, String>,
@@ -42,7 +42,7 @@ impl TypeVisitor for Declarations {
     }
 }
 
-/// The declaration with a field a line, indented, and comments of one line on one line.
+/// Lays out a declaration: one field per line, indented, and one-line comments on one line.
 fn laid_out(declaration: &str) -> String {
     let (mut text, mut depth, mut comment) = (String::new(), 0, Vec::new());
     let mut push = |depth: usize, line: &str| writeln!(text, "{}{line}", "  ".repeat(depth)).expect(INFALLIBLE);

@@ -11,7 +11,7 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return failed(&error),
     };
-    // Before anything is written.
+    // Checks the limits before anything is written.
     if cli.command.uses_device()
         && let Err(error) = limits::check()
     {
@@ -19,7 +19,7 @@ fn main() -> ExitCode {
     }
     let folders = cli.command.uses_device().then(driver_folders);
     for (name, folder) in folders.iter().flat_map(|folders| &folders.variables) {
-        // SAFETY: this is the only thread: those that the limits were checked with have ended.
+        // SAFETY: this is the only thread, because the threads that checked the limits have ended.
         unsafe { std::env::set_var(name, folder) };
     }
     log::start(cli.log_format, cli.command.default_log());
@@ -33,7 +33,7 @@ fn main() -> ExitCode {
 }
 
 fn failed(error: &(dyn std::error::Error + 'static)) -> ExitCode {
-    // Standard error may be closed.
+    // The error is ignored: standard error may be closed.
     let _ = writeln!(io::stderr(), "error: {}", isopeel::error::chain(error));
     ExitCode::from(cli::exit_code(error))
 }

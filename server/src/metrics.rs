@@ -14,7 +14,7 @@ const BOUNDS: [f64; 15] = [
     0.000_1, 0.000_3, 0.001, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0, 100.0,
 ];
 
-/// How often recorded values are sorted into the buckets of histograms; until then they are kept one by one.
+/// Interval at which recorded values are sorted into the buckets of histograms. Until then each value is stored.
 pub const UPKEEP: Duration = Duration::from_secs(5);
 
 const REQUESTS: &str = "isopeel_http_requests_total";
@@ -46,8 +46,8 @@ const BUILD: &str = "isopeel_build_info";
 
 static RECORDER: OnceLock<PrometheusHandle> = OnceLock::new();
 
-/// Counters that each frame of each viewer updates: looking one up by its labels would take longer than the rest of the work for a small
-/// frame.
+/// Counters that each frame of each viewer updates. They are looked up once: for a small frame, a look-up by labels would take longer than
+/// the rest of the work.
 struct FrameCounters {
     chunk_bytes: Counter,
     message_bytes: Counter,
@@ -154,14 +154,14 @@ pub fn render() -> Option<String> {
     RECORDER.get().map(PrometheusHandle::render)
 }
 
-/// Records that a request was answered. `route`: its pattern, not its path.
+/// Records an answered request. `route` is the pattern of its route, not its path.
 pub fn answered(method: &'static str, route: &str, status: u16, time: Duration) {
     let status = status.to_string();
     counter!(REQUESTS, "method" => method, "route" => route.to_owned(), "status" => status).increment(1);
     histogram!(REQUEST_SECONDS, "route" => route.to_owned()).record(time);
 }
 
-/// Counts an error of REST.
+/// Counts an error answer of REST.
 pub fn problem(code: &'static str) {
     counter!(PROBLEMS, "code" => code).increment(1);
 }
@@ -204,7 +204,7 @@ pub fn follower(more: f64) {
     gauge!(FOLLOWERS).increment(more);
 }
 
-/// Counts bytes of a stream's frames that the network has taken: of chunks, and of messages.
+/// Counts the bytes of a stream's chunks and messages that the network has accepted.
 pub fn sent(chunk_bytes: usize, message_bytes: usize) {
     if let Some(frames) = FRAMES.get() {
         frames.chunk_bytes.increment(chunk_bytes as u64);
@@ -212,7 +212,7 @@ pub fn sent(chunk_bytes: usize, message_bytes: usize) {
     }
 }
 
-/// Counts a look-up of a chunk among those that were made for other viewers.
+/// Counts a look-up of a chunk in the cache of chunks that were made for other viewers.
 pub fn looked_up_chunk(was_there: bool) {
     if let Some(frames) = FRAMES.get() {
         let counter = if was_there {

@@ -43,13 +43,14 @@ static EXPORTS: OnceLock<rayon::ThreadPool> = OnceLock::new();
 /// Number of threads of a pool that reads files; set by a server.
 static READ_THREADS: OnceLock<usize> = OnceLock::new();
 
-/// Starts the pool of exports, and lets files be read on pools of their own, which leaves rayon's to viewers. Without it, both use rayon's.
+/// Starts the pool of exports, and lets each [`ReadPool`] start threads of its own, so that rayon's pool is left to viewers. Without this
+/// call, exports and readers use rayon's pool.
 ///
 /// # Errors
 /// Threads could not be started.
 pub fn start_background() -> Result<(), rayon::ThreadPoolBuildError> {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
-    // A pool that a call before has started does as well.
+    // If an earlier call has started a pool, that one is kept.
     let _ = EXPORTS.set(background(
         "isopeel-export",
         processors.div_ceil(PROCESSORS_PER_EXPORT_THREAD),
@@ -76,7 +77,8 @@ fn lower_priority() {
 #[cfg(not(target_os = "linux"))]
 fn lower_priority() {}
 
-/// As [`run`], on the pool of exports: no interactive viewer waits for it, so it may take long. Its work on rayon stays on that pool.
+/// As [`run`], on the pool of exports. `work` may take long, because no interactive viewer waits for it. Its rayon tasks run on that pool
+/// too.
 pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
     match EXPORTS.get() {
         Some(pool) => spawn(|work| pool.spawn(work), work).await,
@@ -84,7 +86,7 @@ pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'st
     }
 }
 
-/// Runs `work` on the pool of exports and waits for it: for threads that belong to no pool.
+/// Runs `work` on the pool of exports and blocks until it is done. Only for threads that belong to no pool.
 pub fn install_export<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match EXPORTS.get() {
         Some(pool) => pool.install(work),
@@ -92,19 +94,19 @@ pub fn install_export<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     }
 }
 
-/// A pool for reading files, of threads with low priority: no viewer's surface waits for a block of a file that takes long to decode.
-/// Concurrent readers have a pool each: on a shared one, a thread that holds a lock of one file could pick up the reading of another file,
-/// which needs that lock too.
+/// Thread pool of low priority for reading files, so that viewers do not wait for blocks of files that take long to decode. Each concurrent
+/// reader has a pool of its own: on a shared one, a thread that holds the lock of one file could start to read another file, which needs
+/// that lock too.
 pub struct ReadPool(Option<rayon::ThreadPool>);
 
 impl ReadPool {
-    /// Starts the threads; without [`start_background`], or if the system has none, reading uses rayon's pool.
+    /// Starts the threads. Without [`start_background`], or if the system has no threads left, reads use rayon's pool.
     pub fn start() -> Self {
         let threads = READ_THREADS.get();
         Self(threads.and_then(|&threads| background("isopeel-read", threads).ok()))
     }
 
-    /// Runs `work`, which reads files, and waits for it: for threads that may block. Its work on rayon stays on this pool.
+    /// Runs `work`, which reads files, and blocks until it is done. Only for threads that may block. Its rayon tasks run on this pool too.
     pub fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match &self.0 {
             Some(pool) => pool.install(work),
@@ -124,7 +126,7 @@ async fn spawn<T: Send + 'static>(
 ) -> Result<T, Panicked> {
     let (reply, answer) = oneshot::channel();
     on_pool(Box::new(move || {
-        // A panic in a rayon task would end the process.
+        // Catches panics, because a panic in a rayon task would end the process.
         if let Ok(value) = catch_unwind(AssertUnwindSafe(work)) {
             let _ = reply.send(value);
         }

@@ -151,7 +151,7 @@ pub fn make(path: &Path) -> io::Result<()> {
     builder.recursive(true).create(path)
 }
 
-/// Bytes that are free on a folder's disk.
+/// Returns the free bytes on a folder's disk.
 ///
 /// # Errors
 /// The system's.
@@ -160,7 +160,7 @@ pub fn free_bytes(path: &Path) -> io::Result<u64> {
     Ok(found.f_bavail.saturating_mul(found.f_frsize))
 }
 
-/// Whether an error says that a disk, or its user's share of it, is full.
+/// Whether an error says that a disk is full or the user's quota is exceeded.
 pub fn is_full(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
@@ -240,7 +240,7 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn a_folder_that_the_system_does_not_allow_is_named_with_what_helps() {
-        // No user can make folders there, root included.
+        // No user can make folders there, not even root.
         let error = open(Path::new("/sys/isopeel"), FolderAccess::Group).unwrap_err();
         assert!(matches!(&error, FolderAccessError::Denied { .. }), "{error:?}");
         assert!(error.to_string().contains("group 0 may write"), "{error}");

@@ -21,13 +21,13 @@ pub struct ApiError {
     cause: Option<BoxError>,
     /// A budget of triangles to try.
     suggested_triangles: Option<u64>,
-    /// The methods of the path, if the method was wrong.
+    /// The methods that the path accepts, if the request had another one.
     allow: Option<&'static str>,
     /// Time to wait before a retry, if it is known.
     retry_after: Option<Duration>,
 }
 
-/// The code of a problem, as an extension of its answer.
+/// The code of a problem, attached to its HTTP response as an extension.
 #[derive(Clone, Copy, Debug)]
 pub struct ProblemCode(pub &'static str);
 
@@ -95,7 +95,7 @@ impl ApiError {
         self
     }
 
-    /// The same with another status.
+    /// Returns the same error with another status.
     #[must_use]
     pub fn with_status(self, status: StatusCode) -> Self {
         Self { status, ..self }
@@ -115,7 +115,7 @@ impl ApiError {
         }
     }
 
-    /// As [`ApiError::method_not_allowed`], for answers to which the router adds the methods.
+    /// As [`ApiError::method_not_allowed`], for answers whose `Allow` header the router adds.
     pub fn method_unknown(method: &Method, path: &str) -> Self {
         let message = format!("{path:?} does not know the method {method}");
         Self::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", message)
@@ -132,7 +132,7 @@ impl ApiError {
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", message)
     }
 
-    /// A fault of the server; the answer does not say what it is.
+    /// A fault of the server. The cause is logged, and the answer does not state it.
     pub fn internal(cause: impl Into<BoxError>) -> Self {
         let message = "the server failed, its log says why";
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", message).because(cause)

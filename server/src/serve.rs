@@ -47,7 +47,7 @@ pub struct Config {
     pub catalog: SharedCatalog,
     /// The device, which may still be opening.
     pub worker: DeviceWorker,
-    /// Surfaces of more triangles are refused before they are made.
+    /// Maximum triangles of a surface. Larger ones are refused before they are made.
     pub ceiling_triangles: u64,
     /// How viewers and volumes with time steps are served.
     pub live: LiveOptions,
@@ -59,7 +59,7 @@ pub struct Config {
     pub tls: Option<Arc<Tls>>,
     /// Limits of connections.
     pub connections: ConnectionLimits,
-    /// Listener that serves metrics without a token; `None`: they need one for `admin`.
+    /// Listener that serves metrics without a token; `None`: metrics need a token with the role `admin`.
     pub metrics: Option<Listener>,
     /// Volumes that users have uploaded; `None`: uploads are refused.
     pub uploads: Option<Uploads>,
@@ -119,10 +119,10 @@ pub enum ServeError {
 
 /// Serves REST, the stream and the web client until `shutdown` resolves, then closes every connection and returns.
 ///
-/// Answers at once; requests that need the device wait until it is open (`GET /readyz`).
+/// Serves at once; requests that need the device wait until it is open (`GET /readyz`).
 ///
 /// # Errors
-/// [`ServeError`]; a device that cannot be opened ends the server. [`ServeError::Spoiled`] asks for another process.
+/// [`ServeError`]; a device that cannot be opened ends the server. After [`ServeError::Spoiled`] the caller must start another process.
 pub async fn run(
     listener: impl Into<Listener>,
     config: Config,
@@ -146,7 +146,7 @@ pub async fn run(
     } = config;
     metrics::start()?;
     let stop = CancellationToken::new();
-    // Ends the viewers' tasks on every way out of this function.
+    // Ends the viewers' tasks on every return path of this function.
     let _stop_viewers = stop.clone().drop_guard();
     let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
     let backend = Live::new(catalog.clone(), extractor.clone(), live);
@@ -238,7 +238,7 @@ async fn count(request: Request<Body>, next: middleware::Next) -> Response {
     };
     let route = request.extensions().get::<MatchedPath>().cloned();
     let response = next.run(request).await;
-    // Files of the page, and unknown paths.
+    // Files of the page and unknown paths share one label.
     let route = route.as_ref().map_or("other", MatchedPath::as_str);
     metrics::answered(method, route, response.status().as_u16(), started.elapsed());
     response
@@ -248,7 +248,8 @@ async fn count(request: Request<Body>, next: middleware::Next) -> Response {
 const MIN_COMPRESSED_BYTES: u64 = 1 << 10;
 
 fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
-    // For meshes gzip takes longer than it saves on the line, and so it does for answers that fit a packet, which strangers may request.
+    // Meshes are not compressed, because gzip takes longer than it saves in transfer. The same is true of answers that fit a packet, which
+    // clients without a token may request.
     let compress = DefaultPredicate::new()
         .and(SizeAbove::new(MIN_COMPRESSED_BYTES))
         .and(NotForContentType::const_new("model/"))
@@ -257,7 +258,7 @@ fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
     rest::router(api)
         .merge(stream::router(viewers))
         .layer(middleware::from_fn_with_state(access.clone(), admit))
-        // Outside of `admit`, so that a page that may use the server can read why it is refused.
+        // This layer is outside of `admit`, so that a page of an allowed origin can read why a request was refused.
         .layer(cross_origin(access.origins()))
         .layer(set(header::CONTENT_SECURITY_POLICY, content_security_policy(&access)))
         .layer(set(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")))
@@ -265,7 +266,7 @@ fn app(api: ApiState, viewers: StreamState<Live>, access: Access) -> Router {
         .layer(CompressionLayer::new().compress_when(compress))
         .layer(middleware::map_request(accept_plain))
         .layer(CatchPanicLayer::new())
-        // Failures are logged with their causes when the answer is made.
+        // No `on_failure` here: failures are logged with their causes when the answer is made.
         .layer(middleware::from_fn(count))
         .layer(TraceLayer::new_for_http().make_span_with(request_span).on_failure(()))
 }
@@ -280,12 +281,12 @@ async fn accept_plain(mut request: Request<Body>) -> Request<Body> {
     request
 }
 
-/// Leaves out the query, which may contain a ticket.
+/// Returns the tracing span of a request, without the query, which may contain a ticket.
 fn request_span(request: &Request<Body>) -> tracing::Span {
     tracing::debug_span!("request", method = %request.method(), path = request.uri().path())
 }
 
-/// Lets pages of these origins read answers of REST; browsers keep all others from it.
+/// Lets pages of these origins read answers of REST. Browsers do not let other pages read them.
 fn cross_origin(origins: &[AllowedOrigin]) -> CorsLayer {
     let origins = origins.iter().map(AllowedOrigin::header);
     CorsLayer::new()

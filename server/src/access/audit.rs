@@ -28,10 +28,10 @@ use super::peer::counted_as;
 use crate::clock;
 use crate::problem::ProblemCode;
 
-/// How long the refusals of a kind are counted before a line says how many there were.
+/// How long refusals of a kind are counted before a line states their number.
 const COUNTED: Duration = Duration::from_secs(60);
 
-/// Interval of the check for counts that are due.
+/// Interval at which counts that are due are written.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Maximum lines that wait for the disk, some 200 bytes each. Requests never wait: further lines are dropped and counted, and a line
@@ -73,7 +73,7 @@ struct Line<'a> {
     /// The upload's id.
     #[serde(skip_serializing_if = "Option::is_none")]
     upload: Option<&'a str>,
-    /// Number of further refusals of this kind since the previous line of it.
+    /// Number of further refusals of this kind since its previous line.
     #[serde(skip_serializing_if = "Option::is_none")]
     count: Option<u64>,
 }
@@ -141,7 +141,8 @@ impl Audit {
         self.send(Command::Write(line.text()));
     }
 
-    /// Writes a refusal. If one of the same kind was written within the last minute, it is only counted: strangers cannot fill the disk.
+    /// Writes a refusal. If one of the same kind was written within the last minute, it is only counted, so that clients without a token
+    /// cannot fill the disk.
     fn refused(&self, line: &Line<'_>) {
         let kind = Kind {
             event: line.event,
@@ -192,7 +193,7 @@ impl Audit {
 
 impl Line<'_> {
     fn text(&self) -> Vec<u8> {
-        // There are no maps, whose keys might be no strings.
+        // Cannot fail: only maps can have keys that are not strings, and there are none.
         let mut text = serde_json::to_vec(self).unwrap_or_default();
         text.push(b'\n');
         text
@@ -203,7 +204,7 @@ fn lock(refusals: &Mutex<Refusals>) -> MutexGuard<'_, Refusals> {
     refusals.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A request that is not answered yet. If it is dropped before that, the client has left, and the request is logged as abandoned.
+/// A request that is not answered yet. If it is dropped before the answer, the client has disconnected, and it is logged as abandoned.
 pub(super) struct Pending {
     audit: Audit,
     event: Event,
@@ -223,7 +224,7 @@ impl Pending {
         let status = answer.status();
         let code = answer.extensions().get().map(|&ProblemCode(code)| code);
         let result = match status {
-            // A redirection back to the page, which shows the reason.
+            // The browser is redirected back to the page, which shows why the sign-in was refused.
             _ if status.is_redirection() && code.is_some() => Outcome::Refused,
             StatusCode::UNAUTHORIZED
             | StatusCode::FORBIDDEN
@@ -232,7 +233,7 @@ impl Pending {
             _ if status.is_client_error() || status.is_server_error() => Outcome::Failed,
             _ => Outcome::Ok,
         };
-        // Other requests are many and change nothing.
+        // Other requests are not logged, because they are many and change nothing.
         if self.event == Event::Request && result != Outcome::Refused {
             return;
         }
@@ -361,7 +362,7 @@ mod tests {
         let mut counts: Vec<_> = written.iter().map(|line| line["count"].as_u64()).collect();
         counts.sort_unstable();
         assert_eq!(counts, [None, None, Some(2), Some(999)], "{written:?}");
-        // One stranger may use all addresses of an IPv6 network.
+        // One client may use all addresses of an IPv6 network.
         for host in 0..3 {
             let refused = ApiError::new(StatusCode::UNAUTHORIZED, "unauthorized", "no").into_response();
             let peer = std::net::Ipv6Addr::from_bits((0x2001_0db8 << 96) + host);

@@ -26,7 +26,7 @@ const PROBES: [&str; 2] = ["/healthz", "/readyz"];
 /// The header in which browsers state how the page that sends a request relates to the server's site.
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
-/// Lets requests through that may use the server.
+/// Passes on requests that may use the server, and refuses the others.
 pub async fn admit(State(access): State<Access>, mut request: Request, next: Next) -> Response {
     let peer = request.extensions().get().map(|&PeerAddress(peer)| peer);
     let peer = peer.map(|peer| peer::client(peer, request.headers(), &access.proxies));
@@ -77,12 +77,12 @@ impl Access {
     fn identify(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Option<Identity>, ApiError> {
         let path = uri.path();
         let need = need(method, path);
-        // Probes address the server by an IP or a name that only their cluster knows, and the answer is a single word.
+        // Probes skip the check of the host, because they use an IP or a name that only their cluster knows. Their answer is a single word.
         let is_probe = PROBES.contains(&path) && matches!(*method, Method::GET | Method::HEAD);
         if !is_probe {
             self.hosts.check(uri, headers)?;
         }
-        // The files of the page are not secret, and neither is whether the server is alive.
+        // No authentication: the files of the page are not secret, and neither is whether the server is alive.
         if !path.starts_with("/api/") && need == Need::Nothing {
             return Ok(None);
         }
@@ -91,7 +91,7 @@ impl Access {
         let is_free = need == Need::Nothing && !changes;
         if !is_free && (changes || from_elsewhere || path == STREAM_PATH) {
             origin::check(headers, self).map_err(|origin| foreign(&origin))?;
-            // An image or a link in a foreign page, whose requests browsers send without an origin.
+            // An image or a link in a foreign page: browsers send such requests without an `Origin`.
             if from_elsewhere && !headers.contains_key(ORIGIN) {
                 return Err(foreign("another site"));
             }
@@ -111,7 +111,7 @@ impl Access {
             None => proofs.find(headers, &self.cookie).ok_or_else(unauthorized)?,
         };
         let (proof, who) = found;
-        // Browsers attach the cookie to requests of any page, but state the page's origin in `Origin`.
+        // Browsers attach the cookie to requests of any page, so a request that relies on it must state the page's origin in `Origin`.
         if proof == Proof::Cookie && (changes || path == STREAM_PATH) && !headers.contains_key(ORIGIN) {
             return Err(foreign("no page that is named"));
         }
@@ -136,7 +136,7 @@ impl Access {
         }
     }
 
-    /// The cookie that stands for a token; `None` if the server runs without authentication.
+    /// Returns the cookie that stands for a token; `None` if the server runs without authentication.
     ///
     /// # Errors
     /// The token is unknown, or it is a delegated one, for which there is no cookie.

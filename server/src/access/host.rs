@@ -11,7 +11,7 @@ use axum::http::{StatusCode, Uri};
 use super::origin::AllowedOrigin;
 use crate::problem::ApiError;
 
-/// The address at which a proxy offers the server: `https://volumes.example`, optionally with a path.
+/// Address at which a proxy offers the server: `https://volumes.example`, optionally with a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PublicUrl {
     origin: AllowedOrigin,
@@ -60,7 +60,8 @@ impl std::fmt::Display for PublicUrl {
     }
 }
 
-/// The names in `Host` that are answered. Ports are not compared: a tunnel or a container may map them, and rebinding is about names.
+/// The names in `Host` that the server accepts. Ports are not compared, because a tunnel or a container may map them, and rebinding is
+/// about names.
 #[derive(Clone, Debug)]
 pub(super) struct AllowedHosts {
     listen: IpAddr,
@@ -120,7 +121,7 @@ fn misdirected(host: &str) -> ApiError {
     ApiError::new(StatusCode::MISDIRECTED_REQUEST, "foreign-host", message)
 }
 
-/// A host in lower case, an IPv6 address without its brackets, a name without the dot that may end it.
+/// Returns a host in lower case: an IPv6 address without its brackets, a name without the dot that may end it.
 fn host_of(authority: &Authority) -> String {
     let host = authority.host().to_ascii_lowercase();
     let host = host.strip_suffix('.').unwrap_or(&host);

@@ -18,7 +18,7 @@ use crate::volumes::Reader;
 /// The user who started the server. They own the start token; on a server without authentication they own everything.
 pub const OPERATOR: &str = "operator";
 
-/// Interval at which the expiry of a token is checked: the system clock may be set, and a machine may sleep.
+/// Interval at which the expiry of a token is checked. One timer would be wrong if the system clock is set or the machine sleeps.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// An authenticated user. Clones are cheap.
@@ -40,7 +40,7 @@ enum Holds {
     Named(Arc<NamedToken>, watch::Receiver<Arc<NamedTokens>>),
     /// Until the session ends.
     SignedIn(SignedIn),
-    /// For minutes, and no longer than the token that it was made with.
+    /// For minutes, and at most as long as the token that delegated it is valid.
     Lent(Lent),
 }
 
@@ -49,7 +49,7 @@ enum Holds {
 pub(super) struct Lent {
     pub id: Arc<str>,
     pub roles: Roles,
-    /// In seconds of Unix time.
+    /// Time at which it expires, in seconds of Unix time.
     pub expires: u64,
     pub lender: Arc<Identity>,
 }
@@ -125,14 +125,14 @@ impl Identity {
         matches!(self.holds, Holds::Named(..))
     }
 
-    /// The same, with the address that a request comes from.
+    /// Returns the same identity with the address that a request comes from.
     #[must_use]
     pub(super) fn at(self, peer: Option<IpAddr>) -> Self {
         let address = peer.map(counted_as);
         Self { address, ..self }
     }
 
-    /// The address that a request comes from, if it is known; of IPv6 the network.
+    /// Returns the address that a request comes from, if it is known; for IPv6 its network.
     pub fn address(&self) -> Option<IpAddr> {
         self.address
     }
@@ -142,7 +142,7 @@ impl Identity {
         matches!(self.holds, Holds::Lent(..))
     }
 
-    /// Seconds until the token or session expires; `None` if it has no expiry.
+    /// Returns the seconds until the token or session expires; `None` if it has no expiry.
     pub fn expires_seconds(&self) -> Option<u64> {
         let expires = match &self.holds {
             Holds::Always => return None,
@@ -156,22 +156,22 @@ impl Identity {
         Some(expires.saturating_sub(now()))
     }
 
-    /// Their roles.
+    /// Returns the roles of the user.
     pub fn roles(&self) -> Roles {
         self.roles
     }
 
-    /// Whether they have a role, or one that includes it.
+    /// Whether the user has a role, or one that includes it.
     pub fn may(&self, role: Role) -> bool {
         self.roles.include(role)
     }
 
-    /// The volumes that they see: an administrator sees those of all users.
+    /// Returns a filter for the volumes that the user sees. An administrator sees those of all users.
     pub fn reader(&self) -> Reader<'_> {
         Reader::new(&self.user, self.may(Role::Admin))
     }
 
-    /// The user, if the limits per user apply: they do not apply to administrators.
+    /// Returns the user, if the limits per user apply to them. They do not apply to administrators.
     pub fn limited_user(&self) -> Option<&str> {
         (!self.may(Role::Admin)).then_some(&*self.user)
     }

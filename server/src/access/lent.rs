@@ -20,7 +20,7 @@ pub const SECONDS: std::ops::RangeInclusive<u64> = 10..=3_600;
 pub const ROLES: [Role; 2] = [Role::View, Role::Edit];
 /// Maximum tokens, some 500 bytes each.
 const MAX_TOKENS: usize = 4_096;
-/// Maximum delegated tokens of one token, so that one lender cannot use up all of them: twice the viewers that a server has.
+/// Maximum tokens that one token may delegate, so that one lender cannot use up all of them: twice the viewers of a server.
 const MAX_OF_LENDER: usize = 2_048;
 
 /// Why a token was not delegated.
@@ -43,15 +43,15 @@ pub enum LendError {
     /// No roles.
     #[error("roles is empty, expected view or edit")]
     NoRoles,
-    /// Too short or too long.
+    /// The lifetime is too short or too long.
     #[error("seconds is {0}, expected {start} to {end}", start = SECONDS.start(), end = SECONDS.end())]
     Seconds(u64),
-    /// There are too many.
+    /// There are too many delegated tokens.
     #[error("{count} lent tokens have not ended, as many as may be: the next one ends in {wait:?}")]
     TooMany {
-        /// How many there are.
+        /// Number of delegated tokens.
         count: usize,
-        /// Until one ends.
+        /// Time until the next one expires.
         wait: Duration,
     },
     /// There are no random numbers.

@@ -60,9 +60,9 @@ pub struct Access {
     hosts: AllowedHosts,
     /// Origins whose pages may use the server, beside its own.
     origins: Arc<[AllowedOrigin]>,
-    /// Origins whose pages may have the viewer in a frame, beside these.
+    /// Origins whose pages may embed the viewer in a frame, in addition to `origins`.
     frames: Arc<[AllowedOrigin]>,
-    /// That of `--public-url`.
+    /// Origins of `--public-url`.
     public_origins: Arc<[AllowedOrigin]>,
     cookie: CookieName,
     /// `None`: the server runs without authentication.
@@ -77,8 +77,8 @@ pub struct Access {
 }
 
 impl Access {
-    /// For a server without authentication that listens on `listen`. Proxies offer it at the `public` addresses, the first of which is the
-    /// one for people. Pages of `origins` may use it.
+    /// Creates the access control of a server without authentication that listens on `listen`. `public` are the addresses at which proxies
+    /// offer it, the first of which is shown to people. Pages of `origins` may use it.
     pub fn new(listen: SocketAddr, public: &[PublicUrl], origins: &[AllowedOrigin]) -> Self {
         Self {
             hosts: AllowedHosts::new(listen, public),
@@ -95,7 +95,7 @@ impl Access {
         }
     }
 
-    /// For a server that encrypts connections itself.
+    /// Declares that the server encrypts connections itself, so that its cookie is for HTTPS only.
     #[must_use]
     pub fn with_tls(mut self) -> Self {
         self.cookie = self.cookie.by_tls();
@@ -139,7 +139,7 @@ impl Access {
         self
     }
 
-    /// With an audit log.
+    /// Adds an audit log.
     #[must_use]
     pub fn with_audit(mut self, audit: Option<Audit>) -> Self {
         self.audit = audit;
@@ -151,7 +151,7 @@ impl Access {
         &self.proxies
     }
 
-    /// The identity of a token's owner; `None` if the token is not valid.
+    /// Returns the identity of a token's owner; `None` if the token is not valid.
     pub fn who(&self, token: &str) -> Option<Identity> {
         match &self.proofs {
             None => Some(Identity::without_token()),
@@ -159,19 +159,19 @@ impl Access {
         }
     }
 
-    /// Lets pages of these origins have the viewer in a frame too.
+    /// Also lets pages of these origins embed the viewer in a frame.
     #[must_use]
     pub fn with_frames(mut self, frames: &[AllowedOrigin]) -> Self {
         self.frames = frames.into();
         self
     }
 
-    /// Origins whose pages may have the viewer in a frame, beside its own.
+    /// Returns the origins whose pages may embed the viewer in a frame, in addition to its own.
     pub fn frame_origins(&self) -> impl Iterator<Item = &AllowedOrigin> {
         self.origins.iter().chain(&*self.frames)
     }
 
-    /// Origins whose pages may use the server, beside its own.
+    /// Returns the origins whose pages may use the server, in addition to its own.
     pub fn origins(&self) -> &[AllowedOrigin] {
         &self.origins
     }

@@ -28,24 +28,24 @@ const MAX_USER: usize = 64;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedToken {
-    /// Its public part.
+    /// Public part of the token.
     pub id: String,
-    /// Whose it is.
+    /// User who owns the token.
     pub user: String,
-    /// What it is for.
+    /// Roles of the token.
     pub roles: Roles,
-    /// SHA-256 of it.
+    /// SHA-256 of the token.
     pub(super) sha256: Hash,
-    /// SHA-256 of the cookie that stands for it.
+    /// SHA-256 of the cookie that stands for the token.
     pub(super) cookie: Hash,
-    /// Seconds from 1970 to when it was made.
+    /// Time at which it was created, in seconds of Unix time.
     pub created: u64,
-    /// Seconds from 1970 to when it expires; `None`: never.
+    /// Time at which it expires, in seconds of Unix time; `None`: never.
     pub expires: Option<u64>,
 }
 
 impl NamedToken {
-    /// Whether it has expired at a time, in seconds since 1970.
+    /// Whether it has expired at `now`, in seconds of Unix time.
     pub fn has_expired(&self, now: u64) -> bool {
         self.expires.is_some_and(|expires| expires <= now)
     }
@@ -54,11 +54,11 @@ impl NamedToken {
 /// The properties of a new token.
 #[derive(Clone, Debug)]
 pub struct NewToken {
-    /// Whose it is.
+    /// User who owns the token.
     pub user: String,
-    /// What it is for.
+    /// Roles of the token.
     pub roles: Roles,
-    /// How long it lasts.
+    /// Time until it expires; `None`: never.
     pub lifetime: Option<Duration>,
 }
 
@@ -74,12 +74,12 @@ pub enum TokenFileError {
         /// Why not.
         source: io::Error,
     },
-    /// Its content is invalid, or of another version of the program.
+    /// The file's content is invalid, or another version of the program has written it.
     #[error("tokens {}: {why}, expected what `isopeel token` has written", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// Its fault.
+        /// What is wrong with the file's content.
         why: String,
     },
     /// Other users of the machine can write the file, and could so give themselves access.
@@ -91,7 +91,7 @@ pub enum TokenFileError {
     /// The token would have no role.
     #[error("a token needs a role: view, edit, export, upload, push or admin")]
     NoRole,
-    /// There are too many.
+    /// The file has the maximum number of tokens.
     #[error("there are {MAX_TOKENS} tokens, as many as may be: revoke some")]
     TooMany,
     /// There is no such token.
@@ -125,7 +125,7 @@ impl NamedTokens {
     }
 }
 
-/// The file that has the tokens of a state folder.
+/// The file that stores the tokens of a state folder.
 #[derive(Clone, Debug)]
 pub struct TokenFile {
     folder: PathBuf,
@@ -133,7 +133,7 @@ pub struct TokenFile {
 }
 
 impl TokenFile {
-    /// The token file of a folder, which only its user may access.
+    /// Returns the token file of a folder that only its user may access.
     pub fn in_folder(folder: &Path) -> Self {
         Self {
             folder: folder.to_owned(),
@@ -141,7 +141,7 @@ impl TokenFile {
         }
     }
 
-    /// All tokens, in the order in which they were made.
+    /// Returns all tokens, in the order in which they were created.
     ///
     /// # Errors
     /// [`TokenFileError`]. A missing file is no error: it has no tokens.
@@ -164,7 +164,7 @@ impl TokenFile {
         Ok(contents.tokens)
     }
 
-    /// All tokens, by their ids.
+    /// Returns all tokens, by their ids.
     pub(super) fn read(&self) -> Result<NamedTokens, TokenFileError> {
         let tokens = self.list()?.into_iter();
         Ok(NamedTokens(
@@ -172,7 +172,7 @@ impl TokenFile {
         ))
     }
 
-    /// Makes a token and returns it. Its text is not stored.
+    /// Creates a token and returns it. The file stores only its hash.
     ///
     /// # Errors
     /// [`TokenFileError`].
@@ -240,7 +240,7 @@ impl TokenFile {
     }
 
     fn replace(&self, text: &[u8]) -> io::Result<()> {
-        // Readable for its user alone.
+        // Temporary files are readable for their user alone.
         let mut file = NamedTempFile::new_in(&self.folder)?;
         file.write_all(text)?;
         file.as_file().sync_all()?;

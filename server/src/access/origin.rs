@@ -33,20 +33,20 @@ impl FromStr for AllowedOrigin {
 
 impl std::fmt::Display for AllowedOrigin {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        // It was text that is a header.
+        // Cannot fail: the value was parsed from text.
         f.write_str(self.0.to_str().unwrap_or_default())
     }
 }
 
 impl AllowedOrigin {
-    /// As browsers send it.
+    /// Returns the origin as browsers send it.
     pub fn header(&self) -> HeaderValue {
         self.0.clone()
     }
 }
 
-/// Checks that a request comes from the server's own page, from an allowed one, or from no page at all. `Host` is one of the server's own
-/// (`host`).
+/// Checks that a request comes from the server's own page, from an allowed one, or from no page at all. Call it only after `host` has
+/// accepted the `Host` header.
 ///
 /// # Errors
 /// The origin that is not allowed.
@@ -69,7 +69,7 @@ fn is_own(origin: &HeaderValue, headers: &HeaderMap, access: &Access) -> bool {
     public.any(|AllowedOrigin(public)| public == origin) || of_host() == Some(true)
 }
 
-/// Host and port of an origin, in the form of `Host`. The scheme is ignored: a proxy may add TLS.
+/// Returns host and port of an origin, in the form of `Host`. The scheme is ignored, because a proxy may add TLS.
 fn authority(origin: &str) -> Option<String> {
     let (_, authority) = origin.split_once("://")?;
     Some(authority.to_ascii_lowercase())

@@ -8,12 +8,12 @@ use axum::http::header::{FORWARDED, HeaderMap};
 
 const FORWARDED_FOR: HeaderName = HeaderName::from_static("x-forwarded-for");
 
-/// The other end of a request's connection, an extension of the request.
+/// Address of the other end of a request's connection, which is an extension of the request.
 #[derive(Clone, Copy, Debug)]
 pub struct PeerAddress(pub IpAddr);
 
-/// The key by which the requests and connections of an address are counted: an IPv6 address counts as its network, as a client usually
-/// has all of it.
+/// Returns the key by which requests and connections of an address are counted. An IPv6 address counts as its network, because a client
+/// usually has the whole network.
 pub fn counted_as(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
@@ -69,16 +69,16 @@ pub fn is_trusted(proxies: &[TrustedProxy], address: IpAddr) -> bool {
     proxies.iter().any(|proxy| proxy.has(address))
 }
 
-/// Finds the client's address for a request that arrived on a connection of `peer`. Each proxy appends the address that it got the
-/// request from. Read from the end, the first address that is not a trusted proxy's is the client's; the client may have forged those
-/// before it.
+/// Finds the client's address for a request that arrived on a connection of `peer`. Each proxy appends the address that sent it the
+/// request. So the list is read from its end: the first address that is not a trusted proxy's is the client's. The client may have forged
+/// the addresses before it.
 pub(super) fn client(peer: IpAddr, headers: &HeaderMap, proxies: &[TrustedProxy]) -> IpAddr {
     let mut client = peer.to_canonical();
     if !is_trusted(proxies, client) {
         return client;
     }
     for said in forwarded(headers).into_iter().rev() {
-        // If an entry cannot be parsed, the trusted proxy that appended it is the last known address.
+        // If an entry cannot be parsed, the last known address is that of the trusted proxy that appended it.
         let Some(address) = said else { break };
         client = address.to_canonical();
         if !is_trusted(proxies, client) {
@@ -88,8 +88,8 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, proxies: &[TrustedProxy]
     client
 }
 
-/// All addresses that proxies have appended, from `X-Forwarded-For` or, if there is none, from `Forwarded` (RFC 7239). `None` stands for
-/// an entry that cannot be parsed.
+/// Returns all addresses that proxies have appended, from `X-Forwarded-For` or, if there is none, from `Forwarded` (RFC 7239). `None`
+/// stands for an entry that cannot be parsed.
 fn forwarded(headers: &HeaderMap) -> Vec<Option<IpAddr>> {
     let values = |name: HeaderName| {
         let values = headers.get_all(name).iter();
@@ -107,7 +107,7 @@ fn forwarded(headers: &HeaderMap) -> Vec<Option<IpAddr>> {
     standard.collect()
 }
 
-/// An address, perhaps with a port; one of IPv6 with a port is in brackets.
+/// Parses an address, perhaps with a port. An IPv6 address with a port is in brackets.
 fn address(text: &str) -> Option<IpAddr> {
     let text = text.trim();
     if let Ok(address) = text.parse() {

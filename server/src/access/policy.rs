@@ -4,12 +4,13 @@ use axum::http::HeaderValue;
 
 use super::{Access, AllowedOrigin};
 
-/// The page loads scripts, workers and styles only from the server, and sends requests only to it. WebAssembly is needed by the decoder of
-/// chunks; the page also creates pictures itself. It embeds nothing, sends no forms, and sets no base for addresses.
+/// Policy of the page. It loads scripts, workers and styles only from the server, and sends requests only to it. The decoder of chunks
+/// needs WebAssembly, and the page creates pictures itself. It embeds nothing, sends no forms, and sets no base for addresses.
 const CONTENT: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
     connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
-/// The `Content-Security-Policy` of all answers. Pages that may use the server may have it in a frame, and those of `--embed-origin`.
+/// Returns the `Content-Security-Policy` of all answers. Pages that may use the server may embed it in a frame, and so may those of
+/// `--embed-origin`.
 pub fn content_security_policy(access: &Access) -> HeaderValue {
     let origins = access.frame_origins().map(AllowedOrigin::header);
     let mut policy = CONTENT.as_bytes().to_vec();

@@ -12,17 +12,17 @@ use super::named::{NamedToken, NamedTokens, now};
 use super::signed_in::Sessions;
 use super::token::{Hash, Token, cookie_value, id_of};
 
-/// Prefix of the secret of a session in a cookie, before a dot. It cannot be the id of a token: these are hexadecimal.
+/// Prefix of a session's secret in a cookie; a dot follows it. It cannot be the id of a token, because these are hexadecimal.
 const SIGNED_IN: &str = "oidc";
 
 /// How a request has authenticated its sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Proof {
-    /// In a header that no page of another origin can make a browser send.
+    /// A token in a header. No page of another origin can make a browser send this header.
     Header,
-    /// By the cookie, which a browser sends with every request.
+    /// The cookie, which a browser sends with every request.
     Cookie,
-    /// By a ticket for a stream, of the page that opens it.
+    /// A ticket for a stream, from the page that opens it.
     Ticket,
 }
 
@@ -57,7 +57,7 @@ impl Proofs {
         &self.sessions
     }
 
-    /// Tokens that were lent.
+    /// Returns the delegated tokens.
     pub(super) fn lent(&self) -> &LentTokens {
         &self.lent
     }
@@ -66,7 +66,7 @@ impl Proofs {
         self.named = Some(named);
     }
 
-    /// The identity of a token's owner; `None` if the token is not valid.
+    /// Returns the identity of a token's owner; `None` if the token is not valid.
     pub(super) fn of_token(&self, token: &str) -> Option<Identity> {
         if self.token.is_of(token) {
             return Some(self.start.clone());
@@ -76,7 +76,7 @@ impl Proofs {
         named.or_else(|| self.lent.find(id, token).map(Identity::of_lent))
     }
 
-    /// The identity that a cookie's value stands for; `None` if it is not valid.
+    /// Returns the identity that a cookie's value stands for; `None` if it is not valid.
     fn of_cookie(&self, value: &str) -> Option<Identity> {
         match value.split_once('.') {
             None => self.cookie.is_of(value).then(|| self.start.clone()),
@@ -91,7 +91,7 @@ impl Proofs {
         (is_right(&found) && !found.has_expired(now())).then(|| Identity::of_named(found, tokens.clone()))
     }
 
-    /// Returns the proof of a request and its sender; `None` if it does not authenticate one.
+    /// Returns how a request authenticates, and its sender; `None` if it does not authenticate.
     pub(super) fn find(&self, headers: &HeaderMap, cookie: &CookieName) -> Option<(Proof, Identity)> {
         let bearer = headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok());
         let bearer = bearer.and_then(|value| {
@@ -107,7 +107,7 @@ impl Proofs {
     }
 }
 
-/// Values of the cookies of that name.
+/// Returns the values of all cookies of this name.
 fn cookies<'a>(headers: &'a HeaderMap, name: &'a str) -> impl Iterator<Item = &'a str> {
     let values = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
     let pairs = values.flat_map(|value| value.split(';'));
@@ -124,7 +124,7 @@ pub(super) struct CookieName {
 }
 
 impl CookieName {
-    /// `port` distinguishes the cookies of several servers of a host; `is_https`: whether pages are served by TLS.
+    /// `port` distinguishes the cookies of several servers on one host. `is_https`: whether browsers reach the server by HTTPS.
     pub(super) fn new(port: u16, is_https: bool) -> Self {
         let prefix = if is_https { "__Host-" } else { "" };
         Self {
@@ -134,15 +134,15 @@ impl CookieName {
         }
     }
 
-    /// The name for the same server with TLS.
+    /// Returns the name for the same server with TLS.
     pub(super) fn by_tls(&self) -> Self {
         Self::new(self.port, true)
     }
 
-    /// The header that gives a page the cookie which stands for a token.
+    /// Returns the header that sets the cookie which stands for a token.
     pub(super) fn of(&self, token: &str, who: &Identity) -> HeaderValue {
         let value = cookie_value(token);
-        // The id says which hash the cookie is compared with.
+        // The id selects the hash that the cookie is compared with.
         let value = match who.is_named() {
             true => format!("{}.{value}", who.token()),
             false => value,
@@ -150,17 +150,17 @@ impl CookieName {
         self.header(&self.name, &value, "")
     }
 
-    /// The header that gives a page a session.
+    /// Returns the header that sets the cookie of a session.
     pub(super) fn of_session(&self, secret: &str) -> HeaderValue {
         self.header(&self.name, &format!("{SIGNED_IN}.{secret}"), "")
     }
 
-    /// The header that removes the cookie.
+    /// Returns the header that removes the cookie.
     pub(super) fn gone(&self) -> HeaderValue {
         self.header(&self.name, "", "; Max-Age=0")
     }
 
-    /// The secret of a page's session.
+    /// Returns the secret of a page's session.
     pub(super) fn session<'a>(&'a self, headers: &'a HeaderMap) -> Option<&'a str> {
         cookies(headers, &self.name).find_map(|value| value.strip_prefix(SIGNED_IN)?.strip_prefix('.'))
     }
@@ -182,7 +182,7 @@ impl CookieName {
     fn header(&self, name: &str, value: &str, age: &str) -> HeaderValue {
         let secure = if self.is_https { "; Secure" } else { "" };
         let cookie = format!("{name}={value}; Path=/; HttpOnly; SameSite=Lax{age}{secure}");
-        // Letters, digits and signs of base64.
+        // Cannot fail: the cookie consists of letters, digits and signs of base64.
         HeaderValue::try_from(cookie).unwrap_or(HeaderValue::from_static(""))
     }
 }

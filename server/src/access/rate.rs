@@ -15,15 +15,15 @@ use super::peer::counted_as;
 /// Requests a second, in units of the cheapest request; 0: no limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rates {
-    /// Of a peer.
+    /// Limit of a peer.
     pub peer: u32,
-    /// Of a token.
+    /// Limit of a token.
     pub token: u32,
 }
 
 impl Default for Rates {
-    /// A viewer that drags three planes through a volume at 60 Hz asks for 180 slices a second. A peer may be a proxy, or an office behind a
-    /// router.
+    /// The defaults allow a viewer that drags three planes through a volume at 60 Hz and requests 180 slices a second. A peer may be a
+    /// proxy, or an office behind a router.
     fn default() -> Self {
         Self {
             peer: 2_000,
@@ -32,7 +32,7 @@ impl Default for Rates {
     }
 }
 
-/// Burst, in seconds of the rate: a thousand viewers that reconnect after a restart of the server are no flood.
+/// Burst, in seconds of the rate, so large that a thousand viewers may reconnect after a restart of the server.
 const BURST_SECONDS: u32 = 10;
 
 /// Cost of a request without a token or with a wrong one: at the default rate a peer may try 20 a second.
@@ -42,7 +42,7 @@ const REFUSED_COST: u32 = 100;
 pub(super) fn cost(method: &Method, path: &str) -> u32 {
     let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
     match parts[..] {
-        // Makes and encodes a surface, or estimates many.
+        // Makes and encodes a surface, or estimates many surfaces.
         ["extract"] => 10,
         ["jobs"] if *method == Method::POST => 10,
         // Sends a request to the issuer.
@@ -55,8 +55,8 @@ pub(super) fn cost(method: &Method, path: &str) -> u32 {
     }
 }
 
-/// Number of keys, some 50 bytes each, above which keys that have regained their whole burst are dropped. A key that was used within
-/// ten seconds may stay.
+/// Number of keys, some 50 bytes each, above which keys that have regained their whole burst are dropped. Keys that were used within the
+/// last ten seconds may stay.
 const MANY_KEYS: usize = 4_096;
 
 /// Requests between two checks of the number of keys.
@@ -83,7 +83,7 @@ impl<K: Clone + std::hash::Hash + Eq> Limit<K> {
         }))
     }
 
-    /// Charges the cost of a request; `Err`: time after which to try again.
+    /// Charges the cost of a request. The error is the time after which to try again.
     fn take(&self, key: &K, cost: u32) -> Result<(), Duration> {
         let (Some(counts), Some(cost)) = (&self.0, NonZeroU32::new(cost)) else {
             return Ok(());
@@ -107,7 +107,7 @@ impl<K: Clone + std::hash::Hash + Eq> Limit<K> {
 pub(super) struct RateLimits {
     peers: Limit<IpAddr>,
     tokens: Limit<Box<str>>,
-    /// Of peers, for requests without a token or with a wrong one.
+    /// Limit of a peer for requests without a token or with a wrong one.
     strangers: Limit<IpAddr>,
 }
 
@@ -120,18 +120,18 @@ impl RateLimits {
         }
     }
 
-    /// Charges the cost of a request to its peer; `Err`: time after which to try again.
+    /// Charges the cost of a request to its peer. The error is the time after which to try again.
     pub(super) fn take_of_peer(&self, peer: IpAddr, cost: u32) -> Result<(), Duration> {
         self.peers.take(&counted_as(peer), cost)
     }
 
     /// Charges the cost of a wrong token to its peer. This limit is separate from that of other requests, so that users with valid tokens
-    /// at the same address are not affected. `Err`: time after which to try again.
+    /// at the same address are not affected. The error is the time after which to try again.
     pub(super) fn take_of_stranger(&self, peer: IpAddr) -> Result<(), Duration> {
         self.strangers.take(&counted_as(peer), REFUSED_COST)
     }
 
-    /// Charges the cost of a request to its token; `Err`: time after which to try again.
+    /// Charges the cost of a request to its token. The error is the time after which to try again.
     pub(super) fn take_of_token(&self, token: &str, cost: u32) -> Result<(), Duration> {
         self.tokens.take(&token.into(), cost)
     }

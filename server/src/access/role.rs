@@ -73,7 +73,7 @@ impl Roles {
         self.0 == 0
     }
 
-    /// Whether these roles include a role: itself, or by `Admin`, or `View` by `Edit`.
+    /// Whether these roles include `role`: directly, by `Admin`, which includes all, or by `Edit`, which includes `View`.
     pub fn include(self, role: Role) -> bool {
         let has = |role: Role| self.0 & (1 << role as u8) != 0;
         has(role) || has(Role::Admin) || (role == Role::View && has(Role::Edit))
@@ -117,8 +117,8 @@ pub(super) enum Need {
     OneOf(&'static [Role]),
 }
 
-/// Returns the need of a request. Outside of `/api/` are the page and the probes. Below it, paths that are not listed need `admin`, so
-/// that a route which is missing here is not open.
+/// Returns the need of a request. Paths outside of `/api/` are the page and the probes. Paths below `/api/` that are not listed here need
+/// `admin`, so that forgetting to list a route does not open it.
 pub(super) fn need(method: &Method, path: &str) -> Need {
     use Role::{Admin, Export, Upload, View};
     if !path.starts_with("/api/") {
@@ -134,7 +134,7 @@ pub(super) fn need(method: &Method, path: &str) -> Need {
     let parts: Vec<&str> = rest.split('/').collect();
     match parts[..] {
         ["openapi.json"] => Need::Nothing,
-        // Origins whose pages may embed the viewer; the policy of each answer has them too.
+        // The origins whose pages may embed the viewer are not secret: a header of each answer has them too.
         ["embed"] if *method == Method::GET => Need::Nothing,
         // Exchanges a token for a cookie, so the handler checks the token itself.
         ["session"] if *method == Method::POST => Need::Nothing,

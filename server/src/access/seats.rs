@@ -9,16 +9,16 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use super::Identity;
 use super::role::Role;
 
-/// How many there are.
+/// Maximum numbers of seats.
 #[derive(Clone, Copy, Debug)]
 pub struct SeatLimits {
     /// Name of the seats, in the plural.
     pub what: &'static str,
-    /// All of them.
+    /// Seats of all users, including those reserved for administrators.
     pub all: usize,
-    /// Those that one user may have at a time, administrators excepted.
+    /// Seats that one user may have at a time; administrators are exempt.
     pub of_user: usize,
-    /// Those that all users of one address may have at a time, administrators excepted.
+    /// Seats that all users of one address may have at a time; administrators are exempt.
     pub of_address: usize,
     /// Seats that are reserved for administrators.
     pub reserve: usize,
@@ -29,9 +29,9 @@ pub struct SeatLimits {
 pub struct Occupant {
     /// The user.
     pub user: Arc<str>,
-    /// The address that the user's requests come from, if it is known; of IPv6 the network.
+    /// Address that the user's requests come from, if it is known; for IPv6 its network.
     pub address: Option<IpAddr>,
-    /// Whether the limits of users and addresses do not hold.
+    /// Whether the user is exempt from the limits of users and addresses.
     pub is_admin: bool,
 }
 
@@ -45,14 +45,14 @@ impl From<&Identity> for Occupant {
     }
 }
 
-/// Whose seats are all taken.
+/// The limit that is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Share {
-    /// The user's.
+    /// The limit of the user.
     User,
-    /// The address's.
+    /// The limit of the address.
     Address,
-    /// All seats except those reserved for administrators; for an administrator all seats.
+    /// The limit of all seats except those reserved for administrators; for an administrator, of all seats.
     All,
 }
 
@@ -66,7 +66,7 @@ pub struct NoSeat {
     what: &'static str,
     taken: usize,
     limit: usize,
-    /// Whose seats are all taken.
+    /// The limit that is reached.
     pub share: Share,
 }
 
@@ -102,7 +102,7 @@ impl Seats {
         Self(Arc::new(Shared { limits, taken }))
     }
 
-    /// How many are taken.
+    /// Returns the number of taken seats.
     pub fn taken(&self) -> usize {
         self.lock().total
     }
@@ -110,7 +110,7 @@ impl Seats {
     /// Takes a seat.
     ///
     /// # Errors
-    /// All seats are taken, or all that this user or this address may have.
+    /// All seats are taken, or as many as this user or this address may have.
     pub fn take(&self, occupant: Occupant) -> Result<Seat, NoSeat> {
         let mut taken = self.lock();
         taken.admit(&self.0.limits, &occupant)?;

@@ -8,12 +8,12 @@ use super::oidc::{Oidc, SESSION_SECONDS, TRIP_LIFETIME, random};
 use crate::problem::ApiError;
 
 impl Access {
-    /// The issuer by which people sign in.
+    /// Returns the issuer through which people sign in.
     pub fn oidc(&self) -> Option<&Oidc> {
         self.oidc.as_ref()
     }
 
-    /// Begins a sign-in. Returns the address at the issuer that the browser is sent to, and the cookie that it brings back.
+    /// Begins a sign-in. Returns the issuer's address to which the browser is sent, and a cookie that the browser brings back.
     ///
     /// # Errors
     /// There is no issuer, or it cannot be reached.
@@ -49,14 +49,14 @@ impl Access {
         Ok((who, [self.cookie.of_session(&secret), self.cookie.of_trip("", 0)]))
     }
 
-    /// The address of the page, with the reason why a sign-in failed.
+    /// Returns the address of the page, with the reason why a sign-in failed.
     pub fn sign_in_failed(&self, why: &ApiError) -> String {
         let oidc = self.oidc.as_ref();
         oidc.map_or_else(|| "/".to_owned(), |oidc| oidc.home_with(&why.to_string()))
     }
 
-    /// Ends the session of a page, if it has one. Returns the address at which it ends at the issuer too, and the header that removes the
-    /// cookie.
+    /// Ends the session of a page, if it has one. Returns the issuer's address at which the session ends there too, and the header that
+    /// removes the cookie.
     pub async fn sign_out(&self, headers: &HeaderMap) -> (Option<String>, HeaderValue) {
         let secret = self.cookie.session(headers);
         let has_ended = match (&self.proofs, secret) {

@@ -12,9 +12,9 @@ use super::role::Roles;
 
 /// Maximum sessions, some 300 bytes each; beyond them the oldest ends.
 const MAX_SESSIONS: usize = 10_000;
-/// Of one user: a browser and a phone, and some that were forgotten.
+/// Maximum sessions of one user: a browser, a phone, and some that were forgotten.
 const MAX_OF_USER: usize = 16;
-/// Bytes of a session's public name, the first of its hash.
+/// Bytes of a session's public name. They are the first ones of the hash of its secret.
 const NAME_BYTES: usize = 6;
 
 /// The session of a signed-in user. Clones are cheap.
@@ -22,9 +22,9 @@ const NAME_BYTES: usize = 6;
 pub(super) struct SignedIn {
     pub user: Arc<str>,
     pub roles: Roles,
-    /// For logs; says nothing about the secret.
+    /// Public name of the session, for logs. It reveals nothing about the secret.
     pub name: Arc<str>,
-    /// In seconds of Unix time.
+    /// Time at which it expires, in seconds of Unix time.
     pub expires: u64,
     pub ended: CancellationToken,
 }

@@ -22,10 +22,10 @@ const PREFIX: &str = "isop_";
 /// Minimum characters of a token from a file; 32 characters of base64 are 192 bits.
 const MIN_LENGTH: usize = 32;
 
-/// Hashed before the token for the value of its cookie, which so says nothing about the token.
+/// Hashed before the token to make the value of its cookie, so that the cookie reveals nothing about the token.
 const COOKIE_PREFIX: &[u8] = b"isopeel cookie\0";
 
-/// A token. Never logged: it has no `Debug` of its own text.
+/// A token. Its `Debug` output does not contain its text, so that it is never logged.
 #[derive(Clone)]
 pub struct Token(String);
 
@@ -53,7 +53,7 @@ impl std::fmt::Debug for Token {
 }
 
 impl Token {
-    /// A new one: `isop_`, an id, `_`, and 256 random bits.
+    /// Makes a token: `isop_`, an id, `_`, and 256 random bits.
     ///
     /// # Errors
     /// [`TokenError::Random`].
@@ -65,7 +65,7 @@ impl Token {
         Ok(Self(format!("{PREFIX}{id}_{secret}")))
     }
 
-    /// The only line of a file.
+    /// Reads the token from a file, which has it on its only line.
     ///
     /// # Errors
     /// [`TokenError`].
@@ -74,29 +74,29 @@ impl Token {
         Self::of_text(text.trim()).ok_or_else(|| TokenError::Malformed(path.to_owned()))
     }
 
-    /// The token of that text, if it may be one.
+    /// Returns the token of a text; `None` if the text is too short or has other characters than visible ASCII.
     pub fn of_text(text: &str) -> Option<Self> {
         let is_one = text.len() >= MIN_LENGTH && text.bytes().all(|byte| byte.is_ascii_graphic());
         is_one.then(|| Self(text.to_owned()))
     }
 
-    /// Its text, for an address.
+    /// Returns the text of the token, for an address.
     pub fn text(&self) -> &str {
         &self.0
     }
 
-    /// Its public part; `None` if the token does not begin with `isop_` and an id.
+    /// Returns the public part of the token; `None` if the token does not begin with `isop_` and an id.
     pub fn id(&self) -> Option<&str> {
         id_of(&self.0)
     }
 }
 
-/// The public part of a token.
+/// Returns the public part of a token.
 pub(super) fn id_of(token: &str) -> Option<&str> {
     Some(token.strip_prefix(PREFIX)?.split_once('_')?.0)
 }
 
-/// The value of the cookie that stands for a token: a hash, from which the token cannot be derived.
+/// Returns the value of the cookie that stands for a token: a hash, from which the token cannot be derived.
 pub(super) fn cookie_value(token: &str) -> String {
     let hash = Sha256::new().chain_update(COOKIE_PREFIX).chain_update(token);
     URL_SAFE_NO_PAD.encode(hash.finalize())

@@ -11,7 +11,7 @@ use super::named::{NamedTokens, TokenFile, TokenFileError};
 /// Interval between two checks of the file, so that a revoked token is refused within 5 s.
 const INTERVAL: Duration = Duration::from_secs(2);
 
-/// The tokens of a file, as they change.
+/// The tokens of a file, reloaded when the file changes.
 #[derive(Debug)]
 pub struct TokenWatch {
     file: TokenFile,
@@ -40,8 +40,8 @@ impl TokenWatch {
         self.tokens.subscribe()
     }
 
-    /// Reloads the token file when it changes; never returns. While the file cannot be read, all named tokens are refused, because it may
-    /// revoke any of them.
+    /// Reloads the token file when it changes; never returns. While the file cannot be read, all named tokens are refused, because any of
+    /// them may have been revoked.
     pub async fn run(self) {
         self.look_every(INTERVAL).await;
     }

@@ -9,7 +9,7 @@ use crate::private_folder::{self, free_bytes};
 /// Environment variable that names the folder.
 pub const VARIABLE: &str = "ISOPEEL_KERNEL_CACHE";
 
-/// Environment variables that name the drivers' caches of compiled kernels, each with its subfolder of our cache folder.
+/// Environment variables that set where drivers cache compiled kernels, each with its subfolder of isopeel's cache folder.
 const DRIVERS: [(&str, &str); 3] = [
     ("POCL_CACHE_DIR", "pocl"),
     ("CUDA_CACHE_PATH", "nvidia"),
@@ -19,10 +19,10 @@ const DRIVERS: [(&str, &str); 3] = [
 /// The variable of PoCL.
 const POCL: &str = "POCL_CACHE_DIR";
 
-/// Free space that a kernel cache must have at the start: more than the kernels of a device take.
+/// Minimum free bytes on the disk of a kernel cache when the process starts: more than the kernels of one device need.
 const START_BYTES: u64 = 64 << 20;
 
-/// Free space that the next program must have.
+/// Minimum free bytes on that disk before another program is compiled.
 const MIN_BYTES: u64 = 4 << 20;
 
 /// A path that the environment names.
@@ -40,9 +40,9 @@ pub fn folder() -> Option<PathBuf> {
 
 /// Folders in which drivers cache compiled kernels: environment variables to set, and a warning if PoCL's own folder is unusable.
 pub struct DriverFolders {
-    /// Names and values.
+    /// Environment variables to set, and their values.
     pub variables: Vec<(&'static str, PathBuf)>,
-    /// A sentence, if another folder is used.
+    /// If PoCL's own folder is unusable: the reason, and the folder that is used instead.
     pub warning: Option<String>,
 }
 
@@ -94,12 +94,12 @@ pub fn check_space() -> Result<(), String> {
             tracing::error!(folder = %folder.display(), free, "no space for compiled kernels, expected {MIN_BYTES} bytes");
             Err("the disk has no space for compiled kernels, the server's log says where".to_owned())
         }
-        // A folder that was removed is made again.
+        // If the folder was removed, it is created again.
         _ => Ok(()),
     }
 }
 
-/// Drivers' variables that are not set, with the values that follow from [`VARIABLE`].
+/// Returns the drivers' variables that are not set, each with its subfolder of [`VARIABLE`]; empty if [`VARIABLE`] is not set.
 fn below_ours() -> Vec<(&'static str, PathBuf)> {
     if std::env::var_os(VARIABLE).is_none() {
         return Vec::new();
@@ -140,8 +140,8 @@ fn check_spare(folder: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Checks whether kernels can be kept in a folder, which is made if it does not exist. Kernels that another user could write there would be
-/// executed.
+/// Checks that a folder can cache kernels, and creates it if it does not exist. Other users must not be able to write to it, because its
+/// kernels are executed.
 fn check(folder: &Path, min_bytes: u64) -> Result<(), String> {
     use std::os::unix::fs::MetadataExt;
     let say = |error: std::io::Error| error.to_string();

@@ -20,20 +20,20 @@ pub enum Request {
     Build {
         /// Position of the device in the list.
         index: usize,
-        /// How it is used.
+        /// How to use the device.
         workaround: Workaround,
-        /// Stage and sample type of each, in this order.
+        /// Stage and sample type of each program, in the order in which they are built.
         programs: Vec<(String, String)>,
     },
     /// Check a device.
     Check {
         /// Position of the device in the list.
         index: usize,
-        /// How it is used.
+        /// How to use the device.
         workaround: Workaround,
         /// Sample types of a first surface.
         first: Vec<String>,
-        /// Sample types that are needed later.
+        /// Sample types that are needed after a first surface.
         later: Vec<String>,
     },
 }
@@ -46,7 +46,7 @@ pub enum Message {
     Device(Description),
     /// A stage begins.
     Begin {
-        /// Its name; `open` before the first one.
+        /// Name of the stage; `open` while the device is being opened.
         stage: String,
         /// Steps that are done.
         done: usize,
@@ -55,19 +55,19 @@ pub enum Message {
     },
     /// A step has passed. These programs were built so far.
     Passed {
-        /// As [`Engine::programs`] names them.
+        /// Names of the programs, as [`Engine::programs`] returns them.
         programs: Vec<String>,
     },
-    /// All that a first surface needs is right.
+    /// Everything that a first surface needs has passed.
     FirstSurface,
-    /// All is done.
+    /// The request is complete.
     Done,
-    /// What was found wrong.
+    /// An error that a retry would not cure.
     Wrong {
         /// The whole sentence.
         text: String,
     },
-    /// The device failed, in a way whose cause may be gone the next time.
+    /// An error of the device whose cause may be gone at the next attempt.
     Failed {
         /// The whole sentence.
         text: String,
@@ -155,7 +155,7 @@ pub fn run(request: &Request) -> Result<(), BoxError> {
             workaround,
             programs,
         } => {
-            // The check says what is wrong with a program, and which workaround helps.
+            // The error is ignored: the check reports what is wrong with a program, and which workaround helps.
             let _ = build(*index, *workaround, programs);
             say(&Message::Done)
         }
@@ -169,7 +169,7 @@ pub fn run(request: &Request) -> Result<(), BoxError> {
 }
 
 fn say(message: &Message) -> Result<(), BoxError> {
-    // A line of its own, even if a driver has written the start of one.
+    // Begins with a line break, because a driver may have written the start of a line.
     let line = format!("\n{}\n", serde_json::to_string(message)?);
     let mut out = std::io::stdout().lock();
     out.write_all(line.as_bytes())?;
@@ -250,7 +250,7 @@ fn check(index: usize, workaround: Workaround, first: &[String], later: &[String
     if all_right { say(&Message::Done) } else { Ok(()) }
 }
 
-/// Whether a failure says as much of the moment as of the driver: the device was lost, or out of memory, perhaps by the work of others.
+/// Whether an error may have a temporary cause: the device was lost or out of memory, perhaps because of other processes.
 fn may_pass(error: &CheckError) -> bool {
     matches!(
         error,

@@ -16,14 +16,14 @@ const VENDORS: &str = "OCL_ICD_VENDORS";
 /// Default value of [`VENDORS`].
 const DEFAULT_VENDORS: &str = "/etc/OpenCL/vendors";
 
-/// The devices, and drivers that have none to offer.
+/// The devices, and the drivers that could not be queried.
 #[derive(Debug, Default)]
 pub struct Listed {
-    /// Preferred first.
+    /// Devices, the preferred one first.
     pub devices: Vec<DeviceInfo>,
     /// Drivers that crashed or hung, and are left out.
     pub broken: Vec<Unlisted>,
-    /// Variables of the environment with which a process sees these devices, and not the broken drivers.
+    /// Environment variables with which a process sees these devices, but not the broken drivers.
     pub environment: Vec<(String, String)>,
     /// Why there are no devices, in the words of the loader or the drivers.
     pub nothing: Option<String>,
@@ -83,7 +83,7 @@ fn list_in(environment: &Environment) -> Result<Vec<DeviceInfo>, Ended> {
     Ok(devices)
 }
 
-/// Queries each driver in a process of its own, then all that answered together.
+/// Queries each driver in a process of its own, then lists the devices of all working drivers together.
 fn list_apart(folder: &Path) -> io::Result<Listed> {
     let mut listed = Listed::default();
     let mut working = Vec::new();
@@ -105,8 +105,8 @@ fn list_apart(folder: &Path) -> io::Result<Listed> {
     Ok(listed)
 }
 
-/// Checks that [`name_drivers`] can write to a folder, by a real file: what was made there earlier says nothing, as the folder may have become
-/// read-only, or its disk full.
+/// Checks that [`name_drivers`] can write to a folder, by writing a temporary file. Files from earlier prove nothing: the folder may have
+/// become read-only since, or its disk full.
 fn check_writable(folder: &Path) -> io::Result<()> {
     let parent = drivers_in(folder);
     private_folder::make(&parent)?;
@@ -117,7 +117,8 @@ fn drivers_in(folder: &Path) -> PathBuf {
     folder.join("drivers")
 }
 
-/// Makes a folder that names only these drivers. Its own name is a hash of theirs, so that other processes find it complete or not at all.
+/// Makes a folder with the `.icd` files of only these drivers. It is named by a hash of them, and only once it is complete, so that other
+/// processes find it complete or not at all. Returns the environment that selects it.
 fn name_drivers(folder: &Path, icds: &[PathBuf]) -> io::Result<Environment> {
     let texts: io::Result<Vec<_>> = icds.iter().map(std::fs::read).collect();
     let named: Vec<_> = icds.iter().zip(texts?).collect();
@@ -141,7 +142,7 @@ fn name_drivers(folder: &Path, icds: &[PathBuf]) -> io::Result<Environment> {
     Ok(vec![(VENDORS.to_owned(), complete.display().to_string())])
 }
 
-/// Files that name drivers and can be read.
+/// Returns the readable `.icd` files, each of which names a driver.
 fn icd_files() -> Vec<PathBuf> {
     let named = std::env::var_os(VENDORS).map(PathBuf::from);
     let path = named.unwrap_or_else(|| DEFAULT_VENDORS.into());

@@ -1,12 +1,12 @@
 //! Selection of the device, and the check that it computes correctly.
 //!
-//! Drivers crash, hang and compile kernels wrongly. So this process neither lists nor tries a device that it does not know: child processes
-//! do ([`child`]). One of them checks each combination of device, driver version and isopeel version at its first use. Others compile its
-//! kernels at the same time, which the drivers keep on disk. Verdicts are kept ([`verdicts`]).
+//! Drivers crash, hang and compile kernels wrongly. So this process does not list devices, and does not try unknown ones: child processes
+//! ([`child`]) do both. One child checks each combination of device, driver version and isopeel version at its first use. Other children
+//! compile its kernels at the same time, and the drivers cache them on disk. Verdicts are stored ([`verdicts`]).
 //!
 //! - [`setup`]: ways to use a device, the workarounds among them.
 //! - [`child`]: what a child process does; [`run`]: how its parent sees it.
-//! - [`prepare`]: from a selector to a device that passed; [`proven`]: what has passed while the rest of a check runs.
+//! - [`prepare`]: selects a device and checks it; [`proven`]: programs that have passed a check that is still running.
 //! - [`cache`]: the folder of compiled kernels and verdicts.
 
 pub mod cache;

@@ -1,4 +1,4 @@
-//! From a selector to a device that passed the check.
+//! Selects a device, and checks it unless it has passed before.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -13,10 +13,10 @@ use super::run::{Ended, Environment, Running};
 use super::setup::{DeviceId, TYPES, Workaround, type_name};
 use super::verdicts::Verdicts;
 
-/// Environment variable with which a process hands its choice to the one that takes its place, which then skips the check.
+/// Environment variable in which a process passes its choice to the process that replaces it. That process then skips the check.
 const CHOSEN: &str = "ISOPEEL_DEVICE_CHOSEN";
 
-/// Stages that a first surface needs. The check itself compiles in the order of need; so these begin with what it needs last.
+/// Stages that a first surface needs. The check compiles them in the order of need, so builders begin with those that it needs last.
 const FIRST_STAGES: [&str; 7] = [
     "dual",
     "classify",
@@ -27,29 +27,30 @@ const FIRST_STAGES: [&str; 7] = [
     "minmax",
 ];
 
-/// Maximum number of processes that compile at once: drivers of GPUs let processes open a device one after another.
+/// Maximum concurrent compiler processes. More would only wait, because drivers of GPUs let processes open a device one after another.
 const MAX_BUILDERS: usize = 4;
 
 /// Requirements on a device.
 #[derive(Clone, Debug, Default)]
 pub struct Wanted {
-    /// Index or part of a name; `None`: the first that passes.
+    /// Index of the device, or part of its name; `None`: the first device that passes.
     pub selector: Option<String>,
-    /// Types of the samples to be computed with.
+    /// Sample types that the device must support.
     pub types: Vec<SampleType>,
-    /// Use it without a check.
+    /// Whether the device is used without a check.
     pub trusts: bool,
-    /// Return when a first surface can be made, and check the rest meanwhile: all sample types, as volumes of other types may come later.
+    /// Whether to return when a first surface can be made, and check the rest in the background. The rest includes all sample types,
+    /// because volumes of other types may be opened later.
     pub early: bool,
-    /// Folder of verdicts; `None`: nothing is kept.
+    /// Folder of verdicts; `None`: verdicts are not stored.
     pub folder: Option<PathBuf>,
 }
 
 /// A device that may be opened.
 pub struct Prepared {
-    /// Which, for [`Engine::open_tuned`].
+    /// Selector of the device for [`Engine::open_tuned`].
     pub selector: Option<String>,
-    /// How its kernels are built and launched, if not by default.
+    /// How its kernels are built and launched; `None`: by default.
     pub tuning: Option<Tuning>,
     /// The rest of the check, which still runs.
     pub rest: Option<Rest>,
@@ -60,14 +61,14 @@ pub struct Prepared {
 pub enum Unprepared {
     /// No device passed.
     Failed(DeviceFailure),
-    /// Another process can open one: with these variables in its environment.
+    /// Another process can open a device, with these variables in its environment.
     NewProcess(Environment),
 }
 
 /// Why no device is used.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceFailure {
-    /// None is listed; in the words of the loader or of the process that looked for them.
+    /// No device is listed. The text is that of the loader, or of the process that listed the devices.
     #[error("{0}")]
     Nothing(String),
     /// No device passed the check.
@@ -76,7 +77,7 @@ pub enum DeviceFailure {
          were tested), choose another device with --device, or use one all the same, at your own risk, with --device and --trust-device"
     )]
     Unreliable {
-        /// A line for each way that was tried.
+        /// A line for each way to use a device that was tried.
         report: String,
     },
 }
@@ -86,18 +87,18 @@ pub enum DeviceFailure {
 pub struct Checked {
     /// The device.
     pub device: DeviceInfo,
-    /// Each way that was tried, the one that passed last.
+    /// Each way that was tried, with the failure of its check. A way that passed has `None`, and is the last one.
     pub tried: Vec<(Workaround, Option<Ended>)>,
 }
 
 impl Checked {
-    /// The way that passed.
+    /// Returns the way that passed, if any.
     pub fn passed(&self) -> Option<Workaround> {
         let (workaround, ended) = self.tried.last()?;
         ended.is_none().then_some(*workaround)
     }
 
-    /// Sentences for the ways that failed, a line each.
+    /// Returns a line for each way that failed.
     pub fn report(&self) -> String {
         let device = DeviceId::of(&self.device);
         let failed = self.tried.iter().filter_map(|(workaround, ended)| {
@@ -107,7 +108,7 @@ impl Checked {
         failed.collect::<Vec<_>>().join("\n")
     }
 
-    /// Logs that the device is used in this way, if that is a workaround.
+    /// Logs a warning if the device is used with a workaround.
     fn warn_of(&self, workaround: Workaround) {
         if workaround != Workaround::None {
             let (device, how) = (DeviceId::of(&self.device), workaround.text());
@@ -120,7 +121,7 @@ impl Checked {
 struct Search {
     /// Devices that may be used and were not refused, preferred first.
     candidates: VecDeque<DeviceInfo>,
-    /// Ways in which the first of them failed.
+    /// Ways in which the first candidate was already tried.
     tried: Vec<(Workaround, Option<Ended>)>,
     /// What was found wrong with the refused devices: a line for each way that was tried.
     refused: Vec<String>,
@@ -133,7 +134,7 @@ struct Search {
 struct Found {
     device: DeviceInfo,
     workaround: Workaround,
-    /// Variables with which a process sees the listed devices.
+    /// Environment variables with which a process sees the listed devices.
     environment: Environment,
     rest: Option<Rest>,
 }
@@ -191,15 +192,16 @@ impl Search {
 /// The rest of a check that runs while a device is in use.
 pub struct Rest {
     child: Building,
-    /// Goes on if the check fails. Its first candidate is the device, which it tried last in the way that is in use.
+    /// Continues if the check fails. Its first candidate is the device in use, and its last `tried` way is the one in use.
     search: Search,
 }
 
 impl Rest {
-    /// Waits for the end of the check, and keeps the verdict. `passed` receives the programs that have passed.
+    /// Waits for the end of the check, and stores the verdict. `passed` receives the programs that have passed.
     ///
     /// # Errors
-    /// The device must not be used any more. Another process may use it in a way that passed the whole check, or another device.
+    /// The check failed, so this process must not use the device any more. [`Unprepared::NewProcess`] if another way to use the device, or
+    /// another device, has passed the whole check.
     pub fn wait(self, passed: &dyn Fn(Vec<String>)) -> Result<(), Unprepared> {
         let Self { mut child, mut search } = self;
         let hear = |message| {
@@ -229,7 +231,7 @@ impl Rest {
     }
 }
 
-/// What a process hands to the one that takes its place.
+/// The choice that a process passes to the process that replaces it.
 #[derive(Serialize, Deserialize)]
 struct Chosen {
     index: usize,
@@ -257,7 +259,7 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
     }
     let candidates = candidates(wanted, &listed);
     let Some(first) = candidates.front() else {
-        // Opening it says which devices there are.
+        // No device matches the selector. The error of opening it lists the devices.
         return Ok(Prepared {
             selector: wanted.selector.clone(),
             tuning: None,
@@ -312,7 +314,7 @@ pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (L
     (listed, checked)
 }
 
-/// Why there is no device.
+/// Returns the error for a list without devices.
 fn nothing(listed: Listed) -> DeviceFailure {
     if listed.broken.is_empty() {
         return DeviceFailure::Nothing(listed.nothing.unwrap_or_else(|| "there is no OpenCL device".to_owned()));
@@ -335,14 +337,14 @@ fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround, types: &
 /// Names of the sample types to check.
 #[derive(Clone)]
 struct Types {
-    /// Those of a first surface.
+    /// Sample types that a first surface needs.
     first: Vec<String>,
-    /// That of computed fields, and those that may come later, unless they are among the first.
+    /// Sample types that are checked after the first ones: that of computed fields, and those of volumes that may be opened later.
     later: Vec<String>,
 }
 
 impl Types {
-    /// `all`: the other types too, after those that are wanted.
+    /// `all`: whether to check the other sample types too, after the wanted ones.
     fn new(wanted: &[SampleType], all: bool) -> Self {
         let computed = type_name(SampleType::F32);
         let mut first: Vec<_> = wanted.iter().map(|&one| type_name(one).to_owned()).collect();
@@ -383,7 +385,7 @@ impl Types {
     }
 }
 
-/// The devices that may be used, preferred first.
+/// Returns the devices that may be used, the preferred one first.
 fn candidates(wanted: &Wanted, listed: &Listed) -> VecDeque<DeviceInfo> {
     let Some(selector) = &wanted.selector else {
         return listed.devices.iter().cloned().collect();
@@ -414,7 +416,7 @@ fn check(
     };
     for workaround in workarounds {
         let attempt = || try_once(device, types, workaround, environment, early, &hear);
-        // A workaround would be kept although the cause may be gone.
+        // Tries again after a failure that may be temporary. Otherwise a workaround that is not needed would be stored.
         let outcome = attempt().or_else(|ended| match ended {
             Ended::Failed(_) => attempt(),
             ended => Err(ended),
@@ -433,7 +435,8 @@ fn check(
     (checked, None)
 }
 
-/// Checks a device in one way. Returns the child, which if `early` continues with the rest of the check.
+/// Checks a device in one way, and returns the child. If `early`, returns as soon as a first surface can be made, and the child continues
+/// with the rest of the check.
 fn try_once(
     device: &DeviceInfo,
     types: &Types,
@@ -456,7 +459,7 @@ fn pair(variable: Option<(&str, &str)>) -> Option<(String, String)> {
 /// A child that runs the check, and others that compile what it needs next.
 struct Building {
     check: Running,
-    /// Dropped together with the check, which ends them.
+    /// Children that compile ahead of the check. They are dropped together with it, which ends them.
     builders: Vec<Running>,
 }
 
@@ -481,7 +484,7 @@ impl Building {
         for (at, program) in types.programs().into_iter().enumerate() {
             shares[at % builders].push(program);
         }
-        // Without them the check compiles by itself.
+        // A builder that cannot be started is left out: the check then compiles those programs itself.
         let started = shares.into_iter().filter_map(|programs| {
             let request = Request::Build {
                 index: device.index,
@@ -496,7 +499,7 @@ impl Building {
         })
     }
 
-    /// Passes on the messages of the check until its end, or if `early` until a first surface can be made. The rest of the check has low
+    /// Forwards the messages of the check until it ends; if `early`, until a first surface can be made. The children then continue with low
     /// priority.
     fn follow(&mut self, early: bool, hear: &dyn Fn(Message)) -> Result<(), Ended> {
         while let Some(message) = self.check.next()? {
@@ -514,10 +517,11 @@ impl Building {
 }
 
 impl Found {
-    /// The device as this process may open it.
+    /// Returns the device, if this process can open it.
     ///
     /// # Errors
-    /// [`Unprepared::NewProcess`], if only another process can.
+    /// [`Unprepared::NewProcess`], if the device needs environment variables that this process does not have; or the error of
+    /// [`Rest::wait`].
     fn prepared(mut self) -> Result<Prepared, Unprepared> {
         let mut needed = self
             .environment
@@ -538,7 +542,7 @@ impl Found {
         Err(self.new_process())
     }
 
-    /// Another process uses the device, without a check.
+    /// Returns the environment with which another process uses the device, without a check.
     fn new_process(self) -> Unprepared {
         let mut environment = self.environment;
         environment.extend(pair(self.workaround.environment()));
@@ -559,7 +563,7 @@ fn chosen_before() -> Option<Chosen> {
 }
 
 fn prepared_as(chosen: Chosen) -> Prepared {
-    // The environment leaves out drivers that cannot be listed.
+    // Listing in this process is safe: its environment leaves out the drivers that cannot be listed.
     let device = isopeel_kernels::device::list().ok();
     let device = device.as_ref().and_then(|devices| devices.get(chosen.index));
     Prepared {

@@ -1,4 +1,4 @@
-//! Programs that have passed a check which still runs.
+//! Programs that have passed a check that is still running.
 
 use std::collections::HashSet;
 
@@ -30,7 +30,7 @@ impl Proven {
         self.0.send_modify(|state| state.programs.extend(programs));
     }
 
-    /// Records the end of the check, with what was found wrong, if anything.
+    /// Records the end of the check, and its error if it failed.
     pub fn end(&self, ended: Result<(), String>) {
         self.0.send_modify(|state| state.ended = Some(ended));
     }
@@ -43,7 +43,7 @@ impl Proven {
         self.0.borrow().has_passed(program)
     }
 
-    /// Waits until the check has come to a program: it has passed, or the check has failed.
+    /// Waits until a program has passed, or the check has failed.
     pub async fn settled(&self, program: &str) {
         let mut states = self.0.subscribe();
         // The sender lives as long as `self`, so waiting cannot fail.

@@ -23,31 +23,31 @@ pub(super) type Environment = Vec<(String, String)>;
 /// How a child ended that did not report [`Message::Done`].
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum Ended {
-    /// By a signal, or with an exit code that it does not use.
+    /// It ended without a final message, by a signal or with an exit code.
     #[error("the driver ended the process in stage {stage} ({how}){quoted}")]
     Crashed {
-        /// Stage it was in.
+        /// Stage that was running.
         stage: String,
         /// The signal or exit code.
         how: String,
         /// What was written on standard error.
         quoted: String,
     },
-    /// It said nothing for too long.
+    /// It sent no message within the time limit.
     #[error("stage {stage} did not end within {seconds} s")]
     Hung {
-        /// Stage it was in.
+        /// Stage that was running.
         stage: String,
         /// The limit.
         seconds: u64,
     },
-    /// It found an error.
+    /// It reported an error that a retry would not cure.
     #[error("{0}")]
     Wrong(String),
-    /// The device failed, in a way whose cause may be gone the next time.
+    /// It reported an error of the device whose cause may be gone at the next attempt.
     #[error("{0}")]
     Failed(String),
-    /// It could not be started.
+    /// The child could not be started.
     #[error("the check could not be started: {0}")]
     NotStarted(String),
 }
@@ -80,7 +80,7 @@ impl Running {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // A Ctrl-C at the terminal is the parent's alone: a child that it ended would count as one that the driver ended.
+            // Ctrl-C at the terminal must reach the parent alone: a child that it ended would be taken for a crash of the driver.
             .process_group(0);
         end_with_parent(&mut command);
         let mut child = command.spawn().map_err(failed)?;
@@ -98,7 +98,7 @@ impl Running {
         })
     }
 
-    /// The next message; `None` after [`Message::Done`].
+    /// Returns the next message; `None` after [`Message::Done`].
     pub fn next(&mut self) -> Result<Option<Message>, Ended> {
         loop {
             let line = match self.lines.recv_timeout(self.limit) {
@@ -111,7 +111,7 @@ impl Running {
                 }
                 Err(RecvTimeoutError::Disconnected) => return Err(self.crashed()),
             };
-            // Drivers write on standard output too.
+            // Skips lines that are not messages: drivers write on standard output too.
             match serde_json::from_str(&line) {
                 Ok(Message::Done) => return Ok(None),
                 Ok(Message::Wrong { text }) => return Err(Ended::Wrong(text)),
@@ -137,12 +137,12 @@ impl Running {
         ids.for_each(|id| _ = setpriority_process(Some(id), crate::pool::NICENESS));
     }
 
-    /// Other systems do not list the threads of a process.
+    /// Does nothing: other systems do not list the threads of a process.
     #[cfg(not(target_os = "linux"))]
     pub fn lower_priority(&self) {}
 
     fn crashed(&mut self) -> Ended {
-        // It has closed its standard output. Its exit status stays what it was if it is ending.
+        // The child has closed its standard output. If it is already exiting, killing it does not change its exit status.
         let _ = self.child.kill();
         let how = match self.child.wait() {
             Ok(status) => describe(status),
@@ -176,7 +176,7 @@ fn describe(status: ExitStatus) -> String {
     }
 }
 
-/// This program, also if its file was replaced meanwhile.
+/// Returns the path of this executable. On Linux it stays valid if the file is replaced.
 fn program() -> std::io::Result<std::path::PathBuf> {
     #[cfg(target_os = "linux")]
     return Ok("/proc/self/exe".into());
@@ -211,7 +211,7 @@ fn lines_of(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
     lines
 }
 
-/// The end of what is written, once all is.
+/// Returns a receiver of the last [`QUOTED_BYTES`] of `out`, which are sent when `out` ends.
 fn tail_of(out: Option<impl Read + Send + 'static>) -> Receiver<String> {
     let (send, tail) = channel();
     std::thread::spawn(move || {

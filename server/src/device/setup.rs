@@ -35,7 +35,7 @@ impl DeviceId {
         self.kind() == other.kind()
     }
 
-    /// What devices of one kind with one driver have in common.
+    /// Returns the properties that devices of one kind with one driver share.
     pub(super) fn kind(&self) -> [&str; 4] {
         [&self.platform, &self.platform_version, &self.name, &self.driver].map(String::as_str)
     }
@@ -47,11 +47,11 @@ impl std::fmt::Display for DeviceId {
     }
 }
 
-/// A way to use a device. In the order in which they are tried.
+/// A way to use a device. [`Workaround::of`] has the order in which they are tried.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Workaround {
-    /// As its kind is used by default.
+    /// Uses the device as its kind is used by default.
     #[default]
     None,
     /// PoCL compiles work-groups by its older method.
@@ -60,14 +60,14 @@ pub enum Workaround {
     Cbs,
     /// Kernels for a CPU do not prefetch.
     NoPrefetches,
-    /// Kernels of the other kind of device.
+    /// Uses the kernels of the other kind of device: those for GPUs on a CPU, those for CPUs otherwise.
     OtherKernels,
-    /// Kernels for GPUs with small work-groups.
+    /// Uses the kernels for GPUs with small work-groups.
     SmallGroups,
 }
 
 impl Workaround {
-    /// Those that may help a device, in the order in which they are tried.
+    /// Returns the ways that may help a device, in the order in which they are tried.
     pub fn of(device: &DeviceInfo) -> Vec<Self> {
         let is_pocl = device.pocl_version().is_some();
         let applies = |workaround: &Self| match workaround {
@@ -87,7 +87,7 @@ impl Workaround {
         all.into_iter().filter(applies).collect()
     }
 
-    /// The variable that the process must have in its environment.
+    /// Returns the environment variable that this way requires in the process, if any.
     pub fn environment(self) -> Option<(&'static str, &'static str)> {
         match self {
             Self::Loops => Some((POCL_METHOD, "loops")),
@@ -96,7 +96,7 @@ impl Workaround {
         }
     }
 
-    /// How kernels are built and launched, if not by default.
+    /// Returns how kernels are built and launched; `None`: by default.
     pub fn tuning(self, device: &DeviceInfo) -> Option<Tuning> {
         match (self, device.kind) {
             (Self::None | Self::Loops | Self::Cbs, _) => None,
@@ -109,7 +109,7 @@ impl Workaround {
         }
     }
 
-    /// In the words of a report.
+    /// Returns the description in reports.
     pub fn text(self) -> &'static str {
         match self {
             Self::None => "default settings",
@@ -122,10 +122,10 @@ impl Workaround {
     }
 }
 
-/// Variable with which users too choose how PoCL compiles work-groups.
+/// Environment variable that selects how PoCL compiles work-groups. Users may set it too.
 pub(super) const POCL_METHOD: &str = "POCL_WORK_GROUP_METHOD";
 
-/// Sample types by their names in requests to children.
+/// Names of the sample types in requests to children.
 pub(super) const TYPES: [(&str, SampleType); 5] = [
     ("u8", SampleType::U8),
     ("i8", SampleType::I8),

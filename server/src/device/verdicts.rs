@@ -16,7 +16,7 @@ pub(super) struct Verdict {
     pub device: DeviceId,
     /// Build of isopeel ([`isopeel_kernels::build_id`]).
     pub build: String,
-    /// How the device passed.
+    /// Way to use the device in which it passed.
     pub workaround: Workaround,
     /// Names of the sample types whose programs passed.
     pub types: Vec<String>,
@@ -42,13 +42,13 @@ impl Verdicts {
         Some(self.folder.as_ref()?.join(format!("{}.json", name_of(device))))
     }
 
-    /// The file that lies beside the compiled kernels of a device of PoCL.
+    /// Returns the file that marks that the kernels of a PoCL device are in PoCL's cache; `None` for other devices.
     fn marker(&self, device: &DeviceId) -> Option<PathBuf> {
         let folder = self.kernels.as_ref().filter(|_| device.platform == POCL)?;
         Some(folder.join(format!("isopeel-{}", name_of(device))))
     }
 
-    /// How this device passed.
+    /// Returns the way in which this device passed with all of these sample types; `None` if there is no valid verdict.
     pub fn find(&self, device: &DeviceId, types: &[String]) -> Option<Workaround> {
         let verdict = self.read(device)?;
         let has_all = types.iter().all(|one| verdict.types.contains(one));
@@ -64,8 +64,8 @@ impl Verdicts {
         is_valid.then_some(verdict)
     }
 
-    /// Keeps how a device passed. Failures are not kept: their cause may be gone next time. A workaround for one whose cause may be gone at once
-    /// is kept only if the device failed twice.
+    /// Stores how a device passed. Failures are not stored, because their cause may be temporary. For the same reason a device is tried
+    /// twice before a workaround for such a failure is stored.
     ///
     /// # Errors
     /// The folder cannot be written.
@@ -94,7 +94,7 @@ impl Verdicts {
         Ok(())
     }
 
-    /// Forgets a device.
+    /// Removes the verdict on a device.
     pub fn forget(&self, device: &DeviceId) {
         if let Some(path) = self.path(device) {
             let _ = std::fs::remove_file(path);

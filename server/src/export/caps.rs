@@ -3,12 +3,12 @@
 use crate::math::DVec3;
 use crate::volumes::Geometry;
 
-/// A vertex and the caps.
+/// Position of a vertex relative to the caps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ToCaps {
-    /// The faces that it lies on, a bit each: that at the low end of the first axis, that at its high end, and so on.
+    /// The faces that it lies on, one bit each: the face at the low end of the first axis, the face at its high end, and so on.
     faces: u8,
-    /// Whether it is so near to a face that the cap may have changed the surface there.
+    /// Whether it is so close to a face that the cap may have changed the surface there.
     pub is_near: bool,
 }
 
@@ -38,9 +38,9 @@ impl ToCaps {
 /// The faces of a volume.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Faces {
-    /// Unit normals, across each axis.
+    /// Unit normals of the faces across each axis.
     normals: [DVec3; 3],
-    /// Positions of the caps along these normals, in the order of [`ToCaps`]; infinite if there are none.
+    /// Positions of the caps along these normals, in the order of [`ToCaps`]; infinite for faces without a cap.
     ends: [f64; 6],
 }
 
@@ -61,7 +61,7 @@ impl Faces {
         Self { normals, ends }
     }
 
-    /// Returns the end of a vertex' move from one position towards another, constrained to the faces that the vertex lies on. `None` if the
+    /// Returns the end of a vertex' move from one position towards another. The vertex stays on the faces that it lies on. `None` if the
     /// end is outside of the volume.
     pub fn constrained(&self, from: DVec3, to: DVec3, caps: ToCaps) -> Option<DVec3> {
         let along = self.along(to - from, caps);

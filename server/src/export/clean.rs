@@ -1,4 +1,4 @@
-//! Triangles of a file that intersect: how many, and how vertices are moved until there are none.
+//! Counts the triangles of a file that intersect, and moves vertices until there are none.
 
 use std::time::{Duration, Instant};
 
@@ -15,16 +15,16 @@ use crate::math::DVec3;
 /// Maximum rounds over the groups of intersecting triangles before the repair is given up.
 const MAX_ROUNDS: usize = 16;
 
-/// The same for capped surfaces whose vertices each stand for a cell: the cut was refined near caps before.
+/// The same for capped surfaces of which each vertex stands for a cell, because the cut near caps was refined before.
 const CAP_ROUNDS: usize = 4;
 
-/// Share of the mean length of its edges that a vertex of a capped surface is moved at most: it stays where its own triangles were.
+/// Maximum move of a vertex of a capped surface, as a share of the mean length of its edges, so that it stays close to its own triangles.
 const REACH_SHARE: f64 = 0.25;
 
-/// Smallest spacings that it may always be moved.
+/// Such a vertex may always be moved by this many smallest spacings.
 const MIN_REACH: f64 = 2.0;
 
-/// Each time after this many rounds, a group grows by the vertices around it.
+/// After every so many rounds, a group grows by the vertices around it.
 const ROUNDS_BEFORE_GROWTH: usize = 3;
 
 /// Sweeps over the vertices of a group in a round, in each of which a vertex may move once.
@@ -33,10 +33,10 @@ const SWEEPS: usize = 24;
 /// Half sides of the cubes from which random positions of a vertex are tried, in mean lengths of its edges.
 const RANDOM_RADII: [f64; 6] = [0.03, 0.1, 0.2, 0.3, 0.5, 0.8];
 
-/// Shares of the way to the middle of its neighbours that are tried.
+/// Shares of the way to the middle of a vertex' neighbours that are tried.
 const MIDDLE_SHARES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
 
-/// One of this many moves that change nothing is made, to leave a dead end.
+/// Of the moves that change nothing, one in this many is made, to leave a dead end.
 const SIDEWAYS: u64 = 4;
 
 /// Triangles of a file still intersect.
@@ -91,15 +91,16 @@ pub(super) fn count(
 pub(super) enum Scope {
     /// All: it is an error if some still intersect.
     All,
-    /// Only pairs with a corner near a cap: other intersections also occur in surfaces without caps.
+    /// Only pairs with a corner near a cap, because other intersections also occur in surfaces without caps.
     AtCaps {
         /// Cells along the largest cube that a vertex stands for.
         cells: f32,
     },
 }
 
-/// Moves vertices of triangles that intersect, and if that does not suffice those around, until no triangles of a file of the format intersect.
-/// Moves are tried in a fixed order, so that equal meshes are repaired equally. Vertices on caps stay on the faces of the volume.
+/// Moves vertices of triangles that intersect, and if that does not suffice, those around them, until no triangles intersect in a file of
+/// the format. Moves are tried in a fixed order, so that equal meshes are repaired equally. Vertices on caps stay on the faces of the
+/// volume.
 ///
 /// # Errors
 /// [`RepairError::NotClean`] if triangles in the scope [`Scope::All`] still intersect after [`MAX_ROUNDS`].
@@ -166,15 +167,15 @@ pub(super) fn repair(
 /// Representation of positions in a file of a format.
 #[derive(Clone, Copy)]
 enum Numbers {
-    /// As the mesh has them, or with 64 bits in the world.
+    /// As in the mesh, or as 64-bit world positions.
     Exact,
-    /// In the world, with 32 bits.
+    /// As 32-bit world positions.
     Rounded,
-    /// As decimals, in the world.
+    /// As decimals of world positions.
     WorldDecimals(Decimals),
-    /// As decimals, from the mesh's origin.
+    /// As decimals, relative to the mesh's origin.
     Decimals(Decimals),
-    /// As decimals that are read with 32 bits, from the mesh's origin.
+    /// As decimals that are read with 32 bits, relative to the mesh's origin.
     RoundedDecimals(Decimals),
 }
 
@@ -209,7 +210,7 @@ impl Numbers {
     }
 }
 
-/// Vertices of triangles that intersect, those of one place together.
+/// Groups the vertices of triangles that intersect: those of one place are together.
 fn groups(triangles: &[[u32; 3]], pairs: &[[u32; 2]]) -> Vec<Vec<u32>> {
     let mut group_of: FxHashMap<u32, usize> = FxHashMap::default();
     let mut groups: Vec<Vec<u32>> = Vec::new();
@@ -236,9 +237,9 @@ fn groups(triangles: &[[u32; 3]], pairs: &[[u32; 2]]) -> Vec<Vec<u32>> {
 struct Random(u64);
 
 impl Random {
-    /// The next number.
+    /// Returns the next number.
     fn next(&mut self) -> u64 {
-        // The linear congruential generator of Knuth's MMIX.
+        // Linear congruential generator of Knuth's MMIX.
         self.0 = self
             .0
             .wrapping_mul(6_364_136_223_846_793_005)
@@ -246,7 +247,7 @@ impl Random {
         self.0 >> 33
     }
 
-    /// A vector whose components are in −1 to 1.
+    /// Returns a vector with components from −1 to 1.
     fn vector(&mut self) -> DVec3 {
         let mut component = || self.next() as f64 / f64::from(1u32 << 30) - 1.0;
         DVec3::new(component(), component(), component())
@@ -300,8 +301,8 @@ impl Repair<'_> {
         }
     }
 
-    /// Moves a vertex to the tried position at which its triangles intersect fewest others, or sometimes to one that is as good as its own. True if they
-    /// intersected none before.
+    /// Tries positions of a vertex, and moves it to the one at which its triangles intersect the fewest others; sometimes to one that is
+    /// only as good as its present position. Returns true, and moves nothing, if they intersected none before.
     fn improve(&mut self, vertex: u32, tree: &TriangleTree) -> bool {
         let current = self.mesh.positions[vertex as usize];
         let near = self.near(tree, vertex, &[]);
@@ -336,7 +337,7 @@ impl Repair<'_> {
         false
     }
 
-    /// Returns the triangles that those around a vertex may meet, at its current position and at the positions that are tried.
+    /// Returns the triangles that those around a vertex may intersect, at its current position and at the tried ones.
     fn near(&self, tree: &TriangleTree, vertex: u32, tried: &[[f32; 3]]) -> Vec<u32> {
         let corners = self
             .around
@@ -357,7 +358,7 @@ impl Repair<'_> {
         self.positions[vertex as usize] = self.numbers.position(self.mesh, position);
     }
 
-    /// Places that are tried, near ones first.
+    /// Returns the positions to try, near ones first.
     fn candidates(&mut self, vertex: u32, at: DVec3) -> Vec<DVec3> {
         let position = |vertex: u32| DVec3::from(self.mesh.positions[vertex as usize].map(f64::from));
         let next = self.next_to(vertex);
@@ -382,7 +383,7 @@ impl Repair<'_> {
         tried
     }
 
-    /// The original position of a vertex.
+    /// Returns the original position of a vertex.
     fn original(&self, vertex: u32) -> DVec3 {
         let current = &self.mesh.positions[vertex as usize];
         DVec3::from(self.originals.get(&vertex).unwrap_or(current).map(f64::from))
@@ -399,8 +400,8 @@ impl Repair<'_> {
         (REACH_SHARE * mean).max(MIN_REACH * self.mesh.smallest_spacing)
     }
 
-    /// Faults with a vertex at a position: triangles around it without area, pairs of these that intersect, and pairs of one of these and one of
-    /// `near`. May stop at `limit`.
+    /// Counts the faults with a vertex at a position: triangles around it without area, pairs of these that intersect, and intersecting
+    /// pairs of one of these and one of `near`. May stop at `limit`.
     fn faults(&self, vertex: u32, position: [f32; 3], near: &[u32], limit: usize) -> usize {
         let position = self.numbers.position(self.mesh, position);
         let corners = |triangle: u32| -> Corners {
@@ -441,7 +442,7 @@ impl Repair<'_> {
         faults
     }
 
-    /// The other corners of the triangles around a vertex, each once.
+    /// Returns the other corners of the triangles around a vertex, each once.
     fn next_to(&self, vertex: u32) -> Vec<u32> {
         let triangles = self.around.of(vertex).iter();
         let mut corners: Vec<u32> = triangles
@@ -453,7 +454,7 @@ impl Repair<'_> {
         corners
     }
 
-    /// Whether a vertex is on a border, or at an edge of more than two triangles: around others there are as many corners as triangles.
+    /// Whether a vertex is on a border, or at an edge of more than two triangles. Any other vertex has as many neighbours as triangles.
     fn is_on_border(&self, vertex: u32) -> bool {
         self.next_to(vertex).len() != self.around.of(vertex).len()
     }

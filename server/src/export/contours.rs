@@ -5,23 +5,23 @@
 
 use rustc_hash::{FxHashMap, FxHashSet};
 
-/// A contour, in samples from the plane's first one.
+/// A contour. The unit is the distance between samples; the origin is the plane's first sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contour {
-    /// Its points. The last one of a closed contour is its first one again.
+    /// Its points. A closed contour ends with its first point.
     pub points: Vec<[f64; 2]>,
-    /// Whether it is closed, or ends at a border of the plane or at missing samples.
+    /// Whether it is closed; otherwise it ends at a border of the plane or at missing samples.
     pub is_closed: bool,
 }
 
-/// An edge between two samples: the lower one, and the axis along which the other one is.
+/// An edge between two neighbouring samples: the lower sample, and the axis along which the other one lies.
 type Edge = (u32, u32, u8);
 
-/// Corners of a face, around it.
+/// Corners of a face, in order around it.
 const CORNERS: [[u32; 2]; 4] = [[0, 0], [1, 0], [1, 1], [0, 1]];
 
-/// Returns the contours of an isovalue, with high values on the left if the second axis points up. `value`: of the sample at a place; `None` if it is
-/// missing.
+/// Returns the contours of an isovalue. High values are on their left if the second axis points up. `value` returns the sample at a place;
+/// `None` if it is missing.
 pub fn contours([width, height]: [u32; 2], value: impl Fn(u32, u32) -> Option<f32>, iso: f32) -> Vec<Contour> {
     let mut next: FxHashMap<Edge, Edge> = FxHashMap::default();
     let mut has_previous: FxHashSet<Edge> = FxHashSet::default();
@@ -40,7 +40,7 @@ pub fn contours([width, height]: [u32; 2], value: impl Fn(u32, u32) -> Option<f3
         }
     }
     let place = |edge: &Edge| crossing(*edge, &value, iso);
-    // Open contours come first, from their beginnings.
+    // Open contours come first, and begin at their first edges.
     let (open, closed): (Vec<Edge>, Vec<Edge>) = starts.into_iter().partition(|edge| !has_previous.contains(edge));
     let mut found = Vec::new();
     for start in open.into_iter().chain(closed) {
@@ -65,7 +65,7 @@ fn segments(inside: [bool; 4]) -> Vec<(usize, usize)> {
     for entered in (0..4).filter(|&side| !inside[side] && inside[(side + 1) % 4]) {
         let exited = (1..4).map(|n| (entered + n) % 4).find(|&side| !inside[(side + 1) % 4]);
         if let Some(exited) = exited {
-            // Then the inside is on the left-hand side of the segment.
+            // In this direction, the inside is on the left-hand side of the segment.
             found.push((exited, entered));
         }
     }

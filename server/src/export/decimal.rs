@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-/// Share of the smallest spacing that rounding may take.
+/// Maximum rounding error, as a share of the smallest spacing.
 const PRECISION: f64 = 1e-5;
 /// Maximum digits behind the point: 10 to this power fits into 64 bits.
 const MAX_DIGITS: usize = 18;
@@ -14,12 +14,12 @@ const EXACT: f64 = 9e15;
 pub(super) struct Decimals {
     digits: usize,
     scale: f64,
-    /// Whether more digits are needed than there are: numbers are written in full.
+    /// Whether more than [`MAX_DIGITS`] digits are needed, so that numbers are written in full.
     is_exponential: bool,
 }
 
 impl Decimals {
-    /// With `digits` digits behind the point. With more than 18, numbers are written in full.
+    /// Uses `digits` digits behind the point. With more than 18, numbers are written in full.
     pub(super) fn new(digits: usize) -> Self {
         let is_exponential = digits > MAX_DIGITS;
         let digits = digits.min(MAX_DIGITS);
@@ -30,7 +30,8 @@ impl Decimals {
         }
     }
 
-    /// Digits for positions on a grid of this smallest spacing: rounding takes less than a hundred-thousandth of it.
+    /// Uses as many digits as positions on a grid of this smallest spacing need: rounding changes them by less than a hundred-thousandth of
+    /// it.
     pub(super) fn of_spacing(spacing: f64) -> Self {
         let digits = -(spacing * PRECISION).log10().floor();
         Self::new(if digits.is_finite() {
@@ -40,7 +41,7 @@ impl Decimals {
         })
     }
 
-    /// A number as it is read from its text.
+    /// Returns the number that a reader gets from the text of `number`.
     pub(super) fn rounded(self, number: f64) -> f64 {
         let scaled = (number * self.scale).round();
         if scaled.abs() >= EXACT || self.is_exponential {

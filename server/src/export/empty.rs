@@ -26,7 +26,7 @@ pub(crate) async fn why_empty(
     Ok(Some(no_crossing(view, &values.await?)))
 }
 
-/// Why nothing is left of a surface that has triangles in full.
+/// Returns why nothing is left of a surface that has triangles in full; `None` if that is not the reason.
 fn all_removed(statistics: &ExtractionStatistics) -> Option<String> {
     match (statistics.full_triangles, statistics.removed_parts) {
         (0, Some(parts @ 1..)) => Some(format!(
@@ -39,7 +39,7 @@ fn all_removed(statistics: &ExtractionStatistics) -> Option<String> {
     }
 }
 
-/// Why there is no surface at an isovalue.
+/// Returns why there is no surface at an isovalue.
 fn no_crossing(view: &View, histogram: &Histogram) -> String {
     let field = &view.field;
     let [low, high] = histogram.range;
@@ -52,7 +52,7 @@ fn no_crossing(view: &View, histogram: &Histogram) -> String {
             format!("no surface: no sample of {field:?} has a value")
         }
         _ if low == high => format!("{nowhere}: all values of {field:?} are {low}"),
-        // The same test as the kernels': samples at the isovalue are inside.
+        // The same test as in the kernels: samples at the isovalue are inside.
         _ if iso <= low || iso > high => format!(
             "{nowhere}: values of {field:?} go from {low} to {high}, expected a number between them, such as {}",
             0.5 * low + 0.5 * high

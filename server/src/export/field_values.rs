@@ -10,14 +10,14 @@ use crate::volumes::{Field, VolumeStep};
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {
     field: Field,
-    /// All of them in pieces of `piece` samples; the last one may have fewer.
+    /// All samples, in pieces of `piece` samples; the last one may have fewer.
     pieces: Vec<Samples>,
     piece: usize,
     dims: [u32; 3],
 }
 
 impl FieldSamples {
-    /// The samples of fields and expressions by their names, from the device, which has those of the surface already.
+    /// Returns the samples of fields and expressions by their names. They come from the device, which already has those of the surface.
     ///
     /// # Errors
     /// Errors of the device, or of reading a file.
@@ -48,7 +48,7 @@ impl FieldSamples {
         self.pieces[at / self.piece].get(at % self.piece)
     }
 
-    /// The values at positions of index space, `padding` samples further in.
+    /// Returns the values at positions of a padded index space, in which the grid's first sample is at `padding`.
     pub(super) fn at(&self, positions: &[[f32; 3]], padding: f32) -> FieldValues {
         let index = |position: &[f32; 3]| position.map(|at| f64::from(at - padding));
         FieldValues {
@@ -58,8 +58,8 @@ impl FieldSamples {
         }
     }
 
-    /// The value at a position of index space; outside of the grid, as on the faces of a cap, that of the nearest place inside. NaN if a sample
-    /// that counts is missing.
+    /// Returns the value at a position of index space. Outside of the grid, as on the faces of a cap, it is that of the nearest place
+    /// inside. NaN if a sample with a weight above 0 is missing.
     fn value(&self, position: [f64; 3]) -> f32 {
         let mut low = [0; 3];
         let mut share = [0.0; 3];

@@ -12,9 +12,9 @@ use super::xml::escaped;
 use super::{ExportError, Mesh};
 use crate::volumes::Frame;
 
-/// The fastest level: slower ones make files a tenth smaller.
+/// The fastest level. Slower ones make files only a tenth smaller.
 const LEVEL: Compression = Compression::fast();
-/// Numbers that are compressed at once.
+/// Number of values that are compressed at once.
 const PIECE: usize = 1 << 12;
 
 /// Writes `mesh`: positions, 32 bits and in RAS if the axes are a patient's, and triangles, zlib in base64. Metadata name the surface, its
@@ -59,7 +59,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
             outside.get_or_insert(error);
             [f32::NAN; 3]
         });
-        // 0 − x: there is no −0.
+        // `0.0 - x` rather than `-x`, which could be −0.
         if turns { [0.0 - x, 0.0 - y, z] } else { [x, y, z] }
     });
     compressed(out, positions)?;
@@ -98,7 +98,7 @@ fn end(out: &mut impl Write) -> Result<(), ExportError> {
     Ok(())
 }
 
-/// Names and texts.
+/// Returns elements of names and texts.
 fn texts(pairs: &[(&str, String)]) -> String {
     let pair = |(name, text): &(&str, String)| {
         format!(
@@ -113,7 +113,7 @@ fn texts(pairs: &[(&str, String)]) -> String {
     )
 }
 
-/// Rows as zlib in base64.
+/// Writes rows as zlib in base64.
 fn compressed<T: bytemuck::Pod>(
     out: &mut impl Write,
     mut rows: impl Iterator<Item = [T; 3]>,

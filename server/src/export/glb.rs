@@ -1,9 +1,9 @@
 //! GLB, the binary form of glTF 2.0.
 //!
-//! A node, a mesh and a material for each surface. A mesh has one primitive: loaders give each primitive vertices of its own, which would
-//! tear the surface at the borders between levels. Triangles are ordered by level, finest first; `extras.levelTriangles` has their numbers.
-//! Positions are relative to the mesh's origin, along the axes of the volume's frame. The node converts them to the units and axes of glTF,
-//! metres with Y up, and moves them to their place. An empty surface is a scene without nodes.
+//! A file has a node, a mesh and a material for each surface. A mesh has one primitive: loaders give each primitive vertices of its own,
+//! which would tear the surface at the borders between levels. Triangles are ordered by level, finest first; `extras.levelTriangles` has
+//! the number of triangles of each level. Positions are relative to the mesh's origin, along the axes of the volume's frame. The node
+//! converts them to the units and axes of glTF, metres with Y up, and moves them to their place. An empty surface is a scene without nodes.
 
 pub(super) mod packed;
 
@@ -20,7 +20,7 @@ const VERSION: u32 = 2;
 const JSON_CHUNK: &[u8; 4] = b"JSON";
 const BINARY_CHUNK: &[u8; 4] = b"BIN\0";
 
-/// Stands for a missing value of a field.
+/// Value that stands for a missing one.
 const MISSING: f32 = f32::MIN;
 
 // Constants of the glTF specification (those of WebGL).
@@ -54,7 +54,7 @@ pub fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<()
         json["buffers"] = json!([{ "byteLength": buffer.bytes }]);
     }
     write_chunks(&json, buffer.bytes, out)?;
-    // In the order of the views.
+    // Writes the arrays in the order of the views.
     shown(meshes).try_for_each(|mesh| write_arrays(mesh, out))
 }
 
@@ -79,7 +79,7 @@ fn write_chunks(json: &Value, binary: u64, out: &mut impl Write) -> Result<(), E
     Ok(())
 }
 
-/// Meshes that have triangles.
+/// Returns the meshes that have triangles.
 fn shown(meshes: &[Mesh]) -> impl Iterator<Item = &Mesh> {
     meshes.iter().filter(|mesh| !mesh.triangles.is_empty())
 }
@@ -92,14 +92,14 @@ fn write_arrays(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     out.write_all(bytemuck::cast_slice(&mesh.feature))?;
     let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
     for field in &mesh.fields {
-        // glTF has no NaN.
+        // Replaces NaN, which glTF does not have.
         for value in &field.values {
             let value = if value.is_finite() { *value } else { MISSING };
             rows.extend_from_slice(&value.to_le_bytes());
             flush(&mut rows, out, PIECE_BYTES)?;
         }
     }
-    // With an alpha of 1, because attributes must begin at multiples of four bytes.
+    // Adds an alpha of 1, because attributes must begin at multiples of four bytes.
     for &[r, g, b] in &mesh.colors {
         rows.extend_from_slice(bytemuck::bytes_of(&[r, g, b, u16::MAX]));
         flush(&mut rows, out, PIECE_BYTES)?;
@@ -109,7 +109,7 @@ fn write_arrays(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     Ok(())
 }
 
-/// The JSON of a file without its buffers. Without a primitive it is a scene without nodes.
+/// Returns the JSON of a file without its buffers. Without a primitive it is a scene without nodes.
 fn document(
     meshes: &[Mesh],
     extras: &Value,
@@ -136,7 +136,7 @@ fn document(
     })
 }
 
-/// The primitive of a mesh, whose arrays come next in the buffer.
+/// Returns the primitive of a mesh, and adds the mesh's arrays to the buffer.
 fn primitive(mesh: &Mesh, material: usize, buffer: &mut Buffer) -> Value {
     let vertices = mesh.positions.len();
     let (min, max) = bounds(&mesh.positions);
@@ -169,7 +169,7 @@ fn primitive(mesh: &Mesh, material: usize, buffer: &mut Buffer) -> Value {
     })
 }
 
-/// The material of a mesh. glTF's default is metallic and one-sided.
+/// Returns the material of a mesh. It is given in full, because glTF's default is metallic and one-sided.
 fn material(mesh: &Mesh) -> Value {
     let mut rough = json!({ "metallicFactor": 0.0, "roughnessFactor": 0.8 });
     let Material { color, opacity } = mesh.material;
@@ -188,7 +188,7 @@ fn material(mesh: &Mesh) -> Value {
 struct Attributes(Vec<String>);
 
 impl Attributes {
-    /// In capital letters, as glTF has them.
+    /// Converts names to capital letters, as glTF requires.
     fn of(names: &[String]) -> Self {
         Self(names.iter().map(|name| name.to_ascii_uppercase()).collect())
     }
@@ -213,8 +213,8 @@ impl Attributes {
     }
 }
 
-/// The node that turns positions into metres with Y up: a patient's head (LPS) is up, the face looks along +Z, as glTF has it. Without a
-/// unit one world unit is one metre. Positions are multiples of `step` from `origin`, both in world units.
+/// Returns the node that turns positions into metres with Y up: a patient's head (LPS) is up, and the face looks along +Z, as glTF
+/// requires. Without a unit one world unit is one metre. Positions are multiples of `step` from `origin`, both in world units.
 fn node_at(mesh: &Mesh, number: usize, origin: [f64; 3], step: f64) -> Value {
     use std::f64::consts::FRAC_1_SQRT_2;
     let metres = mesh.unit.and_then(LengthUnit::metres).unwrap_or(1.0);

@@ -1,13 +1,15 @@
-//! The surface around labels of a segmentation: an expression that is 1 at their samples and 0 elsewhere, or that smoothed, at isovalue 0.5.
+//! The surface around labels of a segmentation. Its field is an expression that is 1 at samples with these labels and 0 elsewhere,
+//! optionally smoothed; its isovalue is 0.5.
 
 use crate::view::{Edit, EditError};
 use crate::volumes::{Dataset, Field};
 
-/// Halfway between samples inside and outside.
+/// Isovalue halfway between samples inside and outside.
 const ISO: f32 = 0.5;
 
-/// Returns the edit whose surface is that around some labels: `7`, `Hippocampus`, or several with commas between them. They are of the edit's
-/// field, else of the first field with names of labels, else of the first field. `smoothing`: standard deviation in samples; 0: none.
+/// Returns the edit for the surface around some labels: `7`, `Hippocampus`, or several with commas between them. The labels are values of
+/// the edit's field, else of the first field with names of labels, else of the first field. `smoothing`: standard deviation in samples; 0:
+/// none.
 ///
 /// # Errors
 /// A label that is neither a whole number nor a name of the field, or an edit that has an isovalue.
@@ -25,7 +27,7 @@ pub(super) fn around_labels(dataset: &Dataset, labels: &str, smoothing: f32, edi
         return refuse(format!("{labels:?} of an expression, expected a field of the volume"));
     };
     let quote = if field.name.contains('"') { '`' } else { '"' };
-    // Tried first as one name, which may contain commas.
+    // The text is first tried as one name, because a name may contain commas.
     let values = match value_of(field, labels.trim()) {
         Ok(value) => vec![value],
         Err(_) => {
@@ -50,7 +52,7 @@ pub(super) fn around_labels(dataset: &Dataset, labels: &str, smoothing: f32, edi
     })
 }
 
-/// The value of a label by its number or name.
+/// Returns the value of a label, which is given by number or name.
 fn value_of(field: &Field, label: &str) -> Result<i128, String> {
     if let Ok(value) = label.parse() {
         return Ok(value);

@@ -1,4 +1,4 @@
-//! From surfaces that were extracted to the bytes of a file: the same for a request, a batch job and the command line.
+//! Makes the bytes of a file from extracted surfaces, in the same way for a request, a batch job and the command line.
 
 use std::io::Write;
 
@@ -19,11 +19,11 @@ use crate::view::quality::MesherName;
 use crate::view::{EditError, Outward, View};
 use crate::volumes::{InputIdentity, LengthUnit, VolumeStep};
 
-/// A file that is made, not written yet.
+/// A file that was made, but not written yet.
 pub struct MadeFile {
     content: Content,
     stem: String,
-    /// Of its surface.
+    /// Statistics of its surface.
     pub statistics: ExtractionStatistics,
 }
 
@@ -94,7 +94,7 @@ fn unit_of_file(format: Format, own: Option<LengthUnit>, asked: Option<LengthUni
     let from = own.filter(|unit| unit.metres().is_some()).or(asked);
     let to = match format.unit() {
         Some(unit) => from.map(|_| unit),
-        // Its node has metres.
+        // A GLB keeps the unit, because its node converts to metres.
         None if format == Format::Glb => from,
         None => asked.or(from),
     };
@@ -180,7 +180,7 @@ fn lost_looks(surface: &FileSurface) -> Vec<String> {
     lost.map(|(_, what)| format!("a {title} holds no {what}")).collect()
 }
 
-/// Returns the notice that vertices were moved after the error was measured.
+/// Returns a notice if vertices were moved after the error was measured.
 fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
     let (count, unit) = (cleaned.moved_vertices, mesh.unit.map_or("", LengthUnit::ascii_symbol));
     (count > 0).then(|| {
@@ -189,7 +189,7 @@ fn moves(mesh: &Mesh, cleaned: &Cleaned) -> Option<String> {
     })
 }
 
-/// Repair and count of triangles that intersect.
+/// Repairs and counts triangles that intersect.
 struct Cleaning {
     /// `None`: nothing is repaired.
     scope: Option<Scope>,
@@ -200,7 +200,7 @@ struct Cleaning {
 }
 
 impl Cleaning {
-    /// Repairs a mesh, and counts the pairs of triangles that intersect afterwards: `None` if they are not to be counted, or not in time.
+    /// Repairs a mesh, and counts the pairs of triangles that intersect afterwards. `None` if counting was not requested, or took too long.
     fn run(
         &self,
         mesh: &mut Mesh,
@@ -238,7 +238,7 @@ fn name(volume: &VolumeStep, view: &View) -> String {
     format!("{}: {}{iso}{mask}", volume.dataset().id, view.field)
 }
 
-/// The name of a file of one surface without its extension.
+/// Returns the name of a file of one surface, without its extension.
 fn stem(surface: &FileSurface, view: &View) -> String {
     let volume = &surface.volume.dataset().id;
     let what = match (&surface.request.options.label, view.iso) {
@@ -280,7 +280,7 @@ fn provenance(volume: &VolumeStep, view: &View) -> Vec<(&'static str, String)> {
 /// A surface of a file, as a mesh.
 pub struct MadeSurface {
     mesh: Mesh,
-    /// Of the surface.
+    /// Statistics of the surface.
     pub statistics: ExtractionStatistics,
     extras: serde_json::Value,
     /// Name of a file of this surface alone, without its extension.
@@ -288,7 +288,7 @@ pub struct MadeSurface {
 }
 
 impl MadeSurface {
-    /// As [`MadeSurface::new`], with values of fields from the device, on the pool of exports.
+    /// As [`MadeSurface::new`], but fetches the values of fields from the device, and runs on the pool of exports.
     ///
     /// # Errors
     /// As [`MadeSurface::new`], and the device's.
@@ -305,7 +305,7 @@ impl MadeSurface {
         pool::run_export(mesh).await?
     }
 
-    /// The mesh of a surface that was made on the device of that name.
+    /// Makes the mesh of a surface that was extracted on the device of that name.
     ///
     /// # Errors
     /// The format cannot hold the surface, or [`ExportError::Cancelled`].
@@ -326,7 +326,7 @@ impl MadeSurface {
         let placed = of_view.in_unit(unit_of_file(options.format, of_view.unit, options.length_unit()));
         let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
         let mut mesh = Mesh::new_unless(&surface, &placed, uneven, is_cancelled)?;
-        // Dropped before the next copy of the mesh: both are large.
+        // Drops the surface before the mesh is copied, because both are large.
         drop(surface);
         let padding = if view.cap { 1.0 } else { 0.0 };
         mesh.fields = fields.iter().map(|field| field.at(&mesh.index, padding)).collect();
@@ -384,7 +384,7 @@ impl MadeSurface {
 }
 
 impl MadeFile {
-    /// The file of surfaces, of which there is at least one.
+    /// Makes the file of one or more surfaces.
     pub fn new(volume: &VolumeStep, request: &FileRequest, surfaces: Vec<MadeSurface>) -> Self {
         let id = &volume.dataset().id;
         let stem = match &surfaces[..] {
@@ -428,7 +428,7 @@ impl MadeFile {
         }
     }
 
-    /// A name for its file: volume, and isovalue or labels.
+    /// Returns a name for the file, from the volume and the isovalue or labels.
     pub fn file_name(&self) -> String {
         format!("{}.{}", self.stem, self.format().extension())
     }
@@ -438,7 +438,7 @@ impl MadeFile {
         self.content.format
     }
 
-    /// Length and hash of what [`MadeFile::write`] writes.
+    /// Returns length and hash of the bytes that [`MadeFile::write`] writes.
     ///
     /// # Errors
     /// As [`Content::digest`].
@@ -446,7 +446,7 @@ impl MadeFile {
         self.content.digest(is_cancelled)
     }
 
-    /// Writes it.
+    /// Writes the file.
     ///
     /// # Errors
     /// As [`Content::write`].

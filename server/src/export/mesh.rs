@@ -1,4 +1,4 @@
-//! From the regions of a surface to one mesh in world units.
+//! Joins the regions of a surface to one mesh in world units.
 
 use std::collections::{HashMap, HashSet};
 
@@ -15,7 +15,7 @@ use crate::volumes::{Frame, Geometry, LengthUnit};
 /// Lattice units per region.
 const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;
 
-/// All fields of a vertex, the position on the lattice of the whole volume. Vertices with equal keys are joined.
+/// All attributes of a vertex, with the position on the lattice of the whole volume. Vertices with equal keys are joined.
 type Key = ([i64; 3], [i16; 2], u16, u16);
 
 /// A surface in world units. Vertices that regions share are joined, triangles ordered by level, finest first.
@@ -31,7 +31,7 @@ pub struct Mesh {
     pub smoothness: Vec<f32>,
     /// Normalised user feature `f̂` of a vertex, 0 to 1.
     pub feature: Vec<f32>,
-    /// Positions in index space, until values of fields are taken there.
+    /// Positions in index space. They are kept until the values of fields have been looked up there.
     pub(crate) index: Vec<[f32; 3]>,
     /// The faces of the volume that each vertex of a capped surface lies on or near; empty without caps.
     pub(crate) caps: Vec<ToCaps>,
@@ -91,7 +91,7 @@ pub struct FieldValues {
 }
 
 impl Mesh {
-    /// Joins the regions of a surface. Vertices of different regions that are equal in every field become one. All triangles are kept,
+    /// Joins the regions of a surface. Vertices of different regions whose attributes are all equal become one. All triangles are kept,
     /// including degenerate ones; their winding is flipped if `direction` mirrors.
     ///
     /// # Errors
@@ -101,8 +101,8 @@ impl Mesh {
         Self::new_unless(surface, geometry, None, &|| false)
     }
 
-    /// As [`Mesh::new`], but can be cancelled: polls `is_cancelled` now and then. `uneven`: the axes whose samples are not evenly spaced as
-    /// in `geometry`, and the mesher that made the surface.
+    /// As [`Mesh::new`], but can be cancelled: polls `is_cancelled` now and then. `uneven`: the axes whose samples, unlike those in
+    /// `geometry`, are not evenly spaced, and the mesher that made the surface.
     ///
     /// # Errors
     /// Those of [`Mesh::new`], and [`ExportError::Cancelled`].
@@ -135,8 +135,8 @@ impl Mesh {
         for level in 1..6 {
             next[level] = next[level - 1] + mesh.level_triangles[level - 1] as usize;
         }
-        // Most vertices are inside their region and belong to no other. Only those on a region's faces, and those outside of the region
-        // that has them, are looked up.
+        // Most vertices are inside their region and belong to no other. So only vertices on a region's faces, and vertices that lie outside
+        // of the region that lists them, are looked up.
         let outside: HashSet<Key> = (surface.regions.iter())
             .flat_map(|region| region.vertices.iter().map(move |v| (region, v)))
             .filter(|(_, v)| v.position.iter().any(|p| !(0..=REGION_LATTICE).contains(p)))
@@ -158,8 +158,8 @@ impl Mesh {
                 let index = if inside && !outside.contains(&key) {
                     new
                 } else {
-                    // Equal vertices of one region are not joined: they are crossings on several edges of a sample that the surface
-                    // goes through. The first copy is joined with the first copies of other regions.
+                    // Equal vertices of one region are not joined: they are crossings on several edges of a sample that the surface passes
+                    // through. The first copy is joined with the first copies of other regions, the second with the second, and so on.
                     let copy = copies.entry(key).and_modify(|n| *n += 1).or_insert(0u32);
                     *shared.entry((key, *copy)).or_insert(new)
                 };
@@ -306,7 +306,7 @@ fn srgb(color: &str) -> Option<[f32; 3]> {
     Some(rgb(color)?.map(|byte| f32::from(byte) / 255.0))
 }
 
-/// Piecewise linear between points sorted by `x`, constant beyond the ends.
+/// Returns the colour at `x`: piecewise linear between points sorted by `x`, constant beyond the ends.
 fn color_at(points: &[(f32, [f32; 3])], x: f32) -> [f32; 3] {
     let right = points.partition_point(|p| p.0 <= x);
     match right {
@@ -320,8 +320,8 @@ fn color_at(points: &[(f32, [f32; 3])], x: f32) -> [f32; 3] {
     }
 }
 
-/// Names of attributes for the fields of a mesh: their own, with anything but ASCII letters and digits as `_`, behind a prefix; with a number
-/// if another one has that name.
+/// Returns names of attributes for the fields of a mesh: a prefix, and the field's own name with anything but ASCII letters and digits as
+/// `_`. A number is appended if another attribute has that name.
 pub(super) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<String> {
     let names = mesh
         .fields
@@ -362,7 +362,7 @@ pub(super) fn ascii(text: &str) -> String {
     text.chars().map(escaped).collect()
 }
 
-/// A linear colour as bytes of sRGB, as PLY and VTP have colours.
+/// Converts a linear colour to bytes of sRGB, which PLY and VTP use.
 pub(super) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
     color.map(|component| {
         let linear = f32::from(component) / 65535.0;
@@ -375,7 +375,7 @@ pub(super) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
     })
 }
 
-/// From sRGB to linear (IEC 61966-2-1), as glTF defines vertex colours.
+/// Converts from sRGB to linear (IEC 61966-2-1), as glTF defines vertex colours.
 pub(super) fn linear(srgb: f32) -> f32 {
     if srgb <= 0.040_45 {
         srgb / 12.92

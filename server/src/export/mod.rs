@@ -1,8 +1,8 @@
 //! Surfaces as files. Each names the frame and the unit of its positions, and the volume's notices.
 //!
-//! [`FileRequest`] is the request, [`MadeFile`] the file that answers it, [`Content`] its content. [`mesh`] joins the regions of a surface into one
-//! mesh, and a module for each format writes it. By hand: each writer is shorter than the conversion to a library's own mesh would be, and does not
-//! hold the file in memory, unless it is compressed.
+//! [`FileRequest`] is the request, [`MadeFile`] the file that answers it, [`Content`] its content. [`mesh`] joins the regions of a surface
+//! into one mesh, and a module for each format writes it. The writers are our own: each is shorter than the conversion to a library's mesh
+//! would be, and does not hold the file in memory, unless it is compressed.
 
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -99,7 +99,7 @@ pub enum Compress {
 }
 
 impl Compress {
-    /// Whether nothing was asked for.
+    /// Whether no compression was requested.
     pub(crate) fn is_none(&self) -> bool {
         *self == Self::None
     }
@@ -113,7 +113,7 @@ impl Compress {
         }
     }
 
-    /// Whether files of a format can be compressed so.
+    /// Whether files of a format can be compressed in this way.
     pub const fn is_of(self, format: Format) -> bool {
         match self {
             Self::None => true,
@@ -122,7 +122,7 @@ impl Compress {
         }
     }
 
-    /// The formats whose files can be compressed so, for people.
+    /// Returns the formats whose files can be compressed in this way, for error messages.
     pub const fn expected(self) -> &'static str {
         match self {
             Self::None => "any format",
@@ -133,10 +133,10 @@ impl Compress {
 }
 
 impl Format {
-    /// The names of all, for people.
+    /// The names of all formats, for error messages.
     pub const EXPECTED: &str = "glb, ply, stl, vtp, obj, 3mf, gifti, precomputed or usdz";
 
-    /// Endings of file names.
+    /// Endings of file names, with their formats.
     const ENDINGS: [(&str, Self); 10] = [
         (".glb", Self::Glb),
         (".ply", Self::Ply),
@@ -150,7 +150,7 @@ impl Format {
         (".usdz", Self::Usdz),
     ];
 
-    /// The format that a file's name says.
+    /// Returns the format that a file's name implies.
     ///
     /// # Errors
     /// [`ExportError::UnknownExtension`].
@@ -205,7 +205,7 @@ impl Format {
         }
     }
 
-    /// About how many bytes a closed surface with the values of some fields takes. It has half as many vertices as triangles.
+    /// Returns about how many bytes a closed surface with the values of `fields` fields takes. It has half as many vertices as triangles.
     pub const fn typical_bytes(self, triangles: u64, fields: u64) -> u64 {
         let per_triangle = match self {
             // Vertices of 42 bytes (position, normal, two features, colour), three indices of 4.
@@ -238,7 +238,7 @@ impl Format {
     pub const fn content_type(self) -> &'static str {
         match self {
             Self::Glb => "model/gltf-binary",
-            // No media type is registered for these.
+            // No media type is registered for these formats.
             Self::Ply | Self::Vtp | Self::Gifti => "application/octet-stream",
             Self::Stl => "model/stl",
             Self::Obj => "model/obj",
@@ -306,7 +306,7 @@ impl Format {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExportError {
-    /// The name does not say the format.
+    /// The file's name does not imply a format.
     #[error(
         "{0:?} does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii, .precomputed.zip or .usdz"
     )]
@@ -391,7 +391,7 @@ impl Content {
     /// Returns length and hash of the bytes that [`Content::write`] writes.
     ///
     /// # Errors
-    /// The format cannot hold the content: after a success [`Content::write`] fails only if `out` does. [`ExportError::Io`] if it is
+    /// The format cannot hold the content. If this succeeds, [`Content::write`] fails only if `out` does. [`ExportError::Io`] if it is
     /// cancelled.
     pub fn digest(&self, is_cancelled: &dyn Fn() -> bool) -> Result<FileDigest, ExportError> {
         let digester = Digester {
@@ -407,10 +407,10 @@ impl Content {
     }
 }
 
-/// Bytes of rows that are made before they are written.
+/// Bytes of rows that are collected before they are written.
 const PIECE_BYTES: usize = 1 << 16;
 
-/// Writes the rows and clears them, if they take more than `limit` bytes.
+/// Writes the collected rows and clears them, if they take more than `limit` bytes.
 fn flush(rows: &mut Vec<u8>, out: &mut impl Write, limit: usize) -> Result<(), ExportError> {
     if rows.len() > limit {
         out.write_all(rows)?;
@@ -419,8 +419,8 @@ fn flush(rows: &mut Vec<u8>, out: &mut impl Write, limit: usize) -> Result<(), E
     Ok(())
 }
 
-/// Returns the metadata of a GLB: volume with the hash of its files, step, every value in force, statistics, notices; frame and unit of its
-/// positions before the transformation of the node. Equal for equal requests: times and memory are left out.
+/// Returns the metadata of a GLB: volume with the hash of its files, step, every value in force, statistics, notices, and frame and unit of
+/// its positions before the node transforms them. Equal requests have equal metadata, because times and memory are left out.
 fn extras(volume: &VolumeStep, edit: &Edit, mesh: &Mesh, statistics: &ExtractionStatistics) -> serde_json::Value {
     let dataset = volume.dataset();
     let identity = mesh.provenance.iter().find(|(name, _)| *name == "identity");
@@ -449,7 +449,7 @@ pub struct FileDigest {
 /// Bytes that are hashed at once.
 const DIGEST_BUFFER_BYTES: usize = 1 << 16;
 
-/// Counts and hashes bytes, and drops them.
+/// Counts and hashes bytes, and discards them.
 struct Digester<'a> {
     bytes: u64,
     hasher: Xxh3,

@@ -14,7 +14,7 @@ use crate::volumes::LengthUnit;
 /// Those of `out`.
 pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     let mut text = format!("# isopeel {}\n", env!("CARGO_PKG_VERSION")).into_bytes();
-    // Numbers of vertices begin at 1, and go on from object to object.
+    // Vertices are numbered from 1, through all objects.
     let mut first = 1;
     for mesh in meshes {
         comments(mesh, &mut text);
@@ -39,7 +39,7 @@ pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     flush(&mut text, out, 0)
 }
 
-/// Positions with their colours, then normals.
+/// Writes positions with their colours, then normals.
 fn vertices(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
     let (decimals, shares) = (Decimals::of_spacing(mesh.smallest_spacing), Decimals::new(4));
     let color_of_all = mesh

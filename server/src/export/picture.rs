@@ -4,20 +4,20 @@ use isopeel_kernels::{SampleType, Samples};
 
 use crate::extraction::Slice;
 
-/// How a slice is drawn.
+/// Parameters with which a slice is drawn.
 pub(super) struct Picture {
     /// Samples along rows, and rows.
     pub dims: [u32; 2],
     /// Value of missing samples.
     pub missing: Option<f32>,
-    /// Units between black and white.
+    /// Number of the field's units between black and white.
     pub window: f32,
-    /// The value in the middle.
+    /// The value that is shown as middle grey.
     pub level: f32,
 }
 
 impl Picture {
-    /// Grey and alpha, a byte each; both 0 if the sample is missing.
+    /// Returns grey and alpha, a byte each; both are 0 if the sample is missing.
     fn pixel(&self, value: f32) -> [u8; 2] {
         if value.is_nan() || Some(value) == self.missing {
             return [0, 0];
@@ -46,7 +46,7 @@ impl Picture {
     }
 }
 
-/// The samples of a slice, by their type.
+/// Returns the samples of a slice, by their type.
 pub(super) fn samples_of(slice: &Slice) -> Samples {
     let bytes = &slice.bytes;
     match slice.sample_type {

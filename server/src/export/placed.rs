@@ -9,14 +9,14 @@ use crate::volumes::{Frame, LengthUnit};
 /// Bytes of the header.
 const HEADER: usize = 348;
 
-/// Offset of the samples in the file: behind the header and the four bytes that say that no extension follows.
+/// Offset of the samples in the file. The header comes first, then the four bytes that state that no extension follows.
 const SAMPLES: usize = HEADER + 4;
 
 /// A plane on even axes.
 pub(super) struct PlacedPlane {
     /// Samples along its axes.
     pub dims: [u32; 2],
-    /// One step along its axes and across it, and the position of the first sample, in the world.
+    /// In the world: one step along each of its axes, one step across it, and the position of the first sample.
     pub columns: [DVec3; 4],
     pub frame: Frame,
     pub unit: Option<LengthUnit>,
@@ -63,7 +63,7 @@ pub(super) fn nifti(plane: &PlacedPlane, slice: &Slice) -> Vec<u8> {
     put(0, &(HEADER as i32).to_le_bytes());
     let dims = [3, plane.dims[0], plane.dims[1], 1, 1, 1, 1, 1];
     for (i, n) in dims.into_iter().enumerate() {
-        // More than 32767 samples were refused before.
+        // Fits: more than 32767 samples were refused before.
         put(40 + 2 * i, &(n as i16).to_le_bytes());
     }
     let (code, bits): (i16, i16) = match slice.sample_type {
@@ -86,7 +86,7 @@ pub(super) fn nifti(plane: &PlacedPlane, slice: &Slice) -> Vec<u8> {
     put(123, &[unit]);
     let title = super::mesh::ascii(&plane.title);
     put(148, &title.as_bytes()[..title.len().min(79)]);
-    // In the scanner's anatomy, or aligned to something else.
+    // Code of the coordinates: the scanner's anatomy, or aligned to something else.
     let is_patient = matches!(plane.frame, Frame::Lps | Frame::Ras);
     put(254, &(if is_patient { 1i16 } else { 2 }).to_le_bytes());
     let flip = if plane.frame == Frame::Lps {

@@ -55,7 +55,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     flush(&mut rows, out, 0)
 }
 
-/// The patient's axes, as 3D Slicer reads them.
+/// Returns a comment with the patient's axes, in the form that 3D Slicer reads; empty for other axes.
 fn space(mesh: &Mesh) -> String {
     match mesh.frame.is_anatomical() {
         true => format!("comment SPACE={}\n", mesh.frame.name()),
@@ -63,7 +63,8 @@ fn space(mesh: &Mesh) -> String {
     }
 }
 
-/// Longest text of a comment; a longer one is continued in the next comment of its name. Common readers refuse lines of 1024 bytes.
+/// Maximum bytes of a comment's text. A longer text continues in another comment of the same name, because common readers refuse lines of
+/// 1024 bytes.
 const MAX_COMMENT: usize = 400;
 
 /// Returns comments on the surface's provenance and fields, and the volume's notices. Comments are ASCII.
@@ -87,7 +88,7 @@ fn comments(mesh: &Mesh) -> String {
         .collect()
 }
 
-/// The properties of vertices behind those that all have.
+/// Returns the properties of vertices that come after those that every file has.
 fn properties(mesh: &Mesh) -> String {
     let fields = names(mesh).into_iter().map(|name| format!("property float {name}\n"));
     let colors = ["red", "green", "blue"].map(|name| format!("property uchar {name}\n"));
@@ -95,7 +96,7 @@ fn properties(mesh: &Mesh) -> String {
     fields.chain(colors).collect()
 }
 
-/// Names of properties of the fields: words of ASCII, each once.
+/// Returns the names of the fields' properties: words of ASCII, each once.
 fn names(mesh: &Mesh) -> Vec<String> {
     let taken = [
         "x",

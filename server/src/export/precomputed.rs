@@ -9,7 +9,7 @@ use zip::{CompressionMethod, ZipWriter};
 
 use super::{ExportError, Mesh, fits_u32};
 
-/// A ZIP needs longer headers for parts above.
+/// Maximum bytes of a part of a ZIP with short headers.
 const SHORT_PART: u64 = u32::MAX as u64;
 /// Corners and positions that are written at once.
 const PIECE: usize = 1 << 12;
@@ -67,7 +67,7 @@ fn properties(meshes: &[Mesh]) -> serde_json::Value {
     })
 }
 
-/// The number of vertices, positions, and corners of triangles.
+/// Writes the number of vertices, the positions, and the corners of triangles.
 fn fragment(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     let vertices = fits_u32("vertices", mesh.positions.len() as u64, "precomputed")?;
     out.write_all(&vertices.to_le_bytes())?;

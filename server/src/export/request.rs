@@ -17,10 +17,10 @@ use crate::view::quality::Budget;
 use crate::view::{Edit, EditError, Outward, SIGMAS, View};
 use crate::volumes::{Dataset, LengthUnit};
 
-/// Maximum fields whose values a file has: the samples of each are in memory while the file is made.
+/// Maximum fields whose values a file has. The samples of each are in memory while the file is made.
 const MAX_FIELD_VALUES: usize = 16;
 
-/// Longest bound on the time that measuring takes: a day.
+/// Maximum seconds that can be given as a limit for measuring: a day.
 const MAX_SECONDS: f64 = 86_400.0;
 
 fn is_zero(number: &f32) -> bool {
@@ -193,7 +193,7 @@ impl FileOptions {
     pub fn work(&self, view: &View) -> ExportWork {
         let refining = match self.clean {
             true => Refining::Everywhere,
-            // A budget of bytes is that of a surface that is not refined.
+            // Not with a budget of bytes, which is fitted to a surface that is not refined.
             false if view.cap && !matches!(view.budget, Some(Budget::Bytes(_))) => Refining::AtCaps,
             false => Refining::Never,
         };
@@ -212,12 +212,12 @@ impl FileOptions {
         }
     }
 
-    /// Whether equal requests give equal bytes. Not so if the file depends on the time that measuring takes.
+    /// Whether equal requests give equal bytes. They do not if the file depends on the time that measuring takes.
     pub fn is_reproducible(&self) -> bool {
         !matches!(self.measuring(), Measuring::Within(_))
     }
 
-    /// The unit of lengths that `unit` names, if it names one.
+    /// Returns the unit of lengths that `unit` names; `None` if it names none.
     pub(super) fn length_unit(&self) -> Option<LengthUnit> {
         let unit = LengthUnit::parse(self.unit.as_deref()?)?;
         unit.metres().is_some().then_some(unit)
@@ -271,7 +271,7 @@ impl FileRequest {
         self.options.check_alone()?;
         self.check_surfaces()?;
         self.check_bytes()?;
-        // Names of fields are those of each volume.
+        // Names of fields are left out, because they depend on the volume.
         let edit = Edit {
             field: None,
             mask: None,
@@ -282,12 +282,12 @@ impl FileRequest {
         View::requested(&edit, &["field"]).map(|_| ())
     }
 
-    /// Whether its file has the colours of a transfer function: only of one that it names.
+    /// Whether the file has the colours of a transfer function. It has only those of one that the request names.
     pub fn is_colored(&self) -> bool {
         self.edit.transfer_function.is_some()
     }
 
-    /// The request of a JSON object. By hand, because serde cannot flatten and refuse unknown fields at the same time.
+    /// Parses the request of a JSON object. Written by hand, because serde cannot flatten and refuse unknown fields at the same time.
     ///
     /// # Errors
     /// The first name that is unknown or missing, or the first value of a wrong type.

@@ -3,7 +3,7 @@
 use utoipa::openapi::schema::{AdditionalProperties, Object, Type};
 use utoipa::openapi::{RefOr, Schema};
 
-/// The schema of an object that has the names of all these.
+/// Returns the schema of an object that has the names of all these schemas.
 pub(crate) fn merged_schema(schemas: impl IntoIterator<Item = RefOr<Schema>>, description: &str) -> RefOr<Schema> {
     let mut merged = Object::new();
     for schema in schemas {

@@ -23,7 +23,7 @@ use crate::volumes::{Field, Frame, LengthUnit, VolumeStep};
 /// Maximum isovalues of one file.
 pub const MAX_ISOVALUES: usize = 64;
 
-/// Colours of contours, in the order of isovalues: those of Tango, dark.
+/// Colours of contours, in the order of isovalues: the dark colours of Tango.
 const COLORS: [&str; 6] = ["#a40000", "#204a87", "#4e9a06", "#ce5c00", "#5c3566", "#8f5902"];
 
 /// The axis across a plane.
@@ -39,7 +39,7 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// The plane's own axes: along its rows, and across them.
+    /// Returns the plane's own axes: along its rows, and across them.
     pub const fn others(self) -> [Self; 2] {
         match self {
             Self::X => [Self::Y, Self::Z],
@@ -82,7 +82,7 @@ pub enum SliceFormat {
 }
 
 impl SliceFormat {
-    /// The format that a file's name says.
+    /// Returns the format that a file's name implies.
     pub fn from_path(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?.to_ascii_lowercase();
         let formats = Self::value_variants().iter().copied();
@@ -107,7 +107,7 @@ impl SliceFormat {
         matches!(self, Self::Nii | Self::NiiGz)
     }
 
-    /// Whether it has contours, and no samples.
+    /// Whether it has contours instead of samples.
     pub const fn has_contours(self) -> bool {
         matches!(self, Self::Svg | Self::Geojson)
     }
@@ -120,9 +120,9 @@ pub struct SliceOptions {
     pub format: SliceFormat,
     /// Isovalues of contours.
     pub isovalues: Vec<f32>,
-    /// Of a picture: how many of the field's units there are between black and white; `None`: the field's range.
+    /// For a picture: how many of the field's units there are between black and white; `None`: the field's range.
     pub window: Option<f32>,
-    /// Of a picture: the value in the middle; `None`: the middle of the field's range.
+    /// For a picture: the value in the middle; `None`: the middle of the field's range.
     pub level: Option<f32>,
 }
 
@@ -136,9 +136,9 @@ pub struct BadSlice(String);
 pub struct Plane {
     /// The field that is shown.
     pub field: Field,
-    /// Across the plane.
+    /// The axis across the plane.
     pub axis: Axis,
-    /// Which plane along it.
+    /// Index of the plane along that axis.
     pub index: u32,
     /// Samples along the plane's axes.
     pub dims: [u32; 2],
@@ -221,7 +221,7 @@ impl Plane {
         }
     }
 
-    /// World position of a place on the plane, in samples.
+    /// Returns the world position of a place on the plane, which is given in samples.
     pub fn world(&self, [x, y]: [f64; 2]) -> DVec3 {
         let mut index = DVec3::ZERO;
         let [first, second] = self.axis.others().map(|axis| axis as usize);
@@ -231,7 +231,7 @@ impl Plane {
         self.space.world(index)
     }
 
-    /// One step of the even grid along each of the plane's axes, in the world.
+    /// Returns one step of the even grid along each of the plane's axes, in the world.
     pub fn steps(&self) -> [[f64; 3]; 2] {
         let world = self.space.world_from_even;
         self.axis
@@ -264,7 +264,7 @@ impl Plane {
         }
     }
 
-    /// The contours of each isovalue.
+    /// Returns the contours of each isovalue.
     fn contours(&self, slice: &Slice, isovalues: &[f32]) -> Vec<(f32, Vec<Contour>)> {
         let samples = samples_of(slice);
         let width = self.dims[0] as usize;
@@ -310,7 +310,7 @@ impl Plane {
 
     fn svg(&self, contours: &[(f32, Vec<Contour>)]) -> String {
         let [width, height] = self.in_plane(self.dims.map(|n| f64::from(n.saturating_sub(1))));
-        // As large as in the world, if the unit is known.
+        // The picture is as large as in the world, if the unit is known.
         let size = match self.unit.and_then(LengthUnit::metres) {
             Some(metres) => format!(
                 "width=\"{}mm\" height=\"{}mm\"",
@@ -324,7 +324,7 @@ impl Plane {
             escaped(&self.title())
         );
         for ((iso, lines), color) in contours.iter().zip(COLORS.iter().cycle()) {
-            // With strokes that do not scale: a pixel wide.
+            // Strokes do not scale: they are a pixel wide.
             let _ = writeln!(
                 text,
                 "<g id=\"iso-{iso}\" data-isovalue=\"{iso}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"1\">"
@@ -370,14 +370,14 @@ impl Plane {
     }
 }
 
-/// Compresses a file, without a name or a time: equal requests have equal files.
+/// Compresses a file. The header has no name and no time, so that equal requests have equal files.
 fn gzipped(file: &[u8]) -> io::Result<Vec<u8>> {
     let mut gzip = GzEncoder::new(Vec::new(), Compression::default());
     gzip.write_all(file)?;
     gzip.finish()
 }
 
-/// The isovalues of a list with commas between them.
+/// Parses a list of isovalues with commas between them.
 ///
 /// # Errors
 /// An item that is not a number.
@@ -390,7 +390,7 @@ pub fn isovalues(list: &str) -> Result<Vec<f32>, BadSlice> {
     .collect()
 }
 
-/// The samples of a plane, and the range of the field's values if a picture of it needs that.
+/// Returns the samples of a plane, and the range of the field's values if a picture needs it.
 ///
 /// # Errors
 /// Those of the device, and a volume that cannot be read.

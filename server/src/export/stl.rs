@@ -1,4 +1,4 @@
-//! Binary STL: triangles with their own normals, nothing shared.
+//! Binary STL: each triangle has its own normal and corners; nothing is shared.
 
 use std::io::Write;
 
@@ -6,10 +6,11 @@ use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
 use crate::math::{DVec3, triangle_normal};
 use crate::volumes::LengthUnit;
 
-/// Share of the smallest spacing that rounding may take without a notice.
+/// Rounding error above which there is a notice, as a share of the smallest spacing.
 const UNNOTICED: f64 = 1e-3;
 
-/// Returns how far positions are rounded, if that is more than a thousandth of the smallest spacing, in a format that holds 32-bit world positions.
+/// Returns a notice on how far positions are rounded in a format with 32-bit world positions; `None` if that is at most a thousandth of the
+/// smallest spacing.
 pub fn rounding(mesh: &Mesh, format: &str) -> Option<String> {
     let of = |vertex: usize| {
         let rounded = mesh.world(vertex).map(|x| (x - f64::from(x as f32)).abs());
@@ -35,10 +36,10 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     // Must not begin with "solid", the mark of the text form.
     let mut header = [b' '; 80];
     let unit = mesh.unit.map_or("unknown", LengthUnit::ascii_symbol);
-    // As 3D Slicer reads it, of a patient's axes.
+    // For a patient's axes, in the form that 3D Slicer reads.
     let space = if mesh.frame.is_anatomical() { "SPACE=" } else { "frame " };
     let frame = mesh.frame.name();
-    // Too short for the notices themselves.
+    // The header is too short for the notices themselves.
     let notices = if mesh.notices.is_empty() {
         ""
     } else {
@@ -53,7 +54,7 @@ pub fn write(mesh: &Mesh, out: &mut impl Write) -> Result<(), ExportError> {
     }
     out.write_all(&header)?;
     out.write_all(&triangles.to_le_bytes())?;
-    // Once for the six triangles of a vertex.
+    // Computed once, because a vertex has about six triangles.
     let vertices = 0..mesh.positions.len();
     let placed = vertices
         .map(|vertex| mesh.world_f32(vertex))

@@ -69,7 +69,7 @@ pub struct SurfaceOptions {
 }
 
 impl<'de> Deserialize<'de> for SurfaceOptions {
-    /// By hand, because serde cannot flatten and refuse unknown fields at the same time.
+    /// Written by hand, because serde cannot flatten and refuse unknown fields at the same time.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let (look, edit): (Map<_, _>, Map<_, _>) = Map::deserialize(deserializer)?
             .into_iter()

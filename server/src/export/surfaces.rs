@@ -1,4 +1,4 @@
-//! The surfaces of a file, each complete.
+//! The surfaces of a file, each with all of its values.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -10,16 +10,17 @@ use super::{FileOptions, FileRequest, SurfaceOptions};
 use crate::view::{Edit, EditError, View};
 use crate::volumes::{Dataset, VolumeStep};
 
-/// Maximum surfaces of a file: as many meshes are in memory at once. Each surface is admitted by the memory that those before it leave.
+/// Maximum surfaces of a file: all their meshes are in memory at once. Each surface is admitted only if the earlier ones leave enough
+/// memory.
 const MAX_SURFACES: usize = 64;
 
-/// Volumes that surfaces of a file are of beside the file's own, by the names in its request.
+/// Volumes of surfaces other than the file's own volume, by their names in the request.
 pub type OtherVolumes = HashMap<String, Arc<Dataset>>;
 
 /// A surface of a file, checked and complete.
 #[derive(Clone, Debug)]
 pub struct FileSurface {
-    /// Of which volume and time step.
+    /// Its volume and time step.
     pub volume: VolumeStep,
     /// Its view.
     pub view: View,
@@ -32,7 +33,7 @@ pub struct FileSurface {
 }
 
 impl FileSurface {
-    /// Names of fields whose values its file holds.
+    /// Returns the names of the fields whose values its file holds.
     pub fn values(&self) -> &[String] {
         let options = &self.request.options;
         if options.format.holds_values() {
@@ -44,13 +45,13 @@ impl FileSurface {
 }
 
 impl FileRequest {
-    /// Names of other volumes that surfaces are of.
+    /// Returns the names of the other volumes that surfaces use.
     pub fn other_volumes(&self) -> impl Iterator<Item = &str> {
         let surfaces = self.options.surfaces.iter();
         surfaces.filter_map(|surface| surface.look.volume.as_deref())
     }
 
-    /// Time steps of surfaces.
+    /// Returns the time steps that surfaces use.
     pub fn steps(&self) -> impl Iterator<Item = u32> {
         let surfaces = self.options.surfaces.iter();
         let own = self.options.surfaces.is_empty().then_some(self.step);
@@ -59,7 +60,7 @@ impl FileRequest {
             .chain(own)
     }
 
-    /// The surfaces of the file, at least one, each with every value of its own.
+    /// Returns the surfaces of the file, at least one, each with all of its values.
     ///
     /// # Errors
     /// A value out of its range, a volume, time step or field that does not exist, or more surfaces than the format holds.
@@ -132,7 +133,7 @@ impl FileRequest {
         let request = FileRequest {
             step,
             options: FileOptions {
-                // Surfaces at isovalues have none.
+                // Label smoothing does not apply to surfaces at isovalues.
                 label_smoothing: label.as_ref().map_or(0.0, |_| self.options.label_smoothing),
                 label,
                 surfaces: Vec::new(),
@@ -150,8 +151,8 @@ impl FileRequest {
     }
 }
 
-/// Returns an edit with the values of another one in place of its own. As in edits of a view, a criterion of quality replaces all earlier
-/// ones, and another feature has a range of its own.
+/// Overlays an edit with the values of another one. As in edits of a view, a criterion of quality replaces all earlier ones, and another
+/// feature has a range of its own.
 fn overlaid(edit: &Edit, over: &Edit) -> Edit {
     let mut edit = edit.clone();
     if over.beta.is_some() || over.error.is_some() || over.triangles.is_some() || over.bytes.is_some() {

@@ -11,13 +11,13 @@ use super::mesh::srgb_bytes;
 use super::xml::escaped;
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
 
-/// Level of deflate: higher ones take three times as long for a tenth of the bytes.
+/// Level of deflate. Higher ones take three times as long to save a tenth of the bytes.
 const LEVEL: i64 = 1;
-/// Bytes of text of a triangle with its share of vertices, or more.
+/// Upper bound of the bytes of text for a triangle with its share of vertices.
 const TRIANGLE_BYTES: u64 = 200;
-/// A ZIP needs longer headers for parts above.
+/// Maximum bytes of a part of a ZIP with short headers.
 const SHORT_PART: u64 = u32::MAX as u64;
-/// Id of the materials; colours and objects follow.
+/// Id of the materials. The ids of colours and objects come after it.
 const MATERIALS: usize = 1;
 
 const CONTENT_TYPES: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
@@ -103,7 +103,7 @@ fn model(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     text.flush(0)
 }
 
-/// Returns the provenance of the surfaces: names that the specification has, and others in a namespace of their own.
+/// Returns the provenance of the surfaces. Names that the specification does not define are in a namespace of their own.
 fn metadata(meshes: &[Mesh]) -> String {
     let Some(first) = meshes.first() else {
         return String::new();
@@ -130,7 +130,7 @@ fn metadata(meshes: &[Mesh]) -> String {
     pairs.iter().map(line).collect()
 }
 
-/// A material for each mesh.
+/// Returns a material for each mesh.
 fn materials(meshes: &[Mesh]) -> String {
     let material = |mesh: &Mesh| {
         let [red, green, blue] = mesh.material.color.unwrap_or([255; 3]);
@@ -152,7 +152,7 @@ struct Colors {
     id: usize,
     /// The resource.
     group: String,
-    /// Which of them each vertex has.
+    /// Index of the colour that each vertex has.
     of_vertices: Vec<u32>,
 }
 
@@ -215,7 +215,7 @@ fn object<W: Write>(
     Ok(())
 }
 
-/// Text on its way to a part.
+/// Text that is collected before it is written to a part.
 struct Text<'a, W> {
     text: Vec<u8>,
     out: &'a mut W,
@@ -231,7 +231,7 @@ impl<'a, W: Write> Text<'a, W> {
         self.text.extend_from_slice(text.as_bytes());
     }
 
-    /// Writes text that has become longer than this.
+    /// Writes the text if it is longer than `limit`.
     fn flush(&mut self, limit: usize) -> Result<(), ExportError> {
         flush(&mut self.text, self.out, limit)
     }

@@ -95,7 +95,7 @@ fn split_once(mesh: &mut Mesh) -> Topology {
     topology
 }
 
-/// A triangle as its corner sees it; `None` if two of its corners are one.
+/// Returns a triangle as seen from one of its corners; `None` if two of its corners are equal.
 fn wedge(mesh: &Mesh, triangle: u32, vertex: u32) -> Option<Wedge> {
     let corners = mesh.triangles[triangle as usize];
     let at = corners.iter().position(|&corner| corner == vertex)?;
@@ -108,7 +108,7 @@ fn wedge(mesh: &Mesh, triangle: u32, vertex: u32) -> Option<Wedge> {
     })
 }
 
-/// Whether the triangles at a vertex are one fan, and if so, whether it is closed. Most are.
+/// Returns whether a single fan of the triangles at a vertex is closed; `None` if they are not a single fan. Most vertices have one fan.
 fn single_fan(wedges: &[Wedge]) -> Option<bool> {
     let Some(first) = wedges.first() else {
         return Some(true);
@@ -118,7 +118,7 @@ fn single_fan(wedges: &[Wedge]) -> Option<bool> {
         let mut onward = wedges.iter().filter(|wedge| wedge.next == at);
         at = match (onward.next(), onward.next()) {
             (Some(wedge), None) => wedge.previous,
-            // The border, or several sheets.
+            // A border, or several sheets.
             (None, _) => break,
             (Some(_), Some(_)) => return None,
         };
@@ -145,7 +145,7 @@ fn single_fan(wedges: &[Wedge]) -> Option<bool> {
     }
 }
 
-/// The number of the fan of each triangle at a vertex. Clears `is_closed` if an edge has triangles without partners.
+/// Returns the number of the fan that each triangle at a vertex belongs to. Clears `is_closed` if an edge has triangles without partners.
 fn fans(mesh: &Mesh, vertex: u32, wedges: &[Wedge], is_closed: &mut bool) -> Vec<usize> {
     let mut fan: Vec<usize> = (0..wedges.len()).collect();
     let mut join = |a: usize, b: usize| {
@@ -178,9 +178,9 @@ fn fans(mesh: &Mesh, vertex: u32, wedges: &[Wedge], is_closed: &mut bool) -> Vec
     fan
 }
 
-/// Pairs the triangles at an edge with more than two of them: partners bound the same solid. Seen along the edge, the outside is
-/// counter-clockwise of a triangle that has the edge in this direction, and the solid of one that has it in the other. `None` if the
-/// directions do not alternate around the edge.
+/// Pairs the triangles at an edge that has more than two. Partners bound the same solid. Seen along the edge, a triangle that has the edge
+/// in this direction has the outside on its counter-clockwise side; a triangle that has it in the other direction has the solid there.
+/// `None` if the directions do not alternate around the edge.
 fn partners(
     mesh: &Mesh,
     [from, to]: [u32; 2],
@@ -211,7 +211,7 @@ fn partners(
     pairs.collect()
 }
 
-/// Gives each fan of a vertex but the first one a vertex of its own. Returns how many were added.
+/// Gives each fan of a vertex except the first a new vertex. Returns the number of new vertices.
 fn split(mesh: &mut Mesh, vertex: u32, wedges: &[Wedge], fans: &[usize]) -> u64 {
     let mut others: Vec<usize> = fans.to_vec();
     others.sort_unstable();
@@ -229,7 +229,7 @@ fn split(mesh: &mut Mesh, vertex: u32, wedges: &[Wedge], fans: &[usize]) -> u64 
     others.len().saturating_sub(1) as u64
 }
 
-/// The volume that a closed mesh encloses, in cubes of its unit; below 0 if its triangles are seen from inside.
+/// Returns the volume that a closed mesh encloses, in cubes of its unit; below 0 if its triangles face inwards.
 pub(super) fn volume(mesh: &Mesh) -> f64 {
     let of = |corners: &[u32; 3]| {
         let [a, b, c] = corners.map(|i| DVec3::from(mesh.positions[i as usize].map(f64::from)));

@@ -1,4 +1,4 @@
-//! From the lattice of a surface's vertices to the world.
+//! Transforms a surface's vertices from the lattice to the world.
 
 use isopeel_kernels::Vertex;
 
@@ -7,13 +7,13 @@ use crate::math::{DVec3, UnevenAxes};
 use crate::view::quality::MesherName;
 use crate::volumes::Geometry;
 
-/// From lattice to world.
+/// Transformation from the lattice to the world.
 pub(super) struct Transform<'a> {
     uneven: Option<(&'a UnevenAxes, MesherName)>,
-    /// Lengths of the cells for which the kernels compute normals if axes are uneven: the largest ones.
+    /// For uneven axes: cell lengths for which the kernels compute normals. They are those of the largest cells.
     largest: DVec3,
-    /// World position of the middle of the grid, to which positions are relative: they are then small numbers, which
-    /// 32 bits hold, however far the volume is from the world's origin.
+    /// World position of the middle of the grid, to which positions are relative. So they are small numbers, which 32 bits hold, however
+    /// far the volume is from the world's origin.
     pub origin: DVec3,
     /// The middle of the grid on the lattice.
     middle: DVec3,
@@ -27,7 +27,7 @@ pub(super) struct Transform<'a> {
 }
 
 impl<'a> Transform<'a> {
-    /// `uneven`: the axes whose samples are not evenly spaced as in `geometry`, and the mesher that made the surface.
+    /// `uneven`: the axes whose samples, unlike those in `geometry`, are not evenly spaced, and the mesher that made the surface.
     pub fn new(geometry: &Geometry, uneven: Option<(&'a UnevenAxes, MesherName)>) -> Self {
         let [x, y, z] = geometry.direction.map(DVec3::from);
         let cofactors = [y.cross(z), z.cross(x), x.cross(y)];
@@ -68,12 +68,12 @@ impl<'a> Transform<'a> {
         }
     }
 
-    /// The normal in the world of a vertex at that position.
+    /// Returns the normal in the world of a vertex at this position.
     pub fn normal(&self, lattice: [i64; 3], normal: [f32; 3]) -> [f32; 3] {
         let normal = normal.map(f64::from);
         let normal = match self.uneven {
             None => normal,
-            // The same difference of values is a larger gradient over a shorter distance.
+            // Over a shorter distance, the same difference of values is a larger gradient.
             Some((uneven, mesher)) => {
                 let steps = gradient_steps(uneven, mesher, index_of(lattice));
                 (DVec3::from(normal) * self.largest / steps).to_array()
@@ -94,7 +94,7 @@ fn gradient_steps(uneven: &UnevenAxes, mesher: MesherName, index: DVec3) -> DVec
     }
 }
 
-/// Index space of a position on the lattice.
+/// Converts a position on the lattice to index space.
 fn index_of(lattice: [i64; 3]) -> DVec3 {
     DVec3::from(lattice.map(|p| p as f64)) / f64::from(Vertex::LATTICE)
 }

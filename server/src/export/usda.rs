@@ -11,7 +11,7 @@ use super::mesh::{free_names, linear, plain};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
 use crate::volumes::LengthUnit;
 
-/// The scope of materials.
+/// Name of the scope that contains the materials.
 const MATERIALS: &str = "Materials";
 /// Digits behind the point of components of normals and colours.
 const SHARE_DIGITS: usize = 5;
@@ -32,7 +32,7 @@ const TAKEN: [&str; 11] = [
     "uv",
 ];
 
-/// Writes `meshes` that have triangles as a stage, in the unit of the first of all.
+/// Writes `meshes` that have triangles as a stage, in the unit of the first mesh.
 ///
 /// # Errors
 /// Those of `out`.
@@ -52,12 +52,12 @@ pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     flush(&mut text, out, 0)
 }
 
-/// Metres of a mesh's unit. Without a unit one is one metre, as in a GLB.
+/// Returns the metres of a mesh's unit. Without a unit, one unit is one metre, as in a GLB.
 fn metres(mesh: &Mesh) -> f64 {
     mesh.unit.and_then(LengthUnit::metres).unwrap_or(1.0)
 }
 
-/// Returns the beginning, up to the meshes. The matrix is of rows: (x, y, z) becomes (x, z, −y).
+/// Returns the beginning of the text, up to the meshes. The matrix is given by rows: (x, y, z) becomes (x, z, −y).
 fn head(metres: f64) -> String {
     let version = env!("CARGO_PKG_VERSION");
     format!(
@@ -68,12 +68,12 @@ fn head(metres: f64) -> String {
     )
 }
 
-/// Names of the meshes' prims: their own, as identifiers.
+/// Returns the names of the meshes' prims: the meshes' own names, as identifiers.
 fn identifiers(meshes: &[&Mesh]) -> Vec<String> {
     free_names(meshes.iter().map(|mesh| identifier(&mesh.name)), &[MATERIALS])
 }
 
-/// A name as an identifier, which begins with a letter or `_`.
+/// Converts a name to an identifier, which begins with a letter or `_`.
 fn identifier(name: &str) -> String {
     let name = plain(name);
     match name.starts_with(|c: char| c.is_ascii_alphabetic()) {
@@ -93,7 +93,7 @@ fn quoted(string: &str) -> String {
     format!("\"{}\"", string.chars().map(escaped).collect::<String>())
 }
 
-/// Writes a mesh. `scale`: units of the stage in one of the mesh's.
+/// Writes a mesh. `scale`: how many units of the stage one unit of the mesh is.
 fn surface(mesh: &Mesh, name: &str, scale: f64, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
     let decimals = Decimals::of_spacing(mesh.smallest_spacing);
     let [low, high] = [f32::min, f32::max].map(|choose| {
@@ -189,7 +189,7 @@ fn tuples(rows: &[[f32; 3]], decimals: Decimals, text: &mut Vec<u8>, out: &mut i
     Ok(())
 }
 
-/// Colours of the vertices, or that of the surface; linear, as USD defines them.
+/// Writes the colours of the vertices, or that of the surface; linear, as USD defines them.
 fn colors(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
     let decimals = Decimals::new(SHARE_DIGITS);
     let of_vertices: Vec<[f32; 3]> = (mesh.colors.iter())
@@ -212,7 +212,7 @@ fn colors(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), E
     Ok(())
 }
 
-/// The colour of the whole surface, linear.
+/// Returns the colour of the whole surface, linear.
 fn color(mesh: &Mesh) -> [f32; 3] {
     mesh.material
         .color
@@ -220,7 +220,7 @@ fn color(mesh: &Mesh) -> [f32; 3] {
         .map(|byte| linear(f32::from(byte) / 255.0))
 }
 
-/// Values of fields at the vertices; a missing one is NaN.
+/// Writes the values of fields at the vertices. A missing value is NaN.
 fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), ExportError> {
     let names = free_names(mesh.fields.iter().map(|field| identifier(&field.name)), &TAKEN);
     for (field, name) in mesh.fields.iter().zip(names) {
@@ -253,7 +253,7 @@ fn fields(mesh: &Mesh, text: &mut Vec<u8>, out: &mut impl Write) -> Result<(), E
     Ok(())
 }
 
-/// The material of a mesh. With colours of vertices it reads those.
+/// Returns the material of a mesh. If the vertices have colours, the material reads those.
 fn material(mesh: &Mesh, name: &str) -> String {
     let path = format!("/Surfaces/{MATERIALS}/{name}");
     let ([red, green, blue], opacity) = (color(mesh), mesh.material.opacity);

@@ -1,7 +1,7 @@
 //! USDZ (<https://openusd.org/release/spec_usdz.html>): a layer of Universal Scene Description in a ZIP, stored at a multiple of 64 bytes.
 //!
-//! The ZIP is written by hand: readers of USDZ go from one local header to the next, so sizes and checksum stand before the content, where
-//! no library writes them unless the output can seek.
+//! The ZIP is written by hand. Readers of USDZ go from one local header to the next, so the size and checksum must stand before the
+//! content. No library writes them there unless the output can seek.
 
 use std::io::{self, Write};
 
@@ -16,17 +16,17 @@ const ALIGNMENT: usize = 64;
 const HEADER_BYTES: usize = 30;
 /// Extra field that moves the content, with the id that OpenUSD's writer uses.
 const PADDING_ID: u16 = 0x1986;
-/// Bytes of its id and its length.
+/// Bytes of that field's id and length.
 const PADDING_HEAD: usize = 4;
-/// Bytes of that field.
+/// Bytes of the extra field.
 const PADDING: usize = ALIGNMENT - HEADER_BYTES - LAYER.len();
 const _: () = assert!(PADDING >= PADDING_HEAD);
 /// Version of ZIP that a reader needs.
 const VERSION: u16 = 10;
-/// The first day that a ZIP can name: equal requests have equal files.
+/// The first day that a ZIP can state. It is fixed, so that equal requests have equal files.
 const DATE: u16 = 1 << 5 | 1;
 
-/// Writes `meshes` as a stage. Its text is made twice: its length and checksum come first.
+/// Writes `meshes` as a stage. The text is generated twice, because its length and checksum come first.
 ///
 /// # Errors
 /// More than 4 GiB, or the errors of `out`.
@@ -48,7 +48,7 @@ pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
     Ok(())
 }
 
-/// Counts and checks bytes, and drops them.
+/// Counts bytes, computes their checksum, and discards them.
 #[derive(Default)]
 struct Measure {
     bytes: u64,
@@ -67,15 +67,15 @@ impl Write for Measure {
     }
 }
 
-/// Returns what the local header and the directory both say of the layer: from the version to the length of the name.
+/// Returns what the local header and the directory both state about the layer: from the version to the length of the name.
 fn about(crc: u32, bytes: u32) -> Vec<u8> {
-    // Neither flags nor a method: it is stored.
+    // No flags, and no method: the content is stored.
     let shorts = [VERSION, 0, 0, 0, DATE].map(u16::to_le_bytes).concat();
     let words = [crc, bytes, bytes].map(u32::to_le_bytes).concat();
     [shorts, words, (LAYER.len() as u16).to_le_bytes().to_vec()].concat()
 }
 
-/// Bytes of the directory's entry without the name, and of its end.
+/// Bytes of the directory's entry without the name, and bytes of the end of the directory.
 const ENTRY_BYTES: usize = 46;
 const END_BYTES: usize = 22;
 
@@ -88,13 +88,13 @@ fn directory(about: &[u8], text: u64) -> Vec<u8> {
     let mut entry = b"PK\x01\x02".to_vec();
     entry.extend(VERSION.to_le_bytes());
     entry.extend(about);
-    // No extra field, comment, disk, attributes, and the local header is at 0.
+    // No extra field, comment, disk or attributes; the local header is at 0.
     entry.extend([0; 16]);
     entry.extend(LAYER.bytes());
     let mut directory = entry.clone();
     directory.extend(b"PK\x05\x06");
     directory.extend([0, 0, 1, 1].map(u16::to_le_bytes).concat());
-    // Both fit, for the size of the file does.
+    // Both fit, because the size of the file does.
     let place = [entry.len() as u32, ALIGNMENT as u32 + text as u32];
     directory.extend(place.map(u32::to_le_bytes).concat());
     directory.extend([0; 2]);

@@ -13,9 +13,9 @@ use crate::volumes::LengthUnit;
 
 /// Bytes of the length before each array.
 const LENGTH_BYTES: u64 = 8;
-/// Bytes of a block that is compressed by itself.
+/// Bytes of a block of an array; blocks are compressed one by one.
 const BLOCK_BYTES: usize = 1 << 20;
-/// Fast: a slower one takes three times as long for a tenth of the bytes.
+/// The fast level. A slower one takes three times as long to save a tenth of the bytes.
 const LEVEL: Compression = Compression::fast();
 
 /// Writes `mesh`: a point has `normal`, `smoothness` and `feature` (0 to 1), a triangle the `level` of its leaf. `frame` and `unit` of the
@@ -81,7 +81,7 @@ pub fn write(mesh: &Mesh, compresses: bool, out: &mut impl Write) -> Result<(), 
     Ok(())
 }
 
-/// The element that has an array.
+/// The XML element that contains an array.
 #[derive(Clone, Copy)]
 enum Section {
     PointData,
@@ -106,7 +106,7 @@ enum Content {
     Normals,
     Smoothness,
     Feature,
-    /// Of the field of this number.
+    /// Values of the field of this number.
     Field(usize),
     Colors,
     Levels,
@@ -115,13 +115,13 @@ enum Content {
     Ends,
 }
 
-/// All arrays in their order.
+/// All arrays, in their order in the file.
 struct Arrays(Vec<Array>);
 
 impl Arrays {
     fn new(mesh: &Mesh) -> Result<Self, ExportError> {
         let (points, triangles) = (mesh.positions.len() as u64, mesh.triangles.len() as u64);
-        // Ends of triangles count corners, in numbers with a sign.
+        // The ends of triangles count corners, as signed 32-bit numbers.
         if 3 * triangles > i32::MAX as u64 {
             return Err(ExportError::TooLarge {
                 what: "corners of triangles",
@@ -185,7 +185,8 @@ impl Content {
     }
 }
 
-/// An array as blocks of zlib: number of blocks, bytes of a block, bytes of the last one, bytes of each as it is compressed, the blocks.
+/// Returns an array as blocks of zlib: number of blocks, bytes of a block, bytes of the last block, compressed bytes of each block, and the
+/// blocks.
 fn compressed(mesh: &Mesh, array: &Array) -> Result<Vec<u8>, ExportError> {
     let mut bytes = Vec::with_capacity(array.bytes as usize);
     array.content.write(mesh, &mut bytes)?;
@@ -195,7 +196,7 @@ fn compressed(mesh: &Mesh, array: &Array) -> Result<Vec<u8>, ExportError> {
         encoder.finish()
     });
     let blocks: Vec<Vec<u8>> = deflated.collect::<io::Result<_>>()?;
-    // 0: the last block is as long as the others.
+    // 0 means that the last block is as long as the others.
     let last = bytes.len() % BLOCK_BYTES;
     let header = [blocks.len(), BLOCK_BYTES, last]
         .into_iter()
@@ -204,7 +205,7 @@ fn compressed(mesh: &Mesh, array: &Array) -> Result<Vec<u8>, ExportError> {
     Ok([header, blocks.concat()].concat())
 }
 
-/// Strings of the data set.
+/// Returns the strings of the data set.
 fn field_data(mesh: &Mesh) -> String {
     let unit = mesh.unit.map(LengthUnit::symbol);
     let notice = (!mesh.notices.is_empty()).then(|| mesh.notices.join("\n"));
@@ -215,7 +216,7 @@ fn field_data(mesh: &Mesh) -> String {
     ]
     .concat();
     if mesh.frame.is_anatomical() {
-        // As 3D Slicer reads it.
+        // In the form that 3D Slicer reads.
         field_data += &text("SPACE", mesh.frame.name());
     }
     for (field, name) in mesh.fields.iter().zip(names(mesh)) {
@@ -235,7 +236,7 @@ fn names(mesh: &Mesh) -> Vec<String> {
     attribute_names(mesh, "", &["normal", "smoothness", "feature", "color"])
 }
 
-/// A string of the data set: the numbers of its bytes, ended by a 0.
+/// Returns a string of the data set: the numbers of its bytes, ended by a 0.
 fn text(name: &str, value: &str) -> String {
     let numbers: Vec<String> = value.bytes().chain([0]).map(|byte| byte.to_string()).collect();
     format!(
@@ -244,7 +245,7 @@ fn text(name: &str, value: &str) -> String {
     )
 }
 
-/// Writes rows that are made one after the other.
+/// Writes rows that are made one by one.
 fn rows<T: bytemuck::NoUninit>(out: &mut impl Write, numbers: impl Iterator<Item = T>) -> Result<(), ExportError> {
     let mut rows = Vec::with_capacity(2 * PIECE_BYTES);
     for row in numbers {

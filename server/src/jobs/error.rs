@@ -19,17 +19,17 @@ pub enum JobError {
     /// An extraction asks for a time step that the volume does not have.
     #[error("extraction {extraction}: {source}")]
     Step {
-        /// Which, from 0.
+        /// Number of the extraction, from 0.
         extraction: usize,
-        /// What was asked for.
+        /// The unknown step.
         source: UnknownStep,
     },
     /// A value of an extraction is out of its range.
     #[error("extraction {extraction}: {source}")]
     Edit {
-        /// Which, from 0.
+        /// Number of the extraction, from 0.
         extraction: usize,
-        /// Which value.
+        /// The invalid value.
         source: EditError,
     },
     /// Too many extractions, or none.
@@ -48,31 +48,31 @@ pub enum JobError {
         /// The job that it made.
         job: String,
     },
-    /// Too many jobs that are not finished, or in all.
+    /// The owner has too many unfinished jobs, or too many jobs in all.
     #[error("there are {found} {which}, the limit is {limit}: {advice}")]
     TooMany {
-        /// How many there are.
+        /// Number of jobs.
         found: u64,
-        /// Of which kind.
+        /// Kind of jobs that the limit is for.
         which: &'static str,
-        /// How many there may be.
+        /// Maximum number of such jobs.
         limit: u64,
         /// Advice to the user.
         advice: &'static str,
     },
-    /// Its results may exceed the rest of the quota.
+    /// The job's results may exceed what is left of the quota.
     #[error(
         "the results may take up to {estimated} bytes, {left} of the quota of {quota} are left: ask for a budget (`triangles`) or for fewer extractions, or delete jobs"
     )]
     OverQuota {
-        /// Bytes of the estimate.
+        /// Estimated bytes of the results.
         estimated: u64,
-        /// Bytes that are left.
+        /// Bytes that are left of the quota.
         left: u64,
-        /// Bytes in all.
+        /// Bytes of the whole quota.
         quota: u64,
     },
-    /// Its files cannot be pinned.
+    /// The identity of the job's input files cannot be determined.
     #[error(transparent)]
     Input(#[from] IdentityError),
     /// Other jobs are being estimated.
@@ -97,9 +97,9 @@ pub enum JobError {
     NoResult {
         /// The job.
         job: String,
-        /// Which, from 0.
+        /// Number of the extraction, from 0.
         extraction: u32,
-        /// Why not.
+        /// Why there is no result.
         why: String,
     },
     /// The result's file cannot be read.
@@ -117,14 +117,14 @@ pub enum StoreError {
     /// SQLite failed.
     #[error("the job store failed")]
     Sqlite(#[from] rusqlite::Error),
-    /// A newer program has written it.
+    /// A newer program has written the store.
     #[error(
         "the job store has version {found}, this program knows those up to {known}: start a newer one, or name another state folder"
     )]
     Newer {
-        /// Its version.
+        /// Version of the store.
         found: i64,
-        /// The newest that is known.
+        /// Newest version that this program knows.
         known: i64,
     },
     /// A row has an invalid value.
@@ -136,7 +136,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Whether there is no space left for it.
+    /// Whether the disk of the store is full.
     pub fn is_full(&self) -> bool {
         matches!(self, Self::Sqlite(error) if error.sqlite_error_code() == Some(rusqlite::ErrorCode::DiskFull))
     }

@@ -1,4 +1,4 @@
-//! What a job costs, before it is accepted: from the full surfaces of a few of its extractions, which are counted without being made.
+//! Estimates what a job costs, before it is accepted. The full surfaces of a few of its extractions are counted without being made.
 
 use std::sync::Arc;
 
@@ -14,12 +14,12 @@ use crate::volumes::{Dataset, UnknownStep, VolumeStep};
 /// Extractions whose surfaces are counted: the first, the last and the one in the middle. Each may read a time step.
 const SAMPLES: usize = 3;
 
-/// Time that a triangle of the full surface takes, with its part of the tree, the cut and the file: a guess for two cores of a CPU, until
-/// extractions of the job say better.
+/// Time for each triangle of the full surface, with its part of the tree, the cut and the file. A guess for two cores of a CPU, used until
+/// extractions of the job have been timed.
 const SECONDS_PER_TRIANGLE: f64 = 2e-6;
 
-/// Estimates extractions of a volume. Triangles are those of full surfaces, or of budgets: how far a surface is decimated by an error or by
-/// β is not known before.
+/// Estimates extractions of a volume. Triangles are those of full surfaces, or of budgets. How far an error or β decimates a surface is not
+/// known before it is made.
 ///
 /// # Errors
 /// The volume cannot be read, or the device does not work.
@@ -65,7 +65,7 @@ pub(super) enum EstimateError {
     Work(#[from] WorkError),
 }
 
-/// Evenly spaced, the first and the last among them.
+/// Returns evenly spaced extractions of `count`, including the first and the last.
 fn samples(count: usize) -> Vec<usize> {
     let last = count.saturating_sub(1);
     let mut samples: Vec<_> = (0..SAMPLES).map(|i| last * i / (SAMPLES - 1)).collect();

@@ -24,23 +24,23 @@ pub trait Maker: Send + Sync + 'static {
     async fn check(&self, work: &Work) -> Result<(), MakeFailure>;
 }
 
-/// Why a file was not made. Variants differ in the reaction of the runner.
+/// Why a file was not made. The runner reacts differently to each variant.
 #[derive(Debug)]
 pub enum MakeFailure {
-    /// The server has too much to do, or was asked to stop.
+    /// The server is too busy, or was asked to stop.
     Later,
     /// Another attempt may succeed.
     Retry(Cause),
-    /// None will.
+    /// No attempt will succeed.
     Refused(Cause),
     /// The surface has no triangles.
     Empty(Cause),
-    /// Nothing else of the job will succeed either.
+    /// No other extraction of the job will succeed either.
     JobFailed(Cause),
 }
 
-/// For each user the job whose files were hashed last since the server started: for its other extractions only size and time are checked.
-/// One job per user is enough, because users take turns.
+/// For each user, the job whose files were hashed last since the server started. For further extractions of that job, only size and time of
+/// the files are checked. One job per user is enough, because users take turns.
 type Hashed = Arc<Mutex<HashMap<String, String>>>;
 
 /// Makes files of the volumes of a server.

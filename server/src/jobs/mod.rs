@@ -61,12 +61,12 @@ pub const MAX_REQUEST_BYTES: usize = 8 << 20;
 pub const MAX_UNFINISHED_JOBS: u64 = 100;
 /// Maximum jobs of an owner in all: what `GET jobs` lists, some 500 bytes each.
 pub const MAX_JOBS: u64 = 1_000;
-/// Attempts of an extraction. They are counted before they start, so that one which ends the process does not do so for ever.
+/// Maximum attempts of an extraction. They are counted before they start, so that one which ends the process is not retried for ever.
 pub const MAX_ATTEMPTS: u32 = 3;
-/// Jobs that are estimated at a time: each counts surfaces on the device and reads the files that it pins.
+/// Maximum jobs that are estimated at a time: each counts surfaces on the device and reads the files that it pins.
 const CONCURRENT_SUBMITS: usize = 1;
 
-/// Random bytes of a job's id: too many for the id of another user's job to be guessed.
+/// Random bytes of a job's id, so many that the id of another user's job cannot be guessed.
 const ID_BYTES: usize = 16;
 
 /// Why jobs cannot be kept.
@@ -106,7 +106,7 @@ pub struct Limits {
 pub struct Jobs(Arc<Shared>);
 
 struct Shared {
-    /// Locked as long as anything here is used.
+    /// Keeps the folder locked while anything here is in use.
     _folder: StateFolder,
     store: Store,
     results: Results,
@@ -171,7 +171,7 @@ impl Jobs {
     /// Makes submitted jobs until `stop` is cancelled, then returns within moments.
     pub async fn run(self) {
         let shared = &self.0;
-        // No attempt is spent on a device that is being opened.
+        // Waits for the device, so that no attempt is spent while it is being opened.
         tokio::select! {
             _ = shared.extractor.worker().ready() => {}
             () = shared.stop.cancelled() => return,
@@ -208,7 +208,7 @@ impl Jobs {
         let dataset = &dataset.ok_or_else(|| JobError::UnknownVolume(volume.clone()))?;
         let extractions = views(request, dataset)?;
         let _permit = shared.submits.try_acquire().map_err(|_| JobError::Busy)?;
-        // Dropped with this future, when the client leaves.
+        // Dropped with this future when the client disconnects, which cancels the work.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
         let estimated = estimate(&shared.extractor, dataset, &extractions, &token).await;
@@ -240,7 +240,7 @@ impl Jobs {
         json(&pinned.await??)
     }
 
-    /// All jobs of an owner, the latest first.
+    /// Returns all jobs of an owner, the latest first.
     ///
     /// # Errors
     /// The store's.
@@ -249,7 +249,7 @@ impl Jobs {
         Ok(jobs.into_iter().map(|job| self.shown(job)).collect())
     }
 
-    /// How many jobs of all owners are in each state.
+    /// Returns the number of jobs of all owners in each state.
     ///
     /// # Errors
     /// The store's.
@@ -283,7 +283,7 @@ impl Jobs {
     pub async fn delete(&self, owner: &str, id: &str) -> Result<(), JobError> {
         self.0.store.delete(owner, id).await?;
         let (results, job) = (self.0.results.clone(), id.to_owned());
-        // If this fails, the results are removed when the server starts.
+        // If this fails, the next start of the server removes the results.
         let _ = aside(move || results.remove_job(&job)).await;
         self.0.signals.changes.send_replace(());
         Ok(())
@@ -297,8 +297,8 @@ impl Jobs {
         self.0.store.events(owner, id, after).await
     }
 
-    /// Returns an event if the job has been paused or resumed since its client was last told (`told`). `None` if nothing has changed, or
-    /// the job is finished.
+    /// Returns an event if the job has been paused or resumed since its client was last told. `told` is the reason of the pause that the
+    /// client knows. `None` if nothing has changed, or the job is finished.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -317,7 +317,7 @@ impl Jobs {
         }))
     }
 
-    /// Changes whenever something has happened to some job.
+    /// Returns a receiver that is notified whenever something has happened to a job.
     pub fn changes(&self) -> watch::Receiver<()> {
         self.0.signals.changes.subscribe()
     }
@@ -327,7 +327,7 @@ impl Jobs {
         self.0.stop.cancelled().await;
     }
 
-    /// All extractions of a job, in their order.
+    /// Returns all extractions of a job, in their order.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -335,7 +335,7 @@ impl Jobs {
         self.0.store.manifest(owner, id).await
     }
 
-    /// A result.
+    /// Returns the result of an extraction.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`], [`JobError::NoResult`].
@@ -343,7 +343,7 @@ impl Jobs {
         self.0.store.result(owner, id, extraction).await
     }
 
-    /// Bytes of a result that [`Jobs::result`] has found.
+    /// Reads bytes of a result that [`Jobs::result`] has found.
     ///
     /// # Errors
     /// [`JobError::Result`].
@@ -388,7 +388,7 @@ fn request_key(owner: &str, key: Option<String>, request: &JobRequest) -> Result
     })
 }
 
-/// Each extraction with the view of its first surface, all of them valid.
+/// Returns each extraction with the view of its first surface. All of them have been checked.
 fn views(request: JobRequest, dataset: &Arc<Dataset>) -> Result<Vec<(FileRequest, View)>, JobError> {
     let count = request.extractions.len();
     if !(1..=MAX_EXTRACTIONS).contains(&count) {
@@ -411,7 +411,7 @@ fn json(value: &impl serde::Serialize) -> Result<String, JobError> {
 fn new_id() -> String {
     let mut bytes = [0; ID_BYTES];
     if let Err(error) = getrandom::fill(&mut bytes) {
-        // Then the time: ids differ still.
+        // Uses the time instead, so that ids still differ.
         tracing::warn!(%error, "no random numbers for the id of a job");
         bytes = std::time::SystemTime::now()
             .duration_since(std::time::UNIX_EPOCH)

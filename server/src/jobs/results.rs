@@ -1,4 +1,4 @@
-//! The files of finished extractions, in an object store whose writes are on the disk when they end.
+//! The files of finished extractions, in an object store. When a write returns, its file is on the disk.
 
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -25,7 +25,7 @@ const PART_BYTES: usize = 4 << 20;
 /// SHA-256 of a result.
 pub type Checksum = [u8; 32];
 
-/// A file that is written as one result.
+/// A file that can be written as a result.
 pub trait ResultFile: Send + 'static {
     /// Writes it.
     ///
@@ -55,13 +55,13 @@ pub enum WriteError {
     /// The disk is full, or the quota of its user.
     #[error("the disk of the state folder is full")]
     Full(#[source] object_store::Error),
-    /// It cannot be written.
+    /// The result cannot be written.
     #[error("the result cannot be written")]
     Storage(#[source] object_store::Error),
-    /// The owner's results would take more than they may.
+    /// The owner's results would exceed their quota.
     #[error("the result takes more than the {left} bytes that are left of the quota")]
     OverQuota {
-        /// Bytes that were left.
+        /// Bytes that were left of the quota.
         left: u64,
     },
     /// The surface does not fit its format.
@@ -77,7 +77,7 @@ pub enum WriteError {
 #[error("the result cannot be read")]
 pub struct ReadResultError(#[from] object_store::Error);
 
-/// Bytes of a result, as they are read.
+/// Bytes of a result, as a stream.
 pub type ResultBytes = BoxStream<'static, object_store::Result<Bytes>>;
 
 /// The results of all jobs. Clones are cheap.
@@ -144,14 +144,15 @@ impl Results {
             (None, Err(error)) => Err(WriteError::Export(error)),
         };
         if outcome.is_err() {
-            // Fails if the upload was completed in part.
+            // The error is ignored: aborting fails if the upload was already completed in part.
             let _ = out.upload.abort().await;
             self.remove_staged(job, extraction);
         }
         outcome
     }
 
-    /// Removes the temporary files of a failed write: on a full disk the next write needs the space. The start of a server removes others.
+    /// Removes the temporary files of a failed write, because on a full disk the next write needs the space. Those of an earlier process
+    /// are removed when a server starts.
     fn remove_staged(&self, job: &str, extraction: u32) {
         let staged = format!("{extraction}#");
         for entry in std::fs::read_dir(self.folder.join(job)).into_iter().flatten().flatten() {
@@ -161,7 +162,7 @@ impl Results {
         }
     }
 
-    /// Bytes of a result.
+    /// Reads bytes of a result.
     ///
     /// # Errors
     /// It cannot be read.

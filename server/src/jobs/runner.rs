@@ -1,5 +1,5 @@
 //! Makes the extractions of all jobs, one at a time. Users take turns; jobs of one user run in the order in which they were submitted. On
-//! the device and on processors viewers come first, as before every export.
+//! the device and on processors, viewers have priority over jobs, as they have over every export.
 //!
 //! Jobs survive the end of the process because of the order of an attempt: the attempt is counted, the file is made, the file and its name
 //! are flushed to the disk, and only then does the store record that the extraction is done. If the process ends between two of these
@@ -21,18 +21,18 @@ use super::store::work::{Outcome, Work};
 /// State that the runner shares with the requests of clients.
 #[derive(Debug, Default)]
 pub(super) struct Signals {
-    /// There may be work.
+    /// Notified when there may be work.
     pub wake: Notify,
-    /// Sent to whenever something has happened to a job.
+    /// Notified whenever something has happened to a job.
     pub changes: watch::Sender<()>,
-    /// The job of the extraction that is being made. The lock is held while the next extraction is taken from the store, so that a request
-    /// that cancels a job finds it here.
+    /// The job whose extraction is being made. The lock is held while the next extraction is taken from the store, so that a request that
+    /// cancels its job finds it here.
     current: tokio::sync::Mutex<Option<(String, CancellationToken)>>,
     paused: Mutex<Option<&'static str>>,
 }
 
 impl Signals {
-    /// Cancels the extraction that is being made, if it is one of this job.
+    /// Cancels the extraction that is being made, if it belongs to this job.
     pub(super) async fn cancel(&self, job: &str) {
         match &*self.current.lock().await {
             Some((current, token)) if current == job => token.cancel(),
@@ -56,9 +56,9 @@ impl Signals {
 /// Back-off between attempts to write when the disk is full or fails: each wait is twice the one before.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Backoff {
-    /// The first.
+    /// First wait.
     pub first: Duration,
-    /// The longest.
+    /// Longest wait.
     pub longest: Duration,
 }
 
@@ -82,7 +82,7 @@ pub(super) struct Runner<M> {
     pub backoff: Backoff,
 }
 
-/// Why nothing can be written.
+/// Why the runner has to wait before it continues.
 enum Fault {
     Full(String),
     Other(String),
@@ -120,7 +120,7 @@ impl<M: Maker> Runner<M> {
     /// Makes one extraction; returns false if none is waiting.
     async fn turn(&self) -> Result<bool, Fault> {
         let Some((work, token)) = self.take().await? else {
-            // The paused job was cancelled.
+            // No extraction is waiting, so the paused job was cancelled.
             self.signals.set_paused(None);
             return Ok(false);
         };
@@ -166,11 +166,11 @@ impl<M: Maker> Runner<M> {
             .await
         {
             Ok(written) => written,
-            // The folder may be gone with its job.
+            // The error is ignored: a cancelled job may have been deleted together with its folder.
             Err(_) if token.is_cancelled() => return (Outcome::GivenBack, None),
             Err(error) => return of_write_error(&error),
         };
-        // An input file may have changed while it was read.
+        // Checks the input again, because a file may have changed while it was read.
         if let Err(failure) = self.maker.check(work).await {
             self.results.remove((&work.job, work.extraction)).await;
             return of_failure(failure, token);
@@ -185,7 +185,7 @@ impl<M: Maker> Runner<M> {
         (outcome, None)
     }
 
-    /// Stores the outcome of an attempt, and retries for as long as the disk fails: the attempt was made. `None` if the server stops first.
+    /// Stores the outcome of an attempt. Retries while the disk fails, so that the attempt is not lost. `None` if the server stops first.
     async fn note(&self, work: &Work, outcome: Outcome) -> Option<bool> {
         let mut wait = self.backoff.first;
         loop {

@@ -38,7 +38,7 @@ impl JobState {
     /// All of them.
     pub(super) const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Done, Self::Failed, Self::Cancelled];
 
-    /// Its name, in JSON and in the store.
+    /// Returns the name, in JSON and in the store.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Queued => "queued",
@@ -49,7 +49,7 @@ impl JobState {
         }
     }
 
-    /// Whether nothing of it is to be done any more.
+    /// Whether the job has ended: it is done, failed or cancelled.
     pub const fn is_finished(self) -> bool {
         !matches!(self, Self::Queued | Self::Running)
     }
@@ -83,7 +83,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// How many are not to be made any more.
+    /// Returns the number of extractions that will not be attempted again.
     pub const fn ended(&self) -> u64 {
         self.done + self.failed + self.empty
     }
@@ -204,7 +204,7 @@ pub struct ManifestEntry {
 }
 
 impl ManifestEntry {
-    /// An extraction that is not made yet.
+    /// Returns an extraction that was not made yet.
     pub const fn waiting(extraction: u32) -> Self {
         Self {
             extraction,
@@ -221,7 +221,7 @@ impl ManifestEntry {
     }
 }
 
-/// The name of the file of an extraction: sorted by name the files are in the order of their extractions.
+/// Returns the name of the file of an extraction. Files that are sorted by name are in the order of their extractions.
 pub fn file_name(extraction: u32, extension: &str) -> String {
     format!("{extraction:05}.{extension}")
 }
@@ -245,7 +245,7 @@ pub struct JobEvent {
 }
 
 impl JobEvent {
-    /// Its name: `paused`, or that of the job's state.
+    /// Returns the name of the event: `paused`, or that of the job's state.
     pub fn name(&self) -> &'static str {
         match self.paused {
             Some(_) => "paused",

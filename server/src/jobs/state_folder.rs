@@ -1,4 +1,4 @@
-//! The folder that batch jobs and tokens are kept in: on a disk of this machine, and of one server at a time.
+//! The folder that stores batch jobs and tokens. It is on a disk of this machine, and one server uses it at a time.
 
 use std::fs::{File, TryLockError};
 use std::io;
@@ -48,7 +48,7 @@ pub enum StateFolderError {
 }
 
 impl StateFolder {
-    /// Opens and locks a folder, made for this user alone if there is none.
+    /// Opens and locks a folder. Creates it for this user alone if it does not exist.
     ///
     /// # Errors
     /// [`StateFolderError`].
@@ -65,7 +65,8 @@ impl StateFolder {
         }
     }
 
-    /// Returns the path of a folder, made for this user alone if there is none, for commands that change it while a server uses it.
+    /// Returns the path of a folder without locking it, for commands that change it while a server uses it. Creates it for this user alone
+    /// if it does not exist.
     ///
     /// # Errors
     /// [`StateFolderError`].
@@ -107,8 +108,8 @@ fn file_system(_: &Path) -> io::Result<Option<i64>> {
     Ok(None)
 }
 
-/// The name of a file system that several machines share or that a program of a user implements, by its magic number: statfs(2) and
-/// the kernel's `linux/magic.h`.
+/// Returns the name of a file system that several machines share, or that a user's program implements; `None` for others. The magic numbers
+/// are those of statfs(2) and the kernel's `linux/magic.h`.
 fn network_file_system(magic: i64) -> Option<&'static str> {
     Some(match magic {
         0x6969 => "NFS",

@@ -4,14 +4,14 @@ use std::io::{self, Write};
 
 use axum::http::{HeaderMap, header};
 
-/// The fastest levels: the file is compressed while a client waits for it, and higher levels hardly make its numbers smaller.
+/// The fastest levels, because a client waits while the file is compressed. Higher levels hardly make its numbers smaller.
 const ZSTD_LEVEL: i32 = 1;
 const GZIP_LEVEL: flate2::Compression = flate2::Compression::fast();
 
 /// How a body is encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ContentEncoding {
-    /// As it is.
+    /// Not encoded.
     Identity,
     /// RFC 8878.
     Zstd,
@@ -20,10 +20,10 @@ pub(super) enum ContentEncoding {
 }
 
 impl ContentEncoding {
-    /// In the order in which they are preferred.
+    /// All encodings, the preferred one first.
     pub(super) const ALL: [Self; 3] = [Self::Zstd, Self::Gzip, Self::Identity];
 
-    /// Its name in headers.
+    /// Returns the name in headers.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Identity => "identity",
@@ -32,7 +32,7 @@ impl ContentEncoding {
         }
     }
 
-    /// The entity tag of a body with this hash of its content, as it is sent.
+    /// Returns the entity tag of a body in this encoding. `hash` is that of its content before encoding.
     pub(super) fn tag(self, hash: &str) -> String {
         match self {
             Self::Identity => format!("\"{hash}\""),
@@ -40,19 +40,19 @@ impl ContentEncoding {
         }
     }
 
-    /// Whether a client says that it has the body of this hash, in any encoding, or any body.
+    /// Whether the client states that it already has the content of this hash, in any encoding. The tag `*` stands for any content.
     pub(super) fn is_known(headers: &HeaderMap, hash: &str) -> bool {
         let known = Self::ALL.map(|encoding| encoding.tag(hash));
         let shown = headers.get_all(header::IF_NONE_MATCH).iter();
         let mut tags = shown
             .filter_map(|tags| tags.to_str().ok())
             .flat_map(|tags| tags.split(','))
-            // Compared weakly, as RFC 9110 has it.
+            // The tags are compared weakly, as RFC 9110 requires.
             .map(|shown| shown.trim().trim_start_matches("W/"));
         tags.any(|shown| shown == "*" || known.iter().any(|tag| tag == shown))
     }
 
-    /// Returns the encoding that a client weighs highest in `Accept-Encoding`; without that header, none.
+    /// Returns the encoding with the highest weight in `Accept-Encoding`; without that header, `Identity`.
     pub(super) fn accepted(headers: &HeaderMap) -> Self {
         let lists = headers.get_all(header::ACCEPT_ENCODING).iter();
         let lists: Vec<&str> = lists.filter_map(|list| list.to_str().ok()).collect();
@@ -60,14 +60,14 @@ impl ContentEncoding {
         let of = |encoding: Self| {
             let named = |name: &str| weights.iter().find(|(other, _)| other.eq_ignore_ascii_case(name));
             let weight = named(encoding.name()).or_else(|| named("*")).map(|(_, weight)| *weight);
-            // An encoding that is not named is not accepted. Identity is, as the last choice.
+            // An encoding that the header does not name is not accepted. `Identity` always is, as the last choice.
             weight.unwrap_or(if encoding == Self::Identity {
                 f32::MIN_POSITIVE
             } else {
                 0.0
             })
         };
-        // `max_by` returns the last of equal ones.
+        // Reversed, because `max_by` returns the last of equal ones.
         let best = Self::ALL.into_iter().rev().max_by(|a, b| of(*a).total_cmp(&of(*b)));
         best.filter(|encoding| of(*encoding) > 0.0).unwrap_or(Self::Identity)
     }

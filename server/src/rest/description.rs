@@ -25,7 +25,7 @@ const OF_GATE: [(&str, &str); 4] = [
     ("429", "`too-many-requests`"),
 ];
 
-/// Paths that ask for no token.
+/// Paths that need no token.
 const PUBLIC: [&str; 4] = ["/healthz", "/readyz", "/api/v1/oidc", "/api/v1/embed"];
 
 /// Completes a description.
@@ -77,7 +77,8 @@ fn name_formats(operation: &mut Operation) {
     }
 }
 
-/// Gives the JSON of an answer that may be a problem the schemas of both: generated clients take one kind of content for a status.
+/// For an answer that is JSON or a problem: gives its JSON the schemas of both, because generated clients accept one content type per
+/// status.
 fn join_problems(operation: &mut Operation) {
     for response in operation.responses.responses.values_mut() {
         let RefOr::T(response) = response else { continue };

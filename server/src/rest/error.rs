@@ -34,7 +34,7 @@ impl From<WorkError> for ApiError {
         };
         let answer = Self::new(status, error.code(), error.public_message()).suggesting(error.suggested_triangles());
         match error {
-            // It is opened again every half second.
+            // The server tries to reopen the device every half second.
             WorkError::DeviceLost | WorkError::Reopening => answer.retry_after(Duration::from_secs(1)),
             WorkError::UserTime { wait, .. } => answer.retry_after(wait),
             _ => answer,
@@ -133,7 +133,7 @@ impl From<JsonRejection> for ApiError {
             StatusCode::UNSUPPORTED_MEDIA_TYPE => (status, "unsupported-media-type"),
             StatusCode::PAYLOAD_TOO_LARGE => (status, "body-too-large"),
             _ if matches!(error, JsonRejection::BytesRejection(_)) => (status, "bad-request"),
-            // No JSON, or not the expected JSON: one code, as on the WebSocket.
+            // Not JSON, or not the expected JSON: both have one code, as on the WebSocket.
             _ => (StatusCode::BAD_REQUEST, "bad-json"),
         };
         Self::new(status, code, error.body_text())

@@ -1,4 +1,4 @@
-//! Admission of exports: a few are made at a time, a few wait, and users take turns.
+//! Admission of exports. A few are made at a time, a few wait, and users take turns.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,15 +11,15 @@ use crate::problem::ApiError;
 /// Limits of a queue.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct QueueLimits {
-    /// Exports at a time.
+    /// Maximum exports that run at a time.
     pub running: usize,
-    /// Exports of one user at a time: fewer, so that those that take long leave others a place.
+    /// Maximum exports of one user that run at a time. Fewer, so that long exports of one user leave others a place.
     pub running_of_user: usize,
-    /// Exports that wait, of all users.
+    /// Maximum waiting exports of all users.
     pub waiting: usize,
-    /// Exports that wait, of one user.
+    /// Maximum waiting exports of one user.
     pub waiting_of_user: usize,
-    /// Longest wait.
+    /// Maximum wait.
     pub wait: Duration,
 }
 
@@ -35,9 +35,9 @@ struct Shared {
 
 #[derive(Debug, Default)]
 struct State {
-    /// Exports that run, by user.
+    /// Number of running exports, by user.
     running: HashMap<Arc<str>, usize>,
-    /// In the order in which they came.
+    /// Waiting exports, in the order in which they arrived.
     waiting: Vec<Waiter>,
 }
 
@@ -60,7 +60,7 @@ impl ExportQueue {
         Self(Arc::new(Shared { limits, state }))
     }
 
-    /// Exports that run.
+    /// Returns the number of running exports.
     pub(super) fn running(&self) -> usize {
         self.state().running.values().sum()
     }
@@ -75,7 +75,7 @@ impl ExportQueue {
             Entry::Admitted(permit) => return Ok(permit),
             Entry::Waits(admitted) => admitted,
         };
-        // Dropped with this future, when the client leaves: the waiter is passed over.
+        // If the client disconnects, this future is dropped with its receiver. The queue then skips the waiter.
         match tokio::time::timeout(limits.wait, admitted).await {
             Ok(Ok(permit)) => Ok(permit),
             _ => Err(ApiError::busy(format!(
@@ -90,7 +90,7 @@ impl ExportQueue {
     fn enter(&self, user: &str) -> Result<Entry, ApiError> {
         let (limits, user) = (self.0.limits, Arc::<str>::from(user));
         let mut state = self.state();
-        // Clients that have left wait no more.
+        // Removes waiters whose clients have disconnected.
         state.waiting.retain(|waiter| !waiter.admit.is_closed());
         if state.has_place(&limits) && state.may_run(&user, &limits) && state.next_place(&limits).is_none() {
             *state.running.entry(Arc::clone(&user)).or_default() += 1;
@@ -126,7 +126,7 @@ impl ExportQueue {
         };
         if let Some(Waiter { user, admit }) = next {
             let queue = self.clone();
-            // If the client has left, the permit comes back, and its drop admits another one.
+            // If the client has disconnected, `send` returns the permit in its error. Dropping it admits another export.
             let _ = admit.send(ExportPermit { queue, user });
         }
     }
@@ -154,7 +154,8 @@ impl State {
         self.running_of(user) < limits.running_of_user
     }
 
-    /// Place of the export that is admitted next: of the user with the fewest running exports, the one that has waited longest.
+    /// Returns the index of the waiter that is admitted next. Of the users with the fewest running exports, it is the one that has waited
+    /// longest.
     fn next_place(&self, limits: &QueueLimits) -> Option<usize> {
         let numbered = self.waiting.iter().enumerate();
         let admissible = numbered.filter(|(_, waiter)| self.may_run(&waiter.user, limits));
@@ -162,7 +163,7 @@ impl State {
         next.map(|(place, _)| place)
     }
 
-    /// Takes the export that is admitted next, if there is a place for it.
+    /// Removes and returns the waiter that is admitted next, if there is a place for it.
     fn next(&mut self, limits: &QueueLimits) -> Option<Waiter> {
         let place = self.next_place(limits).filter(|_| self.has_place(limits))?;
         Some(self.waiting.remove(place))

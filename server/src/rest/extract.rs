@@ -39,8 +39,7 @@ pub const STATISTICS_HEADER: HeaderName = HeaderName::from_static("isopeel-stati
 /// Maximum time for making an export: some ten times the time that the largest surfaces take.
 const EXPORT_DEADLINE: Duration = Duration::from_secs(600);
 
-/// Body of `POST extract`: volume and format, beside any of the edit's names. Names that are missing have the defaults of the command
-/// line.
+/// Body of `POST extract`: volume and format, and any of the edit's names. Missing names have the defaults of the command line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExtractRequest {
     /// Id of the volume.
@@ -137,7 +136,7 @@ pub async fn extract(
     let Json(ExtractRequest { volume, file }) = body?;
     let volume = state.volume(&who, &volume, file.step)?;
     let others = other_volumes(&state, &who, &file)?;
-    // Checked before the request waits for anything.
+    // Checked first, so that an invalid request fails before it waits.
     file.surfaces(&volume, &others)?;
     let encoding = ContentEncoding::accepted(&headers);
     let source = Source { volume, others };
@@ -151,7 +150,7 @@ struct Source {
 }
 
 impl Source {
-    /// Makes a file as soon as the queue admits it.
+    /// Makes a file once the queue admits it.
     async fn made(self, state: ApiState, who: &Identity, file: FileRequest) -> Result<Made, ApiError> {
         let others = self.others.values();
         let volumes: Vec<_> = once(self.volume.dataset()).chain(others).map(Arc::clone).collect();
@@ -160,13 +159,13 @@ impl Source {
     }
 }
 
-/// The volumes that surfaces name, which the client may see.
+/// Returns the volumes that surfaces name. The client must be allowed to see them.
 fn other_volumes(state: &ApiState, who: &Identity, file: &FileRequest) -> Result<OtherVolumes, ApiError> {
     let find = |name: &str| Ok((name.to_owned(), Arc::clone(state.volume(who, name, 0)?.dataset())));
     file.other_volumes().map(find).collect()
 }
 
-/// An export that is made, not sent yet.
+/// An export that was made and is not sent yet.
 struct Made {
     file: MadeFile,
     digest: FileDigest,
@@ -175,11 +174,11 @@ struct Made {
 }
 
 impl Made {
-    /// Makes a file as soon as the queue admits it.
+    /// Makes a file once the queue admits it.
     async fn admitted(state: ApiState, who: &Identity, source: Source, request: FileRequest) -> Result<Self, ApiError> {
         let permit = state.exports.admit(who.user()).await?;
-        // When the client disconnects, hyper drops this future. The work then ends at its next look at the token, and holds its permit until
-        // it has.
+        // When the client disconnects, hyper drops this future, which cancels the token. The work holds its permit until it checks the
+        // token and ends.
         let token = CancellationToken::new();
         let _cancel = token.clone().drop_guard();
         let extractor = state.extractor.paid_by(who.limited_user());
@@ -227,7 +226,7 @@ impl Made {
         answer.body(body).map_err(ApiError::internal)
     }
 
-    /// Answers the bytes from the first of these to the one before the last.
+    /// Answers with the bytes from position `from` up to but not including `to`.
     fn range(self, [from, to]: [u64; 2]) -> Result<Response, ApiError> {
         let range = content_range([from, to], self.digest.bytes);
         let answer = self.answer()?.status(StatusCode::PARTIAL_CONTENT);
@@ -238,7 +237,7 @@ impl Made {
         answer.body(body).map_err(ApiError::internal)
     }
 
-    /// Headers that do not depend on the part of the file that is sent.
+    /// Returns the headers that do not depend on which part of the file is sent.
     fn answer(&self) -> Result<response::Builder, ApiError> {
         let format = self.file.format();
         let name = self.file.file_name();
@@ -251,7 +250,7 @@ impl Made {
     }
 }
 
-/// JSON with everything but ASCII escaped, as headers need it.
+/// Escapes all characters of a JSON text that are not ASCII, because headers are ASCII.
 fn ascii(json: &str) -> String {
     let mut escaped = String::with_capacity(json.len());
     for c in json.chars() {

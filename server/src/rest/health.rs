@@ -10,7 +10,7 @@ use super::ApiState;
 use crate::extraction::{DeviceState, MemoryUse, Preparation, WorkError};
 use crate::problem::{ApiError, Problem};
 
-/// Time that the device has to do the smallest job. Probes are often given as much.
+/// Maximum time for the device to do the smallest job. Probes often have the same time-out.
 const ANSWER_LIMIT: Duration = Duration::from_secs(5);
 
 /// Whether the process answers.

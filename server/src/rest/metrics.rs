@@ -29,7 +29,7 @@ pub async fn show(State(state): State<ApiState>) -> Result<Response, ApiError> {
     let worker = state.extractor.worker();
     metrics::queued(worker.queued());
     metrics::exports(state.exports.running());
-    // A device that is still being opened, or could not be, holds nothing.
+    // A device that is still being opened, or that failed to open, has no memory to report.
     if let Some(used) = worker.memory_now() {
         note_memory(&used);
     }

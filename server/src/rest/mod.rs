@@ -69,8 +69,8 @@ const MAX_BODY_BYTES: usize = 64 * 1024;
 /// Maximum time between two parts of a request's body, as for its head.
 const BODY_PAUSE: Duration = Duration::from_secs(10);
 
-/// Each export holds a mesh in memory until its client has read it or timed out, with the regions it was made from some 100 MB for a million
-/// triangles. One that waits holds a connection.
+/// Limits of exports. Each running export holds a mesh in memory until its client has read it or timed out: with the regions it was made
+/// from, some 100 MB for a million triangles. A waiting export holds a connection.
 const EXPORTS: QueueLimits = QueueLimits {
     running: 4,
     running_of_user: 3,
@@ -79,7 +79,7 @@ const EXPORTS: QueueLimits = QueueLimits {
     wait: Duration::from_secs(60),
 };
 
-/// Planes of samples that are made at a time: some megabytes each. A viewer drags up to three at once.
+/// Limits of slices that are made at a time: planes of samples, some megabytes each. A viewer drags up to three at once.
 const SLICES: SeatLimits = SeatLimits {
     what: "slices that are being made",
     all: 8,
@@ -88,7 +88,8 @@ const SLICES: SeatLimits = SeatLimits {
     reserve: 1,
 };
 
-/// Overviews that are made at a time, up to 24 MiB each until they are complete. Equal requests share one. A viewer that steps through time asks for one after another.
+/// Limits of overviews that are made at a time. Each takes up to 24 MiB until it is complete, and equal requests share one. A viewer that
+/// steps through time requests one after another.
 const OVERVIEWS: SeatLimits = SeatLimits {
     what: "overviews that are being made",
     all: 6,
@@ -97,7 +98,7 @@ const OVERVIEWS: SeatLimits = SeatLimits {
     reserve: 1,
 };
 
-/// Streams of jobs' events: each holds a connection.
+/// Limits of streams of jobs' events, each of which holds a connection.
 const EVENT_STREAMS: SeatLimits = SeatLimits {
     what: "streams of events",
     all: 64,
@@ -127,7 +128,7 @@ pub struct ApiState {
 }
 
 impl ApiState {
-    /// Offers the volumes of a catalog and surfaces of them to users whom `access` authorizes.
+    /// Serves the volumes of a catalog, and surfaces of them, to users whom `access` authorizes.
     pub fn new(catalog: SharedCatalog, extractor: Extractor, access: Access) -> Self {
         Self {
             catalog,
@@ -145,13 +146,13 @@ impl ApiState {
         }
     }
 
-    /// With these batch jobs.
+    /// Adds batch jobs.
     #[must_use]
     pub fn with_jobs(self, jobs: Option<Jobs>) -> Self {
         Self { jobs, ..self }
     }
 
-    /// Exports that clients read slowly wait in this folder, not in that of temporary files.
+    /// Spools exports that clients read slowly to this folder, instead of that of temporary files.
     #[must_use]
     pub fn with_spool(self, folder: Option<SpoolFolder>) -> Self {
         Self {
@@ -160,13 +161,13 @@ impl ApiState {
         }
     }
 
-    /// Reads here whether the server is draining.
+    /// Reads from this flag whether the server is draining.
     #[must_use]
     pub fn with_draining(self, is_draining: Arc<AtomicBool>) -> Self {
         Self { is_draining, ..self }
     }
 
-    /// With these uploads.
+    /// Adds uploads.
     #[must_use]
     pub fn with_uploads(self, uploads: Option<Uploads>) -> Self {
         Self { uploads, ..self }
@@ -220,7 +221,7 @@ fn described(mut openapi: utoipa::openapi::OpenApi) -> utoipa::openapi::OpenApi 
     openapi
 }
 
-/// The description as it is sent: written once.
+/// Returns the description as it is sent. It is serialized once.
 fn described_once(description: &utoipa::openapi::OpenApi) -> Arc<Precompressed> {
     // Cannot fail: all keys of its maps are strings.
     let text = serde_json::to_vec(description).unwrap_or_default();
@@ -246,7 +247,7 @@ pub fn router(state: ApiState) -> Router {
         .with_state(state)
 }
 
-/// The metrics alone, and health, for an address of their own: without a token, and without TLS, which probes rarely speak.
+/// Returns a router for metrics and health alone, for an address of their own. It needs no token, and no TLS, which probes rarely support.
 pub fn metrics_router(state: ApiState) -> Router {
     Router::new()
         .route("/metrics", get(metrics::show))

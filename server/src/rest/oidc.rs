@@ -101,7 +101,7 @@ pub async fn callback(
     };
     let signed_in = match (code, of) {
         (Some(code), Some(of)) => state.access.end_sign_in(&headers, &of, &code).await,
-        // The issuer's own code, a word of ASCII (RFC 6749, section 4.1.2.1).
+        // The code is the issuer's own: a word of ASCII (RFC 6749, section 4.1.2.1).
         _ => Err(ApiError::new(
             StatusCode::UNAUTHORIZED,
             "unauthorized",
@@ -111,7 +111,7 @@ pub async fn callback(
     match signed_in {
         Ok((who, cookies)) => {
             let mut response = redirect(oidc.home(), cookies)?;
-            // For the audit log.
+            // The audit log reads the identity from the response.
             response.extensions_mut().insert(who);
             Ok(response)
         }

@@ -8,7 +8,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::content_encoding::ContentEncoding;
 
-/// Bodies below this size gain nothing.
+/// Minimum bytes of a body that is compressed; smaller ones gain nothing.
 const MIN_BYTES: usize = 1 << 10;
 
 /// A body in each encoding that was requested so far.
@@ -23,7 +23,7 @@ pub(super) struct Precompressed {
 }
 
 impl Precompressed {
-    /// A body with the hash of its content; images and the like are sent as they are.
+    /// Creates a body with the hash of its content. Images and the like are not compressible, and are sent as they are.
     pub(super) fn new(bytes: Bytes, hash: String, is_compressible: bool) -> Self {
         Self {
             is_compressible: is_compressible && bytes.len() >= MIN_BYTES,
@@ -34,7 +34,7 @@ impl Precompressed {
         }
     }
 
-    /// Answers a request, with the entity tag of the encoding beside `headers`: 304 if the client has it in any encoding.
+    /// Answers a request with `headers` and the entity tag of the encoding; with status 304 if the client has the body in any encoding.
     pub(super) fn respond(&self, request: &HeaderMap, mut headers: HeaderMap) -> Response {
         let encoding = match self.is_compressible {
             true => ContentEncoding::accepted(request),
@@ -62,7 +62,7 @@ impl Precompressed {
         };
         let compress = || {
             let mut out = Vec::new();
-            // Cannot fail: writes to a vector.
+            // Cannot fail, because it writes to a vector.
             let _ = encoding.write(&mut out, |body| body.write_all(&self.bytes));
             Bytes::from(out)
         };

@@ -9,14 +9,14 @@ use crate::problem::ApiError;
 /// The part of a file that a request asks for.
 pub(super) enum Asked {
     Whole,
-    /// From its first byte to the one behind its last.
+    /// The bytes from the first position up to but not including the second.
     Part([u64; 2]),
-    /// A part that begins beyond the end: the answer to it.
+    /// The part begins beyond the end of the file; contains the answer for this case.
     Beyond(Response),
 }
 
 impl Asked {
-    /// Returns the requested part of a file with this entity tag and length: all of it if `If-Range` names another tag.
+    /// Returns the requested part of a file with this entity tag and length; the whole file if `If-Range` names another tag.
     pub(super) fn of(headers: &HeaderMap, tag: &str, bytes: u64) -> Self {
         let applies = headers.get(header::IF_RANGE).is_none_or(|shown| shown == tag);
         let range = headers.get(header::RANGE).filter(|_| applies);
@@ -36,11 +36,11 @@ pub(super) fn content_range([from, to]: [u64; 2], bytes: u64) -> String {
     format!("bytes {from}-{}/{bytes}", to - 1)
 }
 
-/// Returns the part that a `Range` requests, from its first byte to the one behind its last. `None`: the whole file, which is also the
+/// Returns the part that a `Range` requests: its first byte, and the byte after its last. `None` means the whole file, which is also the
 /// answer to several ranges and to an invalid range.
 ///
 /// # Errors
-/// It begins beyond the end.
+/// The range begins beyond the end.
 fn part(range: &str, bytes: u64) -> Result<Option<[u64; 2]>, ApiError> {
     let Ok(parsed) = parse_range_header(range) else {
         return Ok(None);

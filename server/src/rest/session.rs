@@ -44,7 +44,7 @@ pub async fn begin(
     if let Some(cookie) = state.access.exchange(&request.token)? {
         response.headers_mut().insert(header::SET_COOKIE, cookie);
     }
-    // For the audit log.
+    // The audit log reads the identity from the response.
     if let Some(who) = state.access.who(&request.token) {
         response.extensions_mut().insert(who);
     }

@@ -171,7 +171,7 @@ fn info(plane: &Plane, sample_type: SampleType) -> SliceInfo<'_> {
     }
 }
 
-/// Converts to a header's value. Other characters than ASCII are escaped.
+/// Converts to JSON for a header. Characters that are not ASCII are escaped.
 pub(super) fn ascii_header(info: &impl Serialize) -> Result<HeaderValue, ApiError> {
     let json = serde_json::to_string(info).map_err(ApiError::internal)?;
     let mut ascii = String::with_capacity(json.len());

@@ -19,19 +19,19 @@ use crate::access::Identity;
 use crate::problem::{ApiError, Problem};
 use crate::uploads::{MAX_REQUEST_BYTES, UploadError, UploadInfo, UploadList, UploadRequest, Uploads};
 
-/// Headers of tus.
+/// Header of tus: the offset in the upload.
 pub const OFFSET_HEADER: HeaderName = HeaderName::from_static("upload-offset");
-/// Bytes in all.
+/// Header of tus: bytes of the whole upload.
 pub const LENGTH_HEADER: HeaderName = HeaderName::from_static("upload-length");
-/// Version of the protocol.
+/// Header of tus: version of the protocol.
 pub const TUS_HEADER: HeaderName = HeaderName::from_static("tus-resumable");
 const TUS_VERSIONS_HEADER: HeaderName = HeaderName::from_static("tus-version");
 const TUS_VERSION: &str = "1.0.0";
 /// Media type of parts.
 const PART_TYPE: &str = "application/offset+octet-stream";
 
-/// Bytes of the body of a refused part that are drained before the answer, for at most [`DRAIN`]. A connection that is closed before the
-/// body was read is reset, and a client whose connection is reset may lose the answer.
+/// Maximum bytes of a refused part's body that are drained before the answer, for at most [`DRAIN`]. If a connection is closed before the
+/// body was read, it is reset, and the client may lose the answer.
 const DRAINED_BYTES: usize = 16 << 20;
 const DRAIN: Duration = Duration::from_secs(5);
 
@@ -45,7 +45,7 @@ pub(super) fn routed() -> OpenApiRouter<ApiState> {
 }
 
 impl ApiState {
-    /// Returns the uploads, or an error if the server takes none.
+    /// Returns the uploads, or an error if the server does not accept any.
     fn uploads(&self) -> Result<&Uploads, ApiError> {
         self.uploads.as_ref().ok_or_else(|| {
             let message = "uploads are disabled on this server, expected one that was started with --uploads DIR";

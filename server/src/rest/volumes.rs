@@ -199,13 +199,13 @@ impl ApiState {
         )?)
     }
 
-    /// The device, for a user.
+    /// Returns the device's worker. Its time is charged to the user, unless they are exempt from limits.
     pub(super) fn worker_for(&self, who: &Identity) -> DeviceWorker {
         self.extractor.worker().paid_by(who.limited_user())
     }
 
-    /// Returns the answer to a failure of work on these volumes. If one of them was removed meanwhile, it is unknown; if one that cannot be read was
-    /// uploaded, its user is at fault, not the server.
+    /// Returns the answer to work on these volumes that failed. If one of them was removed meanwhile, the answer is that it is unknown. If
+    /// an uploaded one cannot be read, the fault is its user's, not the server's.
     pub(super) fn failed(&self, who: &Identity, volumes: &[Arc<Dataset>], error: impl Into<ApiError>) -> ApiError {
         let error = error.into();
         if error.code() != "unreadable-volume" {
@@ -221,7 +221,7 @@ impl ApiState {
         }
     }
 
-    /// As [`ApiState::failed`], of one volume.
+    /// As [`ApiState::failed`], for one volume.
     pub(super) fn failed_on(&self, who: &Identity, volume: &VolumeStep, error: impl Into<ApiError>) -> ApiError {
         self.failed(who, slice::from_ref(volume.dataset()), error)
     }

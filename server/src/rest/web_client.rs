@@ -26,18 +26,18 @@ const PLACEHOLDER: &str = include_str!("web_client/placeholder.html");
 /// Vite puts a hash of the content into the names below `assets/`: such a file never changes.
 const HASHED_FOLDER: &str = "assets/";
 const FOREVER: &str = "public, max-age=31536000, immutable";
-/// May be cached, but is requested again each time; the entity tag makes that a 304.
+/// The file may be cached, but must be revalidated each time. The entity tag then gives a 304.
 const REVALIDATE: &str = "no-cache";
 
-/// Files whose bodies are kept, more than the client has.
+/// Maximum cached bodies: more than the client has files.
 const MAX_BODIES: usize = 1_024;
 
-/// Answers paths without a route of their own: a file of the client; the client's page for other paths without an extension, which are
-/// addresses of the client; a problem 404 otherwise and below `/api/`.
+/// Answers paths that have no route. Sends a file of the client if the path names one. Other paths without an extension are addresses of
+/// the client, and get its page. All others, and those below `/api/`, get a problem with status 404.
 pub async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let path = uri.path().trim_start_matches('/');
     let first = path.split('/').next().unwrap_or_default();
-    // A path below routes of other kinds, or with one more leading slash, is no address of the client.
+    // A path below routes of other kinds, or with one more leading slash, is not an address of the client.
     if ["api", "metrics", "healthz", "readyz"].contains(&first) {
         return ApiError::not_found(uri.path()).into_response();
     }
@@ -80,11 +80,11 @@ fn respond(name: &str, data: Cow<'static, [u8]>, hash: [u8; 32], request: &Heade
     body(data, hash, &content_type).respond(request, headers)
 }
 
-/// The body of a file, which is compressed once for all requests.
+/// Returns the body of a file. It is compressed once for all requests.
 fn body(data: Cow<'static, [u8]>, hash: [u8; 32], content_type: &str) -> Arc<Precompressed> {
     static BODIES: Mutex<BTreeMap<[u8; 32], Arc<Precompressed>>> = Mutex::new(BTreeMap::new());
     let mut bodies = BODIES.lock().unwrap_or_else(PoisonError::into_inner);
-    // A debug build serves a folder whose files change.
+    // Only a debug build reaches the limit, because it serves a folder whose files change.
     if bodies.len() >= MAX_BODIES {
         bodies.clear();
     }

@@ -29,7 +29,7 @@ impl ChosenPartsJson {
         }
     }
 
-    /// Checks its numbers.
+    /// Checks the positions.
     pub(super) fn check(&self) -> Result<(), EditError> {
         let refuse = |why| Err(EditError { field: "parts", why });
         let (name, positions) = self.name_and_positions();
@@ -58,7 +58,7 @@ impl ChosenPartsJson {
     }
 }
 
-/// Distinguishes null, all parts, from a name that is left out.
+/// Deserializes a field that is present: null means all parts, an absent field no change.
 pub(super) fn some_parts<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<Option<ChosenPartsJson>>, D::Error> {

@@ -104,8 +104,9 @@ pub struct Edit {
 }
 
 impl Edit {
-    /// Fills in the default guards of a command line or an export, for which no earlier edit has set any. With β, guards that are not given
-    /// are off, so that β means exactly the cut of eq. 4. With an error or a budget they are `auto`, which gives the best surface.
+    /// Fills in the default guards for a command line or an export, which has no earlier edits that could have set them. With β, guards
+    /// that are not given are off, so that β means exactly the cut of eq. 4. With an error or a budget they are `auto`, which gives the
+    /// best surface.
     #[must_use]
     pub fn with_default_guards(self) -> Self {
         let (max_error, topology) = if self.beta.is_some() {

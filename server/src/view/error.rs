@@ -10,7 +10,7 @@ pub struct EditError {
     pub why: String,
 }
 
-/// Names for an error message.
+/// Quotes names for an error message.
 pub(super) fn quoted(fields: &[&str]) -> String {
     let names: Vec<_> = fields.iter().map(|name| format!("{name:?}")).collect();
     names.join(", ")

@@ -11,13 +11,13 @@ use syntax::{Tree, What};
 
 pub use condition::SIGMAS;
 
-/// Maximum bytes of an expression's text: 64 operations on names of some letters.
+/// Maximum bytes of an expression's text: enough for 64 operations on names of some letters.
 const MAX_BYTES: usize = 1024;
-/// Maximum fields of an expression, as the device's program has them.
+/// Maximum fields of an expression, as many as the device's program supports.
 const MAX_FIELDS: usize = 8;
-/// Functions that are made of several operations, or choose.
+/// Functions that are not one operation of the device: several operations, or a choice.
 const OTHERS: [&str; 6] = ["pow", "clamp", "magnitude", "if", DISTANCE, SMOOTH];
-/// The functions of a condition, which stand alone.
+/// The functions that take a condition. Such a call must be the whole expression.
 const DISTANCE: &str = "distance";
 const SMOOTH: &str = "smooth";
 
@@ -36,7 +36,7 @@ pub struct FieldExpression {
     pub smoothing: Option<f32>,
 }
 
-/// The rank of a number among the labels of a field, if that has ranks in place of numbers.
+/// Returns the rank of a number among the labels of the named field; `None` if that field has no ranks in place of its numbers.
 pub type RankOf<'a> = &'a dyn Fn(&str, i128) -> Option<f32>;
 
 /// A fault: byte of the text at which it is, and its description.
@@ -67,7 +67,8 @@ impl FieldExpression {
         })
     }
 
-    /// The unit of the values, if it follows from the fields' units and the operations on them. `units` has those of [`Self::fields`].
+    /// Returns the unit of the values, if it follows from the fields' units and the operations on them. `units` are those of
+    /// [`Self::fields`].
     ///
     /// Distances have the unit of lengths, which is not known here.
     pub fn unit<'a>(&self, units: &[Option<&'a str>]) -> Option<&'a str> {
@@ -84,7 +85,7 @@ impl FieldExpression {
         }
     }
 
-    /// Names of the functions, those with one argument first.
+    /// Returns the names of the functions, those with one argument first.
     pub fn functions() -> Vec<&'static str> {
         let functions = Unary::ALL
             .iter()
@@ -93,7 +94,7 @@ impl FieldExpression {
         functions.filter(|name| is_word(name)).chain(OTHERS).collect()
     }
 
-    /// Whether a text that is no name of a field may be meant as an expression.
+    /// Whether a text that is not a field's name may be an expression.
     pub fn may_be(text: &str) -> bool {
         text.contains(['(', ')', '+', '-', '*', '/', '^', '<', '>', '"'])
     }
@@ -129,7 +130,7 @@ impl FieldExpression {
     }
 }
 
-/// Dimension of numbers.
+/// Dimension of a value.
 #[derive(Clone, Copy, PartialEq)]
 enum Dimension<'a> {
     /// Plain numbers.
@@ -193,7 +194,7 @@ impl<'a> Dimension<'a> {
     }
 }
 
-/// Operations so far.
+/// The operations that were compiled so far.
 struct Program<'a> {
     known: &'a [&'a str],
     rank: RankOf<'a>,
@@ -202,7 +203,7 @@ struct Program<'a> {
 }
 
 impl Program<'_> {
-    /// Adds an operation that the text has at `at`.
+    /// Adds an operation. `at` is its position in the text.
     fn add(&mut self, at: usize, op: Op) -> Result<u8, Fault> {
         if let Some(same) = self.ops.iter().position(|other| *other == op) {
             // Reuses the operation. Later operations refer to it, so the last one is still the value of the expression.
@@ -281,7 +282,7 @@ impl Program<'_> {
         self.add(at, op)
     }
 
-    /// A comparison of a field that has ranks with a number: the same with the number's rank.
+    /// For a comparison of a number with a field that has ranks: returns the comparison with the number's rank.
     fn ranked(&self, left: &Tree, right: &Tree) -> Option<(Tree, Tree)> {
         let ranked = |field: &Tree, number: &Tree| {
             let What::Name(name) = &field.what else { return None };
@@ -348,7 +349,7 @@ impl Program<'_> {
         }
     }
 
-    /// The square root of the sum of squares.
+    /// Adds the square root of the sum of squares.
     fn magnitude(&mut self, at: usize, arguments: &[Tree]) -> Result<u8, Fault> {
         let mut sum = None;
         for argument in arguments {

@@ -5,23 +5,23 @@ use isopeel_kernels::{DerivedFeature, VectorFeature};
 use super::error::{EditError, quoted};
 use super::expression::FieldExpression;
 
-/// The feature that importance depends on beside smoothness.
+/// The feature that importance depends on in addition to smoothness.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum FeatureName {
-    /// Nothing.
+    /// No feature.
     None,
     /// A feature that is computed from the shown field.
     Derived(DerivedFeature),
     /// A feature that is computed from a vector field.
     Vector(Box<VectorName>),
-    /// A field of the same volume, or an expression over some.
+    /// A field of the same volume, or an expression over its fields.
     Field(String),
 }
 
 /// A feature of a vector field by its components: `divergence(u,v,w)`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct VectorName {
-    /// Which feature.
+    /// Kind of feature.
     pub feature: VectorFeature,
     /// Fields of the volume, or expressions over them: the components along its axes x, y, z.
     pub components: [String; 3],
@@ -52,7 +52,7 @@ impl VectorName {
         };
         let is_field = |name: &&str| fields.contains(name);
         let mut names: Vec<_> = list.split(',').map(str::trim).collect();
-        // A field's name may have any character, an expression commas between its parentheses.
+        // A field's name may contain any character; an expression may have commas between its parentheses.
         if !names.iter().all(is_field) {
             names = arguments(list);
         }
@@ -99,13 +99,13 @@ fn fault_of(component: &str, fields: &[&str]) -> Option<String> {
     ))
 }
 
-/// A range times a factor, as far as 32 bits hold it.
+/// Multiplies a range by a factor. The result is clamped to finite 32-bit numbers.
 fn scaled(range: [f32; 2], factor: f64) -> [f32; 2] {
     range.map(|value| ((f64::from(value) * factor) as f32).clamp(f32::MIN, f32::MAX))
 }
 
 impl FeatureName {
-    /// The power of length in the unit of its values, beside the unit of the fields that it is made of.
+    /// Returns the power of length in the unit of the feature's values, relative to the unit of the fields that it is computed from.
     fn length_power(&self) -> i32 {
         match self {
             Self::None | Self::Field(_) => 0,
@@ -122,7 +122,8 @@ impl FeatureName {
         }
     }
 
-    /// Converts a range of its values from the device's units, in which lengths are multiples of the smallest spacing, to world units.
+    /// Converts a range of the feature's values from the device's units, in which lengths are multiples of the smallest spacing, to world
+    /// units.
     pub fn range_in_world(&self, range: [f32; 2], smallest: f64) -> [f32; 2] {
         scaled(range, smallest.powi(self.length_power()))
     }
@@ -132,10 +133,10 @@ impl FeatureName {
         scaled(range, smallest.powi(-self.length_power()))
     }
 
-    /// `none`.
+    /// Name of [`FeatureName::None`] in JSON.
     pub const NONE: &str = "none";
 
-    /// The feature of a name in JSON, among a volume's fields and the computed ones. A field of that name comes before these.
+    /// Finds a feature by its name in JSON: a field of the volume, or a computed feature. A field takes precedence.
     ///
     /// # Errors
     /// The name is neither a field nor a computed feature.
@@ -192,7 +193,7 @@ impl FeatureName {
         }
     }
 
-    /// The fields that it is computed of, if the surface is one of the field `shown`.
+    /// Returns the fields that the feature is computed from. `shown` is the field of the surface.
     pub fn fields<'a>(&'a self, shown: &'a str) -> Vec<&'a str> {
         match self {
             Self::None => Vec::new(),
@@ -202,8 +203,8 @@ impl FeatureName {
         }
     }
 
-    /// The range of values that becomes 0 to 1 if the view sets none, from the minimum and the maximum. Magnitudes count: a computed
-    /// feature with both signs begins at 0.
+    /// Returns the range of values that is mapped to 0 to 1 if the view sets none, from the minimum and the maximum. A computed feature is
+    /// ranked by its magnitude: with both signs, the range begins at 0.
     pub(super) fn own_range(&self, [lo, hi]: [f32; 2]) -> [f32; 2] {
         let is_computed = matches!(self, Self::Derived(_) | Self::Vector(_));
         if is_computed && lo < 0.0 {

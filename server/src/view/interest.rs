@@ -71,7 +71,7 @@ impl InterestJson {
                         "min {min:?} and max {max:?}, expected finite numbers, each of min below that of max"
                     ));
                 }
-                // Halved first: a sum may be infinite.
+                // Halved before they are added, because their sum may be infinite.
                 let [min, max] = [min, max].map(|corner| 0.5 * DVec3::from(corner));
                 Ok((InterestShape::Cube, min + max, max - min))
             }
@@ -80,7 +80,7 @@ impl InterestJson {
         }
     }
 
-    /// Checks its numbers.
+    /// Checks that the region is valid.
     fn check(&self) -> Result<(), String> {
         self.extent()?;
         if !(0.0..=1.0).contains(&self.importance) {
@@ -113,7 +113,7 @@ impl InterestJson {
     }
 }
 
-/// Checks a list of them.
+/// Checks a list of regions.
 pub(super) fn check(interest: &[InterestJson]) -> Result<(), EditError> {
     let refuse = |why| EditError { field: "interest", why };
     if interest.len() > MAX_INTERESTS {
@@ -130,12 +130,12 @@ fn is_finite(numbers: [f64; 3]) -> bool {
     numbers.iter().all(|x| x.is_finite())
 }
 
-/// Converts to the nearest finite 32-bit numbers. No sample is farther away.
+/// Converts to the nearest finite 32-bit numbers. This clamps only positions that are farther away than any sample.
 fn to_f32(numbers: DVec3) -> [f32; 3] {
     numbers.to_array().map(|x| (x as f32).clamp(f32::MIN, f32::MAX))
 }
 
-/// On the command line: `sphere:X,Y,Z:R=I` or `box:X,Y,Z:X,Y,Z=I`.
+/// Parses `sphere:X,Y,Z:R=I` or `box:X,Y,Z:X,Y,Z=I` of the command line.
 impl FromStr for InterestJson {
     type Err = String;
 

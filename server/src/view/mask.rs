@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer};
 
 use super::error::{EditError, quoted};
 
-/// Operators, those that begin with others first.
+/// Operators. An operator that begins with another one comes before it.
 const OPERATORS: [(&str, Operator); 6] = [
     ("==", Operator::Is),
     ("!=", Operator::IsNot),
@@ -39,12 +39,12 @@ pub struct Mask {
     operator: Operator,
     /// Minimum and maximum of each range; both are equal for a number. Exactly one number if the operator is neither `==` nor `!=`.
     ranges: Vec<[f32; 2]>,
-    /// The same as whole numbers, if they are written so: floats may round them.
+    /// The ends of the ranges as whole numbers, if they are written so, because floats may round them.
     whole: Vec<[Option<i128>; 2]>,
     text: String,
 }
 
-// No number is NaN.
+// Equality is total, because no number is NaN.
 impl Eq for Mask {}
 
 impl Hash for Mask {
@@ -53,7 +53,7 @@ impl Hash for Mask {
     }
 }
 
-/// A name without the quotation marks around it, if it has any.
+/// Returns a name without the quotation marks around it, if any.
 fn unquoted(name: &str) -> &str {
     let between = |mark| name.strip_prefix(mark).and_then(|rest| rest.strip_suffix(mark));
     between('"').or_else(|| between('`')).unwrap_or(name)
@@ -85,7 +85,7 @@ impl Mask {
             ));
         };
         let named = text[..at].trim();
-        // As in expressions, which masks may be a part of.
+        // A field of exactly this name takes precedence, as in expressions, which may contain masks.
         let field = if fields.contains(&named) {
             named
         } else {
@@ -127,7 +127,7 @@ impl Mask {
         })
     }
 
-    /// As it was written.
+    /// Returns the mask as it was written.
     pub fn as_str(&self) -> &str {
         &self.text
     }
@@ -137,7 +137,7 @@ impl Mask {
         (self.operator, &self.ranges)
     }
 
-    /// The same mask of a field that has ranks in place of the numbers in its file.
+    /// Returns the same mask for a field that has ranks in place of the numbers in its file.
     #[must_use]
     pub fn by_ranks(&self, rank: impl Fn(i128) -> Option<f32>) -> Self {
         let mut mask = self.clone();
@@ -149,7 +149,7 @@ impl Mask {
         mask
     }
 
-    /// The values of the field that are inside.
+    /// Returns the values of the field that are inside the mask.
     pub fn values(&self) -> ValueSet {
         let first = self.ranges[0][0];
         let (ranges, is_complement) = match self.operator {
@@ -164,7 +164,7 @@ impl Mask {
     }
 }
 
-/// A number or `LOW..HIGH`; an error with its place in bytes.
+/// Parses a number or `LOW..HIGH`. An error has the byte at which it was found.
 fn parse_range(text: &str) -> Result<[f32; 2], (usize, String)> {
     let number = |part: &str, at: usize| {
         let place = at + part.len() - part.trim_start().len();
@@ -182,7 +182,7 @@ fn parse_range(text: &str) -> Result<[f32; 2], (usize, String)> {
     Ok(ends)
 }
 
-/// Distinguishes null, no mask, from a name that is left out.
+/// Deserializes a field that is present: null means no mask, an absent field no change.
 pub(super) fn some_mask<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<String>>, D::Error> {
     Option::deserialize(deserializer).map(Some)
 }

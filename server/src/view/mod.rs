@@ -48,15 +48,16 @@ pub struct View {
     pub feature_range: Option<[f32; 2]>,
     /// Weight of the feature against smoothness, 0 to 1.
     pub alpha: f32,
-    /// Importance up to which a cube is decimated, if there is neither an error nor a budget.
+    /// Importance up to which a cube is decimated. Used only if there is neither an error nor a budget.
     pub beta: f32,
-    /// Error over weight up to which a part is merged, instead of `beta`.
+    /// Instead of `beta`: a part is merged up to this error divided by the part's weight.
     pub error: Option<Distance>,
-    /// Instead of `beta`. Beside an error, the greater tolerance decides.
+    /// Maximum size of the surface, instead of `beta`. If there is an error too, the greater tolerance of both decides.
     pub budget: Option<Budget>,
-    /// Parts of a smaller area are removed first, world units; 0: none are. Above 0 only if an error or a budget decides.
+    /// Minimum area of a part of the surface, in world units: smaller parts are removed first. 0: none are. Above 0 only if an error or a
+    /// budget decides.
     pub min_part: f64,
-    /// Chosen parts, which are removed too, or which alone are kept; `None`: all are shown. Only if an error or a budget decides.
+    /// Chosen parts, which are removed, or which alone are kept; `None`: all are shown. Set only if an error or a budget decides.
     pub parts: Option<ChosenPartsJson>,
     /// The threshold that keeps the budget. It is found when the surface is planned, and dropped at the next edit.
     pub fitted: Option<Fitted>,
@@ -64,7 +65,7 @@ pub struct View {
     pub max_error: MaxError,
     /// Guard on the topology.
     pub topology: TopologyName,
-    /// Which mesher.
+    /// Mesher that turns the cut into triangles.
     pub mesher: MesherName,
     /// Whether the surface is closed on the volume's faces.
     pub cap: bool,
@@ -76,7 +77,7 @@ pub struct View {
     pub interest: Vec<InterestJson>,
 }
 
-/// A field of a volume, or an expression over some.
+/// Checks that `field` is a field of the volume, or an expression over its fields.
 fn check_field(field: &str, fields: &[&str]) -> Result<(), EditError> {
     if fields.contains(&field) {
         return Ok(());
@@ -91,8 +92,9 @@ fn check_field(field: &str, fields: &[&str]) -> Result<(), EditError> {
 }
 
 impl View {
-    /// Weight of the gradient magnitude that a volume opens with. Most of a surface has a small part of the steepest gradient in the volume,
-    /// so that less weight shows smoothness alone: in a skull the teeth, in a brain the crowns of its folds look like all the rest.
+    /// Weight of the gradient magnitude that a volume opens with. On most of a surface, the gradient is only a small part of the steepest
+    /// one in the volume. With less weight, smoothness alone would be visible: the teeth of a skull, or the crowns of a brain's folds,
+    /// would look like all the rest.
     pub const OPENING_ALPHA: f32 = 0.5;
 
     /// Error that a volume opens with: too small to see if a voxel covers a few pixels.
@@ -104,7 +106,7 @@ impl View {
         max: Some(1_000_000),
     };
 
-    /// The first of a volume's fields without a feature, guards on.
+    /// Returns the defaults: the first of the volume's fields, no feature, guards on.
     pub fn plain(fields: &[&str]) -> Self {
         Self {
             iso: None,
@@ -171,7 +173,7 @@ impl View {
         if let Some(feature) = &edit.feature {
             view.feature = FeatureName::find(feature, fields)?;
         }
-        // A derived feature of another field is another feature of the same name.
+        // A derived feature of another field is a different feature, although its name is the same.
         let derived = matches!(view.feature, FeatureName::Derived(_));
         if view.feature != self.feature || (derived && view.field != self.field) {
             view.feature_range = None;
@@ -239,7 +241,8 @@ impl View {
         self.apply_parts(edit)
     }
 
-    /// Applies the minimum area of parts. Only a cut of the vertex tree can leave parts out; if the view has none, the minimum is 0.
+    /// Applies the minimum area of parts. Only a cut of the vertex tree can leave parts out; in a view without such a cut, the minimum is
+    /// 0.
     fn apply_min_part(&mut self, edit: &Edit) -> Result<(), EditError> {
         let refuse = |why| Err(EditError { field: "minPart", why });
         if let Some(min_part) = edit.min_part {
@@ -341,8 +344,8 @@ impl View {
         Ok(())
     }
 
-    /// Fills in the values that depend on the data: the isovalue that the shown field opens with, and the range of the feature's
-    /// histogram, each of which is requested only if it is needed.
+    /// Fills in the values that depend on the data: the isovalue that the shown field opens with, and the range of the feature's histogram.
+    /// Each is requested only if it is needed.
     ///
     /// # Errors
     /// Those of the requests.
@@ -363,9 +366,9 @@ impl View {
         Ok(())
     }
 
-    /// The parameters of a cut of cubes in a volume with this smallest spacing and index space; `index_space` includes the samples of a
-    /// cap's padding. Lengths in the parameters are multiples of the smallest spacing. `None` before [`View::resolve`]. While a budget is
-    /// not fitted, the threshold is the view's own.
+    /// Returns the parameters of a cut of cubes. `smallest` is the volume's smallest spacing, of which lengths in the parameters are
+    /// multiples. `index_space` includes the samples of a cap's padding. `None` before [`View::resolve`]. Until a budget is fitted, the
+    /// threshold is the view's own.
     pub fn cut_params(&self, smallest: f64, index_space: &IndexSpace) -> Option<CutParams> {
         let tolerance = self.tolerance_in_force(smallest);
         let interest = self.interest.iter().map(|interest| interest.to_kernel(index_space));
@@ -384,7 +387,7 @@ impl View {
         })
     }
 
-    /// The guard on the error; `None` if there is none. `auto` is a guard only if β decides alone.
+    /// Returns the guard on the error, if there is one. `auto` is no guard if an error or a budget decides.
     pub fn max_error_in_force(&self) -> Option<Distance> {
         match self.max_error {
             MaxError::Auto if self.is_by_error() || self.budget.is_some() => None,
@@ -417,7 +420,8 @@ impl View {
             .collect()
     }
 
-    /// Maximum triangles, for a full surface of `full` triangles. Those of a budget of bytes are known once it is fitted.
+    /// Returns the maximum triangles, if the full surface has `full` triangles. For a budget of bytes it is known once the budget is
+    /// fitted.
     pub fn max_triangles(&self, full: u64) -> Option<u64> {
         match self.budget? {
             Budget::Triangles(budget) => Some(budget.of(full)),
@@ -425,18 +429,19 @@ impl View {
         }
     }
 
-    /// Whether an error or a budget decides, and the vertex tree is cut: not β, and not the paper's mesher.
+    /// Whether an error or a budget decides, so that the vertex tree is cut. False if β decides, or with the paper's mesher.
     pub fn is_by_error(&self) -> bool {
         self.mesher == MesherName::Dual && (self.error.is_some() || self.budget.is_some())
     }
 
-    /// β, if it decides: the one fitted to the budget, or else the view's own.
+    /// Returns β, if it decides: the one fitted to the budget, or else the view's own.
     pub fn beta_in_force(&self) -> Option<f32> {
         let beta = self.fitted.map_or(self.beta, |fitted| fitted.threshold);
         (!self.is_by_error()).then_some(beta)
     }
 
-    /// The tolerance, in smallest spacings, if an error or a budget decides: the greater of the two. Below 0 nothing is decimated.
+    /// Returns the tolerance in smallest spacings, if an error or a budget decides; if both do, the greater one. Below 0 nothing is
+    /// decimated.
     pub fn tolerance_in_force(&self, smallest: f64) -> Option<f32> {
         let guard = self
             .max_error_in_force()
@@ -450,7 +455,7 @@ impl View {
         self.is_by_error().then_some(greater)
     }
 
-    /// Returns every value as an edit; of β, error and budgets only those in force.
+    /// Returns every value as an edit. Of β, the error and the budgets, it has only those in force.
     pub fn to_edit(&self) -> Edit {
         let (triangles, bytes) = match self.budget {
             None => (None, None),
@@ -482,7 +487,7 @@ impl View {
     }
 }
 
-/// The range, or one that begins at it and is not empty.
+/// Returns the range. If it is empty, returns one that begins at its minimum and is not empty.
 fn proper_range([lo, hi]: [f32; 2]) -> [f32; 2] {
     if lo < hi {
         return [lo, hi];

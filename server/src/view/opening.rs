@@ -36,35 +36,35 @@ pub enum IsoReason {
 
 /// Hounsfield units at which bone begins: above soft tissue and blood with contrast agent, below thin and spongy bone.
 const BONE: f64 = 300.0;
-/// Minimum share of bone, below which it is noise.
+/// Minimum share of bone; less is noise.
 const MIN_BONE: f64 = 1e-3;
-/// Minimum share of air in values that are taken for Hounsfield units without the file saying so.
+/// Minimum share of air for values to be taken for Hounsfield units if the file declares no unit.
 const MIN_AIR: f64 = 0.02;
-/// The background's peak lies in the first bins: air, or the padding of a grid.
+/// The background's peak lies within this many of the first bins. It is air, or the padding of a grid.
 const MAX_PEAK: usize = 32;
-/// Bins after the maximum in which a peak ends; a histogram that falls more slowly has no peak there.
+/// Maximum bins from the peak's maximum to its end. A histogram that falls more slowly has no peak there.
 const MAX_PEAK_WIDTH: usize = 16;
 /// A peak ends at the first bin whose count is below this share of the maximum.
 const PEAK_END: f64 = 0.02;
 /// Minimum share of the samples in a background.
 const MIN_BACKGROUND: f64 = 0.25;
-/// Minimum share of all samples outside of the background, and of these in the class beyond a valley.
+/// Minimum share of all samples outside of the background. Also the minimum share of those samples in the class beyond a valley.
 const MIN_REST: f64 = 0.01;
-/// Minimum different values beside the background; fewer are labels, of which the background is one.
+/// Minimum bins with samples outside of the background. With fewer, the values are labels, of which the background is one.
 const MIN_REST_BINS: usize = 8;
-/// Bins with samples of a volume of labels: two are a mask, and more than these are measured values.
+/// Number of bins with samples in a volume of labels. Two bins are a mask, and more are measured values.
 const LABEL_BINS: std::ops::RangeInclusive<usize> = 3..=16;
-/// If a bin has several whole numbers: maximum consecutive bins with samples that are taken for labels. More are a peak.
+/// Maximum run of consecutive bins with samples that is taken for labels if a bin has several whole numbers. A longer run is a peak.
 const MAX_LABEL_RUN: usize = 4;
-/// Runs of bins with samples in a volume of many labels, at least.
+/// Minimum runs of consecutive bins with samples in a volume of many labels.
 const MIN_LABEL_RUNS: usize = 4;
-/// Factor between the counts of neighbouring bins that is rough; bins of two and of three whole numbers differ by less.
+/// Minimum ratio between the counts of neighbouring bins that is rough. Bins of two and of three whole numbers differ by less.
 const ROUGH: f64 = 2.4;
-/// A bin's ends are known to this much of the values' unit.
+/// Tolerance of a bin's ends, in the values' unit.
 const ROUNDING: f64 = 1e-3;
-/// Up to this multiple of the lowest bin a valley is level.
+/// A valley is level up to this multiple of its lowest bin.
 const VALLEY_FLOOR: f64 = 1.5;
-/// Bins before and after one that are averaged with it.
+/// Bins on each side of a bin that are averaged with it.
 const SMOOTHING: usize = 2;
 
 impl OpeningIso {
@@ -131,7 +131,7 @@ impl<'a> Bins<'a> {
         }
     }
 
-    /// The value at which a bin begins.
+    /// Returns the value at which a bin begins.
     fn start(&self, bin: f64) -> f64 {
         self.low + bin * self.width
     }
@@ -140,14 +140,14 @@ impl<'a> Bins<'a> {
         self.start(bin as f64 + 0.5)
     }
 
-    /// Share of the samples from one bin up to another one.
+    /// Returns the share of the samples in the bins `from..to`.
     fn share(&self, from: usize, to: usize) -> f64 {
         let to = to.min(self.counts.len());
         let counts = self.counts.get(from..to).unwrap_or_default();
         counts.iter().sum::<u64>() as f64 / self.total.max(1.0)
     }
 
-    /// Above the minimum, whose samples are then outside, and at most the maximum, whose samples are inside.
+    /// Clamps a value so that it is above the minimum, whose samples are then outside, and at most the maximum, whose samples are inside.
     fn inside_range(&self, value: f64) -> f32 {
         let [low, high] = self.range;
         let value = value as f32;
@@ -158,8 +158,8 @@ impl<'a> Bins<'a> {
         }
     }
 
-    /// Whether these are Hounsfield units with bone. Without a unit it is seen from the values: air at -1000, padding at or below it,
-    /// and of the rest most in soft tissue or fat, around 0.
+    /// Whether the values are Hounsfield units with bone. If the file declares no unit, the values decide: air at -1000, padding at or
+    /// below it, and most of the rest in soft tissue or fat, around 0.
     fn is_hounsfield(&self, unit: Option<&str>) -> bool {
         let near = |bin: usize, from: f64, to: f64| {
             let centre = self.centre(bin);
@@ -186,8 +186,8 @@ impl<'a> Bins<'a> {
         reaches && air >= MIN_AIR && is_tissue
     }
 
-    /// Whether these are labels: few different whole numbers, of which the lowest is the background's. If a bin has several whole numbers,
-    /// bins are less certain evidence: then a peak, or only a few samples far from the background, count as measured values.
+    /// Whether the values are labels: few different whole numbers, the lowest of which is the background. If a bin has several whole
+    /// numbers, bins are less certain evidence: then a peak, or too few samples outside of the background, count as measured values.
     fn are_labels(&self) -> bool {
         let occupied: Vec<usize> = (0..self.counts.len()).filter(|&bin| self.counts[bin] > 0).collect();
         let is_whole = |value: f32| value.fract() == 0.0;
@@ -207,8 +207,8 @@ impl<'a> Bins<'a> {
         runs.all(|run| run.len() <= MAX_LABEL_RUN) && self.share(first, self.counts.len()) >= MIN_REST
     }
 
-    /// Whether these are many labels with gaps between them. In the bins with most of the samples, counts of measured values are similar
-    /// from bin to bin, and those of labels are not.
+    /// Whether the values are many labels with gaps between them. Measured values have similar counts in neighbouring bins, and labels do
+    /// not. Bins with more samples have more weight.
     fn are_many_labels(&self) -> bool {
         let occupied: Vec<usize> = (0..self.counts.len()).filter(|&bin| self.counts[bin] > 0).collect();
         let runs = occupied.chunk_by(|a, b| a + 1 == *b).count();
@@ -230,8 +230,8 @@ impl<'a> Bins<'a> {
         rough > 0.5 * all
     }
 
-    /// The bin at which the background's peak ends, or the valley behind it. `None` if there is no such peak: a high and narrow one at the
-    /// low end, with enough samples beside it.
+    /// Returns the bin at which the background's peak ends, or at which the valley behind it ends. `None` if there is no such peak: it must
+    /// be high, narrow and at the low end, with enough samples beside it.
     fn background(&self) -> Option<usize> {
         let counts = self.counts;
         let (peak, &height) = counts
@@ -267,12 +267,12 @@ impl<'a> Bins<'a> {
         (beyond >= MIN_REST * self.share(end, self.counts.len())).then_some(end + valley)
     }
 
-    /// Otsu's threshold (1979) of the bins from `first` on: the one with the maximum variance between the classes below and above it; of
-    /// equal ones, between which there are no samples, the middle. `None` if fewer than two bins have samples.
+    /// Otsu's threshold (1979) of the bins from `first` on, which maximizes the variance between the classes below and above it. If
+    /// thresholds without samples between them are equal, returns their middle. `None` if fewer than two bins have samples.
     fn otsu(&self, first: usize) -> Option<f64> {
         let counts = || self.counts.iter().enumerate().skip(first);
         let total: f64 = counts().map(|(_, &n)| n as f64).sum();
-        // In bins, so that no sum overflows.
+        // Computes in bins, so that no sum overflows.
         let total_sum: f64 = counts().map(|(bin, &n)| n as f64 * bin as f64).sum();
         let (mut below, mut below_sum) = (0.0, 0.0);
         let (mut best, mut equal) = (0.0, None);

@@ -1,10 +1,10 @@
-//! Parts of a budget that several surfaces share.
+//! Divides a budget among several surfaces.
 
 use super::quality::{Budget, ShareBudget, TriangleBudget};
 
 impl Budget {
-    /// Returns the part of a surface of `full` triangles in a budget for surfaces of `all` triangles together, in proportion. The sum of
-    /// the parts does not exceed the budget, unless a part would be below 1: each is at least 1.
+    /// Returns the budget's part for a surface of `full` triangles. The parts are in proportion to the triangles of the surfaces, `all`
+    /// together. Their sum does not exceed the budget, except that each part is at least 1.
     #[must_use]
     pub fn part(self, full: u64, all: u64) -> Self {
         let of = |whole: u64| ((u128::from(whole) * u128::from(full) / u128::from(all.max(1))) as u64).max(1);
@@ -13,7 +13,7 @@ impl Budget {
             Self::Triangles(TriangleBudget::AtMost(triangles)) => {
                 Self::Triangles(TriangleBudget::AtMost(of(triangles)))
             }
-            // A share of all is the same share of each, unless it is above the maximum.
+            // Without a maximum, a share of all surfaces together is the same share of each.
             Self::Triangles(share @ TriangleBudget::Share(ShareBudget { max: None, .. })) => Self::Triangles(share),
             Self::Triangles(TriangleBudget::Share(whole @ ShareBudget { max: Some(max), .. })) => {
                 let part = ShareBudget {
@@ -46,7 +46,7 @@ impl Budget {
         }
     }
 
-    /// As a number, for a full surface of `full` triangles: of triangles or of bytes.
+    /// Converts the budget to a number of triangles or bytes, for a full surface of `full` triangles.
     #[must_use]
     pub fn as_number(self, full: u64) -> Self {
         match self {
@@ -55,7 +55,7 @@ impl Budget {
         }
     }
 
-    /// The minimum budget for surfaces of `all` triangles of which one of `full` gets `part` triangles.
+    /// Returns the minimum budget for surfaces of `all` triangles together of which a surface of `full` triangles gets `part` triangles.
     pub fn whole_of(part: u64, full: u64, all: u64) -> u64 {
         let whole = (u128::from(part) * u128::from(all)).div_ceil(u128::from(full.max(1)));
         u64::try_from(whole).unwrap_or(u64::MAX)

@@ -64,11 +64,11 @@ pub enum Distance {
 }
 
 impl Distance {
-    /// The end of error messages.
+    /// The expected form, for error messages.
     pub const EXPECTED: &str =
         "expected a number of world units, 0 or more, or text like \"0.25vx\" (multiples of the smallest spacing)";
 
-    /// As multiples of this smallest spacing, which are the unit of lengths on the device; at most the largest finite number.
+    /// Converts to multiples of this smallest spacing, which are the unit of lengths on the device; at most the largest finite number.
     pub fn in_spacings(self, smallest: f64) -> f32 {
         match self {
             Self::World(distance) => ((f64::from(distance) / smallest) as f32).min(f32::MAX),
@@ -76,7 +76,7 @@ impl Distance {
         }
     }
 
-    /// In world units of a volume with this smallest spacing.
+    /// Converts to world units, in a volume with this smallest spacing.
     pub fn world(self, smallest: f64) -> f32 {
         match self {
             Self::World(distance) => distance,
@@ -154,7 +154,7 @@ impl MaxError {
     /// The guard that `auto` means if β decides.
     pub const AUTO: Distance = Distance::Spacings(0.25);
 
-    /// The end of error messages.
+    /// The expected form, for error messages.
     pub const EXPECTED: &str = "expected a number of world units, 0 or more, text like \"0.25vx\" (multiples of the smallest spacing), \"none\" or \"auto\"";
 }
 
@@ -249,12 +249,12 @@ impl PartialSchema for MaxError {
 
 impl ToSchema for MaxError {}
 
-/// Distinguishes null, which is a value, from a name that is left out.
+/// Deserializes a field that is present: null is a value, an absent field no change.
 pub fn some_max_error<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<MaxError>, D::Error> {
     MaxError::deserialize(deserializer).map(Some)
 }
 
-/// Null is 0, and not a name that is left out.
+/// Deserializes a field that is present: null means 0, an absent field no change.
 pub fn some_min_part<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     let min_part = Option::<f64>::deserialize(deserializer)?;
     Ok(Some(min_part.unwrap_or_default()))
@@ -298,7 +298,7 @@ impl TriangleBudget {
         }
     }
 
-    /// As a number, for a full surface of `full` triangles.
+    /// Returns the maximum triangles, for a full surface of `full` triangles.
     pub fn of(self, full: u64) -> u64 {
         match self {
             Self::AtMost(n) => n,
@@ -310,7 +310,7 @@ impl TriangleBudget {
     }
 }
 
-/// On the command line: `100000`, or a share such as `25%`.
+/// Parses `100000`, or a share such as `25%`, of the command line.
 impl FromStr for TriangleBudget {
     type Err = String;
 
@@ -329,7 +329,7 @@ impl FromStr for TriangleBudget {
     }
 }
 
-/// Maximum size of a surface; the tolerance, or for marching cubes the β, is found for it.
+/// Maximum size of a surface. The tolerance (for marching cubes β) is fitted to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
     /// Triangles.
@@ -338,16 +338,16 @@ pub enum Budget {
     Bytes(u64),
 }
 
-/// How a budget is met.
+/// The result of fitting a surface to a budget.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fitted {
-    /// Tolerance in force, smallest spacings, or for marching cubes β; below 0 nothing is decimated.
+    /// Tolerance in force, in smallest spacings; for marching cubes β. Below 0 nothing is decimated.
     pub threshold: f32,
     /// Whether the topology is kept.
     pub topology: Topology,
     /// Maximum triangles of the finished surface.
     pub triangles: u64,
-    /// Whether the vertex tree is cut, or else the octree.
+    /// Whether the vertex tree is cut; if not, the octree is.
     pub is_tree_cut: bool,
 }
 

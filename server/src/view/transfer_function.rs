@@ -43,7 +43,7 @@ impl Default for TransferFunctionJson {
 }
 
 impl TransferFunctionJson {
-    /// For the kernels, which use importance alone.
+    /// Converts to the kernels' type, which has importance alone.
     ///
     /// # Errors
     /// No point, too many, or a coordinate that is not in [0, 1].

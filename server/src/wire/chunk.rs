@@ -11,12 +11,12 @@ pub const MAGIC: [u8; 4] = *b"ISOP";
 pub const VERSION: u16 = 2;
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 96;
-/// Surfaces that the layout can number.
+/// Maximum surfaces that the layout can number.
 pub const MAX_SURFACES: u8 = 4;
 /// Lattice units per cell: rounding moves a vertex by 0.005 cells across the surface (rms), a sixth of the distance between the
 /// smoothest mesh and the isosurface.
 pub const LATTICE: u16 = 64;
-/// Value of the bytes without a meaning yet.
+/// Value of the header's bytes that have no meaning yet.
 const RESERVED: u16 = 0;
 /// Bytes of a vertex before compression.
 pub const VERTEX_BYTES: usize = 12;
@@ -65,10 +65,10 @@ impl ChunkKind {
 /// How a chunk's mesh is coded: the flags of its header.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coding {
-    /// By meshoptimizer's codecs.
+    /// The mesh is coded by meshoptimizer's codecs.
     #[default]
     Meshopt = 0,
-    /// By predictions; only for clients that ask for it.
+    /// The mesh is coded by predictions ([`super::predictive`]); only for clients that request it.
     Predictive = 1,
 }
 
@@ -76,7 +76,7 @@ impl Coding {
     /// Name of [`Coding::Predictive`] in messages.
     const PREDICTIVE: &str = "predictive";
 
-    /// Returns the best coding for a client that names these.
+    /// Returns the best coding for a client that has sent these names of codings.
     pub fn asked_for(names: &[String]) -> Self {
         match names.iter().any(|name| name == Self::PREDICTIVE) {
             true => Self::Predictive,
@@ -101,7 +101,7 @@ pub struct PrefixId {
     pub generation: u32,
     /// Level of the prefix, 0 to 5.
     pub level: u8,
-    /// What its chunks are.
+    /// Kind of its chunks.
     pub kind: ChunkKind,
 }
 
@@ -133,7 +133,7 @@ pub struct ChunkHeader {
 /// The bytes of a header that state which prefix its chunk belongs to.
 const PREFIX_BYTES: std::ops::Range<usize> = 8..15;
 
-/// Relabels an encoded chunk as one of another prefix. If it belongs to that prefix already, nothing is copied.
+/// Relabels an encoded chunk as one of another prefix. A chunk that belongs to that prefix already is not copied.
 pub fn with_prefix(frame: &Bytes, prefix: PrefixId) -> Bytes {
     let prefix = prefix.to_bytes();
     if frame[PREFIX_BYTES] == prefix {
@@ -160,7 +160,7 @@ fn check(ok: bool, what: &dyn Fn() -> String) -> Result<(), ChunkError> {
 }
 
 impl PrefixId {
-    /// A prefix of the cut.
+    /// Returns the id of a prefix of the cut.
     pub const fn cut(surface: u8, generation: u32, level: u8) -> Self {
         Self {
             surface,
@@ -170,13 +170,13 @@ impl PrefixId {
         }
     }
 
-    /// As a header has them, from [`PREFIX_BYTES`] on: the generation and the three bytes that follow it.
+    /// Returns the bytes that a header has from [`PREFIX_BYTES`] on: the generation, and the three bytes that follow it.
     fn to_bytes(self) -> [u8; 7] {
         let [a, b, c, d] = self.generation.to_le_bytes();
         [a, b, c, d, self.level, self.kind as u8, self.surface]
     }
 
-    /// From the generation and the three bytes that follow it.
+    /// Parses the generation and the three bytes that follow it.
     fn parse(generation: u32, [level, kind, surface]: [u8; 3]) -> Result<Self, ChunkError> {
         check(level <= 5, &|| format!("prefix level {level}, expected 0 to 5"))?;
         let kind = ChunkKind::from_number(kind)
@@ -194,7 +194,7 @@ impl PrefixId {
 }
 
 impl ChunkHeader {
-    /// The header's bytes.
+    /// Returns the header's bytes.
     pub fn to_bytes(&self) -> [u8; HEADER_BYTES] {
         let mut bytes = [0; HEADER_BYTES];
         let mut at = 0;
@@ -316,7 +316,7 @@ pub struct DecodedChunk {
     pub header: ChunkHeader,
     /// Vertices.
     pub vertices: Vec<WireVertex>,
-    /// Three per triangle, ordered by level, finest first; each below the number of vertices.
+    /// Three indices per triangle, ordered by level, finest first; each is below the number of vertices.
     pub indices: Vec<u32>,
 }
 

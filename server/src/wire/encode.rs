@@ -1,4 +1,4 @@
-//! From the device's regions to chunk bytes: hash, order, quantise, compress. Called on the CPU pool.
+//! Encodes the device's regions as chunks: hashes, orders, quantises and compresses them. Called on the CPU pool.
 
 use std::cell::RefCell;
 
@@ -24,11 +24,11 @@ pub struct EncodeError {
     pub why: String,
 }
 
-/// Maximum regions of a rayon task, a few tenths of a millisecond. By default rayon gives each thread several times as many, and all wait
-/// for the slowest.
+/// Maximum regions of a rayon task, which takes a few tenths of a millisecond. By default rayon gives each thread several times as many,
+/// and all threads then wait for the slowest.
 pub const MAX_TASK_REGIONS: usize = 2;
 
-/// The kernels' lattice units in one unit of the wire's lattice, a power of two.
+/// Units of the kernels' lattice in one unit of the wire's lattice, a power of two.
 const LATTICE_RATIO: i32 = Vertex::LATTICE / LATTICE as i32;
 const _: () = assert!(LATTICE_RATIO.count_ones() == 1);
 
@@ -39,10 +39,10 @@ const HASH_KEYS: [u64; 2] = [0xa076_1d64_78bd_642f, 0xe703_7ed1_a0b4_28db];
 const HASHED_TRIANGLES: usize = 32;
 
 impl WireVertex {
-    /// Rounds to the wire's lattice. A region begins at a multiple of its unit, so vertices that are equal in two regions
-    /// stay equal. 16 bits hold 127 cells, beyond which positions are clamped; the kernels guarantee 64.
+    /// Rounds to the wire's lattice. A region begins at a multiple of the lattice's unit, so vertices that are equal in two regions stay
+    /// equal. 16 bits hold 127 cells, beyond which positions are clamped; the kernels guarantee 64.
     pub(crate) fn quantise(vertex: &Vertex) -> Self {
-        // Half up, also below zero: half away from zero would round equal positions of two regions differently.
+        // Rounds half up, also below zero. Rounding half away from zero would round equal positions of two regions differently.
         let position = vertex.position.map(|p| {
             let unit = (p + LATTICE_RATIO / 2) >> LATTICE_RATIO.trailing_zeros();
             unit.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
@@ -60,7 +60,7 @@ impl WireVertex {
         }
     }
 
-    /// Hash of all bytes that are sent of it.
+    /// Returns the hash of all bytes of the vertex that are sent.
     fn hash(self) -> u64 {
         let [a, b, c]: [u32; VERTEX_BYTES / 4] = bytemuck::cast(self);
         let first = u64::from(a) | u64::from(b) << 32;
@@ -77,8 +77,8 @@ fn leading_byte(value: u16) -> u16 {
     }
 }
 
-/// The chunk of a region. Without vertices it removes its region. Triangles are ordered within their level, vertices by their
-/// first use, as the codecs compress them best.
+/// Returns the chunk of a region. A chunk without vertices removes its region. For the best compression, triangles are ordered within their
+/// level, and vertices by their first use.
 ///
 /// # Errors
 /// An index past the vertices, more indices or vertices than a chunk may have, or levels that do not add up.
@@ -110,7 +110,7 @@ pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
     })
 }
 
-/// The chunk that removes a region.
+/// Returns the chunk that removes a region.
 ///
 /// # Errors
 /// None; as [`encode`].
@@ -122,7 +122,7 @@ pub fn encode_gone(coords: [u32; 3], prefix: PrefixId) -> Result<Bytes, EncodeEr
     encode(&region, prefix)
 }
 
-/// The chunk of the errors of a region's vertices, in the order that these have in its chunk of this coding.
+/// Returns the chunk of the errors of a region's vertices, in the order that the vertices have in the region's chunk of this coding.
 ///
 /// # Errors
 /// As [`encode`], or if there are more or fewer errors than vertices.
@@ -170,7 +170,7 @@ pub fn encode_errors(
     })
 }
 
-/// For each vertex of the predictive chunk, its number in the one of [`encode`].
+/// Returns, for each vertex of the predictive chunk, its number in the chunk of [`encode`].
 fn predictive_order(region: &Region) -> Result<Vec<u32>, EncodeError> {
     let chunk = encode(region, PrefixId::cut(0, 0, 0))?;
     predictive::order(&chunk).map_err(|error| EncodeError {
@@ -212,10 +212,10 @@ fn check(region: &Region) -> Result<(), EncodeError> {
 /// Hashes of a region's mesh as it is sent. They depend on the sent values of the vertices, not on their numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MeshHash {
-    /// Of its triangles, in whatever order: a region whose triangles the client holds is not sent again. Two different meshes of one region
-    /// collide once in 10¹⁹ times.
+    /// Hash of the triangles, in whatever order: a region whose triangles the client holds is not sent again. Two different meshes of one
+    /// region collide once in 10¹⁹ times.
     pub triangles: u64,
-    /// Of its triangles and their corners in order, and so of its chunk.
+    /// Hash of the triangles and their corners in order, and so of the chunk.
     pub order: u64,
 }
 
@@ -225,7 +225,7 @@ impl MeshHash {
         VERTEX_HASHES.with_borrow_mut(|hashes| {
             hashes.clear();
             hashes.extend(region.vertices.iter().map(|vertex| WireVertex::quantise(vertex).hash()));
-            // An index past the vertices is refused when the region is encoded.
+            // A missing hash is no error here: an index past the vertices is refused when the region is encoded.
             let of = |index: u32| hashes.get(index as usize).copied().unwrap_or_default();
             let (mut triangles, mut order) = (0_u64, Xxh3::new());
             let mut rest = region.indices.as_chunks::<3>().0;
@@ -250,25 +250,25 @@ impl MeshHash {
     }
 }
 
-/// The two halves of a product, one over the other, as in wyhash.
+/// Combines the two halves of a product by exclusive or, as wyhash does.
 fn folded_product(a: u64, b: u64) -> u64 {
     let product = u128::from(a) * u128::from(b);
     product as u64 ^ (product >> 64) as u64
 }
 
-/// Of the hashes of a triangle's corners, whichever of them comes first.
+/// Returns the hash of a triangle from those of its corners, whichever of them comes first.
 fn triangle_hash([a, b, c]: [u64; 3]) -> u64 {
     let edge = |from: u64, to: u64| folded_product(from ^ HASH_KEYS[0], to.rotate_left(32) ^ HASH_KEYS[1]);
     let sum = edge(a, b).wrapping_add(edge(b, c)).wrapping_add(edge(c, a));
     folded_product(sum ^ HASH_KEYS[1], HASH_KEYS[0])
 }
 
-/// Bytes of all chunks of a surface; `None` if it is cancelled before. Runs on the caller's rayon pool.
+/// Returns the bytes of all chunks of a surface; `None` if it is cancelled. Runs on the caller's rayon pool.
 ///
 /// # Errors
 /// [`EncodeError`].
 pub fn encoded_bytes(surface: &Surface, is_cancelled: &(dyn Fn() -> bool + Sync)) -> Result<Option<u64>, BoxError> {
-    // A chunk's length does not depend on its prefix. `None`: cancelled.
+    // The prefix does not matter, because a chunk's length does not depend on it. `Err(None)` stands for cancelled.
     let bytes = |region: &Region| match is_cancelled() {
         true => Err(None),
         false => Ok(encode(region, PrefixId::cut(0, 0, 0)).map_err(Some)?.len() as u64),
@@ -293,9 +293,9 @@ thread_local! {
 struct Scratch {
     traversal: Traversal,
     indices: IndexWriter,
-    /// In the device's order.
+    /// Vertices in the device's order.
     quantised: Vec<WireVertex>,
-    /// In the order of their first use.
+    /// Vertices in the order of their first use.
     vertices: Vec<WireVertex>,
     vertex_payload: VertexWriter,
 }
@@ -307,7 +307,7 @@ impl Scratch {
         self.indices.begin(vertices, region.indices.len() / 3);
         self.traversal
             .write(&region.indices, &region.level_triangles, vertices, &mut self.indices);
-        // All at once, which is vectorised, then those that are used.
+        // Quantises all vertices, which is vectorised, and then selects those that are used.
         self.quantised.clear();
         self.quantised.extend(region.vertices.iter().map(WireVertex::quantise));
         self.vertices.clear();
@@ -317,7 +317,7 @@ impl Scratch {
     }
 }
 
-/// Minimum and maximum position in index space.
+/// Returns the minimum and the maximum position in index space.
 fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
     let Some(first) = vertices.first() else {
         return ([0.0; 3], [0.0; 3]);
@@ -329,7 +329,7 @@ fn bounds(coords: [u32; 3], vertices: &[WireVertex]) -> ([f32; 3], [f32; 3]) {
             max[axis] = max[axis].max(vertex.position[axis]);
         }
     }
-    // Through f64: past 2¹⁶ cells a sum in f32 loses the lattice.
+    // In f64, because past 2¹⁶ cells a sum in f32 is too coarse for the lattice.
     let index = |position: [i16; 3]| {
         [0, 1, 2].map(|axis| {
             let corner = f64::from(coords[axis]) * f64::from(REGION_CELLS);

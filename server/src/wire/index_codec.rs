@@ -41,12 +41,12 @@ const SECOND_THIRD: u8 = 0xfe;
 /// Data bytes for second and third vertices that may have codes of their own. All but the first (all new) are too rare to matter.
 const CODE_TABLE: [u8; 16] = [0; 16];
 
-/// The decoder's state of a vertex.
+/// State of a vertex, as the decoder has it.
 #[derive(Clone, Copy)]
 struct VertexState {
     /// Its index in the payload, or [`NEW`].
     index: u32,
-    /// The vertex clock when it last entered the buffer.
+    /// Value of the vertex clock when it last entered the buffer.
     entered: u32,
 }
 
@@ -55,22 +55,22 @@ const NEW: u32 = u32::MAX;
 /// The codec's state, and its output.
 #[derive(Default)]
 pub(super) struct IndexWriter {
-    /// One for each triangle.
+    /// Code of each triangle.
     codes: Vec<u8>,
     data: Vec<u8>,
-    /// By original vertex.
+    /// State of each vertex, by its original number.
     vertices: Vec<VertexState>,
-    /// Original vertex of each new index, and one entry more: it is written before it is known whether the vertex is new.
+    /// Original vertex of each new index. Has one entry more, which is written before it is known whether the vertex is new.
     order: Vec<u32>,
     /// The index that the next new vertex gets.
     next: u32,
     /// The index written last as data, or by a code relative to it.
     last: u32,
-    /// Vertices that have entered the buffer.
+    /// Number of vertices that have entered the buffer.
     vertex_clock: u32,
-    /// The edge buffer, by original vertices.
+    /// The edge buffer. Each edge is a pair of original vertices.
     edges: [[u32; 2]; 16],
-    /// Edges that have entered the buffer.
+    /// Number of edges that have entered the buffer.
     edge_clock: u32,
 }
 
@@ -85,23 +85,23 @@ impl IndexWriter {
         self.order.clear();
         self.order.resize(vertices + 1, 0);
         (self.next, self.last) = (0, 0);
-        // No vertex has entered so lately that its age has a code.
+        // At the beginning, no vertex is so recent that its age has a code.
         self.vertex_clock = 16;
         self.edges = [[NEW; 2]; 16];
         self.edge_clock = 0;
     }
 
-    /// Original vertices in the order of their first use.
+    /// Returns the original vertices in the order of their first use.
     pub fn order(&self) -> &[u32] {
         &self.order[..self.next as usize]
     }
 
-    /// Edges that have entered the buffer.
+    /// Returns the number of edges that have entered the buffer.
     pub fn clock(&self) -> u32 {
         self.edge_clock
     }
 
-    /// The payload, in consecutive parts; empty if there is no triangle.
+    /// Returns the payload in consecutive parts; empty if there is no triangle.
     pub fn payload(&self) -> [&[u8]; 4] {
         if self.codes.is_empty() {
             return [&[]; 4];
@@ -109,8 +109,8 @@ impl IndexWriter {
         [&[HEADER], &self.codes, &self.data, &CODE_TABLE]
     }
 
-    /// A triangle that continues from an edge, `age` edges before the latest, which entered as `[a, b]`. Its own edges enter:
-    /// `[c, b]`, then `[a, c]`.
+    /// Writes a triangle that continues from an edge, which entered the buffer as `[a, b]`, `age` edges before the latest. Then the
+    /// triangle's own edges enter: `[c, b]`, then `[a, c]`.
     #[inline]
     pub fn attach(&mut self, [a, b, c]: [u32; 3], age: u32) {
         debug_assert!(age < REACH);
@@ -118,7 +118,7 @@ impl IndexWriter {
         let VertexState { index, entered } = *vertex;
         let vertex_age = self.vertex_clock - 1 - entered;
         let (new, recent) = (index == NEW, vertex_age.wrapping_sub(1) < MAX_VERTEX_AGE);
-        // Without branches: which case applies is unpredictable.
+        // Branch-free, because it is unpredictable which case applies.
         let step = index.wrapping_sub(self.last);
         let relative = select_unpredictable(step == u32::MAX, BEFORE_LAST, EXPLICIT);
         let relative = select_unpredictable(step == 1, AFTER_LAST, relative);
@@ -140,7 +140,7 @@ impl IndexWriter {
         self.enter_edge([a, c]);
     }
 
-    /// A triangle without an edge in the buffer. All three of its edges enter, the one that starts at the returned corner first.
+    /// Writes a triangle without an edge in the buffer. All three of its edges enter, the one that starts at the returned corner first.
     pub fn start(&mut self, mut corners: [u32; 3]) -> usize {
         // The format has no code for a second and third vertex that are new after a first one that is not.
         let is_new = |corner: &u32| self.vertices[*corner as usize].index == NEW;
@@ -182,7 +182,7 @@ impl IndexWriter {
         first
     }
 
-    /// The corner at which an edge of a triangle starts that is in the buffer, and the age of that edge.
+    /// Finds an edge of a triangle in the buffer. Returns the corner at which the edge starts, and its age.
     pub fn find(&self, [a, b, c]: [u32; 3]) -> Option<(u32, u32)> {
         (0..REACH).find_map(|age| {
             let edge = self.edges[self.edge_clock.wrapping_sub(1 + age) as usize % 16];
@@ -197,7 +197,7 @@ impl IndexWriter {
         self.edge_clock += 1;
     }
 
-    /// The difference to the index written last: seven bits a byte, the sign in the lowest bit.
+    /// Writes the difference to the index written last: seven bits a byte, the sign in the lowest bit.
     fn write_index(&mut self, index: u32) {
         let step = index.wrapping_sub(self.last) as i32;
         let mut rest = (step << 1 ^ step >> 31) as u32;

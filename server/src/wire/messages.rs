@@ -159,7 +159,7 @@ pub struct SurfaceEdit {
     pub edit: Edit,
 }
 
-/// By hand, because serde cannot flatten and refuse unknown fields at the same time.
+/// Written by hand, because serde cannot flatten and refuse unknown fields at the same time.
 impl<'de> Deserialize<'de> for SurfaceEdit {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         use serde::de::Error;
@@ -173,7 +173,7 @@ impl<'de> Deserialize<'de> for SurfaceEdit {
                 out.write_str("an edit")
             }
 
-            /// A list, so that a field that is there twice is still noticed.
+            /// Collects the fields in a list, so that a duplicate field is still noticed.
             fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
                 let mut fields = Vec::new();
                 while let Some(field) = map.next_entry()? {
@@ -483,7 +483,7 @@ pub enum ServerMessage {
 }
 
 impl ServerMessage {
-    /// Whether it is an error that another budget helps with.
+    /// Whether another budget may avoid this error.
     pub fn suggests_budget(&self) -> bool {
         matches!(
             self,
@@ -494,9 +494,9 @@ impl ServerMessage {
         )
     }
 
-    /// The text frame.
+    /// Returns the text frame.
     pub fn to_json(&self) -> String {
-        // serde_json fails on maps with other keys than strings alone, and there are none.
+        // Cannot fail: serde_json only fails on maps whose keys are not strings, and messages have none.
         serde_json::to_string(self).unwrap_or_default()
     }
 }

@@ -27,15 +27,15 @@ use super::index_codec::{IndexWriter, REACH};
 
 /// An edge of a triangle with its direction: four times the triangle's number, counted from 1, plus the corner that it starts at.
 type HalfEdge = u32;
-/// Of the sentinel triangle, which is covered and takes writes that have no other target.
+/// Half-edge of the sentinel triangle, which is covered and takes writes that have no other target.
 const NONE: HalfEdge = 0;
 
-/// The corner after one. Two bits each in a constant are faster than an array's element.
+/// Returns the corner after another one. Two bits each in a constant are faster than an array's element.
 pub(super) fn after(corner: u32) -> u32 {
     0b00_10_01 >> (2 * corner) & 3
 }
 
-/// The corner before one.
+/// Returns the corner before another one.
 pub(super) fn before(corner: u32) -> u32 {
     0b01_00_10 >> (2 * corner) & 3
 }
@@ -44,19 +44,19 @@ pub(super) fn before(corner: u32) -> u32 {
 #[derive(Clone, Copy)]
 struct Gate {
     half_edge: HalfEdge,
-    /// The codec's clock just after it took the edge.
+    /// The codec's clock just after the edge entered its buffer.
     clock: u32,
 }
 
 /// Buffers of the traversal, kept so that nothing is allocated once they have grown.
 #[derive(Default)]
 pub(super) struct Traversal {
-    /// The opposite half-edge of each half-edge of a triangle, by corner; the fourth is padding.
+    /// The twin (opposite half-edge) of each half-edge, by triangle and corner; the fourth entry is padding.
     twins: Vec<[HalfEdge; 4]>,
     /// Whether each triangle is still to be written.
     uncovered: Vec<bool>,
     edges: EdgeTable,
-    /// As long as it can become; `stack_len` gates are in use.
+    /// Has the maximum length; only the first `stack_len` gates are in use.
     stack: Vec<Gate>,
     stack_len: usize,
 }
@@ -74,15 +74,15 @@ impl Traversal {
         }
     }
 
-    /// The twin of each half-edge, by the number of its triangle, counted from 1, and the corner that it starts at, across levels too.
-    /// A half-edge is four times the triangle's number, plus the corner; 0: no twin.
+    /// Returns the twin of each half-edge, across levels too. A half-edge is found by the number of its triangle, counted from 1, and the
+    /// corner that it starts at. A twin is four times its triangle's number, plus the corner; 0: no twin.
     pub fn twins(&mut self, indices: &[u32], vertices: usize) -> &[[HalfEdge; 4]] {
         let triangles = indices.as_chunks::<3>().0;
         self.connect(triangles, &[triangles.len() as u32, 0, 0, 0, 0, 0], vertices);
         &self.twins
     }
 
-    /// Enters a triangle that no gate leads to, or whose gate the codec has forgotten.
+    /// Writes a triangle that no gate leads to, or whose gate has left the codec's buffer.
     fn start(&mut self, triangle: u32, corners: [u32; 3], writer: &mut IndexWriter) {
         if let Some((corner, age)) = writer.find(corners) {
             return self.push(4 * triangle + corner, writer.clock() - age);
@@ -101,7 +101,7 @@ impl Traversal {
         self.stack_len += 1;
     }
 
-    /// Traverses until the stack is empty.
+    /// Writes triangles until the stack is empty.
     fn cover(&mut self, triangles: &[[u32; 3]], writer: &mut IndexWriter) {
         while self.stack_len > 0 {
             self.stack_len -= 1;
@@ -119,7 +119,7 @@ impl Traversal {
         }
     }
 
-    /// Writes the triangle behind a gate that the codec took `age` edges ago, and on from there while a way out is free.
+    /// Writes the triangle behind a gate whose edge entered the codec's buffer `age` edges ago. Continues while a way out is free.
     fn follow(&mut self, mut gate: HalfEdge, mut age: u32, triangles: &[[u32; 3]], writer: &mut IndexWriter) {
         let corners = triangles[gate as usize / 4 - 1];
         let [mut a, mut b] = [gate % 4, after(gate % 4)].map(|corner| corners[corner as usize]);
@@ -132,7 +132,7 @@ impl Traversal {
             let twins = &self.twins[triangle];
             let [right, left] = [twins[second], twins[third]];
             let [right_free, left_free] = [right, left].map(|half_edge| self.is_uncovered(half_edge));
-            // Pushed in any case, but kept only if both ways are free. The left edge is the last that the codec took.
+            // The left edge, which entered the codec's buffer last, is always pushed, but kept only if both ways out are free.
             self.stack[self.stack_len] = Gate {
                 half_edge: left,
                 clock: writer.clock(),
@@ -151,13 +151,13 @@ impl Traversal {
         self.uncovered[half_edge as usize / 4]
     }
 
-    /// Finds the twin of each half-edge, among those of its level.
+    /// Finds the twin of each half-edge among the half-edges of its level.
     fn connect(&mut self, triangles: &[[u32; 3]], level_triangles: &[u32; 6], vertices: usize) {
         let entries = triangles.len() + 1;
-        // Twins left from other regions are overwritten, every one of them.
+        // Twins that are left from other regions are all overwritten.
         if self.twins.len() < entries {
             self.twins.resize(entries, [NONE; 4]);
-            // A triangle pushes one gate when it is entered through one, three when it is not.
+            // A triangle pushes one gate if it is entered through a gate, and three otherwise.
             let unused = Gate {
                 half_edge: NONE,
                 clock: 0,
@@ -215,8 +215,8 @@ impl Traversal {
     }
 }
 
-/// The quad of two triangles that start at the same end of its diagonal: `[a, b, c]` and `[a, c, d]`, in either order. Its corners,
-/// and whether the triangles are swapped. The diagonal is the third edge of the one and the first of the other.
+/// Returns the quad of two triangles that start at the same end of its diagonal: `[a, b, c]` and `[a, c, d]`, in either order. Returns its
+/// corners, and whether the triangles are swapped. The diagonal is the third edge of one triangle and the first edge of the other.
 #[inline]
 fn quad(first: [u32; 3], second: [u32; 3]) -> Option<(bool, [u32; 4])> {
     let (in_order, swapped) = (first[2] == second[1], first[1] == second[2]);
@@ -236,10 +236,10 @@ fn quad(first: [u32; 3], second: [u32; 3]) -> Option<(bool, [u32; 4])> {
 /// edges, and neighbouring vertices have neighbouring indices, so that a traversal stays in the cache.
 #[derive(Default)]
 struct EdgeTable {
-    /// From the highest bit: lower and higher vertex, [`VERTEX_BITS`] each, whether the half-edge leads from the lower to the
-    /// higher, and the half-edge, [`HALF_EDGE_BITS`]; 0: free.
+    /// Packed from the highest bit on: lower and higher vertex, [`VERTEX_BITS`] each; whether the half-edge leads from the lower to the
+    /// higher; and the half-edge, [`HALF_EDGE_BITS`]. 0: free.
     slots: Vec<u64>,
-    /// Slots for the edges of one lower vertex; probing may go on into those that follow.
+    /// Slots for the edges of one lower vertex; probing may continue in the slots of the next vertices.
     slots_per_vertex: u64,
 }
 
@@ -248,7 +248,7 @@ const VERTEX_BITS: u32 = 20;
 const _: () = assert!(MAX_INDICES < 1 << VERTEX_BITS && 4 * (MAX_INDICES / 3 + 1) < 1 << HALF_EDGE_BITS);
 
 impl EdgeTable {
-    /// Empties the table, with slots for `half_edges` half-edges even if no two are of one edge.
+    /// Empties the table and makes room for `half_edges` half-edges, even if each is of an edge of its own.
     fn clear(&mut self, vertices: usize, half_edges: usize) {
         let slots_per_vertex = half_edges * 3 / 2 / vertices.max(1) + 2;
         self.slots_per_vertex = slots_per_vertex as u64;
@@ -256,8 +256,8 @@ impl EdgeTable {
         self.slots.resize(slots_per_vertex * (vertices + 1), 0);
     }
 
-    /// Makes a half-edge the latest of its edge. Returns the one before, if it has the opposite direction. On an edge with more than
-    /// two half-edges any two that follow each other may be twins.
+    /// Stores a half-edge as the latest of its edge. Returns the previous one, if it has the opposite direction. On an edge with more than
+    /// two half-edges, any two consecutive ones may be twins.
     #[inline]
     fn replace(&mut self, from: u32, to: u32, half_edge: HalfEdge) -> HalfEdge {
         let [low, high] = [u64::from(from.min(to)), u64::from(from.max(to))];
@@ -269,7 +269,7 @@ impl EdgeTable {
         loop {
             let stored = &mut self.slots[slot];
             let found = *stored;
-            // 0 if the slot is free or has this edge. One branch for both cases, which is mostly taken; a branch between them
+            // 0 if the slot is free or has this edge. One branch serves both cases and is mostly taken; a branch that tells them apart
             // would be unpredictable.
             if found.min(found >> (HALF_EDGE_BITS + 1) ^ key) == 0 {
                 *stored = entry;

@@ -52,7 +52,7 @@ pub fn order(frame: &[u8]) -> Result<Vec<u32>, ChunkError> {
     Ok(written(&decoded)?.1)
 }
 
-/// The payload, and the vertices in their order there.
+/// Returns the payload, and the given vertices in the order of the payload.
 fn written(decoded: &DecodedChunk) -> Result<(Vec<u8>, Vec<u32>), ChunkError> {
     let mut traversal = Traversal::default();
     let mut walk = Walk::new(Encoder::new(), &decoded.header);
@@ -79,7 +79,8 @@ pub(super) fn decode(header: &ChunkHeader, payload: &[u8]) -> Result<(Vec<WireVe
     Ok((walk.mesh.vertices, indices))
 }
 
-/// Indices by level, finest first, each level in the order in which it was coded; `None` if there are more triangles of a level than stated.
+/// Returns the indices by level, finest first, each level in the order in which it was coded; `None` if a level has more triangles than
+/// stated.
 fn by_level(mesh: &Mesh, level_triangles: [u32; 6]) -> Option<Vec<u32>> {
     let mut indices = vec![0; 3 * mesh.triangles.len()];
     let mut ends = [0; 6];
@@ -101,22 +102,22 @@ fn by_level(mesh: &Mesh, level_triangles: [u32; 6]) -> Option<Vec<u32>> {
     Some(indices)
 }
 
-/// A mesh that is encoded.
+/// The mesh to encode.
 struct Known<'a> {
     vertices: &'a [WireVertex],
     triangles: &'a [[u32; 3]],
     levels: Vec<u8>,
-    /// As [`Traversal::twins`].
+    /// As [`Traversal::twins`] returns them.
     twins: &'a [[u32; 4]],
     is_covered: Vec<bool>,
-    /// Triangles before this one are covered.
+    /// All triangles before this one are covered.
     seed: usize,
     /// The number of each vertex in the coded mesh, once it has one.
     numbers: Vec<Option<u32>>,
-    /// Vertices by that number.
+    /// Vertices by their numbers in the coded mesh.
     order: Vec<u32>,
-    /// The half-edge behind each edge of the boundary: four times the triangle, counted from 1, plus the corner that the edge starts at;
-    /// or 0.
+    /// For each edge of the boundary, the half-edge behind it: four times the triangle, counted from 1, plus the corner that the edge
+    /// starts at. 0: none.
     behind: Vec<u32>,
 }
 
@@ -145,7 +146,7 @@ impl<'a> Known<'a> {
             self.seed += 1;
         }
         self.is_covered[self.seed] = true;
-        // As `Boundary::start` numbers them.
+        // In the order in which `Boundary::start` numbers the edges.
         let [ab, bc, ca, _] = self.twins[self.seed + 1];
         self.behind.extend([ca, bc, ab]);
         self.seed
@@ -159,13 +160,13 @@ impl<'a> Known<'a> {
             return None;
         }
         let twins = self.twins[triangle + 1];
-        // As `Boundary::cover` numbers them.
+        // In the order in which `Boundary::cover` numbers the edges.
         self.behind
             .extend([before(corner), after(corner)].map(|corner| twins[corner as usize]));
         Some((triangle, self.triangles[triangle][before(corner) as usize]))
     }
 
-    /// Gives a vertex the next number.
+    /// Assigns the next number to a vertex.
     fn number(&mut self, vertex: u32) {
         self.numbers[vertex as usize] = Some(self.order.len() as u32);
         self.order.push(vertex);
@@ -178,10 +179,10 @@ struct Models {
     is_right: [BitModel; 64],
     is_left: [BitModel; 64],
     is_corner_new: [BitModel; 3],
-    /// How long ago a vertex got its number.
+    /// Age of a vertex that is used again: how long ago it got its number.
     age: NumberModel,
     is_same_level: [BitModel; 4],
-    /// By the level before: three bits, the highest first, each given those before.
+    /// Bits of a level, by the previous level: three bits, the highest first, each given those before it.
     level: [[BitModel; 7]; 6],
     /// Corners of a triangle that nothing leads to: positions of the first one, and of the others; features.
     corner: NumberModel,
@@ -189,7 +190,7 @@ struct Models {
     depth: NumberModel,
     smoothness: NumberModel,
     feature: NumberModel,
-    /// Inside of the mesh, and at its border.
+    /// Normals inside of the mesh, and at its border.
     normal: NumberModel,
 }
 
@@ -221,12 +222,12 @@ struct Walk<'a, C> {
     boundary: Boundary,
     mesh: Mesh,
     known: Option<Known<'a>>,
-    /// Of the header.
+    /// Number of triangles in the header.
     triangles: usize,
     vertices: usize,
-    /// Level of the last triangle that nothing led to.
+    /// Level of the last triangle that no edge led to.
     start_level: u8,
-    /// Edges whose triangles come next, the last one first.
+    /// Edges to follow next, from the last one on.
     stack: Vec<EdgeId>,
 }
 
@@ -258,7 +259,7 @@ impl<C: Coder> Walk<'_, C> {
         Ok(())
     }
 
-    /// A triangle that nothing leads to.
+    /// Codes a triangle that no edge leads to.
     fn start(&mut self) -> Result<(), String> {
         if self.coder.is_exhausted() {
             return Err(format!("payload ends after {} triangles", self.mesh.triangles.len()));
@@ -288,7 +289,7 @@ impl<C: Coder> Walk<'_, C> {
         Ok(())
     }
 
-    /// The triangle behind an edge, if there is one.
+    /// Codes the triangle behind an edge, if there is one.
     fn follow(&mut self, id: EdgeId) -> Result<(), String> {
         let (edge, previous, next) = (
             self.boundary.edge(id),
@@ -334,7 +335,7 @@ impl<C: Coder> Walk<'_, C> {
         Ok(())
     }
 
-    /// Which third vertex the triangle behind an edge has; `number`: of the known one.
+    /// Codes which third vertex the triangle behind an edge has. `number` is that of the vertex, if the mesh is known.
     fn third(&mut self, id: EdgeId, number: Option<u32>) -> Third {
         let edge = self.boundary.edge(id);
         let is_right = number == Some(self.boundary.next(id).to);
@@ -365,7 +366,7 @@ impl<C: Coder> Walk<'_, C> {
         Ok(level)
     }
 
-    /// The number of a vertex that has one.
+    /// Codes the number of a vertex that has one.
     fn old_vertex(&mut self, number: Option<u32>) -> Result<u32, String> {
         let last = self.mesh.vertices.len() as i32 - 1;
         let age = last - number.unwrap_or_default() as i32;
@@ -376,7 +377,7 @@ impl<C: Coder> Walk<'_, C> {
         }
     }
 
-    /// Begins a vertex; of a known mesh, the one that it is.
+    /// Begins a vertex. If the mesh is known, numbers the known vertex and returns it.
     fn begin_vertex(&mut self, vertex: u32) -> Result<WireVertex, String> {
         if self.mesh.vertices.len() == self.vertices {
             return Err(format!(
@@ -392,7 +393,7 @@ impl<C: Coder> Walk<'_, C> {
         Ok(known.vertices[vertex as usize])
     }
 
-    /// A corner of a triangle that nothing leads to, predicted by the vertex before.
+    /// Codes a corner of a triangle that no edge leads to. It is predicted from the previous vertex.
     fn add_corner(&mut self, place: usize, vertex: u32) -> Result<u32, String> {
         let known = self.begin_vertex(vertex)?;
         let number = self.mesh.vertices.len() as u32;
@@ -418,7 +419,7 @@ impl<C: Coder> Walk<'_, C> {
         Ok(number)
     }
 
-    /// A new vertex behind an edge.
+    /// Codes a new vertex behind an edge.
     fn add_vertex(&mut self, id: EdgeId, vertex: u32) -> Result<u32, String> {
         let known = self.begin_vertex(vertex)?;
         let number = self.mesh.vertices.len() as u32;
@@ -451,7 +452,7 @@ impl<C: Coder> Walk<'_, C> {
         Ok(number)
     }
 
-    /// All normals, behind everything else, when all triangles are known.
+    /// Codes all normals. They come last, when all triangles are known.
     fn normals(&mut self) {
         let known: Option<Vec<WireVertex>> =
             (self.known.as_ref()).map(|known| known.order.iter().map(|&old| known.vertices[old as usize]).collect());
@@ -472,7 +473,7 @@ impl<C: Coder> Walk<'_, C> {
     }
 }
 
-/// The feature of a step that was read.
+/// Converts a coded step to a feature.
 fn in_range(step: i32) -> Result<u16, String> {
     feature_of(step).ok_or_else(|| format!("feature {step}, expected 0 to 256"))
 }

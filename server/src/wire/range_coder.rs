@@ -1,21 +1,21 @@
 //! Adaptive binary range coder: bits, each with a model of the probability of a 1. The decoder mirrors the encoder, so the sequence of
 //! coded values is written once for both ([`Coder`]). Normative: `PROTOCOL.md`, section 4.1.
 
-/// Bits of a probability when a range is divided.
+/// Bits of precision of a probability, when a range is divided.
 const PROBABILITY_BITS: u32 = 12;
 /// Lowest probability of either bit, in units of 1/2¹².
 const MIN_PROBABILITY: u32 = 16;
-/// A range below this takes a further byte.
+/// If a range falls below this, it is extended by another byte.
 const MIN_RANGE: u32 = 1 << 24;
-/// Bits after which a model learns no slower.
+/// Number of bits after which the learning rate of a model stays constant.
 const MAX_SEEN: u8 = 100;
 
 /// Model of the probability of a 1.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BitModel {
-    /// Of a 1, in units of 1/2¹⁶.
+    /// Probability of a 1, in units of 1/2¹⁶.
     probability: u16,
-    /// Bits that were coded, up to [`MAX_SEEN`].
+    /// Number of bits that were coded, up to [`MAX_SEEN`].
     seen: u8,
 }
 
@@ -29,14 +29,14 @@ impl Default for BitModel {
 }
 
 impl BitModel {
-    /// The part of a range that a 1 takes.
+    /// Returns the part of a range that stands for a 1.
     fn bound(self, range: u32) -> u32 {
         let probability = u32::from(self.probability) >> (16 - PROBABILITY_BITS);
         let max = (1 << PROBABILITY_BITS) - MIN_PROBABILITY;
         (range >> PROBABILITY_BITS) * probability.clamp(MIN_PROBABILITY, max)
     }
 
-    /// Learns by about the reciprocal of the number of bits: fast at first, because chunks are short.
+    /// Learns at a rate of about the reciprocal of the number of bits: fast at first, because chunks are short.
     fn update(&mut self, bit: bool) {
         let rate = (2 << 16) / (2 * u32::from(self.seen) + 5);
         self.seen = (self.seen + 1).min(MAX_SEEN);
@@ -49,7 +49,8 @@ impl BitModel {
     }
 }
 
-/// An encoder, which takes the bits that it is given and returns them, or a decoder, which ignores these and returns what it reads.
+/// An encoder or a decoder. An encoder writes the values that it is given and returns them. A decoder ignores them and returns the values
+/// that it reads.
 pub(super) trait Coder {
     /// Codes a bit with a model.
     fn bit(&mut self, model: &mut BitModel, bit: bool) -> bool;
@@ -59,7 +60,7 @@ pub(super) trait Coder {
     fn is_exhausted(&self) -> bool;
 }
 
-/// Writes.
+/// Coder that writes a payload.
 pub(super) struct Encoder {
     /// The low end of the range; bit 32 is a carry.
     low: u64,
@@ -81,12 +82,12 @@ impl Encoder {
         }
     }
 
-    /// The payload.
+    /// Completes the payload and returns it.
     pub fn finish(mut self) -> Vec<u8> {
         for _ in 0..5 {
             self.shift();
         }
-        // The first byte is the one that waited at the beginning: 0.
+        // Drops the first byte, which is always 0: it is the pending byte of the beginning.
         self.bytes.split_off(1)
     }
 
@@ -97,7 +98,7 @@ impl Encoder {
         }
     }
 
-    /// Moves the highest byte of `low` out, when no carry can change it any more.
+    /// Moves the highest byte of `low` out, once no carry can change it any more.
     fn shift(&mut self) {
         const CARRY: u64 = 1 << 32;
         if self.low < 0xff00_0000 || self.low >= CARRY {
@@ -143,7 +144,7 @@ impl Coder for Encoder {
     }
 }
 
-/// Reads a payload; behind its end there are zeros.
+/// Coder that reads a payload. Beyond its end it reads zeros.
 pub(super) struct Decoder<'a> {
     code: u32,
     range: u32,
@@ -218,19 +219,20 @@ impl Coder for Decoder<'_> {
     }
 }
 
-/// A model of whole numbers: how many bits their magnitude has, sign, and the two bits below the highest. Further bits are raw.
+/// Model of whole numbers. Has models for the number of bits of the magnitude, the sign, and the two bits below the highest. Further bits
+/// are raw.
 pub(super) struct NumberModel {
     contexts: Vec<NumberContext>,
-    /// By the number of bits of the magnitude: those below the highest, the second one given the first.
+    /// Models of the two bits below the highest, by the number of bits of the magnitude; the second one given the first.
     below_highest: [[BitModel; 3]; MAX_LENGTH + 1],
 }
 
-/// Bits of the largest magnitude.
+/// Maximum bits of a magnitude.
 const MAX_LENGTH: usize = 20;
 
 #[derive(Clone, Copy, Default)]
 struct NumberContext {
-    /// By number of bits: whether the magnitude has more.
+    /// Whether the magnitude has more bits, by number of bits.
     is_longer: [BitModel; MAX_LENGTH],
     is_negative: BitModel,
 }
@@ -243,7 +245,7 @@ impl NumberModel {
         }
     }
 
-    /// A number of less than 2²⁰ in magnitude.
+    /// Codes a number of less than 2²⁰ in magnitude.
     pub fn code(&mut self, coder: &mut impl Coder, context: usize, value: i32) -> i32 {
         let context = &mut self.contexts[context];
         let (given, given_length) = (value.unsigned_abs(), length(value));
@@ -270,7 +272,7 @@ impl NumberModel {
     }
 }
 
-/// Bits of a magnitude.
+/// Returns the number of bits of a magnitude.
 pub(super) fn length(value: i32) -> usize {
     (u32::BITS - value.unsigned_abs().leading_zeros()) as usize
 }

@@ -40,16 +40,16 @@ const TAIL: usize = 24;
 
 type Plane = [u8; BLOCK];
 
-/// The payload written last, in a buffer that is kept.
+/// Writes payloads to a buffer that is reused.
 #[derive(Default)]
 pub(super) struct VertexWriter {
-    /// As long as the longest payload could be, so that it need not be cleared.
+    /// Has the length of the longest payload, so that it need not be cleared.
     buffer: Vec<u8>,
     written: usize,
 }
 
 impl VertexWriter {
-    /// The payload; empty if there are no vertices.
+    /// Returns the payload written last; empty if there are no vertices.
     pub fn payload(&self) -> &[u8] {
         &self.buffer[..self.written]
     }
@@ -137,8 +137,8 @@ impl VertexWriter {
     }
 }
 
-/// The words of a block as structure of arrays, each row behind the word of the vertex before the block. The last vertex is
-/// repeated to the end of its group: differences of 0.
+/// The words of a block as a structure of arrays. Each row begins with the word of the vertex before the block. The last vertex is repeated
+/// to the end of its group, which gives differences of 0.
 struct Words {
     rows: [[u16; BLOCK + 1]; WORDS],
     vertices: usize,
@@ -160,7 +160,7 @@ impl Words {
         Self { rows, vertices }
     }
 
-    /// The kind of differences with which the second channel is smaller.
+    /// Returns the kind of differences that makes the second channel smaller.
     fn kind_of_z_and_normal(&self) -> u8 {
         let bytes = [BY_BYTES, BY_WORDS].map(|kind| {
             let planes = self.planes(1, kind);
@@ -172,7 +172,7 @@ impl Words {
         if bytes[0] <= bytes[1] { BY_BYTES } else { BY_WORDS }
     }
 
-    /// The planes of a channel.
+    /// Returns the planes of a channel.
     fn planes(&self, channel: usize, kind: u8) -> [Plane; 4] {
         let mut planes = [[0; BLOCK]; 4];
         let padded = self.vertices.next_multiple_of(GROUP);
@@ -203,16 +203,16 @@ impl Words {
 struct PlaneLayout {
     control: u8,
     bytes: usize,
-    /// Of each group, as indices of [`WIDTHS`].
+    /// Width of each group, as an index of [`WIDTHS`].
     widths: [u8; GROUPS],
 }
 
 impl PlaneLayout {
-    /// The one with the fewest bytes.
+    /// Returns the layout with the fewest bytes.
     fn smallest(plane: &Plane, vertices: usize) -> Self {
         let groups = vertices.div_ceil(GROUP);
         let header = groups.div_ceil(4);
-        // With narrow widths, and with wide ones.
+        // Sizes with narrow widths, and with wide ones.
         let (mut bytes, mut widths) = ([header; 2], [[0; GROUPS]; 2]);
         let mut any = 0;
         for (i, group) in plane.as_chunks::<GROUP>().0[..groups].iter().enumerate() {

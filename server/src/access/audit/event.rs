@@ -14,35 +14,35 @@ pub(in crate::access) enum Event {
     SignOut,
     /// A stream was opened.
     Stream,
-    /// A ticket was asked for.
+    /// A ticket was requested.
     Ticket,
-    /// A token for a frame was asked for.
+    /// A token for a frame was requested.
     EmbedToken,
-    /// A surface was asked for as a file.
+    /// A surface was requested as a file.
     Export,
     /// A batch job was submitted.
     JobSubmit,
-    /// It was cancelled.
+    /// A batch job was cancelled.
     JobCancel,
-    /// It was deleted.
+    /// A batch job was deleted.
     JobDelete,
-    /// A result of it was read.
+    /// A result of a batch job was read.
     JobResult,
     /// Files of an upload were declared.
     UploadCreate,
-    /// They were read as a volume.
+    /// The files of an upload were read as a volume.
     UploadFinish,
-    /// They were deleted.
+    /// The files of an upload were deleted.
     UploadDelete,
     /// Another request, which was refused.
     Request,
     /// A token appeared in the state folder.
     TokenCreated,
-    /// It was gone.
+    /// A token was removed from the state folder.
     TokenRevoked,
 }
 
-/// The event of a request, and the job or upload that it is about.
+/// Returns the event of a request, and the id of its job or upload.
 pub(super) fn event_of(method: &Method, path: &str) -> (Event, Option<String>) {
     let parts: Vec<&str> = path.strip_prefix("/api/v1/").unwrap_or("").split('/').collect();
     let (event, id) = match (parts.as_slice(), method) {

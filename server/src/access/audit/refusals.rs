@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use super::Event;
 
-/// Kinds of refusals that are counted at a time; those beyond count together, without user and peer.
+/// Maximum kinds of refusals that are counted separately. Further kinds are counted together, without user and peer.
 pub(super) const MAX_KINDS: usize = 1_024;
 
 /// A kind of refusals: their lines differ only in time and id.
@@ -25,12 +25,12 @@ pub(super) struct Kind {
 /// Refusals that were counted instead of written.
 #[derive(Debug, Default)]
 pub(super) struct Refusals {
-    /// Since when each kind is counted, and how many there were after the first.
+    /// For each kind, when counting began, and the number of refusals after the first.
     kinds: HashMap<Kind, (Instant, u64)>,
 }
 
 impl Refusals {
-    /// Counts a refusal. True if it is the first of its kind for a while: it is to be written.
+    /// Counts a refusal. Returns true if it must be written, because it is the first of its kind for a while.
     pub(super) fn count(&mut self, mut kind: Kind, now: Instant) -> bool {
         if self.kinds.len() >= MAX_KINDS && !self.kinds.contains_key(&kind) {
             (kind.who, kind.peer) = (None, None);
@@ -47,7 +47,7 @@ impl Refusals {
         }
     }
 
-    /// Takes the counts that are to be written: of kinds that were first seen `age` ago or earlier.
+    /// Removes and returns the counts that must be written: those of kinds that were first seen at least `age` ago.
     pub(super) fn take(&mut self, now: Instant, age: Duration) -> Vec<(Kind, u64)> {
         let due = self.kinds.extract_if(|_, (since, _)| now.duration_since(*since) >= age);
         due.map(|(kind, (_, more))| (kind, more))

@@ -16,7 +16,7 @@ pub(super) enum Command {
     Write(Vec<u8>),
     /// The file was moved away: open it again.
     Reopen,
-    /// Answer when all before is written.
+    /// Answers once all earlier lines are written.
     Flush(SyncSender<()>),
 }
 
@@ -33,7 +33,7 @@ pub(super) struct Writer {
     file: File,
     lost: Arc<AtomicU64>,
     refusals: Arc<Mutex<Refusals>>,
-    /// An error was logged; further ones are not, until a write succeeds.
+    /// Whether an error was logged. Further errors are not logged until a write succeeds.
     complained: bool,
 }
 

@@ -9,7 +9,7 @@ use subtle::ConstantTimeEq;
 use super::signature::{self, ALGORITHMS};
 use crate::access::named::now;
 
-/// Seconds that clocks may differ by.
+/// Maximum difference of clocks, in seconds.
 const LEEWAY: u64 = 30;
 
 /// Maximum length of `sub`.
@@ -26,7 +26,7 @@ pub(super) enum ClaimsError {
     Other(&'static str),
 }
 
-/// Whom an ID token is for and about.
+/// The statements of an ID token.
 #[derive(Debug, Deserialize)]
 pub(super) struct Claims {
     /// The user's id: unique at the issuer, and never reassigned to another user.
@@ -34,7 +34,7 @@ pub(super) struct Claims {
     aud: Audience,
     azp: Option<String>,
     nonce: Option<String>,
-    /// When it was issued, seconds since 1970.
+    /// When it was issued, in seconds of Unix time.
     iat: Option<f64>,
     #[serde(flatten)]
     others: serde_json::Map<String, Value>,
@@ -110,7 +110,7 @@ impl Claims {
         Ok(())
     }
 
-    /// The length of `sub` is that of OpenID Connect Core 1.0, section 2.
+    /// Checks `sub` and the time of issue. The maximum length of `sub` is that of OpenID Connect Core 1.0, section 2.
     fn check_person(&self) -> Result<(), ClaimsError> {
         if self.sub.is_empty() || self.sub.len() > MAX_SUB_BYTES || !self.sub.is_ascii() {
             return Err(ClaimsError::Other(
@@ -123,7 +123,8 @@ impl Claims {
         Ok(())
     }
 
-    /// The names in a claim, `groups` or `realm_access.roles`: one, or a list. Without the claim there are none.
+    /// Returns the names in a claim such as `groups` or `realm_access.roles`, which has one name or a list. Without the claim there are
+    /// none.
     pub(super) fn names(&self, claim: &str) -> Vec<&str> {
         let mut parts = claim.split('.');
         let first = parts.next().and_then(|part| self.others.get(part));

@@ -31,7 +31,7 @@ pub(super) const SESSION_SECONDS: u64 = 10 * 3600;
 /// The path that the issuer redirects browsers to, below the address of the server.
 const CALLBACK: &str = "api/v1/oidc/callback";
 
-/// Roles of a group at the issuer, as on the command line: `GROUP=view,export`; `*` stands for everybody.
+/// Roles of a group at the issuer. On the command line: `GROUP=view,export`. The group `*` stands for all users.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GroupRoles {
     group: String,
@@ -58,7 +58,7 @@ impl FromStr for GroupRoles {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OidcError {
-    /// The issuer's address.
+    /// The issuer's address is invalid.
     #[error("--oidc-issuer {0:?}: expected an address such as https://login.example, as the issuer itself writes it")]
     Issuer(String),
     /// No group is given a role, so no user could do anything.
@@ -67,7 +67,7 @@ pub enum OidcError {
     /// Requests cannot be sent.
     #[error("requests to the issuer cannot be sent")]
     Requests(#[source] reqwest::Error),
-    /// There is no key for sign-ins.
+    /// The system has no random numbers for the key of sign-ins.
     #[error(transparent)]
     Random(TokenError),
 }
@@ -75,13 +75,13 @@ pub enum OidcError {
 /// The operator's configuration of an issuer.
 #[derive(Clone)]
 pub struct OidcOptions {
-    /// As the issuer itself writes it.
+    /// Address of the issuer, as the issuer itself writes it.
     pub issuer: String,
     /// This server's client id at the issuer.
     pub client_id: String,
     /// The client secret; `None` for a public client.
     pub client_secret: Option<String>,
-    /// The scopes to request, `openid` among them. Some issuers have groups in a scope of their own, others refuse scopes they do not know.
+    /// The scopes to request, including `openid`. Some issuers have groups in a scope of their own; others refuse unknown scopes.
     pub scope: String,
     /// The claim that has the names of groups; dots separate the names of nested objects.
     pub groups_claim: String,
@@ -89,7 +89,7 @@ pub struct OidcOptions {
     pub roles: Vec<GroupRoles>,
 }
 
-/// Without the secret.
+/// Leaves out the client secret.
 impl std::fmt::Debug for OidcOptions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("OidcOptions")
@@ -98,13 +98,13 @@ impl std::fmt::Debug for OidcOptions {
     }
 }
 
-/// Sign-in by an issuer. Clones are cheap.
+/// Sign-in through an issuer. Clones are cheap.
 #[derive(Clone, Debug)]
 pub struct Oidc {
     options: Arc<OidcOptions>,
     provider: Arc<Provider>,
     pending: Pending,
-    /// Address of the server in browsers, with a slash at its end.
+    /// Address at which browsers find the server, with a slash at its end.
     home: Arc<str>,
 }
 
@@ -116,7 +116,7 @@ pub(super) struct Vouched {
 }
 
 impl Oidc {
-    /// For a server that browsers find at `public`.
+    /// Creates the sign-in of a server that browsers find at `public`.
     ///
     /// # Errors
     /// [`OidcError`]. The issuer is not contacted here, so an unreachable one fails only when a user signs in.
@@ -142,17 +142,17 @@ impl Oidc {
         })
     }
 
-    /// The issuer, to be shown to users who are asked to sign in there.
+    /// Returns the issuer, which is shown to users who sign in there.
     pub fn issuer(&self) -> &str {
         &self.options.issuer
     }
 
-    /// The address at which browsers find the server.
+    /// Returns the address at which browsers find the server.
     pub fn home(&self) -> &str {
         &self.home
     }
 
-    /// Begins a sign-in. Returns the address at the issuer that the browser is sent to, and the secret that it brings back.
+    /// Begins a sign-in. Returns the issuer's address to which the browser is sent, and a secret that the browser brings back.
     pub(super) async fn begin(&self) -> Result<(String, String), ApiError> {
         let (metadata, _) = self.provider.metadata(false).await.map_err(away)?;
         let (secret, state, trip) = self.pending.begin(Instant::now()).map_err(no_random)?;
@@ -171,7 +171,7 @@ impl Oidc {
         Ok((address.into(), secret))
     }
 
-    /// Completes a sign-in: the browser has returned from the issuer with a code, a state and its secret.
+    /// Completes a sign-in, after the browser has returned from the issuer with a code, a state and its secret.
     pub(super) async fn end(&self, secret: Option<&str>, state: &str, code: &str) -> Result<Vouched, ApiError> {
         let trip = secret.and_then(|secret| self.pending.end(secret, state, Instant::now()));
         let trip = trip.ok_or_else(|| {
@@ -225,8 +225,8 @@ impl Oidc {
         })
     }
 
-    /// The address at which the user also signs out at the issuer (RP-Initiated Logout 1.0). `None` if the issuer states none or cannot be
-    /// reached.
+    /// Returns the address at which the user also signs out at the issuer (RP-Initiated Logout 1.0). `None` if the issuer states none or
+    /// cannot be reached.
     pub(super) async fn sign_out(&self) -> Option<String> {
         let (metadata, _) = self.provider.metadata(false).await.ok()?;
         let mut address = metadata.end_session_endpoint?.0;
@@ -237,7 +237,7 @@ impl Oidc {
         Some(address.into())
     }
 
-    /// Home, with words that the page shows.
+    /// Returns the home address with words that the page shows.
     pub(super) fn home_with(&self, words: &str) -> String {
         format!("{}#sign-in-failed={}", self.home, form_value(words))
     }

@@ -1,6 +1,6 @@
-//! Sign-ins in progress at an issuer. The browser keeps a secret in a cookie, from which all other values of the sign-in are derived with
-//! a key of the server. The server stores nothing for a sign-in in progress, so thousands of strangers who begin one cannot make that of
-//! another user fail. A response of the issuer that arrives in another browser is refused.
+//! Sign-ins in progress at an issuer. The browser keeps a secret in a cookie. All other values of the sign-in are derived from it with a
+//! key of the server. The server stores nothing for a sign-in in progress, so that thousands of clients who begin one cannot make another
+//! user's fail. A response of the issuer that arrives in another browser is refused.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,7 +16,7 @@ use crate::access::token::TokenError;
 
 /// Maximum duration of a sign-in: time for a password and a second factor.
 pub(in crate::access) const LIFETIME: Duration = Duration::from_secs(600);
-/// Maximum sign-ins that are remembered as used. Beyond it the oldest are forgotten, as issuers accept a code only once anyway.
+/// Maximum completed sign-ins that are remembered. Beyond it the oldest are forgotten, because issuers accept a code only once anyway.
 const MAX_USED: usize = 4_096;
 const RANDOM_BYTES: usize = 32;
 
@@ -29,24 +29,24 @@ pub(super) struct Trip {
 }
 
 impl Trip {
-    /// PKCE's code challenge.
+    /// Returns PKCE's code challenge.
     pub(super) fn challenge(&self) -> String {
         URL_SAFE_NO_PAD.encode(Sha256::digest(&self.verifier))
     }
 }
 
-/// The key for all sign-ins, and those that were used. Clones share them.
+/// The key of all sign-ins, and the completed ones. Clones share them.
 #[derive(Clone, Debug)]
 pub(super) struct Pending {
     key: Arc<Key>,
-    /// Origin of the times in secrets.
+    /// Time from which the times in secrets are counted.
     epoch: Instant,
     /// Begin of each sign-in that was completed, by its state.
     used: Arc<Mutex<HashMap<String, Instant>>>,
 }
 
 impl Pending {
-    /// With a random key.
+    /// Makes a random key.
     pub(super) fn new() -> Result<Self, TokenError> {
         let mut key = [0; RANDOM_BYTES];
         getrandom::fill(&mut key)?;
@@ -66,7 +66,7 @@ impl Pending {
         Ok((secret, state, trip))
     }
 
-    /// Ends a sign-in whose browser has brought back this secret. `None` if the state does not belong to the secret, the sign-in took
+    /// Completes a sign-in whose browser has brought back this secret. `None` if the state does not belong to the secret, the sign-in took
     /// longer than [`LIFETIME`], or the secret was used before.
     pub(super) fn end(&self, secret: &str, state: &str, now: Instant) -> Option<Trip> {
         // Only the matching state proves that the server has made this secret, and when.

@@ -12,9 +12,9 @@ use tokio::sync::Mutex;
 
 use crate::error::chain;
 
-/// Longest time for an answer of the issuer.
+/// Maximum time for an answer of the issuer.
 const TIMEOUT: Duration = Duration::from_secs(10);
-/// Longest answer: keys and addresses.
+/// Maximum bytes of an answer, which has keys and addresses.
 const MAX_ANSWER_BYTES: usize = 1 << 20;
 /// How long the issuer's metadata and keys are cached.
 const LIFETIME: Duration = Duration::from_secs(3600);
@@ -40,7 +40,7 @@ pub(super) enum ProviderError {
     OtherIssuer { found: String, expected: String },
 }
 
-/// An address of the issuer, which is encrypted or on this machine.
+/// An address of the issuer. It must be encrypted or on this machine.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(try_from = "String")]
 pub(super) struct Endpoint(pub Url);
@@ -114,7 +114,7 @@ impl Provider {
         })
     }
 
-    /// Returns the issuer's metadata and keys, from the cache unless it has expired or is `stale`.
+    /// Returns the issuer's metadata and keys. They come from the cache unless it has expired, or the caller states that it is `stale`.
     pub(super) async fn metadata(&self, stale: bool) -> Result<(Metadata, JwkSet), ProviderError> {
         let arrived = Instant::now();
         let mut known = self.known.lock().await;
@@ -124,7 +124,7 @@ impl Provider {
         {
             return Ok((metadata.clone(), keys.clone()));
         }
-        // A request failed while this one waited for the lock: do not repeat it.
+        // A request has failed while this one waited for the lock, so it is not repeated.
         if let Some((when, why)) = &known.failure
             && *when >= arrived
         {
@@ -150,7 +150,7 @@ impl Provider {
         Ok((metadata, keys))
     }
 
-    /// The ID token for a code.
+    /// Exchanges a code for an ID token.
     pub(super) async fn exchange(&self, metadata: &Metadata, what: &Exchange<'_>) -> Result<String, ProviderError> {
         let mut form = vec![
             ("grant_type", "authorization_code"),
@@ -164,7 +164,7 @@ impl Provider {
         let mut request = self.http.post(metadata.token_endpoint.0.clone());
         match what.client_secret {
             Some(secret) if in_form => form.extend([("client_id", what.client_id), ("client_secret", secret)]),
-            // RFC 6749, section 2.3.1: as in a form.
+            // Encoded as in a form, by RFC 6749, section 2.3.1.
             Some(secret) => request = request.basic_auth(form_value(what.client_id), Some(form_value(secret))),
             None => form.push(("client_id", what.client_id)),
         }
@@ -183,7 +183,7 @@ pub(super) fn is_safe(address: &Url) -> bool {
     address.scheme() == "https" || (address.scheme() == "http" && is_here)
 }
 
-/// A value of `application/x-www-form-urlencoded`.
+/// Encodes a value of `application/x-www-form-urlencoded`.
 pub(super) fn form_value(text: &str) -> String {
     percent_encoding::utf8_percent_encode(text, percent_encoding::NON_ALPHANUMERIC).to_string()
 }

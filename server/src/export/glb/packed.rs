@@ -18,9 +18,9 @@ const BYTE: u32 = 5120;
 const NORMAL_BITS: i32 = 8;
 /// Steps of a position along the longest side of the surface.
 const STEPS: f32 = 65535.0;
-/// The version of the vertex codec that the extension has.
+/// Version of the vertex codec that the extension requires.
 const VERTEX_VERSION: i32 = 0;
-/// The strongest search of the vertex codec.
+/// Level of the vertex codec with the strongest search.
 const VERTEX_LEVEL: i32 = 2;
 
 /// Writes `meshes` as [`super::write`] does, but rounded: positions are whole numbers of 16 bits along the longest side, normals have 8 bits,
@@ -45,7 +45,7 @@ pub(in crate::export) fn write(meshes: &[Mesh], extras: &Value, out: &mut impl W
         json["bufferViews"] = buffer.views.into();
         json["buffers"] = json!([
             { "byteLength": buffer.bytes.len() },
-            // The decoded buffer, of which no bytes are in the file.
+            // The decoded buffer, which has no bytes in the file.
             { "byteLength": buffer.decoded_bytes, "extensions": { EXTENSION: { "fallback": true } } },
         ]);
     }
@@ -54,7 +54,7 @@ pub(in crate::export) fn write(meshes: &[Mesh], extras: &Value, out: &mut impl W
     Ok(())
 }
 
-/// Returns how far positions are rounded at most, in the unit of the mesh.
+/// Returns the maximum rounding error of positions, in the unit of the mesh.
 pub(in crate::export) fn rounding(mesh: &Mesh) -> f64 {
     f64::from(Lattice::of(mesh).step) / 2.0
 }
@@ -81,7 +81,7 @@ impl Lattice {
         }
     }
 
-    /// World position of the numbers 0.
+    /// Returns the world position of the lattice's origin.
     fn origin(&self, mesh: &Mesh) -> [f64; 3] {
         [0, 1, 2].map(|axis| mesh.origin[axis] + f64::from(self.low[axis]))
     }
@@ -209,7 +209,7 @@ impl PackedBuffer {
     }
 }
 
-/// The codec has refused a mesh: it does so only if an index is not below the number of vertices.
+/// Converts an error of the codec, which refuses a mesh only if an index is not below the number of vertices.
 fn failed(error: meshopt::Error) -> ExportError {
     ExportError::Io(std::io::Error::other(error.to_string()))
 }

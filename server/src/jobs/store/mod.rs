@@ -17,13 +17,13 @@ use tokio::sync::Mutex;
 use super::error::{JobError, StoreError};
 use super::state::{Cause, Estimate, JobEvent, JobInfo, JobState, Progress};
 
-/// Each version's changes, in order; a store of version n has had the first n.
+/// Migrations in order. A store of version n has had the first n.
 const MIGRATIONS: [&str; 2] = [include_str!("schema.sql"), include_str!("schema-2.sql")];
 
-/// Another process that reads the store, such as a backup, holds it for moments.
+/// Maximum wait for another process that reads the store, such as a backup. It holds the store for moments only.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Columns of [`job_info`].
+/// Columns that [`job_info`] reads.
 const JOB_COLUMNS: &str = "id, volume, state, total, done, failed, empty, bytes, seconds, estimated_triangles, estimated_bytes, \
     estimated_seconds, submitted, started, finished, error_code, error_detail, number, \
     (SELECT count(DISTINCT owner) FROM jobs WHERE state IN ('queued', 'running'))";
@@ -31,15 +31,15 @@ const JOB_COLUMNS: &str = "id, volume, state, total, done, failed, empty, bytes,
 /// The store. Clones are cheap.
 #[derive(Clone, Debug)]
 pub struct Store {
-    /// One connection: SQLite writes one transaction at a time, and each takes some milliseconds. Tasks wait for it,
-    /// not threads.
+    /// One connection, because SQLite writes one transaction at a time, and each takes some milliseconds. Tasks wait for it without
+    /// blocking a thread.
     connection: Arc<Mutex<Connection>>,
     /// The owner of the last extraction that was taken.
     last_owner: Arc<std::sync::Mutex<String>>,
     reserve: Arc<Path>,
 }
 
-/// Bytes of a file that is removed if the disk is full, so that the end or the removal of a job can still be written.
+/// Bytes of the reserve: a file that is removed if the disk is full, so that the end or the removal of a job can still be written.
 const RESERVE_BYTES: usize = 1 << 20;
 
 impl Store {
@@ -155,7 +155,7 @@ fn state(name: &str) -> Result<JobState, StoreError> {
     found.ok_or_else(|| StoreError::Malformed(format!("the state {name:?}")))
 }
 
-/// A job, of a row of [`JOB_COLUMNS`], and its number.
+/// Converts a row of [`JOB_COLUMNS`] to a job and its number.
 fn job_info(row: &Row<'_>) -> Result<(i64, JobInfo), StoreError> {
     let state = state(&row.get::<_, String>(2)?)?;
     let extractions = progress(row, 3)?;
@@ -208,7 +208,7 @@ fn progress(row: &Row<'_>, from: usize) -> Result<Progress, StoreError> {
     })
 }
 
-/// Adds an event of a job, with the state of the job since then.
+/// Adds an event of a job, with the job's present state.
 fn add_event(transaction: &Transaction<'_>, job: i64, extraction: Option<u32>) -> Result<(), StoreError> {
     let found = transaction.query_row(
         "SELECT state, total, done, failed, empty FROM jobs WHERE number = ?1",

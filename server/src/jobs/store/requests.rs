@@ -1,4 +1,4 @@
-//! Requests of clients to the store. Each request names an owner, and finds no jobs but those of this owner.
+//! Transactions of clients. Each names an owner, and finds only the jobs of this owner.
 
 use data_encoding::HEXLOWER;
 use rusqlite::{Row, Transaction};
@@ -13,9 +13,9 @@ use super::{JOB_COLUMNS, Store, add_event, job_info, now, optional};
 use crate::export::{FileRequest, Format};
 use crate::extraction::MeasuredError;
 
-/// Failures that are listed with a job.
+/// Maximum failures that are listed with a job.
 const LISTED_FAILURES: u32 = 100;
-/// Events that are read at once: some 10 KiB.
+/// Maximum events that are read at once: some 10 KiB.
 const EVENT_BATCH: u32 = 100;
 
 /// Identity of a request: its user, its idempotency key and its digest.
@@ -25,7 +25,7 @@ pub struct RequestKey {
     pub owner: String,
     /// The `Idempotency-Key`.
     pub key: Option<String>,
-    /// SHA-256 of the request.
+    /// SHA-256 of the request, by which a reused key is detected.
     pub digest: Checksum,
 }
 
@@ -34,13 +34,13 @@ pub struct RequestKey {
 pub struct NewJob {
     /// Its id.
     pub id: String,
-    /// Its request.
+    /// The request that submits it.
     pub request: RequestKey,
     /// Id of its volume.
     pub volume: String,
-    /// JSON of its identity.
+    /// Identity of its input, as JSON.
     pub input: String,
-    /// JSON of each extraction.
+    /// Each extraction, as JSON.
     pub extractions: Vec<String>,
     /// Its estimated cost.
     pub estimate: Estimate,
@@ -60,7 +60,7 @@ pub struct ResultInfo {
 }
 
 impl Store {
-    /// The job that a request made before.
+    /// Returns the job that the same request created before, if any.
     ///
     /// # Errors
     /// [`JobError::KeyReused`].
@@ -84,7 +84,7 @@ impl Store {
         .await
     }
 
-    /// All jobs of an owner, the latest first.
+    /// Returns all jobs of an owner, the latest first.
     ///
     /// # Errors
     /// The store's.
@@ -101,7 +101,7 @@ impl Store {
         .await
     }
 
-    /// How many jobs of all owners are in each state.
+    /// Returns the number of jobs of all owners in each state.
     ///
     /// # Errors
     /// The store's.
@@ -184,7 +184,7 @@ impl Store {
         .await
     }
 
-    /// All extractions of a job, in their order.
+    /// Returns all extractions of a job, in their order.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`].
@@ -197,7 +197,7 @@ impl Store {
         .await
     }
 
-    /// A result.
+    /// Returns the result of an extraction.
     ///
     /// # Errors
     /// [`JobError::UnknownJob`], [`JobError::NoResult`].
@@ -328,7 +328,7 @@ fn manifest(transaction: &Transaction<'_>, job: i64) -> Result<Vec<ManifestEntry
     entries.map(|entry| entry?).collect()
 }
 
-/// A line of a manifest, of a row of [`manifest`].
+/// Converts a row of [`manifest`] to a line of the manifest.
 fn manifest_entry(row: &Row<'_>) -> Result<ManifestEntry, StoreError> {
     let (extraction, request): (u32, String) = (row.get(0)?, row.get(2)?);
     let state = match row.get::<_, String>(1)?.as_str() {
@@ -402,7 +402,7 @@ fn result(
     })
 }
 
-/// The request of an extraction.
+/// Parses the request of an extraction.
 pub(super) fn file_request(text: &str) -> Result<FileRequest, StoreError> {
     serde_json::from_str(text).map_err(|_| StoreError::Malformed(text.to_owned()))
 }

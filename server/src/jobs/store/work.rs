@@ -23,7 +23,7 @@ pub struct Work {
     pub job: String,
     /// Owner of the job.
     pub owner: String,
-    /// Which of the job, from 0.
+    /// Number of the extraction in its job, from 0.
     pub extraction: u32,
     /// The requested file.
     pub request: FileRequest,
@@ -42,16 +42,16 @@ pub enum Outcome {
     Done {
         /// The written file.
         written: Written,
-        /// Of its surface.
+        /// Triangles of the surface.
         triangles: u64,
-        /// Of its surface, if it was measured.
+        /// Error of the surface, if it was measured.
         error: Option<MeasuredError>,
         /// Notices on what the file's format could not keep.
         notices: Vec<String>,
-        /// Time that it took.
+        /// Seconds that the attempt took.
         seconds: f64,
     },
-    /// The surface has no triangles, and a file of it was not asked for.
+    /// The surface has no triangles, and the request does not ask for an empty file.
     Empty(Cause),
     /// There is no result; another attempt may succeed.
     Failed(Cause),
@@ -113,9 +113,9 @@ impl Store {
     }
 }
 
-/// Job, number and attempts of the next extraction: that of the next owner after this one, by name and round robin.
+/// Returns job, number and attempts of the next extraction. It belongs to the owner that follows `after`, by name and round robin.
 fn next(transaction: &Transaction<'_>, after: &str) -> Result<Option<(i64, u32, u32)>, StoreError> {
-    // Only jobs are sorted: there are many more extractions.
+    // Sorts jobs rather than extractions, because there are far fewer jobs.
     let query = "SELECT number FROM jobs WHERE state IN ('queued', 'running')
         AND EXISTS (SELECT 1 FROM extractions WHERE job = number AND state = 'waiting') ORDER BY owner <= ?1, owner, number LIMIT 1";
     let Some(number): Option<i64> = optional(transaction.query_row(query, [after], |row| Ok(Ok(row.get(0)?))))? else {
@@ -222,7 +222,7 @@ fn fail(transaction: &Transaction<'_>, number: i64, extraction: u32, cause: &Cau
     end_without_result(transaction, number, extraction, "failed", cause)
 }
 
-/// Ends an extraction as `failed` or `empty`, which is also the name of the job's column that counts them.
+/// Ends an extraction as `failed` or `empty`. The job's column that counts such extractions has the same name.
 fn end_without_result(
     transaction: &Transaction<'_>,
     number: i64,

@@ -25,7 +25,7 @@ const TEXTS: [&str; 9] = [
     "volume", "format", "field", "feature", "mask", "outward", "unit", "label", "compress",
 ];
 
-/// A cache revalidates each time, even for the same user: the volume may have changed, and so may the user's access to it.
+/// A cache revalidates the file each time, even for the same user, because the volume or the user's access to it may have changed.
 const CACHED: [(HeaderName, HeaderValue); 2] = [
     (header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache")),
     (
@@ -34,10 +34,10 @@ const CACHED: [(HeaderName, HeaderValue); 2] = [
     ),
 ];
 
-/// Files whose tags are known without making them.
+/// Maximum files whose tags are remembered.
 const MAX_KNOWN_TAGS: NonZero<usize> = NonZero::new(1024).expect("not 0");
 
-/// The tags of files that were made, by their requests: equal requests give equal bytes as long as the volume does not change.
+/// The tags of files that were made, by their requests. Equal requests give equal bytes while the volume does not change.
 #[derive(Clone, Debug)]
 pub(in crate::rest) struct KnownTags(Arc<Mutex<LruCache<RequestKey, FileDigest>>>);
 
@@ -78,12 +78,12 @@ fn hash(digest: FileDigest) -> String {
     HEXLOWER.encode(&digest.hash.to_be_bytes())
 }
 
-/// The strong tag of a file's bytes, as they are sent.
+/// Returns the strong tag of a file's bytes in this encoding.
 fn tag(digest: FileDigest, encoding: ContentEncoding) -> String {
     encoding.tag(&hash(digest))
 }
 
-/// Whether a client says that it has the file of this digest.
+/// Whether the client states that it already has the file of this digest.
 fn has(headers: &HeaderMap, digest: FileDigest) -> bool {
     ContentEncoding::is_known(headers, &hash(digest))
 }
@@ -172,7 +172,7 @@ fn not_modified(digest: FileDigest, encoding: ContentEncoding) -> Result<Respons
     tagged(StatusCode::NOT_MODIFIED.into_response(), &tag(digest, encoding))
 }
 
-/// An answer with the headers of its tag.
+/// Adds the headers of a tag to an answer.
 fn tagged(mut response: Response, tag: &str) -> Result<Response, ApiError> {
     let headers = response.headers_mut();
     headers.insert(header::ETAG, HeaderValue::from_str(tag).map_err(ApiError::internal)?);
@@ -197,7 +197,7 @@ fn request_of(query: Vec<(String, String)>) -> Result<ExtractRequest, String> {
     serde_json::from_value(Value::Object(fields)).map_err(|error| error.to_string())
 }
 
-/// A number, an object, a list, true, false or null as JSON has it; else a text.
+/// Parses a number, an object, a list, true, false or null of JSON. Any other text is a string.
 fn value_of(name: &str, text: String) -> Result<Value, String> {
     match serde_json::from_str(&text) {
         Err(error) if text.starts_with(['{', '[']) => Err(format!("{name}: expected JSON, found {text:?}: {error}")),

@@ -1,5 +1,5 @@
-//! The body of an export: written on a blocking thread, as fast as the client reads. The bytes that a slow client
-//! has not read yet go to a temporary file, so that mesh, permit and thread are free for other requests.
+//! The body of an export. A blocking thread writes it as fast as the client reads. The bytes that a slow client has not read yet go to a
+//! temporary file, so that mesh, permit and thread are free for other requests.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -16,24 +16,24 @@ use crate::rest::content_encoding::ContentEncoding;
 
 /// Bytes of a chunk of the body.
 const CHUNK_BYTES: usize = 256 * 1024;
-/// Chunks between writer and socket, 1 MiB: on a fast line neither waits for the other.
+/// Maximum chunks queued between writer and socket, 1 MiB: on a fast connection neither waits for the other.
 const QUEUED_CHUNKS: usize = 4;
 /// Time after which a client that reads no chunk is disconnected, as on the WebSocket: its spooled file takes space.
 const CHUNK_DEADLINE: Duration = Duration::from_secs(20);
 
-/// Time that a client may let the writer wait altogether before the rest is spooled.
+/// Total time that a client may keep the writer waiting before the rest is spooled.
 const SPOOL_AFTER: Duration = Duration::from_secs(2);
 
 /// The part of a file that is sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Part {
-    /// All of it, in an encoding.
+    /// The whole file, in an encoding.
     Whole(ContentEncoding),
-    /// Bytes from the first position up to but not including the second.
+    /// The bytes from the first position up to but not including the second.
     Range([u64; 2]),
 }
 
-/// Sends a part of a file. The permit is held until the mesh is released: when all is sent, or spooled.
+/// Sends a part of a file. Holds the permit until the mesh is released: once everything is sent or spooled.
 pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static, spool: SpoolFolder) -> Body {
     let patience = Patience {
         deadline: CHUNK_DEADLINE,
@@ -45,9 +45,9 @@ pub(super) fn send(file: MadeFile, part: Part, permit: impl Send + 'static, spoo
 /// How long the writer waits for a client.
 #[derive(Clone, Copy)]
 struct Patience {
-    /// For one chunk.
+    /// Maximum wait for one chunk.
     deadline: Duration,
-    /// Altogether, before the rest is spooled.
+    /// Total wait before the rest is spooled.
     spool_after: Duration,
 }
 
@@ -71,7 +71,7 @@ fn send_with(
     let is_whole = Arc::new(AtomicBool::new(false));
     let all_sent = Arc::clone(&is_whole);
     tokio::spawn(async move {
-        // The last sender goes after it is known whether all was sent.
+        // The last sender is dropped only after `all_sent` is set, so that the receiver can tell a complete body from one that is cut off.
         match write_and_send((file, permit), part, writer, &chunks).await {
             Ok(()) => all_sent.store(true, Ordering::Release),
             Err(error) => tracing::debug!(
@@ -85,7 +85,7 @@ fn send_with(
         queue.poll_recv(context).map(|chunk| {
             let is_cut_off = chunk.is_none() && !has_ended && !is_whole.load(Ordering::Acquire);
             has_ended = chunk.is_none();
-            // An error, or a compressed body that is cut off would look complete.
+            // Ends the body with an error. Otherwise a compressed body that is cut off would look complete.
             let cut_off = is_cut_off.then(|| Err(io::Error::from(io::ErrorKind::BrokenPipe)));
             chunk.map(Ok).or(cut_off)
         })
@@ -93,7 +93,7 @@ fn send_with(
     Body::from_stream(chunks)
 }
 
-/// Writes a part of a file, on a blocking thread, and then sends the bytes of it that were spooled.
+/// Writes a part of a file on a blocking thread, and then sends the bytes that were spooled.
 async fn write_and_send(
     (file, permit): (MadeFile, impl Send + 'static),
     part: Part,
@@ -148,12 +148,12 @@ fn write(file: &MadeFile, part: Part, out: impl Write) -> Result<(), ExportError
     }
 }
 
-/// Passes on some of the bytes that are written, and fails behind the last one of them.
+/// Passes on a range of the written bytes, and fails after the last byte of the range.
 struct Window<W> {
     out: W,
-    /// Bytes before the first one.
+    /// Bytes to skip before the range begins.
     skip: u64,
-    /// Bytes that are still to be passed on.
+    /// Bytes of the range that were not passed on yet.
     left: u64,
 }
 
@@ -181,16 +181,17 @@ struct ChunkWriter {
     chunks: mpsc::Sender<Bytes>,
     runtime: Handle,
     deadline: Duration,
-    /// Time that it still waits before it spools.
+    /// Time that the writer still waits for the client before it spools.
     patience: Duration,
     spool_folder: SpoolFolder,
     spool: Option<Spool>,
-    /// Error of an earlier write. All later writes fail at once: an encoder or a buffer that is dropped flushes, and would wait once more.
+    /// Error of an earlier write. All later writes then fail at once: an encoder or a buffer flushes when it is dropped, and would wait
+    /// once more.
     failed: Option<io::ErrorKind>,
 }
 
 impl ChunkWriter {
-    /// Sends a chunk once the client has read enough of those before; false if it does not within the limit.
+    /// Sends a chunk once the client has read enough earlier chunks. Returns false if that takes longer than `limit`.
     fn send(&mut self, chunk: Bytes, limit: Duration) -> io::Result<bool> {
         match self.runtime.block_on(self.chunks.send_timeout(chunk, limit)) {
             Ok(()) => Ok(true),
@@ -235,7 +236,7 @@ impl Write for ChunkWriter {
                 self.patience = self.patience.saturating_sub(start.elapsed());
                 return Ok(part.len());
             }
-            // The whole deadline has passed.
+            // The client has read nothing for the whole deadline.
             if self.patience >= self.deadline {
                 return Err(self.fail(io::ErrorKind::TimedOut));
             }

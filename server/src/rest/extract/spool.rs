@@ -10,13 +10,13 @@ use axum::body::Bytes;
 
 use crate::private_folder::free_bytes;
 
-/// Bytes of all exports that wait.
+/// Maximum bytes of all spooled exports.
 const SPOOL_BYTES: u64 = 8 << 30;
 
-/// Bytes that stay free on the folder's disk.
+/// Bytes that must stay free on the folder's disk.
 const RESERVE_BYTES: u64 = 64 << 20;
 
-/// The folder in which exports wait. Clones share it.
+/// The folder to which exports are spooled. Clones share it.
 #[derive(Clone, Debug)]
 pub struct SpoolFolder(Arc<Shared>);
 
@@ -28,14 +28,14 @@ struct Shared {
 }
 
 impl Default for SpoolFolder {
-    /// That of temporary files.
+    /// Uses the folder of temporary files.
     fn default() -> Self {
         Self::new(std::env::temp_dir())
     }
 }
 
 impl SpoolFolder {
-    /// Exports wait in this folder, in files without names.
+    /// Spools exports to unnamed files in this folder.
     pub fn new(path: PathBuf) -> Self {
         Self::limited(path, SPOOL_BYTES)
     }
@@ -45,7 +45,7 @@ impl SpoolFolder {
         Self(Arc::new(Shared { path, limit, used }))
     }
 
-    /// An empty file.
+    /// Creates an empty spool file.
     pub(super) fn begin(&self) -> io::Result<Spool> {
         Ok(Spool {
             file: tempfile::tempfile_in(&self.0.path)?,
@@ -70,12 +70,12 @@ impl SpoolFolder {
     }
 }
 
-/// Bytes that a client has not read yet, in a file without a name.
+/// Bytes that a client has not read yet, in an unnamed file.
 #[derive(Debug)]
 pub(super) struct Spool {
     file: File,
     folder: SpoolFolder,
-    /// Bytes that are counted in the folder.
+    /// Bytes that were written, and that are reserved in the folder.
     written: u64,
     read: u64,
 }
@@ -88,7 +88,7 @@ impl Spool {
         self.file.write_all(bytes)
     }
 
-    /// The next bytes from the beginning, at most `limit`; `None` at the end. To be called after all is appended.
+    /// Returns the next bytes, at most `limit`; `None` at the end. To be called after everything was appended.
     pub fn next_chunk(&mut self, limit: usize) -> io::Result<Option<Bytes>> {
         if self.read == 0 {
             self.file.rewind()?;

@@ -15,7 +15,7 @@ use crate::jobs::{JobEvent, Jobs};
 use crate::problem::{ApiError, Problem};
 use crate::rest::ApiState;
 
-/// The last event that a client has seen, which browsers send when they connect again.
+/// Header with the id of the last event that a client has seen. Browsers send it when they reconnect.
 pub const LAST_EVENT_ID: HeaderName = HeaderName::from_static("last-event-id");
 
 /// What happens to a job, until it is finished: an event each time that its state changes or an extraction ends, from the first on, or
@@ -86,11 +86,11 @@ struct Followed {
     jobs: Jobs,
     who: Identity,
     id: String,
-    /// The last event that was taken from the store.
+    /// Id of the last event that was read from the store.
     after: i64,
-    /// Events that are not sent yet: those of one query.
+    /// Events of one query that were not sent yet.
     waiting: VecDeque<JobEvent>,
-    /// Why the job is paused, as the client was last told.
+    /// Reason of the pause that the client was last told; `None` if it was told none.
     paused: Option<String>,
     changes: watch::Receiver<()>,
     _seat: Seat,
@@ -127,7 +127,7 @@ impl Followed {
         Some((Ok(sent.json_data(&event).ok()?), self))
     }
 
-    /// Returns an event if the job has been paused or resumed since the client was last told. The outer `None`: the job is gone.
+    /// Returns an event if the job has been paused or resumed since the client was last told. The outer `None` means that the job is gone.
     async fn pause(&mut self) -> Option<Option<JobEvent>> {
         let event = self.jobs.pause(self.who.user(), &self.id, self.paused.as_deref());
         let event = event.await.ok()?;

@@ -19,7 +19,7 @@ use crate::access::Identity;
 use crate::jobs::{JobInfo, JobRequest, Jobs, MAX_REQUEST_BYTES, ManifestEntry};
 use crate::problem::{ApiError, Problem};
 
-/// Names a request, so that one which is sent again makes no second job.
+/// Header that identifies a request, so that a repeated request creates no second job.
 pub const KEY_HEADER: HeaderName = HeaderName::from_static("idempotency-key");
 
 /// The paths of batch jobs.

@@ -88,7 +88,7 @@ pub(super) async fn result(
     answer.body(body).map_err(ApiError::internal)
 }
 
-/// `00002-517.5.glb`: number of the extraction, and its isovalue.
+/// Returns a name such as `00002-517.5.glb`, from the number of the extraction and its isovalue.
 fn file_name(extraction: u32, found: &ResultInfo) -> String {
     let iso = found.iso.map(|iso| format!("-{iso}")).unwrap_or_default();
     format!("{extraction:05}{iso}.{}", found.format.extension())

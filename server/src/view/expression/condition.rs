@@ -5,7 +5,7 @@ use isopeel_kernels::expression::{Comparison, Kind, Op};
 use super::{DISTANCE, Fault, Program, SMOOTH, syntax};
 use crate::view::mask::{Mask, Operator};
 
-/// Standard deviations that a condition is smoothed by.
+/// Standard deviations that `smooth` accepts, in samples.
 pub const SIGMAS: std::ops::RangeInclusive<f32> = 0.1..=10.0;
 
 /// A part of a text, and the byte at which it begins.
@@ -54,8 +54,8 @@ fn inside<'a>(text: &'a str, function: &str, form: &str) -> Result<Option<Part<'
 }
 
 impl Program<'_> {
-    /// Adds the operations for a number that is 0 if a condition does not hold. The condition begins at byte `at` of the text. It is a mask
-    /// or an expression; an expression whose value is a number holds if that is not 0.
+    /// Adds operations whose result is 0 if a condition does not hold. The condition begins at byte `at` of the text. It is a mask or an
+    /// expression; a numeric expression holds if its value is not 0.
     pub(super) fn indicator(&mut self, at: usize, condition: &str) -> Result<(), Fault> {
         let node = match Mask::parse(condition, self.known) {
             Ok(mask) => {

@@ -10,20 +10,20 @@ use winnow::token::{any, none_of, one_of, take_while};
 
 use super::Fault;
 
-/// Maximum parentheses and signs within each other: each takes a part of the stack.
+/// Maximum nesting depth of parentheses and signs, because each level takes a part of the stack.
 const MAX_DEPTH: usize = 48;
 
 /// A part of an expression.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tree {
-    /// Byte of the text at which it begins; of two parts with a symbol between them, that of the symbol.
+    /// Byte of the text at which it begins; for an infix operation, the byte of its symbol.
     pub(super) at: usize,
     pub(super) what: What,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum What {
-    /// A number. If it is written as a whole number, `integer` has it exactly, as a float may round it.
+    /// A number. `integer` is its exact value if it is written as a whole number, because a float may round it.
     Number {
         value: f32,
         integer: Option<i128>,
@@ -36,7 +36,7 @@ pub(super) enum What {
 }
 
 impl Tree {
-    /// The whole number that it is.
+    /// Returns the exact value, if this is a number that is written as a whole number.
     pub(super) fn integer(&self) -> Option<i128> {
         match &self.what {
             What::Number { integer, .. } => *integer,
@@ -48,7 +48,7 @@ impl Tree {
 
 type Input<'a> = LocatingSlice<&'a str>;
 
-/// Reads all of a text.
+/// Parses a whole text.
 pub(super) fn parse(text: &str) -> Result<Tree, Fault> {
     check_depth(text)?;
     terminated(either, multispace0)
@@ -83,7 +83,7 @@ fn check_depth(text: &str) -> Result<(), Fault> {
         match c {
             '-' | '!' | '^' => signs += 1,
             _ if c.is_whitespace() || c == '(' => {}
-            // Powers nest to the right.
+            // Powers nest to the right, so signs before them add up over the whole text.
             _ if !text.contains('^') => signs = 0,
             _ => {}
         }
@@ -118,7 +118,7 @@ fn symbol<'a>(
     }
 }
 
-/// Parts of the next stronger kind with symbols between them, from the left.
+/// Parses parts of the next stronger kind that are joined by symbols. Left-associative.
 fn chain<'a>(
     symbols: &'static [&'static str],
     part: fn(&mut Input<'a>) -> ModalResult<Tree>,
@@ -175,7 +175,7 @@ fn sign(input: &mut Input<'_>) -> ModalResult<Tree> {
     Ok(Tree { at, what })
 }
 
-/// Binds more strongly than a sign before it, and from the right.
+/// Parses a power. It binds more strongly than a sign before it, and is right-associative.
 fn power(input: &mut Input<'_>) -> ModalResult<Tree> {
     let base = atom(input)?;
     let exponent = opt((symbol(&["^"]), cut_err(sign))).parse_next(input)?;
@@ -225,7 +225,7 @@ fn number(input: &mut Input<'_>) -> ModalResult<What> {
     }
 }
 
-/// A name in quotation marks.
+/// Parses a name in quotation marks.
 fn quoted(input: &mut Input<'_>) -> ModalResult<String> {
     let name = |mark: char| delimited(mark, take_while(1.., move |c| c != mark), cut_err(mark));
     let checked = alt((name('"'), name('`'))).map(str::to_owned);
@@ -234,7 +234,7 @@ fn quoted(input: &mut Input<'_>) -> ModalResult<String> {
         .parse_next(input)
 }
 
-/// A word: a field, or a function with its arguments.
+/// Parses a word: a field, or a function with its arguments.
 fn named(input: &mut Input<'_>) -> ModalResult<What> {
     let is_first = |c: char| c.is_alphabetic() || c == '_';
     let word = (

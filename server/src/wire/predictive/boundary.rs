@@ -1,17 +1,17 @@
-//! The boundary of the part of a mesh that is covered: directed edges, linked to loops. Links are hints for the coding. On a mesh that is
-//! not a manifold they may be wrong. They then cost bits, but encoder and decoder keep the same ones.
+//! The boundary of the covered part of a mesh: directed edges, linked to loops. The links are hints for the coding. On a mesh that is not a
+//! manifold they may be wrong. That costs bits, but no correctness: encoder and decoder have the same links.
 
 /// Number of an edge.
 pub(super) type EdgeId = usize;
 
-/// An edge, in the direction in which the uncovered triangle behind it passes it.
+/// An edge, in the direction that it has in the uncovered triangle behind it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge {
     pub from: u32,
     pub to: u32,
-    /// The third vertex of the covered triangle.
+    /// The third vertex of the covered triangle at the edge.
     pub opposite: u32,
-    /// Level of the covered triangle.
+    /// Level of the covered triangle at the edge.
     pub level: u8,
     previous: EdgeId,
     next: EdgeId,
@@ -23,20 +23,20 @@ pub(super) struct Edge {
 /// Position of the third vertex of a triangle behind an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Third {
-    /// Not used yet.
+    /// A vertex that was not used yet.
     New,
     /// The end of the next edge of the loop.
     Right,
     /// The start of the previous edge of the loop.
     Left,
-    /// Any other that was used.
+    /// Any other vertex that was used.
     Other,
 }
 
 #[derive(Default)]
 pub(super) struct Boundary {
     edges: Vec<Edge>,
-    /// An edge that ended at each vertex.
+    /// For each vertex, an edge that ended at it.
     ending: Vec<Option<EdgeId>>,
 }
 
@@ -61,7 +61,7 @@ impl Boundary {
         self.edges[id].is_border = true;
     }
 
-    /// Of each vertex, whether an edge of it is open.
+    /// Returns for each vertex whether one of its edges is open.
     pub fn border_vertices(&self) -> Vec<bool> {
         let mut at_border = vec![false; self.ending.len()];
         for edge in self.edges.iter().filter(|edge| edge.is_open) {
@@ -71,12 +71,12 @@ impl Boundary {
         at_border
     }
 
-    /// A further vertex.
+    /// Adds a vertex.
     pub fn add_vertex(&mut self) {
         self.ending.push(None);
     }
 
-    /// The loop around a first triangle: the edges opposite to its corners b, a and c.
+    /// Adds the loop around a first triangle. Returns its edges: those opposite to the corners b, a and c.
     pub fn start(&mut self, [a, b, c]: [u32; 3], level: u8) -> [EdgeId; 3] {
         let first = self.edges.len();
         let ids = [first, first + 1, first + 2];
@@ -96,7 +96,8 @@ impl Boundary {
         ids
     }
 
-    /// Covers the triangle behind an edge, whose third vertex is `c`. Returns its edge at the start of that one, and that at its end.
+    /// Covers the triangle behind an edge; its third vertex is `c`. Returns the triangle's other edges: the one at the start of the given
+    /// edge, and the one at its end.
     pub fn cover(&mut self, id: EdgeId, c: u32, third: Third, level: u8) -> [EdgeId; 2] {
         let Edge {
             from: a,
@@ -125,7 +126,7 @@ impl Boundary {
         [left, right]
     }
 
-    /// Puts the two other edges of a triangle in the place of one.
+    /// Replaces an edge with the two other edges of a triangle.
     fn replace(&mut self, id: EdgeId, [a, b, c]: [u32; 3], level: u8) -> [EdgeId; 2] {
         let Edge { previous, next, .. } = self.edges[id];
         let left = self.edges.len();

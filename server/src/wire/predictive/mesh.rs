@@ -1,25 +1,25 @@
 //! The part of a mesh that was coded so far, and predictions of the next vertex from it.
 //!
-//! Floating-point numbers are IEEE doubles, of which only sums, products, quotients and square roots are formed: encoder and decoder get the same bits.
+//! Computes with IEEE doubles, and only with sums, products, quotients and square roots, so that encoder and decoder get the same bits.
 
 use super::super::chunk::WireVertex;
 use super::super::range_coder::length;
 
-/// Contexts of positions: by the size of the triangle in front of the vertex.
+/// Number of contexts of positions, which depend on the size of the triangle in front of the vertex.
 pub(super) const SIZES: usize = 12;
-/// Contexts of a feature: by the difference at both ends of the edge.
+/// Number of contexts of a feature, which depend on the difference between both ends of the edge.
 pub(super) const DIFFERENCES: usize = 10;
-/// Triangles around a vertex that are counted, at most.
+/// Maximum triangles around a vertex that are counted.
 const MAX_TRIANGLES: u8 = 7;
-/// Bound of positions that are predicted by planes.
+/// Bound of the positions that a plane may predict.
 const MAX_PREDICTED: f64 = 65536.0;
 
-/// A feature as it is coded: multiples of 256, and 65535.
+/// Converts a feature to the step that is coded. Features are multiples of 256, or 65535.
 pub(super) fn feature_step(value: u16) -> i32 {
     i32::from(value >> 8) + i32::from(value == u16::MAX)
 }
 
-/// The feature of a step; `None` if there is none.
+/// Converts a coded step to a feature; `None` if there is none.
 pub(super) fn feature_of(step: i32) -> Option<u16> {
     match step {
         0..256 => Some((step as u16) << 8),
@@ -31,12 +31,12 @@ pub(super) fn feature_of(step: i32) -> Option<u16> {
 #[derive(Default)]
 pub(super) struct Mesh {
     pub vertices: Vec<WireVertex>,
-    /// In the order in which they were coded.
+    /// Triangles in the order in which they were coded.
     pub triangles: Vec<[u32; 3]>,
     pub levels: Vec<u8>,
-    /// Of each vertex: the sum of the cross products of its triangles.
+    /// For each vertex, the sum of the cross products of its triangles.
     normals: Vec<[f64; 3]>,
-    /// Of each vertex: its triangles, up to [`MAX_TRIANGLES`].
+    /// For each vertex, the number of its triangles, up to [`MAX_TRIANGLES`].
     counts: Vec<u8>,
 }
 
@@ -68,12 +68,12 @@ impl Mesh {
         self.levels.push(level);
     }
 
-    /// Context of the third vertex behind an edge.
+    /// Returns the context of the third vertex behind an edge.
     pub fn around(&self, from: u32, to: u32) -> usize {
         usize::from(self.counts[from as usize]) + 8 * usize::from(self.counts[to as usize])
     }
 
-    /// A unit normal of the triangles at a vertex so far, or zeros.
+    /// Returns the unit normal of the triangles that a vertex has so far, or zeros.
     fn unit_normal(&self, vertex: u32) -> [f64; 3] {
         unit(self.normals[vertex as usize])
     }
@@ -84,7 +84,7 @@ impl Mesh {
         octahedral([0, 1, 2].map(|axis| sum[axis] * f64::from(weights[axis])))
     }
 
-    /// Weights with which predicted normals are about those of the vertices.
+    /// Returns the weights that bring predicted normals close to those of the vertices.
     pub fn normal_weights(&self, vertices: &[WireVertex]) -> [u16; 3] {
         let given: Vec<[f64; 3]> = vertices.iter().map(|vertex| from_octahedral(vertex.normal)).collect();
         let sum_of = |normals: &mut dyn Iterator<Item = [f64; 3]>| {
@@ -140,7 +140,8 @@ impl Ahead {
         }
     }
 
-    /// The position along `depth` at which the vertex is in the plane of the edge and its normals; it has the other two already.
+    /// Returns the coordinate along `depth` at which the vertex is in the plane of the edge and its normals. The other two coordinates are
+    /// given.
     pub fn in_plane(&self, position: [i32; 3]) -> i32 {
         let (n, depth) = (self.normal, self.depth);
         let (x, y) = ((depth + 1) % 3, (depth + 2) % 3);
@@ -171,7 +172,7 @@ fn with_sign(value: f64, of: f64) -> f64 {
     if of < 0.0 { -value } else { value }
 }
 
-/// Octahedral coordinates over 127, rounded.
+/// Returns rounded octahedral coordinates, over 127.
 fn octahedral(n: [f64; 3]) -> [i32; 2] {
     let sum = n[0].abs() + n[1].abs() + n[2].abs();
     if sum == 0.0 {
