@@ -248,7 +248,7 @@ const VERTEX_BITS: u32 = 20;
 const _: () = assert!(MAX_INDICES < 1 << VERTEX_BITS && 4 * (MAX_INDICES / 3 + 1) < 1 << HALF_EDGE_BITS);
 
 impl EdgeTable {
-    /// Empties the table and makes room for `half_edges` half-edges, even if each is of an edge of its own.
+    /// Empties the table and reserves space for `half_edges` half-edges, even if each is of an edge of its own.
     fn clear(&mut self, vertices: usize, half_edges: usize) {
         let slots_per_vertex = half_edges * 3 / 2 / vertices.max(1) + 2;
         self.slots_per_vertex = slots_per_vertex as u64;
