@@ -107,6 +107,8 @@ test("a story is played with a moving camera, and recorded", { timeout: 6 * TIME
   await page.locator(".telling").waitFor({ state: "detached" });
   assert.deepEqual((await status(page)).camera.position.map(Math.round), [-10, 23, 60]);
 
+  // Hundreds of frames are drawn, by software.
+  await page.setViewportSize({ width: 940, height: 520 });
   const download = page.waitForEvent("download", { timeout: 3 * TIMEOUT_MS });
   await page.getByRole("button", { name: "Save the story as WebM" }).click();
   const video = await download;
