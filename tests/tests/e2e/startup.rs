@@ -7,8 +7,11 @@ use crate::support::server::has_device;
 
 /// Runs `isopeel serve` in a shell after these lines, to its end, or for this many seconds.
 fn serve(lines: &str, variables: &[(&str, &str)], seconds: u32) -> Output {
-    let script =
-        format!("{lines}\nexec timeout --preserve-status {seconds} \"$0\" serve --no-auth --listen 127.0.0.1:0");
+    // In the foreground `timeout` sends one signal, else a second one within microseconds. LLVM's handler in PoCL leaves the default action for
+    // that one, which ends the process at once.
+    let script = format!(
+        "{lines}\nexec timeout --foreground --preserve-status {seconds} \"$0\" serve --no-auth --listen 127.0.0.1:0"
+    );
     let mut command = Command::new("bash");
     command.args(["-c", &script]).arg(binary());
     command.envs(variables.iter().copied());
