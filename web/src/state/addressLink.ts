@@ -17,14 +17,14 @@ export interface AddressHandlers {
 
 export class AddressLink {
   private timer: ReturnType<typeof setTimeout> | undefined;
-  private written = "";
   /** The part of the address after `#` that was read or written last. */
   private known: string;
 
   constructor(private readonly handlers: AddressHandlers) {
     window.addEventListener("hashchange", () => {
+      if (window.location.hash === this.known) return;
       this.known = window.location.hash;
-      if (this.known.slice(1) !== this.written) this.read();
+      this.read();
     });
     restoreUnwritten();
     this.known = window.location.hash;
@@ -61,11 +61,9 @@ export class AddressLink {
     const state = this.handlers.link();
     if (state === undefined || this.isChanged) return window.location.href;
     const address = new URL(window.location.href);
-    this.written = encodeLink(state);
-    address.hash = this.written;
-    // The browser may write some characters otherwise.
+    address.hash = encodeLink(state);
+    // Read back: the browser may have escaped some characters.
     this.known = address.hash;
-    this.written = this.known.slice(1);
     if (address.href !== window.location.href) window.history.replaceState(null, "", address);
     return address.href;
   }
