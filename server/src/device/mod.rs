@@ -6,9 +6,11 @@
 //!
 //! - [`setup`]: ways to use a device, the workarounds among them.
 //! - [`child`]: what a child process does; [`run`]: how its parent sees it.
+//! - [`building`]: the check in a child process, and the builders beside it.
 //! - [`prepare`]: selects a device and checks it; [`proven`]: programs that have passed a check that is still running.
 //! - [`cache`]: the folder of compiled kernels and verdicts.
 
+mod building;
 pub mod cache;
 pub mod child;
 mod listing;

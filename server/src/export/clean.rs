@@ -24,7 +24,7 @@ const REACH_SHARE: f64 = 0.25;
 /// Such a vertex may always be moved by this many smallest spacings.
 const MIN_REACH: f64 = 2.0;
 
-/// After every so many rounds, a group grows by the vertices around it.
+/// Rounds after which a group grows by the vertices around it.
 const ROUNDS_BEFORE_GROWTH: usize = 3;
 
 /// Sweeps over the vertices of a group in a round, in each of which a vertex may move once.

@@ -66,7 +66,7 @@ pub const MAX_ATTEMPTS: u32 = 3;
 /// Maximum jobs that are estimated at a time: each counts surfaces on the device and reads the files that it pins.
 const CONCURRENT_SUBMITS: usize = 1;
 
-/// Random bytes of a job's id, so many that the id of another user's job cannot be guessed.
+/// Random bytes of a job's id: enough that a user cannot guess the id of another user's job.
 const ID_BYTES: usize = 16;
 
 /// Why jobs cannot be kept.

@@ -102,7 +102,10 @@ mod tests {
         };
         let leader = groups.lead("1".into(), who).expect("a group");
         let follower = groups.join("1", None, false).expect("space");
-        assert!(is_ready(&mut pin!(leader.others_first().wait())).await, "nobody waits");
+        assert!(
+            is_ready(&mut pin!(leader.others_first().wait())).await,
+            "no member waits"
+        );
 
         let (one, other) = (leader.first_step(), follower.first_step());
         let mut wait = pin!(leader.others_first().wait());

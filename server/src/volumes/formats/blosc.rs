@@ -94,17 +94,26 @@ fn part(rest: &mut &[u8], compressor: u8, size: usize, plain: &mut Vec<u8>) -> R
 }
 
 /// Undoes the shuffling: returns the bytes of each sample side by side.
-fn unshuffled(plain: Vec<u8>, flags: u8, width: usize) -> Vec<u8> {
+fn unshuffled(mut plain: Vec<u8>, flags: u8, width: usize) -> Vec<u8> {
     let count = plain.len() / width;
-    let mut bytes = plain.clone();
     if flags & SHUFFLE_BYTES != 0 && width > 1 {
-        for (byte, plane) in plain.chunks_exact(count.max(1)).take(width).enumerate() {
-            for (i, &value) in plane.iter().enumerate() {
-                bytes[i * width + byte] = value;
-            }
+        return unshuffled_bytes(&plain, width);
+    }
+    if flags & SHUFFLE_BITS != 0 && count > 0 && count.is_multiple_of(8) {
+        let bytes = unshuffled_bits(&plain[..count * width], width);
+        plain[..count * width].copy_from_slice(&bytes);
+    }
+    plain
+}
+
+/// Undoes the shuffling of bytes: the first bytes of all samples, of `width` bytes, come first. Bytes after the last whole sample stay.
+pub fn unshuffled_bytes(plain: &[u8], width: usize) -> Vec<u8> {
+    let count = plain.len() / width;
+    let mut bytes = plain.to_vec();
+    for (byte, plane) in plain.chunks_exact(count.max(1)).take(width).enumerate() {
+        for (i, &value) in plane.iter().enumerate() {
+            bytes[i * width + byte] = value;
         }
-    } else if flags & SHUFFLE_BITS != 0 && count > 0 && count.is_multiple_of(8) {
-        bytes[..count * width].copy_from_slice(&unshuffled_bits(&plain[..count * width], width));
     }
     bytes
 }

@@ -9,6 +9,12 @@ fn imagej_value<'a>(description: &'a str, name: &str) -> Option<&'a str> {
     lines.find(|(n, _)| *n == name).map(|(_, value)| value.trim())
 }
 
+/// Returns a finite number of ImageJ's description.
+fn imagej_number(description: &str, name: &str) -> Option<f64> {
+    let number: f64 = imagej_value(description, name)?.parse().ok()?;
+    number.is_finite().then_some(number)
+}
+
 impl Stack {
     /// Reads the description that ImageJ writes into the first page: lines of names and values. The channel is the fastest index of the
     /// pages, the frame the slowest.
@@ -54,11 +60,9 @@ impl Stack {
     pub fn place_imagej(&mut self, description: &str, resolution: Resolution) {
         self.space_imagej(description, resolution);
         self.convert_units(description);
-        let value = |name: &str| imagej_value(description, name);
-        let pixel = |name: &str| value(name)?.parse::<f64>().ok().filter(|pixel| pixel.is_finite());
-        let pixels = ["xorigin", "yorigin", "zorigin"].map(|name| pixel(name).unwrap_or(0.0));
+        let pixels = ["xorigin", "yorigin", "zorigin"].map(|name| imagej_number(description, name).unwrap_or(0.0));
         self.origin = std::array::from_fn(|axis| 0.0 - pixels[axis] * self.spacing[axis]);
-        if value("inverty").is_some_and(|text| text.eq_ignore_ascii_case("true")) {
+        if imagej_value(description, "inverty").is_some_and(|text| text.eq_ignore_ascii_case("true")) {
             self.notices.add(
                 "y increases from the first row on: \"Invert Y\" of ImageJ, which counts from the last, is not used",
             );
@@ -90,10 +94,7 @@ impl Stack {
         let named = value("unit").filter(|unit| !unit.is_empty() && !matches!(*unit, "pixel" | "pixels" | "null"));
         self.unit = named.and_then(LengthUnit::parse);
         let is_known = |size: &f64| size.is_finite() && *size > 0.0;
-        let depth = value("spacing")
-            .and_then(|text| text.parse::<f64>().ok())
-            .map(f64::abs)
-            .filter(is_known);
+        let depth = imagej_number(description, "spacing").map(f64::abs).filter(is_known);
         let uses_pixels = named.is_some() || resolution.is_of_file;
         let along = resolution.pixels.map(|pixels| pixels.map(|pixels| 1.0 / pixels));
         let along = along.map(|size| size.filter(|size| uses_pixels && is_known(size)));
@@ -126,7 +127,7 @@ impl Stack {
     /// Sets ImageJ's calibration function, which applies to numbers of 8 and 16 bits.
     pub fn calibrate_imagej(&mut self, description: &str) {
         let value = |name: &str| imagej_value(description, name);
-        let number = |name: &str| value(name)?.parse::<f64>().ok().filter(|number| number.is_finite());
+        let number = |name: &str| imagej_number(description, name);
         let unit = value("vunit").filter(|unit| !unit.is_empty() && !unit.eq_ignore_ascii_case("gray value"));
         self.value_unit = unit.map(str::to_owned);
         match (value("cf"), number("c0"), number("c1")) {

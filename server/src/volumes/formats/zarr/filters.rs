@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 
+use crate::volumes::formats::blosc::unshuffled_bytes;
 use crate::volumes::formats::npy::parse_descr;
 use crate::volumes::scalar::Scalar;
 use crate::volumes::stored::{Endian, StoredType};
@@ -62,7 +63,7 @@ impl Filter {
             return Err(format!("{} bytes, expected samples of {width}", bytes.len()));
         }
         Ok(match self {
-            Self::Shuffle(width) => unshuffled(bytes, width),
+            Self::Shuffle(width) => unshuffled_bytes(bytes, width),
             Self::Delta(stored, endian) => match stored {
                 StoredType::U8 | StoredType::I8 => sums(bytes, endian, u8::wrapping_add),
                 StoredType::U16 | StoredType::I16 | StoredType::F16 => sums(bytes, endian, u16::wrapping_add),
@@ -73,17 +74,6 @@ impl Filter {
             },
         })
     }
-}
-
-fn unshuffled(bytes: &[u8], width: usize) -> Vec<u8> {
-    let count = bytes.len() / width;
-    let mut plain = vec![0; bytes.len()];
-    for (byte, plane) in bytes.chunks_exact(count.max(1)).enumerate() {
-        for (sample, &value) in plane.iter().enumerate() {
-            plain[sample * width + byte] = value;
-        }
-    }
-    plain
 }
 
 /// Returns the samples whose differences are stored.
