@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use isopeel::volumes::{PIECE_SAMPLES, ReadError, ReadProgress, Samples, open_dataset};
+use isopeel_volumes::{PIECE_SAMPLES, ReadError, ReadProgress, Samples, open_dataset};
 
 const RUNS: usize = 5;
 

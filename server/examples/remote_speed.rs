@@ -11,7 +11,7 @@ use axum::body::Bytes;
 use axum::extract::Request;
 use axum::http::StatusCode;
 use axum::response::IntoResponse;
-use isopeel::volumes::{ReadError, open_dataset};
+use isopeel_volumes::{ReadError, open_dataset};
 use tokio::runtime::Runtime;
 
 const RUNS: usize = 5;

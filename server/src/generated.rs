@@ -14,8 +14,8 @@ use crate::jobs::JobInfo;
 use crate::problem::Problem;
 use crate::rest::{EmbedInfo, SessionInfo, UnreadablePath, VolumeSummary};
 use crate::uploads::UploadList;
-use crate::view::FieldExpression;
 use crate::wire::messages::{ClientMessage, SUBPROTOCOL, ServerMessage};
+use isopeel_view::FieldExpression;
 
 const HEADER: &str = "/** Generated from the server's types: `make generated` writes it anew. */\n";
 

@@ -32,9 +32,8 @@ use crate::metrics;
 use crate::rest::{self, ApiState, SpoolFolder};
 use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
 use crate::uploads::Uploads;
-use crate::volumes::SharedCatalog;
-use crate::wire::encode::encoded_bytes;
 pub use connections::ConnectionLimits;
+use isopeel_volumes::SharedCatalog;
 pub use listener::{ListenAddress, Listener, SocketFile};
 pub use tls::{Tls, TlsError};
 
@@ -148,7 +147,7 @@ pub async fn run(
     let stop = CancellationToken::new();
     // Ends the viewers' tasks on every return path of this function.
     let _stop_viewers = stop.clone().drop_guard();
-    let extractor = Extractor::new(worker.clone(), ceiling_triangles, encoded_bytes);
+    let extractor = Extractor::new(worker.clone(), ceiling_triangles);
     let backend = Live::new(catalog.clone(), extractor.clone(), live);
     let viewers = StreamState::new(backend, deadlines, stop.clone()).with_shared_bytes(live.shared_bytes);
     let jobs = match jobs {

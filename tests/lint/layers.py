@@ -1,15 +1,25 @@
 #!/usr/bin/env python3
-"""Layers: a module uses only layers below its own, and no modules use each other in a circle.
+"""Layers: crates and modules use only those below their own, and no modules use each other in a circle.
 
-LAYERS lists each crate's modules from the bottom up; those that share a line are one layer. A module's own files form no
+CRATES lists what each crate may use of the others, beside its tests. LAYERS lists each crate's modules from the bottom up; those that share a line are one layer. A module's own files form no
 circle either, but a file and the one that declares it may use each other. Test modules may use anything. In OpenCL C,
 files include headers alone.
 """
 
 import re
 import sys
+import tomllib
 
 from tree import read, text_files
+
+CRATES = {
+    "kernels": [],
+    "server/geometry": [],
+    "server/codec": ["isopeel-kernels"],
+    "server/view": ["isopeel-geometry", "isopeel-kernels"],
+    "server/volumes": ["isopeel-geometry", "isopeel-kernels"],
+    "server": ["isopeel-codec", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
+}
 
 LAYERS = {
     "kernels/src": """
@@ -25,10 +35,38 @@ LAYERS = {
         check
         testing
     """,
+    "server/codec/src": """
+        chunk
+        index_codec order range_coder vertex_codec
+        predictive
+        encode decode
+    """,
+    "server/view/src": """
+        error outward
+        interest mask quality transfer_function
+        chosen_parts expression opening parts
+        feature
+        edit
+        request
+    """,
+    "server/volumes/src": """
+        axis_scales beneath codec disk frame labels notices private progress remote statistics step times turned vectors
+        findings identity unpacked
+        location
+        numbered replaced stored testing
+        scalar
+        conversion rectilinear
+        decode pieces
+        formats
+        open
+        demo memory
+        catalog
+        watch
+    """,
     "server/src": """
-        clock error math metrics pool private_folder
-        device view problem
-        volumes
+        clock error metrics pool private_folder
+        device problem
+        dataset_views fields
         extraction
         wire export access
         jobs uploads
@@ -137,6 +175,12 @@ def crate_problems(folder, layers):
         yield f"{folder}: a circle: " + " uses ".join(n if isinstance(n, str) else "::".join(n) for n in circle)
 
 
+def dependency_problems():
+    for folder, allowed in CRATES.items():
+        used = [name for name in tomllib.loads(read(f"{folder}/Cargo.toml"))["dependencies"] if name.startswith("isopeel-")]
+        yield from (f"{folder}/Cargo.toml: uses {name}, which is not below it" for name in used if name not in allowed)
+
+
 def include_problems():
     for path in text_files("kernels/cl"):
         for name in re.findall(r'^\s*#\s*include\s+["<](.*)[">]', read(path), re.MULTILINE):
@@ -146,7 +190,7 @@ def include_problems():
 
 def main():
     problems = [problem for folder, layers in LAYERS.items() for problem in crate_problems(folder, layers)]
-    problems += include_problems()
+    problems += [*dependency_problems(), *include_problems()]
     print("\n".join(problems), end="\n" if problems else "")
     sys.exit(bool(problems))
 

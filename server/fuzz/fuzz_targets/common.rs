@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{FileLocation, OpenedFile, ReadError};
+use isopeel_volumes::location::MemoryFolder;
+use isopeel_volumes::{FileLocation, OpenedFile, ReadError};
 
 /// Input is the header's file, then, behind the first `\0----\0`, the file `data` that the header may name, `data.vti`, as a collection takes
 /// names with an ending alone, or `a.img`, the samples of a pair.

@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.dcm", input, isopeel::volumes::formats::dicom::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.dcm", input, isopeel_volumes::formats::dicom::open));

@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.mhd", input, isopeel::volumes::formats::metaimage::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.mhd", input, isopeel_volumes::formats::metaimage::open));

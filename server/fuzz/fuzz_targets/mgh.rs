@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.mgh", input, isopeel::volumes::formats::mgh::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.mgh", input, isopeel_volumes::formats::mgh::open));

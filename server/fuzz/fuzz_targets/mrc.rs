@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.mrc", input, isopeel::volumes::formats::mrc::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.mrc", input, isopeel_volumes::formats::mrc::open));

@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.nii", input, isopeel::volumes::formats::nifti::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.nii", input, isopeel_volumes::formats::nifti::open));

@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.npy", input, isopeel::volumes::formats::npy::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.npy", input, isopeel_volumes::formats::npy::open));

@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.npz", input, isopeel::volumes::formats::npz::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.npz", input, isopeel_volumes::formats::npz::open));

@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.nrrd", input, isopeel::volumes::formats::nrrd::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.nrrd", input, isopeel_volumes::formats::nrrd::open));

@@ -3,7 +3,7 @@
 #[allow(dead_code)]
 mod common;
 
-use isopeel::volumes::{FileLocation, formats::precomputed};
+use isopeel_volumes::{FileLocation, formats::precomputed};
 
 // `info` of a scale whose key is `s`, then its only chunk, or a shard.
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {

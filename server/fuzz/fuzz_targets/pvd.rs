@@ -5,5 +5,5 @@ mod common;
 libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read(
     "a.pvd",
     input,
-    isopeel::volumes::formats::vtk::collection::open
+    isopeel_volumes::formats::vtk::collection::open
 ));

@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.json", input, isopeel::volumes::formats::raw::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.json", input, isopeel_volumes::formats::raw::open));

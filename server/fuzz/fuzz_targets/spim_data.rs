@@ -6,5 +6,5 @@ mod common;
 libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read(
     "a.xml",
     input,
-    isopeel::volumes::formats::big_data_viewer::open
+    isopeel_volumes::formats::big_data_viewer::open
 ));

@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.tif", input, isopeel::volumes::formats::tiff::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.tif", input, isopeel_volumes::formats::tiff::open));

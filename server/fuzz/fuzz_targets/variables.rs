@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.h5", input, isopeel::volumes::formats::variables::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.h5", input, isopeel_volumes::formats::variables::open));

@@ -2,4 +2,4 @@
 
 mod common;
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.vtk", input, isopeel::volumes::formats::vtk::legacy::open));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| common::read("a.vtk", input, isopeel_volumes::formats::vtk::legacy::open));

@@ -3,7 +3,7 @@
 #[allow(dead_code)]
 mod common;
 
-use isopeel::volumes::{FileLocation, formats::zarr};
+use isopeel_volumes::{FileLocation, formats::zarr};
 
 // `zarr.json`, then a chunk or a shard.
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {

@@ -13,7 +13,7 @@ use super::peer::counted_as;
 use super::role::{Role, Roles};
 use super::signed_in::SignedIn;
 use crate::problem::ApiError;
-use crate::volumes::Reader;
+use isopeel_volumes::Reader;
 
 /// The user who started the server. They own the start token; on a server without authentication they own everything.
 pub const OPERATOR: &str = "operator";

@@ -20,9 +20,8 @@ use crate::export::Format;
 use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::jobs::{JobError, OpenError, StateFolderError};
 use crate::private_folder::FolderAccess;
-use crate::view::EditError;
-use crate::volumes::{Frame, ReadError};
-use crate::wire::encode::encoded_bytes;
+use isopeel_view::EditError;
+use isopeel_volumes::{Frame, ReadError};
 use steps::Steps;
 
 /// Arguments of `isopeel batch`.
@@ -176,11 +175,7 @@ impl Args {
     /// Starts the device's thread.
     fn extractor(&self, types: Vec<SampleType>) -> io::Result<Extractor> {
         let options = self.device.options(types, |text| tracing::info!("{text}"));
-        Ok(Extractor::new(
-            DeviceWorker::start_with(options)?,
-            u64::MAX,
-            encoded_bytes,
-        ))
+        Ok(Extractor::new(DeviceWorker::start_with(options)?, u64::MAX))
     }
 }
 

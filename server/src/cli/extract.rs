@@ -15,10 +15,9 @@ use crate::cli::stdin::InputPath;
 use crate::cli::surface::{SurfaceArgs, TransferFunctionError};
 use crate::export::{FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
-use crate::view::quality::GuardName;
-use crate::view::{ChosenPartsJson, EditError};
-use crate::volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
-use crate::wire::encode::encoded_bytes;
+use isopeel_view::quality::GuardName;
+use isopeel_view::{ChosenPartsJson, EditError};
+use isopeel_volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 
 /// Arguments of `isopeel extract`.
 #[derive(Debug, clap::Args)]
@@ -161,7 +160,7 @@ async fn extract(args: &Args, work: Work, token: CancellationToken) -> Result<()
         () = token.cancelled() => return Err(ExtractError::Interrupted),
     };
     progress.say(&format!("extracting on {}", device.name.trim()));
-    let extractor = Extractor::new(worker, u64::MAX, encoded_bytes);
+    let extractor = Extractor::new(worker, u64::MAX);
     let (mut made, mut counted) = (Vec::new(), Vec::new());
     for surface in surfaces {
         let work = request.options.work(&surface.view);

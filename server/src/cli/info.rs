@@ -7,11 +7,11 @@ use isopeel_kernels::{DerivedFeature, Histogram, VectorFeature};
 use serde::Serialize;
 
 use crate::extraction::{AxisInfo, LabelInfo, TimesInfo};
-use crate::math::DVec3;
-use crate::view::{FeatureName, OpeningIso, VectorName};
-use crate::volumes::statistics::FieldStatistics;
-use crate::volumes::vectors::vectors;
-use crate::volumes::{AxisKind, Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
+use isopeel_geometry::DVec3;
+use isopeel_view::{FeatureName, OpeningIso, VectorName};
+use isopeel_volumes::statistics::FieldStatistics;
+use isopeel_volumes::vectors::vectors;
+use isopeel_volumes::{AxisKind, Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
 
 /// Labels of a field that are printed for people.
 const SHOWN_LABELS: usize = 32;
@@ -345,7 +345,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::volumes::{AxisScale, testing};
+    use isopeel_volumes::{AxisScale, testing};
 
     fn write_volume(folder: &Path) -> std::path::PathBuf {
         let path = folder.join("ramp.nrrd");

@@ -26,8 +26,8 @@ use crate::rest::SpoolFolder;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
 use crate::stream::LiveOptions;
 use crate::uploads::FolderError;
-use crate::volumes::watch::{INTERVAL, Watcher};
-use crate::volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
+use isopeel_volumes::watch::{INTERVAL, Watcher};
+use isopeel_volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
 use memory::MemoryArgs;
 use uploads::UploadArgs;
 

@@ -9,8 +9,9 @@ use crate::cli::output::{Output, OutputError};
 use crate::cli::stdin::InputPath;
 use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, shown_slice};
 use crate::extraction::{DeviceWorker, WorkError};
+use crate::fields;
 use crate::pool::{self, Panicked};
-use crate::volumes::{Dataset, Field, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
+use isopeel_volumes::{Dataset, Field, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 
 /// Arguments of `isopeel slice`.
 #[derive(Debug, clap::Args)]
@@ -144,7 +145,7 @@ impl Args {
     fn field_of(&self, dataset: &Dataset) -> Result<Field, SliceError> {
         let found = match &self.field {
             None => dataset.fields.first().cloned(),
-            Some(name) => dataset.field_or_computed(name),
+            Some(name) => fields::field_or_computed(dataset, name),
         };
         found.ok_or_else(|| {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();

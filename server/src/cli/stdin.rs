@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 use tokio::signal::unix::{SignalKind, signal};
 
-use crate::volumes::ReadError;
+use isopeel_volumes::ReadError;
 
 /// The path that stands for stdin.
 const STDIN: &str = "-";

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use rustix::fs::StatVfsMountFlags;
 
-use crate::private_folder::{self, free_bytes};
+use crate::private_folder;
+use isopeel_volumes::disk::free_bytes;
 
 /// Environment variable that names the folder.
 pub const VARIABLE: &str = "ISOPEEL_KERNEL_CACHE";

@@ -1,7 +1,7 @@
 //! Positions of a capped surface's vertices relative to the faces of the volume, on which the caps lie.
 
-use crate::math::DVec3;
-use crate::volumes::Geometry;
+use isopeel_geometry::DVec3;
+use isopeel_volumes::Geometry;
 
 /// Position of a vertex relative to the caps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -10,7 +10,7 @@ use super::decimal::Decimals;
 use super::topology::Around;
 use super::{Format, Mesh};
 use crate::extraction::Cleaned;
-use crate::math::DVec3;
+use isopeel_geometry::DVec3;
 
 /// Maximum rounds over the groups of intersecting triangles before the repair is given up.
 const MAX_ROUNDS: usize = 16;

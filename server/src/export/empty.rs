@@ -3,8 +3,8 @@
 use isopeel_kernels::Histogram;
 
 use crate::extraction::{ExtractionStatistics, Extractor, WorkError};
-use crate::view::{FeatureName, View};
-use crate::volumes::VolumeStep;
+use isopeel_view::{FeatureName, View};
+use isopeel_volumes::VolumeStep;
 
 /// Returns why the surface of a resolved view has no triangles; `None` if it has some.
 ///
@@ -65,7 +65,7 @@ fn no_crossing(view: &View, histogram: &Histogram) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::Edit;
+    use isopeel_view::Edit;
 
     fn view(edit: &str) -> View {
         let edit: Edit = serde_json::from_str(edit).unwrap();

@@ -5,7 +5,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::mesh::FieldValues;
 use crate::extraction::{Extractor, WorkError};
-use crate::volumes::{Field, VolumeStep};
+use crate::fields;
+use isopeel_volumes::{Field, VolumeStep};
 
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {
@@ -29,7 +30,7 @@ impl FieldSamples {
     ) -> Result<Vec<Self>, WorkError> {
         let mut found = Vec::new();
         for name in names {
-            let Some(field) = volume.dataset().field_or_computed(name) else {
+            let Some(field) = fields::field_or_computed(volume.dataset(), name) else {
                 continue;
             };
             let (pieces, planes) = extractor.worker().samples(volume, name, token).await?;
@@ -99,7 +100,7 @@ impl FieldSamples {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volumes::testing;
+    use isopeel_volumes::testing;
 
     #[test]
     fn values_are_trilinear_and_missing_ones_are_none() {

@@ -10,7 +10,7 @@ use flate2::write::ZlibEncoder;
 
 use super::xml::escaped;
 use super::{ExportError, Mesh};
-use crate::volumes::Frame;
+use isopeel_volumes::Frame;
 
 /// The fastest level. Slower ones make files only a tenth smaller.
 const LEVEL: Compression = Compression::fast();
@@ -140,7 +140,7 @@ mod tests {
 
     use super::super::mesh::tests::{geometry, two_quads};
     use super::*;
-    use crate::volumes::LengthUnit;
+    use isopeel_volumes::LengthUnit;
 
     /// The bytes of a data array.
     fn array(text: &str, intent: &str) -> Vec<u8> {

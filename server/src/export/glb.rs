@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use super::mesh::{FieldValues, Material, attribute_names, linear};
 use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
-use crate::volumes::LengthUnit;
+use isopeel_volumes::LengthUnit;
 
 const MAGIC: &[u8; 4] = b"glTF";
 const VERSION: u32 = 2;
@@ -284,7 +284,7 @@ mod tests {
 
     use super::super::mesh::tests::{geometry, surface, two_quads, vertex};
     use super::*;
-    use crate::view::{PointJson, TransferFunctionJson};
+    use isopeel_view::{PointJson, TransferFunctionJson};
 
     fn word(bytes: &[u8], at: usize) -> usize {
         u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
@@ -389,11 +389,11 @@ mod tests {
         assert_eq!(node["scale"], json!([1e-3, 1e-3, 1e-3]));
         assert_eq!(node["translation"], json!([0.048, 0.016, -0.016]));
         let turn: Vec<f64> = serde_json::from_value(node["rotation"].clone()).unwrap();
-        let turn = crate::math::DQuat::from_slice(&turn);
-        let up = turn * crate::math::DVec3::Z;
-        assert!((up - crate::math::DVec3::Y).length() < 1e-12, "{up}");
-        let front = turn * crate::math::DVec3::NEG_Y;
-        assert!((front - crate::math::DVec3::Z).length() < 1e-12, "{front}");
+        let turn = isopeel_geometry::DQuat::from_slice(&turn);
+        let up = turn * isopeel_geometry::DVec3::Z;
+        assert!((up - isopeel_geometry::DVec3::Y).length() < 1e-12, "{up}");
+        let front = turn * isopeel_geometry::DVec3::NEG_Y;
+        assert!((front - isopeel_geometry::DVec3::Z).length() < 1e-12, "{front}");
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! The surface around labels of a segmentation. Its field is an expression that is 1 at samples with these labels and 0 elsewhere,
 //! optionally smoothed; its isovalue is 0.5.
 
-use crate::view::{Edit, EditError};
-use crate::volumes::{Dataset, Field};
+use isopeel_view::{Edit, EditError};
+use isopeel_volumes::{Dataset, Field};
 
 /// Isovalue halfway between samples inside and outside.
 const ISO: f32 = 0.5;
@@ -86,8 +86,8 @@ fn value_of(field: &Field, label: &str) -> Result<i128, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::View;
-    use crate::volumes::{Label, testing};
+    use isopeel_view::View;
+    use isopeel_volumes::{Label, testing};
 
     fn dataset() -> Dataset {
         let mut dataset = testing::dataset("head", [4; 3], &["t1", "the labels"]);

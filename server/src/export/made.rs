@@ -13,11 +13,12 @@ use super::{
     Compress, Content, ExportError, FileDigest, FileOptions, FileRequest, FileSurface, Format, Mesh, OtherVolumes,
     extras, glb, stl, why_empty,
 };
+use crate::dataset_views::view_space;
 use crate::extraction::{Cleaned, Extraction, ExtractionStatistics, Extractor, Measuring, Shape, WorkError};
 use crate::pool::{self, Panicked};
-use crate::view::quality::MesherName;
-use crate::view::{EditError, Outward, View};
-use crate::volumes::{InputIdentity, LengthUnit, VolumeStep};
+use isopeel_view::quality::MesherName;
+use isopeel_view::{EditError, Outward, View};
+use isopeel_volumes::{InputIdentity, LengthUnit, VolumeStep};
 
 /// A file that was made, but not written yet.
 pub struct MadeFile {
@@ -322,7 +323,7 @@ impl MadeSurface {
             surface, view, refined, ..
         } = extraction;
         let dataset = volume.dataset();
-        let (of_view, space) = dataset.index_space(&view);
+        let (of_view, space) = view_space(dataset, &view);
         let placed = of_view.in_unit(unit_of_file(options.format, of_view.unit, options.length_unit()));
         let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
         let mut mesh = Mesh::new_unless(&surface, &placed, uneven, is_cancelled)?;

@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::extraction::ExtractionStatistics;
-use crate::view::Edit;
-use crate::volumes::{LengthUnit, VolumeStep};
+use isopeel_view::Edit;
+use isopeel_volumes::{LengthUnit, VolumeStep};
 
 mod caps;
 mod clean;

@@ -5,7 +5,7 @@ use std::io::Write;
 use super::decimal::{Decimals, push_whole};
 use super::mesh::{ascii, srgb_bytes};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
-use crate::volumes::LengthUnit;
+use isopeel_volumes::LengthUnit;
 
 /// Writes `meshes`, an object each: positions as decimal numbers that are rounded by less than a hundred-thousandth of the smallest spacing
 /// wherever they are, colours behind them as most readers take them, and normals. Comments name frame, unit, provenance and notices.
@@ -88,7 +88,7 @@ fn comments(mesh: &Mesh, text: &mut Vec<u8>) {
 mod tests {
     use super::super::mesh::tests::{geometry, two_quads};
     use super::*;
-    use crate::volumes::Geometry;
+    use isopeel_volumes::Geometry;
 
     fn written(meshes: &[Mesh]) -> String {
         let mut bytes = Vec::new();

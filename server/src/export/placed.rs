@@ -3,8 +3,8 @@
 use isopeel_kernels::SampleType;
 
 use crate::extraction::Slice;
-use crate::math::DVec3;
-use crate::volumes::{Frame, LengthUnit};
+use isopeel_geometry::DVec3;
+use isopeel_volumes::{Frame, LengthUnit};
 
 /// Bytes of the header.
 const HEADER: usize = 348;

@@ -13,9 +13,10 @@ use super::schema::merged_schema;
 use super::surface_options::SurfaceOptions;
 use super::{Compress, Format};
 use crate::extraction::{ExportWork, Measuring, Refining};
-use crate::view::quality::Budget;
-use crate::view::{Edit, EditError, Outward, SIGMAS, View};
-use crate::volumes::{Dataset, LengthUnit};
+use crate::fields;
+use isopeel_view::quality::Budget;
+use isopeel_view::{Edit, EditError, Outward, SIGMAS, View};
+use isopeel_volumes::{Dataset, LengthUnit};
 
 /// Maximum fields whose values a file has. The samples of each are in memory while the file is made.
 const MAX_FIELD_VALUES: usize = 16;
@@ -114,7 +115,7 @@ impl FileOptions {
         if let Some(name) = self
             .field_values
             .iter()
-            .find(|name| dataset.field_or_computed(name).is_none())
+            .find(|name| fields::field_or_computed(dataset, name).is_none())
         {
             let names: Vec<String> = dataset.field_names().iter().map(|name| format!("{name:?}")).collect();
             return Err(EditError {
@@ -372,7 +373,7 @@ mod tests {
 
     #[test]
     fn fields_at_the_vertices_are_limited() {
-        let dataset = crate::volumes::testing::dataset("head", [4; 3], &["t1"]);
+        let dataset = isopeel_volumes::testing::dataset("head", [4; 3], &["t1"]);
         let options = |count| FileOptions {
             field_values: (0..count).map(|n| format!("{n}*t1")).collect(),
             ..FileOptions::new(Format::Ply)

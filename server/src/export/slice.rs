@@ -16,9 +16,9 @@ use super::picture::{Picture, samples_of};
 use super::placed::{PlacedPlane, nifti, nrrd};
 use super::xml::escaped;
 use crate::extraction::{DeviceWorker, Slice, WorkError};
-use crate::math::{DVec3, IndexSpace};
-use crate::view::FeatureName;
-use crate::volumes::{Field, Frame, LengthUnit, VolumeStep};
+use isopeel_geometry::{DVec3, IndexSpace};
+use isopeel_view::FeatureName;
+use isopeel_volumes::{Field, Frame, LengthUnit, VolumeStep};
 
 /// Maximum isovalues of one file.
 pub const MAX_ISOVALUES: usize = 64;
@@ -417,7 +417,7 @@ mod tests {
     use isopeel_kernels::SampleType;
 
     use super::*;
-    use crate::volumes::testing;
+    use isopeel_volumes::testing;
 
     fn plane(frame: Frame) -> Plane {
         let mut dataset = testing::dataset("head", [5, 4, 3], &["t1"]);

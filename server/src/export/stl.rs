@@ -3,8 +3,8 @@
 use std::io::Write;
 
 use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
-use crate::math::{DVec3, triangle_normal};
-use crate::volumes::LengthUnit;
+use isopeel_geometry::{DVec3, triangle_normal};
+use isopeel_volumes::LengthUnit;
 
 /// Rounding error above which there is a notice, as a share of the smallest spacing.
 const UNNOTICED: f64 = 1e-3;
@@ -84,7 +84,7 @@ fn plane_normal(corners: [[f32; 3]; 3]) -> [f32; 3] {
 mod tests {
     use super::super::mesh::tests::{geometry, surface, two_quads};
     use super::*;
-    use crate::volumes::Geometry;
+    use isopeel_volumes::Geometry;
 
     /// Normal and corners of every triangle.
     fn parse(bytes: &[u8]) -> Vec<[[f32; 3]; 4]> {

@@ -8,7 +8,7 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::mesh::{Material, rgb};
 use super::schema::merged_schema;
-use crate::view::{Edit, EditError};
+use isopeel_view::{Edit, EditError};
 
 /// What a surface is of, and what it looks like.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -7,8 +7,8 @@ use serde_json::Value;
 
 use super::mesh::Material;
 use super::{FileOptions, FileRequest, SurfaceOptions};
-use crate::view::{Edit, EditError, View};
-use crate::volumes::{Dataset, VolumeStep};
+use isopeel_view::{Edit, EditError, View};
+use isopeel_volumes::{Dataset, VolumeStep};
 
 /// Maximum surfaces of a file: all their meshes are in memory at once. Each surface is admitted only if the earlier ones leave enough
 /// memory.
@@ -173,7 +173,7 @@ fn overlaid(edit: &Edit, over: &Edit) -> Edit {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volumes::testing;
+    use isopeel_volumes::testing;
 
     fn volume(id: &str) -> VolumeStep {
         VolumeStep::new(Arc::new(testing::dataset(id, [4; 3], &["t1", "gm"])), 0).unwrap()

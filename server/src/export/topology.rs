@@ -1,7 +1,7 @@
 //! Topology of a mesh: vertices at which sheets touch, whether the mesh is closed, and the volume that it encloses.
 
 use super::Mesh;
-use crate::math::DVec3;
+use isopeel_geometry::DVec3;
 
 /// Triangles around each vertex.
 pub(super) struct Around {

@@ -3,9 +3,9 @@
 use isopeel_kernels::Vertex;
 
 use super::ExportError;
-use crate::math::{DVec3, UnevenAxes};
-use crate::view::quality::MesherName;
-use crate::volumes::Geometry;
+use isopeel_geometry::{DVec3, UnevenAxes};
+use isopeel_view::quality::MesherName;
+use isopeel_volumes::Geometry;
 
 /// Transformation from the lattice to the world.
 pub(super) struct Transform<'a> {

@@ -9,7 +9,7 @@ use std::io::Write;
 use super::decimal::{Decimals, push_whole};
 use super::mesh::{free_names, linear, plain};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
-use crate::volumes::LengthUnit;
+use isopeel_volumes::LengthUnit;
 
 /// Name of the scope that contains the materials.
 const MATERIALS: &str = "Materials";

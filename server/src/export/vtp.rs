@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::mesh::{attribute_names, srgb_bytes};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
-use crate::volumes::LengthUnit;
+use isopeel_volumes::LengthUnit;
 
 /// Bytes of the length before each array.
 const LENGTH_BYTES: u64 = 8;
@@ -259,7 +259,7 @@ fn rows<T: bytemuck::NoUninit>(out: &mut impl Write, numbers: impl Iterator<Item
 mod tests {
     use super::super::mesh::tests::{geometry, surface, two_quads};
     use super::*;
-    use crate::volumes::Frame;
+    use isopeel_volumes::Frame;
 
     /// The XML, and the appended arrays by name.
     fn parse(bytes: &[u8]) -> (String, impl Fn(&str) -> Vec<u8>) {

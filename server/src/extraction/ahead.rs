@@ -11,8 +11,8 @@ use super::open_steps::Held;
 use super::turns::{Caller, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
-use crate::view::View;
-use crate::volumes::VolumeStep;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 
 impl DeviceWorker {
     /// Marks a time step as open in a viewer until the returned guard is dropped.

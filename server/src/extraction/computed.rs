@@ -10,8 +10,8 @@ use super::keys::{Recipe, VolumeKey, values_inside};
 use super::turns::{Aside, Turn};
 use super::user_time::Payer;
 use super::worker_state::{JobError, WorkerState};
-use crate::view::EditError;
-use crate::volumes::{ReadProgress, VolumeStep};
+use isopeel_view::EditError;
+use isopeel_volumes::{ReadProgress, VolumeStep};
 
 impl WorkerState {
     /// Computes a field from others and makes it resident. Returns false if the host has to mask the field: its inputs are not resident

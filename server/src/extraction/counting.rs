@@ -7,8 +7,8 @@ use tokio_util::sync::CancellationToken;
 use super::turns::{Caller, Length, Turn};
 use super::worker_state::{JobError, Nodes, WorkerState};
 use super::{DeviceWorker, FullCount, WorkError};
-use crate::view::View;
-use crate::volumes::VolumeStep;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 
 impl DeviceWorker {
     /// Counts the full surface of a view. `token` as in [`DeviceWorker::extract`].

@@ -4,8 +4,8 @@ use isopeel_kernels::{Cancel, Cut, CutParams, Error, Level, Topology};
 
 use super::WorkError;
 use super::worker_state::OnDevice;
-use crate::view::View;
-use crate::view::quality::{Fitted, TopologyName};
+use isopeel_view::View;
+use isopeel_view::quality::{Fitted, TopologyName};
 
 /// A leaf emits at most a quad around each of its twelve edges; marching cubes makes five triangles of a leaf at most.
 const MAX_TRIANGLES_PER_LEAF: u64 = 24;

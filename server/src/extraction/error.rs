@@ -8,8 +8,8 @@ use isopeel_kernels::check::CheckError;
 
 use super::user_time::USER_TIME_PERIOD;
 use crate::error::chain;
-use crate::view::EditError;
-use crate::volumes::ReadError;
+use isopeel_view::EditError;
+use isopeel_volumes::ReadError;
 
 /// Why a device could not be opened.
 #[derive(Debug, thiserror::Error)]

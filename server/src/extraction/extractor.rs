@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use isopeel_codec::encode::encoded_bytes;
 use isopeel_kernels::Surface;
 use tokio_util::sync::CancellationToken;
 
@@ -12,31 +13,24 @@ use super::turns::{Caller, Length};
 use super::{
     DeviceWorker, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Refining, Step, WorkError,
 };
-use crate::error::BoxError;
 use crate::pool;
-use crate::view::View;
-use crate::view::quality::{Budget, Fitted, MesherName, TriangleBudget};
-use crate::volumes::VolumeStep;
-
-/// Returns the bytes of a surface in the encoding of the stream; `None` if it is cancelled before the end. A function pointer, because the
-/// encoder belongs to a higher layer.
-pub type EncodedBytes = fn(&Surface, &(dyn Fn() -> bool + Sync)) -> Result<Option<u64>, BoxError>;
+use isopeel_view::View;
+use isopeel_view::quality::{Budget, Fitted, MesherName, TriangleBudget};
+use isopeel_volumes::VolumeStep;
 
 /// Makes surfaces that keep budgets and limits. Clones are cheap.
 #[derive(Clone)]
 pub struct Extractor {
     worker: DeviceWorker,
     ceiling_triangles: u64,
-    encoded_bytes: EncodedBytes,
 }
 
 impl Extractor {
     /// Creates an extractor that uses `worker`'s device. It refuses surfaces of more than `ceiling_triangles`; `u64::MAX`: no limit.
-    pub fn new(worker: DeviceWorker, ceiling_triangles: u64, encoded_bytes: EncodedBytes) -> Self {
+    pub fn new(worker: DeviceWorker, ceiling_triangles: u64) -> Self {
         Self {
             worker,
             ceiling_triangles,
-            encoded_bytes,
         }
     }
 
@@ -315,7 +309,7 @@ impl Extractor {
     }
 
     async fn bytes_of(&self, surface: Surface, caller: Caller, token: &CancellationToken) -> Result<u64, WorkError> {
-        let (encoded_bytes, token) = (self.encoded_bytes, token.clone());
+        let token = token.clone();
         let count = move || encoded_bytes(&surface, &|| token.is_cancelled());
         let counted = match caller {
             Caller::Request => pool::run_export(count).await,

@@ -5,7 +5,7 @@ use std::rc::Rc;
 use isopeel_kernels::{DerivedFeature, Feature, VectorFeature, Volume};
 
 use super::WorkError;
-use crate::view::FeatureName;
+use isopeel_view::FeatureName;
 
 /// A view's feature and the fields that it is made of.
 pub(super) enum FeatureFields {

@@ -3,10 +3,10 @@
 use isopeel_kernels::{Grid, RectilinearGrid};
 
 use super::WorkError;
-use crate::volumes::VolumeStep;
+use isopeel_volumes::VolumeStep;
 
 /// The grid of a dataset's samples on the device, padded by one sample on every side or not. Its unit of length is the smallest cell of the
-/// dataset ([`Dataset::smallest_length`](crate::volumes::Dataset::smallest_length)): surfaces, errors and tolerances on the device are the same
+/// dataset ([`Dataset::smallest_length`](isopeel_volumes::Dataset::smallest_length)): surfaces, errors and tolerances on the device are the same
 /// whatever the spacing is, and neither squares nor inverses of it leave the range of 32 bits.
 pub(super) fn padded_grid(volume: &VolumeStep, padded: bool) -> Result<RectilinearGrid, WorkError> {
     let dataset = volume.dataset();

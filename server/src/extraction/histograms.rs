@@ -12,8 +12,8 @@ use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::metrics;
-use crate::view::FeatureName;
-use crate::volumes::VolumeStep;
+use isopeel_view::FeatureName;
+use isopeel_volumes::VolumeStep;
 
 impl DeviceWorker {
     /// Returns the range and the 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. The result

@@ -7,9 +7,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use isopeel_kernels::Isovalue;
 
 use super::keys::VolumeKey;
-use crate::view::quality::{Budget, Distance, Fitted, MaxError, MesherName, ShareBudget, TopologyName, TriangleBudget};
-use crate::view::{ChosenPartsJson, FeatureName, InterestJson, TransferFunctionJson, View};
-use crate::volumes::VolumeStep;
+use isopeel_view::quality::{
+    Budget, Distance, Fitted, MaxError, MesherName, ShareBudget, TopologyName, TriangleBudget,
+};
+use isopeel_view::{ChosenPartsJson, FeatureName, InterestJson, TransferFunctionJson, View};
+use isopeel_volumes::VolumeStep;
 
 /// Number of the last engine.
 static LAST_ENGINE: AtomicU64 = AtomicU64::new(0);
@@ -318,8 +320,8 @@ mod tests {
     use std::sync::Arc;
 
     use super::{EngineId, SurfaceKey, ViewKey};
-    use crate::view::{Edit, View};
-    use crate::volumes::{Dataset, VolumeStep, testing};
+    use isopeel_view::{Edit, View};
+    use isopeel_volumes::{Dataset, VolumeStep, testing};
 
     fn dataset() -> Dataset {
         Dataset {

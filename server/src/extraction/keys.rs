@@ -1,10 +1,11 @@
 //! Keys of resident volumes and histograms.
 
+use crate::fields;
 use isopeel_kernels::{DerivedFeature, ValueSet};
 
 use super::WorkError;
-use crate::view::{EditError, FeatureName, FieldExpression, Mask, View};
-use crate::volumes::{Field, StepKey, VolumeStep};
+use isopeel_view::{EditError, FeatureName, FieldExpression, Mask, View};
+use isopeel_volumes::{Field, StepKey, VolumeStep};
 
 /// Derived features whose values are part of every description of a volume. Others take longer, and are described only once a view has used
 /// them.
@@ -57,7 +58,7 @@ impl VolumeKey {
     /// Returns the field's description. The field may be given by an expression.
     pub(super) fn field_of(&self, volume: &VolumeStep) -> Result<Field, WorkError> {
         let dataset = volume.dataset();
-        dataset.field_or_computed(&self.field).ok_or_else(|| {
+        fields::field_or_computed(dataset, &self.field).ok_or_else(|| {
             WorkError::Edit(EditError {
                 field: "field",
                 why: format!("volume {:?} has no field {:?}", self.step.dataset.id, self.field),
@@ -78,7 +79,7 @@ impl VolumeKey {
             let keys = [&self.field, &mask.field].map(|name| Self::new(volume, name, false));
             return Some((Recipe::Mask(mask, labels), keys.to_vec()));
         }
-        let found = volume.dataset().expression(&self.field)?;
+        let found = fields::expression(volume.dataset(), &self.field)?;
         if found.smoothing.is_some() {
             return None;
         }
@@ -182,8 +183,8 @@ mod tests {
     use std::sync::Arc;
 
     use super::{Masking, VolumeKey, view_keys, with_inputs};
-    use crate::view::{Edit, View};
-    use crate::volumes::{VolumeStep, testing};
+    use isopeel_view::{Edit, View};
+    use isopeel_volumes::{VolumeStep, testing};
 
     /// Returns the fields that are loaded for an edit, in order; `+` before a name marks a masked field.
     fn loaded(edit: &str, masking: Masking) -> Vec<String> {

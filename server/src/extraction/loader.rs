@@ -15,9 +15,10 @@ use super::keys::{VolumeKey, values_inside};
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
+use crate::fields;
 use crate::pool::ReadPool;
-use crate::view::Mask;
-use crate::volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
+use isopeel_view::Mask;
+use isopeel_volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
 /// Copies in memory of a field that is not sent in pieces: the samples as read, as masked or padded, and as sent to the device.
 const WHOLE_COPIES: u64 = 3;
@@ -213,10 +214,7 @@ impl DeviceWorker {
         let samples = volume.dataset().geometry.sample_count();
         let held = if key.padded || key.mask.is_some() {
             // For a computed field, its inputs are held too.
-            let inputs = volume
-                .dataset()
-                .expression(&key.field)
-                .map_or(0, |found| found.fields.len() as u64);
+            let inputs = fields::expression(volume.dataset(), &key.field).map_or(0, |found| found.fields.len() as u64);
             samples.saturating_mul(WHOLE_COPIES + inputs)
         } else {
             samples.min(HELD_PIECES * PIECE_SAMPLES as u64)
@@ -355,7 +353,7 @@ fn read_samples(
         || mask.map(|(mask, labels)| samples_inside(&mask, &labels, volume.step())),
     );
     let samples = samples?;
-    let found = volume.dataset().expression(&key.field);
+    let found = fields::expression(volume.dataset(), &key.field);
     // Every sample has a distance, or none has.
     if found.is_some_and(|found| found.is_distance) && samples.get(0).is_nan() {
         return Err(WorkError::Edit(nothing_inside(key)));

@@ -12,8 +12,8 @@ use super::device_thread::Preparation;
 use super::keys::{ALWAYS_DESCRIBED, HistogramKey, VolumeKey};
 use super::lock::lock;
 use super::residency::Lru;
-use crate::view::{FeatureName, View};
-use crate::volumes::{Field, ReadProgress, VolumeStep};
+use isopeel_view::{FeatureName, View};
+use isopeel_volumes::{Field, ReadProgress, VolumeStep};
 
 /// Maximum number of files that are read at the same time. Each load holds a few pieces of a field in host memory.
 const CONCURRENT_LOADS: usize = 2;

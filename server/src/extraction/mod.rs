@@ -69,7 +69,7 @@ mod worker_state;
 
 pub use device_thread::{Choice, Choose, DeviceOptions, DeviceState, NoChoice, Preparation, Report};
 pub use error::{OpenError, WorkError};
-pub use extractor::{EncodedBytes, Extractor};
+pub use extractor::Extractor;
 pub use host_memory::{limit_host_memory, return_freed_memory};
 pub use identity::{EngineId, FittedKey, SurfaceKey, ViewKey};
 pub use loading::{OpeningProgress, OpeningWatch};

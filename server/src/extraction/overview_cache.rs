@@ -85,7 +85,7 @@ impl Overviews {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volumes::{VolumeStep, testing};
+    use isopeel_volumes::{VolumeStep, testing};
 
     fn key(field: &str) -> OverviewKey {
         let dataset = Arc::new(testing::dataset("head", [5, 6, 7], &["density"]));

@@ -13,8 +13,8 @@ use super::overview_cache::{OverviewKey, Unfinished};
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
-use crate::volumes::VolumeStep;
 use crate::{metrics, pool};
+use isopeel_volumes::VolumeStep;
 
 impl DeviceWorker {
     /// Returns a field, or an expression over fields, at a low resolution. Loads or computes the field if it is not on the device. The

@@ -93,7 +93,7 @@ mod tests {
     use tokio::time::timeout;
 
     use super::{Pins, VolumeKey};
-    use crate::volumes::{DatasetKey, StepKey};
+    use isopeel_volumes::{DatasetKey, StepKey};
 
     fn key(field: &str) -> VolumeKey {
         VolumeKey {

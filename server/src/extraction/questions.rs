@@ -17,13 +17,13 @@ use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, WorkError};
-use crate::math::IndexSpace;
-use crate::view::View;
-use crate::volumes::VolumeStep;
 pub use answers::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
     VertexErrors,
 };
+use isopeel_geometry::IndexSpace;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 
 const _: () = assert!(CURVE_POINTS == 32 && MAX_BINS == 256, "PROTOCOL.md says so");
 
@@ -328,7 +328,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::{Question, index_of};
-    use crate::volumes::{VolumeStep, testing};
+    use isopeel_volumes::{VolumeStep, testing};
 
     #[test]
     fn positions_outside_the_volume_have_no_index() {

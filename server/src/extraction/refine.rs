@@ -22,9 +22,9 @@ use super::tree_steps;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, Shown, Step, WorkError};
-use crate::view::View;
-use crate::view::quality::Budget;
-use crate::volumes::VolumeStep;
+use isopeel_view::View;
+use isopeel_view::quality::Budget;
+use isopeel_volumes::VolumeStep;
 
 /// Triangles of a closed surface for each leaf.
 const TRIANGLES_PER_LEAF: u64 = 2;

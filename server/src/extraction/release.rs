@@ -5,7 +5,7 @@ use tokio_util::sync::CancellationToken;
 use super::turns::{Caller, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
-use crate::volumes::{StepKey, VolumeStep};
+use isopeel_volumes::{StepKey, VolumeStep};
 
 impl DeviceWorker {
     /// Frees the samples, pyramids and vertex trees of a time step. If the device is lost, they are gone anyway.

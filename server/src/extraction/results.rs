@@ -6,8 +6,8 @@ use std::time::Duration;
 use isopeel_kernels::{Level, RefinementCost, StageTime, Surface, SurfaceStatistics};
 
 use super::{ExtractionStatistics, MeasuredError};
-use crate::view::View;
-use crate::volumes::VolumeStep;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 
 /// A surface and its view.
 #[derive(Clone, Debug)]

@@ -8,7 +8,7 @@ use super::keys::VolumeKey;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
-use crate::volumes::VolumeStep;
+use isopeel_volumes::VolumeStep;
 
 /// A plane of samples.
 #[derive(Clone, Debug, PartialEq, Eq)]

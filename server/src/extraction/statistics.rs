@@ -6,8 +6,8 @@ use std::time::Duration;
 use isopeel_kernels::{ErrorEstimate, SurfaceError, Topology};
 use serde::{Deserialize, Serialize};
 
-use crate::view::quality::{GuardName, MesherName, TopologyName};
-use crate::view::{FeatureName, Outward, View};
+use isopeel_view::quality::{GuardName, MesherName, TopologyName};
+use isopeel_view::{FeatureName, Outward, View};
 
 /// Tolerance of a surface in which nothing was merged: below any error.
 const NOTHING_MERGED: f32 = -1.0;

@@ -35,8 +35,8 @@ impl Unfinished {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::FeatureName;
-    use crate::volumes::{VolumeStep, testing};
+    use isopeel_view::FeatureName;
+    use isopeel_volumes::{VolumeStep, testing};
 
     #[test]
     fn only_so_many_are_remembered_and_none_that_is_being_made_is_forgotten() {

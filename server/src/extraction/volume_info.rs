@@ -1,5 +1,7 @@
 //! The description of a volume, as JSON: an answer of REST, and part of the stream's `opened`.
 
+use crate::dataset_views::opening_edit;
+use crate::fields;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -9,10 +11,10 @@ use utoipa::ToSchema;
 
 use super::keys::ALWAYS_DESCRIBED;
 use super::{DeviceWorker, WorkError};
-use crate::math::UnevenAxes;
-use crate::view::{Edit, FeatureName, FieldExpression, OpeningIso, VectorName};
-use crate::volumes::vectors::vectors;
-use crate::volumes::{AxisScale, Dataset, Field, LengthUnit, MAX_LABELS, TimeAxis, VolumeStep};
+use isopeel_geometry::UnevenAxes;
+use isopeel_view::{Edit, FeatureName, FieldExpression, OpeningIso, VectorName};
+use isopeel_volumes::vectors::vectors;
+use isopeel_volumes::{AxisScale, Dataset, Field, Label, LengthUnit, TimeAxis, VolumeStep};
 
 /// A volume: the description of one time step for the editor.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -277,31 +279,18 @@ impl GeometryInfo {
 impl LabelInfo {
     /// Returns the labels of a field, if there are any: those that its file names, and those that are represented by ranks.
     pub fn of(field: &Field) -> Option<Vec<Self>> {
-        let ranks = field.source.ranks();
-        let mut labels: BTreeMap<i128, Self> = BTreeMap::new();
-        for (rank, number) in ranks.iter().flat_map(|ranks| ranks.iter()).take(MAX_LABELS) {
-            labels.insert(number, Self::new(rank, number));
-        }
-        for label in &field.labels {
-            let value = ranks
-                .as_ref()
-                .map_or(label.value as f32, |ranks| ranks.position(label.value));
-            let color = |[r, g, b]: [u8; 3]| format!("#{r:02x}{g:02x}{b:02x}");
-            let info = labels
-                .entry(label.value)
-                .or_insert_with(|| Self::new(value, label.value));
-            info.name.clone_from(&label.name);
-            info.color = label.color.map(color);
-        }
-        (!labels.is_empty()).then(|| labels.into_values().collect())
+        let labels: Vec<_> = field.all_labels().into_iter().map(Self::new).collect();
+        (!labels.is_empty()).then_some(labels)
     }
 
-    fn new(value: f32, number: i128) -> Self {
+    fn new((value, label): (f32, Label)) -> Self {
+        let color = |[r, g, b]: [u8; 3]| format!("#{r:02x}{g:02x}{b:02x}");
+        let differs = value as i128 != label.value || value.fract() != 0.0;
         Self {
             value,
-            stored: (value as i128 != number || value.fract() != 0.0).then(|| number.to_string()),
-            name: None,
-            color: None,
+            stored: differs.then(|| label.value.to_string()),
+            name: label.name,
+            color: label.color.map(color),
         }
     }
 }
@@ -396,7 +385,7 @@ pub async fn describe_expression(
         Some(field) => field.unit.clone(),
         None => {
             FieldExpression::parse(text, &dataset.field_names(), "expression").map_err(WorkError::Edit)?;
-            dataset.computed_field(text).and_then(|field| field.unit)
+            fields::computed_field(dataset, text).and_then(|field| field.unit)
         }
     };
     let histogram = worker.histogram(volume, text, &FeatureName::None).await?;
@@ -480,6 +469,6 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
         features,
         vectors: vector_infos(worker, volume),
         notice: dataset.notice(),
-        opening: dataset.opening.clone(),
+        opening: opening_edit(dataset).map_err(WorkError::Edit)?,
     })
 }

@@ -33,8 +33,8 @@ use super::user_time::{Payer, UserTimes};
 use super::worker_state::{Histograms, JobError, WorkerState, no_finite_sample};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::metrics;
-use crate::view::View;
-use crate::volumes::VolumeStep;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 
 /// Maximum number of waiting jobs. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, and
 /// viewers wait.

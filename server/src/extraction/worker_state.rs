@@ -26,11 +26,12 @@ use super::results::{Making, Refining};
 use super::shares::Shares;
 use super::turns::{Aside, Turn};
 use super::{Extraction, Measurement, WorkError};
+use crate::dataset_views::view_space;
 use crate::device::Proven;
-use crate::math::IndexSpace;
 use crate::metrics;
-use crate::view::{EditError, FeatureName, OpeningIso, View};
-use crate::volumes::{Field, VolumeStep};
+use isopeel_geometry::IndexSpace;
+use isopeel_view::{EditError, FeatureName, OpeningIso, View};
+use isopeel_volumes::{Field, VolumeStep};
 
 /// Share of the device's memory for resident volumes, in percent. The rest is for pyramids (`shares`), the stages' buffers and other processes.
 const VOLUME_PERCENT: u64 = 50;
@@ -423,7 +424,7 @@ impl WorkerState {
     ) -> Result<T, JobError> {
         let iso: Isovalue = view.iso.ok_or_else(no_finite_sample)?;
         let smallest = volume.dataset().smallest_length();
-        let (_, index_space) = volume.dataset().index_space(view);
+        let (_, index_space) = view_space(volume.dataset(), view);
         let params = view.cut_params(smallest, &index_space).ok_or_else(no_finite_sample)?;
         let key = PyramidKey::new(volume, view);
         let shown_volume = self

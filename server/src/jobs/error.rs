@@ -3,8 +3,8 @@
 use super::MAX_EXTRACTIONS;
 use super::results::ReadResultError;
 use crate::extraction::WorkError;
-use crate::view::EditError;
-use crate::volumes::{IdentityError, UnknownStep};
+use isopeel_view::EditError;
+use isopeel_volumes::{IdentityError, UnknownStep};
 
 /// Why a request about batch jobs fails. Each variant calls for a different reaction of the caller.
 #[derive(Debug, thiserror::Error)]

@@ -7,9 +7,9 @@ use tokio_util::sync::CancellationToken;
 use super::state::Estimate;
 use crate::export::{FileRequest, OtherVolumes};
 use crate::extraction::{Extractor, WorkError};
-use crate::view::View;
-use crate::view::quality::Budget;
-use crate::volumes::{Dataset, UnknownStep, VolumeStep};
+use isopeel_view::View;
+use isopeel_view::quality::Budget;
+use isopeel_volumes::{Dataset, UnknownStep, VolumeStep};
 
 /// Extractions whose surfaces are counted: the first, the last and the one in the middle. Each may read a time step.
 const SAMPLES: usize = 3;
@@ -83,7 +83,7 @@ fn within_budget(full: u64, view: &View) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::quality::{ShareBudget, TriangleBudget};
+    use isopeel_view::quality::{ShareBudget, TriangleBudget};
 
     #[test]
     fn samples_are_spread_over_all() {

@@ -12,7 +12,7 @@ use super::state::Cause;
 use super::store::work::Work;
 use crate::export::{self, ExportError, MadeFile, MakeError, OtherVolumes};
 use crate::extraction::{Extractor, MeasuredError, WorkError};
-use crate::volumes::{Dataset, IdentityError, Reader, SharedCatalog, VolumeStep};
+use isopeel_volumes::{Dataset, IdentityError, Reader, SharedCatalog, VolumeStep};
 
 /// Makes files.
 #[async_trait]

@@ -17,7 +17,6 @@ use tokio_util::sync::CancellationToken;
 
 use crate::export::ExportError;
 use crate::extraction::MeasuredError;
-use crate::private_folder;
 
 /// Bytes of a write.
 const PART_BYTES: usize = 4 << 20;
@@ -241,7 +240,7 @@ fn storage(error: object_store::Error) -> WriteError {
 fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
     std::iter::successors(Some(error), |error| error.source())
         .filter_map(|error| error.downcast_ref::<io::Error>())
-        .any(private_folder::is_full)
+        .any(isopeel_volumes::disk::is_full)
 }
 
 /// Writer that sends its bytes to the store in parts, and hashes them. Used on a blocking thread.

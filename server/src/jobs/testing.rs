@@ -22,8 +22,8 @@ use super::store::work::Work;
 use super::{Limits, OPERATOR};
 use crate::export::ExportError;
 use crate::extraction::MeasuredError;
-use crate::volumes::testing::dataset;
-use crate::volumes::{InputIdentity, SeenFiles};
+use isopeel_volumes::testing::dataset;
+use isopeel_volumes::{InputIdentity, SeenFiles};
 
 pub(super) const LIMITS: Limits = Limits { quota_bytes: 1 << 30 };
 

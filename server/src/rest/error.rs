@@ -9,8 +9,8 @@ use crate::export::{ExportError, MakeError};
 use crate::extraction::WorkError;
 use crate::jobs::JobError;
 use crate::problem::ApiError;
-use crate::view::EditError;
-use crate::volumes::{IdentityError, UnknownStep};
+use isopeel_view::EditError;
+use isopeel_volumes::{IdentityError, UnknownStep};
 
 impl From<WorkError> for ApiError {
     fn from(error: WorkError) -> Self {

@@ -30,7 +30,7 @@ use crate::export::{self, FileDigest, FileRequest, MadeFile, OtherVolumes, merge
 use crate::extraction::Extractor;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
-use crate::volumes::VolumeStep;
+use isopeel_volumes::VolumeStep;
 pub use spool::SpoolFolder;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
@@ -269,7 +269,7 @@ fn ascii(json: &str) -> String {
 mod tests {
     use super::*;
     use crate::export::Format;
-    use crate::view::Edit;
+    use isopeel_view::Edit;
 
     #[test]
     fn a_request_holds_volume_format_and_the_edits_names() {

@@ -58,9 +58,9 @@ use crate::extraction::Extractor;
 use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
 use crate::uploads::Uploads;
-use crate::volumes::SharedCatalog;
 use export_queue::{ExportQueue, QueueLimits};
 use extract::address::KnownTags;
+use isopeel_volumes::SharedCatalog;
 use precompressed::Precompressed;
 
 /// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.

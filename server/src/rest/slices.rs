@@ -12,10 +12,11 @@ use super::extract::File;
 use super::{ApiState, whole_number};
 use crate::access::{Identity, Occupant};
 use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, isovalues, shown_slice};
+use crate::fields;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
-use crate::view::FieldExpression;
-use crate::volumes::{Field, VolumeStep};
+use isopeel_view::FieldExpression;
+use isopeel_volumes::{Field, VolumeStep};
 
 /// Header with the type of a slice's samples and their positions, JSON in ASCII ([`SliceInfo`]).
 pub const SLICE_HEADER: HeaderName = HeaderName::from_static("isopeel-slice");
@@ -140,7 +141,7 @@ pub(super) fn field_of(volume: &VolumeStep, name: Option<&str>) -> Result<Field,
     let dataset = volume.dataset();
     let found = match name {
         None => dataset.fields.first().cloned(),
-        Some(name) => dataset.field_or_computed(name),
+        Some(name) => fields::field_or_computed(dataset, name),
     };
     found.ok_or_else(|| {
         let (name, names) = (name.unwrap_or_default(), dataset.field_names());

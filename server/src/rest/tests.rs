@@ -16,11 +16,9 @@ use super::*;
 use crate::access::gate::admit;
 use crate::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
 use crate::extraction::DeviceWorker;
-use crate::view::Edit;
-use crate::volumes::{
+use isopeel_volumes::{
     Catalog, Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Samples, Source,
 };
-use crate::wire::encode::encoded_bytes;
 
 #[derive(Debug)]
 struct Ramp;
@@ -63,7 +61,7 @@ fn catalog() -> Catalog {
             source: Arc::new(Ramp),
         }],
         notices: Notices::of("made here"),
-        opening: Some(Edit::default()),
+        opening: Some(serde_json::json!({})),
     });
     catalog
 }
@@ -73,11 +71,7 @@ fn state() -> ApiState {
     let worker = DeviceWorker::start(Some("a device that is nowhere".into())).unwrap();
     {
         let access = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]);
-        ApiState::new(
-            catalog().into(),
-            Extractor::new(worker, u64::MAX, encoded_bytes),
-            access,
-        )
+        ApiState::new(catalog().into(), Extractor::new(worker, u64::MAX), access)
     }
 }
 

@@ -15,7 +15,7 @@ use super::{ApiState, whole_number};
 use crate::access::Identity;
 use crate::extraction::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_expression};
 use crate::problem::{ApiError, Problem};
-use crate::volumes::{Dataset, Unreadable, VolumeStep};
+use isopeel_volumes::{Dataset, Unreadable, VolumeStep};
 
 /// A volume, in short.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]

@@ -14,8 +14,8 @@ use crate::extraction::{
     Answer, DeviceState, DeviceWorker, EngineId, Extractor, FullCount, Held, Measurement, OpeningProgress,
     OpeningWatch, Question, Refinement, ShownSurface, Step, WorkError, describe,
 };
-use crate::view::View;
-use crate::volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
+use isopeel_view::View;
+use isopeel_volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
 
 /// Default bytes of chunks that are cached for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;

@@ -24,10 +24,10 @@ use leader::PAUSE;
 
 use crate::access::{NoSeat, Seat, SeatLimits, Seats};
 use crate::metrics;
-use crate::view::View;
-use crate::volumes::VolumeStep;
 use crate::wire::group::{Follower, LedSurface, Pose};
 use crate::wire::messages::ServerMessage;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 
 /// Maximum groups: one for every 16 of the maximum viewers.
 pub(super) const MAX_GROUPS: usize = 64;

@@ -11,8 +11,8 @@ use tokio_util::sync::CancellationToken;
 use super::shared::{HeldRegion, HeldRegions, Kept, SharedStep};
 use crate::extraction::VertexErrors;
 use crate::pool::{self, Panicked};
-use crate::wire::chunk::{Coding, PrefixId};
-use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
+use isopeel_codec::chunk::{Coding, PrefixId};
+use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 
 /// Triangles in a batch for each thread of the pool. Another viewer's work waits for two batches, which take about 5 ms.
 const BATCH_TRIANGLES: usize = 25_000;

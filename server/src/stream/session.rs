@@ -72,13 +72,14 @@ use super::Common;
 use super::backend::Backend;
 use super::groups::{GroupEvent, Member, group_event};
 use crate::access::Identity;
+use crate::dataset_views::opening_view;
 use crate::error::chain;
 use crate::extraction::{OpeningProgress, Question, WorkError};
 use crate::metrics;
-use crate::volumes::{Dataset, Lease, StepKey, VolumeStep};
-use crate::wire::chunk::Coding;
 use crate::wire::messages::{ClientMessage, CloseCode, MAX_MALFORMED, MAX_MESSAGE_BYTES, ServerMessage};
 use heartbeat::{BEFORE_BEAT, Heartbeat};
+use isopeel_codec::chunk::Coding;
+use isopeel_volumes::{Dataset, Lease, StepKey, VolumeStep};
 use jobs::{BoxFuture, DeviceDone, PoolDone, finished};
 use line::Line;
 use open_pace::OpenPace;
@@ -478,7 +479,7 @@ impl<B: Backend> Session<B> {
     fn open_step(&mut self, dataset: Arc<Dataset>, step: u32, lease: Lease) {
         self.open_pace.opened(Instant::now());
         self.close_volume();
-        let view = match dataset.opening_view() {
+        let view = match opening_view(&dataset) {
             Ok(view) => view,
             Err(error) => return self.send_error("unreadable-volume", format!("opening view: {error}"), true),
         };

@@ -4,8 +4,7 @@ use std::io;
 
 use super::MAX_UPLOADS;
 use super::names::NameError;
-use crate::private_folder;
-use crate::volumes::ReadError;
+use isopeel_volumes::ReadError;
 
 /// Why a request about uploads fails. Each variant calls for a different reaction of the caller.
 #[derive(Debug, thiserror::Error)]
@@ -122,7 +121,7 @@ pub enum UploadError {
 impl UploadError {
     /// Converts an error of writing `bytes` bytes.
     pub(super) fn of_write(error: io::Error, bytes: u64) -> Self {
-        if private_folder::is_full(&error) || error.kind() == io::ErrorKind::FileTooLarge {
+        if isopeel_volumes::disk::is_full(&error) || error.kind() == io::ErrorKind::FileTooLarge {
             Self::DiskFull(bytes)
         } else {
             Self::Io(error)

@@ -11,8 +11,8 @@ use super::state::{UploadInfo, UploadState};
 use super::upload::Upload;
 use super::{Reader, Uploads, counted};
 use crate::pool::ReadPool;
-use crate::volumes::location::stem;
-use crate::volumes::{Dataset, FileLocation, Frame, open_path};
+use isopeel_volumes::location::stem;
+use isopeel_volumes::{Dataset, FileLocation, Frame, open_path};
 
 impl Uploads {
     /// Reads a complete upload as volumes, and offers these to its owner. Does nothing if it was read before.

@@ -108,7 +108,7 @@ impl UploadFolder {
 
     /// Bytes that are free on its disk.
     pub(super) fn free_bytes(&self) -> io::Result<u64> {
-        private_folder::free_bytes(&self.path)
+        isopeel_volumes::disk::free_bytes(&self.path)
     }
 
     /// Makes the folder of an upload.

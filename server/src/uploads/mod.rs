@@ -26,10 +26,10 @@ use data_encoding::HEXLOWER;
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::rfc3339_seconds;
-use crate::volumes::{Frame, Reader, SharedCatalog};
 pub use error::UploadError;
 pub use folder::{FolderError, UploadFolder};
 use folder::{Record, note_use, used};
+use isopeel_volumes::{Frame, Reader, SharedCatalog};
 pub use names::{DeclaredFile, MAX_FILES, NameError};
 use slots::Slots;
 pub use state::{UploadInfo, UploadList, UploadRequest, UploadState};

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::view::Edit;
+use isopeel_view::Edit;
 
 /// Longest name that a follower may give, characters.
 const MAX_NAME_CHARS: usize = 40;

@@ -9,11 +9,11 @@ use serde_json::value::RawValue;
 
 pub use close::CloseCode;
 
-use super::chunk::{ChunkKind, MAX_SURFACES};
 use super::group::{Follower, LedSurface, Pose, Resume};
 use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Preparation, Probe};
-use crate::view::Edit;
-use crate::view::quality::MesherName;
+use isopeel_codec::chunk::{ChunkKind, MAX_SURFACES};
+use isopeel_view::Edit;
+use isopeel_view::quality::MesherName;
 
 /// Subprotocol that a client must offer.
 pub const SUBPROTOCOL: &str = "isopeel.v2";

@@ -4,8 +4,8 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::time::Duration;
 
-use isopeel::volumes::{Field, OpenedFile, ReadError, Samples};
 use isopeel_kernels::SampleType;
+use isopeel_volumes::{Field, OpenedFile, ReadError, Samples};
 use rustix::time::{ClockId, clock_gettime};
 
 /// Counts the current and the maximum memory of the thread.

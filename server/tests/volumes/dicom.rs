@@ -9,8 +9,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use isopeel::volumes::{Catalog, Dataset, ReadError, open_dataset};
 use isopeel_kernels::SampleType;
+use isopeel_volumes::{Catalog, Dataset, ReadError, open_dataset};
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -3,8 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use isopeel::extraction::LabelInfo;
-use isopeel::volumes::{Dataset, Field, LengthUnit, TimeAxis, open_dataset};
+use isopeel_volumes::{Dataset, Field, LengthUnit, TimeAxis, open_dataset};
 use serde::Deserialize;
 
 /// Expected contents of a volume: one entry of the list in a JSON file.
@@ -106,12 +105,13 @@ fn compare(dataset: &Dataset, expected: &Expected) {
 }
 
 fn compare_labels(field: &Field, expected: &[(f32, String, Option<String>)], what: &str) {
-    let found = LabelInfo::of(field).unwrap_or_default();
+    let found = field.all_labels();
     assert_eq!(found.len(), expected.len(), "{what}: {found:?}");
-    for (label, (value, name, color)) in found.iter().zip(expected) {
-        assert_eq!((label.value, label.name.as_ref()), (*value, Some(name)), "{what}");
+    for ((sample, label), (value, name, color)) in found.iter().zip(expected) {
+        assert_eq!((sample, label.name.as_ref()), (value, Some(name)), "{what}");
+        let found = label.color.map(|[r, g, b]| format!("#{r:02x}{g:02x}{b:02x}"));
         assert!(
-            color.is_none() || label.color == *color,
+            color.is_none() || found == *color,
             "{what}: {label:?}, expected {color:?}"
         );
     }

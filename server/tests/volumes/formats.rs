@@ -4,9 +4,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{FileLocation, OpenedFile, ReadError, ReadProgress, Samples, open_dataset, read_file};
 use isopeel_kernels::SampleType;
+use isopeel_volumes::location::MemoryFolder;
+use isopeel_volumes::{FileLocation, OpenedFile, ReadError, ReadProgress, Samples, open_dataset, read_file};
 
 use crate::write::{self, KINDS, Volume};
 use crate::write_vtk;

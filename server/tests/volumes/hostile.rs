@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{FileLocation, ReadError, Samples, read_file};
+use isopeel_volumes::location::MemoryFolder;
+use isopeel_volumes::{FileLocation, ReadError, Samples, read_file};
 use proptest::prelude::*;
 
 use crate::bounds::{load_within, within};

@@ -1,6 +1,6 @@
 //! MRC and CCP4 maps: round trips, axes and cells, and refused files.
 
-use isopeel::volumes::{FileLocation, LengthUnit, OpenedFile, ReadError, Samples, open_dataset, read_file};
+use isopeel_volumes::{FileLocation, LengthUnit, OpenedFile, ReadError, Samples, open_dataset, read_file};
 
 use crate::formats::assert_refused;
 use crate::write::{self, KINDS, Volume};

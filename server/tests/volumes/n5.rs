@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use isopeel::volumes::open_dataset;
+use isopeel_volumes::open_dataset;
 
 use crate::bounds::within;
 use crate::changed;
@@ -162,7 +162,7 @@ fn folders() -> Vec<Changing<'static>> {
         .into()
 }
 
-fn read(folder: &tempfile::TempDir) -> Result<isopeel::volumes::Dataset, isopeel::volumes::ReadError> {
+fn read(folder: &tempfile::TempDir) -> Result<isopeel_volumes::Dataset, isopeel_volumes::ReadError> {
     stores::read(folder, "a.n5")
 }
 

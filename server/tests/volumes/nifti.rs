@@ -1,6 +1,6 @@
 //! NIfTI: round trips, scales, affines.
 
-use isopeel::volumes::{Frame, OpenedFile, Samples};
+use isopeel_volumes::{Frame, OpenedFile, Samples};
 
 use crate::formats::{DIMS, all, open, same, same_placed};
 use crate::write::{self, KINDS, Volume};
@@ -172,8 +172,8 @@ fn what_is_repaired_is_said() {
 fn a_pair_is_named_by_either_file() {
     use std::sync::Arc;
 
-    use isopeel::volumes::location::MemoryFolder;
-    use isopeel::volumes::{FileLocation, read_file};
+    use isopeel_volumes::location::MemoryFolder;
+    use isopeel_volumes::{FileLocation, read_file};
 
     let v = Volume::new(DIMS, 1, ('i', 2), true);
     for header in [write::analyze(&v), {

@@ -1,7 +1,7 @@
 //! NRRD and MetaImage: round trips, axes, channels.
 
-use isopeel::volumes::{Frame, LengthUnit, read_file};
 use isopeel_kernels::SampleType;
+use isopeel_volumes::{Frame, LengthUnit, read_file};
 
 use crate::formats::{DIMS, all, memory, open, same, same_placed, values};
 use crate::write::{self, Volume};

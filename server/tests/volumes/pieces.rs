@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{FileLocation, OpenedFile, ReadError, read_file};
 use isopeel_kernels::Samples;
+use isopeel_volumes::location::MemoryFolder;
+use isopeel_volumes::{FileLocation, OpenedFile, ReadError, read_file};
 
 /// A piece whose samples are their own numbers in the whole, of 5 × 3 × 2 samples.
 fn piece([x0, x1]: [u32; 2], [y0, y1]: [u32; 2], data: &str) -> String {

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use isopeel::volumes::{Dataset, ReadError, open_dataset};
+use isopeel_volumes::{Dataset, ReadError, open_dataset};
 
 use crate::bounds::within;
 use crate::changed;

@@ -14,7 +14,7 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
-use isopeel::volumes::{Catalog, Dataset, ReadError, ReadProgress, open_dataset};
+use isopeel_volumes::{Catalog, Dataset, ReadError, ReadProgress, open_dataset};
 use tokio::runtime::Runtime;
 
 /// Answers to requests for paths, instead of the files there.

@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use isopeel::volumes::{Dataset, ReadError, open_dataset};
+use isopeel_volumes::{Dataset, ReadError, open_dataset};
 use proptest::prelude::*;
 use proptest::sample::Index;
 

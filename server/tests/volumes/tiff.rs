@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use isopeel::volumes::location::MemoryFolder;
-use isopeel::volumes::{FileLocation, open_dataset, read_file};
+use isopeel_volumes::location::MemoryFolder;
+use isopeel_volumes::{FileLocation, open_dataset, read_file};
 
 fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/volumes")

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use isopeel::volumes::{Dataset, TimeAxis, open_dataset};
+use isopeel_volumes::{Dataset, TimeAxis, open_dataset};
 
 use crate::write::{self, Volume};
 use crate::write_vtk;

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use isopeel::volumes::open_dataset;
+use isopeel_volumes::open_dataset;
 
 use crate::bounds::within;
 use crate::write;
 
-fn open(name: &str) -> Result<isopeel::volumes::Dataset, String> {
+fn open(name: &str) -> Result<isopeel_volumes::Dataset, String> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/volumes");
     open_dataset(&folder.join(name)).map_err(|e| e.to_string())
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use isopeel::volumes::{open_dataset, read_file};
+use isopeel_volumes::{open_dataset, read_file};
 
 use crate::formats::{DIMS, all, memory, open, same_placed};
 use crate::write::Volume;

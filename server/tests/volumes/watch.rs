@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use isopeel::volumes::watch::Watcher;
-use isopeel::volumes::{Frame, TimeAxis, VolumeStep};
+use isopeel_volumes::watch::Watcher;
+use isopeel_volumes::{Frame, TimeAxis, VolumeStep};
 
 use crate::write::{self, Volume};
 
@@ -104,7 +104,7 @@ fn steps_that_are_rewritten_while_others_are_added_have_other_samples() {
     }
     let mut watcher = open(&at);
     let now = |watcher: &Watcher| watcher.catalog().now().get("heat").cloned().unwrap();
-    let key = |dataset: &std::sync::Arc<isopeel::volumes::Dataset>, step| {
+    let key = |dataset: &std::sync::Arc<isopeel_volumes::Dataset>, step| {
         VolumeStep::new(std::sync::Arc::clone(dataset), step).unwrap().key()
     };
     let before = now(&watcher);

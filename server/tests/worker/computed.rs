@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use isopeel::extraction::{DeviceWorker, describe_expression};
-use isopeel::view::{FeatureName, View};
-use isopeel::volumes::{Field, FileLocation, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel_kernels::Samples;
+use isopeel_view::{FeatureName, View};
+use isopeel_volumes::{Field, FileLocation, ReadError, ReadProgress, Source, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use crate::{ALONE, Distance, SIDE, dataset, field, view};

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use isopeel::extraction::{DeviceWorker, WorkError, describe_expression};
-use isopeel::volumes::{
+use isopeel_kernels::{SampleType, Samples};
+use isopeel_volumes::{
     Dataset, Field, FileLocation, LengthUnit, ReadError, ReadProgress, Source, VolumeStep, open_dataset,
 };
-use isopeel_kernels::{SampleType, Samples};
 use tokio_util::sync::CancellationToken;
 
 use crate::{ALONE, SIDE, dataset, field, view};

@@ -13,10 +13,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
+use isopeel::dataset_views::opening_view;
 use isopeel::extraction::{DeviceState, DeviceWorker, OpenError, OpeningProgress, WorkError};
-use isopeel::view::{Edit, FeatureName, View};
-use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel_kernels::{DerivedFeature, Error, SampleType, Samples};
+use isopeel_view::{Edit, FeatureName, View};
+use isopeel_volumes::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source, VolumeStep};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
@@ -125,8 +126,7 @@ impl Source for Slow {
 
 fn view(dataset: &Dataset, json: &str) -> View {
     let edit: Edit = serde_json::from_str(json).expect("an edit");
-    dataset
-        .opening_view()
+    opening_view(dataset)
         .expect("opens")
         .apply(&edit, &dataset.field_names())
         .expect("fits")

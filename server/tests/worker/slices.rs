@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use isopeel::extraction::{DeviceOptions, DeviceWorker, WorkError};
-use isopeel::view::{FeatureName, View};
-use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel_kernels::{DerivedFeature, Overview, OverviewMode, Samples};
+use isopeel_view::{FeatureName, View};
+use isopeel_volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 

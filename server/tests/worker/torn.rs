@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use isopeel::extraction::{DeviceWorker, WorkError};
-use isopeel::view::FeatureName;
-use isopeel::volumes::{Field, FileLocation, ReadError, ReadProgress, Source, VolumeStep};
 use isopeel_kernels::Samples;
+use isopeel_view::FeatureName;
+use isopeel_volumes::{Field, FileLocation, ReadError, ReadProgress, Source, VolumeStep};
 
 use crate::{ALONE, SIDE, dataset, field};
 

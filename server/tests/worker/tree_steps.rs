@@ -3,9 +3,9 @@
 use std::collections::HashMap;
 
 use isopeel::extraction::{DeviceWorker, Refinement, Shown, Step};
-use isopeel::view::View;
-use isopeel::volumes::VolumeStep;
 use isopeel_kernels::{Surface, Vertex};
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use crate::turns::{Folds, WHOLE};

@@ -5,9 +5,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use futures_util::future::join_all;
 use isopeel::extraction::{DeviceState, DeviceWorker, Extractor, QUEUED_JOBS, Shown, Step, WorkError};
-use isopeel::view::View;
-use isopeel::volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel_codec::encode::encoded_bytes;
 use isopeel_kernels::Samples;
+use isopeel_view::View;
+use isopeel_volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use crate::{ALONE, dataset, field, view};
@@ -70,9 +71,7 @@ async fn viewers_wait_in_order_and_leave_a_request_space_in_the_queue() {
     let _alone = ALONE.lock().await;
     // Jobs wait until it is open.
     let worker = DeviceWorker::start(None).expect("a thread");
-    let extractor = Extractor::new(worker.clone(), u64::MAX, |surface, _| {
-        Ok(Some(5 * surface.statistics.triangles))
-    });
+    let extractor = Extractor::new(worker.clone(), u64::MAX);
     let volume = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
     let token = CancellationToken::new();
     let plain = view(&dataset, r#"{"iso":9}"#);
@@ -86,8 +85,9 @@ async fn viewers_wait_in_order_and_leave_a_request_space_in_the_queue() {
     };
     let (others, request, edit) = tokio::join!(others, worker.extract(&volume, &plain, u64::MAX, &token), edit);
     assert!(request.is_ok(), "the request was refused: {:?}", request.err());
-    let triangles = edit.expect("the edit's surface").surface.statistics.triangles;
-    assert!(triangles > 0 && 5 * triangles <= 5000, "{triangles} triangles");
+    let surface = edit.expect("the edit's surface").surface;
+    let bytes = encoded_bytes(&surface, &|| false).expect("encodes").expect("no cancel");
+    assert!(surface.statistics.triangles > 0 && bytes <= 5000, "{bytes} bytes");
     assert!(others.iter().all(Result::is_ok));
 }
 

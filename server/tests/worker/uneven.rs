@@ -3,10 +3,11 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use isopeel::dataset_views::{opening_view, view_space};
 use isopeel::export::Mesh;
 use isopeel::extraction::{Answer, CutId, DeviceWorker, Extraction, Probe, Question, ShownSurface};
-use isopeel::view::View;
-use isopeel::volumes::{Dataset, Frame, VolumeStep, open_dataset};
+use isopeel_view::View;
+use isopeel_volumes::{Dataset, Frame, VolumeStep, open_dataset};
 use tokio_util::sync::CancellationToken;
 
 use crate::{ALONE, view};
@@ -43,7 +44,7 @@ async fn extract(worker: &DeviceWorker, dataset: &Arc<Dataset>, view: &View) -> 
     let step = VolumeStep::new(Arc::clone(dataset), 0).expect("a step");
     let made = worker.extract(&step, view, u64::MAX, &CancellationToken::new()).await;
     let made = made.expect("a surface");
-    let (geometry, space) = dataset.index_space(view);
+    let (geometry, space) = view_space(dataset, view);
     let uneven = space.uneven.as_deref().map(|axes| (axes, view.mesher));
     let mesh = Mesh::new_unless(&made.surface, &geometry, uneven, &|| false).expect("a mesh");
     (made, mesh)
@@ -429,7 +430,7 @@ async fn features_are_described_and_extracted_at_uneven_positions() {
     let dataset = opened("uneven.vtr");
     let step = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
     let token = CancellationToken::new();
-    let opening = dataset.opening_view().expect("a view");
+    let opening = opening_view(&dataset).expect("a view");
     assert_eq!(opening.feature.as_str(), "gradient-magnitude");
     assert!(
         worker.extract(&step, &opening, u64::MAX, &token).await.is_ok(),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::BatchError;
 use crate::export::safe_name;
-use crate::volumes::{Dataset, ReadError, open_each};
+use isopeel_volumes::{Dataset, ReadError, open_each};
 
 /// An input volume.
 pub(super) struct Input {

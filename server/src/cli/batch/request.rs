@@ -13,7 +13,7 @@ use crate::cli::jobs::{
     MANIFEST_FILE, cost, empty_ones, first_failure, progress_bar, read_request_file, write_manifest,
 };
 use crate::jobs::{JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, StateFolder, file_name};
-use crate::volumes::{Catalog, Reader, open_dataset};
+use isopeel_volumes::{Catalog, Reader, open_dataset};
 
 /// Below the output's folder, while the job is not done.
 const STATE_FOLDER: &str = ".isopeel-batch";

@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 use crate::cli::output::write_whole;
-use crate::volumes::Dataset;
+use isopeel_volumes::Dataset;
 
 /// The time steps of a volume.
 pub(super) struct Series {

@@ -22,7 +22,7 @@ use crate::cli::output::{Output, OutputError, WrittenFile};
 use crate::export::{self, FileRequest, Format, MadeFile, OtherVolumes};
 use crate::extraction::{ExtractionStatistics, Extractor};
 use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
-use crate::volumes::{Dataset, IdentityError, InputIdentity, SeenFiles, VolumeStep};
+use isopeel_volumes::{Dataset, IdentityError, InputIdentity, SeenFiles, VolumeStep};
 
 /// Surfaces that are worked on at a time: while one is on the device, the file of the one before is written, or the volume of the next one is
 /// read.
@@ -416,7 +416,7 @@ fn show_failures(bar: &ProgressBar, failed: u64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volumes::testing;
+    use isopeel_volumes::testing;
 
     #[test]
     fn files_of_steps_and_of_volumes_are_told_apart() {

@@ -13,9 +13,9 @@ use rayon::prelude::*;
 use super::reference::{check_mesh, count, equal};
 use super::volumes::Recipe;
 use super::{Args, BenchError, CaseName, Line, Spread, params, print, round};
-use crate::view::quality::MesherName;
-use crate::wire::chunk::{PrefixId, WireVertex};
-use crate::wire::encode::{self, MAX_TASK_REGIONS, MeshHash};
+use isopeel_codec::chunk::{PrefixId, WireVertex};
+use isopeel_codec::encode::{self, MAX_TASK_REGIONS, MeshHash};
+use isopeel_view::quality::MesherName;
 
 /// Stage that reads the mesh back to the host.
 const READ_BACK: &str = "read back";
@@ -397,5 +397,5 @@ fn meshopt_encode(region: &Region, vertices: &[WireVertex]) -> u64 {
     let vertices: Vec<WireVertex> = meshopt::optimize_vertex_fetch(&mut indices, vertices);
     let vertex_bytes = meshopt::encode_vertex_buffer_level(&vertices, 2, Some(1)).map_or(0, |b| b.len());
     let index_bytes = meshopt::encode_index_buffer(&indices, vertices.len()).map_or(0, |b| b.len());
-    (crate::wire::chunk::HEADER_BYTES + vertex_bytes + index_bytes) as u64
+    (isopeel_codec::chunk::HEADER_BYTES + vertex_bytes + index_bytes) as u64
 }

@@ -18,8 +18,8 @@ use isopeel_kernels::{CutParams, Topology};
 use serde::Serialize;
 
 use crate::cli::device::{DeviceArgs, NoDevice};
-use crate::view::quality::MesherName;
-use crate::wire::encode::EncodeError;
+use isopeel_codec::encode::EncodeError;
+use isopeel_view::quality::MesherName;
 use volumes::{Recipe, TypeName, VolumeName};
 
 /// Arguments of `isopeel bench`.

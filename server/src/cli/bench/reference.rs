@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::volumes::Recipe;
 use super::{Args, BenchError, params};
-use crate::view::quality::MesherName;
+use isopeel_view::quality::MesherName;
 
 /// Planes on the host at a time.
 const PLANES: u32 = 64;

@@ -17,10 +17,10 @@ use super::reference::{Counts, count, equal};
 use super::volumes::Recipe;
 use super::{Args, BenchError, EditName, print, round};
 use crate::serve::ServeError;
-use crate::view::quality::{MaxError, MesherName, TopologyName, TriangleBudget};
-use crate::view::{Edit, PointJson, TransferFunctionJson};
-use crate::volumes::{Dataset, Geometry, ReadError, memory_dataset};
 use client::{Client, Streamed};
+use isopeel_view::quality::{MaxError, MesherName, TopologyName, TriangleBudget};
+use isopeel_view::{Edit, PointJson, TransferFunctionJson};
+use isopeel_volumes::{Dataset, Geometry, ReadError, memory_dataset};
 use lines::{DragLine, StreamLine};
 use server::Server;
 

@@ -7,10 +7,9 @@ use isopeel_kernels::MAX_LEVEL;
 
 use super::super::{Cli, Command};
 use super::*;
-use crate::view::Edit;
-use crate::view::quality::{Distance, MaxError, TopologyName};
-use crate::view::{FeatureName, View};
-use crate::volumes::testing;
+use isopeel_view::quality::{Distance, MaxError, TopologyName};
+use isopeel_view::{FeatureName, View};
+use isopeel_volumes::testing;
 
 fn parse(line: &str) -> Result<Args, clap::Error> {
     match Cli::try_parse_from(line.split_whitespace())?.command {
@@ -28,10 +27,7 @@ impl Args {
 
 fn dataset() -> Dataset {
     Dataset {
-        opening: Some(Edit {
-            alpha: Some(0.9),
-            ..Edit::default()
-        }),
+        opening: Some(serde_json::json!({"alpha": 0.9})),
         ..testing::dataset("head", [2; 3], &["t1", "gm"])
     }
 }

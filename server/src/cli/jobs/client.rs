@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use super::JobsError;
 use crate::access::Token;
 use crate::jobs::{JobInfo, ManifestEntry};
-use crate::volumes::is_this_machine;
+use isopeel_volumes::is_this_machine;
 
 /// Client of a server's job API.
 pub(super) struct Client {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::super::token::lifetime;
 use super::Args;
 use crate::uploads::{FolderError, Limits, UploadFolder, Uploads};
-use crate::volumes::SharedCatalog;
+use isopeel_volumes::SharedCatalog;
 
 /// Some volumes of 1024³ samples.
 const QUOTA_MIB: u64 = 20 * 1024;

@@ -1,6 +1,6 @@
 use super::*;
 use crate::export::caps::ToCaps;
-use crate::volumes::Geometry;
+use isopeel_volumes::Geometry;
 
 /// A closed surface of 2·n² triangles over a square, one side of which is pushed through the other by `push`.
 fn pillow(n: usize, push: f32) -> Mesh {

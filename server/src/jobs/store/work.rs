@@ -12,7 +12,7 @@ use super::requests::file_request;
 use super::{Store, add_event, now, optional};
 use crate::export::FileRequest;
 use crate::extraction::MeasuredError;
-use crate::volumes::InputIdentity;
+use isopeel_volumes::InputIdentity;
 
 /// The extraction that is made next.
 #[derive(Clone, Debug, PartialEq)]

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::body::Bytes;
 
-use crate::private_folder::free_bytes;
+use isopeel_volumes::disk::free_bytes;
 
 /// Maximum bytes of all spooled exports.
 const SPOOL_BYTES: u64 = 8 << 30;

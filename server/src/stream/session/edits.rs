@@ -7,9 +7,9 @@ use super::Session;
 use super::generation::Sending;
 use super::open_volume::OpenVolume;
 use crate::access::Role;
-use crate::view::Edit;
-use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::{Capabilities, ServerMessage};
+use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_view::Edit;
 
 impl<B: Backend> Session<B> {
     pub(super) fn on_edit(&mut self, surface: u32, edit: &Edit) {

@@ -6,8 +6,8 @@ use super::surface::{Failed, SurfaceSession};
 use crate::error::chain;
 use crate::extraction::WorkError;
 use crate::metrics;
-use crate::view::View;
 use crate::wire::messages::ServerMessage;
+use isopeel_view::View;
 
 impl<B: Backend> Session<B> {
     pub(super) fn fail_job(&mut self, surface: u8, error: &WorkError) {

@@ -23,11 +23,11 @@ use super::draw_pause::DrawPause;
 use super::shown::HeldSurface;
 use crate::extraction::{CutId, ExtractionStatistics, FullCount, Shown, ViewKey};
 use crate::metrics;
-use crate::view::View;
-use crate::view::quality::Budget;
-use crate::volumes::VolumeStep;
-use crate::wire::chunk::{Coding, PrefixId};
 use crate::wire::messages::ServerMessage;
+use isopeel_codec::chunk::{Coding, PrefixId};
+use isopeel_view::View;
+use isopeel_view::quality::Budget;
+use isopeel_volumes::VolumeStep;
 
 pub(super) struct Generation {
     /// Number of the generation's surface.

@@ -9,9 +9,9 @@ use super::open_volume::OpeningPhase;
 use super::outbox::Newest;
 use super::pending::{NamedBudget, PendingStep};
 use crate::access::{Occupant, Role};
-use crate::wire::chunk::Coding;
 use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};
+use isopeel_codec::chunk::Coding;
 
 /// Random bytes of a group's id, which is all that a viewer with the role `view` needs to follow. The leader's key has as many.
 const ID_BYTES: usize = 16;

@@ -21,10 +21,11 @@ use super::schedule::NextJob;
 use super::sharing::Verdict;
 use super::surface::Phase;
 use super::{Outgoing, Session};
+use crate::dataset_views::opening_view;
 use crate::error::chain;
 use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, SurfaceKey, WorkError};
-use crate::wire::chunk::{ChunkKind, Coding};
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
+use isopeel_codec::chunk::{ChunkKind, Coding};
 
 /// Maximum triangles of a new surface's first step, summed over the followers of a group. They reach a thousand followers within 70 ms on
 /// two cores.
@@ -502,7 +503,7 @@ impl<B: Backend> Session<B> {
         let (open, token) = (self.opens, opened.token.clone());
         self.device = Some(Box::pin(async move {
             // The view that the dataset opens with, not the one that edits have changed meanwhile.
-            let result = match volume.dataset().opening_view() {
+            let result = match opening_view(volume.dataset()) {
                 Ok(view) => backend.open(&volume, &view, &token, &progress).await,
                 Err(error) => Err(error.into()),
             };

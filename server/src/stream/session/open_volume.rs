@@ -11,9 +11,9 @@ use super::outbox::Newest;
 use super::pending::{NamedBudget, PendingStep};
 use super::surface::SurfaceSession;
 use crate::extraction::{Held, OpeningProgress};
-use crate::view::View;
-use crate::volumes::{Lease, VolumeStep};
-use crate::wire::chunk::MAX_SURFACES;
+use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_view::View;
+use isopeel_volumes::{Lease, VolumeStep};
 
 pub(super) struct OpenVolume {
     pub volume: VolumeStep,

@@ -1,8 +1,8 @@
 //! Edits and time steps that have not come into force.
 
-use crate::view::quality::Budget;
-use crate::view::{Edit, View};
-use crate::volumes::VolumeStep;
+use isopeel_view::quality::Budget;
+use isopeel_view::{Edit, View};
+use isopeel_volumes::VolumeStep;
 
 /// Maximum number of edits of a surface that are kept one by one while they wait, so that an invalid one can be rejected without the
 /// others.

@@ -17,8 +17,8 @@ use super::open_volume::OpeningPhase;
 use super::outbox::Frame;
 use super::shown::HeldSurface;
 use crate::extraction::{Answer, Question, ShownSurface, WorkError};
-use crate::wire::chunk::{ChunkKind, PrefixId};
 use crate::wire::messages::{Annotation, ServerMessage};
+use isopeel_codec::chunk::{ChunkKind, PrefixId};
 use isopeel_kernels::DistanceOf;
 
 /// A finished question: its number, and the answer.

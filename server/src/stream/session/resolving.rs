@@ -18,9 +18,9 @@ use super::surface::SurfaceSession;
 use crate::error::chain;
 use crate::extraction::WorkError;
 use crate::metrics;
-use crate::view::{Edit, FeatureName, View};
-use crate::volumes::{StepKey, VolumeStep};
 use crate::wire::messages::ServerMessage;
+use isopeel_view::{Edit, FeatureName, View};
+use isopeel_volumes::{StepKey, VolumeStep};
 
 /// What the device has resolved.
 pub(super) enum Resolved {

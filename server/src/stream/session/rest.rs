@@ -7,7 +7,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::generation::Generation;
 use crate::extraction::ViewKey;
-use crate::view::View;
+use isopeel_view::View;
 
 /// Time without an edit after which a viewer counts as resting. Longer than the time between two edits during a drag.
 pub(super) const REST_AFTER: Duration = Duration::from_millis(250);

@@ -8,8 +8,8 @@
 use super::generation::Making;
 use super::open_volume::OpenVolume;
 use super::surface::SurfaceSession;
-use crate::view::quality::Budget;
-use crate::wire::chunk::MAX_SURFACES;
+use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_view::quality::Budget;
 
 /// Decision about a step that was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,8 +1,8 @@
 //! Relation of the surface that a client holds to the next one.
 
 use crate::extraction::{CutId, Shown, SurfaceKey};
-use crate::view::View;
-use crate::view::quality::MesherName;
+use isopeel_view::View;
+use isopeel_view::quality::MesherName;
 
 /// The surface that a client holds.
 #[derive(Clone, Debug)]

@@ -9,8 +9,8 @@ use super::pending::PendingView;
 use super::rest::Rest;
 use super::shown::HeldSurface;
 use crate::extraction::{Shown, SurfaceKey, ViewKey};
-use crate::view::View;
-use crate::view::quality::Budget;
+use isopeel_view::View;
+use isopeel_view::quality::Budget;
 
 pub(super) struct SurfaceSession {
     /// The view in force: resolved, with all samples that it uses loaded. Its budget is that of the connection.

@@ -15,10 +15,10 @@ use super::open_volume::{OpenVolume, OpeningPhase};
 use super::pending::PendingStep;
 use super::rest::REST_AFTER;
 use crate::extraction::{Held, WorkError};
-use crate::view::View;
-use crate::volumes::VolumeStep;
-use crate::wire::chunk::MAX_SURFACES;
 use crate::wire::messages::ServerMessage;
+use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 
 /// Maximum stride between two consecutive steps for which the next step is predicted.
 const MAX_STRIDE: u32 = 4;

@@ -10,7 +10,7 @@ use super::RequestKey;
 use super::step::{ChunkKey, Chunks, RegionNote, SharedStep};
 use crate::extraction::{MeasuredError, Measurement, Refinement};
 use crate::metrics;
-use crate::volumes::DatasetKey;
+use isopeel_volumes::DatasetKey;
 
 /// The budget divided by this is the capacity for steps without their chunks, and again for measured errors. The rest is for chunks.
 const NOTES_PART: u64 = 16;

@@ -12,10 +12,10 @@ use super::{ANY_LINE_BYTES, MAX_LINE_FACTOR, MIN_LINE_PART, Outcome};
 use crate::extraction::{Refinement, Shown, Step, WorkError};
 use crate::metrics;
 use crate::pool;
-use crate::volumes::{DatasetKey, VolumeStep};
-use crate::wire::chunk::{Coding, PrefixId, with_prefix};
-use crate::wire::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
-use crate::wire::predictive;
+use isopeel_codec::chunk::{Coding, PrefixId, with_prefix};
+use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
+use isopeel_codec::predictive;
+use isopeel_volumes::{DatasetKey, VolumeStep};
 
 /// The regions that a client holds, by their positions.
 pub(in crate::stream) type HeldRegions = FxHashMap<[u32; 3], HeldRegion>;

@@ -5,8 +5,8 @@ use crate::extraction::{
     Curve, CurvePoint, Distribution, FieldValue, LeafKind, MeasuredError, NearestLeaf, NearestSurface, NoValue,
     Preparation, Probe, Question,
 };
-use crate::view::quality::MesherName;
-use crate::wire::chunk::ChunkKind;
+use isopeel_codec::chunk::ChunkKind;
+use isopeel_view::quality::MesherName;
 
 #[test]
 fn messages_parse_as_in_the_protocol_page() {

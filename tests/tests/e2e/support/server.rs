@@ -9,7 +9,7 @@ use isopeel::access::Access;
 use isopeel::extraction::DeviceWorker;
 use isopeel::serve::{Config, run};
 use isopeel::stream::Deadlines;
-use isopeel::volumes::Catalog;
+use isopeel_volumes::Catalog;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 

@@ -14,8 +14,8 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message, Utf8Bytes};
 
 use super::StreamError;
-use crate::view::Edit;
 use crate::wire::messages::SUBPROTOCOL;
+use isopeel_view::Edit;
 
 /// Longest wait for a frame: a volume of many gigabytes is read and uploaded meanwhile.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(300);

@@ -11,7 +11,7 @@ use crate::access::Access;
 use crate::cli::device::DeviceArgs;
 use crate::extraction::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
-use crate::volumes::{Catalog, Dataset};
+use isopeel_volumes::{Catalog, Dataset};
 
 /// A server of one dataset.
 pub struct Server {

@@ -7,8 +7,8 @@ use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, prefix};
 use crate::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
 use crate::extraction::WorkError;
-use crate::view::View;
 use crate::wire::messages::CloseCode;
+use isopeel_view::View;
 
 #[tokio::test]
 async fn faults_are_said_and_the_connection_lives_on() {

@@ -8,7 +8,7 @@ use super::scripted::{Answer as Made, shapes};
 use super::viewer::Viewer;
 use crate::extraction::{Answer, Curve, CutId, LeafKind, Probe, Question, VertexErrors, WorkError};
 use crate::stream::session::Outgoing;
-use crate::wire::chunk::{ChunkKind, decode_errors};
+use isopeel_codec::chunk::{ChunkKind, decode_errors};
 use isopeel_kernels::DistanceOf;
 
 impl super::scripted::Asked {

@@ -15,9 +15,9 @@ use super::super::{Incoming, Outgoing};
 use super::scripted::{Answer, Job, shapes};
 use super::viewer::Viewer;
 use crate::extraction::{FullCount, Measurement, Refinement, WorkError};
-use crate::view::View;
-use crate::view::quality::{Budget, TriangleBudget};
 use client::Client;
+use isopeel_view::View;
+use isopeel_view::quality::{Budget, TriangleBudget};
 
 /// A linear congruential generator.
 struct Random(u64);

@@ -7,8 +7,8 @@ use super::scripted::{Answer, Job, resolved, shapes};
 use super::viewer::Viewer;
 use crate::access::Identity;
 use crate::extraction::{Shown, WorkError};
-use crate::view::quality::{Budget, TriangleBudget};
-use crate::view::{EditError, View};
+use isopeel_view::quality::{Budget, TriangleBudget};
+use isopeel_view::{EditError, View};
 
 const FEATURE: &str = r#"{"type":"edit","feature":"mean-curvature"}"#;
 

@@ -13,8 +13,8 @@ use crate::extraction::{
     self, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
 };
 use crate::stream::backend::{Backend, Opening};
-use crate::view::View;
-use crate::volumes::{Dataset, VolumeStep, testing};
+use isopeel_view::View;
+use isopeel_volumes::{Dataset, VolumeStep, testing};
 
 fn dataset(id: &str) -> Arc<Dataset> {
     Arc::new(Dataset {

@@ -9,7 +9,7 @@ use super::super::rest::REST_AFTER;
 use super::scripted::{Answer, Job, shapes};
 use super::viewer::{Viewer, committed, committed_of, prefix, prefix_of};
 use crate::extraction::{CutId, MeasuredError, Measurement, Refinement, Shown, WorkError};
-use crate::view::View;
+use isopeel_view::View;
 
 pub(super) fn iso<T>(job: &Job<T>) -> f32 {
     job.view.iso.expect("an isovalue").get()

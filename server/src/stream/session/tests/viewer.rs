@@ -12,9 +12,9 @@ use super::scripted::{Answer, Asked, Job, Scripted, shapes};
 use crate::access::Identity;
 use crate::extraction::{FullCount, Measurement, Refinement};
 use crate::stream::backend::Opening;
-use crate::view::View;
-use crate::wire::chunk::DecodedChunk;
-use crate::wire::decode::decode;
+use isopeel_codec::chunk::DecodedChunk;
+use isopeel_codec::decode::decode;
+use isopeel_view::View;
 
 /// The other end of a session.
 pub(super) struct Viewer {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use serde_json::Value;
 
-use crate::wire::decode::decode;
+use isopeel_codec::decode::decode;
 
 /// A prefix that is not committed yet.
 struct Pending {

@@ -1,0 +1,111 @@
+//! `distance(CONDITION)` and `smooth(SAMPLES, CONDITION)`: compiles the condition to a number that is 0 if it does not hold.
+
+use isopeel_kernels::expression::{Comparison, Kind, Op};
+
+use super::{DISTANCE, Fault, Program, SMOOTH, syntax};
+use crate::mask::{Mask, Operator};
+
+/// Standard deviations that `smooth` accepts, in samples.
+pub const SIGMAS: std::ops::RangeInclusive<f32> = 0.1..=10.0;
+
+/// A part of a text, and the byte at which it begins.
+type Part<'a> = (usize, &'a str);
+
+/// The condition of a text that is `distance(CONDITION)`; `None` if the text is another expression.
+pub(super) fn of_distance(text: &str) -> Result<Option<Part<'_>>, Fault> {
+    inside(text, DISTANCE, "distance(CONDITION)")
+}
+
+/// Standard deviation and condition of a text that is `smooth(SAMPLES, CONDITION)`; `None` if the text is another expression.
+pub(super) fn of_smooth(text: &str) -> Result<Option<(f32, Part<'_>)>, Fault> {
+    let Some((from, inner)) = inside(text, SMOOTH, "smooth(SAMPLES, CONDITION)")? else {
+        return Ok(None);
+    };
+    let (sigma, condition) = inner.split_once(',').unwrap_or((inner, ""));
+    match sigma.trim().parse() {
+        Ok(number) if SIGMAS.contains(&number) => Ok(Some((number, (from + sigma.len() + 1, condition)))),
+        _ => {
+            let [low, high] = [SIGMAS.start(), SIGMAS.end()];
+            Err((
+                from,
+                format!(
+                    "{:?}, expected a number of samples, {low} to {high}, and behind a comma a condition",
+                    sigma.trim()
+                ),
+            ))
+        }
+    }
+}
+
+/// Returns the argument of `function`, if the whole text is a call of it.
+fn inside<'a>(text: &'a str, function: &str, form: &str) -> Result<Option<Part<'a>>, Fault> {
+    let inner = text.trim_start().strip_prefix(function);
+    let Some(inner) = inner.and_then(|rest| rest.trim_start().strip_prefix('(')) else {
+        return Ok(None);
+    };
+    let from = text.len() - inner.len();
+    match inner.trim_end().strip_suffix(')') {
+        Some(condition) => Ok(Some((from, condition))),
+        None => Err((
+            text.trim_end().len(),
+            format!("expected \")\" at the end: {form} stands alone"),
+        )),
+    }
+}
+
+impl Program<'_> {
+    /// Adds operations whose result is 0 if a condition does not hold. The condition begins at byte `at` of the text. It is a mask or an
+    /// expression; a numeric expression holds if its value is not 0.
+    pub(super) fn indicator(&mut self, at: usize, condition: &str) -> Result<(), Fault> {
+        let node = match Mask::parse(condition, self.known) {
+            Ok(mask) => {
+                let ranked = mask.by_ranks(|number| (self.rank)(&mask.field, number));
+                self.mask(at, &ranked)?
+            }
+            Err(_) => {
+                let behind = |(own, why): Fault| (at + own, why);
+                let tree = syntax::parse(condition).map_err(behind)?;
+                self.node(&tree).map_err(behind)?
+            }
+        };
+        if self.ops[usize::from(node)].kind() == Kind::Condition {
+            let [yes, no] = [self.add(at, Op::Number(1.0))?, self.add(at, Op::Number(0.0))?];
+            self.add(at, Op::Select(node, yes, no))?;
+        }
+        Ok(())
+    }
+
+    /// Adds the condition of a mask.
+    fn mask(&mut self, at: usize, mask: &Mask) -> Result<u8, Fault> {
+        let value = self.field(at, &mask.field)?;
+        let (operator, ranges) = mask.comparison();
+        let comparison = match operator {
+            Operator::Is | Operator::IsNot => Comparison::Is,
+            Operator::AtLeast => Comparison::AtLeast,
+            Operator::AtMost => Comparison::AtMost,
+            Operator::Above => Comparison::Above,
+            Operator::Below => Comparison::Below,
+        };
+        let mut all = None;
+        for &[low, high] in ranges {
+            let first = self.add(at, Op::Number(low))?;
+            let holds = if low < high {
+                let last = self.add(at, Op::Number(high))?;
+                let above = self.add(at, Op::Compare(Comparison::AtLeast, value, first))?;
+                let below = self.add(at, Op::Compare(Comparison::AtMost, value, last))?;
+                self.add(at, Op::And(above, below))?
+            } else {
+                self.add(at, Op::Compare(comparison, value, first))?
+            };
+            all = Some(match all {
+                None => holds,
+                Some(others) => self.add(at, Op::Or(others, holds))?,
+            });
+        }
+        match all {
+            Some(all) if operator == Operator::IsNot => self.add(at, Op::Not(all)),
+            Some(all) => Ok(all),
+            None => Err((at, "a mask without a number".to_owned())),
+        }
+    }
+}
