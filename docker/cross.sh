@@ -26,7 +26,7 @@ prepare)
 build)
     linker=CARGO_TARGET_$(tr 'a-z-' 'A-Z_' <<<"$target")_LINKER
     export "$linker=$cpu-linux-gnu-gcc"
-    CARGO_PROFILE_RELEASE_DEBUG=line-tables-only cargo build --locked --release --package isopeel --target "$target"
+    CARGO_PROFILE_RELEASE_DEBUG=line-tables-only CARGO_PROFILE_RELEASE_STRIP=none cargo build --locked --release --package isopeel --target "$target"
     built=target/$target/release/isopeel
     mkdir /symbols
     "$cpu-linux-gnu-objcopy" --only-keep-debug "$built" /symbols/isopeel.debug

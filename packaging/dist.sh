@@ -51,7 +51,7 @@ build() {
     for architecture in "${architectures[@]}"; do
         # Paths of this machine would differ from those of another one.
         RUSTFLAGS="--remap-path-prefix=$PWD=/isopeel --remap-path-prefix=${CARGO_HOME:-$HOME/.cargo}=/cargo" \
-            CARGO_PROFILE_RELEASE_DEBUG=line-tables-only PATH=$tools/bin:$PATH cargo zigbuild --locked --release --package isopeel --target "$(machine_of "$architecture")-unknown-linux-gnu.$glibc"
+            CARGO_PROFILE_RELEASE_DEBUG=line-tables-only CARGO_PROFILE_RELEASE_STRIP=none PATH=$tools/bin:$PATH cargo zigbuild --locked --release --package isopeel --target "$(machine_of "$architecture")-unknown-linux-gnu.$glibc"
     done
 }
 

@@ -13,9 +13,10 @@ use isopeel::extraction::{
 };
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel_codec::decode::decode;
-use isopeel_kernels::{Level, Region, SampleType, Samples, Surface, SurfaceStatistics, Vertex};
+use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Vertex};
 use isopeel_view::View;
-use isopeel_volumes::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source, VolumeStep};
+use isopeel_volumes::testing::dataset;
+use isopeel_volumes::{Dataset, VolumeStep};
 use serde_json::Value;
 use serde_json::value::RawValue;
 use tokio::net::{TcpListener, TcpStream};
@@ -27,23 +28,6 @@ use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_conf
 use tokio_util::sync::CancellationToken;
 
 type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
-
-#[derive(Debug)]
-struct NoSamples;
-
-impl Source for NoSamples {
-    fn stored_bytes(&self) -> u64 {
-        0
-    }
-
-    fn inputs(&self, _: u32) -> Vec<FileLocation> {
-        Vec::new()
-    }
-
-    fn read(&self, _: u32, _: &ReadProgress) -> Result<Samples, ReadError> {
-        unreachable!("this device reads no samples")
-    }
-}
 
 /// Answers every extraction at once with the same surface: `regions` regions of vertices that do not compress.
 #[derive(Clone)]
@@ -60,33 +44,8 @@ const MANY_REGIONS: u32 = 240;
 
 impl NoiseDevice {
     fn new(regions: u32) -> Self {
-        let field = Field {
-            name: "noise".into(),
-            stored_type: "u8".into(),
-            sample_type: SampleType::U8,
-            missing: None,
-            unit: None,
-            labels: Vec::new(),
-            declares_labels: false,
-            source: Arc::new(NoSamples),
-        };
-        let dataset = Dataset {
-            id: "noise".into(),
-            title: "Noise".into(),
-            layout: "file",
-            geometry: Geometry::of_index([33; 3]),
-            steps: 1,
-            uneven: None,
-            axes: None,
-            times: None,
-            revision: 0,
-            rewrites: Vec::new(),
-            fields: vec![field],
-            notices: Notices::default(),
-            opening: None,
-        };
         Self {
-            dataset: Arc::new(dataset),
+            dataset: Arc::new(dataset("noise", [33; 3], &["noise"])),
             regions,
         }
     }
