@@ -365,7 +365,7 @@ def main():
     commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
     text = [
         "# Benchmarks\n",
-        "Written by `make bench`; how each part came to be as fast as it is stands in "
+        "Historical. Written by `make bench`; how each part came to be as fast as it is stands in "
         "[docs/performance.md](docs/performance.md). Ratios are of times taken in one run on one machine; every count was compared "
         "with a reference before it was timed.\n",
         f"## {device['device']}\n",
