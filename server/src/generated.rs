@@ -7,6 +7,7 @@ use std::path::Path;
 
 use isopeel_kernels::transfer::MAX_POINTS;
 use isopeel_kernels::{MAX_LEVEL, REGION_CELLS};
+use isopeel_view::FieldExpression;
 use ts_rs::{Config, TS, TypeVisitor};
 
 use crate::extraction::VolumeInfo;
@@ -15,7 +16,6 @@ use crate::problem::Problem;
 use crate::rest::{EmbedInfo, SessionInfo, UnreadablePath, VolumeSummary};
 use crate::uploads::UploadList;
 use crate::wire::messages::{ClientMessage, SUBPROTOCOL, ServerMessage};
-use isopeel_view::FieldExpression;
 
 const HEADER: &str = "/** Generated from the server's types: `make generated` writes it anew. */\n";
 

@@ -15,6 +15,7 @@ use axum::extract::MatchedPath;
 use axum::http::{HeaderName, HeaderValue, Method, Request, header};
 use axum::middleware;
 use axum::response::Response;
+use isopeel_volumes::SharedCatalog;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 use tower_http::catch_panic::CatchPanicLayer;
@@ -33,7 +34,6 @@ use crate::rest::{self, ApiState, SpoolFolder};
 use crate::stream::{self, Deadlines, Live, LiveOptions, StreamState};
 use crate::uploads::Uploads;
 pub use connections::ConnectionLimits;
-use isopeel_volumes::SharedCatalog;
 pub use listener::{ListenAddress, Listener, SocketFile};
 pub use tls::{Tls, TlsError};
 

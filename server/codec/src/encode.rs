@@ -112,7 +112,7 @@ pub fn encode(region: &Region, prefix: PrefixId) -> Result<Bytes, EncodeError> {
 /// Returns the chunk that removes a region.
 ///
 /// # Errors
-/// None; as [`encode`].
+/// As [`encode`]; an empty region has none of them.
 pub fn encode_gone(coords: [u32; 3], prefix: PrefixId) -> Result<Bytes, EncodeError> {
     let region = Region {
         coords,

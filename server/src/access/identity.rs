@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use axum::extract::FromRequestParts;
 use axum::http::request::Parts;
+use isopeel_volumes::Reader;
 use tokio::sync::watch;
 
 use super::named::{NamedToken, NamedTokens, now};
@@ -13,7 +14,6 @@ use super::peer::counted_as;
 use super::role::{Role, Roles};
 use super::signed_in::SignedIn;
 use crate::problem::ApiError;
-use isopeel_volumes::Reader;
 
 /// The user who started the server. They own the start token; on a server without authentication they own everything.
 pub const OPERATOR: &str = "operator";

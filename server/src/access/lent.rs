@@ -27,18 +27,16 @@ const MAX_OF_LENDER: usize = 2_048;
 #[derive(Debug, thiserror::Error)]
 pub enum LendError {
     /// The server runs without authentication, so no token is needed.
-    #[error(
-        "this server asks for no token, so that a frame needs none: leave out what asks for one, or start the server without --no-auth"
-    )]
+    #[error("this server runs without tokens (--no-auth), so that a frame needs none: leave out the request for one")]
     NoAuth,
     /// The lender's token is itself a delegated one. Otherwise a holder could renew it for ever.
-    #[error("this token is lent itself, expected one that who runs the server has made")]
+    #[error("this token is a delegated one, expected a token of the server's operator")]
     Lent,
     /// A role that cannot be delegated.
     #[error("roles has {:?}, expected view or edit: files, jobs and uploads are their user's", .0.name())]
     Role(Role),
     /// The lender lacks one of the requested roles.
-    #[error("this token is for {0}, expected one for {1:?}, as nobody lends what they have not")]
+    #[error("this token has the roles {0}, expected {1:?} too: a token delegates only roles that it has")]
     NotOwn(Roles, Roles),
     /// No roles.
     #[error("roles is empty, expected view or edit")]
@@ -47,7 +45,7 @@ pub enum LendError {
     #[error("seconds is {0}, expected {start} to {end}", start = SECONDS.start(), end = SECONDS.end())]
     Seconds(u64),
     /// There are too many delegated tokens.
-    #[error("{count} lent tokens have not ended, as many as may be: the next one ends in {wait:?}")]
+    #[error("{count} delegated tokens are valid, the maximum: the next one expires in {wait:?}")]
     TooMany {
         /// Number of delegated tokens.
         count: usize,

@@ -11,6 +11,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use isopeel_kernels::SampleType;
+use isopeel_view::EditError;
+use isopeel_volumes::{Frame, ReadError};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 use super::output::OutputError;
@@ -20,8 +22,6 @@ use crate::export::Format;
 use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::jobs::{JobError, OpenError, StateFolderError};
 use crate::private_folder::FolderAccess;
-use isopeel_view::EditError;
-use isopeel_volumes::{Frame, ReadError};
 use steps::Steps;
 
 /// Arguments of `isopeel batch`.

@@ -7,6 +7,9 @@ use std::time::Instant;
 
 use clap::ArgGroup;
 use isopeel_kernels::SampleType;
+use isopeel_view::quality::GuardName;
+use isopeel_view::{ChosenPartsJson, EditError};
+use isopeel_volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::device::DeviceArgs;
@@ -15,9 +18,6 @@ use crate::cli::stdin::InputPath;
 use crate::cli::surface::{SurfaceArgs, TransferFunctionError};
 use crate::export::{FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty};
 use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
-use isopeel_view::quality::GuardName;
-use isopeel_view::{ChosenPartsJson, EditError};
-use isopeel_volumes::{Dataset, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 
 /// Arguments of `isopeel extract`.
 #[derive(Debug, clap::Args)]

@@ -3,15 +3,15 @@
 use std::io::Write;
 use std::path::Path;
 
-use isopeel_kernels::{DerivedFeature, Histogram, VectorFeature};
-use serde::Serialize;
-
-use crate::extraction::{AxisInfo, LabelInfo, TimesInfo};
 use isopeel_geometry::DVec3;
+use isopeel_kernels::{DerivedFeature, Histogram, VectorFeature};
 use isopeel_view::{FeatureName, OpeningIso, VectorName};
 use isopeel_volumes::statistics::FieldStatistics;
 use isopeel_volumes::vectors::vectors;
 use isopeel_volumes::{AxisKind, Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
+use serde::Serialize;
+
+use crate::extraction::{AxisInfo, LabelInfo, TimesInfo};
 
 /// Labels of a field that are printed for people.
 const SHOWN_LABELS: usize = 32;

@@ -12,6 +12,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use isopeel_volumes::watch::{INTERVAL, Watcher};
+use isopeel_volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
+
 use super::device::DeviceArgs;
 use super::log;
 use crate::access::{
@@ -26,8 +29,6 @@ use crate::rest::SpoolFolder;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
 use crate::stream::LiveOptions;
 use crate::uploads::FolderError;
-use isopeel_volumes::watch::{INTERVAL, Watcher};
-use isopeel_volumes::{Catalog, Frame, ReadError, SharedCatalog, follow_links};
 use memory::MemoryArgs;
 use uploads::UploadArgs;
 

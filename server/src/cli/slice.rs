@@ -4,6 +4,8 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use isopeel_volumes::{Dataset, Field, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
+
 use crate::cli::device::DeviceArgs;
 use crate::cli::output::{Output, OutputError};
 use crate::cli::stdin::InputPath;
@@ -11,7 +13,6 @@ use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, sho
 use crate::extraction::{DeviceWorker, WorkError};
 use crate::fields;
 use crate::pool::{self, Panicked};
-use isopeel_volumes::{Dataset, Field, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 
 /// Arguments of `isopeel slice`.
 #[derive(Debug, clap::Args)]

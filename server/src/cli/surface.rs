@@ -5,10 +5,10 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use isopeel_kernels::MAX_LEVEL;
-
-use crate::export::{Compress, FileOptions, FileRequest, Format, SurfaceOptions};
 use isopeel_view::quality::{Distance, MaxError, MesherName, TopologyName, TriangleBudget};
 use isopeel_view::{ChosenPartsJson, Edit, InterestJson, Outward, TransferFunctionJson, arguments, parse_position};
+
+use crate::export::{Compress, FileOptions, FileRequest, Format, SurfaceOptions};
 
 /// Maximum bytes of a transfer function's file; 64 points take some 4 KiB.
 const MAX_TRANSFER_FUNCTION_BYTES: u64 = 1 << 20;

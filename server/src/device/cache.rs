@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use isopeel_volumes::disk::free_bytes;
 use rustix::fs::StatVfsMountFlags;
 
 use crate::private_folder;
-use isopeel_volumes::disk::free_bytes;
 
 /// Environment variable that names the folder.
 pub const VARIABLE: &str = "ISOPEEL_KERNEL_CACHE";

@@ -1,10 +1,10 @@
 //! Why a surface has no triangles.
 
 use isopeel_kernels::Histogram;
-
-use crate::extraction::{ExtractionStatistics, Extractor, WorkError};
 use isopeel_view::{FeatureName, View};
 use isopeel_volumes::VolumeStep;
+
+use crate::extraction::{ExtractionStatistics, Extractor, WorkError};
 
 /// Returns why the surface of a resolved view has no triangles; `None` if it has some.
 ///

@@ -1,12 +1,12 @@
 //! Values of a field at the vertices of a surface, trilinear between its samples.
 
 use isopeel_kernels::Samples;
+use isopeel_volumes::{Field, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use super::mesh::FieldValues;
 use crate::extraction::{Extractor, WorkError};
 use crate::fields;
-use isopeel_volumes::{Field, VolumeStep};
 
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {

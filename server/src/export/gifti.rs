@@ -7,10 +7,10 @@ use base64::engine::general_purpose::STANDARD;
 use base64::write::EncoderWriter;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
+use isopeel_volumes::Frame;
 
 use super::xml::escaped;
 use super::{ExportError, Mesh};
-use isopeel_volumes::Frame;
 
 /// The fastest level. Slower ones make files only a tenth smaller.
 const LEVEL: Compression = Compression::fast();

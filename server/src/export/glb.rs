@@ -9,11 +9,11 @@ pub(super) mod packed;
 
 use std::io::Write;
 
+use isopeel_volumes::LengthUnit;
 use serde_json::{Value, json};
 
 use super::mesh::{FieldValues, Material, attribute_names, linear};
 use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
-use isopeel_volumes::LengthUnit;
 
 const MAGIC: &[u8; 4] = b"glTF";
 const VERSION: u32 = 2;

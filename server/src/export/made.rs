@@ -3,6 +3,9 @@
 use std::io::Write;
 
 use isopeel_kernels::RefinementCost;
+use isopeel_view::quality::MesherName;
+use isopeel_view::{EditError, Outward, View};
+use isopeel_volumes::{InputIdentity, LengthUnit, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use super::caps::{Faces, ToCaps};
@@ -16,9 +19,6 @@ use super::{
 use crate::dataset_views::view_space;
 use crate::extraction::{Cleaned, Extraction, ExtractionStatistics, Extractor, Measuring, Shape, WorkError};
 use crate::pool::{self, Panicked};
-use isopeel_view::quality::MesherName;
-use isopeel_view::{EditError, Outward, View};
-use isopeel_volumes::{InputIdentity, LengthUnit, VolumeStep};
 
 /// A file that was made, but not written yet.
 pub struct MadeFile {

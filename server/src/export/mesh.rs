@@ -2,15 +2,15 @@
 
 use std::collections::{HashMap, HashSet};
 
+use isopeel_geometry::UnevenAxes;
 use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
+use isopeel_view::TransferFunctionJson;
+use isopeel_view::quality::MesherName;
+use isopeel_volumes::{Frame, Geometry, LengthUnit};
 
 use super::caps::ToCaps;
 use super::transform::Transform;
 use super::{ExportError, fits_u32};
-use isopeel_geometry::UnevenAxes;
-use isopeel_view::TransferFunctionJson;
-use isopeel_view::quality::MesherName;
-use isopeel_volumes::{Frame, Geometry, LengthUnit};
 
 /// Lattice units per region.
 const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;

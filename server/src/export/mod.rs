@@ -7,12 +7,12 @@
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
+use isopeel_view::Edit;
+use isopeel_volumes::{LengthUnit, VolumeStep};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::extraction::ExtractionStatistics;
-use isopeel_view::Edit;
-use isopeel_volumes::{LengthUnit, VolumeStep};
 
 mod caps;
 mod clean;
@@ -406,6 +406,9 @@ impl Content {
         Ok(FileDigest { bytes, hash })
     }
 }
+
+/// Maximum bytes of a part of a ZIP with short headers.
+const MAX_SHORT_PART: u64 = u32::MAX as u64;
 
 /// Bytes of rows that are collected before they are written.
 const PIECE_BYTES: usize = 1 << 16;

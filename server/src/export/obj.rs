@@ -2,10 +2,11 @@
 
 use std::io::Write;
 
+use isopeel_volumes::LengthUnit;
+
 use super::decimal::{Decimals, push_whole};
 use super::mesh::{ascii, srgb_bytes};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
-use isopeel_volumes::LengthUnit;
 
 /// Writes `meshes`, an object each: positions as decimal numbers that are rounded by less than a hundred-thousandth of the smallest spacing
 /// wherever they are, colours behind them as most readers take them, and normals. Comments name frame, unit, provenance and notices.

@@ -1,10 +1,10 @@
 //! A plane of samples with its place in the world: NRRD, and NIfTI-1 with one sample across the plane.
 
+use isopeel_geometry::DVec3;
 use isopeel_kernels::SampleType;
+use isopeel_volumes::{Frame, LengthUnit};
 
 use crate::extraction::Slice;
-use isopeel_geometry::DVec3;
-use isopeel_volumes::{Frame, LengthUnit};
 
 /// Bytes of the header.
 const HEADER: usize = 348;

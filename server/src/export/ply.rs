@@ -2,9 +2,10 @@
 
 use std::io::Write;
 
+use isopeel_volumes::LengthUnit;
+
 use super::mesh::{ascii, attribute_names, srgb_bytes};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
-use isopeel_volumes::LengthUnit;
 
 /// Writes `mesh`: a vertex has position (64 bits, so that far from the origin nothing is lost), normal, `smoothness` and `feature` (0 to 1), a face its three corners. Faces come by level,
 /// finest first; a comment has their numbers. A property of faces beside the list of corners would be rejected by readers that

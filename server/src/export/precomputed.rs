@@ -7,10 +7,8 @@ use serde_json::json;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use super::{ExportError, Mesh, fits_u32};
+use super::{ExportError, MAX_SHORT_PART, Mesh, fits_u32};
 
-/// Maximum bytes of a part of a ZIP with short headers.
-const SHORT_PART: u64 = u32::MAX as u64;
 /// Corners and positions that are written at once.
 const PIECE: usize = 1 << 12;
 
@@ -40,7 +38,7 @@ pub fn write(meshes: &[Mesh], out: &mut impl Write) -> Result<(), ExportError> {
 fn start<W: Write + io::Seek>(package: &mut ZipWriter<W>, name: &str, bytes: u64) -> Result<(), ExportError> {
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)
-        .large_file(bytes > SHORT_PART);
+        .large_file(bytes > MAX_SHORT_PART);
     Ok(package.start_file(name, options).map_err(io::Error::from)?)
 }
 

@@ -2,6 +2,9 @@
 
 use std::time::Duration;
 
+use isopeel_view::quality::Budget;
+use isopeel_view::{Edit, EditError, Outward, SIGMAS, View};
+use isopeel_volumes::{Dataset, LengthUnit};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
@@ -14,9 +17,6 @@ use super::surface_options::SurfaceOptions;
 use super::{Compress, Format};
 use crate::extraction::{ExportWork, Measuring, Refining};
 use crate::fields;
-use isopeel_view::quality::Budget;
-use isopeel_view::{Edit, EditError, Outward, SIGMAS, View};
-use isopeel_volumes::{Dataset, LengthUnit};
 
 /// Maximum fields whose values a file has. The samples of each are in memory while the file is made.
 const MAX_FIELD_VALUES: usize = 16;

@@ -7,6 +7,9 @@ use std::path::Path;
 use clap::ValueEnum;
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use isopeel_geometry::{DVec3, IndexSpace};
+use isopeel_view::FeatureName;
+use isopeel_volumes::{Field, Frame, LengthUnit, VolumeStep};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use utoipa::ToSchema;
@@ -16,9 +19,6 @@ use super::picture::{Picture, samples_of};
 use super::placed::{PlacedPlane, nifti, nrrd};
 use super::xml::escaped;
 use crate::extraction::{DeviceWorker, Slice, WorkError};
-use isopeel_geometry::{DVec3, IndexSpace};
-use isopeel_view::FeatureName;
-use isopeel_volumes::{Field, Frame, LengthUnit, VolumeStep};
 
 /// Maximum isovalues of one file.
 pub const MAX_ISOVALUES: usize = 64;

@@ -2,9 +2,10 @@
 
 use std::io::Write;
 
-use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
 use isopeel_geometry::{DVec3, triangle_normal};
 use isopeel_volumes::LengthUnit;
+
+use super::{ExportError, Mesh, PIECE_BYTES, fits_u32, flush};
 
 /// Rounding error above which there is a notice, as a share of the smallest spacing.
 const UNNOTICED: f64 = 1e-3;

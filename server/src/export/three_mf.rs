@@ -9,14 +9,12 @@ use zip::{CompressionMethod, ZipWriter};
 use super::decimal::{Decimals, push_whole};
 use super::mesh::srgb_bytes;
 use super::xml::escaped;
-use super::{ExportError, Mesh, PIECE_BYTES, flush};
+use super::{ExportError, MAX_SHORT_PART, Mesh, PIECE_BYTES, flush};
 
 /// Level of deflate. Higher ones take three times as long to save a tenth of the bytes.
 const LEVEL: i64 = 1;
 /// Upper bound of the bytes of text for a triangle with its share of vertices.
 const TRIANGLE_BYTES: u64 = 200;
-/// Maximum bytes of a part of a ZIP with short headers.
-const SHORT_PART: u64 = u32::MAX as u64;
 /// Id of the materials. The ids of colours and objects come after it.
 const MATERIALS: usize = 1;
 
@@ -47,7 +45,7 @@ pub fn write(meshes: &[Mesh], compresses: bool, out: &mut impl Write) -> Result<
     let options = SimpleFileOptions::default()
         .compression_method(method)
         .compression_level(level)
-        .large_file(triangles.saturating_mul(TRIANGLE_BYTES) > SHORT_PART);
+        .large_file(triangles.saturating_mul(TRIANGLE_BYTES) > MAX_SHORT_PART);
     let mut package = ZipWriter::new_stream(out);
     package
         .start_file("[Content_Types].xml", options)

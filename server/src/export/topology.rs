@@ -1,7 +1,8 @@
 //! Topology of a mesh: vertices at which sheets touch, whether the mesh is closed, and the volume that it encloses.
 
-use super::Mesh;
 use isopeel_geometry::DVec3;
+
+use super::Mesh;
 
 /// Triangles around each vertex.
 pub(super) struct Around {

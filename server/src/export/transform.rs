@@ -1,11 +1,11 @@
 //! Transforms a surface's vertices from the lattice to the world.
 
-use isopeel_kernels::Vertex;
-
-use super::ExportError;
 use isopeel_geometry::{DVec3, UnevenAxes};
+use isopeel_kernels::Vertex;
 use isopeel_view::quality::MesherName;
 use isopeel_volumes::Geometry;
+
+use super::ExportError;
 
 /// Transformation from the lattice to the world.
 pub(super) struct Transform<'a> {

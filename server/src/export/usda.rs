@@ -6,10 +6,11 @@
 use std::collections::BTreeMap;
 use std::io::Write;
 
+use isopeel_volumes::LengthUnit;
+
 use super::decimal::{Decimals, push_whole};
 use super::mesh::{free_names, linear, plain};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
-use isopeel_volumes::LengthUnit;
 
 /// Name of the scope that contains the materials.
 const MATERIALS: &str = "Materials";

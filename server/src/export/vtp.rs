@@ -5,11 +5,11 @@ use std::io::{self, Write};
 
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
+use isopeel_volumes::LengthUnit;
 use rayon::prelude::*;
 
 use super::mesh::{attribute_names, srgb_bytes};
 use super::{ExportError, Mesh, PIECE_BYTES, flush};
-use isopeel_volumes::LengthUnit;
 
 /// Bytes of the length before each array.
 const LENGTH_BYTES: u64 = 8;

@@ -2,6 +2,8 @@
 //! no memory from data in use: neither from volumes that jobs work on (`pins`), nor from time steps that viewers have open ([`Held`]).
 
 use isopeel_kernels::{Error, RectilinearGrid, SampleType};
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
@@ -11,8 +13,6 @@ use super::open_steps::Held;
 use super::turns::{Caller, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
-use isopeel_view::View;
-use isopeel_volumes::VolumeStep;
 
 impl DeviceWorker {
     /// Marks a time step as open in a viewer until the returned guard is dropped.

@@ -2,6 +2,7 @@
 
 use std::pin::Pin;
 
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
@@ -10,7 +11,6 @@ use super::pins;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
-use isopeel_volumes::VolumeStep;
 
 /// How often a request's job is queued before it fails with [`WorkError::Busy`]. It is queued again after its volumes were loaded (they are
 /// pinned, but if the device runs out of memory, all volumes except those of the running job are evicted), and after histograms were made.

@@ -4,14 +4,14 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, DeviceKind, Error, Volume};
+use isopeel_view::EditError;
+use isopeel_volumes::{ReadProgress, VolumeStep};
 
 use super::WorkError;
 use super::keys::{Recipe, VolumeKey, values_inside};
 use super::turns::{Aside, Turn};
 use super::user_time::Payer;
 use super::worker_state::{JobError, WorkerState};
-use isopeel_view::EditError;
-use isopeel_volumes::{ReadProgress, VolumeStep};
 
 impl WorkerState {
     /// Computes a field from others and makes it resident. Returns false if the host has to mask the field: its inputs are not resident

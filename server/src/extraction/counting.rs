@@ -2,13 +2,13 @@
 
 use std::time::Instant;
 
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::turns::{Caller, Length, Turn};
 use super::worker_state::{JobError, Nodes, WorkerState};
 use super::{DeviceWorker, FullCount, WorkError};
-use isopeel_view::View;
-use isopeel_volumes::VolumeStep;
 
 impl DeviceWorker {
     /// Counts the full surface of a view. `token` as in [`DeviceWorker::extract`].

@@ -1,11 +1,11 @@
 //! Cuts of cubes for a view: fitted to its budget, and refused if their surface would be too large.
 
 use isopeel_kernels::{Cancel, Cut, CutParams, Error, Level, Topology};
+use isopeel_view::View;
+use isopeel_view::quality::{Fitted, TopologyName};
 
 use super::WorkError;
 use super::worker_state::OnDevice;
-use isopeel_view::View;
-use isopeel_view::quality::{Fitted, TopologyName};
 
 /// A leaf emits at most a quad around each of its twelve edges; marching cubes makes five triangles of a leaf at most.
 const MAX_TRIANGLES_PER_LEAF: u64 = 24;

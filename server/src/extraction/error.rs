@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use isopeel_kernels::DeviceInfo;
 use isopeel_kernels::check::CheckError;
+use isopeel_view::EditError;
+use isopeel_volumes::ReadError;
 
 use super::user_time::USER_TIME_PERIOD;
 use crate::error::chain;
-use isopeel_view::EditError;
-use isopeel_volumes::ReadError;
 
 /// Why a device could not be opened.
 #[derive(Debug, thiserror::Error)]

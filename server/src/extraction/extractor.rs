@@ -4,6 +4,9 @@ use std::time::{Duration, Instant};
 
 use isopeel_codec::encode::encoded_bytes;
 use isopeel_kernels::Surface;
+use isopeel_view::View;
+use isopeel_view::quality::{Budget, Fitted, MesherName, TriangleBudget};
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::byte_search::{Trial, best, next_triangles};
@@ -14,9 +17,6 @@ use super::{
     DeviceWorker, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Refining, Step, WorkError,
 };
 use crate::pool;
-use isopeel_view::View;
-use isopeel_view::quality::{Budget, Fitted, MesherName, TriangleBudget};
-use isopeel_volumes::VolumeStep;
 
 /// Makes surfaces that keep budgets and limits. Clones are cheap.
 #[derive(Clone)]

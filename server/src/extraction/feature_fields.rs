@@ -3,9 +3,9 @@
 use std::rc::Rc;
 
 use isopeel_kernels::{DerivedFeature, Feature, VectorFeature, Volume};
+use isopeel_view::FeatureName;
 
 use super::WorkError;
-use isopeel_view::FeatureName;
 
 /// A view's feature and the fields that it is made of.
 pub(super) enum FeatureFields {

@@ -1,9 +1,9 @@
 //! Positions of samples as the device knows them.
 
 use isopeel_kernels::{Grid, RectilinearGrid};
+use isopeel_volumes::VolumeStep;
 
 use super::WorkError;
-use isopeel_volumes::VolumeStep;
 
 /// The grid of a dataset's samples on the device, padded by one sample on every side or not. Its unit of length is the smallest cell of the
 /// dataset ([`Dataset::smallest_length`](isopeel_volumes::Dataset::smallest_length)): surfaces, errors and tolerances on the device are the same

@@ -2,6 +2,8 @@
 //! is. Callers of the same histogram share the work. It pauses when all of them are gone, and the next caller continues it.
 
 use isopeel_kernels::{Histogram, HistogramWork};
+use isopeel_view::FeatureName;
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
@@ -12,8 +14,6 @@ use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::metrics;
-use isopeel_view::FeatureName;
-use isopeel_volumes::VolumeStep;
 
 impl DeviceWorker {
     /// Returns the range and the 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. The result

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use isopeel_kernels::Isovalue;
-
-use super::keys::VolumeKey;
 use isopeel_view::quality::{
     Budget, Distance, Fitted, MaxError, MesherName, ShareBudget, TopologyName, TriangleBudget,
 };
 use isopeel_view::{ChosenPartsJson, FeatureName, InterestJson, TransferFunctionJson, View};
 use isopeel_volumes::VolumeStep;
+
+use super::keys::VolumeKey;
 
 /// Number of the last engine.
 static LAST_ENGINE: AtomicU64 = AtomicU64::new(0);

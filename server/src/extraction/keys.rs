@@ -1,11 +1,13 @@
 //! Keys of resident volumes and histograms.
 
-use crate::fields;
 use isopeel_kernels::{DerivedFeature, ValueSet};
 
-use super::WorkError;
+use crate::fields;
+
 use isopeel_view::{EditError, FeatureName, FieldExpression, Mask, View};
 use isopeel_volumes::{Field, StepKey, VolumeStep};
+
+use super::WorkError;
 
 /// Derived features whose values are part of every description of a volume. Others take longer, and are described only once a view has used
 /// them.

@@ -4,6 +4,8 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use isopeel_kernels::{DeviceKind, RectilinearGrid, Samples};
+use isopeel_view::Mask;
+use isopeel_volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
@@ -17,8 +19,6 @@ use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::fields;
 use crate::pool::ReadPool;
-use isopeel_view::Mask;
-use isopeel_volumes::{Field, FileLocation, FileStamp, PIECE_SAMPLES, ReadError, ReadProgress, VolumeStep};
 
 /// Copies in memory of a field that is not sent in pieces: the samples as read, as masked or padded, and as sent to the device.
 const WHOLE_COPIES: u64 = 3;

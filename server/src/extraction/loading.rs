@@ -6,14 +6,14 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use isopeel_kernels::Histogram;
+use isopeel_view::{FeatureName, View};
+use isopeel_volumes::{Field, ReadProgress, VolumeStep};
 use tokio::sync::Semaphore;
 
 use super::device_thread::Preparation;
 use super::keys::{ALWAYS_DESCRIBED, HistogramKey, VolumeKey};
 use super::lock::lock;
 use super::residency::Lru;
-use isopeel_view::{FeatureName, View};
-use isopeel_volumes::{Field, ReadProgress, VolumeStep};
 
 /// Maximum number of files that are read at the same time. Each load holds a few pieces of a field in host memory.
 const CONCURRENT_LOADS: usize = 2;

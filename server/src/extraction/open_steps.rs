@@ -3,11 +3,11 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
+use isopeel_volumes::StepKey;
 use tokio::sync::Semaphore;
 
 use super::keys::VolumeKey;
 use super::lock::lock;
-use isopeel_volumes::StepKey;
 
 /// Maximum number of time steps that are read ahead at the same time. One, because each occupies a disk, and a processor if it has to be
 /// decoded.

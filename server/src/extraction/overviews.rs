@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use isopeel_kernels::{Overview, OverviewMode, OverviewWork};
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
@@ -14,7 +15,6 @@ use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::{metrics, pool};
-use isopeel_volumes::VolumeStep;
 
 impl DeviceWorker {
     /// Returns a field, or an expression over fields, at a low resolution. Loads or computes the field if it is not on the device. The

@@ -5,9 +5,12 @@ mod answers;
 
 use std::rc::Rc;
 
+use isopeel_geometry::IndexSpace;
 use isopeel_kernels::{
     CURVE_POINTS, Cancel, Cut, CutParams, DistanceOf, DistributionCounts, Level, MAX_BINS, ShownCut,
 };
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::decisions::TreeCut;
@@ -21,9 +24,6 @@ pub use answers::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
     VertexErrors,
 };
-use isopeel_geometry::IndexSpace;
-use isopeel_view::View;
-use isopeel_volumes::VolumeStep;
 
 const _: () = assert!(CURVE_POINTS == 32 && MAX_BINS == 256, "PROTOCOL.md says so");
 

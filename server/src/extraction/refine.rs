@@ -15,6 +15,9 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::{Cancel, Cut, CutParams, DeviceKind, Differences, Kept, Level, MAX_LEVEL, Surface};
+use isopeel_view::View;
+use isopeel_view::quality::Budget;
+use isopeel_volumes::VolumeStep;
 
 use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
 use super::decisions::Decided;
@@ -22,9 +25,6 @@ use super::tree_steps;
 use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, Shown, Step, WorkError};
-use isopeel_view::View;
-use isopeel_view::quality::Budget;
-use isopeel_volumes::VolumeStep;
 
 /// Triangles of a closed surface for each leaf.
 const TRIANGLES_PER_LEAF: u64 = 2;

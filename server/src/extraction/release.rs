@@ -1,11 +1,11 @@
 //! Frees the data of a time step that nothing will use again.
 
+use isopeel_volumes::{StepKey, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use super::turns::{Caller, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
-use isopeel_volumes::{StepKey, VolumeStep};
 
 impl DeviceWorker {
     /// Frees the samples, pyramids and vertex trees of a time step. If the device is lost, they are gone anyway.

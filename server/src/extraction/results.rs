@@ -4,10 +4,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use isopeel_kernels::{Level, RefinementCost, StageTime, Surface, SurfaceStatistics};
-
-use super::{ExtractionStatistics, MeasuredError};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
+
+use super::{ExtractionStatistics, MeasuredError};
 
 /// A surface and its view.
 #[derive(Clone, Debug)]

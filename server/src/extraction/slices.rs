@@ -1,6 +1,7 @@
 //! Samples of a field, as they are on the device.
 
 use isopeel_kernels::{SampleType, Samples};
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
@@ -8,7 +9,6 @@ use super::keys::VolumeKey;
 use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
-use isopeel_volumes::VolumeStep;
 
 /// A plane of samples.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -7,6 +7,9 @@ use isopeel_kernels::{
     Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, RefinementCost, Surface, Topology, TreeGoal,
     VertexTree,
 };
+use isopeel_view::View;
+use isopeel_view::quality::{Fitted, MaxError};
+use isopeel_volumes::VolumeStep;
 
 use super::decisions::{Decided, TreeCut, lesser};
 use super::intersections::{CapFaces, intersecting_vertices};
@@ -17,9 +20,6 @@ use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, WorkError};
 use crate::metrics;
-use isopeel_view::View;
-use isopeel_view::quality::{Fitted, MaxError};
-use isopeel_volumes::VolumeStep;
 
 /// Full surfaces of more triangles are first shown as cubes, before their tree is built: on an H200 a tree of this size takes about 20 ms.
 const MAX_FULL_TRIANGLES: u64 = 1_500_000;

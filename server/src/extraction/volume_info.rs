@@ -1,20 +1,20 @@
 //! The description of a volume, as JSON: an answer of REST, and part of the stream's `opened`.
 
-use crate::dataset_views::opening_edit;
-use crate::fields;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use isopeel_geometry::UnevenAxes;
 use isopeel_kernels::{DerivedFeature, Histogram, SampleType, VectorFeature};
+use isopeel_view::{Edit, FeatureName, FieldExpression, OpeningIso, VectorName};
+use isopeel_volumes::vectors::vectors;
+use isopeel_volumes::{AxisScale, Dataset, Field, Label, LengthUnit, TimeAxis, VolumeStep};
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::keys::ALWAYS_DESCRIBED;
 use super::{DeviceWorker, WorkError};
-use isopeel_geometry::UnevenAxes;
-use isopeel_view::{Edit, FeatureName, FieldExpression, OpeningIso, VectorName};
-use isopeel_volumes::vectors::vectors;
-use isopeel_volumes::{AxisScale, Dataset, Field, Label, LengthUnit, TimeAxis, VolumeStep};
+use crate::dataset_views::opening_edit;
+use crate::fields;
 
 /// A volume: the description of one time step for the editor.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]

@@ -13,6 +13,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use isopeel_kernels::DeviceInfo;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -33,8 +35,6 @@ use super::user_time::{Payer, UserTimes};
 use super::worker_state::{Histograms, JobError, WorkerState, no_finite_sample};
 use super::{Extraction, Measurement, Refinement, Step, WorkError};
 use crate::metrics;
-use isopeel_view::View;
-use isopeel_volumes::VolumeStep;
 
 /// Maximum number of waiting jobs. At the 50 ms of a typical prefix a full queue is 3 s of work; further requests are refused as busy, and
 /// viewers wait.

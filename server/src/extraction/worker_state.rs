@@ -6,10 +6,13 @@ use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use isopeel_geometry::IndexSpace;
 use isopeel_kernels::{
     Cancel, CutParams, Engine, Error, Histogram, Isovalue, Level, Mesher, Pyramid, RefinementCost, StageTime, Surface,
     Upload, VertexTree, Volume,
 };
+use isopeel_view::{EditError, FeatureName, OpeningIso, View};
+use isopeel_volumes::{Field, VolumeStep};
 
 use super::cuts::Cuts;
 use super::decisions::Decided;
@@ -29,9 +32,6 @@ use super::{Extraction, Measurement, WorkError};
 use crate::dataset_views::view_space;
 use crate::device::Proven;
 use crate::metrics;
-use isopeel_geometry::IndexSpace;
-use isopeel_view::{EditError, FeatureName, OpeningIso, View};
-use isopeel_volumes::{Field, VolumeStep};
 
 /// Share of the device's memory for resident volumes, in percent. The rest is for pyramids (`shares`), the stages' buffers and other processes.
 const VOLUME_PERCENT: u64 = 50;
@@ -541,16 +541,20 @@ impl WorkerState {
         keys.iter().map(bytes).collect()
     }
 
-    /// Frees all cached pyramids, trees and cuts, and all volumes except these. Returns false if no volume, pyramid or tree was freed.
+    /// Frees all cached pyramids, trees and cuts, and all volumes except these. Returns false if there was nothing to free.
     pub(super) fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
         let (mut trees, mut cuts) = (self.trees.borrow_mut(), self.cuts.borrow_mut());
-        let before = self.volumes.len() + self.pyramids.len() + trees.len();
+        let (before, cut_bytes) = (self.volumes.len() + self.pyramids.len() + trees.len(), cuts.cost());
         self.volumes.retain(|key| keys.contains(key));
         self.pyramids.retain(|_| false);
         trees.retain(|_| false);
         cuts.clear();
         let freed = before - self.volumes.len() - self.pyramids.len();
-        tracing::warn!(freed, "volumes, pyramids and trees are dropped from the device");
-        freed > 0
+        tracing::warn!(
+            freed,
+            cut_bytes,
+            "volumes, pyramids, trees and cuts are dropped from the device"
+        );
+        freed > 0 || cut_bytes > 0
     }
 }

@@ -10,12 +10,12 @@ mod smoothing;
 use std::sync::Arc;
 
 use isopeel_kernels::{Expression, SampleType, Samples};
+use isopeel_view::FieldExpression;
+use isopeel_volumes::{Dataset, Field, FileLocation, LengthUnit, Notices, ReadError, ReadProgress, Source};
 use rayon::prelude::*;
 
 use self::distances::distances;
 use self::smoothing::smoothed;
-use isopeel_view::FieldExpression;
-use isopeel_volumes::{Dataset, Field, FileLocation, LengthUnit, Notices, ReadError, ReadProgress, Source};
 
 /// Samples that a task computes.
 const PIECE: usize = 1 << 16;

@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
+use isopeel_view::View;
+use isopeel_view::quality::Budget;
+use isopeel_volumes::{Dataset, UnknownStep, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use super::state::Estimate;
 use crate::export::{FileRequest, OtherVolumes};
 use crate::extraction::{Extractor, WorkError};
-use isopeel_view::View;
-use isopeel_view::quality::Budget;
-use isopeel_volumes::{Dataset, UnknownStep, VolumeStep};
 
 /// Extractions whose surfaces are counted: the first, the last and the one in the middle. Each may read a time step.
 const SAMPLES: usize = 3;

@@ -5,6 +5,7 @@ use std::io::Write;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use async_trait::async_trait;
+use isopeel_volumes::{Dataset, IdentityError, Reader, SharedCatalog, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use super::results::ResultFile;
@@ -12,7 +13,6 @@ use super::state::Cause;
 use super::store::work::Work;
 use crate::export::{self, ExportError, MadeFile, MakeError, OtherVolumes};
 use crate::extraction::{Extractor, MeasuredError, WorkError};
-use isopeel_volumes::{Dataset, IdentityError, Reader, SharedCatalog, VolumeStep};
 
 /// Makes files.
 #[async_trait]

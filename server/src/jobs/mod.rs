@@ -41,12 +41,13 @@ pub use state_folder::{StateFolder, StateFolderError};
 pub use store::requests::ResultInfo;
 
 /// Owner of jobs that are made without a server.
+use isopeel_view::View;
+use isopeel_volumes::{Dataset, InputIdentity, Reader, SeenFiles, SharedCatalog, VolumeStep};
+
 pub use crate::access::OPERATOR;
 use crate::export::{FileRequest, OtherVolumes};
 use crate::extraction::Extractor;
 use estimate::{EstimateError, estimate};
-use isopeel_view::View;
-use isopeel_volumes::{Dataset, InputIdentity, Reader, SeenFiles, SharedCatalog, VolumeStep};
 use maker::DeviceMaker;
 use results::Results;
 use runner::{Backoff, Runner, Signals};

@@ -13,6 +13,7 @@ use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header, response};
 use axum::response::Response;
+use isopeel_volumes::VolumeStep;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 use serde_json::Map;
@@ -30,7 +31,6 @@ use crate::export::{self, FileDigest, FileRequest, MadeFile, OtherVolumes, merge
 use crate::extraction::Extractor;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
-use isopeel_volumes::VolumeStep;
 pub use spool::SpoolFolder;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.

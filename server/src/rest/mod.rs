@@ -46,6 +46,7 @@ use utoipa_axum::routes;
 
 pub use embed::EmbedInfo;
 pub use extract::{ExtractRequest, STATISTICS_HEADER, SpoolFolder};
+use isopeel_volumes::SharedCatalog;
 pub use jobs::{DIGEST_HEADER, KEY_HEADER, LAST_EVENT_ID};
 pub use overview::OVERVIEW_HEADER;
 pub use session::SessionInfo;
@@ -60,7 +61,6 @@ use crate::problem::{ApiError, Problem};
 use crate::uploads::Uploads;
 use export_queue::{ExportQueue, QueueLimits};
 use extract::address::KnownTags;
-use isopeel_volumes::SharedCatalog;
 use precompressed::Precompressed;
 
 /// Maximum bytes of a request body, the same as of a message on the WebSocket. 64 control points take about 4 KiB.

@@ -5,6 +5,8 @@ use axum::extract::{Path, Query, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use isopeel_kernels::SampleType;
+use isopeel_view::FieldExpression;
+use isopeel_volumes::{Field, VolumeStep};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
@@ -15,8 +17,6 @@ use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, iso
 use crate::fields;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
-use isopeel_view::FieldExpression;
-use isopeel_volumes::{Field, VolumeStep};
 
 /// Header with the type of a slice's samples and their positions, JSON in ASCII ([`SliceInfo`]).
 pub const SLICE_HEADER: HeaderName = HeaderName::from_static("isopeel-slice");
@@ -85,7 +85,8 @@ pub struct SliceInfo<'a> {
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), SliceQuery),
     responses(
-        (status = 200, description = "The samples, a PNG, NRRD, NIfTI, SVG or GeoJSON file", body = File, content_type = "application/octet-stream",
+        (status = 200, description = "The samples, a PNG, NRRD, NIfTI, SVG or GeoJSON file",
+         content((File = "application/octet-stream"), (File = "image/png"), (String = "image/svg+xml"), (serde_json::Value = "application/geo+json")),
          headers(("isopeel-slice" = String, description = "Type, size and place of the samples, JSON in ASCII"))),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume`, `unknown-step` or `unknown-field`", body = Problem, content_type = "application/problem+json"),

@@ -8,17 +8,19 @@ use axum::body::Body;
 use axum::http::{Method, Request, StatusCode, header};
 use axum::middleware::from_fn_with_state;
 use axum::response::Response;
+use clap::ValueEnum;
 use isopeel_kernels::SampleType;
+use isopeel_volumes::{
+    Catalog, Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Samples, Source,
+};
 use serde_json::{Value, json};
 use tower::ServiceExt;
 
 use super::*;
 use crate::access::gate::admit;
 use crate::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
+use crate::export::slice::SliceFormat;
 use crate::extraction::DeviceWorker;
-use isopeel_volumes::{
-    Catalog, Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Samples, Source,
-};
 
 #[derive(Debug)]
 struct Ramp;
@@ -325,11 +327,11 @@ async fn edits_out_of_range_are_refused_before_any_work() {
             "interest: region 0 has neither",
         ),
         (json!({ "minPart": -1 }), "minPart: -1"),
-        (json!({ "minPart": 1, "beta": 0.1 }), "minPart: 1 where beta decides"),
+        (json!({ "minPart": 1, "beta": 0.1 }), "minPart: 1 with beta alone"),
         (json!({ "parts": { "hide": [] } }), "parts: hide has 0 positions"),
         (
             json!({ "parts": { "keep": [[1, 2, 3]] }, "beta": 0.1 }),
-            "parts: given where beta decides",
+            "parts: given with beta alone",
         ),
     ] {
         let mut request = json!({ "volume": "ramp", "format": "stl" });
@@ -448,6 +450,18 @@ fn all_named<'a>(value: &'a Value, name: &str, found: &mut Vec<&'a Value>) {
         Value::Array(values) => values.iter().for_each(|value| all_named(value, name, found)),
         _ => {}
     }
+}
+
+#[test]
+fn openapi_names_the_content_type_of_each_format_of_slices() {
+    let openapi = serde_json::to_value(openapi()).unwrap();
+    let content = &openapi["paths"]["/api/v1/volumes/{id}/slices"]["get"]["responses"]["200"]["content"];
+    let named: HashSet<&str> = content.as_object().unwrap().keys().map(String::as_str).collect();
+    let sent: HashSet<&str> = SliceFormat::value_variants()
+        .iter()
+        .map(|format| format.content_type())
+        .collect();
+    assert_eq!(named, sent);
 }
 
 #[test]

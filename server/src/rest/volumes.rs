@@ -8,6 +8,7 @@ use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
+use isopeel_volumes::{Dataset, Unreadable, VolumeStep};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
@@ -15,7 +16,6 @@ use super::{ApiState, whole_number};
 use crate::access::Identity;
 use crate::extraction::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_expression};
 use crate::problem::{ApiError, Problem};
-use isopeel_volumes::{Dataset, Unreadable, VolumeStep};
 
 /// A volume, in short.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]

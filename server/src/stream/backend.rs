@@ -4,6 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_kernels::DeviceKind;
+use isopeel_view::View;
+use isopeel_volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
 use serde_json::value::RawValue;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -14,8 +16,6 @@ use crate::extraction::{
     Answer, DeviceState, DeviceWorker, EngineId, Extractor, FullCount, Held, Measurement, OpeningProgress,
     OpeningWatch, Question, Refinement, ShownSurface, Step, WorkError, describe,
 };
-use isopeel_view::View;
-use isopeel_volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
 
 /// Default bytes of chunks that are cached for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;

@@ -19,6 +19,8 @@ pub(super) use first_steps::FirstStep;
 use first_steps::FirstSteps;
 #[cfg(test)]
 pub(super) use first_steps::LONGEST_WAIT;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 pub(super) use leader::Leader;
 use leader::PAUSE;
 
@@ -26,8 +28,6 @@ use crate::access::{NoSeat, Seat, SeatLimits, Seats};
 use crate::metrics;
 use crate::wire::group::{Follower, LedSurface, Pose};
 use crate::wire::messages::ServerMessage;
-use isopeel_view::View;
-use isopeel_volumes::VolumeStep;
 
 /// Maximum groups: one for every 16 of the maximum viewers.
 pub(super) const MAX_GROUPS: usize = 64;

@@ -4,6 +4,8 @@
 use std::sync::Arc;
 
 use axum::body::Bytes;
+use isopeel_codec::chunk::{Coding, PrefixId};
+use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use tokio_util::sync::CancellationToken;
@@ -11,8 +13,6 @@ use tokio_util::sync::CancellationToken;
 use super::shared::{HeldRegion, HeldRegions, Kept, SharedStep};
 use crate::extraction::VertexErrors;
 use crate::pool::{self, Panicked};
-use isopeel_codec::chunk::{Coding, PrefixId};
-use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 
 /// Triangles in a batch for each thread of the pool. Another viewer's work waits for two batches, which take about 5 ms.
 const BATCH_TRIANGLES: usize = 25_000;

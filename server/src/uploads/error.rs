@@ -2,9 +2,10 @@
 
 use std::io;
 
+use isopeel_volumes::ReadError;
+
 use super::MAX_UPLOADS;
 use super::names::NameError;
-use isopeel_volumes::ReadError;
 
 /// Why a request about uploads fails. Each variant calls for a different reaction of the caller.
 #[derive(Debug, thiserror::Error)]

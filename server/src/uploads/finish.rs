@@ -4,6 +4,9 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError};
 use std::time::SystemTime;
 
+use isopeel_volumes::location::stem;
+use isopeel_volumes::{Dataset, FileLocation, Frame, open_path};
+
 use super::error::UploadError;
 use super::folder::{FILES, write_record};
 use super::names::common_folder;
@@ -11,8 +14,6 @@ use super::state::{UploadInfo, UploadState};
 use super::upload::Upload;
 use super::{Reader, Uploads, counted};
 use crate::pool::ReadPool;
-use isopeel_volumes::location::stem;
-use isopeel_volumes::{Dataset, FileLocation, Frame, open_path};
 
 impl Uploads {
     /// Reads a complete upload as volumes, and offers these to its owner. Does nothing if it was read before.

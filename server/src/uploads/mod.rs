@@ -23,13 +23,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use data_encoding::HEXLOWER;
+use isopeel_volumes::{Frame, Reader, SharedCatalog};
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::rfc3339_seconds;
 pub use error::UploadError;
 pub use folder::{FolderError, UploadFolder};
 use folder::{Record, note_use, used};
-use isopeel_volumes::{Frame, Reader, SharedCatalog};
 pub use names::{DeclaredFile, MAX_FILES, NameError};
 use slots::Slots;
 pub use state::{UploadInfo, UploadList, UploadRequest, UploadState};

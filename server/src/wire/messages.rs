@@ -8,12 +8,12 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 
 pub use close::CloseCode;
-
-use super::group::{Follower, LedSurface, Pose, Resume};
-use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Preparation, Probe};
 use isopeel_codec::chunk::{ChunkKind, MAX_SURFACES};
 use isopeel_view::Edit;
 use isopeel_view::quality::MesherName;
+
+use super::group::{Follower, LedSurface, Pose, Resume};
+use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Preparation, Probe};
 
 /// Subprotocol that a client must offer.
 pub const SUBPROTOCOL: &str = "isopeel.v2";

@@ -2,12 +2,12 @@
 
 use std::str::FromStr;
 
+use isopeel_geometry::{DVec3, IndexSpace};
 use isopeel_kernels::interest::MAX_INTERESTS;
 use isopeel_kernels::{Interest, InterestShape};
 use serde::{Deserialize, Serialize};
 
 use super::error::EditError;
-use isopeel_geometry::{DVec3, IndexSpace};
 
 /// A region of interest, in world coordinates: a sphere or a box. Importance inside is at least its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]

@@ -14,16 +14,15 @@ pub mod quality;
 mod request;
 mod transfer_function;
 
+use isopeel_geometry::IndexSpace;
 use isopeel_kernels::{CutParams, DerivedFeature, Histogram, Isovalue, Level, MAX_LEVEL, Topology};
 
 pub use chosen_parts::{ChosenPartsJson, parse_position};
 pub use edit::Edit;
 pub use error::EditError;
 pub use expression::{FieldExpression, SIGMAS};
-pub use feature::arguments;
-pub use feature::{FeatureName, VectorName};
+pub use feature::{FeatureName, VectorName, arguments};
 pub use interest::InterestJson;
-use isopeel_geometry::IndexSpace;
 pub use mask::Mask;
 pub use opening::{IsoReason, OpeningIso};
 pub use outward::Outward;
@@ -284,9 +283,7 @@ impl View {
     fn keeps_all_parts(&self, given: &str) -> String {
         match self.mesher {
             MesherName::MarchingCubes => format!("{given} with marching-cubes, expected the dual mesher"),
-            MesherName::Dual => format!(
-                "{given} where beta decides, expected an error or a budget beside it: error, triangles or bytes"
-            ),
+            MesherName::Dual => format!("{given} with beta alone, expected error, triangles or bytes too"),
         }
     }
 

@@ -1,10 +1,10 @@
 //! Edits, their errors, and values that depend on the data.
 
+use isopeel_geometry::DAffine3;
 use isopeel_kernels::{Histogram, Topology};
 
 use super::{ChosenPartsJson, Edit, FeatureName, OpeningIso, PointJson, TransferFunctionJson, View};
 use crate::quality::{Distance, Fitted, GuardName, MaxError, TopologyName, TriangleBudget};
-use isopeel_geometry::DAffine3;
 
 const FIELDS: &[&str] = &["t1", "gm"];
 
@@ -108,7 +108,7 @@ fn refusals_name_the_field_and_what_was_expected() {
         ),
         (
             r#"{"minPart":5,"beta":0.1}"#,
-            "minPart: 5 where beta decides, expected an error or a budget beside it: error, triangles or bytes",
+            "minPart: 5 with beta alone, expected error, triangles or bytes too",
         ),
         (
             r#"{"minPart":5,"mesher":"marching-cubes"}"#,
@@ -120,7 +120,7 @@ fn refusals_name_the_field_and_what_was_expected() {
         ),
         (
             r#"{"parts":{"keep":[[1,2,3]]},"beta":0.1}"#,
-            "parts: given where beta decides, expected an error or a budget beside it: error, triangles or bytes",
+            "parts: given with beta alone, expected error, triangles or bytes too",
         ),
         (
             r#"{"parts":{"keep":[[1,2,3]]},"mesher":"marching-cubes"}"#,

@@ -9,12 +9,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use isopeel_geometry::UnevenAxes;
 use isopeel_kernels::{SampleType, Samples};
 use rayon::prelude::*;
 
 use super::scalar::Scalar;
 use super::{Field, FileLocation, Geometry, LabelRanks, Notices, OpenedFile, ReadError, ReadProgress, Source};
-use isopeel_geometry::UnevenAxes;
 
 /// Largest deviation from even positions, relative to their distance, that is taken for rounding.
 pub(super) const EVEN: f64 = 1e-3;

@@ -3,13 +3,13 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use isopeel_geometry::UnevenAxes;
 use isopeel_kernels::{SampleType, Samples};
 
 use super::{
     FileLocation, FileStamp, Geometry, LabelRanks, LengthUnit, Notices, OpenedFile, ReadError, ReadProgress, Sink,
     Source,
 };
-use isopeel_geometry::UnevenAxes;
 
 /// Reads the header of a file. Called again if the file was replaced.
 type Open = fn(&FileLocation) -> Result<OpenedFile, ReadError>;

@@ -207,7 +207,7 @@ fn the_command_says_how_many_and_refuses_what_it_cannot_do() {
     for (options, words) in [
         (
             "--min-part 5",
-            "minPart: 5 where beta decides, expected an error or a budget",
+            "minPart: 5 with beta alone, expected error, triangles or bytes too",
         ),
         (
             "--min-part 5 --error 1 --mesher marching-cubes",

@@ -3,9 +3,10 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
+use isopeel_volumes::{Dataset, ReadError, open_each};
+
 use super::BatchError;
 use crate::export::safe_name;
-use isopeel_volumes::{Dataset, ReadError, open_each};
 
 /// An input volume.
 pub(super) struct Input {

@@ -5,6 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use data_encoding::HEXLOWER;
+use isopeel_volumes::{Catalog, Reader, open_dataset};
 use sha2::{Digest, Sha256};
 use tokio_util::sync::CancellationToken;
 
@@ -13,7 +14,6 @@ use crate::cli::jobs::{
     MANIFEST_FILE, cost, empty_ones, first_failure, progress_bar, read_request_file, write_manifest,
 };
 use crate::jobs::{JobInfo, JobRequest, JobState, Jobs, Limits, OPERATOR, StateFolder, file_name};
-use isopeel_volumes::{Catalog, Reader, open_dataset};
 
 /// Below the output's folder, while the job is not done.
 const STATE_FOLDER: &str = ".isopeel-batch";

@@ -4,8 +4,9 @@ use std::collections::HashSet;
 use std::io;
 use std::path::Path;
 
-use crate::cli::output::write_whole;
 use isopeel_volumes::Dataset;
+
+use crate::cli::output::write_whole;
 
 /// The time steps of a volume.
 pub(super) struct Series {

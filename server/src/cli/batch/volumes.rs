@@ -9,6 +9,7 @@ use data_encoding::HEXLOWER;
 use futures_util::StreamExt;
 use indicatif::ProgressBar;
 use isopeel_kernels::SampleType;
+use isopeel_volumes::{Dataset, IdentityError, InputIdentity, SeenFiles, VolumeStep};
 use sha2::{Digest, Sha256};
 use tokio_util::sync::CancellationToken;
 
@@ -22,7 +23,6 @@ use crate::cli::output::{Output, OutputError, WrittenFile};
 use crate::export::{self, FileRequest, Format, MadeFile, OtherVolumes};
 use crate::extraction::{ExtractionStatistics, Extractor};
 use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
-use isopeel_volumes::{Dataset, IdentityError, InputIdentity, SeenFiles, VolumeStep};
 
 /// Surfaces that are worked on at a time: while one is on the device, the file of the one before is written, or the volume of the next one is
 /// read.

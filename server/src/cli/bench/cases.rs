@@ -4,18 +4,18 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use axum::body::Bytes;
+use isopeel_codec::chunk::{PrefixId, WireVertex};
+use isopeel_codec::encode::{self, MAX_TASK_REGIONS, MeshHash};
 use isopeel_kernels::{
     BRICK_CELLS, ControlPoint, CutParams, DeviceSpeed, Engine, Feature, Isovalue, Level, Never, Pyramid, Region,
     StageTime, Surface, SurfaceStatistics, TransferFunction, Volume,
 };
+use isopeel_view::quality::MesherName;
 use rayon::prelude::*;
 
 use super::reference::{check_mesh, count, equal};
 use super::volumes::Recipe;
 use super::{Args, BenchError, CaseName, Line, Spread, params, print, round};
-use isopeel_codec::chunk::{PrefixId, WireVertex};
-use isopeel_codec::encode::{self, MAX_TASK_REGIONS, MeshHash};
-use isopeel_view::quality::MesherName;
 
 /// Stage that reads the mesh back to the host.
 const READ_BACK: &str = "read back";

@@ -14,12 +14,12 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use isopeel_codec::encode::EncodeError;
 use isopeel_kernels::{CutParams, Topology};
+use isopeel_view::quality::MesherName;
 use serde::Serialize;
 
 use crate::cli::device::{DeviceArgs, NoDevice};
-use isopeel_codec::encode::EncodeError;
-use isopeel_view::quality::MesherName;
 use volumes::{Recipe, TypeName, VolumeName};
 
 /// Arguments of `isopeel bench`.

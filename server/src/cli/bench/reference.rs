@@ -7,11 +7,11 @@ use isopeel_kernels::tables::cases::case_triangles;
 use isopeel_kernels::{
     CutParams, Engine, Feature, Isovalue, Level, Never, REGION_CELLS, Samples, Surface, Vertex, Volume,
 };
+use isopeel_view::quality::MesherName;
 use rayon::prelude::*;
 
 use super::volumes::Recipe;
 use super::{Args, BenchError, params};
-use isopeel_view::quality::MesherName;
 
 /// Planes on the host at a time.
 const PLANES: u32 = 64;

@@ -11,6 +11,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_kernels::SampleType;
+use isopeel_view::quality::{MaxError, MesherName, TopologyName, TriangleBudget};
+use isopeel_view::{Edit, PointJson, TransferFunctionJson};
+use isopeel_volumes::{Dataset, Geometry, ReadError, memory_dataset};
 use tokio_tungstenite::tungstenite;
 
 use super::reference::{Counts, count, equal};
@@ -18,9 +21,6 @@ use super::volumes::Recipe;
 use super::{Args, BenchError, EditName, print, round};
 use crate::serve::ServeError;
 use client::{Client, Streamed};
-use isopeel_view::quality::{MaxError, MesherName, TopologyName, TriangleBudget};
-use isopeel_view::{Edit, PointJson, TransferFunctionJson};
-use isopeel_volumes::{Dataset, Geometry, ReadError, memory_dataset};
 use lines::{DragLine, StreamLine};
 use server::Server;
 

@@ -4,12 +4,12 @@ use std::path::Path;
 
 use clap::Parser;
 use isopeel_kernels::MAX_LEVEL;
-
-use super::super::{Cli, Command};
-use super::*;
 use isopeel_view::quality::{Distance, MaxError, TopologyName};
 use isopeel_view::{FeatureName, View};
 use isopeel_volumes::testing;
+
+use super::super::{Cli, Command};
+use super::*;
 
 fn parse(line: &str) -> Result<Args, clap::Error> {
     match Cli::try_parse_from(line.split_whitespace())?.command {
@@ -117,9 +117,9 @@ fn small_parts_are_removed_where_an_error_or_a_budget_decides() {
     for (options, refusal) in [
         (
             "--min-part 5",
-            "minPart: 5 where beta decides, expected an error or a budget",
+            "minPart: 5 with beta alone, expected error, triangles or bytes too",
         ),
-        ("--min-part 5 --beta 0.1", "minPart: 5 where beta decides"),
+        ("--min-part 5 --beta 0.1", "minPart: 5 with beta alone"),
         (
             "--min-part 5 --triangles 9 --mesher marching-cubes",
             "minPart: 5 with marching-cubes, expected the dual mesher",
@@ -166,7 +166,7 @@ fn parts_are_hidden_or_kept_by_positions() {
     }
     let by_beta = parse("isopeel extract a.nrrd --iso 1 --stats --hide-part 1,2,3").unwrap();
     let error = by_beta.view(&dataset()).unwrap_err().to_string();
-    assert!(error.starts_with("parts: given where beta decides"), "{error}");
+    assert!(error.starts_with("parts: given with beta alone"), "{error}");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Requests to a server.
 
 use axum::body::Bytes;
+use isopeel_volumes::is_this_machine;
 use reqwest::header::{self, HeaderMap, HeaderValue};
 use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Deserialize;
@@ -9,7 +10,6 @@ use serde::de::DeserializeOwned;
 use super::JobsError;
 use crate::access::Token;
 use crate::jobs::{JobInfo, ManifestEntry};
-use isopeel_volumes::is_this_machine;
 
 /// Client of a server's job API.
 pub(super) struct Client {

@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use isopeel_volumes::SharedCatalog;
+
 use super::super::token::lifetime;
 use super::Args;
 use crate::uploads::{FolderError, Limits, UploadFolder, Uploads};
-use isopeel_volumes::SharedCatalog;
 
 /// Some volumes of 1024³ samples.
 const QUOTA_MIB: u64 = 20 * 1024;

@@ -1,8 +1,8 @@
+use isopeel_geometry::{DVec3, triangle_normal};
 use isopeel_kernels::{Level, SurfaceStatistics};
+use isopeel_view::PointJson;
 
 use super::*;
-use isopeel_geometry::{DVec3, triangle_normal};
-use isopeel_view::PointJson;
 
 /// Identity placement of a grid that is large enough for three regions along x.
 pub fn geometry() -> Geometry {

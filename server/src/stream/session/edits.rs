@@ -1,6 +1,8 @@
 //! Applies a client's edits to its surfaces, and ends generations that they supersede.
 
 use futures_util::stream::FuturesOrdered;
+use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_view::Edit;
 
 use super::super::backend::Backend;
 use super::Session;
@@ -8,8 +10,6 @@ use super::generation::Sending;
 use super::open_volume::OpenVolume;
 use crate::access::Role;
 use crate::wire::messages::{Capabilities, ServerMessage};
-use isopeel_codec::chunk::MAX_SURFACES;
-use isopeel_view::Edit;
 
 impl<B: Backend> Session<B> {
     pub(super) fn on_edit(&mut self, surface: u32, edit: &Edit) {

@@ -1,5 +1,7 @@
 //! Failed generations: the error that is sent, and whether the client may keep its surface.
 
+use isopeel_view::View;
+
 use super::super::backend::Backend;
 use super::Session;
 use super::surface::{Failed, SurfaceSession};
@@ -7,7 +9,6 @@ use crate::error::chain;
 use crate::extraction::WorkError;
 use crate::metrics;
 use crate::wire::messages::ServerMessage;
-use isopeel_view::View;
 
 impl<B: Backend> Session<B> {
     pub(super) fn fail_job(&mut self, surface: u8, error: &WorkError) {

@@ -12,7 +12,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use isopeel_codec::chunk::{Coding, PrefixId};
 use isopeel_kernels::{StageTime, SurfaceStatistics};
+use isopeel_view::View;
+use isopeel_view::quality::Budget;
+use isopeel_volumes::VolumeStep;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
@@ -24,10 +28,6 @@ use super::shown::HeldSurface;
 use crate::extraction::{CutId, ExtractionStatistics, FullCount, Shown, ViewKey};
 use crate::metrics;
 use crate::wire::messages::ServerMessage;
-use isopeel_codec::chunk::{Coding, PrefixId};
-use isopeel_view::View;
-use isopeel_view::quality::Budget;
-use isopeel_volumes::VolumeStep;
 
 pub(super) struct Generation {
     /// Number of the generation's surface.

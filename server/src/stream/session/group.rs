@@ -1,6 +1,7 @@
 //! A session in a group: the member in control broadcasts its views, and the others follow.
 
 use data_encoding::HEXLOWER;
+use isopeel_codec::chunk::Coding;
 
 use super::super::backend::Backend;
 use super::super::groups::{GroupError, GroupEvent, Leader, Scene};
@@ -11,7 +12,6 @@ use super::pending::{NamedBudget, PendingStep};
 use crate::access::{Occupant, Role};
 use crate::wire::group::{Pose, Resume, check_name};
 use crate::wire::messages::{ClientMessage, ServerMessage};
-use isopeel_codec::chunk::Coding;
 
 /// Random bytes of a group's id, which is all that a viewer with the role `view` needs to follow. The leader's key has as many.
 const ID_BYTES: usize = 16;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Bytes;
+use isopeel_codec::chunk::{ChunkKind, Coding};
 use serde_json::value::RawValue;
 use tokio::sync::watch;
 use tracing::Instrument;
@@ -25,7 +26,6 @@ use crate::dataset_views::opening_view;
 use crate::error::chain;
 use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, SurfaceKey, WorkError};
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
-use isopeel_codec::chunk::{ChunkKind, Coding};
 
 /// Maximum triangles of a new surface's first step, summed over the followers of a group. They reach a thousand followers within 70 ms on
 /// two cores.

@@ -1,5 +1,8 @@
 //! The open volume and its surfaces.
 
+use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_view::View;
+use isopeel_volumes::{Lease, VolumeStep};
 use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
@@ -11,9 +14,6 @@ use super::outbox::Newest;
 use super::pending::{NamedBudget, PendingStep};
 use super::surface::SurfaceSession;
 use crate::extraction::{Held, OpeningProgress};
-use isopeel_codec::chunk::MAX_SURFACES;
-use isopeel_view::View;
-use isopeel_volumes::{Lease, VolumeStep};
 
 pub(super) struct OpenVolume {
     pub volume: VolumeStep,

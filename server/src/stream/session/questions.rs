@@ -6,6 +6,8 @@
 use std::sync::Arc;
 
 use axum::body::Bytes;
+use isopeel_codec::chunk::{ChunkKind, PrefixId};
+use isopeel_kernels::DistanceOf;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::super::backend::Backend;
@@ -18,8 +20,6 @@ use super::outbox::Frame;
 use super::shown::HeldSurface;
 use crate::extraction::{Answer, Question, ShownSurface, WorkError};
 use crate::wire::messages::{Annotation, ServerMessage};
-use isopeel_codec::chunk::{ChunkKind, PrefixId};
-use isopeel_kernels::DistanceOf;
 
 /// A finished question: its number, and the answer.
 pub(super) type Answered = (u32, Result<Found, WorkError>);

@@ -6,6 +6,8 @@
 //! when the edit came, or else the one in force, even if another step follows soon. An edit that needs no resolving comes into force at
 //! once.
 
+use isopeel_view::{Edit, FeatureName, View};
+use isopeel_volumes::{StepKey, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use super::super::backend::Backend;
@@ -19,8 +21,6 @@ use crate::error::chain;
 use crate::extraction::WorkError;
 use crate::metrics;
 use crate::wire::messages::ServerMessage;
-use isopeel_view::{Edit, FeatureName, View};
-use isopeel_volumes::{StepKey, VolumeStep};
 
 /// What the device has resolved.
 pub(super) enum Resolved {

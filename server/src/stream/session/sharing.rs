@@ -5,11 +5,12 @@
 //! others share the budget and the client holds more of the failed surface than its part, its regions are removed. A surface whose
 //! generation was cancelled stays as it was, and its size at the client is reserved.
 
+use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_view::quality::Budget;
+
 use super::generation::Making;
 use super::open_volume::OpenVolume;
 use super::surface::SurfaceSession;
-use isopeel_codec::chunk::MAX_SURFACES;
-use isopeel_view::quality::Budget;
 
 /// Decision about a step that was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,8 +1,9 @@
 //! Relation of the surface that a client holds to the next one.
 
-use crate::extraction::{CutId, Shown, SurfaceKey};
 use isopeel_view::View;
 use isopeel_view::quality::MesherName;
+
+use crate::extraction::{CutId, Shown, SurfaceKey};
 
 /// The surface that a client holds.
 #[derive(Clone, Debug)]

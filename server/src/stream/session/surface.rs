@@ -2,6 +2,9 @@
 
 use std::sync::Arc;
 
+use isopeel_view::View;
+use isopeel_view::quality::Budget;
+
 use super::super::groups::FirstStep;
 use super::super::shared::HeldRegions;
 use super::generation::Generation;
@@ -9,8 +12,6 @@ use super::pending::PendingView;
 use super::rest::Rest;
 use super::shown::HeldSurface;
 use crate::extraction::{Shown, SurfaceKey, ViewKey};
-use isopeel_view::View;
-use isopeel_view::quality::Budget;
 
 pub(super) struct SurfaceSession {
     /// The view in force: resolved, with all samples that it uses loaded. Its budget is that of the connection.

@@ -4,6 +4,9 @@
 
 use std::sync::Arc;
 
+use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 use serde_json::value::RawValue;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
@@ -16,9 +19,6 @@ use super::pending::PendingStep;
 use super::rest::REST_AFTER;
 use crate::extraction::{Held, WorkError};
 use crate::wire::messages::ServerMessage;
-use isopeel_codec::chunk::MAX_SURFACES;
-use isopeel_view::View;
-use isopeel_volumes::VolumeStep;
 
 /// Maximum stride between two consecutive steps for which the next step is predicted.
 const MAX_STRIDE: u32 = 4;

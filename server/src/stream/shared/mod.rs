@@ -14,13 +14,13 @@ mod step;
 
 use std::sync::Arc;
 
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
 use crate::extraction::{CutId, FittedKey, FullCount, Measurement, Refinement, Shown, Step, ViewKey, WorkError};
 use crate::metrics;
-use isopeel_view::View;
-use isopeel_volumes::VolumeStep;
 use joint::Joint;
 pub(super) use joint::Outcome;
 pub(super) use kept::Kept;

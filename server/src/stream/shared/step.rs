@@ -3,7 +3,11 @@
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use axum::body::Bytes;
+use isopeel_codec::chunk::{Coding, PrefixId, with_prefix};
+use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
+use isopeel_codec::predictive;
 use isopeel_kernels::Region;
+use isopeel_volumes::{DatasetKey, VolumeStep};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use tokio_util::sync::CancellationToken;
@@ -12,10 +16,6 @@ use super::{ANY_LINE_BYTES, MAX_LINE_FACTOR, MIN_LINE_PART, Outcome};
 use crate::extraction::{Refinement, Shown, Step, WorkError};
 use crate::metrics;
 use crate::pool;
-use isopeel_codec::chunk::{Coding, PrefixId, with_prefix};
-use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
-use isopeel_codec::predictive;
-use isopeel_volumes::{DatasetKey, VolumeStep};
 
 /// The regions that a client holds, by their positions.
 pub(in crate::stream) type HeldRegions = FxHashMap<[u32; 3], HeldRegion>;

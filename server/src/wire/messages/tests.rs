@@ -1,3 +1,5 @@
+use isopeel_codec::chunk::ChunkKind;
+use isopeel_view::quality::MesherName;
 use proptest::prelude::*;
 
 use super::{Annotation, Capabilities, ClientMessage, RegionError, ServerMessage, SurfaceEdit};
@@ -5,8 +7,6 @@ use crate::extraction::{
     Curve, CurvePoint, Distribution, FieldValue, LeafKind, MeasuredError, NearestLeaf, NearestSurface, NoValue,
     Preparation, Probe, Question,
 };
-use isopeel_codec::chunk::ChunkKind;
-use isopeel_view::quality::MesherName;
 
 #[test]
 fn messages_parse_as_in_the_protocol_page() {

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use axum::body::Bytes;
 use futures_util::{SinkExt, StreamExt};
+use isopeel_view::Edit;
 use serde::{Deserialize, Serialize};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, timeout, timeout_at};
@@ -15,7 +16,6 @@ use tokio_tungstenite::tungstenite::{self, Message, Utf8Bytes};
 
 use super::StreamError;
 use crate::wire::messages::SUBPROTOCOL;
-use isopeel_view::Edit;
 
 /// Longest wait for a frame: a volume of many gigabytes is read and uploaded meanwhile.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(300);

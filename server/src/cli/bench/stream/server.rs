@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 
+use isopeel_volumes::{Catalog, Dataset};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -11,7 +12,6 @@ use crate::access::Access;
 use crate::cli::device::DeviceArgs;
 use crate::extraction::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
-use isopeel_volumes::{Catalog, Dataset};
 
 /// A server of one dataset.
 pub struct Server {

@@ -2,14 +2,14 @@
 
 use std::time::Duration;
 
+use isopeel_codec::chunk::{ChunkKind, decode_errors};
+use isopeel_kernels::DistanceOf;
 use serde_json::json;
 
 use super::scripted::{Answer as Made, shapes};
 use super::viewer::Viewer;
 use crate::extraction::{Answer, Curve, CutId, LeafKind, Probe, Question, VertexErrors, WorkError};
 use crate::stream::session::Outgoing;
-use isopeel_codec::chunk::{ChunkKind, decode_errors};
-use isopeel_kernels::DistanceOf;
 
 impl super::scripted::Asked {
     fn answer(self) {

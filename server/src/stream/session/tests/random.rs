@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 
 use futures_util::future::join_all;
 use isopeel_kernels::Region;
+use isopeel_view::View;
+use isopeel_view::quality::{Budget, TriangleBudget};
 
 use super::super::draw_pause::DRAW_PAUSE;
 use super::super::rest::REST_AFTER;
@@ -16,8 +18,6 @@ use super::scripted::{Answer, Job, shapes};
 use super::viewer::Viewer;
 use crate::extraction::{FullCount, Measurement, Refinement, WorkError};
 use client::Client;
-use isopeel_view::View;
-use isopeel_view::quality::{Budget, TriangleBudget};
 
 /// A linear congruential generator.
 struct Random(u64);

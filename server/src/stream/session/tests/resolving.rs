@@ -1,5 +1,7 @@
 //! Views and time steps come into force when they are resolved; invalid ones never do.
 
+use isopeel_view::quality::{Budget, TriangleBudget};
+use isopeel_view::{EditError, View};
 use serde_json::json;
 
 use super::super::Common;
@@ -7,8 +9,6 @@ use super::scripted::{Answer, Job, resolved, shapes};
 use super::viewer::Viewer;
 use crate::access::Identity;
 use crate::extraction::{Shown, WorkError};
-use isopeel_view::quality::{Budget, TriangleBudget};
-use isopeel_view::{EditError, View};
 
 const FEATURE: &str = r#"{"type":"edit","feature":"mean-curvature"}"#;
 

@@ -4,6 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Vertex};
+use isopeel_view::View;
+use isopeel_volumes::{Dataset, VolumeStep, testing};
 use serde_json::value::RawValue;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
@@ -13,8 +15,6 @@ use crate::extraction::{
     self, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
 };
 use crate::stream::backend::{Backend, Opening};
-use isopeel_view::View;
-use isopeel_volumes::{Dataset, VolumeStep, testing};
 
 fn dataset(id: &str) -> Arc<Dataset> {
     Arc::new(Dataset {

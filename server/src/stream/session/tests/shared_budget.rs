@@ -1,11 +1,12 @@
 //! The budget that several surfaces share.
 
+use isopeel_view::View;
+use isopeel_view::quality::{Budget, TriangleBudget};
+
 use super::scripted::{Answer, shapes};
 use super::surfaces::iso;
 use super::viewer::{Viewer, committed_of, prefix, prefix_of};
 use crate::extraction::{CutId, Shown, WorkError};
-use isopeel_view::View;
-use isopeel_view::quality::{Budget, TriangleBudget};
 
 /// The budget of triangles in a view.
 fn triangles(view: &View) -> u64 {

@@ -2,6 +2,9 @@
 
 use std::time::Duration;
 
+use isopeel_codec::chunk::DecodedChunk;
+use isopeel_codec::decode::decode;
+use isopeel_view::View;
 use serde_json::Value;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
@@ -12,9 +15,6 @@ use super::scripted::{Answer, Asked, Job, Scripted, shapes};
 use crate::access::Identity;
 use crate::extraction::{FullCount, Measurement, Refinement};
 use crate::stream::backend::Opening;
-use isopeel_codec::chunk::DecodedChunk;
-use isopeel_codec::decode::decode;
-use isopeel_view::View;
 
 /// The other end of a session.
 pub(super) struct Viewer {
