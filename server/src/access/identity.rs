@@ -41,12 +41,12 @@ enum Holds {
     /// Until the session ends.
     SignedIn(SignedIn),
     /// For minutes, and at most as long as the token that delegated it is valid.
-    Lent(Lent),
+    Delegated(Delegated),
 }
 
 /// A token that its lender has delegated. Its holder acts as the lender's user. Clones are the same token.
 #[derive(Clone, Debug)]
-pub(super) struct Lent {
+pub(super) struct Delegated {
     pub id: Arc<str>,
     pub roles: Roles,
     /// Time at which it expires, in seconds of Unix time.
@@ -54,7 +54,7 @@ pub(super) struct Lent {
     pub lender: Arc<Identity>,
 }
 
-impl Lent {
+impl Delegated {
     pub(super) fn is_valid(&self) -> bool {
         now() < self.expires && self.lender.is_valid()
     }
@@ -99,12 +99,12 @@ impl Identity {
     }
 
     /// The holder of a delegated token. They see the same volumes as the lender's user.
-    pub(super) fn of_lent(lent: Lent) -> Self {
+    pub(super) fn of_lent(lent: Delegated) -> Self {
         Self {
             user: Arc::clone(&lent.lender.user),
             token: Arc::clone(&lent.id),
             roles: lent.roles,
-            holds: Holds::Lent(lent),
+            holds: Holds::Delegated(lent),
             address: None,
         }
     }
@@ -139,7 +139,7 @@ impl Identity {
 
     /// Whether the token was delegated.
     pub(super) fn is_lent(&self) -> bool {
-        matches!(self.holds, Holds::Lent(..))
+        matches!(self.holds, Holds::Delegated(..))
     }
 
     /// Returns the seconds until the token or session expires; `None` if it has no expiry.
@@ -148,7 +148,7 @@ impl Identity {
             Holds::Always => return None,
             Holds::Named(token, _) => token.expires?,
             Holds::SignedIn(session) => session.expires,
-            Holds::Lent(lent) => {
+            Holds::Delegated(lent) => {
                 let own = lent.expires.saturating_sub(now());
                 return Some(lent.lender.expires_seconds().map_or(own, |seconds| seconds.min(own)));
             }
@@ -185,7 +185,7 @@ impl Identity {
                 is_there && !token.has_expired(now())
             }
             Holds::SignedIn(session) => session.is_valid(),
-            Holds::Lent(lent) => lent.is_valid(),
+            Holds::Delegated(lent) => lent.is_valid(),
         }
     }
 
@@ -203,7 +203,7 @@ impl Identity {
                 }
                 return;
             }
-            Holds::Lent(lent) => {
+            Holds::Delegated(lent) => {
                 let lender = Box::pin(lent.lender.ended());
                 let own = async {
                     while lent.is_valid() {

@@ -11,10 +11,10 @@
 //! The `audit` log records what was done and what was refused. `policy` states what browsers may do with the server's own pages.
 
 mod audit;
+mod delegated;
 pub mod gate;
 mod host;
 mod identity;
-mod lent;
 mod named;
 mod oidc;
 mod origin;
@@ -34,9 +34,9 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 pub use audit::{Audit, AuditError};
+pub use delegated::{DEFAULT_SECONDS as DEFAULT_LENT_SECONDS, DelegateError};
 pub use host::PublicUrl;
 pub use identity::{Identity, OPERATOR};
-pub use lent::{DEFAULT_SECONDS as DEFAULT_LENT_SECONDS, LendError};
 pub use named::{NamedToken, NewToken, TokenFile, TokenFileError};
 pub use oidc::{GroupRoles, Oidc, OidcError, OidcOptions};
 pub use origin::AllowedOrigin;

@@ -6,8 +6,8 @@ use axum::http::HeaderValue;
 use axum::http::header::{AUTHORIZATION, COOKIE, HeaderMap};
 use tokio::sync::watch;
 
+use super::delegated::DelegatedTokens;
 use super::identity::Identity;
-use super::lent::LentTokens;
 use super::named::{NamedToken, NamedTokens, now};
 use super::signed_in::Sessions;
 use super::token::{Hash, Token, cookie_value, id_of};
@@ -37,7 +37,7 @@ pub(super) struct Proofs {
     /// Sessions of users who have signed in through an issuer.
     sessions: Sessions,
     /// Delegated tokens.
-    lent: LentTokens,
+    lent: DelegatedTokens,
 }
 
 impl Proofs {
@@ -48,7 +48,7 @@ impl Proofs {
             start: Identity::of_start("start"),
             named: None,
             sessions: Sessions::default(),
-            lent: LentTokens::default(),
+            lent: DelegatedTokens::default(),
         }
     }
 
@@ -58,7 +58,7 @@ impl Proofs {
     }
 
     /// Returns the delegated tokens.
-    pub(super) fn lent(&self) -> &LentTokens {
+    pub(super) fn lent(&self) -> &DelegatedTokens {
         &self.lent
     }
 

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use isopeel_kernels::{Engine, SampleType};
 
-use crate::device::{DeviceFailure, Prepared, Proven, Rest, Unprepared, Wanted, cache, prepare};
+use crate::device::{DeviceFailure, DeviceRequest, PendingCheck, Prepared, Proven, Unprepared, cache, prepare};
 use crate::extraction::{Choice, DeviceOptions, NoChoice, Report};
 
 /// Arguments of commands that use a device.
@@ -54,8 +54,8 @@ pub enum NoDevice {
 }
 
 impl DeviceArgs {
-    fn wanted(&self, types: Vec<SampleType>, early: bool) -> Wanted {
-        Wanted {
+    fn wanted(&self, types: Vec<SampleType>, early: bool) -> DeviceRequest {
+        DeviceRequest {
             selector: self.device.clone(),
             types,
             trusts: self.trust_device,
@@ -145,7 +145,7 @@ impl DeviceArgs {
 
 /// Goes on with a check, whose proven programs are returned. If the device fails, the server ends, or another process
 /// with the `next` environment takes its place.
-fn checked_meanwhile(rest: Rest, report: Report, next: NextEnvironment) -> Arc<Proven> {
+fn checked_meanwhile(rest: PendingCheck, report: Report, next: NextEnvironment) -> Arc<Proven> {
     let proven = Arc::new(Proven::default());
     let found = Arc::clone(&proven);
     // Children end with the thread that started them: the caller's, which is the device's.

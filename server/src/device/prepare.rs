@@ -18,7 +18,7 @@ const CHOSEN: &str = "ISOPEEL_DEVICE_CHOSEN";
 
 /// Requirements on a device.
 #[derive(Clone, Debug, Default)]
-pub struct Wanted {
+pub struct DeviceRequest {
     /// Index of the device, or part of its name; `None`: the first device that passes.
     pub selector: Option<String>,
     /// Sample types that the device must support.
@@ -39,7 +39,7 @@ pub struct Prepared {
     /// How its kernels are built and launched; `None`: by default.
     pub tuning: Option<Tuning>,
     /// The rest of the check, which still runs.
-    pub rest: Option<Rest>,
+    pub rest: Option<PendingCheck>,
 }
 
 /// Why this process cannot open a device.
@@ -117,17 +117,17 @@ struct Search {
 }
 
 /// A device that passed.
-struct Found {
+struct Selection {
     device: DeviceInfo,
     workaround: Workaround,
     /// Environment variables with which a process sees the listed devices.
     environment: Environment,
-    rest: Option<Rest>,
+    rest: Option<PendingCheck>,
 }
 
 impl Search {
     /// Finds the first candidate that passes. `early`: a first surface suffices, and the rest of the check continues.
-    fn next(mut self, early: bool, progress: &dyn Fn(usize, usize)) -> Result<Found, DeviceFailure> {
+    fn next(mut self, early: bool, progress: &dyn Fn(usize, usize)) -> Result<Selection, DeviceFailure> {
         while let Some(device) = self.candidates.pop_front() {
             let id = DeviceId::of(&device);
             let tried = std::mem::take(&mut self.tried);
@@ -154,19 +154,19 @@ impl Search {
             let (environment, tried) = (self.environment.clone(), checked.tried);
             self.candidates.push_front(device.clone());
             let search = Self { tried, ..self };
-            return Ok(Found {
+            return Ok(Selection {
                 device,
                 workaround,
                 environment,
-                rest: Some(Rest { child, search }),
+                rest: Some(PendingCheck { child, search }),
             });
         }
         let report = self.refused.join("\n");
         Err(DeviceFailure::Unreliable { report })
     }
 
-    fn found(self, device: DeviceInfo, workaround: Workaround) -> Found {
-        Found {
+    fn found(self, device: DeviceInfo, workaround: Workaround) -> Selection {
+        Selection {
             device,
             workaround,
             environment: self.environment,
@@ -176,13 +176,13 @@ impl Search {
 }
 
 /// The rest of a check that runs while a device is in use.
-pub struct Rest {
+pub struct PendingCheck {
     child: Building,
     /// Continues if the check fails. Its first candidate is the device in use, and its last `tried` way is the one in use.
     search: Search,
 }
 
-impl Rest {
+impl PendingCheck {
     /// Waits for the end of the check, and stores the verdict. `passed` receives the programs that have passed.
     ///
     /// # Errors
@@ -228,7 +228,7 @@ struct Chosen {
 ///
 /// # Errors
 /// [`Unprepared`].
-pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepared, Unprepared> {
+pub fn prepare(wanted: &DeviceRequest, progress: &dyn Fn(usize, usize)) -> Result<Prepared, Unprepared> {
     if let Some(chosen) = chosen_before() {
         return Ok(prepared_as(chosen));
     }
@@ -253,7 +253,7 @@ pub fn prepare(wanted: &Wanted, progress: &dyn Fn(usize, usize)) -> Result<Prepa
         });
     };
     if wanted.trusts {
-        let trusted = Found {
+        let trusted = Selection {
             device: first.clone(),
             workaround: Workaround::None,
             environment: listed.environment,
@@ -321,7 +321,7 @@ fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround, types: &
 }
 
 /// Returns the devices that may be used, the preferred one first.
-fn candidates(wanted: &Wanted, listed: &Listed) -> VecDeque<DeviceInfo> {
+fn candidates(wanted: &DeviceRequest, listed: &Listed) -> VecDeque<DeviceInfo> {
     let Some(selector) = &wanted.selector else {
         return listed.devices.iter().cloned().collect();
     };
@@ -391,12 +391,12 @@ fn pair(variable: Option<(&str, &str)>) -> Option<(String, String)> {
     variable.map(|(name, value)| (name.to_owned(), value.to_owned()))
 }
 
-impl Found {
+impl Selection {
     /// Returns the device, if this process can open it.
     ///
     /// # Errors
     /// [`Unprepared::NewProcess`], if the device needs environment variables that this process does not have; or the error of
-    /// [`Rest::wait`].
+    /// [`PendingCheck::wait`].
     fn prepared(mut self) -> Result<Prepared, Unprepared> {
         let mut needed = self
             .environment

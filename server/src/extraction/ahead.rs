@@ -10,7 +10,7 @@ use super::WorkError;
 use super::grids::padded_grid;
 use super::keys::{Masking, VolumeKey, view_keys, with_inputs};
 use super::open_steps::Held;
-use super::turns::{Caller, Length};
+use super::scheduler::{Caller, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 

@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 use super::WorkError;
 use super::keys::{HistogramKey, VolumeKey};
 use super::pins;
-use super::turns::{Caller, Length, Turn};
+use super::scheduler::{Caller, JobContext, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 
@@ -75,7 +75,7 @@ impl DeviceWorker {
     ) -> Result<T, WorkError>
     where
         T: Send + 'static,
-        F: Fn(&mut WorkerState, &VolumeStep, &mut Turn<'_, WorkerState>) -> Result<T, JobError>
+        F: Fn(&mut WorkerState, &VolumeStep, &mut JobContext<'_, WorkerState>) -> Result<T, JobError>
             + Clone
             + Send
             + 'static,
@@ -87,7 +87,7 @@ impl DeviceWorker {
         };
         for _ in 0..attempts {
             let (job, step) = (job.clone(), volume.clone());
-            let outcome = self.run_when_proven(token, caller, length, move |state, turn| job(state, &step, turn));
+            let outcome = self.run_when_proven(token, caller, length, move |state, context| job(state, &step, context));
             match outcome.await {
                 Ok(value) => return Ok(value),
                 Err(JobError::TakesLong) => length = caller.long(),

@@ -9,7 +9,7 @@ use isopeel_volumes::{ReadProgress, VolumeStep};
 
 use super::WorkError;
 use super::keys::{Recipe, VolumeKey, values_inside};
-use super::turns::{Aside, Turn};
+use super::scheduler::{JobContext, JobTimes};
 use super::user_time::Payer;
 use super::worker_state::{JobError, WorkerState};
 
@@ -24,7 +24,7 @@ impl WorkerState {
         key: &VolumeKey,
         progress: &ReadProgress,
         payer: Option<&Payer>,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
     ) -> Result<bool, JobError> {
         let Some((recipe, inputs)) = key.recipe(volume).filter(|_| !self.is_resident(key)) else {
             return Ok(true);
@@ -46,9 +46,9 @@ impl WorkerState {
         let engine = Rc::clone(self.engine());
         let take_times = || engine.take_times().unwrap_or_default();
         let world = volume.dataset().smallest_length() as f32;
-        let (start, aside) = (Instant::now(), Aside::default());
-        let is_over = || limit.is_over(aside.own_time(start));
-        let computed = turn.run(self, &take_times, &aside, |cancel| {
+        let (start, job_times) = (Instant::now(), JobTimes::default());
+        let is_over = || limit.is_over(job_times.own_time(start));
+        let computed = context.run(self, &take_times, &job_times, |cancel| {
             let cancel = &Wanted {
                 cancel,
                 progress,
@@ -65,7 +65,7 @@ impl WorkerState {
                 Recipe::Expression(found) => engine.evaluate(&found.expression, &fields, cancel).map(Some),
             }
         });
-        let time = aside.own_time(start);
+        let time = job_times.own_time(start);
         if let Some(payer) = payer {
             payer.take(time, Instant::now());
         }

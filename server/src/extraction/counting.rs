@@ -6,7 +6,7 @@ use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
-use super::turns::{Caller, Length, Turn};
+use super::scheduler::{Caller, JobContext, Length};
 use super::worker_state::{JobError, Nodes, WorkerState};
 use super::{DeviceWorker, FullCount, WorkError};
 
@@ -27,7 +27,7 @@ impl DeviceWorker {
             token,
             Caller::Viewer,
             Length::Short,
-            move |state, volume, turn| state.count(volume, &mut view.clone(), turn),
+            move |state, volume, context| state.count(volume, &mut view.clone(), context),
         )
         .await
     }
@@ -38,10 +38,10 @@ impl WorkerState {
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
     ) -> Result<FullCount, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, turn, |on, _, _| {
+        self.with_pyramid(volume, view, Nodes::All, context, |on, _, _| {
             Ok(FullCount {
                 triangles: on.pyramid.full_triangles(),
                 stages: on.new_pyramid_stages().to_vec(),

@@ -17,7 +17,7 @@ use tokio::sync::{mpsc, watch};
 use super::lock::lock;
 use super::memory::{ThreadMemory, resident_bytes};
 use super::pins::Pins;
-use super::turns::{Job, Queue};
+use super::scheduler::{Job, Queue};
 use super::worker_state::{Histograms, JobError, WorkerState};
 use super::{OpenError, WorkError};
 use crate::device::{Proven, cache};

@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 use super::byte_search::{Trial, best, next_triangles};
 use super::host_memory::HostMemory;
 use super::results::Making;
-use super::turns::{Caller, Length};
+use super::scheduler::{Caller, Length};
 use super::{
     DeviceWorker, ExportWork, Extraction, FullCount, Measurement, Measuring, Refinement, Refining, Step, WorkError,
 };

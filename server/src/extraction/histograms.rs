@@ -10,7 +10,7 @@ use super::WorkError;
 use super::attempts::Failures;
 use super::keys::{HistogramKey, feature_keys};
 use super::lock::lock;
-use super::turns::{Caller, Length, Turn};
+use super::scheduler::{Caller, JobContext, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::metrics;
@@ -54,7 +54,7 @@ impl DeviceWorker {
         let never = CancellationToken::new();
         // Loads the histogram's fields first, so that each caller sees the progress of the loads.
         let own = key.clone();
-        let require = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut Turn<'_, WorkerState>| {
+        let require = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut JobContext<'_, WorkerState>| {
             state.use_histogram_fields(volume, &own)
         };
         self.with_volumes(volume, &never, Caller::Viewer, Length::Short, require)

@@ -6,7 +6,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
 use super::host_memory::{HostMemory, trim_heaps};
-use super::turns::{Caller, Length};
+use super::scheduler::{Caller, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
 

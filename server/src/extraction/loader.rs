@@ -14,7 +14,7 @@ use super::computed::nothing_inside;
 use super::grids::padded_grid;
 use super::host_memory::HostMemory;
 use super::keys::{VolumeKey, values_inside};
-use super::turns::{Caller, Length, Turn};
+use super::scheduler::{Caller, JobContext, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::fields;
@@ -203,7 +203,7 @@ impl DeviceWorker {
                 &never,
                 Caller::Cache,
                 Length::Field,
-                move |state, volume, turn| state.compute(volume, &key, &progress, payer.as_ref(), turn),
+                move |state, volume, context| state.compute(volume, &key, &progress, payer.as_ref(), context),
             )
             .await
         })
@@ -273,7 +273,7 @@ impl DeviceWorker {
         job: impl FnOnce(&mut WorkerState) -> Result<T, JobError> + Send + 'static,
     ) -> Result<T, WorkError> {
         let never = CancellationToken::new();
-        let work = move |state: &mut WorkerState, _: &mut Turn<'_, WorkerState>| job(state);
+        let work = move |state: &mut WorkerState, _: &mut JobContext<'_, WorkerState>| job(state);
         Ok(self.run(&never, Caller::Cache, Length::Short, work).await?)
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens the device, and reopens it after it was lost;
 //!   `attempts` runs a job until it has a result; `worker_state` is the state of this thread: resident data, by `keys` and
-//!   `identity`, in caches (`residency`; `cuts` that clients show), on `grids`. `turns` runs other jobs when a long job yields. `loader`
+//!   `identity`, in caches (`residency`; `cuts` that clients show), on `grids`. `scheduler` runs other jobs when a long job yields. `loader`
 //!   brings fields onto the device, in `uploads`; `loading` is their progress.
 //! - `pins`: volumes that must stay while jobs wait for them; `ahead` reads time steps before a viewer reaches them, beside those that
 //!   viewers have open (`open_steps`).
@@ -54,12 +54,12 @@ mod refine;
 mod release;
 mod residency;
 mod results;
+mod scheduler;
 mod shares;
 mod slices;
 mod statistics;
 mod tree_steps;
 mod tree_surfaces;
-mod turns;
 mod unfinished;
 mod uploads;
 mod user_time;

@@ -11,7 +11,7 @@ use super::attempts::Failures;
 use super::keys::VolumeKey;
 use super::lock::lock;
 use super::overview_cache::{OverviewKey, Unfinished};
-use super::turns::{Caller, Length, Turn};
+use super::scheduler::{Caller, JobContext, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, WorkerState};
 use crate::{metrics, pool};
@@ -62,7 +62,7 @@ impl DeviceWorker {
     ) -> Result<(), WorkError> {
         let never = CancellationToken::new();
         let own = key.clone();
-        let require = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut Turn<'_, WorkerState>| {
+        let require = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut JobContext<'_, WorkerState>| {
             state.use_field(volume, &own)
         };
         self.with_volumes(volume, &never, Caller::Request, Length::Short, require)

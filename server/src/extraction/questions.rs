@@ -15,8 +15,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::decisions::TreeCut;
 use super::keys::VolumeKey;
+use super::scheduler::{Caller, JobContext, Length};
 use super::statistics::in_world;
-use super::turns::{Caller, Length, Turn};
 use super::worker::DeviceWorker;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, WorkError};
@@ -84,8 +84,8 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Answer, WorkError> {
         let shown = shown.cloned();
-        let job = move |state: &mut WorkerState, volume: &VolumeStep, turn: &mut Turn<'_, WorkerState>| {
-            state.answer(volume, shown.as_ref(), question, turn)
+        let job = move |state: &mut WorkerState, volume: &VolumeStep, context: &mut JobContext<'_, WorkerState>| {
+            state.answer(volume, shown.as_ref(), question, context)
         };
         let length = match question {
             Question::VertexErrors(_) => Length::Rest,
@@ -101,24 +101,24 @@ impl WorkerState {
         volume: &VolumeStep,
         shown: Option<&ShownSurface>,
         question: Question,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
     ) -> Result<Answer, JobError> {
         match (question, shown) {
-            (Question::Probe(position), shown) => Ok(Answer::Probe(self.probe(volume, shown, position, turn)?)),
+            (Question::Probe(position), shown) => Ok(Answer::Probe(self.probe(volume, shown, position, context)?)),
             (_, None) => Err(WorkError::NothingShown.into()),
             (Question::Distribution(bins), Some(shown)) => {
-                let counts = self.of_shown(volume, shown, turn, |on, params, cut, _| {
+                let counts = self.of_shown(volume, shown, context, |on, params, cut, _| {
                     let counts = on.engine.distribution(on.volume, on.pyramid, params, cut, bins)?;
                     Ok((kind_of(cut), counts))
                 })?;
                 Ok(Answer::Distribution(distribution(counts)))
             }
             (Question::VertexErrors(of), Some(shown)) => {
-                Ok(Answer::VertexErrors(self.vertex_errors(volume, shown, of, turn)?))
+                Ok(Answer::VertexErrors(self.vertex_errors(volume, shown, of, context)?))
             }
             (Question::Curve, Some(shown)) => {
                 let by_error = shown.view.is_by_error();
-                let curve = self.of_shown(volume, shown, turn, |on, params, cut, cancel| {
+                let curve = self.of_shown(volume, shown, context, |on, params, cut, cancel| {
                     // If the full surface is within the budget, nothing has been merged.
                     let tolerance = by_error.then(|| params.tolerance.unwrap_or(0.0));
                     let params = CutParams {
@@ -145,7 +145,7 @@ impl WorkerState {
         volume: &VolumeStep,
         shown: Option<&ShownSurface>,
         position: [f64; 3],
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
     ) -> Result<Probe, JobError> {
         let Some(index) = index_of(volume, position) else {
             return Ok(Probe {
@@ -157,7 +157,7 @@ impl WorkerState {
         };
         let nearest = match shown {
             None => None,
-            Some(shown) => self.of_shown(volume, shown, turn, |on, params, cut, _| {
+            Some(shown) => self.of_shown(volume, shown, context, |on, params, cut, _| {
                 let view = &shown.view;
                 let found = on.engine.probe(on.volume, on.pyramid, params, index, Some(cut))?;
                 Ok(found.map(|found| NearestSurface {
@@ -190,10 +190,10 @@ impl WorkerState {
         volume: &VolumeStep,
         shown: &ShownSurface,
         of: DistanceOf,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
     ) -> Result<Vec<VertexErrors>, JobError> {
         let mut view = shown.view.clone();
-        self.with_pyramid(volume, &mut view, Nodes::All, turn, |on, view, cancel| {
+        self.with_pyramid(volume, &mut view, Nodes::All, context, |on, view, cancel| {
             let is_tree_cut = view.is_by_error() && view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             let of_tree = match is_tree_cut {
                 true => on.tree_surface(&mut view.clone(), u64::MAX, false, cancel)?,
@@ -245,11 +245,11 @@ impl WorkerState {
         &mut self,
         volume: &VolumeStep,
         shown: &ShownSurface,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
         work: impl Fn(&OnDevice<'_>, &CutParams, &ShownCut<'_>, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
         let mut view = shown.view.clone();
-        self.with_pyramid(volume, &mut view, Nodes::All, turn, |on, view, cancel| {
+        self.with_pyramid(volume, &mut view, Nodes::All, context, |on, view, cancel| {
             let params = on.params_of(view);
             if view.is_by_error()
                 && view.fitted.is_some_and(|fitted| fitted.is_tree_cut)

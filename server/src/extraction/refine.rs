@@ -21,8 +21,8 @@ use isopeel_volumes::VolumeStep;
 
 use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
 use super::decisions::Decided;
+use super::scheduler::JobContext;
 use super::tree_steps;
-use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, Shown, Step, WorkError};
 
@@ -69,10 +69,10 @@ impl WorkerState {
         view: &mut View,
         step: Step,
         ceiling_triangles: u64,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
     ) -> Result<Refinement, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, turn, |on, view, cancel| {
+        self.with_pyramid(volume, view, Nodes::All, context, |on, view, cancel| {
             let is_first = step.shown == Shown::Another && step.target.is_none();
             let full = on.pyramid.full_triangles();
             let builds_tree = on.builds_tree_soon();

@@ -3,7 +3,7 @@
 use isopeel_volumes::{StepKey, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
-use super::turns::{Caller, Length};
+use super::scheduler::{Caller, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
 

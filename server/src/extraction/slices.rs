@@ -6,7 +6,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::WorkError;
 use super::keys::VolumeKey;
-use super::turns::{Caller, Length, Turn};
+use super::scheduler::{Caller, JobContext, Length};
 use super::worker::DeviceWorker;
 use super::worker_state::WorkerState;
 
@@ -46,7 +46,7 @@ impl DeviceWorker {
         let mut pieces = Vec::new();
         for first in (0..depth).step_by(planes as usize) {
             let key = VolumeKey::new(volume, field, false);
-            let job = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut Turn<'_, WorkerState>| {
+            let job = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut JobContext<'_, WorkerState>| {
                 state.use_field(volume, &key)?;
                 let resident = state.resident(&key).ok_or(WorkError::Stopped)?;
                 Ok(state.engine().download(resident, first..depth.min(first + planes))?)
@@ -64,7 +64,7 @@ impl DeviceWorker {
     /// [`WorkError`].
     pub async fn slice(&self, volume: &VolumeStep, field: &str, axis: usize, index: u32) -> Result<Slice, WorkError> {
         let key = VolumeKey::new(volume, field, false);
-        let job = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut Turn<'_, WorkerState>| {
+        let job = move |state: &mut WorkerState, volume: &VolumeStep, _: &mut JobContext<'_, WorkerState>| {
             state.use_field(volume, &key)?;
             let resident = state.resident(&key).ok_or(WorkError::Stopped)?;
             Ok(Slice {

@@ -15,8 +15,8 @@ use super::decisions::{Decided, TreeCut, lesser};
 use super::intersections::{CapFaces, intersecting_vertices};
 use super::questions::index_inside;
 use super::results::{Making, Refining};
+use super::scheduler::JobContext;
 use super::tree_steps::TreePrefix;
-use super::turns::Turn;
 use super::worker_state::{JobError, Nodes, OnDevice, WorkerState};
 use super::{CutId, Refinement, WorkError};
 use crate::metrics;
@@ -31,10 +31,10 @@ impl WorkerState {
         volume: &VolumeStep,
         view: &mut View,
         ceiling_triangles: u64,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
     ) -> Result<Option<Refinement>, JobError> {
         let start = Instant::now();
-        self.with_pyramid(volume, view, Nodes::All, turn, |on, view, cancel| {
+        self.with_pyramid(volume, view, Nodes::All, context, |on, view, cancel| {
             Ok(match on.tree_surface(view, ceiling_triangles, false, cancel)? {
                 TreeCut::Made(surface) => Some(on.tree_refinement(surface, view, on.own_time(start))),
                 TreeCut::Refused(_) | TreeCut::NoTree => None,

@@ -2,7 +2,7 @@
 //!
 //! The OpenCL context stays on one named thread; [`DeviceWorker`] is a cheap handle to it. The queue is first in, first out, and a job is
 //! short (one slice of a histogram, one prefix). A caller queues a new job for each further prefix, so viewers take turns and none starves.
-//! A long job, such as building a vertex tree, measuring an error or an export, yields to waiting jobs (`turns`).
+//! A long job, such as building a vertex tree, measuring an error or an export, yields to waiting jobs (`scheduler`).
 //!
 //! Files are read on tokio's blocking pool, never on the device's thread: a job whose volumes are not resident fails with
 //! [`JobError::NotResident`]. Its caller then loads the volumes and queues the job again.
@@ -29,7 +29,7 @@ use super::overview_cache::Overviews;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::results::{Making, Refining};
-use super::turns::{Caller, Job, Length, Permits, Queue, Turn, job_labels};
+use super::scheduler::{Caller, Job, JobContext, Length, Permits, Queue, job_labels};
 use super::unfinished::Unfinished;
 use super::user_time::{Payer, UserTimes};
 use super::worker_state::{Histograms, JobError, WorkerState, no_finite_sample};
@@ -364,8 +364,8 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, caller, caller.long(), move |state, volume, turn| {
-            state.extract(volume, &view, making, turn)
+        self.with_volumes(volume, token, caller, caller.long(), move |state, volume, context| {
+            state.extract(volume, &view, making, context)
         })
         .await
     }
@@ -383,8 +383,8 @@ impl DeviceWorker {
         token: &CancellationToken,
     ) -> Result<Option<Measurement>, WorkError> {
         let view = view.clone();
-        self.with_volumes(volume, token, caller, length, move |state, volume, turn| {
-            state.measure(volume, &mut view.clone(), turn)
+        self.with_volumes(volume, token, caller, length, move |state, volume, context| {
+            state.measure(volume, &mut view.clone(), context)
         })
         .await
     }
@@ -408,7 +408,7 @@ impl DeviceWorker {
             token,
             Caller::Viewer,
             Length::Short,
-            move |state, volume, turn| state.refine(volume, &mut view.clone(), step, ceiling_triangles, turn),
+            move |state, volume, context| state.refine(volume, &mut view.clone(), step, ceiling_triangles, context),
         )
         .await
     }
@@ -431,7 +431,7 @@ impl DeviceWorker {
             token,
             Caller::Viewer,
             Length::Rest,
-            move |state, volume, turn| state.improve(volume, &mut view.clone(), ceiling_triangles, turn),
+            move |state, volume, context| state.improve(volume, &mut view.clone(), ceiling_triangles, context),
         )
         .await
     }
@@ -448,7 +448,7 @@ impl DeviceWorker {
     ) -> Result<T, JobError>
     where
         T: Send + 'static,
-        F: FnOnce(&mut WorkerState, &mut Turn<'_, WorkerState>) -> Result<T, JobError> + Send + 'static,
+        F: FnOnce(&mut WorkerState, &mut JobContext<'_, WorkerState>) -> Result<T, JobError> + Send + 'static,
     {
         if matches!(self.state(), DeviceState::Lost | DeviceState::Spoiled) {
             return Err(WorkError::Reopening.into());
@@ -471,7 +471,7 @@ impl DeviceWorker {
                 Err(WorkError::Cancelled.into())
             } else {
                 let (token, others) = (asked, (length != Length::Short).then_some(queue));
-                let outcome = job(state, &mut Turn { token, length, others });
+                let outcome = job(state, &mut JobContext { token, length, others });
                 outcome.map_err(|error| {
                     let error = state.look_for_loss(error);
                     state.look_for_unproven(error)
@@ -508,7 +508,7 @@ impl DeviceWorker {
     ) -> Result<T, JobError>
     where
         T: Send + 'static,
-        F: FnOnce(&mut WorkerState, &mut Turn<'_, WorkerState>) -> Result<T, JobError> + Clone + Send + 'static,
+        F: FnOnce(&mut WorkerState, &mut JobContext<'_, WorkerState>) -> Result<T, JobError> + Clone + Send + 'static,
     {
         loop {
             let (program, proven) = match self.run(token, caller, length, job.clone()).await {

@@ -26,8 +26,8 @@ use super::memory::ThreadMemory;
 use super::pins::Pins;
 use super::residency::Lru;
 use super::results::{Making, Refining};
+use super::scheduler::{JobContext, JobTimes};
 use super::shares::Shares;
-use super::turns::{Aside, Turn};
 use super::{Extraction, Measurement, WorkError};
 use crate::dataset_views::view_space;
 use crate::device::Proven;
@@ -98,7 +98,7 @@ pub(super) struct OnDevice<'a> {
     was_cached: bool,
     /// Whether the job yields to waiting jobs. Only such a job may take long.
     pub yields: bool,
-    aside: &'a Aside,
+    job_times: &'a JobTimes,
     /// Parameters of the view as it was before the job.
     pub params: CutParams,
     /// Smallest spacing: the unit of lengths on the device, world units.
@@ -115,7 +115,7 @@ impl OnDevice<'_> {
 
     /// Returns the time since `start`, without the time that other jobs took while this job yielded.
     pub(super) fn own_time(&self, start: Instant) -> Duration {
-        self.aside.own_time(start)
+        self.job_times.own_time(start)
     }
 
     /// Makes the final surface, and returns the cost of refining it.
@@ -159,7 +159,7 @@ impl OnDevice<'_> {
     /// come first.
     pub(super) fn with_all_stages(&self, mut surface: Surface) -> Surface {
         let stages = &mut surface.statistics.stages;
-        self.aside.complete(stages);
+        self.job_times.complete(stages);
         stages.splice(0..0, self.new_pyramid_stages().iter().cloned());
         for stage in stages.iter() {
             metrics::stage(stage.stage, stage.milliseconds);
@@ -340,11 +340,11 @@ impl WorkerState {
         volume: &VolumeStep,
         view: &View,
         making: Making,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
     ) -> Result<Extraction, JobError> {
         let (start, mut view) = (Instant::now(), view.clone());
         let (surface, refined, wall) =
-            self.with_pyramid(volume, &mut view, Nodes::OfTheView, turn, |on, view, cancel| {
+            self.with_pyramid(volume, &mut view, Nodes::OfTheView, context, |on, view, cancel| {
                 let (surface, refined) = on.final_surface(view, making, cancel)?;
                 Ok((surface, refined, on.own_time(start)))
             })?;
@@ -363,9 +363,9 @@ impl WorkerState {
         &mut self,
         volume: &VolumeStep,
         view: &mut View,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
     ) -> Result<Option<Measurement>, JobError> {
-        self.with_pyramid(volume, view, Nodes::OfTheView, turn, |on, view, cancel| {
+        self.with_pyramid(volume, view, Nodes::OfTheView, context, |on, view, cancel| {
             let is_tree_cut = view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
             let of_tree = if is_tree_cut {
                 on.measure_tree(view, cancel)?
@@ -397,19 +397,19 @@ impl WorkerState {
         volume: &VolumeStep,
         view: &mut View,
         nodes: Nodes,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
         work: impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
         let keys = self.require(volume, view)?;
         self.resolve(volume, view)?;
-        let _pin = match turn.others {
+        let _pin = match context.others {
             Some(_) => self.pins.try_pin(&self.bytes_of(volume, &keys)?, self.volumes.budget()),
             None => None,
         };
-        match self.try_with_pyramid(volume, view, nodes, turn, &work) {
+        match self.try_with_pyramid(volume, view, nodes, context, &work) {
             Err(JobError::Failed(
                 WorkError::Device(Error::OutOfDeviceMemory { .. }) | WorkError::NoTree(Error::OutOfDeviceMemory { .. }),
-            )) if self.free_all_but(&keys) => self.try_with_pyramid(volume, view, nodes, turn, &work),
+            )) if self.free_all_but(&keys) => self.try_with_pyramid(volume, view, nodes, context, &work),
             outcome => outcome,
         }
     }
@@ -419,7 +419,7 @@ impl WorkerState {
         volume: &VolumeStep,
         view: &mut View,
         nodes: Nodes,
-        turn: &mut Turn<'_, Self>,
+        context: &mut JobContext<'_, Self>,
         work: &impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
     ) -> Result<T, JobError> {
         let iso: Isovalue = view.iso.ok_or_else(no_finite_sample)?;
@@ -442,10 +442,10 @@ impl WorkerState {
         let (engine, cuts, trees) = (Rc::clone(&self.engine), Rc::clone(&self.cuts), Rc::clone(&self.trees));
         // An error is ignored here: if the device failed, the job's next launch reports it.
         let take_times = || engine.take_times().unwrap_or_default();
-        let aside = Aside::default();
+        let job_times = JobTimes::default();
         if !is_cached {
             let feature = self.feature_fields(volume, &view.feature, view.cap)?;
-            let pyramid = turn.run(self, &take_times, &aside, |cancel| match cells_suffice {
+            let pyramid = context.run(self, &take_times, &job_times, |cancel| match cells_suffice {
                 true => engine.build_cells(&shown_volume, feature.get(), iso, cancel),
                 false => engine.build_pyramid(&shown_volume, feature.get(), iso, cancel),
             })?;
@@ -464,13 +464,13 @@ impl WorkerState {
             volume: &shown_volume,
             pyramid: &pyramid,
             was_cached: is_cached,
-            yields: turn.others.is_some(),
-            aside: &aside,
+            yields: context.others.is_some(),
+            job_times: &job_times,
             params,
             smallest,
             index_space,
         };
-        turn.run(self, &take_times, &aside, |cancel| work(&on, view, cancel))
+        context.run(self, &take_times, &job_times, |cancel| work(&on, view, cancel))
     }
 
     /// Returns the keys of the fields that a view uses, and marks the fields as used. Returns an error if one is not resident.

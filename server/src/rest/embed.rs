@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::ApiState;
-use crate::access::{DEFAULT_LENT_SECONDS, Identity, LendError, Role};
+use crate::access::{DEFAULT_LENT_SECONDS, DelegateError, Identity, Role};
 use crate::problem::{ApiError, Problem};
 
 /// Pages that may have the viewer in a frame.
@@ -101,17 +101,17 @@ pub async fn lend(
     Ok((StatusCode::CREATED, [(header::CACHE_CONTROL, "no-store")], Json(made)).into_response())
 }
 
-fn refusal(error: LendError) -> ApiError {
+fn refusal(error: DelegateError) -> ApiError {
     let of = |status, code| ApiError::new(status, code, error.to_string());
     match &error {
-        LendError::NoAuth => of(StatusCode::CONFLICT, "no-auth"),
-        LendError::Lent | LendError::NotOwn(..) => of(StatusCode::FORBIDDEN, "forbidden"),
-        LendError::Role(_) | LendError::NoRoles | LendError::Seconds(_) => {
+        DelegateError::NoAuth => of(StatusCode::CONFLICT, "no-auth"),
+        DelegateError::Delegated | DelegateError::NotOwn(..) => of(StatusCode::FORBIDDEN, "forbidden"),
+        DelegateError::Role(_) | DelegateError::NoRoles | DelegateError::Seconds(_) => {
             of(StatusCode::BAD_REQUEST, "bad-embed-token")
         }
-        LendError::TooMany { wait, .. } => {
+        DelegateError::TooMany { wait, .. } => {
             of(StatusCode::TOO_MANY_REQUESTS, "too-many-embed-tokens").retry_after(*wait)
         }
-        LendError::Random(_) => ApiError::internal(error),
+        DelegateError::Random(_) => ApiError::internal(error),
     }
 }

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use tokio_util::sync::CancellationToken;
 
-use super::shared::{HeldRegion, HeldRegions, Kept, SharedStep};
+use super::shared::{ChunkCache, HeldRegion, HeldRegions, SharedStep};
 use crate::extraction::VertexErrors;
 use crate::pool::{self, Panicked};
 
@@ -75,7 +75,7 @@ impl Part {
         }
     }
 
-    fn encode(self, step: &SharedStep, id: (PrefixId, Coding), kept: &Kept) -> Result<Bytes, EncodeError> {
+    fn encode(self, step: &SharedStep, id: (PrefixId, Coding), kept: &ChunkCache) -> Result<Bytes, EncodeError> {
         match self {
             Self::Made(region) => step.chunk(region, id, kept),
             Self::Gone(coords) => encode::encode_gone(coords, id.0),
@@ -166,7 +166,7 @@ pub(super) async fn encode(
     step: Arc<SharedStep>,
     batch: Vec<Part>,
     id: (PrefixId, Coding),
-    kept: Arc<Kept>,
+    kept: Arc<ChunkCache>,
     token: CancellationToken,
 ) -> Result<Vec<Bytes>, PrefixError> {
     if batch.iter().all(|part| part.is_encoded(&step, id.1)) {

@@ -17,7 +17,7 @@ use axum::http::StatusCode;
 use reqwest::Url;
 
 use self::claims::{Claims, ClaimsError, Expected};
-use self::pending::Pending;
+use self::pending::PendingSignIns;
 use self::provider::{Exchange, Provider, ProviderError, form_value, is_safe};
 use super::PublicUrl;
 use super::role::{Role, Roles};
@@ -103,14 +103,14 @@ impl std::fmt::Debug for OidcOptions {
 pub struct Oidc {
     options: Arc<OidcOptions>,
     provider: Arc<Provider>,
-    pending: Pending,
+    pending: PendingSignIns,
     /// Address at which browsers find the server, with a slash at its end.
     home: Arc<str>,
 }
 
 /// A user whose sign-in the issuer has confirmed.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Vouched {
+pub(super) struct ConfirmedUser {
     pub user: String,
     pub roles: Roles,
 }
@@ -137,7 +137,7 @@ impl Oidc {
         Ok(Self {
             options: Arc::new(options),
             provider: Arc::new(provider),
-            pending: Pending::new().map_err(OidcError::Random)?,
+            pending: PendingSignIns::new().map_err(OidcError::Random)?,
             home: format!("{}/", home.trim_end_matches('/')).into(),
         })
     }
@@ -172,7 +172,7 @@ impl Oidc {
     }
 
     /// Completes a sign-in, after the browser has returned from the issuer with a code, a state and its secret.
-    pub(super) async fn end(&self, secret: Option<&str>, state: &str, code: &str) -> Result<Vouched, ApiError> {
+    pub(super) async fn end(&self, secret: Option<&str>, state: &str, code: &str) -> Result<ConfirmedUser, ApiError> {
         let trip = secret.and_then(|secret| self.pending.end(secret, state, Instant::now()));
         let trip = trip.ok_or_else(|| {
             refused("this sign-in began in another browser, was used, or took longer than ten minutes")
@@ -206,7 +206,7 @@ impl Oidc {
         self.vouched(&claims)
     }
 
-    fn vouched(&self, claims: &Claims) -> Result<Vouched, ApiError> {
+    fn vouched(&self, claims: &Claims) -> Result<ConfirmedUser, ApiError> {
         let groups = claims.names(&self.options.groups_claim);
         let of_mine = self
             .options
@@ -218,7 +218,7 @@ impl Oidc {
             let message = "you are signed in, but none of your groups has a role here: who runs the server gives them with --oidc-role";
             return Err(ApiError::new(StatusCode::FORBIDDEN, "forbidden", message));
         }
-        Ok(Vouched {
+        Ok(ConfirmedUser {
             // The prefix separates these users from those of named tokens, who may have the same name.
             user: format!("oidc:{}", claims.sub),
             roles: roles.into(),

@@ -22,13 +22,13 @@ const RANDOM_BYTES: usize = 32;
 
 /// A sign-in that has begun.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Trip {
+pub(super) struct PendingSignIn {
     pub nonce: String,
     /// PKCE's code verifier (RFC 7636).
     pub verifier: String,
 }
 
-impl Trip {
+impl PendingSignIn {
     /// Returns PKCE's code challenge.
     pub(super) fn challenge(&self) -> String {
         URL_SAFE_NO_PAD.encode(Sha256::digest(&self.verifier))
@@ -37,7 +37,7 @@ impl Trip {
 
 /// The key of all sign-ins, and the completed ones. Clones share them.
 #[derive(Clone, Debug)]
-pub(super) struct Pending {
+pub(super) struct PendingSignIns {
     key: Arc<Key>,
     /// Time from which the times in secrets are counted.
     epoch: Instant,
@@ -45,7 +45,7 @@ pub(super) struct Pending {
     used: Arc<Mutex<HashMap<String, Instant>>>,
 }
 
-impl Pending {
+impl PendingSignIns {
     /// Makes a random key.
     pub(super) fn new() -> Result<Self, TokenError> {
         let mut key = [0; RANDOM_BYTES];
@@ -58,7 +58,7 @@ impl Pending {
     }
 
     /// Begins a sign-in. Returns the secret for the browser, the state, and the values that are sent to the issuer.
-    pub(super) fn begin(&self, now: Instant) -> Result<(String, String, Trip), TokenError> {
+    pub(super) fn begin(&self, now: Instant) -> Result<(String, String, PendingSignIn), TokenError> {
         let age = now.saturating_duration_since(self.epoch).as_secs();
         let secret = format!("{}.{age}", random()?);
         let state = self.derive("state", &secret);
@@ -68,7 +68,7 @@ impl Pending {
 
     /// Completes a sign-in whose browser has brought back this secret. `None` if the state does not belong to the secret, the sign-in took
     /// longer than [`LIFETIME`], or the secret was used before.
-    pub(super) fn end(&self, secret: &str, state: &str, now: Instant) -> Option<Trip> {
+    pub(super) fn end(&self, secret: &str, state: &str, now: Instant) -> Option<PendingSignIn> {
         // Only the matching state proves that the server has made this secret, and when.
         let expected = self.derive("state", secret);
         if !bool::from(expected.as_bytes().ct_eq(state.as_bytes())) {
@@ -96,8 +96,8 @@ impl Pending {
         Some(self.trip(secret))
     }
 
-    fn trip(&self, secret: &str) -> Trip {
-        Trip {
+    fn trip(&self, secret: &str) -> PendingSignIn {
+        PendingSignIn {
             nonce: self.derive("nonce", secret),
             verifier: self.derive("verifier", secret),
         }
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn who_comes_back_is_who_left_and_once_and_soon() {
-        let (pending, now) = (Pending::new().unwrap(), Instant::now());
+        let (pending, now) = (PendingSignIns::new().unwrap(), Instant::now());
         let (secret, state, trip) = pending.begin(now).unwrap();
         let (other, other_state, other_trip) = pending.begin(now).unwrap();
         assert_ne!(trip, other_trip);
@@ -137,13 +137,13 @@ mod tests {
             None,
             "its time is the server's"
         );
-        let elsewhere = Pending::new().unwrap();
+        let elsewhere = PendingSignIns::new().unwrap();
         assert_eq!(elsewhere.end(&other, &other_state, now), None, "another server");
     }
 
     #[test]
     fn strangers_who_leave_make_nobody_come_back_in_vain_and_take_no_memory() {
-        let (pending, now) = (Pending::new().unwrap(), Instant::now());
+        let (pending, now) = (PendingSignIns::new().unwrap(), Instant::now());
         let (first, first_state, trip) = pending.begin(now).unwrap();
         for _ in 0..2 * MAX_USED {
             pending.begin(now).unwrap();
@@ -160,7 +160,7 @@ mod tests {
     #[test]
     fn the_challenge_is_that_of_the_rfc() {
         // RFC 7636, appendix B.
-        let trip = Trip {
+        let trip = PendingSignIn {
             nonce: String::new(),
             verifier: "dBjftJeZ4CVP-mB92K27uhbUJU1p1r_wW1gFWFOEjXk".into(),
         };

@@ -1,15 +1,15 @@
 //! Coalesces and caches equal requests of viewers: one job on the device, and chunks that are encoded once.
 //!
-//! - `joint`: jobs in flight, which equal requests join.
+//! - `single_flight`: jobs in flight, which equal requests join.
 //! - `step`: a step that was made, shared by all viewers who are sent it.
-//! - `kept`: the cache of steps and chunks, within a budget of bytes.
+//! - `chunk_cache`: the cache of steps and chunks, within a budget of bytes.
 //!
 //! Two requests are equal if they have the same volume, time step and view (colours do not count), and if their clients show the same
 //! surface and have the same target. There is no access check here: a session requests only volumes that it has opened, which checked that
 //! the viewer may see them.
 
-mod joint;
-mod kept;
+mod chunk_cache;
+mod single_flight;
 mod step;
 
 use std::sync::Arc;
@@ -21,9 +21,9 @@ use tokio_util::sync::CancellationToken;
 use super::backend::Backend;
 use crate::extraction::{CutId, FittedKey, FullCount, Measurement, Refinement, Shown, Step, ViewKey, WorkError};
 use crate::metrics;
-use joint::Joint;
-pub(super) use joint::Outcome;
-pub(super) use kept::Kept;
+pub(super) use chunk_cache::ChunkCache;
+pub(super) use single_flight::Outcome;
+use single_flight::SingleFlight;
 pub(super) use step::{HeldRegion, HeldRegions, SharedStep};
 
 /// Maximum number of other viewers' jobs that a request waits for. If none of their steps suits its line, it starts its own job.
@@ -77,11 +77,11 @@ impl RequestKey {
 pub(super) struct Shared(Arc<Inner>);
 
 struct Inner {
-    steps: Joint<RequestKey, Arc<SharedStep>>,
-    improved: Joint<RequestKey, Option<Arc<SharedStep>>>,
-    measured: Joint<RequestKey, Option<Arc<Measurement>>>,
-    counted: Joint<RequestKey, FullCount>,
-    kept: Arc<Kept>,
+    steps: SingleFlight<RequestKey, Arc<SharedStep>>,
+    improved: SingleFlight<RequestKey, Option<Arc<SharedStep>>>,
+    measured: SingleFlight<RequestKey, Option<Arc<Measurement>>>,
+    counted: SingleFlight<RequestKey, FullCount>,
+    kept: Arc<ChunkCache>,
 }
 
 /// A step, and its origin.
@@ -106,16 +106,16 @@ impl Shared {
     /// Caches results within `budget` bytes. With 0 nothing is cached, but jobs in flight are still joined.
     pub(super) fn new(budget: u64) -> Self {
         Self(Arc::new(Inner {
-            steps: Joint::default(),
-            improved: Joint::default(),
-            measured: Joint::default(),
-            counted: Joint::default(),
-            kept: Arc::new(Kept::new(budget)),
+            steps: SingleFlight::default(),
+            improved: SingleFlight::default(),
+            measured: SingleFlight::default(),
+            counted: SingleFlight::default(),
+            kept: Arc::new(ChunkCache::new(budget)),
         }))
     }
 
     /// Returns the cache of chunks.
-    pub(super) fn kept(&self) -> Arc<Kept> {
+    pub(super) fn kept(&self) -> Arc<ChunkCache> {
         Arc::clone(&self.0.kept)
     }
 
@@ -234,7 +234,7 @@ impl<B: Backend> Wanted<B> {
     }
 
     /// Makes a step. If the host has too little memory for it, evicts the cache and tries once more.
-    async fn refine(&self, kept: &Kept, step: Step, token: &CancellationToken) -> Outcome<Refinement> {
+    async fn refine(&self, kept: &ChunkCache, step: Step, token: &CancellationToken) -> Outcome<Refinement> {
         let make = || self.backend.refine(&self.volume, &self.view, step, token);
         let made = match make().await {
             Err(WorkError::HostBusy { .. }) if kept.clear() => make().await,

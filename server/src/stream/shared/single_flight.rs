@@ -18,7 +18,7 @@ type Job<T> = future::Shared<Pin<Box<dyn Future<Output = Outcome<T>> + Send>>>;
 
 /// Jobs in flight, by the key of their result. Each has at least one waiter and is cancelled with its last one, so the number of jobs never
 /// exceeds that of waiters.
-pub(super) struct Joint<K, T: Clone>(Mutex<Jobs<K, T>>);
+pub(super) struct SingleFlight<K, T: Clone>(Mutex<Jobs<K, T>>);
 
 struct Jobs<K, T: Clone> {
     running: HashMap<K, Running<T>>,
@@ -33,7 +33,7 @@ struct Running<T: Clone> {
     waiting: usize,
 }
 
-impl<K, T: Clone> Default for Joint<K, T> {
+impl<K, T: Clone> Default for SingleFlight<K, T> {
     fn default() -> Self {
         Self(Mutex::new(Jobs {
             running: HashMap::new(),
@@ -42,14 +42,14 @@ impl<K, T: Clone> Default for Joint<K, T> {
     }
 }
 
-impl<K, T: Clone> Joint<K, T> {
+impl<K, T: Clone> SingleFlight<K, T> {
     /// Locks the jobs. Ignores poisoning: a panic leaves nothing half updated.
     fn jobs(&self) -> MutexGuard<'_, Jobs<K, T>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> Joint<K, T> {
+impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> SingleFlight<K, T> {
     /// Waits for the job of this key; calls `start` to begin it if it is not in flight. Returns the result, and whether the job was in
     /// flight already.
     ///
@@ -109,7 +109,7 @@ impl<K: Clone + Eq + Hash, T: Clone + Send + Sync + 'static> Joint<K, T> {
 
 /// A waiter of a job. Dropping it leaves the job.
 struct Waiter<'a, K: Eq + Hash, T: Clone> {
-    joint: &'a Joint<K, T>,
+    joint: &'a SingleFlight<K, T>,
     key: K,
     number: u64,
     waits: bool,

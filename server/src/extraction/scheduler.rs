@@ -195,30 +195,30 @@ impl<S> Queue<S> {
 type TakeTimes<'a> = &'a dyn Fn() -> Vec<StageTime>;
 
 /// What a running job needs to check for cancellation and to yield.
-pub(super) struct Turn<'a, S> {
+pub(super) struct JobContext<'a, S> {
     pub token: CancellationToken,
     pub length: Length,
     /// For a long job: the queue, whose jobs run when it yields.
     pub others: Option<&'a mut Queue<S>>,
 }
 
-impl<S> Turn<'_, S> {
+impl<S> JobContext<'_, S> {
     /// Runs `work`, which borrows nothing of `state`: other jobs change the state when `work` checks for cancellation. The stages before
-    /// the last yield and the time of other jobs are added to `aside`.
+    /// the last yield and the time of other jobs are added to `job_times`.
     pub(super) fn run<T>(
         &mut self,
         state: &mut S,
         take_times: TakeTimes<'_>,
-        aside: &Aside,
+        job_times: &JobTimes,
         work: impl FnOnce(&dyn Cancel) -> T,
     ) -> T {
         match &mut self.others {
             None => work(&self.token()),
-            Some(queue) => work(&Pauses {
+            Some(queue) => work(&YieldingCancel {
                 token: &self.token,
                 length: self.length,
                 take_times,
-                aside,
+                job_times,
                 others: RefCell::new((state, queue)),
             }),
         }
@@ -240,24 +240,26 @@ impl Cancel for Token<'_> {
 }
 
 /// Cancellation of a long job. Each check also yields to waiting jobs.
-struct Pauses<'a, S> {
+struct YieldingCancel<'a, S> {
     token: &'a CancellationToken,
     length: Length,
     take_times: TakeTimes<'a>,
-    aside: &'a Aside,
+    job_times: &'a JobTimes,
     others: RefCell<(&'a mut S, &'a mut Queue<S>)>,
 }
 
-impl<S> Cancel for Pauses<'_, S> {
+impl<S> Cancel for YieldingCancel<'_, S> {
     fn cancelled(&self) -> bool {
         let (state, queue) = &mut *self.others.borrow_mut();
         if !self.token.is_cancelled() && queue.has_waiting(self.length) {
             // Flush this job's stage times first, or the next job is billed for them.
-            self.aside.add_stages((self.take_times)());
+            self.job_times.add_stages((self.take_times)());
             let start = Instant::now();
             queue.run_waiting(state, self.length);
             (self.take_times)();
-            self.aside.elsewhere.set(self.aside.elsewhere.get() + start.elapsed());
+            self.job_times
+                .elsewhere
+                .set(self.job_times.elsewhere.get() + start.elapsed());
         }
         self.token.is_cancelled()
     }
@@ -265,14 +267,14 @@ impl<S> Cancel for Pauses<'_, S> {
 
 /// Keeps a job's own times apart from those of the jobs that it yields to.
 #[derive(Default)]
-pub(super) struct Aside {
+pub(super) struct JobTimes {
     /// Stages of the job before its last yield.
     stages: RefCell<Vec<StageTime>>,
     /// Time that other jobs took while this job yielded.
     elsewhere: Cell<Duration>,
 }
 
-impl Aside {
+impl JobTimes {
     /// Time of the job itself since `start`.
     pub(super) fn own_time(&self, start: Instant) -> Duration {
         start.elapsed().saturating_sub(self.elsewhere.get())
@@ -337,9 +339,9 @@ mod tests {
 
     /// A job that pauses twice, unless it is cancelled, and then says what it found.
     fn pausing(log: &mut Log, waiting: &mut Queue<Log>, token: CancellationToken, length: Length) {
-        let (others, aside) = (Some(waiting), Aside::default());
-        let mut turn = Turn { token, length, others };
-        let ended = turn.run(log, &Vec::new, &aside, |cancel| {
+        let (others, job_times) = (Some(waiting), JobTimes::default());
+        let mut context = JobContext { token, length, others };
+        let ended = context.run(log, &Vec::new, &job_times, |cancel| {
             (1..=2)
                 .find(|_| cancel.cancelled())
                 .map_or("done".to_owned(), |pause| format!("given up at {pause}"))
@@ -473,19 +475,19 @@ mod tests {
         let time = |stage, milliseconds| StageTime { stage, milliseconds };
         let log = run(|to| {
             queue(to, Length::Rest, move |log, waiting| {
-                let (aside, start) = (Aside::default(), Instant::now());
+                let (job_times, start) = (JobTimes::default(), Instant::now());
                 let device = RefCell::new(vec![time("tree", 1.0)]);
-                let mut turn = Turn {
+                let mut context = JobContext {
                     token: CancellationToken::new(),
                     length: Length::Rest,
                     others: Some(waiting),
                 };
-                turn.run(log, &|| device.take(), &aside, |cancel| cancel.cancelled());
+                context.run(log, &|| device.take(), &job_times, |cancel| cancel.cancelled());
                 let mut stages = vec![time("tree", 2.0), time("tree_cut", 4.0)];
-                aside.complete(&mut stages);
+                job_times.complete(&mut stages);
                 assert_eq!(stages, [time("tree", 3.0), time("tree_cut", 4.0)]);
                 assert!(start.elapsed() >= Duration::from_millis(20));
-                assert!(aside.own_time(start) < Duration::from_millis(20));
+                assert!(job_times.own_time(start) < Duration::from_millis(20));
                 log.push("checked".into());
             });
             queue(to, Length::Short, |_, _| std::thread::sleep(Duration::from_millis(20)));

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use super::Access;
-use super::identity::{Identity, Lent};
+use super::identity::{Delegated, Identity};
 use super::named::now;
 use super::role::{Role, Roles};
 use super::token::{Hash, Token, TokenError};
@@ -25,13 +25,13 @@ const MAX_OF_LENDER: usize = 2_048;
 
 /// Why a token was not delegated.
 #[derive(Debug, thiserror::Error)]
-pub enum LendError {
+pub enum DelegateError {
     /// The server runs without authentication, so no token is needed.
     #[error("this server runs without tokens (--no-auth), so that a frame needs none: leave out the request for one")]
     NoAuth,
     /// The lender's token is itself a delegated one. Otherwise a holder could renew it for ever.
     #[error("this token is a delegated one, expected a token of the server's operator")]
-    Lent,
+    Delegated,
     /// A role that cannot be delegated.
     #[error("roles has {:?}, expected view or edit: files, jobs and uploads are their user's", .0.name())]
     Role(Role),
@@ -59,28 +59,28 @@ pub enum LendError {
 
 /// All delegated tokens, by their ids. Clones share them.
 #[derive(Clone, Debug, Default)]
-pub(super) struct LentTokens(Arc<Mutex<HashMap<String, (Hash, Lent)>>>);
+pub(super) struct DelegatedTokens(Arc<Mutex<HashMap<String, (Hash, Delegated)>>>);
 
-impl LentTokens {
-    fn lend(&self, lender: &Identity, roles: Roles, seconds: u64) -> Result<Token, LendError> {
+impl DelegatedTokens {
+    fn lend(&self, lender: &Identity, roles: Roles, seconds: u64) -> Result<Token, DelegateError> {
         let token = Token::random()?;
         let id = token.id().unwrap_or_default();
         let now = now();
         let mut tokens = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         tokens.retain(|_, (_, lent)| lent.is_valid());
-        let is_own = |lent: &Lent| lent.lender.token() == lender.token();
+        let is_own = |lent: &Delegated| lent.lender.token() == lender.token();
         let own = tokens.values().filter(|(_, lent)| is_own(lent)).count();
         let (is_full, count) = (tokens.len() >= MAX_TOKENS, tokens.len());
         if is_full || own >= MAX_OF_LENDER {
             let waited_for = tokens.values().filter(|(_, lent)| is_full || is_own(lent));
             let next = waited_for.map(|(_, lent)| lent.expires).min().unwrap_or(now);
             let wait = Duration::from_secs(next.saturating_sub(now).max(1));
-            return Err(LendError::TooMany {
+            return Err(DelegateError::TooMany {
                 count: if is_full { count } else { own },
                 wait,
             });
         }
-        let lent = Lent {
+        let lent = Delegated {
             id: id.into(),
             roles,
             expires: now.saturating_add(seconds),
@@ -91,7 +91,7 @@ impl LentTokens {
     }
 
     /// Finds a token that is still valid.
-    pub(super) fn find(&self, id: &str, token: &str) -> Option<Lent> {
+    pub(super) fn find(&self, id: &str, token: &str) -> Option<Delegated> {
         let tokens = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (hash, lent) = tokens.get(id)?;
         (hash.is_of(token) && lent.is_valid()).then(|| lent.clone())
@@ -102,27 +102,27 @@ impl Access {
     /// Delegates some of the roles of `who` to a new token that expires after `seconds`.
     ///
     /// # Errors
-    /// [`LendError`].
-    pub fn lend(&self, who: &Identity, roles: Vec<Role>, seconds: u64) -> Result<Token, LendError> {
+    /// [`DelegateError`].
+    pub fn lend(&self, who: &Identity, roles: Vec<Role>, seconds: u64) -> Result<Token, DelegateError> {
         let Some(proofs) = &self.proofs else {
-            return Err(LendError::NoAuth);
+            return Err(DelegateError::NoAuth);
         };
         if who.is_lent() {
-            return Err(LendError::Lent);
+            return Err(DelegateError::Delegated);
         }
         if let Some(role) = roles.iter().find(|role| !ROLES.contains(role)) {
-            return Err(LendError::Role(*role));
+            return Err(DelegateError::Role(*role));
         }
         if !SECONDS.contains(&seconds) {
-            return Err(LendError::Seconds(seconds));
+            return Err(DelegateError::Seconds(seconds));
         }
         let may = roles.iter().all(|&role| who.may(role));
         let roles = Roles::from(roles);
         if roles.is_empty() {
-            return Err(LendError::NoRoles);
+            return Err(DelegateError::NoRoles);
         }
         if !may {
-            return Err(LendError::NotOwn(who.roles(), roles));
+            return Err(DelegateError::NotOwn(who.roles(), roles));
         }
         proofs.lent().lend(who, roles, seconds)
     }
@@ -163,19 +163,19 @@ mod tests {
     fn nobody_lends_what_they_have_not_or_what_is_lent() {
         let (access, operator) = access();
         let lend = |who: &Identity, roles: &[Role], seconds| access.lend(who, roles.to_vec(), seconds);
-        let said = |found: Result<Token, LendError>| found.expect_err("refused").to_string();
+        let said = |found: Result<Token, DelegateError>| found.expect_err("refused").to_string();
         assert!(said(lend(&operator, &[Role::Export], 60)).contains("roles has \"export\", expected view or edit"));
         assert!(said(lend(&operator, &[], 60)).contains("roles is empty"));
         assert!(said(lend(&operator, &[Role::View], 9)).contains("seconds is 9, expected 10 to 3600"));
         assert!(said(lend(&operator, &[Role::View], 3_601)).contains("seconds is 3601"));
         let token = lend(&operator, &[Role::Edit], 60).expect("a token");
         let who = access.who(token.text()).expect("somebody");
-        assert!(matches!(lend(&who, &[Role::View], 60), Err(LendError::Lent)));
+        assert!(matches!(lend(&who, &[Role::View], 60), Err(DelegateError::Delegated)));
         let open = Access::new(([127, 0, 0, 1], 8417).into(), &[], &[]);
         let nobody = Identity::without_token();
         assert!(matches!(
             open.lend(&nobody, vec![Role::View], 60),
-            Err(LendError::NoAuth)
+            Err(DelegateError::NoAuth)
         ));
     }
 
@@ -220,7 +220,7 @@ mod tests {
             .lend(&operator, vec![Role::View].into(), 60)
             .expect_err("one too many");
         assert!(
-            matches!(refused, LendError::TooMany { count: MAX_OF_LENDER, wait } if wait <= Duration::from_secs(60)),
+            matches!(refused, DelegateError::TooMany { count: MAX_OF_LENDER, wait } if wait <= Duration::from_secs(60)),
             "{refused}"
         );
         lent.lend(&other, vec![Role::View].into(), 60).expect("somebody else's");

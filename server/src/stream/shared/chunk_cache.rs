@@ -19,23 +19,23 @@ const NOTES_PART: u64 = 16;
 const ENTRY_BYTES: u64 = 160;
 
 /// The cache of chunks, of the steps that they belong to, and of measured errors.
-pub(in crate::stream) struct Kept(Mutex<Entries>);
+pub(in crate::stream) struct ChunkCache(Mutex<Entries>);
 
 struct Entries {
     chunks: Bounded<ChunkKey, Bytes>,
-    steps: Bounded<RequestKey, KeptStep>,
+    steps: Bounded<RequestKey, CachedStep>,
     measured: Bounded<RequestKey, Arc<Measurement>>,
 }
 
 /// A cached step without its meshes. While a session still holds the step, `shared` refers to the complete one.
-struct KeptStep {
+struct CachedStep {
     made: Refinement,
     volume: Arc<DatasetKey>,
     regions: Vec<RegionNote>,
     shared: Weak<SharedStep>,
 }
 
-impl Kept {
+impl ChunkCache {
     /// `budget`: capacity in bytes; 0 caches nothing.
     pub(super) fn new(budget: u64) -> Self {
         let notes = budget / NOTES_PART;
@@ -78,8 +78,8 @@ impl Kept {
 
     pub(super) fn keep_step(&self, key: RequestKey, step: &Arc<SharedStep>) {
         let (made, volume, regions) = step.notes();
-        let bytes = key.bytes() + size_of::<KeptStep>() + regions.len() * size_of::<RegionNote>();
-        let kept = KeptStep {
+        let bytes = key.bytes() + size_of::<CachedStep>() + regions.len() * size_of::<RegionNote>();
+        let kept = CachedStep {
             made,
             volume,
             regions,
@@ -117,7 +117,7 @@ impl Kept {
     }
 }
 
-impl Chunks for Kept {
+impl Chunks for ChunkCache {
     fn find(&self, key: &ChunkKey) -> Option<Bytes> {
         self.entries().chunks.get(key).cloned()
     }
