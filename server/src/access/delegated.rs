@@ -197,7 +197,7 @@ mod tests {
         assert!(
             edits
                 .to_string()
-                .contains("this token is for view, expected one for edit"),
+                .contains("this token has the roles view, expected edit too"),
             "{edits}"
         );
         let token = access.lend(&lender, vec![Role::View], 60).expect("a token");

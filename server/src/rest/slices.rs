@@ -85,8 +85,8 @@ pub struct SliceInfo<'a> {
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), SliceQuery),
     responses(
-        (status = 200, description = "The samples, a PNG, NRRD, NIfTI, SVG or GeoJSON file",
-         content((File = "application/octet-stream"), (File = "image/png"), (String = "image/svg+xml"), (serde_json::Value = "application/geo+json")),
+        // One content type for all formats: generators of clients take the first of several, and parse a PNG as JSON.
+        (status = 200, description = "The samples, a PNG, NRRD, NIfTI, SVG or GeoJSON file", body = File, content_type = "application/octet-stream",
          headers(("isopeel-slice" = String, description = "Type, size and place of the samples, JSON in ASCII"))),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "`unknown-volume`, `unknown-step` or `unknown-field`", body = Problem, content_type = "application/problem+json"),
