@@ -203,7 +203,7 @@ target/tools/cargo-fuzz-$(CARGO_FUZZ_VERSION):
 
 MINUTES ?= 10
 TARGETS ?=
-fuzz-targets: prerequisites-build target/tools/cargo-fuzz-$(CARGO_FUZZ_VERSION) web-client ## each reader for ten minutes (MINUTES), or some of them (TARGETS), by libFuzzer, which looks for new paths; keeps what it found
+fuzz-targets: prerequisites-build target/tools/cargo-fuzz-$(CARGO_FUZZ_VERSION) ## each reader for ten minutes (MINUTES), or some of them (TARGETS), by libFuzzer, which looks for new paths; keeps what it found
 	PATH="$(CURDIR)/target/tools/bin:$$PATH" tests/scripts/fuzz-targets.sh $(MINUTES) $(TARGETS)
 
 containers: ## all images, built without a daemon on Debian as root, and the browser tests against the CPU one; takes an hour on two cores

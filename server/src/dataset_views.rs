@@ -19,7 +19,7 @@ pub fn opening_edit(dataset: &Dataset) -> Result<Option<Edit>, EditError> {
 /// Returns the view that the dataset opens with.
 ///
 /// # Errors
-/// The opening edit is none, or does not fit the fields.
+/// The dataset's JSON is no edit, or the edit does not fit the fields.
 pub fn opening_view(dataset: &Dataset) -> Result<View, EditError> {
     View::opening(&dataset.field_names(), opening_edit(dataset)?.as_ref())
 }

@@ -3,11 +3,11 @@
 //! Volumes, views and chunks are crates of their own: `isopeel_volumes`, `isopeel_view` and `isopeel_codec`. Above them, in layers from the
 //! bottom up; each uses only those above it in this list:
 //!
-//! - `clock`, [`error`], `pool`, [`private_folder`], [`problem`]: times of day, error chains, the CPU pool, folders of one user, HTTP errors.
-//! - [`device`]: chooses the device, and checks its results.
+//! - `clock`, [`error`], [`metrics`], `pool`, [`private_folder`]: times of day, error chains, metrics, the CPU pool, folders of one user.
+//! - [`device`], [`problem`]: chooses the device and checks its results; HTTP errors.
 //! - [`dataset_views`], `fields`: what a dataset is to a view; fields that are computed on the host.
 //! - [`extraction`]: from a view to a surface: the bounded queue to the device, budgets. Only this layer drives the
-//!   kernels' engine, apart from the commands `bench` and `devices`.
+//!   kernels' engine, apart from `device` and the commands `bench` and `devices`.
 //! - [`wire`]: messages of the stream. Normative: `PROTOCOL.md`.
 //! - [`export`]: GLB, PLY, STL and other file formats.
 //! - [`access`]: authentication and authorization.

@@ -36,7 +36,7 @@ struct NoiseDevice {
     regions: u32,
 }
 
-/// In each region; 360 kB of vertices.
+/// Triangles of a region: 360 kB of vertices, some 260 kB as a chunk.
 const TRIANGLES: u32 = 10_000;
 
 /// 63 MB: more than the buffers of loopback take, 32 MiB on the receiver's side and 4 on the sender's.

@@ -30,13 +30,15 @@ pub enum DelegateError {
     #[error("this server runs without tokens (--no-auth), so that a frame needs none: leave out the request for one")]
     NoAuth,
     /// The lender's token is itself a delegated one. Otherwise a holder could renew it for ever.
-    #[error("this token is a delegated one, expected a token of the server's operator")]
+    #[error(
+        "this token was delegated, expected one that was not: the start token, one of the token file, or a sign-in"
+    )]
     Delegated,
     /// A role that cannot be delegated.
     #[error("roles has {:?}, expected view or edit: files, jobs and uploads are their user's", .0.name())]
     Role(Role),
     /// The lender lacks one of the requested roles.
-    #[error("this token has the roles {0}, expected {1:?} too: a token delegates only roles that it has")]
+    #[error("this token has the roles {0}, requested are {1}: a token delegates only roles that it has")]
     NotOwn(Roles, Roles),
     /// No roles.
     #[error("roles is empty, expected view or edit")]
@@ -197,7 +199,7 @@ mod tests {
         assert!(
             edits
                 .to_string()
-                .contains("this token has the roles view, expected edit too"),
+                .contains("this token has the roles view, requested are edit"),
             "{edits}"
         );
         let token = access.lend(&lender, vec![Role::View], 60).expect("a token");

@@ -144,7 +144,7 @@ impl Access {
         let Some(proofs) = &self.proofs else { return Ok(None) };
         let who = proofs.of_token(token).ok_or_else(unauthorized)?;
         if who.is_lent() {
-            let message = "this token is lent, for minutes: expected `Authorization: Bearer` with each request, as there is no cookie for it";
+            let message = "this token is a delegated one, for which there is no cookie: send it as `Authorization: Bearer` with each request";
             return Err(ApiError::new(StatusCode::FORBIDDEN, "lent-token", message));
         }
         Ok(Some(self.cookie.of(token, &who)))

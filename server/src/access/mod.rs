@@ -3,7 +3,7 @@
 //! - that it names one of the server's own hosts (`host`);
 //! - that it comes from a page of the server's own origin or of an allowed one (`origin`);
 //! - that it carries a `proof`: a `token`, a session or a ticket. A token is the start token, one of the state folder (`named`, `watched`)
-//!   or one that its holder has delegated (`lent`). A session (`signed_in`) follows from a sign-in through an OpenID Connect issuer
+//!   or one that its holder has delegated (`delegated`). A session (`signed_in`) follows from a sign-in through an OpenID Connect issuer
 //!   (`oidc`, `sign_in`). A `ticket` is for a stream only; a page with a token or session requests it first;
 //! - that its sender (`identity`) has a `role` which allows the request;
 //! - that the rate limits (`rate`) of its token and of the `peer` that sends it are not exceeded.

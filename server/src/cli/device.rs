@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use isopeel_kernels::{Engine, SampleType};
 
-use crate::device::{DeviceFailure, DeviceRequest, PendingCheck, Prepared, Proven, Unprepared, cache, prepare};
+use crate::device::{DeviceFailure, DeviceRequirements, PendingCheck, Prepared, Proven, Unprepared, cache, prepare};
 use crate::extraction::{Choice, DeviceOptions, NoChoice, Report};
 
 /// Arguments of commands that use a device.
@@ -54,8 +54,8 @@ pub enum NoDevice {
 }
 
 impl DeviceArgs {
-    fn wanted(&self, types: Vec<SampleType>, early: bool) -> DeviceRequest {
-        DeviceRequest {
+    fn requirements(&self, types: Vec<SampleType>, early: bool) -> DeviceRequirements {
+        DeviceRequirements {
             selector: self.device.clone(),
             types,
             trusts: self.trust_device,
@@ -66,12 +66,12 @@ impl DeviceArgs {
 
     /// A worker's options for a command: all of the check comes before its first result.
     pub(super) fn options(&self, types: Vec<SampleType>, say: impl Fn(&str) + Send + 'static) -> DeviceOptions {
-        let (wanted, next) = (self.wanted(types.clone(), false), self.next.clone());
+        let (requirements, next) = (self.requirements(types.clone(), false), self.next.clone());
         let choose = move |_: &Report| {
             let progress =
                 |done: usize, of: usize| say(&format!("preparing the device: {done} of {of} steps are done"));
-            match prepare(&wanted, &progress) {
-                Ok(prepared) => Ok(choice(&prepared, wanted.trusts)),
+            match prepare(&requirements, &progress) {
+                Ok(prepared) => Ok(choice(&prepared, requirements.trusts)),
                 Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
                 Err(Unprepared::NewProcess(environment)) => {
                     next.set(environment);
@@ -88,14 +88,14 @@ impl DeviceArgs {
 
     /// A worker's options for a server, which is ready for a first surface while the rest of the check runs.
     pub(super) fn server_options(&self, types: Vec<SampleType>) -> DeviceOptions {
-        let (wanted, next) = (self.wanted(types.clone(), true), self.next.clone());
-        let choose = move |report: &Report| match prepare(&wanted, &|done, of| report.progress(done, of)) {
+        let (requirements, next) = (self.requirements(types.clone(), true), self.next.clone());
+        let choose = move |report: &Report| match prepare(&requirements, &|done, of| report.progress(done, of)) {
             Ok(mut prepared) => {
                 let rest = prepared.rest.take();
                 let proven = rest.map(|rest| checked_meanwhile(rest, report.clone(), next));
                 Ok(Choice {
                     proven,
-                    ..choice(&prepared, wanted.trusts)
+                    ..choice(&prepared, requirements.trusts)
                 })
             }
             Err(Unprepared::Failed(failure)) => Err(NoChoice::Refused(failure.to_string())),
@@ -116,7 +116,7 @@ impl DeviceArgs {
     /// # Errors
     /// [`NoDevice`].
     pub(super) fn open(&self) -> Result<Engine, NoDevice> {
-        match prepare(&self.wanted(Vec::new(), false), &|_, _| ()) {
+        match prepare(&self.requirements(Vec::new(), false), &|_, _| ()) {
             Ok(prepared) => Ok(Engine::open_tuned(prepared.selector.as_deref(), None, prepared.tuning)?),
             Err(Unprepared::Failed(failure)) => Err(failure.into()),
             Err(Unprepared::NewProcess(environment)) => {

@@ -21,6 +21,6 @@ pub mod setup;
 mod verdicts;
 
 pub use listing::{Listed, Unlisted, list};
-pub use prepare::{Checked, DeviceFailure, DeviceRequest, PendingCheck, Prepared, Unprepared, check_all, prepare};
+pub use prepare::{Checked, DeviceFailure, DeviceRequirements, PendingCheck, Prepared, Unprepared, check_all, prepare};
 pub use proven::Proven;
 pub use run::Ended;

@@ -18,7 +18,7 @@ const CHOSEN: &str = "ISOPEEL_DEVICE_CHOSEN";
 
 /// Requirements on a device.
 #[derive(Clone, Debug, Default)]
-pub struct DeviceRequest {
+pub struct DeviceRequirements {
     /// Index of the device, or part of its name; `None`: the first device that passes.
     pub selector: Option<String>,
     /// Sample types that the device must support.
@@ -134,7 +134,7 @@ impl Search {
             if tried.is_empty()
                 && let Some(workaround) = self.verdicts.find(&id, &self.types.all())
             {
-                return Ok(self.found(device, workaround));
+                return Ok(self.selected(device, workaround));
             }
             tracing::info!(
                 device = device.name,
@@ -149,7 +149,7 @@ impl Search {
             checked.warn_of(workaround);
             let Some(child) = child else {
                 keep(&self.verdicts, &id, workaround, &self.types);
-                return Ok(self.found(device, workaround));
+                return Ok(self.selected(device, workaround));
             };
             let (environment, tried) = (self.environment.clone(), checked.tried);
             self.candidates.push_front(device.clone());
@@ -165,7 +165,7 @@ impl Search {
         Err(DeviceFailure::Unreliable { report })
     }
 
-    fn found(self, device: DeviceInfo, workaround: Workaround) -> Selection {
+    fn selected(self, device: DeviceInfo, workaround: Workaround) -> Selection {
         Selection {
             device,
             workaround,
@@ -224,15 +224,15 @@ struct Chosen {
     workaround: Workaround,
 }
 
-/// Chooses a device: the one that is wanted, or the first that passes the check. `progress`: steps done, and steps in all.
+/// Chooses a device: the selected one, or the first that passes the check. `progress`: steps done, and steps in all.
 ///
 /// # Errors
 /// [`Unprepared`].
-pub fn prepare(wanted: &DeviceRequest, progress: &dyn Fn(usize, usize)) -> Result<Prepared, Unprepared> {
+pub fn prepare(requirements: &DeviceRequirements, progress: &dyn Fn(usize, usize)) -> Result<Prepared, Unprepared> {
     if let Some(chosen) = chosen_before() {
         return Ok(prepared_as(chosen));
     }
-    let listed = list(wanted.folder.as_deref());
+    let listed = list(requirements.folder.as_deref());
     for broken in &listed.broken {
         tracing::warn!(
             "the OpenCL driver of {} is left out: {}",
@@ -243,16 +243,16 @@ pub fn prepare(wanted: &DeviceRequest, progress: &dyn Fn(usize, usize)) -> Resul
     if listed.devices.is_empty() {
         return Err(Unprepared::Failed(nothing(listed)));
     }
-    let candidates = candidates(wanted, &listed);
+    let candidates = candidates(requirements, &listed);
     let Some(first) = candidates.front() else {
         // No device matches the selector. The error of opening it lists the devices.
         return Ok(Prepared {
-            selector: wanted.selector.clone(),
+            selector: requirements.selector.clone(),
             tuning: None,
             rest: None,
         });
     };
-    if wanted.trusts {
+    if requirements.trusts {
         let trusted = Selection {
             device: first.clone(),
             workaround: Workaround::None,
@@ -265,12 +265,12 @@ pub fn prepare(wanted: &DeviceRequest, progress: &dyn Fn(usize, usize)) -> Resul
         candidates,
         tried: Vec::new(),
         refused: Vec::new(),
-        types: Types::new(&wanted.types, wanted.early),
+        types: Types::new(&requirements.types, requirements.early),
         environment: listed.environment,
-        verdicts: Verdicts::new(wanted.folder.as_deref()),
+        verdicts: Verdicts::new(requirements.folder.as_deref()),
     };
     search
-        .next(wanted.early, progress)
+        .next(requirements.early, progress)
         .map_err(Unprepared::Failed)?
         .prepared()
 }
@@ -321,8 +321,8 @@ fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround, types: &
 }
 
 /// Returns the devices that may be used, the preferred one first.
-fn candidates(wanted: &DeviceRequest, listed: &Listed) -> VecDeque<DeviceInfo> {
-    let Some(selector) = &wanted.selector else {
+fn candidates(requirements: &DeviceRequirements, listed: &Listed) -> VecDeque<DeviceInfo> {
+    let Some(selector) = &requirements.selector else {
         return listed.devices.iter().cloned().collect();
     };
     let found = isopeel_kernels::device::position(&listed.devices, selector);

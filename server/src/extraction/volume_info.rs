@@ -472,3 +472,21 @@ pub async fn describe(worker: &DeviceWorker, volume: &VolumeStep) -> Result<Volu
         opening: opening_edit(dataset).map_err(WorkError::Edit)?,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Label, LabelInfo};
+
+    #[test]
+    fn labels_have_their_numbers_if_samples_stand_for_them_by_other_values() {
+        let label = |number: i128| Label::new(number, "Putamen", Some([0x34, 0x65, 0xa4]));
+        let plain = LabelInfo::new((12.0, label(12)));
+        assert_eq!((plain.value, plain.stored), (12.0, None));
+        assert_eq!(
+            (plain.name.as_deref(), plain.color.as_deref()),
+            (Some("Putamen"), Some("#3465a4"))
+        );
+        let ranked = LabelInfo::new((3.0, label(1_000_000_007)));
+        assert_eq!((ranked.value, ranked.stored.as_deref()), (3.0, Some("1000000007")));
+    }
+}

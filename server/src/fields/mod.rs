@@ -82,6 +82,7 @@ pub fn computed_field(dataset: &Dataset, text: &str) -> Option<Field> {
         source: Arc::new(source),
     })
 }
+
 impl Computed {
     /// Parses the expression again for samples that were read: some may be ranks of labels, and constants become ranks, too.
     fn ranked(&self) -> Expression {

@@ -26,6 +26,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use data_encoding::HEXLOWER;
+use isopeel_view::View;
+use isopeel_volumes::{Dataset, InputIdentity, Reader, SeenFiles, SharedCatalog, VolumeStep};
 use sha2::{Digest, Sha256};
 use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
@@ -41,9 +43,6 @@ pub use state_folder::{StateFolder, StateFolderError};
 pub use store::requests::ResultInfo;
 
 /// Owner of jobs that are made without a server.
-use isopeel_view::View;
-use isopeel_volumes::{Dataset, InputIdentity, Reader, SeenFiles, SharedCatalog, VolumeStep};
-
 pub use crate::access::OPERATOR;
 use crate::export::{FileRequest, OtherVolumes};
 use crate::extraction::Extractor;

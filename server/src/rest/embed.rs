@@ -81,9 +81,9 @@ pub async fn show(State(state): State<ApiState>) -> Json<EmbedInfo> {
         (status = 400, description = "`bad-json`; `bad-embed-token`: roles or seconds that cannot be", body = Problem, content_type = "application/problem+json"),
         (status = 401, description = "`unauthorized`: no token, or another one", body = Problem, content_type = "application/problem+json"),
         (status = 403, description = "`forbidden`: the token is not for that, or is such a one itself; `foreign-origin`", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "`no-auth`: this server asks for no token", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "`no-auth`: the server runs without authentication", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "`unsupported-media-type`: not application/json", body = Problem, content_type = "application/problem+json"),
-        (status = 429, description = "`too-many-embed-tokens`: too many have not ended", body = Problem, content_type = "application/problem+json"),
+        (status = 429, description = "`too-many-embed-tokens`: the maximum of delegated tokens is valid", body = Problem, content_type = "application/problem+json"),
     ),
 )]
 pub async fn lend(

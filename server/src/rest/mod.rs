@@ -36,6 +36,7 @@ use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use isopeel_volumes::SharedCatalog;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 use tower_http::catch_panic::CatchPanicLayer;
@@ -46,7 +47,6 @@ use utoipa_axum::routes;
 
 pub use embed::EmbedInfo;
 pub use extract::{ExtractRequest, STATISTICS_HEADER, SpoolFolder};
-use isopeel_volumes::SharedCatalog;
 pub use jobs::{DIGEST_HEADER, KEY_HEADER, LAST_EVENT_ID};
 pub use overview::OVERVIEW_HEADER;
 pub use session::SessionInfo;

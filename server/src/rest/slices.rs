@@ -85,7 +85,7 @@ pub struct SliceInfo<'a> {
     tag = "volumes",
     params(("id" = String, Path, description = "A volume's id, as `GET /api/v1/volumes` lists it"), SliceQuery),
     responses(
-        // One content type for all formats: generators of clients take the first of several, and parse a PNG as JSON.
+        // One content type for all formats: of several, openapi-python-client takes the first that it knows, application/geo+json.
         (status = 200, description = "The samples, a PNG, NRRD, NIfTI, SVG or GeoJSON file", body = File, content_type = "application/octet-stream",
          headers(("isopeel-slice" = String, description = "Type, size and place of the samples, JSON in ASCII"))),
         (status = 400, description = "`bad-request`", body = Problem, content_type = "application/problem+json"),

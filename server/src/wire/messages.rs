@@ -2,15 +2,15 @@
 
 mod close;
 
+use isopeel_codec::chunk::{ChunkKind, MAX_SURFACES};
+use isopeel_view::Edit;
+use isopeel_view::quality::MesherName;
 use serde::de::value::MapDeserializer;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
 
 pub use close::CloseCode;
-use isopeel_codec::chunk::{ChunkKind, MAX_SURFACES};
-use isopeel_view::Edit;
-use isopeel_view::quality::MesherName;
 
 use super::group::{Follower, LedSurface, Pose, Resume};
 use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Preparation, Probe};

@@ -15,6 +15,7 @@
 //! - [`memory_dataset`]: a dataset of samples in memory.
 //! - `turned`: samples that are stored in another order than x fastest.
 //! - [`TimeAxis`]: times of the steps. [`InputIdentity`]: identity of the files that steps are read from, to detect changes.
+//! - [`disk`]: free space, and errors of full disks.
 //! - [`statistics`]: range and histogram of a field, on the host.
 
 mod axis_scales;
@@ -57,6 +58,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use isopeel_geometry::{DAffine3, DVec3, IndexSpace, UnevenAxes};
+
 pub use axis_scales::{AxisKind, AxisScale, AxisScales};
 pub use beneath::follow_links;
 pub use catalog::{Catalog, SharedCatalog, Unreadable, open_each, open_path};
@@ -69,8 +72,6 @@ pub use labels::{Label, MAX_LABELS};
 pub use location::{FileLocation, FileStamp};
 pub use memory::memory_dataset;
 pub use notices::Notices;
-
-use isopeel_geometry::{DAffine3, DVec3, IndexSpace, UnevenAxes};
 pub use open::{open_dataset, read_file};
 pub use private::{Lease, Reader};
 pub use progress::ReadProgress;
@@ -359,7 +360,7 @@ impl Field {
             let value = ranks
                 .as_ref()
                 .map_or(label.value as f32, |ranks| ranks.position(label.value));
-            labels.entry(label.value).or_insert((value, label.clone())).1 = label.clone();
+            labels.insert(label.value, (value, label.clone()));
         }
         labels.into_values().collect()
     }
