@@ -1,25 +1,32 @@
-//! Cancellation of work.
+//! Cancellation of work, and its pauses.
 
 use crate::{Error, Result};
 
-/// Cancellation, polled between stages and between the launches of long stages: about every 50 ms.
+/// What long work asks between stages and between the launches of long stages: about every 50 ms.
 pub trait Cancel {
-    /// Returns true if the result is no longer wanted. The implementation may yield the engine to other jobs before it returns.
-    fn cancelled(&self) -> bool;
+    /// Whether the result is no longer wanted.
+    fn is_cancelled(&self) -> bool;
+
+    /// Called before each question. Other work may use the engine before this returns.
+    fn pause(&self) {}
 }
 
 /// Never cancels.
 pub struct Never;
 
 impl Cancel for Never {
-    fn cancelled(&self) -> bool {
+    fn is_cancelled(&self) -> bool {
         false
     }
 }
 
-/// Returns [`Error::Cancelled`] if the result is no longer wanted.
-pub(crate) fn check(cancel: &dyn Cancel) -> Result<()> {
-    if cancel.cancelled() {
+/// Pauses, then returns [`Error::Cancelled`] if the result is no longer wanted.
+///
+/// # Errors
+/// [`Error::Cancelled`].
+pub fn check(cancel: &dyn Cancel) -> Result<()> {
+    cancel.pause();
+    if cancel.is_cancelled() {
         Err(Error::Cancelled)
     } else {
         Ok(())

@@ -388,7 +388,7 @@ impl Context {
         Ok(())
     }
 
-    /// Waits for the launched commands, so that a job to which `cancel` yields the device need not wait for them.
+    /// Waits for the launched commands, so that a job that runs in the pause of `cancel` need not wait for them.
     pub fn pause(&self, stage: &'static str, cancel: &dyn Cancel) -> Result<()> {
         self.finish(stage)?;
         check(cancel)

@@ -171,8 +171,8 @@ impl Engine {
         overview::step(&self.cx, volume, work)
     }
 
-    /// Waits for the commands in flight, and returns the time of each stage since the last call, pyramid or surface. A job that yields the
-    /// device to others ([`crate::Cancel`]) calls this first, so that its times stay its own.
+    /// Waits for the commands in flight, and returns the time of each stage since the last call, pyramid or surface. A job that pauses for
+    /// others ([`crate::Cancel`]) calls this first, so that its times stay its own.
     ///
     /// # Errors
     /// An error of the device.

@@ -10,10 +10,10 @@ use isopeel_kernels::{MAX_LEVEL, REGION_CELLS};
 use isopeel_view::FieldExpression;
 use ts_rs::{Config, TS, TypeVisitor};
 
-use crate::extraction::VolumeInfo;
 use crate::jobs::JobInfo;
 use crate::problem::Problem;
 use crate::rest::{EmbedInfo, SessionInfo, UnreadablePath, VolumeSummary};
+use crate::service::VolumeInfo;
 use crate::uploads::UploadList;
 use crate::wire::messages::{ClientMessage, SUBPROTOCOL, ServerMessage};
 

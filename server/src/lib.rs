@@ -1,13 +1,12 @@
 //! isopeel's server: volumes from disk, a device behind a bounded queue, REST, WebSocket, exports.
 //!
-//! Volumes, views and chunks are crates of their own: `isopeel_volumes`, `isopeel_view` and `isopeel_codec`. Above them, in layers from the
-//! bottom up; each uses only those above it in this list:
+//! Volumes, views and chunks are crates of their own: `isopeel_volumes`, `isopeel_view` and `isopeel_codec`; above them is the engine,
+//! `isopeel_extraction`. Above that, in layers from the bottom up; each uses only those above it in this list:
 //!
 //! - `clock`, [`error`], [`metrics`], `pool`, [`private_folder`]: times of day, error chains, metrics, the CPU pool, folders of one user.
 //! - [`device`], [`problem`]: chooses the device and checks its results; HTTP errors.
-//! - [`dataset_views`], `fields`: what a dataset is to a view; fields that are computed on the host.
-//! - [`extraction`]: from a view to a surface: the bounded queue to the device, budgets. Only this layer drives the
-//!   kernels' engine, apart from `device` and the commands `bench` and `devices`.
+//! - [`service`]: the engine for many callers: the bounded queue to the device, budgets. Only this layer has a workspace of the engine; apart
+//!   from it, `device` and the commands `bench` and `devices` use the device.
 //! - [`wire`]: messages of the stream. Normative: `PROTOCOL.md`.
 //! - [`export`]: GLB, PLY, STL and other file formats.
 //! - [`access`]: authentication and authorization.
@@ -20,12 +19,9 @@
 pub mod access;
 pub mod cli;
 mod clock;
-pub mod dataset_views;
 pub mod device;
 pub mod error;
 pub mod export;
-pub mod extraction;
-mod fields;
 #[cfg(test)]
 mod generated;
 pub mod jobs;
@@ -35,6 +31,7 @@ pub mod private_folder;
 pub mod problem;
 pub mod rest;
 pub mod serve;
+pub mod service;
 pub mod stream;
 pub mod uploads;
 pub mod wire;

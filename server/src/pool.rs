@@ -3,7 +3,7 @@
 
 use std::num::NonZero;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use tokio::sync::oneshot;
 
@@ -38,7 +38,7 @@ const PROCESSORS_PER_EXPORT_THREAD: usize = 4;
 pub const NICENESS: libc::c_int = 10;
 
 /// A server's pool of exports.
-static EXPORTS: OnceLock<rayon::ThreadPool> = OnceLock::new();
+static EXPORTS: OnceLock<Arc<rayon::ThreadPool>> = OnceLock::new();
 
 /// Number of threads of a pool that reads files; set by a server.
 static READ_THREADS: OnceLock<usize> = OnceLock::new();
@@ -51,10 +51,8 @@ static READ_THREADS: OnceLock<usize> = OnceLock::new();
 pub fn start_background() -> Result<(), rayon::ThreadPoolBuildError> {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
     // If an earlier call has started a pool, that one is kept.
-    let _ = EXPORTS.set(background(
-        "isopeel-export",
-        processors.div_ceil(PROCESSORS_PER_EXPORT_THREAD),
-    )?);
+    let threads = processors.div_ceil(PROCESSORS_PER_EXPORT_THREAD);
+    let _ = EXPORTS.set(Arc::new(background("isopeel-export", threads)?));
     let _ = READ_THREADS.set(processors);
     Ok(())
 }
@@ -86,12 +84,9 @@ pub async fn run_export<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'st
     }
 }
 
-/// Runs `work` on the pool of exports and blocks until it is done. Only for threads that belong to no pool.
-pub fn install_export<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    match EXPORTS.get() {
-        Some(pool) => pool.install(work),
-        None => work(),
-    }
+/// Returns the pool of exports, if it was started.
+pub fn exports() -> Option<Arc<rayon::ThreadPool>> {
+    EXPORTS.get().cloned()
 }
 
 /// Thread pool of low priority for reading files, so that viewers do not wait for blocks of files that take long to decode. Each concurrent

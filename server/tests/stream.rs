@@ -8,11 +8,12 @@ use std::time::{Duration, Instant};
 use axum::Extension;
 use futures_util::{SinkExt, StreamExt};
 use isopeel::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
-use isopeel::extraction::{
-    Answer, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
-};
+use isopeel::service::OpeningProgress;
 use isopeel::stream::{Backend, Deadlines, MAX_VIEWERS, Opening, StreamState, router};
 use isopeel_codec::decode::decode;
+use isopeel_extraction::{
+    Answer, CutId, FullCount, Measurement, Question, Refinement, Shown, ShownSurface, Step, WorkError,
+};
 use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Vertex};
 use isopeel_view::View;
 use isopeel_volumes::testing::dataset;

@@ -16,9 +16,10 @@ CRATES = {
     "kernels": [],
     "server/geometry": [],
     "server/codec": ["isopeel-kernels"],
+    "server/extraction": ["isopeel-codec", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
     "server/view": ["isopeel-geometry", "isopeel-kernels"],
     "server/volumes": ["isopeel-geometry", "isopeel-kernels"],
-    "server": ["isopeel-codec", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
+    "server": ["isopeel-codec", "isopeel-extraction", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
 }
 
 LAYERS = {
@@ -44,10 +45,22 @@ LAYERS = {
         predictive
         encode decode
     """,
+    "server/extraction/src": """
+        dataset_views error fields joined lock memory observer residency user_time
+        chunk_bytes grids host_memory keys
+        byte_search context histogram_cache identity pins shares statistics
+        feature_fields results
+        cuts decisions intersections tree_steps
+        workspace
+        host_space questions reading uploads
+        ahead computed counting cube_cuts histograms overviews release slices tree_surfaces
+        refine
+        complete
+    """,
     "server/view/src": """
         error outward
         interest mask quality transfer_function
-        chosen_parts expression opening parts
+        chosen_parts expression opening parts schemas
         feature
         edit
         request
@@ -69,8 +82,7 @@ LAYERS = {
     "server/src": """
         clock error metrics pool private_folder
         device problem
-        dataset_views fields
-        extraction
+        service
         wire export access
         jobs uploads
         stream

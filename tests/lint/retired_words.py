@@ -61,7 +61,6 @@ EXCEPTIONS = [
     ("kernels/cl/generate.cl", r"\bshape\b", "the Shape of a synthetic volume"),
     ("kernels/cl/*tree*", r"\bring\b", "the ring of neighbours around a vertex, the standard term"),
     ("kernels/cl/lib/args.h", "uint shape;", "the Shape of a synthetic volume"),
-    ("server/src/extraction/*", r"/// (Least and greatest value|The greatest)\.$", "text of openapi.json, changed with it"),
     ("web/src/protocol/generated.ts", "", "made from the server's types"),
     ("server/src/cli/extract.rs", "feature's least and greatest value", "text of --help"),
     ("web/src/*", '"Error, greatest"|square and greatest, world', "what a user reads, changed with the interface"),

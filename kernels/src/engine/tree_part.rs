@@ -13,7 +13,7 @@ use crate::{
 use std::rc::Rc;
 
 /// A probe finds the parts of full surfaces of at most this size, which takes some 50 ms. Parts of larger surfaces are found only when a
-/// filter removes some, because a probe does not yield to other jobs.
+/// filter removes some, because a probe does not pause for other jobs.
 const MAX_TRIANGLES_ON_CPU: u64 = 200_000;
 /// See [`MAX_TRIANGLES_ON_CPU`].
 const MAX_TRIANGLES_ON_GPU: u64 = 10_000_000;

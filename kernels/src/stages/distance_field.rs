@@ -153,7 +153,7 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Launches a kernel and then yields to other jobs.
+    /// Launches a kernel and then pauses for other jobs.
     fn launch(&self, kernel: &str, groups: u64, args: &[&dyn Arg], pace: &mut Pace) -> Result<()> {
         let kernel = self.cx.kernel(SampleType::F32, kernel)?;
         self.cx.paced(STAGE, pace, groups, || {

@@ -10,6 +10,7 @@ mod volumes;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use isopeel_extraction::WorkError;
 use isopeel_kernels::SampleType;
 use isopeel_view::EditError;
 use isopeel_volumes::{Frame, ReadError};
@@ -19,9 +20,9 @@ use super::output::OutputError;
 use super::surface::{SurfaceArgs, TransferFunctionError};
 use crate::cli::device::DeviceArgs;
 use crate::export::Format;
-use crate::extraction::{DeviceWorker, Extractor, WorkError};
 use crate::jobs::{JobError, OpenError, StateFolderError};
 use crate::private_folder::FolderAccess;
+use crate::service::{DeviceWorker, Extractor};
 use steps::Steps;
 
 /// Arguments of `isopeel batch`.

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use isopeel_kernels::{Engine, SampleType};
 
 use crate::device::{DeviceFailure, DeviceRequirements, PendingCheck, Prepared, Proven, Unprepared, cache, prepare};
-use crate::extraction::{Choice, DeviceOptions, NoChoice, Report};
+use crate::service::{Choice, DeviceOptions, NoChoice, Report};
 
 /// Arguments of commands that use a device.
 #[derive(Clone, Debug, Default, clap::Args)]

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ArgGroup;
+use isopeel_extraction::{ExtractionStatistics, WorkError};
 use isopeel_kernels::SampleType;
 use isopeel_view::quality::GuardName;
 use isopeel_view::{ChosenPartsJson, EditError};
@@ -17,7 +18,7 @@ use crate::cli::output::{Output, OutputError, STDOUT};
 use crate::cli::stdin::InputPath;
 use crate::cli::surface::{SurfaceArgs, TransferFunctionError};
 use crate::export::{FileRequest, FileSurface, Format, MadeFile, MadeSurface, MakeError, OtherVolumes, why_empty};
-use crate::extraction::{DeviceWorker, ExtractionStatistics, Extractor, WorkError};
+use crate::service::{DeviceWorker, Extractor};
 
 /// Arguments of `isopeel extract`.
 #[derive(Debug, clap::Args)]

@@ -11,7 +11,7 @@ use isopeel_volumes::vectors::vectors;
 use isopeel_volumes::{AxisKind, Dataset, Field, Geometry, LengthUnit, ReadError, open_dataset};
 use serde::Serialize;
 
-use crate::extraction::{AxisInfo, LabelInfo, TimesInfo};
+use crate::service::{AxisInfo, LabelInfo, TimesInfo};
 
 /// Labels of a field that are printed for people.
 const SHOWN_LABELS: usize = 32;
@@ -344,8 +344,9 @@ fn sparkline(bins: &[u64]) -> String {
 mod tests {
     use std::sync::Arc;
 
-    use super::*;
     use isopeel_volumes::{AxisScale, testing};
+
+    use super::*;
 
     fn write_volume(folder: &Path) -> std::path::PathBuf {
         let path = folder.join("ramp.nrrd");

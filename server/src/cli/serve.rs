@@ -21,12 +21,12 @@ use crate::access::{
     Access, AllowedOrigin, Audit, AuditError, PublicUrl, Rates, Token, TokenError, TokenFile, TokenFileError,
     TokenWatch, TrustedProxy,
 };
-use crate::extraction::{DeviceOptions, DeviceWorker};
 use crate::jobs::{Limits, StateFolder, StateFolderError};
 use crate::pool::{self, ReadPool};
 use crate::private_folder::{self, FolderAccess, FolderAccessError};
 use crate::rest::SpoolFolder;
 use crate::serve::{self, Config, ConnectionLimits, ListenAddress, Listener, ServeError, Tls, TlsError};
+use crate::service::{DeviceOptions, DeviceWorker};
 use crate::stream::LiveOptions;
 use crate::uploads::FolderError;
 use memory::MemoryArgs;

@@ -4,15 +4,16 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use isopeel_extraction::WorkError;
+use isopeel_extraction::fields;
 use isopeel_volumes::{Dataset, Field, Frame, ReadError, UnknownStep, VolumeStep, open_dataset};
 
 use crate::cli::device::DeviceArgs;
 use crate::cli::output::{Output, OutputError};
 use crate::cli::stdin::InputPath;
 use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, shown_slice};
-use crate::extraction::{DeviceWorker, WorkError};
-use crate::fields;
 use crate::pool::{self, Panicked};
+use crate::service::DeviceWorker;
 
 /// Arguments of `isopeel slice`.
 #[derive(Debug, clap::Args)]

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use isopeel_extraction::Cleaned;
 use isopeel_geometry::DVec3;
 use isopeel_geometry::{Bounds, Corners, TriangleSoup, TriangleTree, has_area, intersect};
 use rustc_hash::FxHashMap;
@@ -10,7 +11,6 @@ use super::caps::Faces;
 use super::decimal::Decimals;
 use super::topology::Around;
 use super::{Format, Mesh};
-use crate::extraction::Cleaned;
 
 /// Maximum rounds over the groups of intersecting triangles before the repair is given up.
 const MAX_ROUNDS: usize = 16;

@@ -1,10 +1,11 @@
 //! Why a surface has no triangles.
 
+use isopeel_extraction::{ExtractionStatistics, WorkError};
 use isopeel_kernels::Histogram;
 use isopeel_view::{FeatureName, View};
 use isopeel_volumes::VolumeStep;
 
-use crate::extraction::{ExtractionStatistics, Extractor, WorkError};
+use crate::service::Extractor;
 
 /// Returns why the surface of a resolved view has no triangles; `None` if it has some.
 ///
@@ -64,8 +65,9 @@ fn no_crossing(view: &View, histogram: &Histogram) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use isopeel_view::Edit;
+
+    use super::*;
 
     fn view(edit: &str) -> View {
         let edit: Edit = serde_json::from_str(edit).unwrap();

@@ -1,12 +1,13 @@
 //! Values of a field at the vertices of a surface, trilinear between its samples.
 
+use isopeel_extraction::WorkError;
+use isopeel_extraction::fields;
 use isopeel_kernels::Samples;
 use isopeel_volumes::{Field, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
 use super::mesh::FieldValues;
-use crate::extraction::{Extractor, WorkError};
-use crate::fields;
+use crate::service::Extractor;
 
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {
@@ -99,8 +100,9 @@ impl FieldSamples {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use isopeel_volumes::testing;
+
+    use super::*;
 
     #[test]
     fn values_are_trilinear_and_missing_ones_are_none() {

@@ -2,6 +2,8 @@
 
 use std::io::Write;
 
+use isopeel_extraction::dataset_views::view_space;
+use isopeel_extraction::{Cleaned, Extraction, ExtractionStatistics, Measuring, Shape, WorkError};
 use isopeel_kernels::RefinementCost;
 use isopeel_view::quality::MesherName;
 use isopeel_view::{EditError, Outward, View};
@@ -16,9 +18,8 @@ use super::{
     Compress, Content, ExportError, FileDigest, FileOptions, FileRequest, FileSurface, Format, Mesh, OtherVolumes,
     extras, glb, stl, why_empty,
 };
-use crate::dataset_views::view_space;
-use crate::extraction::{Cleaned, Extraction, ExtractionStatistics, Extractor, Measuring, Shape, WorkError};
 use crate::pool::{self, Panicked};
+use crate::service::Extractor;
 
 /// A file that was made, but not written yet.
 pub struct MadeFile {

@@ -1,22 +1,15 @@
 //! Joins the regions of a surface to one mesh in world units.
 
-use std::collections::{HashMap, HashSet};
-
+use isopeel_extraction::Joined;
 use isopeel_geometry::UnevenAxes;
-use isopeel_kernels::{REGION_CELLS, Region, Surface, Vertex};
+use isopeel_kernels::{Surface, Vertex};
 use isopeel_view::TransferFunctionJson;
 use isopeel_view::quality::MesherName;
 use isopeel_volumes::{Frame, Geometry, LengthUnit};
 
+use super::ExportError;
 use super::caps::ToCaps;
 use super::transform::Transform;
-use super::{ExportError, fits_u32};
-
-/// Lattice units per region.
-const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;
-
-/// All attributes of a vertex, with the position on the lattice of the whole volume. Vertices with equal keys are joined.
-type Key = ([i64; 3], [i16; 2], u16, u16);
 
 /// A surface in world units. Vertices that regions share are joined, triangles ordered by level, finest first.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -120,62 +113,15 @@ impl Mesh {
             unit: geometry.unit,
             ..Self::default()
         };
-        for region in &surface.regions {
-            check(region)?;
-            for (sum, n) in mesh.level_triangles.iter_mut().zip(region.level_triangles) {
-                *sum += u64::from(n);
-            }
+        let joined = Joined::new(&surface.regions, is_cancelled)?;
+        mesh.level_triangles = joined.level_triangles;
+        mesh.reserve(joined.vertices.len());
+        for (position, vertex) in joined.vertices {
+            mesh.push(vertex, position, &transform)?;
         }
-        let held: u64 = surface.regions.iter().map(|r| r.vertices.len() as u64).sum();
-        fits_u32("vertices", held, "a 32-bit index")?;
-        mesh.reserve(held as usize);
-
-        // Index of the next triangle of each level.
-        let mut next = [0usize; 6];
-        for level in 1..6 {
-            next[level] = next[level - 1] + mesh.level_triangles[level - 1] as usize;
-        }
-        // Most vertices are inside their region and belong to no other. So only vertices on a region's faces, and vertices that lie outside
-        // of the region that lists them, are looked up.
-        let outside: HashSet<Key> = (surface.regions.iter())
-            .flat_map(|region| region.vertices.iter().map(move |v| (region, v)))
-            .filter(|(_, v)| v.position.iter().any(|p| !(0..=REGION_LATTICE).contains(p)))
-            .map(|(region, v)| key(region, v))
-            .collect();
-        let mut shared = HashMap::new();
-        let mut copies = HashMap::new();
-        let mut joined = Vec::new();
-        for region in &surface.regions {
-            if is_cancelled() {
-                return Err(ExportError::Cancelled);
-            }
-            joined.clear();
-            copies.clear();
-            for vertex in &region.vertices {
-                let key = key(region, vertex);
-                let new = mesh.positions.len() as u32;
-                let inside = vertex.position.iter().all(|p| (1..REGION_LATTICE).contains(p));
-                let index = if inside && !outside.contains(&key) {
-                    new
-                } else {
-                    // Equal vertices of one region are not joined: they are crossings on several edges of a sample that the surface passes
-                    // through. The first copy is joined with the first copies of other regions, the second with the second, and so on.
-                    let copy = copies.entry(key).and_modify(|n| *n += 1).or_insert(0u32);
-                    *shared.entry((key, *copy)).or_insert(new)
-                };
-                if index == new {
-                    mesh.push(vertex, key.0, &transform)?;
-                }
-                joined.push(index);
-            }
-            let mut corners = region.indices.chunks_exact(3);
-            for (level, &count) in region.level_triangles.iter().enumerate() {
-                for corner in corners.by_ref().take(count as usize) {
-                    let [a, b, c] = [0, 1, 2].map(|i| joined[corner[i] as usize]);
-                    mesh.triangles[next[level]] = if transform.mirrors { [a, c, b] } else { [a, b, c] };
-                    next[level] += 1;
-                }
-            }
+        mesh.triangles = joined.triangles;
+        if transform.mirrors {
+            mesh.triangles.iter_mut().for_each(|[_, b, c]| std::mem::swap(b, c));
         }
         Ok(mesh)
     }
@@ -246,13 +192,11 @@ impl Mesh {
     }
 
     fn reserve(&mut self, vertices: usize) {
-        let triangles: u64 = self.level_triangles.iter().sum();
         self.positions.reserve(vertices);
         self.index.reserve(vertices);
         self.normals.reserve(vertices);
         self.smoothness.reserve(vertices);
         self.feature.reserve(vertices);
-        self.triangles.resize(triangles as usize, [0; 3]);
     }
 
     fn push(&mut self, vertex: &Vertex, lattice: [i64; 3], transform: &Transform<'_>) -> Result<(), ExportError> {
@@ -264,34 +208,6 @@ impl Mesh {
         self.feature.push(f32::from(vertex.feature) / 65535.0);
         Ok(())
     }
-}
-
-fn key(region: &Region, vertex: &Vertex) -> Key {
-    let position = [0, 1, 2]
-        .map(|axis| i64::from(region.coords[axis]) * i64::from(REGION_LATTICE) + i64::from(vertex.position[axis]));
-    (position, vertex.normal, vertex.smoothness, vertex.feature)
-}
-
-/// Refuses a region whose indices would be out of bounds.
-fn check(region: &Region) -> Result<(), ExportError> {
-    let bad = |why| {
-        Err(ExportError::BadRegion {
-            region: region.coords,
-            why,
-        })
-    };
-    let levels: u64 = region.level_triangles.iter().map(|&n| u64::from(n)).sum();
-    if region.indices.len() as u64 != 3 * levels {
-        return bad(format!(
-            "{} indices, expected 3 for each of {levels} triangles",
-            region.indices.len()
-        ));
-    }
-    let vertices = region.vertices.len();
-    if let Some(index) = region.indices.iter().find(|&&i| i as usize >= vertices) {
-        return bad(format!("index {index}, expected less than {vertices}, its vertices"));
-    }
-    Ok(())
 }
 
 /// `#rrggbb` as three bytes.

@@ -12,7 +12,7 @@ use isopeel_volumes::{LengthUnit, VolumeStep};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
-use crate::extraction::ExtractionStatistics;
+use isopeel_extraction::{ExtractionStatistics, JoinError};
 
 mod caps;
 mod clean;
@@ -326,20 +326,30 @@ pub enum ExportError {
     /// World coordinates do not fit the numbers of the format.
     #[error("a vertex lies at {0:?} world units, beyond what the numbers of the format hold")]
     OutOfRange([f64; 3]),
-    /// A region that is not consistent.
-    #[error("region {region:?}: {why}")]
-    BadRegion {
-        /// The region.
-        region: [u32; 3],
-        /// What was found and what was expected.
-        why: String,
-    },
+    /// The regions of the surface do not make a mesh.
+    #[error(transparent)]
+    Join(JoinError),
     /// The request was cancelled: no client waits for its result any more.
     #[error("cancelled")]
     Cancelled,
     /// Writing failed.
     #[error("the surface could not be written")]
     Io(#[from] io::Error),
+}
+
+impl From<JoinError> for ExportError {
+    fn from(error: JoinError) -> Self {
+        match error {
+            JoinError::Cancelled => Self::Cancelled,
+            JoinError::TooManyVertices(found) => Self::TooLarge {
+                what: "vertices",
+                found,
+                limit: u64::from(u32::MAX),
+                format: "a 32-bit index",
+            },
+            JoinError::BadRegion { .. } => Self::Join(error),
+        }
+    }
 }
 
 /// Content of a file, before it is encoded.

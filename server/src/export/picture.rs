@@ -2,7 +2,7 @@
 
 use isopeel_kernels::{SampleType, Samples};
 
-use crate::extraction::Slice;
+use isopeel_extraction::Slice;
 
 /// Parameters with which a slice is drawn.
 pub(super) struct Picture {

@@ -4,7 +4,7 @@ use isopeel_geometry::DVec3;
 use isopeel_kernels::SampleType;
 use isopeel_volumes::{Frame, LengthUnit};
 
-use crate::extraction::Slice;
+use isopeel_extraction::Slice;
 
 /// Bytes of the header.
 const HEADER: usize = 348;

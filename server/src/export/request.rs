@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use isopeel_extraction::fields;
+use isopeel_extraction::{ExportWork, Measuring, Refining};
 use isopeel_view::quality::Budget;
 use isopeel_view::{Edit, EditError, Outward, SIGMAS, View};
 use isopeel_volumes::{Dataset, LengthUnit};
@@ -15,8 +17,6 @@ use super::label::around_labels;
 use super::schema::merged_schema;
 use super::surface_options::SurfaceOptions;
 use super::{Compress, Format};
-use crate::extraction::{ExportWork, Measuring, Refining};
-use crate::fields;
 
 /// Maximum fields whose values a file has. The samples of each are in memory while the file is made.
 const MAX_FIELD_VALUES: usize = 16;

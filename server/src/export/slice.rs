@@ -7,6 +7,7 @@ use std::path::Path;
 use clap::ValueEnum;
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use isopeel_extraction::{Slice, WorkError};
 use isopeel_geometry::{DVec3, IndexSpace};
 use isopeel_view::FeatureName;
 use isopeel_volumes::{Field, Frame, LengthUnit, VolumeStep};
@@ -18,7 +19,7 @@ use super::contours::{Contour, contours};
 use super::picture::{Picture, samples_of};
 use super::placed::{PlacedPlane, nifti, nrrd};
 use super::xml::escaped;
-use crate::extraction::{DeviceWorker, Slice, WorkError};
+use crate::service::DeviceWorker;
 
 /// Maximum isovalues of one file.
 pub const MAX_ISOVALUES: usize = 64;
@@ -415,9 +416,9 @@ mod tests {
     use std::sync::Arc;
 
     use isopeel_kernels::SampleType;
+    use isopeel_volumes::testing;
 
     use super::*;
-    use isopeel_volumes::testing;
 
     fn plane(frame: Frame) -> Plane {
         let mut dataset = testing::dataset("head", [5, 4, 3], &["t1"]);

@@ -1,11 +1,11 @@
 //! Why a batch job is refused, or is not there.
 
+use isopeel_extraction::WorkError;
 use isopeel_view::EditError;
 use isopeel_volumes::{IdentityError, UnknownStep};
 
 use super::MAX_EXTRACTIONS;
 use super::results::ReadResultError;
-use crate::extraction::WorkError;
 
 /// Why a request about batch jobs fails. Each variant calls for a different reaction of the caller.
 #[derive(Debug, thiserror::Error)]

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use isopeel_extraction::WorkError;
 use isopeel_view::View;
 use isopeel_view::quality::Budget;
 use isopeel_volumes::{Dataset, UnknownStep, VolumeStep};
@@ -9,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::state::Estimate;
 use crate::export::{FileRequest, OtherVolumes};
-use crate::extraction::{Extractor, WorkError};
+use crate::service::Extractor;
 
 /// Extractions whose surfaces are counted: the first, the last and the one in the middle. Each may read a time step.
 const SAMPLES: usize = 3;
@@ -82,8 +83,9 @@ fn within_budget(full: u64, view: &View) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use isopeel_view::quality::{ShareBudget, TriangleBudget};
+
+    use super::*;
 
     #[test]
     fn samples_are_spread_over_all() {

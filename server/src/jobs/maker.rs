@@ -5,6 +5,7 @@ use std::io::Write;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use async_trait::async_trait;
+use isopeel_extraction::{MeasuredError, WorkError};
 use isopeel_volumes::{Dataset, IdentityError, Reader, SharedCatalog, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
@@ -12,7 +13,7 @@ use super::results::ResultFile;
 use super::state::Cause;
 use super::store::work::Work;
 use crate::export::{self, ExportError, MadeFile, MakeError, OtherVolumes};
-use crate::extraction::{Extractor, MeasuredError, WorkError};
+use crate::service::Extractor;
 
 /// Makes files.
 #[async_trait]

@@ -45,7 +45,7 @@ pub use store::requests::ResultInfo;
 /// Owner of jobs that are made without a server.
 pub use crate::access::OPERATOR;
 use crate::export::{FileRequest, OtherVolumes};
-use crate::extraction::Extractor;
+use crate::service::Extractor;
 use estimate::{EstimateError, estimate};
 use maker::DeviceMaker;
 use results::Results;

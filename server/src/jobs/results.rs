@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use futures_util::stream::BoxStream;
+use isopeel_extraction::MeasuredError;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
 use object_store::{GetOptions, GetRange, MultipartUpload, ObjectStore, ObjectStoreExt};
@@ -16,7 +17,6 @@ use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 
 use crate::export::ExportError;
-use crate::extraction::MeasuredError;
 
 /// Bytes of a write.
 const PART_BYTES: usize = 4 << 20;

@@ -1,10 +1,10 @@
 //! Batch jobs as clients see them.
 
+use isopeel_extraction::MeasuredError;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::export::FileRequest;
-use crate::extraction::MeasuredError;
 
 /// What `POST jobs` asks for: surfaces of one volume, each a file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
+use isopeel_extraction::MeasuredError;
 use isopeel_volumes::testing::dataset;
 use isopeel_volumes::{InputIdentity, SeenFiles};
 use sha2::{Digest, Sha256};
@@ -23,7 +24,6 @@ use super::store::requests::{NewJob, RequestKey};
 use super::store::work::Work;
 use super::{Limits, OPERATOR};
 use crate::export::ExportError;
-use crate::extraction::MeasuredError;
 
 pub(super) const LIMITS: Limits = Limits { quota_bytes: 1 << 30 };
 

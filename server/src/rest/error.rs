@@ -4,11 +4,11 @@ use std::time::Duration;
 
 use axum::extract::rejection::{JsonRejection, PathRejection, QueryRejection};
 use axum::http::StatusCode;
+use isopeel_extraction::WorkError;
 use isopeel_view::EditError;
 use isopeel_volumes::{IdentityError, UnknownStep};
 
 use crate::export::{ExportError, MakeError};
-use crate::extraction::WorkError;
 use crate::jobs::JobError;
 use crate::problem::ApiError;
 

@@ -28,9 +28,9 @@ use super::export_queue::ExportPermit;
 use super::ranges::content_range;
 use crate::access::Identity;
 use crate::export::{self, FileDigest, FileRequest, MadeFile, OtherVolumes, merged_schema};
-use crate::extraction::Extractor;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
+use crate::service::Extractor;
 pub use spool::SpoolFolder;
 
 /// Header that carries the statistics of `isopeel extract --stats`, JSON in ASCII.
@@ -267,9 +267,10 @@ fn ascii(json: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use isopeel_view::Edit;
+
     use super::*;
     use crate::export::Format;
-    use isopeel_view::Edit;
 
     #[test]
     fn a_request_holds_volume_format_and_the_edits_names() {

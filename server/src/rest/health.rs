@@ -5,10 +5,11 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::extract::State;
+use isopeel_extraction::{MemoryUse, WorkError};
 
 use super::ApiState;
-use crate::extraction::{DeviceState, MemoryUse, Preparation, WorkError};
 use crate::problem::{ApiError, Problem};
+use crate::service::{DeviceState, Preparation};
 
 /// Maximum time for the device to do the smallest job. Probes often have the same time-out.
 const ANSWER_LIMIT: Duration = Duration::from_secs(5);

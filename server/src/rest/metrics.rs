@@ -3,9 +3,9 @@
 use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
+use isopeel_extraction::MemoryUse;
 
 use super::ApiState;
-use crate::extraction::MemoryUse;
 use crate::metrics;
 use crate::problem::{ApiError, Problem};
 

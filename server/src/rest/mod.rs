@@ -55,9 +55,9 @@ pub use uploads::{LENGTH_HEADER, OFFSET_HEADER, TUS_HEADER};
 pub use volumes::{UnreadablePath, VolumeSummary};
 
 use crate::access::{Access, SeatLimits, Seats};
-use crate::extraction::Extractor;
 use crate::jobs::Jobs;
 use crate::problem::{ApiError, Problem};
+use crate::service::Extractor;
 use crate::uploads::Uploads;
 use export_queue::{ExportQueue, QueueLimits};
 use extract::address::KnownTags;
@@ -183,7 +183,7 @@ impl ApiState {
                        application/problem+json document.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),
-    components(schemas(Problem, crate::extraction::ExtractionStatistics, crate::jobs::JobEvent))
+    components(schemas(Problem, isopeel_extraction::ExtractionStatistics, crate::jobs::JobEvent))
 )]
 struct Doc;
 

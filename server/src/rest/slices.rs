@@ -4,6 +4,7 @@ use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use isopeel_extraction::fields;
 use isopeel_kernels::SampleType;
 use isopeel_view::FieldExpression;
 use isopeel_volumes::{Field, VolumeStep};
@@ -14,7 +15,6 @@ use super::extract::File;
 use super::{ApiState, whole_number};
 use crate::access::{Identity, Occupant};
 use crate::export::slice::{Axis, BadSlice, Plane, SliceFormat, SliceOptions, isovalues, shown_slice};
-use crate::fields;
 use crate::pool;
 use crate::problem::{ApiError, Problem};
 

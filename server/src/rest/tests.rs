@@ -18,7 +18,7 @@ use tower::ServiceExt;
 use super::*;
 use crate::access::gate::admit;
 use crate::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
-use crate::extraction::DeviceWorker;
+use crate::service::DeviceWorker;
 
 #[derive(Debug)]
 struct Ramp;
@@ -154,7 +154,7 @@ async fn volumes_and_steps_that_are_not_there_are_named() {
 /// Returns the answer to a client if the samples of a volume cannot be read.
 fn answer_to_unreadable(state: &ApiState, volume: &Dataset) -> (StatusCode, &'static str) {
     let unreadable = ReadError::new(std::path::Path::new("a.nrrd"), "data", "it has 3 bytes, expected 8");
-    let error = crate::extraction::WorkError::from(unreadable);
+    let error = isopeel_extraction::WorkError::from(unreadable);
     let error = state.failed(&Identity::without_token(), &[Arc::new(volume.clone())], error);
     (error.status(), error.code())
 }

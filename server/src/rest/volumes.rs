@@ -14,8 +14,8 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::{ApiState, whole_number};
 use crate::access::Identity;
-use crate::extraction::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_expression};
 use crate::problem::{ApiError, Problem};
+use crate::service::{DeviceWorker, FieldInfo, VolumeInfo, describe, describe_expression};
 
 /// A volume, in short.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]

@@ -3,6 +3,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use isopeel_extraction::{
+    Answer, EngineId, FullCount, Measurement, Question, Refinement, ShownSurface, Step, WorkError,
+};
 use isopeel_kernels::DeviceKind;
 use isopeel_view::View;
 use isopeel_volumes::{Dataset, Lease, SharedCatalog, VolumeStep};
@@ -12,10 +15,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::access::Identity;
 use crate::error::chain;
-use crate::extraction::{
-    Answer, DeviceState, DeviceWorker, EngineId, Extractor, FullCount, Held, Measurement, OpeningProgress,
-    OpeningWatch, Question, Refinement, ShownSurface, Step, WorkError, describe,
-};
+use crate::service::{DeviceState, DeviceWorker, Extractor, Held, OpeningProgress, OpeningWatch, describe};
 
 /// Default bytes of chunks that are cached for viewers of equal views: some dozen surfaces of a million triangles.
 pub const SHARED_BYTES: u64 = 256 << 20;

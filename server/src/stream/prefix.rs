@@ -6,12 +6,12 @@ use std::sync::Arc;
 use axum::body::Bytes;
 use isopeel_codec::chunk::{Coding, PrefixId};
 use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
+use isopeel_extraction::VertexErrors;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use tokio_util::sync::CancellationToken;
 
 use super::shared::{ChunkCache, HeldRegion, HeldRegions, SharedStep};
-use crate::extraction::VertexErrors;
 use crate::pool::{self, Panicked};
 
 /// Triangles in a batch for each thread of the pool. Another viewer's work waits for two batches, which take about 5 ms.

@@ -11,9 +11,10 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 
 pub use close::CloseCode;
+use isopeel_extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Probe};
 
 use super::group::{Follower, LedSurface, Pose, Resume};
-use crate::extraction::{Curve, Distribution, ExtractionStatistics, MeasuredError, Preparation, Probe};
+use crate::service::Preparation;
 
 /// Subprotocol that a client must offer.
 pub const SUBPROTOCOL: &str = "isopeel.v2";
@@ -282,7 +283,7 @@ pub enum ServerMessage {
     /// The volume is open.
     Opened {
         /// As `GET /api/v1/volumes/{id}`.
-        #[cfg_attr(test, ts(as = "crate::extraction::VolumeInfo"))]
+        #[cfg_attr(test, ts(as = "crate::service::VolumeInfo"))]
         volume: Box<RawValue>,
         /// Time step.
         step: u32,
@@ -303,7 +304,7 @@ pub enum ServerMessage {
     /// What the values of the time step are like.
     Described {
         /// As `GET /api/v1/volumes/{id}` of that step.
-        #[cfg_attr(test, ts(as = "crate::extraction::VolumeInfo"))]
+        #[cfg_attr(test, ts(as = "crate::service::VolumeInfo"))]
         volume: Box<RawValue>,
         /// Time step.
         step: u32,

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
 use isopeel::access::Access;
-use isopeel::extraction::DeviceWorker;
 use isopeel::serve::{Config, run};
+use isopeel::service::DeviceWorker;
 use isopeel::stream::{Deadlines, LiveOptions, StepTimes};
 use isopeel_codec::chunk::{ChunkKind, DecodedChunk, LATTICE};
 use isopeel_codec::decode::decode;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use isopeel::extraction::{DeviceWorker, describe_expression};
+use isopeel::service::{DeviceWorker, describe_expression};
 use isopeel_kernels::Samples;
 use isopeel_view::{FeatureName, View};
 use isopeel_volumes::{Field, FileLocation, ReadError, ReadProgress, Source, VolumeStep};
@@ -197,7 +197,7 @@ async fn expressions_are_described_as_fields_are() {
         twice.histogram.counts, own.histogram.counts,
         "the same bins, twice as wide"
     );
-    let iso = |info: &isopeel::extraction::FieldInfo| info.opening_iso.as_ref().expect("an isovalue").iso;
+    let iso = |info: &isopeel::service::FieldInfo| info.opening_iso.as_ref().expect("an isovalue").iso;
     assert!((iso(&twice) - 2.0 * iso(&own)).abs() < 1e-3);
     let log = describe_expression(&worker, &step, "log(value)")
         .await

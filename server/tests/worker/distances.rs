@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use isopeel::extraction::{DeviceWorker, WorkError, describe_expression};
+use isopeel::service::{DeviceWorker, describe_expression};
+use isopeel_extraction::WorkError;
 use isopeel_kernels::{SampleType, Samples};
 use isopeel_volumes::{
     Dataset, Field, FileLocation, LengthUnit, ReadError, ReadProgress, Source, VolumeStep, open_dataset,

@@ -13,8 +13,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use isopeel::dataset_views::opening_view;
-use isopeel::extraction::{DeviceState, DeviceWorker, OpenError, OpeningProgress, WorkError};
+use isopeel::service::{DeviceState, DeviceWorker, OpeningProgress};
+use isopeel_extraction::dataset_views::opening_view;
+use isopeel_extraction::{OpenError, WorkError};
 use isopeel_kernels::{DerivedFeature, Error, SampleType, Samples};
 use isopeel_view::{Edit, FeatureName, View};
 use isopeel_volumes::{Dataset, Field, FileLocation, Geometry, Notices, ReadError, ReadProgress, Source, VolumeStep};

@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use isopeel::extraction::{DeviceOptions, DeviceWorker, WorkError};
+use isopeel::service::{DeviceOptions, DeviceWorker};
+use isopeel_extraction::WorkError;
 use isopeel_kernels::{DerivedFeature, Overview, OverviewMode, Samples};
 use isopeel_view::{FeatureName, View};
 use isopeel_volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};

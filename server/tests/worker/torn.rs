@@ -4,7 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use isopeel::extraction::{DeviceWorker, WorkError};
+use isopeel::service::DeviceWorker;
+use isopeel_extraction::WorkError;
 use isopeel_kernels::Samples;
 use isopeel_view::FeatureName;
 use isopeel_volumes::{Field, FileLocation, ReadError, ReadProgress, Source, VolumeStep};

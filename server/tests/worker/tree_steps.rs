@@ -2,7 +2,8 @@
 
 use std::collections::HashMap;
 
-use isopeel::extraction::{DeviceWorker, Refinement, Shown, Step};
+use isopeel::service::DeviceWorker;
+use isopeel_extraction::{Refinement, Shown, Step};
 use isopeel_kernels::{Surface, Vertex};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;

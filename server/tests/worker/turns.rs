@@ -4,8 +4,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use futures_util::future::join_all;
-use isopeel::extraction::{DeviceState, DeviceWorker, Extractor, QUEUED_JOBS, Shown, Step, WorkError};
+use isopeel::service::{DeviceState, DeviceWorker, Extractor, QUEUED_JOBS};
 use isopeel_codec::encode::encoded_bytes;
+use isopeel_extraction::{Shown, Step, WorkError};
 use isopeel_kernels::Samples;
 use isopeel_view::View;
 use isopeel_volumes::{Dataset, Field, FileLocation, Geometry, ReadError, ReadProgress, Source, VolumeStep};

@@ -3,9 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use isopeel::dataset_views::{opening_view, view_space};
 use isopeel::export::Mesh;
-use isopeel::extraction::{Answer, CutId, DeviceWorker, Extraction, Probe, Question, ShownSurface};
+use isopeel::service::DeviceWorker;
+use isopeel_extraction::dataset_views::{opening_view, view_space};
+use isopeel_extraction::{Answer, CutId, Extraction, Probe, Question, ShownSurface};
 use isopeel_view::View;
 use isopeel_volumes::{Dataset, Frame, VolumeStep, open_dataset};
 use tokio_util::sync::CancellationToken;
@@ -403,9 +404,7 @@ async fn features_are_described_and_extracted_at_uneven_positions() {
     let path = folder.path().join("ball.vtr");
     write_grid(&path, |p| dot(p, p));
     let step = VolumeStep::new(Arc::new(open_dataset(&path).expect("opens")), 0).expect("a step");
-    let described = isopeel::extraction::describe(&worker, &step)
-        .await
-        .expect("a description");
+    let described = isopeel::service::describe(&worker, &step).await.expect("a description");
     let names: Vec<_> = described.fields[0].derived_features.keys().collect();
     assert_eq!(
         names,
@@ -452,9 +451,7 @@ async fn positions_are_described_and_samples_can_be_counted() {
     let worker = DeviceWorker::start(None).expect("a thread");
     let dataset = opened("uneven.vtr");
     let step = VolumeStep::new(Arc::clone(&dataset), 0).expect("a step");
-    let described = isopeel::extraction::describe(&worker, &step)
-        .await
-        .expect("a description");
+    let described = isopeel::service::describe(&worker, &step).await.expect("a description");
     let [x, y, z] = described.geometry.positions.expect("positions");
     assert!(x.is_none() && y.is_some_and(|y| y.len() == 15));
     let (z, last) = (z.expect("uneven"), described.geometry.spacing[2] * 16.0);

@@ -11,7 +11,8 @@ const MAX_POSITIONS: usize = 64;
 
 /// Parts (connected components) of the surface. Each position, in world coordinates, chooses the part whose surface is nearest to it; if
 /// there is no surface in the two cells around it, the position chooses nothing. 1 to 64 positions.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(rename = "ChosenParts"))]
 #[serde(rename_all = "camelCase")]
 pub enum ChosenPartsJson {
@@ -76,8 +77,9 @@ pub fn parse_position(text: &str) -> Result<[f64; 3], String> {
 
 #[cfg(test)]
 mod tests {
-    use super::{ChosenPartsJson, parse_position};
     use isopeel_kernels::ChosenParts;
+
+    use super::{ChosenPartsJson, parse_position};
 
     #[test]
     fn what_is_wrong_is_named() {

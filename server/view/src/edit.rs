@@ -9,7 +9,8 @@ use super::quality::{self, Distance, MaxError, MesherName, TopologyName, Triangl
 use super::transfer_function::TransferFunctionJson;
 
 /// Any subset of what can be edited; what is absent stays as it was.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(optional_fields))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct Edit {
@@ -26,7 +27,7 @@ pub struct Edit {
         skip_serializing_if = "Option::is_none",
         deserialize_with = "mask::some_mask"
     )]
-    #[schema(value_type = Option<String>)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     #[cfg_attr(feature = "typescript", ts(type = "string | null"))]
     pub mask: Option<Option<String>>,
     /// Feature that matters to the user: a field's name, a feature of the shown field such as `gradient-magnitude`, a feature of three
@@ -36,7 +37,7 @@ pub struct Edit {
     pub feature: Option<String>,
     /// Feature values that become 0 and 1, in the feature's units; the feature's own range when never given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(min_items = 2, max_items = 2)]
+    #[cfg_attr(feature = "openapi", schema(min_items = 2, max_items = 2))]
     pub feature_range: Option<[f32; 2]>,
     /// Weight of the feature against smoothness, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -73,7 +74,7 @@ pub struct Edit {
         skip_serializing_if = "Option::is_none",
         deserialize_with = "chosen_parts::some_parts"
     )]
-    #[schema(value_type = Option<ChosenPartsJson>)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<ChosenPartsJson>))]
     pub parts: Option<Option<ChosenPartsJson>>,
     /// Guard: largest distance of a decimated part to the surface it stands for.
     #[serde(
@@ -99,7 +100,7 @@ pub struct Edit {
     pub transfer_function: Option<TransferFunctionJson>,
     /// Regions of interest, in which importance is raised, at most 64. They replace those set before.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(max_items = 64)]
+    #[cfg_attr(feature = "openapi", schema(max_items = 64))]
     pub interest: Option<Vec<InterestJson>>,
 }
 

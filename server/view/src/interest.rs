@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 use super::error::EditError;
 
 /// A region of interest, in world coordinates: a sphere or a box. Importance inside is at least its own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(rename = "Interest", optional_fields))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct InterestJson {
@@ -25,27 +26,29 @@ pub struct InterestJson {
 }
 
 /// A sphere.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(rename = "Sphere"))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct SphereJson {
     /// Its centre.
-    #[schema(min_items = 3, max_items = 3)]
+    #[cfg_attr(feature = "openapi", schema(min_items = 3, max_items = 3))]
     pub center: [f64; 3],
     /// Above 0.
     pub radius: f64,
 }
 
 /// A box along the axes of the world.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(rename = "Box"))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct BoxJson {
     /// Minimum along each axis.
-    #[schema(min_items = 3, max_items = 3)]
+    #[cfg_attr(feature = "openapi", schema(min_items = 3, max_items = 3))]
     pub min: [f64; 3],
     /// Maximum along each axis, above the minimum.
-    #[schema(min_items = 3, max_items = 3)]
+    #[cfg_attr(feature = "openapi", schema(min_items = 3, max_items = 3))]
     pub max: [f64; 3],
 }
 
@@ -186,8 +189,9 @@ pub(super) fn triple(text: &str) -> Option<[f64; 3]> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use isopeel_geometry::{DAffine3, DMat3};
+
+    use super::*;
 
     fn sphere(center: [f64; 3], radius: f64, importance: f32) -> InterestJson {
         InterestJson {

@@ -12,6 +12,8 @@ mod outward;
 mod parts;
 pub mod quality;
 mod request;
+#[cfg(feature = "openapi")]
+mod schemas;
 mod transfer_function;
 
 use isopeel_geometry::IndexSpace;

@@ -5,12 +5,11 @@ use std::str::FromStr;
 use isopeel_kernels::{Mesher, Topology};
 use serde::de::{self, Deserializer, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
-use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
-use utoipa::openapi::{RefOr, Schema};
-use utoipa::{PartialSchema, ToSchema};
 
 /// Which mesher turns the cut into triangles.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "kebab-case")]
 pub enum MesherName {
@@ -31,7 +30,9 @@ impl From<MesherName> for Mesher {
 }
 
 /// Whether decimation may change the surface's topology.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "kebab-case")]
 pub enum TopologyName {
@@ -122,20 +123,6 @@ impl<'de> Deserialize<'de> for Distance {
         }
     }
 }
-
-impl PartialSchema for Distance {
-    fn schema() -> RefOr<Schema> {
-        OneOfBuilder::new()
-            .item(ObjectBuilder::new().schema_type(Type::Number))
-            .item(ObjectBuilder::new().schema_type(Type::String))
-            .description(Some(
-                "World units, or text like `0.25vx` (multiples of the smallest spacing)",
-            ))
-            .into()
-    }
-}
-
-impl ToSchema for Distance {}
 
 /// Guard on the error: how far a decimated part may be from the surface it stands for. In JSON a distance, null or `none`, or `auto`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -234,21 +221,6 @@ impl<'de> Deserialize<'de> for MaxError {
     }
 }
 
-impl PartialSchema for MaxError {
-    fn schema() -> RefOr<Schema> {
-        OneOfBuilder::new()
-            .item(ObjectBuilder::new().schema_type(Type::Number))
-            .item(ObjectBuilder::new().schema_type(Type::String))
-            .item(ObjectBuilder::new().schema_type(Type::Null))
-            .description(Some(
-                "World units, text like `0.25vx` (multiples of the smallest spacing), `auto`, or null: no guard",
-            ))
-            .into()
-    }
-}
-
-impl ToSchema for MaxError {}
-
 /// Deserializes a field that is present: null is a value, an absent field no change.
 pub fn some_max_error<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<MaxError>, D::Error> {
     MaxError::deserialize(deserializer).map(Some)
@@ -261,7 +233,8 @@ pub fn some_min_part<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Optio
 }
 
 /// Maximum triangles of a surface: a number, or a share of the full surface.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(untagged)]
 pub enum TriangleBudget {
@@ -272,7 +245,8 @@ pub enum TriangleBudget {
 }
 
 /// A share of the full surface's triangles.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(optional_fields))]
 #[serde(deny_unknown_fields)]
 pub struct ShareBudget {
@@ -352,7 +326,8 @@ pub struct Fitted {
 }
 
 /// A guard.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS))]
 #[serde(rename_all = "kebab-case")]
 pub enum GuardName {

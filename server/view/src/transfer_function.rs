@@ -6,17 +6,19 @@ use serde::{Deserialize, Serialize};
 use super::error::EditError;
 
 /// A transfer function as it travels; the kernels know importance alone, colour is the viewer's.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(rename = "TransferFunction"))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct TransferFunctionJson {
     /// Control points, 1 to 64.
-    #[schema(min_items = 1, max_items = 64)]
+    #[cfg_attr(feature = "openapi", schema(min_items = 1, max_items = 64))]
     pub points: Vec<PointJson>,
 }
 
 /// One control point.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "typescript", derive(ts_rs::TS), ts(rename = "ControlPoint"))]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 pub struct PointJson {

@@ -1,9 +1,12 @@
 //! Private volumes: each belongs to one user and comes and goes while the server runs. Public volumes are in the catalog.
 
+use std::convert::Infallible;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::SystemTime;
 
-use tokio_util::sync::CancellationToken;
+use futures_channel::oneshot;
+use futures_util::FutureExt;
+use futures_util::future::Shared;
 
 use super::Dataset;
 
@@ -41,11 +44,28 @@ impl<'a> Reader<'a> {
 struct PrivateVolume {
     owner: Arc<str>,
     dataset: Arc<Dataset>,
-    removed: CancellationToken,
+    /// Dropped when the volume is removed, which completes `removed`.
+    in_list: Mutex<Option<oneshot::Sender<Infallible>>>,
+    removed: Shared<oneshot::Receiver<Infallible>>,
     used: Mutex<SystemTime>,
 }
 
 impl PrivateVolume {
+    fn new(owner: Arc<str>, dataset: Arc<Dataset>, used: SystemTime) -> Self {
+        let (in_list, removed) = oneshot::channel();
+        Self {
+            owner,
+            dataset,
+            in_list: Mutex::new(Some(in_list)),
+            removed: removed.shared(),
+            used: Mutex::new(used),
+        }
+    }
+
+    fn remove(&self) {
+        *self.in_list.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
     fn touch(&self) {
         *self.used.lock().unwrap_or_else(PoisonError::into_inner) = SystemTime::now();
     }
@@ -59,7 +79,9 @@ impl Lease {
     /// Completes when the volume is removed; never for a public volume.
     pub async fn removed(&self) {
         match &self.0 {
-            Some(volume) => volume.removed.cancelled().await,
+            Some(volume) => {
+                let Err(oneshot::Canceled) = volume.removed.clone().await;
+            }
             None => std::future::pending().await,
         }
     }
@@ -85,14 +107,11 @@ impl PrivateVolumes {
     pub fn add(&self, owner: &str, datasets: impl IntoIterator<Item = Arc<Dataset>>, used: SystemTime) {
         let owner: Arc<str> = owner.into();
         let mut volumes = self.volumes.write().unwrap_or_else(PoisonError::into_inner);
-        volumes.extend(datasets.into_iter().map(|dataset| {
-            Arc::new(PrivateVolume {
-                owner: Arc::clone(&owner),
-                dataset,
-                removed: CancellationToken::new(),
-                used: Mutex::new(used),
-            })
-        }));
+        volumes.extend(
+            datasets
+                .into_iter()
+                .map(|dataset| Arc::new(PrivateVolume::new(Arc::clone(&owner), dataset, used))),
+        );
     }
 
     /// Removes a volume and notifies the holders of leases on it. Holders of the dataset keep it.
@@ -101,7 +120,7 @@ impl PrivateVolumes {
         volumes.retain(|volume| {
             let stays = volume.dataset.id != id;
             if !stays {
-                volume.removed.cancel();
+                volume.remove();
             }
             stays
         });

@@ -169,7 +169,7 @@ fn two_surfaces_at_most_are_encoded_for_a_budget_of_bytes() {
             .arg("extract")
             .arg(demo_file())
             .args(["--iso", "100", "--stats", "--bytes", &budget.to_string()])
-            .env("RUST_LOG", "isopeel::extraction=debug")
+            .env("RUST_LOG", "isopeel_extraction=debug")
             .output()
             .expect("the binary starts");
         let log = String::from_utf8_lossy(&output.stderr);

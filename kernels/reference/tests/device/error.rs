@@ -2,11 +2,12 @@
 
 use std::ops::RangeInclusive;
 
-use super::recipes::{Pattern, recipes_of, surfaces};
-use super::*;
 use isopeel_kernels::{SampleType, SurfaceError, Tuning};
 use isopeel_reference::error::{Bounds, Triangle, bounds};
 use isopeel_reference::{Feature as TwinFeature, construct};
+
+use super::recipes::{Pattern, recipes_of, surfaces};
+use super::*;
 
 /// Extents for which every crossing can be compared with every triangle; some have several regions.
 const DIMS: [[u32; 3]; 6] = [[2, 2, 2], [2, 9, 13], [7, 34, 5], [9, 10, 11], [35, 6, 7], [12, 12, 12]];
@@ -297,7 +298,7 @@ fn a_call_of_its_own_measures_what_a_peel_states_and_can_be_cancelled() {
 
     struct After(std::cell::Cell<u32>);
     impl isopeel_kernels::Cancel for After {
-        fn cancelled(&self) -> bool {
+        fn is_cancelled(&self) -> bool {
             self.0.set(self.0.get() + 1);
             self.0.get() > 4
         }

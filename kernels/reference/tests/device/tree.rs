@@ -1,10 +1,11 @@
 //! The vertex tree, node for node, on the full dual mesh read back from the device.
 
+use isopeel_kernels::{Cancel, DeviceKind, Error, VertexTree};
+use isopeel_reference::tree::{self, BlockTree, Node};
+
 use super::host_tree::HostTree;
 use super::recipes::{Pattern, recipes, surfaces};
 use super::*;
-use isopeel_kernels::{Cancel, DeviceKind, Error, VertexTree};
-use isopeel_reference::tree::{self, BlockTree, Node};
 use std::cell::Cell;
 
 /// A volume with its pyramid and the tree of it.
@@ -208,7 +209,7 @@ fn merges_hardly_ever_fold_the_surface() {
     );
 }
 
-/// Runs other work on the device at each poll, as jobs do to which the device is yielded.
+/// Runs other work on the device in each pause, as jobs do for which a long one pauses.
 pub struct Others<'a> {
     pub polls: Cell<usize>,
     /// Gives up at this poll.
@@ -217,10 +218,13 @@ pub struct Others<'a> {
 }
 
 impl Cancel for Others<'_> {
-    fn cancelled(&self) -> bool {
+    fn is_cancelled(&self) -> bool {
+        self.polls.get() == self.given_up_at
+    }
+
+    fn pause(&self) {
         (self.work)();
         self.polls.set(self.polls.get() + 1);
-        self.polls.get() == self.given_up_at
     }
 }
 

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use data_encoding::HEXLOWER;
 use futures_util::StreamExt;
 use indicatif::ProgressBar;
+use isopeel_extraction::ExtractionStatistics;
 use isopeel_kernels::SampleType;
 use isopeel_volumes::{Dataset, IdentityError, InputIdentity, SeenFiles, VolumeStep};
 use sha2::{Digest, Sha256};
@@ -21,8 +22,8 @@ use super::{Args, BatchError, Interrupt};
 use crate::cli::jobs::{empty_ones, progress_bar};
 use crate::cli::output::{Output, OutputError, WrittenFile};
 use crate::export::{self, FileRequest, Format, MadeFile, OtherVolumes};
-use crate::extraction::{ExtractionStatistics, Extractor};
 use crate::jobs::{Cause, ExtractionState, MAX_ATTEMPTS, MakeFailure, ManifestEntry, failure};
+use crate::service::Extractor;
 
 /// Surfaces that are worked on at a time: while one is on the device, the file of the one before is written, or the volume of the next one is
 /// read.
@@ -415,8 +416,9 @@ fn show_failures(bar: &ProgressBar, failed: u64) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use isopeel_volumes::testing;
+
+    use super::*;
 
     #[test]
     fn files_of_steps_and_of_volumes_are_told_apart() {

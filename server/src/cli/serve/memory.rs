@@ -1,6 +1,7 @@
 //! Options of `isopeel serve` about memory.
 
-use crate::extraction::{PROCESSOR_BYTES, limit_host_memory, return_freed_memory};
+use isopeel_extraction::{PROCESSOR_BYTES, limit_host_memory, return_freed_memory};
+
 use crate::stream::SHARED_BYTES;
 
 /// A few steps of 256³ floats.

@@ -1,5 +1,6 @@
+use isopeel_extraction::JoinError;
 use isopeel_geometry::{DVec3, triangle_normal};
-use isopeel_kernels::{Level, SurfaceStatistics};
+use isopeel_kernels::{Level, Region, SurfaceStatistics};
 use isopeel_view::PointJson;
 
 use super::*;
@@ -224,7 +225,7 @@ fn broken_regions_and_places_are_refused() {
     surface.regions[0].level_triangles = [1, 0, 2, 0, 0, 0];
     assert!(matches!(
         Mesh::new(&surface, &geometry()),
-        Err(ExportError::BadRegion { .. })
+        Err(ExportError::Join(JoinError::BadRegion { .. }))
     ));
 
     let far = Geometry {

@@ -1,6 +1,7 @@
 //! Transactions of clients. Each names an owner, and finds only the jobs of this owner.
 
 use data_encoding::HEXLOWER;
+use isopeel_extraction::MeasuredError;
 use rusqlite::{Row, Transaction};
 
 use super::super::error::{JobError, StoreError};
@@ -11,7 +12,6 @@ use super::super::state::{
 use super::super::{Limits, MAX_JOBS, MAX_UNFINISHED_JOBS};
 use super::{JOB_COLUMNS, Store, add_event, job_info, now, optional};
 use crate::export::{FileRequest, Format};
-use crate::extraction::MeasuredError;
 
 /// Maximum failures that are listed with a job.
 const LISTED_FAILURES: u32 = 100;

@@ -1,10 +1,11 @@
+use isopeel_extraction::MeasuredError;
+
 use super::super::error::JobError;
 use super::super::results::Written;
 use super::super::testing::{LIMITS, job, open, open_new};
 use super::super::{Limits, MAX_ATTEMPTS, MAX_JOBS, MAX_UNFINISHED_JOBS, OPERATOR};
 use super::work::Outcome;
 use super::*;
-use crate::extraction::MeasuredError;
 use crate::jobs::ExtractionState;
 
 fn done(bytes: u64) -> Outcome {

@@ -2,6 +2,7 @@
 
 use std::sync::PoisonError;
 
+use isopeel_extraction::MeasuredError;
 use isopeel_volumes::InputIdentity;
 use rusqlite::Transaction;
 
@@ -12,7 +13,6 @@ use super::super::state::{Cause, JobState};
 use super::requests::file_request;
 use super::{Store, add_event, now, optional};
 use crate::export::FileRequest;
-use crate::extraction::MeasuredError;
 
 /// The extraction that is made next.
 #[derive(Clone, Debug, PartialEq)]

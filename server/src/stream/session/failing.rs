@@ -1,12 +1,12 @@
 //! Failed generations: the error that is sent, and whether the client may keep its surface.
 
+use isopeel_extraction::WorkError;
 use isopeel_view::View;
 
 use super::super::backend::Backend;
 use super::Session;
 use super::surface::{Failed, SurfaceSession};
 use crate::error::chain;
-use crate::extraction::WorkError;
 use crate::metrics;
 use crate::wire::messages::ServerMessage;
 

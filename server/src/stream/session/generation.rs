@@ -13,6 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use isopeel_codec::chunk::{Coding, PrefixId};
+use isopeel_extraction::{CutId, ExtractionStatistics, FullCount, Shown, ViewKey};
 use isopeel_kernels::{StageTime, SurfaceStatistics};
 use isopeel_view::View;
 use isopeel_view::quality::Budget;
@@ -25,7 +26,6 @@ use super::super::prefix::{Changes, Part};
 use super::super::shared::{HeldRegions, Offered, SharedStep};
 use super::draw_pause::DrawPause;
 use super::shown::HeldSurface;
-use crate::extraction::{CutId, ExtractionStatistics, FullCount, Shown, ViewKey};
 use crate::metrics;
 use crate::wire::messages::ServerMessage;
 

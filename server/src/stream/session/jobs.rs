@@ -6,6 +6,8 @@ use std::time::Duration;
 
 use axum::body::Bytes;
 use isopeel_codec::chunk::{ChunkKind, Coding};
+use isopeel_extraction::dataset_views::opening_view;
+use isopeel_extraction::{FullCount, Measurement, Shown, Step, SurfaceKey, WorkError};
 use serde_json::value::RawValue;
 use tokio::sync::watch;
 use tracing::Instrument;
@@ -22,9 +24,8 @@ use super::schedule::NextJob;
 use super::sharing::Verdict;
 use super::surface::Phase;
 use super::{Outgoing, Session};
-use crate::dataset_views::opening_view;
 use crate::error::chain;
-use crate::extraction::{FullCount, Measurement, OpeningProgress, Shown, Step, SurfaceKey, WorkError};
+use crate::service::OpeningProgress;
 use crate::wire::messages::{Capabilities, RegionError, ServerMessage};
 
 /// Maximum triangles of a new surface's first step, summed over the followers of a group. They reach a thousand followers within 70 ms on

@@ -13,7 +13,7 @@ use super::generation::{Generation, Sending};
 use super::outbox::Newest;
 use super::pending::{NamedBudget, PendingStep};
 use super::surface::SurfaceSession;
-use crate::extraction::{Held, OpeningProgress};
+use crate::service::{Held, OpeningProgress};
 
 pub(super) struct OpenVolume {
     pub volume: VolumeStep,

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use isopeel_codec::chunk::{ChunkKind, PrefixId};
+use isopeel_extraction::{Answer, Question, ShownSurface, WorkError};
 use isopeel_kernels::DistanceOf;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
@@ -18,7 +19,6 @@ use super::jobs::BoxFuture;
 use super::open_volume::OpeningPhase;
 use super::outbox::Frame;
 use super::shown::HeldSurface;
-use crate::extraction::{Answer, Question, ShownSurface, WorkError};
 use crate::wire::messages::{Annotation, ServerMessage};
 
 /// A finished question: its number, and the answer.

@@ -6,6 +6,7 @@
 //! when the edit came, or else the one in force, even if another step follows soon. An edit that needs no resolving comes into force at
 //! once.
 
+use isopeel_extraction::WorkError;
 use isopeel_view::{Edit, FeatureName, View};
 use isopeel_volumes::{StepKey, VolumeStep};
 use tokio_util::sync::CancellationToken;
@@ -18,7 +19,6 @@ use super::pending::{KeptEdit, MAX_KEPT_EDITS, NamedBudget, PendingView};
 use super::rest::Rest;
 use super::surface::SurfaceSession;
 use crate::error::chain;
-use crate::extraction::WorkError;
 use crate::metrics;
 use crate::wire::messages::ServerMessage;
 

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
+use isopeel_extraction::ViewKey;
 use isopeel_view::View;
 use tokio::time::Instant;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::generation::Generation;
-use crate::extraction::ViewKey;
 
 /// Time without an edit after which a viewer counts as resting. Longer than the time between two edits during a drag.
 pub(super) const REST_AFTER: Duration = Duration::from_millis(250);

@@ -3,7 +3,7 @@
 use isopeel_view::View;
 use isopeel_view::quality::MesherName;
 
-use crate::extraction::{CutId, Shown, SurfaceKey};
+use isopeel_extraction::{CutId, Shown, SurfaceKey};
 
 /// The surface that a client holds.
 #[derive(Clone, Debug)]

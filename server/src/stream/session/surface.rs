@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use isopeel_extraction::{Shown, SurfaceKey, ViewKey};
 use isopeel_view::View;
 use isopeel_view::quality::Budget;
 
@@ -11,7 +12,6 @@ use super::generation::Generation;
 use super::pending::PendingView;
 use super::rest::Rest;
 use super::shown::HeldSurface;
-use crate::extraction::{Shown, SurfaceKey, ViewKey};
 
 pub(super) struct SurfaceSession {
     /// The view in force: resolved, with all samples that it uses loaded. Its budget is that of the connection.

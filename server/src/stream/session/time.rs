@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use isopeel_codec::chunk::MAX_SURFACES;
+use isopeel_extraction::WorkError;
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 use serde_json::value::RawValue;
@@ -17,7 +18,7 @@ use super::jobs::{BoxFuture, DeviceDone};
 use super::open_volume::{OpenVolume, OpeningPhase};
 use super::pending::PendingStep;
 use super::rest::REST_AFTER;
-use crate::extraction::{Held, WorkError};
+use crate::service::Held;
 use crate::wire::messages::ServerMessage;
 
 /// Maximum stride between two consecutive steps for which the next step is predicted.

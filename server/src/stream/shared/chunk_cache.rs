@@ -4,12 +4,12 @@ use std::hash::Hash;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use axum::body::Bytes;
+use isopeel_extraction::{MeasuredError, Measurement, Refinement};
 use isopeel_volumes::DatasetKey;
 use lru::LruCache;
 
 use super::RequestKey;
 use super::step::{ChunkKey, Chunks, RegionNote, SharedStep};
-use crate::extraction::{MeasuredError, Measurement, Refinement};
 use crate::metrics;
 
 /// The budget divided by this is the capacity for steps without their chunks, and again for measured errors. The rest is for chunks.

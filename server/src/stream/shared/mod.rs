@@ -14,12 +14,12 @@ mod step;
 
 use std::sync::Arc;
 
+use isopeel_extraction::{CutId, FittedKey, FullCount, Measurement, Refinement, Shown, Step, ViewKey, WorkError};
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
 use super::backend::Backend;
-use crate::extraction::{CutId, FittedKey, FullCount, Measurement, Refinement, Shown, Step, ViewKey, WorkError};
 use crate::metrics;
 pub(super) use chunk_cache::ChunkCache;
 pub(super) use single_flight::Outcome;

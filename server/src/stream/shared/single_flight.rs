@@ -9,7 +9,7 @@ use futures_util::FutureExt;
 use futures_util::future;
 use tokio_util::sync::CancellationToken;
 
-use crate::extraction::WorkError;
+use isopeel_extraction::WorkError;
 
 /// A job's result, for all of its waiters.
 pub(in crate::stream) type Outcome<T> = Result<T, Arc<WorkError>>;

@@ -6,6 +6,7 @@ use axum::body::Bytes;
 use isopeel_codec::chunk::{Coding, PrefixId, with_prefix};
 use isopeel_codec::encode::{self, EncodeError, MAX_TASK_REGIONS, MeshHash};
 use isopeel_codec::predictive;
+use isopeel_extraction::{Refinement, Shown, Step, WorkError};
 use isopeel_kernels::Region;
 use isopeel_volumes::{DatasetKey, VolumeStep};
 use rayon::prelude::*;
@@ -13,7 +14,6 @@ use rustc_hash::FxHashMap;
 use tokio_util::sync::CancellationToken;
 
 use super::{ANY_LINE_BYTES, MAX_LINE_FACTOR, MIN_LINE_PART, Outcome};
-use crate::extraction::{Refinement, Shown, Step, WorkError};
 use crate::metrics;
 use crate::pool;
 

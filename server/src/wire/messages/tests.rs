@@ -1,12 +1,13 @@
 use isopeel_codec::chunk::ChunkKind;
+use isopeel_extraction::{
+    Curve, CurvePoint, Distribution, FieldValue, LeafKind, MeasuredError, NearestLeaf, NearestSurface, NoValue, Probe,
+    Question,
+};
 use isopeel_view::quality::MesherName;
 use proptest::prelude::*;
 
 use super::{Annotation, Capabilities, ClientMessage, RegionError, ServerMessage, SurfaceEdit};
-use crate::extraction::{
-    Curve, CurvePoint, Distribution, FieldValue, LeafKind, MeasuredError, NearestLeaf, NearestSurface, NoValue,
-    Preparation, Probe, Question,
-};
+use crate::service::Preparation;
 
 #[test]
 fn messages_parse_as_in_the_protocol_page() {

@@ -6,8 +6,8 @@ use std::sync::{LazyLock, Mutex, mpsc};
 use std::thread::JoinHandle;
 
 use isopeel::access::Access;
-use isopeel::extraction::DeviceWorker;
 use isopeel::serve::{Config, run};
+use isopeel::service::DeviceWorker;
 use isopeel::stream::Deadlines;
 use isopeel_volumes::Catalog;
 use tokio::net::TcpListener;

@@ -10,8 +10,8 @@ use tokio_util::sync::CancellationToken;
 use super::StreamError;
 use crate::access::Access;
 use crate::cli::device::DeviceArgs;
-use crate::extraction::DeviceWorker;
 use crate::serve::{self, Config, ServeError};
+use crate::service::DeviceWorker;
 
 /// A server of one dataset.
 pub struct Server {

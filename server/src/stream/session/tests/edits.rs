@@ -1,8 +1,10 @@
 //! Edits that supersede each other, `cancel`, and `open` between them.
 
+use isopeel_extraction::{CutId, Shown};
+
 use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, committed, prefix};
-use crate::extraction::{CutId, OpeningProgress, Preparation, Shown};
+use crate::service::{OpeningProgress, Preparation};
 
 #[tokio::test]
 async fn edits_coalesce_while_the_first_step_of_one_is_made() {

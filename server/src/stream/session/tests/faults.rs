@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
+use isopeel_extraction::WorkError;
 use isopeel_view::View;
 
 use super::super::{HIGH_WATER, Incoming, Outgoing};
 use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, prefix};
 use crate::access::{Access, Identity, NewToken, Role, Token, TokenFile, TokenWatch};
-use crate::extraction::WorkError;
 use crate::wire::messages::CloseCode;
 
 #[tokio::test]

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use isopeel_extraction::Refinement;
 use serde_json::{Value, json};
 use tokio::sync::mpsc;
 
@@ -10,7 +11,6 @@ use super::faults::holder;
 use super::scripted::{Answer, Job, shapes};
 use super::viewer::Viewer;
 use crate::access::{Identity, Occupant, Role};
-use crate::extraction::Refinement;
 use crate::stream::groups::{Groups, LONGEST_WAIT, Leader, MAX_FOLLOWERS, MAX_GROUPS, MAX_GROUPS_OF_USER};
 
 /// Reads on to the next message of this name about the group.

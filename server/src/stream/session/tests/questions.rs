@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use isopeel_codec::chunk::{ChunkKind, decode_errors};
+use isopeel_extraction::{Answer, Curve, CutId, LeafKind, Probe, Question, VertexErrors, WorkError};
 use isopeel_kernels::DistanceOf;
 use serde_json::json;
 
 use super::scripted::{Answer as Made, shapes};
 use super::viewer::Viewer;
-use crate::extraction::{Answer, Curve, CutId, LeafKind, Probe, Question, VertexErrors, WorkError};
 use crate::stream::session::Outgoing;
 
 impl super::scripted::Asked {

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use futures_util::future::join_all;
+use isopeel_extraction::{FullCount, Measurement, Refinement, WorkError};
 use isopeel_kernels::Region;
 use isopeel_view::View;
 use isopeel_view::quality::{Budget, TriangleBudget};
@@ -16,7 +17,6 @@ use super::super::rest::REST_AFTER;
 use super::super::{Incoming, Outgoing};
 use super::scripted::{Answer, Job, shapes};
 use super::viewer::Viewer;
-use crate::extraction::{FullCount, Measurement, Refinement, WorkError};
 use client::Client;
 
 /// A linear congruential generator.
@@ -131,7 +131,7 @@ impl Work {
             }
             Self::Measure(job) => {
                 let measured = Measurement {
-                    whole: crate::extraction::MeasuredError { rms: 0.0, max: 0.0 },
+                    whole: isopeel_extraction::MeasuredError { rms: 0.0, max: 0.0 },
                     regions: Vec::new(),
                 };
                 let _ = job.reply.send(match job.token.is_cancelled() {

@@ -1,5 +1,6 @@
 //! Views and time steps come into force when they are resolved; invalid ones never do.
 
+use isopeel_extraction::{Shown, WorkError};
 use isopeel_view::quality::{Budget, TriangleBudget};
 use isopeel_view::{EditError, View};
 use serde_json::json;
@@ -8,7 +9,6 @@ use super::super::Common;
 use super::scripted::{Answer, Job, resolved, shapes};
 use super::viewer::Viewer;
 use crate::access::Identity;
-use crate::extraction::{Shown, WorkError};
 
 const FEATURE: &str = r#"{"type":"edit","feature":"mean-curvature"}"#;
 
@@ -140,7 +140,7 @@ async fn a_question_waits_for_a_step_that_came_before_it() {
     viewer.step().await.answer(Answer::last(2, shapes(&[2])));
     viewer.until("done").await;
     let asked = viewer.questions.recv().await.expect("a question");
-    assert_eq!(asked.shown.expect("a surface").cut, crate::extraction::CutId::new(2));
+    assert_eq!(asked.shown.expect("a surface").cut, isopeel_extraction::CutId::new(2));
 }
 
 #[tokio::test]

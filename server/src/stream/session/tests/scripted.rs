@@ -3,6 +3,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use isopeel_extraction::{
+    self, CutId, FullCount, Measurement, Question, Refinement, Shown, ShownSurface, Step, WorkError,
+};
 use isopeel_kernels::{Level, Region, Surface, SurfaceStatistics, Vertex};
 use isopeel_view::View;
 use isopeel_volumes::{Dataset, VolumeStep, testing};
@@ -11,9 +14,7 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::access::Identity;
-use crate::extraction::{
-    self, CutId, FullCount, Measurement, OpeningProgress, Question, Refinement, Shown, ShownSurface, Step, WorkError,
-};
+use crate::service::OpeningProgress;
 use crate::stream::backend::{Backend, Opening};
 
 fn dataset(id: &str) -> Arc<Dataset> {
@@ -39,7 +40,7 @@ pub(super) struct Asked {
     pub shown: Option<ShownSurface>,
     pub question: Question,
     pub token: CancellationToken,
-    pub reply: oneshot::Sender<Result<extraction::Answer, WorkError>>,
+    pub reply: oneshot::Sender<Result<isopeel_extraction::Answer, WorkError>>,
 }
 
 #[derive(Clone)]
@@ -153,7 +154,7 @@ impl Backend for Scripted {
         shown: Option<&ShownSurface>,
         question: Question,
         token: &CancellationToken,
-    ) -> Result<extraction::Answer, WorkError> {
+    ) -> Result<isopeel_extraction::Answer, WorkError> {
         let (reply, answer) = oneshot::channel();
         let asked = Asked {
             shown: shown.cloned(),

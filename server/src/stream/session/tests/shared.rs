@@ -127,7 +127,7 @@ async fn an_error_is_for_all_who_wait_and_is_not_kept() {
     };
     let job = first.step().await;
     second.quiet().await;
-    assert!(job.reply.send(Err(crate::extraction::WorkError::Stopped)).is_ok());
+    assert!(job.reply.send(Err(isopeel_extraction::WorkError::Stopped)).is_ok());
     for viewer in [&mut *first, &mut *second] {
         assert_eq!(viewer.error().await, ("device".into(), true));
         viewer.until("superseded").await;

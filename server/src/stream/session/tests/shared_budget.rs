@@ -1,12 +1,12 @@
 //! The budget that several surfaces share.
 
+use isopeel_extraction::{CutId, Shown, WorkError};
 use isopeel_view::View;
 use isopeel_view::quality::{Budget, TriangleBudget};
 
 use super::scripted::{Answer, shapes};
 use super::surfaces::iso;
 use super::viewer::{Viewer, committed_of, prefix, prefix_of};
-use crate::extraction::{CutId, Shown, WorkError};
 
 /// The budget of triangles in a view.
 fn triangles(view: &View) -> u64 {
@@ -292,7 +292,7 @@ async fn edits_while_a_surface_is_counted_still_let_it_commit_a_step() {
     viewer.say(r#"{"type":"edit","surface":1,"iso":21}"#).await;
     viewer.quiet().await;
     assert!(!job.token.is_cancelled());
-    let count = crate::extraction::FullCount {
+    let count = isopeel_extraction::FullCount {
         triangles: 6000,
         ..Default::default()
     };

@@ -2,11 +2,12 @@
 
 use std::time::Instant;
 
+use isopeel_extraction::{CutId, MeasuredError, Measurement, Shown, WorkError};
+
 use super::super::draw_pause::DRAW_PAUSE;
 use super::super::rest::REST_AFTER;
 use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, committed, prefix};
-use crate::extraction::{CutId, MeasuredError, Measurement, Shown, WorkError};
 
 #[tokio::test]
 async fn steps_come_coarse_first_and_end_with_the_statistics() {

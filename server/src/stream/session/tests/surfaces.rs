@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use isopeel_extraction::{CutId, MeasuredError, Measurement, Refinement, Shown, WorkError};
 use isopeel_view::View;
 use tokio::time::Instant;
 
@@ -9,7 +10,6 @@ use super::super::draw_pause::DRAW_PAUSE;
 use super::super::rest::REST_AFTER;
 use super::scripted::{Answer, Job, shapes};
 use super::viewer::{Viewer, committed, committed_of, prefix, prefix_of};
-use crate::extraction::{CutId, MeasuredError, Measurement, Refinement, Shown, WorkError};
 
 pub(super) fn iso<T>(job: &Job<T>) -> f32 {
     job.view.iso.expect("an isovalue").get()

@@ -1,8 +1,9 @@
 //! Other time steps of the open volume.
 
+use isopeel_extraction::{CutId, Shown, WorkError};
+
 use super::scripted::{Answer, shapes};
 use super::viewer::{Viewer, committed, prefix};
-use crate::extraction::{CutId, Shown, WorkError};
 
 const TO_STEP_1: &str = r#"{"type":"step","step":1}"#;
 

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use isopeel_codec::chunk::DecodedChunk;
 use isopeel_codec::decode::decode;
+use isopeel_extraction::{FullCount, Measurement, Refinement};
 use isopeel_view::View;
 use serde_json::Value;
 use tokio::sync::mpsc;
@@ -13,7 +14,6 @@ use tokio_util::sync::CancellationToken;
 use super::super::{Common, Incoming, Outgoing, Session, StepTimes};
 use super::scripted::{Answer, Asked, Job, Scripted, shapes};
 use crate::access::Identity;
-use crate::extraction::{FullCount, Measurement, Refinement};
 use crate::stream::backend::Opening;
 
 /// The other end of a session.

@@ -1,0 +1,18 @@
+//! Estimates of the bytes that meshes take in chunks.
+
+/// Bytes of a chunk without its triangles: headers of chunk and codecs.
+const CHUNK_BYTES: u64 = 160;
+
+/// Bytes of a hundred triangles in a chunk. Coarse meshes take more: their vertices differ by more.
+pub(crate) const BYTES_OF_100_TRIANGLES: u64 = 450;
+pub(crate) const BYTES_OF_100_COARSE_TRIANGLES: u64 = 800;
+
+/// Bytes of the headers of `chunks` chunks.
+pub(crate) fn of_headers(chunks: u64) -> u64 {
+    chunks * CHUNK_BYTES
+}
+
+/// Bytes of `triangles` triangles in `regions` regions, with headers.
+pub(crate) fn of_triangles(triangles: u64, regions: u64, bytes_of_100_triangles: u64) -> u64 {
+    of_headers(triangles.min(regions)) + triangles.saturating_mul(bytes_of_100_triangles) / 100
+}

@@ -1,0 +1,134 @@
+//! What work on a workspace needs from its caller: whether it is cancelled, and other work that uses the workspace where this one pauses.
+
+use std::cell::{Cell, RefCell};
+use std::time::{Duration, Instant};
+
+use isopeel_kernels::{Cancel, StageTime};
+
+/// Work that waits for a workspace `W`.
+pub trait Others<W> {
+    /// Whether some of it may run now.
+    fn are_waiting(&self) -> bool;
+
+    /// Runs what may run now.
+    fn run(&mut self, workspace: &mut W);
+}
+
+/// The caller of a piece of work on a workspace `W`.
+pub struct JobContext<'a, W> {
+    cancel: &'a dyn Cancel,
+    /// `Some`: the work may take long, and these run where it pauses.
+    others: Option<&'a mut (dyn Others<W> + 'a)>,
+}
+
+/// Finishes the work that was started on the device, and returns how long each stage took since the last call.
+type TakeTimes<'a> = &'a dyn Fn() -> Vec<StageTime>;
+
+impl<'a, W> JobContext<'a, W> {
+    /// Short work: it does not pause, and fails with [`JobError::TakesLong`](super::JobError::TakesLong) instead of taking long.
+    pub fn short(cancel: &'a dyn Cancel) -> Self {
+        Self { cancel, others: None }
+    }
+
+    /// Work that may take long. It pauses for the others.
+    pub fn long(cancel: &'a dyn Cancel, others: &'a mut (dyn Others<W> + 'a)) -> Self {
+        Self {
+            cancel,
+            others: Some(others),
+        }
+    }
+
+    /// Whether the work may take long.
+    pub(crate) fn may_take_long(&self) -> bool {
+        self.others.is_some()
+    }
+
+    /// Runs `work`, which borrows nothing of the workspace: the others change it where `work` pauses. The stages before the last pause and
+    /// the time of the others are added to `job_times`.
+    pub fn run<T>(
+        &mut self,
+        workspace: &mut W,
+        take_times: TakeTimes<'_>,
+        job_times: &JobTimes,
+        work: impl FnOnce(&dyn Cancel) -> T,
+    ) -> T {
+        match &mut self.others {
+            None => work(&NoPause(self.cancel)),
+            Some(others) => work(&Pausing {
+                cancel: self.cancel,
+                take_times,
+                job_times,
+                others: RefCell::new((workspace, &mut **others)),
+            }),
+        }
+    }
+}
+
+/// Cancellation of short work.
+struct NoPause<'a>(&'a dyn Cancel);
+
+impl Cancel for NoPause<'_> {
+    fn is_cancelled(&self) -> bool {
+        self.0.is_cancelled()
+    }
+}
+
+/// Cancellation of long work, which pauses for others.
+struct Pausing<'a, 'o, W> {
+    cancel: &'a dyn Cancel,
+    take_times: TakeTimes<'a>,
+    job_times: &'a JobTimes,
+    others: RefCell<(&'a mut W, &'a mut (dyn Others<W> + 'o))>,
+}
+
+impl<W> Cancel for Pausing<'_, '_, W> {
+    fn is_cancelled(&self) -> bool {
+        self.cancel.is_cancelled()
+    }
+
+    fn pause(&self) {
+        let (workspace, others) = &mut *self.others.borrow_mut();
+        if self.cancel.is_cancelled() || !others.are_waiting() {
+            return;
+        }
+        // Flush this job's stage times first, or the others are billed for them.
+        self.job_times.add_stages((self.take_times)());
+        let start = Instant::now();
+        others.run(workspace);
+        (self.take_times)();
+        let elsewhere = &self.job_times.elsewhere;
+        elsewhere.set(elsewhere.get() + start.elapsed());
+    }
+}
+
+/// Keeps the times of a piece of work apart from those of the work that it pauses for.
+#[derive(Default)]
+pub struct JobTimes {
+    /// Stages before the last pause.
+    stages: RefCell<Vec<StageTime>>,
+    /// Time of other work, in pauses.
+    elsewhere: Cell<Duration>,
+}
+
+impl JobTimes {
+    /// Time of the work itself since `start`.
+    pub fn own_time(&self, start: Instant) -> Duration {
+        start.elapsed().saturating_sub(self.elsewhere.get())
+    }
+
+    /// Adds the stages before the last pause to those since then.
+    pub fn complete(&self, stages: &mut Vec<StageTime>) {
+        self.add_stages(std::mem::take(stages));
+        *stages = self.stages.take();
+    }
+
+    fn add_stages(&self, times: Vec<StageTime>) {
+        let mut stages = self.stages.borrow_mut();
+        for time in times {
+            match stages.iter_mut().find(|sum| sum.stage == time.stage) {
+                Some(sum) => sum.milliseconds += time.milliseconds,
+                None => stages.push(time),
+            }
+        }
+    }
+}

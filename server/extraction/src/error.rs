@@ -1,0 +1,320 @@
+//! Errors of work on the device.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use isopeel_kernels::DeviceInfo;
+use isopeel_kernels::check::CheckError;
+use isopeel_view::EditError;
+use isopeel_volumes::ReadError;
+
+use super::user_time::USER_TIME_PERIOD;
+
+/// Why a device could not be opened.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// There is no device, or it does not open.
+    #[error(transparent)]
+    Device(#[from] isopeel_kernels::Error),
+    /// The device computes wrong results.
+    #[error("{device} (driver {driver}): {}; `isopeel devices --check` checks it again and looks for a workaround", chain(.why))]
+    Check {
+        /// Name of the device.
+        device: String,
+        /// Version of its driver.
+        driver: String,
+        /// The stage, and what it found.
+        why: Box<CheckError>,
+    },
+    /// The device is not to be used; the text says why, and what to do.
+    #[error("{0}")]
+    Refused(String),
+}
+
+impl OpenError {
+    /// The device of this description failed its check.
+    pub fn check(device: &DeviceInfo, why: CheckError) -> Self {
+        Self::Check {
+            device: device.name.clone(),
+            driver: device.driver.clone(),
+            why: Box::new(why),
+        }
+    }
+
+    /// Whether the device opens but computes wrong results.
+    pub fn is_wrong(&self) -> bool {
+        matches!(self, Self::Check { why, .. } if matches!(**why, CheckError::Differs { .. }))
+    }
+}
+
+/// Why a piece of work has no result. Callers react differently to each variant.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WorkError {
+    /// The queue is full: try again later.
+    #[error("the device has as much work queued as it takes, try again in a few seconds")]
+    Busy,
+    /// A file cannot be read.
+    #[error(transparent)]
+    Unreadable(#[from] ReadError),
+    /// The volumes that one view needs do not fit on the device together.
+    #[error("the volumes need {needed_bytes} bytes of device memory, the limit is {limit_bytes}")]
+    TooLarge {
+        /// Bytes of all fields the view needs.
+        needed_bytes: u64,
+        /// Maximum bytes of volumes on this device.
+        limit_bytes: u64,
+    },
+    /// The host has no memory for this work now.
+    #[error("there is no memory for it now on this machine, it needs {needed_bytes} bytes: try again in a few seconds")]
+    HostBusy {
+        /// Bytes that it would take.
+        needed_bytes: u64,
+    },
+    /// The host will never have memory for this work.
+    #[error("it needs {needed_bytes} bytes of this machine's memory, the limit is {limit_bytes}")]
+    TooLargeForHost {
+        /// Bytes that it would take.
+        needed_bytes: u64,
+        /// Maximum bytes.
+        limit_bytes: u64,
+    },
+    /// The surface would be above the server's limit.
+    #[error(
+        "the surface would have {triangles} triangles, the limit is {ceiling}: ask for a budget of triangles, such as {ceiling}"
+    )]
+    TooManyTriangles {
+        /// Triangles it would have.
+        triangles: u64,
+        /// Maximum triangles; also the budget that is suggested.
+        ceiling: u64,
+    },
+    /// Every surface of the view exceeds its budget, given the guards that were set.
+    #[error(
+        "the smallest surface that the guards allow has {minimum} triangles, the budget is {budget}: ask for {minimum} or more"
+    )]
+    OverBudget {
+        /// Triangles of the smallest surface that the guards allow.
+        minimum: u64,
+        /// Maximum triangles that were asked for.
+        budget: u64,
+    },
+    /// Every surface of the view that was tried takes more bytes than its budget.
+    #[error("the smallest surface found takes {minimum} bytes, the budget is {budget}: ask for {minimum} or more")]
+    OverBytes {
+        /// Bytes of the smallest surface that was made.
+        minimum: u64,
+        /// Triangles of that surface.
+        triangles: u64,
+        /// Maximum bytes that were asked for.
+        budget: u64,
+    },
+    /// A question is about a surface, and none is shown.
+    #[error("no surface is shown yet, expected an `edit` first")]
+    NothingShown,
+    /// Parts are to be removed, and there is no vertex tree to remove them from.
+    #[error(
+        "minPart, parts: parts are removed from the vertex tree, for which the surface is too large on this device"
+    )]
+    NoTree(#[source] isopeel_kernels::Error),
+    /// The view does not fit the dataset.
+    #[error(transparent)]
+    Edit(#[from] EditError),
+    /// The work took more of the device's time than a request may.
+    #[error("it takes more than {} s of the device's time, which is the limit of a request: ask for a simpler expression", limit.as_secs_f64())]
+    TookTooLong {
+        /// Maximum time of a request.
+        limit: Duration,
+    },
+    /// The user's computed fields have used up the device time that one user may take.
+    #[error(
+        "expressions and distances of yours have taken the {} s of the device's time that one user may take within {} minutes: try again in {} s, or \
+         ask for a simpler expression",
+        limit.as_secs_f64(),
+        USER_TIME_PERIOD.as_secs() / 60,
+        wait.as_secs() + 1
+    )]
+    UserTime {
+        /// Maximum time of a user.
+        limit: Duration,
+        /// Time to wait until some is available again.
+        wait: Duration,
+    },
+    /// A stage failed.
+    #[error(transparent)]
+    Device(isopeel_kernels::Error),
+    /// The device could not be opened.
+    #[error(transparent)]
+    NoDevice(Arc<OpenError>),
+    /// The device was lost while this job ran. It is reopened; its data is loaded again on demand.
+    #[error("the device was lost while it worked on this, and is opened again: try again")]
+    DeviceLost,
+    /// The device was lost, and could not be reopened so far.
+    #[error("the device was lost and cannot be opened again so far: try again in a few seconds")]
+    Reopening,
+    /// Cancelled by the caller's token.
+    #[error("cancelled")]
+    Cancelled,
+    /// The device's thread ended, or the job panicked; the log says why.
+    #[error("the device worker gave the job up, the server's log says why")]
+    Stopped,
+}
+
+impl WorkError {
+    /// The stable code of `PROTOCOL.md`, also in REST problems.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Busy | Self::HostBusy { .. } | Self::UserTime { .. } => "busy",
+            Self::Unreadable(_) => "unreadable-volume",
+            Self::TooManyTriangles { .. }
+            | Self::TooLarge { .. }
+            | Self::TooLargeForHost { .. }
+            | Self::NoTree(_)
+            | Self::TookTooLong { .. }
+            | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
+            Self::OverBudget { .. } | Self::OverBytes { .. } => "over-budget",
+            Self::Edit(_) => "bad-edit",
+            Self::NothingShown => "no-surface",
+            Self::Device(_) | Self::NoDevice(_) | Self::DeviceLost | Self::Reopening | Self::Stopped => "device",
+            Self::Cancelled => "cancelled",
+        }
+    }
+
+    /// Whether the caller cancelled the work, so that nothing is wrong.
+    pub fn is_cancelled(&self) -> bool {
+        matches!(self, Self::Cancelled)
+    }
+
+    /// Whether the view itself cannot be shown, for any caller and after any number of retries: the viewer then returns to the surface
+    /// shown before. False if another budget would help, and if the device failed, as a retry may succeed.
+    pub fn rejects_view(&self) -> bool {
+        matches!(
+            self,
+            Self::Edit(_)
+                | Self::Unreadable(_)
+                | Self::TooLarge { .. }
+                | Self::TooLargeForHost { .. }
+                | Self::TookTooLong { .. }
+                | Self::UserTime { .. }
+                | Self::NoTree(_)
+        )
+    }
+
+    /// Returns the message for a client. It names files without their folders, and leaves out compiler messages, which name folders too.
+    /// The log gets the whole error.
+    pub fn public_message(&self) -> String {
+        match self {
+            Self::Unreadable(error) => error.without_folder(),
+            Self::Device(error) => of_device(error),
+            Self::NoDevice(error) => of_opening(error),
+            other => chain(other),
+        }
+    }
+
+    /// Returns a budget of triangles to try, if the surface exceeded a limit or its budget.
+    pub fn suggested_triangles(&self) -> Option<u64> {
+        match self {
+            Self::TooManyTriangles { ceiling, .. } => Some(*ceiling),
+            Self::OverBudget { minimum, .. } => Some(*minimum),
+            Self::OverBytes { triangles, .. } => Some(*triangles),
+            _ => None,
+        }
+    }
+}
+
+fn of_opening(error: &OpenError) -> String {
+    match error {
+        OpenError::Device(error) => of_device(error),
+        other => chain(other),
+    }
+}
+
+fn of_device(error: &isopeel_kernels::Error) -> String {
+    match error {
+        isopeel_kernels::Error::Build { stage, .. } => {
+            format!("stage {stage} did not build on this device, the server's log says why")
+        }
+        other => chain(other),
+    }
+}
+
+impl From<isopeel_kernels::Error> for WorkError {
+    fn from(error: isopeel_kernels::Error) -> Self {
+        match error {
+            isopeel_kernels::Error::Cancelled => Self::Cancelled,
+            other => Self::Device(other),
+        }
+    }
+}
+
+/// Formats an error and its causes on one line. A cause that the line already ends with is left out.
+pub fn chain(error: &(dyn std::error::Error + 'static)) -> String {
+    let mut line = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let words = error.to_string();
+        if !line.ends_with(&words) {
+            line.push_str(": ");
+            line.push_str(&words);
+        }
+        cause = error.source();
+    }
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn clients_are_told_no_folders() {
+        let unreadable = ReadError::new(
+            Path::new("/data/patients/7/scan.nrrd"),
+            "data file",
+            "\"/data/patients/7/scan.raw\" has 3 bytes, expected 8",
+        );
+        let build = isopeel_kernels::Error::Build {
+            stage: "classify",
+            options: "-I /opt/driver".into(),
+            log: "/tmp/kernel.cl:1: error".into(),
+        };
+        for (error, told) in [
+            (
+                WorkError::from(unreadable),
+                "scan.nrrd: data file: \"scan.raw\" has 3 bytes, expected 8",
+            ),
+            (
+                WorkError::from(build),
+                "stage classify did not build on this device, the server's log says why",
+            ),
+        ] {
+            assert_eq!(error.public_message(), told);
+        }
+    }
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("{text}")]
+    struct Link {
+        text: &'static str,
+        source: Option<Box<Link>>,
+    }
+
+    fn link(text: &'static str, source: Option<Link>) -> Link {
+        Link {
+            text,
+            source: source.map(Box::new),
+        }
+    }
+
+    #[test]
+    fn a_chain_says_everything_once() {
+        let error = link(
+            "no surface",
+            Some(link("file.nrrd: cut off", Some(link("cut off", None)))),
+        );
+        assert_eq!(chain(&error), "no surface: file.nrrd: cut off");
+    }
+}

@@ -1,0 +1,49 @@
+//! Histograms, made a slice at a time: other work waits for one slice at most, some milliseconds, however large the volume is.
+
+use isopeel_kernels::{Histogram, HistogramWork};
+use isopeel_volumes::VolumeStep;
+
+use super::WorkError;
+use super::keys::{HistogramKey, feature_keys};
+use super::workspace::{JobError, Workspace};
+
+impl Workspace {
+    /// Marks the fields that a histogram is made of as used.
+    ///
+    /// # Errors
+    /// [`JobError::NotResident`] if one is not resident.
+    pub fn use_histogram_fields(&mut self, volume: &VolumeStep, key: &HistogramKey) -> Result<(), JobError> {
+        let keys = feature_keys(volume, &key.volume.field, &key.computed, false);
+        match keys.as_slice() {
+            [] => self.use_field(volume, &key.volume),
+            keys => self.use_fields(volume, keys),
+        }
+    }
+
+    /// Runs the next slice of a histogram of a resident field, or of a feature derived from it. Returns the histogram, which is then
+    /// cached, if it is complete.
+    ///
+    /// # Errors
+    /// [`JobError::NotResident`], and the device's errors.
+    pub fn continue_histogram(
+        &mut self,
+        volume: &VolumeStep,
+        key: &HistogramKey,
+        work: &mut HistogramWork,
+    ) -> Result<Option<Histogram>, JobError> {
+        if let Some(histogram) = self.histograms.get(key) {
+            return Ok(Some(histogram));
+        }
+        self.use_histogram_fields(volume, key)?;
+        let feature = self.feature_fields(volume, &key.computed, false)?;
+        let resident = self.resident(&key.volume).ok_or(WorkError::Stopped)?;
+        self.engine().continue_histogram(resident, feature.get(), work)?;
+        let Some(mut histogram) = work.complete() else {
+            return Ok(None);
+        };
+        let smallest = volume.dataset().smallest_length();
+        histogram.range = key.computed.range_in_world(histogram.range, smallest);
+        self.histograms.insert(key.clone(), histogram.clone());
+        Ok(Some(histogram))
+    }
+}

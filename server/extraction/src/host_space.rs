@@ -1,0 +1,81 @@
+//! Makes space for allocations on the host if the device is this machine's processors: whatever can be loaded or computed again is evicted
+//! before an allocation is refused.
+
+use isopeel_kernels::DeviceKind;
+
+use super::WorkError;
+use super::host_memory::{HostMemory, trim_heaps};
+use super::workspace::Workspace;
+
+/// Memory that fields leave free for the next surfaces, within the limit of the caches of surfaces.
+const SURFACE_RESERVE_BYTES: u64 = 128 << 20;
+
+/// Bytes to leave free beyond those that are needed, and a function that evicts a number of bytes, or all that it can if there are fewer.
+type Eviction = (u64, fn(&mut Workspace, u64));
+
+impl Workspace {
+    /// Makes sure that this machine has memory for `needed_bytes`. Evicts, until it has: freed buffers, computed fields, other fields, then
+    /// caches of earlier edits. Fields are evicted until they leave some memory for the next surfaces too, so that edits need not wait for
+    /// an eviction.
+    ///
+    /// # Errors
+    /// As [`HostMemory::admit`]. Memory that is still in use then is pinned by running jobs or is not part of a cache.
+    pub fn make_host_space(&mut self, needed_bytes: u64) -> Result<(), WorkError> {
+        let mut memory = HostMemory::now();
+        let admitted = memory.admit(needed_bytes);
+        let never_fits = matches!(admitted, Err(WorkError::TooLargeForHost { .. }));
+        if never_fits || self.engine().device().kind != DeviceKind::Cpu {
+            return admitted;
+        }
+        let unused = self.surface_bytes.saturating_sub(self.kept_surface_bytes());
+        let for_surfaces = unused.min(SURFACE_RESERVE_BYTES);
+        let evictions: [Eviction; 6] = [
+            // Evicts nothing: freed buffers are released after each entry of this list anyway.
+            (for_surfaces, |_, _| ()),
+            (for_surfaces, Self::evict_computed),
+            (for_surfaces, Self::evict_fields),
+            (0, Self::evict_trees),
+            (0, Self::evict_pyramids),
+            (0, |state, _| state.cuts.borrow_mut().clear()),
+        ];
+        if memory.missing(needed_bytes.saturating_add(for_surfaces)) == 0 {
+            return admitted;
+        }
+        for (reserve, evict) in evictions {
+            let missing = memory.missing(needed_bytes.saturating_add(reserve));
+            if missing > 0 {
+                evict(self, missing);
+                // Freed buffers are the host's memory again once the engine's pool has released them.
+                self.engine().release_idle();
+                memory = HostMemory::now();
+            }
+        }
+        if memory.missing(needed_bytes) > 0 {
+            trim_heaps();
+            memory = HostMemory::now();
+        }
+        tracing::debug!(needed_bytes, ?memory, "caches made space on the host");
+        memory.admit(needed_bytes)
+    }
+
+    fn evict_computed(&mut self, bytes: u64) {
+        let (pins, computed) = (&self.pins, &self.computed);
+        self.volumes
+            .free(bytes, |key| computed.contains(key) && !pins.holds(key));
+        self.forget_evicted();
+    }
+
+    fn evict_fields(&mut self, bytes: u64) {
+        let pins = &self.pins;
+        self.volumes.free(bytes, |key| !pins.holds(key));
+        self.forget_evicted();
+    }
+
+    fn evict_trees(&mut self, bytes: u64) {
+        self.trees.borrow_mut().free(bytes, |_| true);
+    }
+
+    fn evict_pyramids(&mut self, bytes: u64) {
+        self.pyramids.free(bytes, |_| true);
+    }
+}

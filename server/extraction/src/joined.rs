@@ -1,0 +1,195 @@
+//! Joins the regions of a surface into one mesh.
+
+use std::collections::{HashMap, HashSet};
+
+use isopeel_geometry::{DVec3, IndexSpace};
+use isopeel_kernels::{REGION_CELLS, Region, Vertex};
+
+/// Lattice units per region.
+const REGION_LATTICE: i32 = REGION_CELLS as i32 * Vertex::LATTICE;
+
+/// All attributes of a vertex, with the position on the lattice of the whole volume. Vertices with equal keys are joined.
+type Key = ([i64; 3], [i16; 2], u16, u16);
+
+/// Why regions cannot be joined.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum JoinError {
+    /// More vertices than 32-bit indices reach.
+    #[error("vertices: {0}, a 32-bit index allows {max}", max = u32::MAX)]
+    TooManyVertices(u64),
+    /// A region that is not consistent.
+    #[error("region {region:?}: {why}")]
+    BadRegion {
+        /// The region.
+        region: [u32; 3],
+        /// What was found and what was expected.
+        why: String,
+    },
+    /// The caller no longer wants the result.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+/// A surface as one mesh. Vertices that regions share are joined, triangles ordered by level, finest first.
+#[derive(Debug)]
+pub struct Joined<'a> {
+    /// The vertices, each with its position on the lattice of the whole volume: [`Vertex::LATTICE`] units a cell, from sample (0, 0, 0).
+    pub vertices: Vec<([i64; 3], &'a Vertex)>,
+    /// Triangles, counter-clockwise seen from the side of lower values in index space.
+    pub triangles: Vec<[u32; 3]>,
+    /// Triangles of each level, 0 (finest) first.
+    pub level_triangles: [u64; 6],
+}
+
+impl<'a> Joined<'a> {
+    /// Joins regions. Vertices of different regions whose attributes are all equal become one. All triangles are kept, including
+    /// degenerate ones. Polls `is_cancelled` now and then.
+    ///
+    /// # Errors
+    /// More vertices than 32-bit indices reach, a region whose indices or levels do not fit its vertices and triangles, or cancellation.
+    pub fn new(regions: &'a [Region], is_cancelled: &dyn Fn() -> bool) -> Result<Self, JoinError> {
+        let mut level_triangles = [0; 6];
+        for region in regions {
+            check(region)?;
+            for (sum, n) in level_triangles.iter_mut().zip(region.level_triangles) {
+                *sum += u64::from(n);
+            }
+        }
+        let held: u64 = regions.iter().map(|r| r.vertices.len() as u64).sum();
+        u32::try_from(held).map_err(|_| JoinError::TooManyVertices(held))?;
+        // Index of the next triangle of each level.
+        let mut next = [0usize; 6];
+        for level in 1..6 {
+            next[level] = next[level - 1] + level_triangles[level - 1] as usize;
+        }
+        let mut triangles = vec![[0; 3]; level_triangles.iter().sum::<u64>() as usize];
+        let mut vertices = Vertices::new(regions, held as usize);
+        for region in regions {
+            if is_cancelled() {
+                return Err(JoinError::Cancelled);
+            }
+            let joined = vertices.add(region);
+            let mut corners = region.indices.chunks_exact(3);
+            for (level, &count) in region.level_triangles.iter().enumerate() {
+                for corner in corners.by_ref().take(count as usize) {
+                    triangles[next[level]] = [0, 1, 2].map(|i| joined[corner[i] as usize]);
+                    next[level] += 1;
+                }
+            }
+        }
+        Ok(Self {
+            vertices: vertices.all,
+            triangles,
+            level_triangles,
+        })
+    }
+}
+
+/// A surface in the world.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WorldMesh {
+    /// Positions of the vertices, world units.
+    pub positions: Vec<[f64; 3]>,
+    /// Triangles, counter-clockwise seen from the side of lower values, finest level first.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Joined<'_> {
+    /// Returns the mesh in the world, in which index space lies as `space` says.
+    pub fn in_world(self, space: &IndexSpace) -> WorldMesh {
+        let world = |(lattice, _): &([i64; 3], &Vertex)| {
+            let index = DVec3::from(lattice.map(|at| at as f64)) / f64::from(Vertex::LATTICE);
+            space.world(index).to_array()
+        };
+        let mut triangles = self.triangles;
+        if space.world_from_even.matrix3.determinant() < 0.0 {
+            triangles.iter_mut().for_each(|[_, b, c]| std::mem::swap(b, c));
+        }
+        WorldMesh {
+            positions: self.vertices.iter().map(world).collect(),
+            triangles,
+        }
+    }
+}
+
+/// The vertices that were joined so far.
+struct Vertices<'a> {
+    all: Vec<([i64; 3], &'a Vertex)>,
+    /// Most vertices are inside their region and belong to no other. So only vertices on a region's faces, and vertices that lie outside of
+    /// the region that lists them, are looked up.
+    outside: HashSet<Key>,
+    /// Number of the first vertex with a key, and of further ones of the same region.
+    shared: HashMap<(Key, u32), u32>,
+    /// Vertices with a key in the current region.
+    copies: HashMap<Key, u32>,
+    /// Numbers of the current region's vertices.
+    joined: Vec<u32>,
+}
+
+impl<'a> Vertices<'a> {
+    fn new(regions: &'a [Region], held: usize) -> Self {
+        let outside = (regions.iter())
+            .flat_map(|region| region.vertices.iter().map(move |v| (region, v)))
+            .filter(|(_, v)| v.position.iter().any(|p| !(0..=REGION_LATTICE).contains(p)))
+            .map(|(region, v)| key(region, v));
+        Self {
+            all: Vec::with_capacity(held),
+            outside: outside.collect(),
+            shared: HashMap::new(),
+            copies: HashMap::new(),
+            joined: Vec::new(),
+        }
+    }
+
+    /// Adds the vertices of a region, and returns their numbers.
+    fn add(&mut self, region: &'a Region) -> &[u32] {
+        self.joined.clear();
+        self.copies.clear();
+        for vertex in &region.vertices {
+            let key = key(region, vertex);
+            let new = self.all.len() as u32;
+            let inside = vertex.position.iter().all(|p| (1..REGION_LATTICE).contains(p));
+            let index = if inside && !self.outside.contains(&key) {
+                new
+            } else {
+                // Equal vertices of one region are not joined: they are crossings on several edges of a sample that the surface passes
+                // through. The first copy is joined with the first copies of other regions, the second with the second, and so on.
+                let copy = self.copies.entry(key).and_modify(|n| *n += 1).or_insert(0u32);
+                *self.shared.entry((key, *copy)).or_insert(new)
+            };
+            if index == new {
+                self.all.push((key.0, vertex));
+            }
+            self.joined.push(index);
+        }
+        &self.joined
+    }
+}
+
+fn key(region: &Region, vertex: &Vertex) -> Key {
+    let position = [0, 1, 2]
+        .map(|axis| i64::from(region.coords[axis]) * i64::from(REGION_LATTICE) + i64::from(vertex.position[axis]));
+    (position, vertex.normal, vertex.smoothness, vertex.feature)
+}
+
+/// Refuses a region whose indices would be out of bounds.
+fn check(region: &Region) -> Result<(), JoinError> {
+    let bad = |why| {
+        Err(JoinError::BadRegion {
+            region: region.coords,
+            why,
+        })
+    };
+    let levels: u64 = region.level_triangles.iter().map(|&n| u64::from(n)).sum();
+    if region.indices.len() as u64 != 3 * levels {
+        return bad(format!(
+            "{} indices, expected 3 for each of {levels} triangles",
+            region.indices.len()
+        ));
+    }
+    let vertices = region.vertices.len();
+    if let Some(index) = region.indices.iter().find(|&&i| i as usize >= vertices) {
+        return bad(format!("index {index}, expected less than {vertices}, its vertices"));
+    }
+    Ok(())
+}

@@ -1,0 +1,243 @@
+//! Keys of resident volumes and histograms.
+
+use isopeel_kernels::{DerivedFeature, ValueSet};
+
+use crate::fields;
+
+use isopeel_view::{EditError, FeatureName, FieldExpression, Mask, View};
+use isopeel_volumes::{Field, StepKey, VolumeStep};
+
+use super::WorkError;
+
+/// Derived features whose values are part of every description of a volume. Others take longer, and are described only once a view has used
+/// them.
+pub const ALWAYS_DESCRIBED: &[DerivedFeature] = &[DerivedFeature::GradientMagnitude];
+
+/// One time step of one field, padded by a sample on every side or not.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct VolumeKey {
+    /// The time step and its revision.
+    pub step: StepKey,
+    /// Name of the field, or an expression.
+    pub field: String,
+    /// Whether the samples are padded before they go to the device.
+    pub padded: bool,
+    /// Samples outside the mask are missing.
+    pub mask: Option<Mask>,
+}
+
+impl VolumeKey {
+    /// Returns the key of a field that is not masked.
+    pub fn new(volume: &VolumeStep, field: &str, padded: bool) -> Self {
+        Self {
+            step: volume.key(),
+            field: field.to_owned(),
+            padded,
+            mask: None,
+        }
+    }
+
+    /// Returns the key of the field that a view shows, masked as the view says.
+    pub(crate) fn shown(volume: &VolumeStep, view: &View, padded: bool) -> Self {
+        Self {
+            mask: view.mask.as_deref().cloned(),
+            ..Self::new(volume, &view.field, padded)
+        }
+    }
+
+    /// Returns the mask with the description of its field, if this field is masked.
+    pub(crate) fn mask_of(&self, volume: &VolumeStep) -> Result<Option<(Mask, Field)>, WorkError> {
+        let Some(mask) = &self.mask else { return Ok(None) };
+        let labels = Self::new(volume, &mask.field, false).field_of(volume)?;
+        Ok(Some((mask.clone(), labels)))
+    }
+
+    /// Bytes of a sample on the device, or more: a mask may need a wider type.
+    pub fn sample_bytes(&self, volume: &VolumeStep) -> Result<usize, WorkError> {
+        let field = self.field_of(volume)?;
+        let bytes = field.sample_type.bytes();
+        let may_widen = self.mask.is_some() && field.missing.is_none();
+        Ok(if may_widen { (2 * bytes).min(4) } else { bytes })
+    }
+
+    /// Returns the field's description. The field may be given by an expression.
+    pub(crate) fn field_of(&self, volume: &VolumeStep) -> Result<Field, WorkError> {
+        let dataset = volume.dataset();
+        fields::field_or_computed(dataset, &self.field).ok_or_else(|| {
+            WorkError::Edit(EditError {
+                field: "field",
+                why: format!("volume {:?} has no field {:?}", self.step.dataset.id, self.field),
+            })
+        })
+    }
+}
+
+impl VolumeKey {
+    /// Whether the device makes this field from others.
+    pub fn is_made(&self, volume: &VolumeStep) -> bool {
+        self.recipe(volume).is_some()
+    }
+
+    /// Returns how the device makes this field from others, and the keys of its inputs. `None` if the host makes the field or reads it:
+    /// padded and smoothed fields are made on the host.
+    pub(crate) fn recipe(&self, volume: &VolumeStep) -> Option<(Recipe, Vec<Self>)> {
+        if self.padded {
+            return None;
+        }
+        if self.mask.is_some() {
+            let (mask, labels) = self.mask_of(volume).ok()??;
+            let keys = [&self.field, &mask.field].map(|name| Self::new(volume, name, false));
+            return Some((Recipe::Mask(mask, labels), keys.to_vec()));
+        }
+        let found = fields::expression(volume.dataset(), &self.field)?;
+        if found.smoothing.is_some() {
+            return None;
+        }
+        let keys = found.fields.iter().map(|name| Self::new(volume, name, false)).collect();
+        Some((Recipe::Expression(found), keys))
+    }
+}
+
+impl VolumeKey {
+    /// The error that no sample is inside, so that there are no distances.
+    pub(crate) fn nothing_inside(&self) -> EditError {
+        EditError {
+            field: "feature",
+            why: format!(
+                "{:?} holds at no sample of step {}, expected at least one",
+                self.field, self.step.step
+            ),
+        }
+    }
+}
+
+/// How a field is made from others on the device.
+pub(crate) enum Recipe {
+    /// Evaluates an expression.
+    Expression(FieldExpression),
+    /// Masks a field: samples outside the mask become missing. The second value describes the mask's label field.
+    Mask(Mask, Field),
+}
+
+/// Whether fields are masked on the device or on the host.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Masking {
+    /// On the device, which has the field and the labels too.
+    OnDevice,
+    /// On the host, while both are read.
+    OnHost,
+}
+
+/// Returns the label values that count as inside a mask, as they are on the device. `labels`: the mask's field, which was read.
+pub(crate) fn values_inside(mask: &Mask, labels: &Field) -> ValueSet {
+    let ranks = labels.source.ranks();
+    mask.by_ranks(|number| Some(ranks.as_ref()?.position(number))).values()
+}
+
+/// Returns the keys and the keys of all inputs from which the device makes these fields. Each key occurs once, and inputs come before the
+/// fields made from them.
+pub fn with_inputs(volume: &VolumeStep, keys: &[VolumeKey], masking: Masking) -> Vec<VolumeKey> {
+    let mut all: Vec<VolumeKey> = Vec::new();
+    for key in keys {
+        let inputs = match key.recipe(volume) {
+            Some((Recipe::Mask(..), _)) if masking == Masking::OnHost => Vec::new(),
+            Some((_, inputs)) => with_inputs(volume, &inputs, masking),
+            None => Vec::new(),
+        };
+        for key in inputs.into_iter().chain([key.clone()]) {
+            if !all.contains(&key) {
+                all.push(key);
+            }
+        }
+    }
+    all
+}
+
+/// Keys of the fields that a feature is made of, each once.
+pub(crate) fn feature_keys(volume: &VolumeStep, shown: &str, feature: &FeatureName, padded: bool) -> Vec<VolumeKey> {
+    let mut keys: Vec<VolumeKey> = Vec::new();
+    for name in feature.fields(shown) {
+        let key = VolumeKey::new(volume, name, padded);
+        if !keys.contains(&key) {
+            keys.push(key);
+        }
+    }
+    keys
+}
+
+/// Keys of the fields that a view's surface is made of, each once, the shown one first.
+pub fn view_keys(volume: &VolumeStep, view: &View) -> Vec<VolumeKey> {
+    let mut keys = vec![VolumeKey::shown(volume, view, view.cap)];
+    // A feature derived from the shown field needs no other field, whether that is masked or not.
+    if !matches!(view.feature, FeatureName::Derived(_)) {
+        let of_feature = feature_keys(volume, &view.field, &view.feature, view.cap);
+        let others = of_feature.into_iter().filter(|key| *key != keys[0]).collect::<Vec<_>>();
+        keys.extend(others);
+    }
+    keys
+}
+
+/// A histogram: of a field, or of a feature computed from it or from three fields.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct HistogramKey {
+    /// Key of the field; of a feature of three fields, the key of the first one.
+    pub volume: VolumeKey,
+    /// The feature, or none for the field's own samples. Never the name of a field: such a feature has that field's histogram.
+    pub computed: FeatureName,
+}
+
+impl HistogramKey {
+    /// Returns the key for a feature of `field`. If the feature is itself a field, its key is that field's, whichever field is shown.
+    pub fn new(volume: &VolumeStep, field: &str, feature: &FeatureName) -> Self {
+        let computed = match feature {
+            FeatureName::None | FeatureName::Field(_) => FeatureName::None,
+            FeatureName::Derived(_) | FeatureName::Vector(_) => feature.clone(),
+        };
+        let name = feature.fields(field).first().copied().unwrap_or(field);
+        Self {
+            volume: VolumeKey::new(volume, name, false),
+            computed,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use isopeel_view::{Edit, View};
+    use isopeel_volumes::{VolumeStep, testing};
+
+    use super::{Masking, VolumeKey, view_keys, with_inputs};
+
+    /// Returns the fields that are loaded for an edit, in order; `+` before a name marks a masked field.
+    fn loaded(edit: &str, masking: Masking) -> Vec<String> {
+        let dataset = testing::dataset("head", [9; 3], &["density", "heat", "labels"]);
+        let volume = VolumeStep::new(Arc::new(dataset), 0).expect("a step");
+        let edit: Edit = serde_json::from_str(edit).expect("an edit");
+        let fields = ["density", "heat", "labels"];
+        let view = View::plain(&fields).apply(&edit, &fields).expect("a good edit");
+        let name = |key: &VolumeKey| format!("{}{}", if key.mask.is_some() { "+" } else { "" }, key.field);
+        with_inputs(&volume, &view_keys(&volume, &view), masking)
+            .iter()
+            .map(name)
+            .collect()
+    }
+
+    #[test]
+    fn what_a_masked_field_is_made_of_comes_first() {
+        let masked = r#"{"mask":"labels==1","feature":"heat"}"#;
+        assert_eq!(
+            loaded(masked, Masking::OnDevice),
+            ["density", "labels", "+density", "heat"]
+        );
+        assert_eq!(loaded(masked, Masking::OnHost), ["+density", "heat"]);
+        let computed = r#"{"field":"density+heat","mask":"labels==1","feature":"none"}"#;
+        assert_eq!(
+            loaded(computed, Masking::OnDevice),
+            ["density", "heat", "density+heat", "labels", "+density+heat"]
+        );
+        let capped = r#"{"mask":"labels==1","cap":true,"feature":"none"}"#;
+        assert_eq!(loaded(capped, Masking::OnDevice), ["+density"]);
+    }
+}

@@ -1,0 +1,72 @@
+//! Memory of the server by purpose.
+
+use isopeel_kernels::{DeviceKind, DeviceMemory};
+use serde::Serialize;
+
+/// What holds memory, in bytes. On a device that is this machine's processors all of it is the process's own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "camelCase")]
+pub struct MemoryUse {
+    /// Volumes on the device.
+    pub volume_bytes: u64,
+    /// Pyramids of the latest isovalues, on the device.
+    pub pyramid_bytes: u64,
+    /// Vertex trees of the latest isovalues, on the device.
+    pub tree_bytes: u64,
+    /// Cuts that clients show, on the device.
+    pub cut_bytes: u64,
+    /// Other bytes of the device's buffers: what they were allocated larger than needed, and what a running job uses.
+    pub other_device_bytes: u64,
+    /// Freed on the device and kept for the next edits.
+    pub idle_bytes: u64,
+    /// Meshes that are being encoded, on the host.
+    pub surface_bytes: u64,
+    /// The process before it opened a volume: code, the device's driver and compiled kernels.
+    pub program_bytes: u64,
+    /// Memory that the process holds, as the operating system reports it; 0 if it does not.
+    pub resident_bytes: u64,
+    /// Whether the device's memory is part of the process's.
+    pub is_host_memory: bool,
+}
+
+/// Memory that a workspace accounts for, in bytes.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct WorkspaceMemory {
+    /// What the engine has allocated.
+    pub device: DeviceMemory,
+    /// Volumes, with those that are being uploaded.
+    pub volumes: u64,
+    /// Pyramids.
+    pub pyramids: u64,
+    /// Vertex trees.
+    pub trees: u64,
+    /// Cuts.
+    pub cuts: u64,
+    /// The process's memory when the device was ready.
+    pub program: u64,
+}
+
+/// Returns the bytes that the operating system holds for the process; 0 if it does not report them.
+pub fn resident_bytes() -> u64 {
+    memory_stats::memory_stats().map_or(0, |memory| memory.physical_mem as u64)
+}
+
+impl WorkspaceMemory {
+    /// Returns the memory by purpose, with the resident memory of the process as it is now.
+    pub fn stated(self, kind: DeviceKind) -> MemoryUse {
+        let kept = self.volumes + self.pyramids + self.trees + self.cuts;
+        MemoryUse {
+            other_device_bytes: self.device.in_use.saturating_sub(kept),
+            volume_bytes: self.volumes,
+            pyramid_bytes: self.pyramids,
+            tree_bytes: self.trees,
+            cut_bytes: self.cuts,
+            idle_bytes: self.device.idle,
+            surface_bytes: self.device.lent,
+            program_bytes: self.program,
+            resident_bytes: resident_bytes(),
+            is_host_memory: kind == DeviceKind::Cpu,
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! Volumes that must stay on the device: they are not evicted meanwhile, so that two viewers of different volumes do not evict each other's
+//! volumes.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+
+use super::keys::VolumeKey;
+use super::lock::lock;
+
+/// The pinned volumes. Clones share them.
+#[derive(Clone, Default)]
+pub struct Pins {
+    shared: Arc<Shared>,
+}
+
+#[derive(Default)]
+struct Shared {
+    /// Bytes of each pinned volume, and its number of pins.
+    pinned: Mutex<HashMap<VolumeKey, (u64, usize)>>,
+    /// Called after pins were released.
+    on_release: Option<Box<dyn Fn() + Send + Sync>>,
+}
+
+/// Guard that keeps volumes resident until it is dropped.
+pub struct Pinned {
+    shared: Arc<Shared>,
+    keys: Vec<VolumeKey>,
+}
+
+impl Pins {
+    /// Creates a set of pins that calls `on_release` after some were released.
+    pub fn new(on_release: impl Fn() + Send + Sync + 'static) -> Self {
+        Self {
+            shared: Arc::new(Shared {
+                pinned: Mutex::default(),
+                on_release: Some(Box::new(on_release)),
+            }),
+        }
+    }
+
+    /// Pins volumes of these sizes, all at once, if they fit into `budget` bytes beside those that are pinned; volumes larger than the
+    /// budget are pinned if no other volumes are pinned. `None` if other pins would have to be released first.
+    pub fn try_pin(&self, volumes: &[(VolumeKey, u64)], budget: u64) -> Option<Pinned> {
+        let mut pinned = lock(&self.shared.pinned);
+        let others: u64 = (pinned.iter())
+            .filter(|(key, _)| volumes.iter().all(|(new, _)| new != *key))
+            .map(|(_, (bytes, _))| bytes)
+            .sum();
+        let own: u64 = volumes.iter().map(|(_, bytes)| bytes).sum();
+        if others > 0 && others.saturating_add(own) > budget {
+            return None;
+        }
+        for (key, bytes) in volumes {
+            pinned.entry(key.clone()).or_insert((*bytes, 0)).1 += 1;
+        }
+        Some(Pinned {
+            shared: Arc::clone(&self.shared),
+            keys: volumes.iter().map(|(key, _)| key.clone()).collect(),
+        })
+    }
+
+    /// Whether a volume must stay.
+    pub fn holds(&self, key: &VolumeKey) -> bool {
+        lock(&self.shared.pinned).contains_key(key)
+    }
+}
+
+impl Drop for Pinned {
+    fn drop(&mut self) {
+        let mut pinned = lock(&self.shared.pinned);
+        for key in &self.keys {
+            if let Some((_, count)) = pinned.get_mut(key) {
+                *count -= 1;
+                if *count == 0 {
+                    pinned.remove(key);
+                }
+            }
+        }
+        drop(pinned);
+        if let Some(on_release) = &self.shared.on_release {
+            on_release();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use isopeel_volumes::{DatasetKey, StepKey};
+
+    use super::*;
+
+    fn key(field: &str) -> VolumeKey {
+        VolumeKey {
+            step: StepKey {
+                dataset: DatasetKey {
+                    id: "head".into(),
+                    revision: 0,
+                },
+                step: 0,
+                rewrites: 0,
+            },
+            field: field.into(),
+            padded: false,
+            mask: None,
+        }
+    }
+
+    #[test]
+    fn volumes_that_do_not_fit_together_wait_for_each_other() {
+        let released = Arc::new(AtomicUsize::new(0));
+        let count = Arc::clone(&released);
+        let pins = Pins::new(move || {
+            count.fetch_add(1, Ordering::Relaxed);
+        });
+        let first = pins.try_pin(&[(key("a"), 6)], 10).expect("there is space");
+        let again = pins
+            .try_pin(&[(key("a"), 6), (key("b"), 4)], 10)
+            .expect("there is space");
+        let third = [(key("c"), 5)];
+        assert!(pins.try_pin(&third, 10).is_none());
+        drop(again);
+        assert!(pins.try_pin(&third, 10).is_none(), "a is pinned still");
+        assert!(pins.holds(&key("a")) && !pins.holds(&key("b")));
+        drop(first);
+        assert!(pins.try_pin(&third, 10).is_some());
+        assert_eq!(released.load(Ordering::Relaxed), 3);
+    }
+
+    #[test]
+    fn what_is_larger_than_the_budget_is_pinned_alone() {
+        let pins = Pins::default();
+        drop(pins.try_pin(&[(key("a"), 11)], 10).expect("nothing else is pinned"));
+        assert!(!pins.holds(&key("a")));
+    }
+}

@@ -1,0 +1,15 @@
+//! Frees the data of a time step that nothing will use again.
+
+use isopeel_volumes::StepKey;
+
+use super::workspace::Workspace;
+
+impl Workspace {
+    /// Frees the samples, pyramids and trees of a time step, except volumes that are pinned.
+    pub fn release(&mut self, step: &StepKey) {
+        let pins = &self.pins;
+        self.volumes.retain(|key| key.step != *step || pins.holds(key));
+        self.pyramids.retain(|key| key.samples().step != *step);
+        self.trees.borrow_mut().retain(|key| key.samples().step != *step);
+    }
+}

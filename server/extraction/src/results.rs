@@ -1,0 +1,215 @@
+//! Results of work on the device: a surface, or a step towards one.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use isopeel_kernels::{Level, RefinementCost, StageTime, Surface, SurfaceStatistics};
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
+
+use super::dataset_views::view_space;
+use super::joined::{JoinError, Joined, WorldMesh};
+use super::{ExtractionStatistics, MeasuredError};
+
+/// A surface and its view.
+#[derive(Clone, Debug)]
+pub struct Extraction {
+    /// The surface.
+    pub surface: Surface,
+    /// The view it shows, with isovalue and feature range filled in.
+    pub view: View,
+    /// Time on the device's thread, without time spent waiting or reading files.
+    pub wall: Duration,
+    /// The error, if it was measured after the surface was made.
+    pub measured: Option<MeasuredError>,
+    /// Cost of refining the surface at intersecting triangles, if that was asked for and the surface is a cut of the vertex tree.
+    pub refined: Option<RefinementCost>,
+}
+
+impl Extraction {
+    /// Returns the statistics of the surface, which a device of this name made of the volume.
+    pub fn statistics(&self, volume: &VolumeStep, device: &str) -> ExtractionStatistics {
+        let smallest = volume.dataset().smallest_length();
+        let statistics = ExtractionStatistics::new(&self.surface.statistics, &self.view, smallest, self.wall, device);
+        ExtractionStatistics {
+            error: self.measured.or(statistics.error),
+            ..statistics
+        }
+    }
+}
+
+impl Extraction {
+    /// Returns the surface as one mesh in the world.
+    ///
+    /// # Errors
+    /// More vertices than 32-bit indices reach.
+    pub fn mesh(&self, volume: &VolumeStep) -> Result<WorldMesh, JoinError> {
+        let (_, space) = view_space(volume.dataset(), &self.view);
+        Ok(Joined::new(&self.surface.regions, &|| false)?.in_world(&space))
+    }
+}
+
+/// Work that an export requests in addition to its view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ExportWork {
+    /// Whether the error is measured.
+    pub measuring: Measuring,
+    /// Where the surface is refined if its triangles intersect.
+    pub refining: Refining,
+}
+
+/// How a final surface is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Making {
+    /// Maximum triangles.
+    pub ceiling: u64,
+    /// Whether its error is measured.
+    pub measures: bool,
+    /// As [`ExportWork::refining`].
+    pub refining: Refining,
+}
+
+/// Places at which a cut of the vertex tree is refined if triangles intersect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refining {
+    /// Nowhere.
+    Never,
+    /// Less than a cell from the faces that a capped surface closes at.
+    AtCaps,
+    /// Everywhere.
+    Everywhere,
+}
+
+/// Whether the error of a surface is measured. Measuring takes about as long as all other work on the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Measuring {
+    /// The error is measured.
+    Always,
+    /// The error is measured, but given up if that takes longer than this.
+    Within(Duration),
+    /// The error is not measured.
+    Never,
+}
+
+/// The number of the last cut. Numbers are unique in the process, because sessions may refer to cuts of a lost device after it was
+/// reopened.
+static LAST_CUT: AtomicU64 = AtomicU64::new(0);
+
+/// A cut that the device's thread keeps for a while: the one that a client shows, or its target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct CutId(u64);
+
+impl CutId {
+    /// The cut of that number.
+    pub fn new(number: u64) -> Self {
+        Self(number)
+    }
+
+    /// An id that no other cut has.
+    pub fn next() -> Self {
+        Self(LAST_CUT.fetch_add(1, Ordering::Relaxed) + 1)
+    }
+}
+
+/// A step on the way from the surface that a client shows to that of its view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// The surface that the client shows.
+    pub shown: Shown,
+    /// The cut of the view, if an earlier step has made it.
+    pub target: Option<CutId>,
+    /// Triangles of the surface that the last step towards this view has made; 0 before the first step.
+    pub made_triangles: u64,
+    /// About how many triangles to make of a new surface.
+    pub fresh_triangles: u64,
+    /// About how many triangles to remake of a surface that is shown.
+    pub triangles: u64,
+    /// About how many bytes to send.
+    pub bytes: u64,
+    /// Bytes that the line has been observed to take in the time of a step. Pauses of the sender, or of a client that draws, do not count.
+    pub line_bytes: u64,
+}
+
+/// The surface that a client shows when a step begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Shown {
+    /// Nothing, or a surface of another volume, time step, field, mask or isovalue: a coarse one may replace it.
+    Another,
+    /// The surface of the view, except for a property that affects every region: it is replaced at once.
+    Alike,
+    /// A cut of the same surface, which changes region by region.
+    Cut(CutId),
+}
+
+/// Result of a step.
+#[derive(Clone, Debug)]
+pub struct Refinement {
+    /// The surface, or the regions in which it differs from the shown one. Its stages are those of this step.
+    pub surface: Surface,
+    /// The view that the step leads to, with every value in force, including the fit that keeps a budget.
+    pub view: View,
+    /// The cut of the surface.
+    pub cut: CutId,
+    /// The final cut of the view, once it is known.
+    pub target: Option<CutId>,
+    /// Whether the surface is that of the view.
+    pub is_final: bool,
+    /// Whether a better surface of the same view exists, which [`super::Extractor::improve`] takes longer to make.
+    pub can_improve: bool,
+    /// Time on the device's thread, without time spent waiting or reading files.
+    pub wall: Duration,
+    /// The part of `wall` from the cut to the mesh on the host.
+    pub meshing: Duration,
+}
+
+impl Refinement {
+    /// Returns a surface of the view without triangles.
+    pub fn nothing(view: &View) -> Self {
+        Self {
+            surface: Surface {
+                regions: Vec::new(),
+                remade: None,
+                prefix: Level::FINEST,
+                statistics: SurfaceStatistics::default(),
+            },
+            view: view.clone(),
+            cut: CutId::next(),
+            target: None,
+            is_final: false,
+            can_improve: false,
+            wall: Duration::ZERO,
+            meshing: Duration::ZERO,
+        }
+    }
+}
+
+/// Counts for a surface before anything of it is made.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FullCount {
+    /// Triangles of the full surface, those of small parts included.
+    pub triangles: u64,
+    /// The stages that counting them took.
+    pub stages: Vec<StageTime>,
+    /// Time on the device's thread, without time spent waiting or reading files.
+    pub wall: Duration,
+}
+
+/// How far a final surface is from the undecimated one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measurement {
+    /// Error of the whole surface, world units.
+    pub whole: MeasuredError,
+    /// Error of each region that has triangles, world units.
+    pub regions: Vec<([u32; 3], MeasuredError)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::CutId;
+
+    #[test]
+    fn no_two_cuts_of_a_process_have_one_id() {
+        let ids = [CutId::next(), CutId::next(), CutId::next()];
+        assert!(ids[0] != ids[1] && ids[1] != ids[2] && ids[0] != ids[2], "{ids:?}");
+    }
+}

@@ -1,0 +1,121 @@
+//! Coarser cuts of the vertex tree that come before the final one, so that a slow line shows a change soon.
+//!
+//! Each one is a whole surface, which the next one replaces, so all bytes before the final one are overhead. Therefore there are few such
+//! cuts, each several times as large as the one before, and none on a line that takes the final surface at once.
+
+use super::chunk_bytes::{self, BYTES_OF_100_COARSE_TRIANGLES, BYTES_OF_100_TRIANGLES};
+use super::{Shown, Step};
+
+/// The final surface is sent at once if it has at most the bytes of a step, divided by this.
+const AT_ONCE_PART: u64 = 4;
+
+/// Bytes of a step, divided by those of the first cut.
+const FIRST_PART: u64 = 10;
+/// Minimum bytes of the first cut: smaller ones are mostly headers.
+const MIN_FIRST_BYTES: u64 = 80 << 10;
+
+/// Bytes of a further cut, divided by those of the cut before.
+const GROWTH: u64 = 4;
+/// Minimum of that ratio: the final surface is sent instead of a cut that grows by less.
+const MIN_GROWTH: u64 = 2;
+/// A further coarser cut is made only if the final surface has more than this number of steps' bytes.
+const LONG_STEPS: u64 = 8;
+
+/// Bytes of the final surface, divided by those of the largest cut.
+const TARGET_FINAL_PART: u64 = 5;
+/// Bytes of the final surface, divided by the maximum of a cut whose topology needs more triangles.
+const MAX_FINAL_PART: u64 = 3;
+
+/// Cuts of fewer triangles show too little of a surface.
+const MIN_TRIANGLES: u64 = 1000;
+
+/// Triangles of a coarser cut.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TreePrefix {
+    /// Triangles that the cut should have.
+    pub triangles: u64,
+    /// Triangles that it may have if its topology needs more: instead of a larger cut, the final surface is sent at once.
+    pub max_triangles: u64,
+}
+
+/// Returns the next coarser cut; `None` if the final one is next. `regions`: those that have cells of the surface; `expected`: triangles of
+/// the final surface.
+pub(crate) fn next_prefix(step: Step, regions: u64, expected: u64) -> Option<TreePrefix> {
+    let whole = chunk_bytes::of_triangles(expected, regions, BYTES_OF_100_TRIANGLES);
+    // A surface that replaces another one at once has to be final.
+    if step.shown == Shown::Alike || whole <= step.line_bytes / AT_ONCE_PART {
+        return None;
+    }
+    let of_coarse = |triangles| chunk_bytes::of_triangles(triangles, regions, BYTES_OF_100_COARSE_TRIANGLES);
+    let largest = whole / TARGET_FINAL_PART;
+    let bytes = match step.made_triangles {
+        0 => (step.line_bytes / FIRST_PART).max(MIN_FIRST_BYTES).min(largest),
+        made if whole > step.line_bytes.saturating_mul(LONG_STEPS) && largest >= of_coarse(made) * MIN_GROWTH => {
+            (of_coarse(made) * GROWTH).min(largest)
+        }
+        _ => return None,
+    };
+    let headers = chunk_bytes::of_headers(regions);
+    let triangles_of = |bytes: u64| bytes.saturating_sub(headers) * 100 / BYTES_OF_100_COARSE_TRIANGLES;
+    let (triangles, max_triangles) = (triangles_of(bytes), triangles_of(whole / MAX_FINAL_PART));
+    (triangles >= MIN_TRIANGLES).then_some(TreePrefix {
+        triangles,
+        max_triangles,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::next_prefix;
+    use crate::{CutId, Shown, Step};
+
+    const REGIONS: u64 = 250;
+
+    /// A step on a line that takes `bytes` in 400 ms.
+    fn step(bytes: u64, made_triangles: u64) -> Step {
+        Step {
+            shown: Shown::Cut(CutId::new(1)),
+            target: None,
+            made_triangles,
+            fresh_triangles: u64::MAX,
+            triangles: u64::MAX,
+            bytes: u64::MAX,
+            line_bytes: bytes,
+        }
+    }
+
+    /// The triangles of all coarser cuts.
+    fn all(bytes: u64, expected: u64) -> Vec<u64> {
+        let next = |&made: &u64| Some(next_prefix(step(bytes, made), REGIONS, expected)?.triangles);
+        std::iter::successors(next(&0), next).collect()
+    }
+
+    #[test]
+    fn a_line_that_takes_the_surface_at_once_gets_it_in_one_step() {
+        assert!(all(u64::MAX, 1_000_000).is_empty());
+        assert!(all(20_000_000, 1_000_000).is_empty());
+    }
+
+    #[test]
+    fn slower_lines_get_more_steps_and_few_bytes_in_vain() {
+        for (bytes, steps) in [(1_000_000, 1), (250_000, 1), (20_000, 2)] {
+            let expected = 300_000;
+            let found = all(bytes, expected);
+            assert_eq!(found.len(), steps, "{bytes} bytes a step: {found:?}");
+            let vain: u64 = found.iter().map(|triangles| triangles * 8 + REGIONS * 160).sum();
+            let whole = expected * 45 / 10 + REGIONS * 160;
+            assert!(vain * 10 <= whole * 3, "{vain} of {whole}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn what_replaces_a_surface_at_once_and_what_is_mostly_headers_has_no_coarser_cut() {
+        let alike = Step {
+            shown: Shown::Alike,
+            ..step(20_000, 0)
+        };
+        assert_eq!(next_prefix(alike, REGIONS, 300_000), None);
+        assert!(all(10_000, 10_000).is_empty());
+        assert_eq!(next_prefix(step(20_000, 0), 100_000, 300_000), None);
+    }
+}

@@ -1,0 +1,340 @@
+//! Surfaces as cuts of the vertex tree: those that an error or a budget decides.
+
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+
+use isopeel_kernels::{
+    Cancel, CutParams, DeviceKind, Error, MeasuredError, PartFilter, RefinementCost, Surface, Topology, TreeGoal,
+    VertexTree,
+};
+use isopeel_view::View;
+use isopeel_view::quality::{Fitted, MaxError};
+use isopeel_volumes::VolumeStep;
+
+use super::context::JobContext;
+use super::decisions::{Decided, TreeCut, lesser};
+use super::intersections::{CapFaces, intersecting_vertices};
+use super::questions::index_inside;
+use super::results::{Making, Refining};
+use super::tree_steps::TreePrefix;
+use super::workspace::{JobError, Nodes, OnDevice, Workspace};
+use super::{CutId, Refinement, WorkError};
+
+/// Full surfaces of more triangles are first shown as cubes, before their tree is built: on an H200 a tree of this size takes about 20 ms.
+const MAX_FULL_TRIANGLES: u64 = 1_500_000;
+
+impl Workspace {
+    /// Makes the final surface of a view as a cut of the vertex tree; `None` if there is no tree, or no cut of it is small enough.
+    ///
+    /// # Errors
+    /// [`JobError`].
+    pub fn improve(
+        &mut self,
+        volume: &VolumeStep,
+        view: &mut View,
+        ceiling_triangles: u64,
+        context: &mut JobContext<'_, Self>,
+    ) -> Result<Option<Refinement>, JobError> {
+        let start = Instant::now();
+        self.with_pyramid(volume, view, Nodes::All, context, |on, view, cancel| {
+            Ok(match on.tree_surface(view, ceiling_triangles, false, cancel)? {
+                TreeCut::Made(surface) => Some(on.tree_refinement(surface, view, on.own_time(start))),
+                TreeCut::Refused(_) | TreeCut::NoTree => None,
+            })
+        })
+    }
+}
+
+impl OnDevice<'_> {
+    /// Returns the vertex tree if it is cached.
+    pub(crate) fn cached_tree(&self) -> Option<Rc<VertexTree>> {
+        let mut trees = self.trees.borrow_mut();
+        let tree = trees.get(&self.key)?;
+        tree.is_of(self.pyramid).then(|| Rc::clone(tree))
+    }
+
+    /// Whether the tree is built so quickly that other jobs can wait for it.
+    pub(crate) fn builds_tree_soon(&self) -> bool {
+        self.engine.device().kind != DeviceKind::Cpu && self.pyramid.full_triangles() <= MAX_FULL_TRIANGLES
+    }
+
+    /// Returns the vertex tree, which is built if it is not cached. `None`: the surface is too large for a tree on this device; a cut of
+    /// cubes needs less memory.
+    ///
+    /// # Errors
+    /// [`WorkError::NoTree`] if parts are to be removed, because cubes contain all parts; [`JobError::TakesLong`] if a short job would have
+    /// to build it; and the device's errors.
+    pub(crate) fn tree(
+        &self,
+        view: &View,
+        params: &CutParams,
+        cancel: &dyn Cancel,
+    ) -> Result<Option<Rc<VertexTree>>, JobError> {
+        if let Some(tree) = self.cached_tree() {
+            self.observer.looked_up("tree", true);
+            return Ok(Some(tree));
+        }
+        self.observer.looked_up("tree", false);
+        if !self.may_take_long && !self.builds_tree_soon() {
+            return Err(JobError::TakesLong);
+        }
+        let tree = match self.engine.build_tree(self.volume, self.pyramid, params, cancel) {
+            Err(error @ (Error::OutOfDeviceMemory { .. } | Error::Invalid { .. })) => {
+                tracing::warn!(%error, "no vertex tree");
+                return match view.removes_parts() {
+                    true => Err(JobError::Failed(WorkError::NoTree(error))),
+                    false => Ok(None),
+                };
+            }
+            tree => Rc::new(tree?),
+        };
+        self.keep_tree(&tree);
+        Ok(Some(tree))
+    }
+
+    /// Returns the guard on the error, if one was set, in smallest spacings.
+    fn error_guard(&self, view: &View) -> f32 {
+        match view.max_error {
+            MaxError::At(distance) => distance.in_spacings(self.smallest),
+            MaxError::Auto | MaxError::None => f32::INFINITY,
+        }
+    }
+
+    /// Returns how far a view's error and budget cut the tree. A budget that is a share counts the full surface without removed parts.
+    pub(crate) fn tree_goal(
+        &self,
+        view: &View,
+        tree: &Rc<VertexTree>,
+        params: &CutParams,
+        cancel: &dyn Cancel,
+    ) -> Result<TreeGoal, JobError> {
+        let mut full = self.pyramid.full_triangles();
+        let without = self.part_filter(view);
+        if without.removes() {
+            let removed = self
+                .engine
+                .removed_parts(self.volume, self.pyramid, tree, params, &without, cancel)?;
+            full -= removed.full_triangles;
+            self.keep_tree(tree);
+        }
+        Ok(TreeGoal {
+            tolerance: view
+                .error
+                .map_or(f32::NEG_INFINITY, |error| error.in_spacings(self.smallest)),
+            max_triangles: view.max_triangles(full).unwrap_or(u64::MAX),
+            max_tolerance: self.error_guard(view),
+            without,
+        })
+    }
+
+    /// Which parts a view leaves out.
+    fn part_filter(&self, view: &View) -> PartFilter {
+        let index_of = |position| index_inside(&self.index_space, self.volume.grid().dims, position);
+        PartFilter {
+            min_area: ((view.min_part / (self.smallest * self.smallest)) as f32).min(f32::MAX),
+            chosen: view.parts.as_ref().map(|parts| parts.to_kernel(index_of)),
+        }
+    }
+
+    /// Caches a tree, whose size grows once its parts are known.
+    pub(crate) fn keep_tree(&self, tree: &Rc<VertexTree>) {
+        self.trees
+            .borrow_mut()
+            .insert(self.key.clone(), tree.device_bytes(), Rc::clone(tree));
+    }
+
+    /// Measures the error of the surface that [`OnDevice::tree_surface`] made of a view.
+    pub(crate) fn measure_tree(&self, view: &View, cancel: &dyn Cancel) -> Result<Option<MeasuredError>, JobError> {
+        let params = self.params_of(view);
+        let Some(tree) = self.tree(view, &params, cancel)? else {
+            return Ok(None);
+        };
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
+        let measured = self
+            .engine
+            .measure_tree_error(self.volume, self.pyramid, &tree, &params, &goal, cancel)?;
+        Ok(Some(measured))
+    }
+
+    /// Cuts the tree to a view's error and budget.
+    ///
+    /// # Errors
+    /// [`WorkError::NoTree`], [`JobError::TakesLong`], and the device's errors. If parts are to be removed, a cut that is refused is an
+    /// error too, because cubes contain all parts.
+    pub(crate) fn tree_surface(
+        &self,
+        view: &mut View,
+        ceiling: u64,
+        state_error: bool,
+        cancel: &dyn Cancel,
+    ) -> Result<TreeCut, JobError> {
+        let params = CutParams {
+            state_error,
+            ..self.params_of(view)
+        };
+        let Some(tree) = self.tree(view, &params, cancel)? else {
+            return Ok(TreeCut::NoTree);
+        };
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
+        let (surface, tolerance) =
+            self.engine
+                .tree_surface(self.volume, self.pyramid, &tree, &params, &goal, cancel)?;
+        let triangles = surface.statistics.triangles;
+        let refusal = if triangles > goal.max_triangles {
+            Some(WorkError::OverBudget {
+                minimum: triangles,
+                budget: goal.max_triangles,
+            })
+        } else {
+            (triangles > ceiling).then_some(WorkError::TooManyTriangles { triangles, ceiling })
+        };
+        if let Some(refusal) = refusal {
+            return match view.removes_parts() {
+                true => Err(refusal.into()),
+                false => Ok(TreeCut::Refused(refusal)),
+            };
+        }
+        view.fitted = Some(Fitted {
+            threshold: tolerance,
+            topology: Topology::Preserve,
+            triangles: goal.max_triangles,
+            is_tree_cut: true,
+        });
+        Ok(TreeCut::Made(self.with_all_stages(surface)))
+    }
+
+    /// Makes a coarser cut of the tree than the view's final one. It has the same parts and topology, but no guard on the error. `None` if
+    /// there is no tree, or no cut of it has so few triangles.
+    pub(crate) fn tree_prefix(
+        &self,
+        view: &View,
+        prefix: TreePrefix,
+        cancel: &dyn Cancel,
+    ) -> Result<Option<Surface>, JobError> {
+        let params = self.params_of(view);
+        let Some(tree) = self.tree(view, &params, cancel)? else {
+            return Ok(None);
+        };
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
+        let coarser = TreeGoal {
+            max_triangles: goal.max_triangles.min(prefix.triangles),
+            max_tolerance: f32::INFINITY,
+            ..goal
+        };
+        let surface = self
+            .engine
+            .tree_prefix(self.volume, self.pyramid, &tree, &params, &coarser, cancel)?;
+        let is_small = surface.statistics.triangles <= goal.max_triangles.min(prefix.max_triangles);
+        Ok(is_small.then(|| self.with_all_stages(surface)))
+    }
+
+    /// Returns the surface that [`OnDevice::tree_surface`] made of a view, refined at intersecting triangles.
+    ///
+    /// # Errors
+    /// [`WorkError::OverBudget`] if the budget allows no such surface, and the device's errors.
+    pub(crate) fn refined_tree_surface(
+        &self,
+        view: &mut View,
+        making: Making,
+        cancel: &dyn Cancel,
+    ) -> Result<(Surface, RefinementCost), JobError> {
+        let params = CutParams {
+            state_error: making.measures,
+            ..self.params_of(view)
+        };
+        let no_tree = WorkError::Stopped;
+        let tree = self.tree(view, &params, cancel)?.ok_or(no_tree)?;
+        let goal = self.tree_goal(view, &tree, &params, cancel)?;
+        let faces = (making.refining == Refining::AtCaps).then(|| CapFaces::of_padded(self.volume.grid().dims));
+        let (surface, tolerance, cost) = self.engine.refined_tree_surface(
+            self.volume,
+            self.pyramid,
+            &tree,
+            &params,
+            &goal,
+            &|regions, cancel| intersecting_vertices(regions, faces, self.long_work, cancel),
+            cancel,
+        )?;
+        let triangles = surface.statistics.triangles;
+        if triangles > goal.max_triangles {
+            return Err(JobError::Failed(WorkError::OverBudget {
+                minimum: triangles,
+                budget: goal.max_triangles,
+            }));
+        }
+        if triangles > making.ceiling {
+            let ceiling = making.ceiling;
+            return Err(JobError::Failed(WorkError::TooManyTriangles { triangles, ceiling }));
+        }
+        if let Some(fitted) = &mut view.fitted {
+            fitted.threshold = tolerance;
+        }
+        Ok((self.with_all_stages(surface), cost))
+    }
+
+    /// Makes the surface of a view that an error or a budget decides: a cut of the tree, or a cut of cubes. `tree_first`: whether to cut
+    /// the tree first, because it is cached or quickly built. Otherwise cubes are tried first, and a cut of the tree can replace them
+    /// later. The order affects only the time to the final surface: a view is refused only if both cuts are.
+    ///
+    /// # Errors
+    /// As [`OnDevice::tree_surface`] and [`OnDevice::target`].
+    pub(crate) fn decided(
+        &self,
+        view: &mut View,
+        ceiling: u64,
+        tree_first: bool,
+        state_error: bool,
+        cancel: &dyn Cancel,
+    ) -> Result<Decided, JobError> {
+        let mut tree_refusal = None;
+        if tree_first {
+            match self.tree_surface(view, ceiling, state_error, cancel)? {
+                TreeCut::Made(surface) => return Ok(Decided::Tree(surface)),
+                TreeCut::Refused(refusal) => tree_refusal = Some(refusal),
+                TreeCut::NoTree => {}
+            }
+        }
+        let refusal = match self.target_within(view, ceiling, cancel) {
+            Err(refusal @ (WorkError::OverBudget { .. } | WorkError::TooManyTriangles { .. })) => refusal,
+            target => {
+                let (params, cut) = target?;
+                return Ok(Decided::Cubes {
+                    params,
+                    cut: Rc::new(cut),
+                    can_improve: !tree_first,
+                });
+            }
+        };
+        if !tree_first {
+            match self.tree_surface(view, ceiling, state_error, cancel)? {
+                TreeCut::Made(surface) => return Ok(Decided::Tree(surface)),
+                TreeCut::Refused(refusal) => tree_refusal = Some(refusal),
+                TreeCut::NoTree => {}
+            }
+        }
+        Err(lesser(tree_refusal, refusal).into())
+    }
+
+    /// Returns a cut of the tree as the last step towards its view. The next surface after it is made in full, because a cut of the tree
+    /// has no states of cubes to compare.
+    pub(crate) fn tree_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
+        Refinement {
+            is_final: true,
+            ..self.tree_prefix_refinement(surface, view, wall)
+        }
+    }
+
+    /// Returns a coarser cut of the tree as a step towards a view.
+    pub(crate) fn tree_prefix_refinement(&self, surface: Surface, view: &View, wall: Duration) -> Refinement {
+        Refinement {
+            surface,
+            view: view.clone(),
+            cut: CutId::next(),
+            target: None,
+            is_final: false,
+            can_improve: false,
+            wall,
+            meshing: wall,
+        }
+    }
+}

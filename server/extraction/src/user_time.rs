@@ -1,0 +1,135 @@
+//! Recent device time that each user's computed fields have taken.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use super::lock::lock;
+
+/// Period in which a user may take the limit.
+pub const USER_TIME_PERIOD: Duration = Duration::from_secs(600);
+
+/// Number of entries above which the server drops the entries of users who have their whole limit available.
+const MANY_USERS: usize = 1024;
+
+/// Device time taken by the users of a server.
+pub struct UserTimes {
+    /// `None`: there is no limit.
+    limit: Option<Duration>,
+    taken: Mutex<HashMap<Arc<str>, Taken>>,
+}
+
+/// Device time that a user had taken at a given moment. It is restored evenly, the whole limit in one period.
+#[derive(Clone, Copy)]
+struct Taken {
+    time: Duration,
+    at: Instant,
+}
+
+impl Taken {
+    /// Returns the part of the taken time that still counts.
+    fn remaining(self, limit: Duration, now: Instant) -> Duration {
+        let back = now.saturating_duration_since(self.at).as_secs_f64() / USER_TIME_PERIOD.as_secs_f64();
+        self.time.saturating_sub(limit.mul_f64(back))
+    }
+}
+
+impl UserTimes {
+    /// No user has taken any. `limit`: maximum time of a user; `None`: there is no limit.
+    pub fn new(limit: Option<Duration>) -> Arc<Self> {
+        Arc::new(Self {
+            limit,
+            taken: Mutex::default(),
+        })
+    }
+}
+
+/// The user who is charged for a piece of work.
+#[derive(Clone)]
+pub struct Payer {
+    times: Arc<UserTimes>,
+    user: Arc<str>,
+}
+
+/// Time that a user may take now, and how long until a tenth of the limit is available.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimeLeft {
+    pub limit: Duration,
+    pub now: Duration,
+    pub wait: Duration,
+}
+
+impl Payer {
+    /// The user of this name.
+    pub fn new(times: &Arc<UserTimes>, user: &str) -> Self {
+        Self {
+            times: Arc::clone(times),
+            user: user.into(),
+        }
+    }
+
+    /// Returns the time that the user may take; `None`: there is no limit.
+    pub fn left(&self, now: Instant) -> Option<TimeLeft> {
+        let limit = self.times.limit?;
+        let taken = lock(&self.times.taken).get(&self.user).copied();
+        let counts = taken.map_or(Duration::ZERO, |taken| taken.remaining(limit, now));
+        let too_much = counts.saturating_sub(limit.mul_f64(0.9)).as_secs_f64() / limit.as_secs_f64();
+        Some(TimeLeft {
+            limit,
+            now: limit.saturating_sub(counts),
+            wait: USER_TIME_PERIOD.mul_f64(too_much),
+        })
+    }
+
+    /// Adds time that was taken.
+    pub fn take(&self, time: Duration, now: Instant) {
+        let Some(limit) = self.times.limit else {
+            return;
+        };
+        let mut taken = lock(&self.times.taken);
+        if taken.len() >= MANY_USERS {
+            taken.retain(|_, taken| !taken.remaining(limit, now).is_zero());
+        }
+        let before = taken.get(&self.user).copied();
+        let before = before.map_or(Duration::ZERO, |taken| taken.remaining(limit, now));
+        let time = before + time;
+        taken.insert(Arc::clone(&self.user), Taken { time, at: now });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_is_each_users_and_comes_back() {
+        let times = UserTimes::new(Some(Duration::from_secs(100)));
+        let (ann, bob) = (Payer::new(&times, "ann"), Payer::new(&times, "bob"));
+        let start = Instant::now();
+        let left = |payer: &Payer, seconds| {
+            let left = payer.left(start + Duration::from_secs(seconds)).unwrap();
+            (left.now.as_secs_f64().round(), left.wait.as_secs_f64().round())
+        };
+        assert_eq!(left(&ann, 0), (100.0, 0.0));
+        ann.take(Duration::from_secs(60), start);
+        ann.take(Duration::from_secs(50), start);
+        assert_eq!(left(&ann, 0), (0.0, 120.0), "a tenth is there again after 20 s of 100");
+        assert_eq!(left(&bob, 0), (100.0, 0.0), "another user's");
+        assert_eq!(left(&ann, 120), (10.0, 0.0));
+        assert_eq!(left(&ann, 660), (100.0, 0.0));
+        let unlimited = Payer::new(&UserTimes::new(None), "ann");
+        unlimited.take(Duration::from_secs(9000), start);
+        assert!(unlimited.left(start).is_none());
+    }
+
+    #[test]
+    fn users_who_have_all_their_time_are_forgotten() {
+        let times = UserTimes::new(Some(Duration::from_secs(100)));
+        let start = Instant::now();
+        let payers = (0..2 * MANY_USERS).map(|user| Payer::new(&times, &user.to_string()));
+        for (second, payer) in payers.enumerate() {
+            payer.take(Duration::from_secs(1), start + Duration::from_secs(second as u64));
+        }
+        assert!(lock(&times.taken).len() <= MANY_USERS);
+    }
+}

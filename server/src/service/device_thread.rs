@@ -1,0 +1,320 @@
+//! The device's thread: opens the device, runs jobs, and reopens the device after it was lost.
+//!
+//! A driver reports a lost device only by failing each call, sometimes with "out of resources". So after a failure the thread reads back a
+//! byte that the device holds: if that fails, the device is lost. All data on it is gone then; jobs find that their volumes are not
+//! resident, and load them again.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use isopeel_extraction::{
+    HistogramCache, Observer, OpenError, Options, Pins, Workspace, WorkspaceMemory, chain, lock, resident_bytes,
+};
+use isopeel_kernels::check::{Check, STEPS, Scope};
+use isopeel_kernels::{DeviceInfo, Engine, SampleType, Tuning};
+use serde::Serialize;
+use tokio::sync::{mpsc, watch};
+
+use super::scheduler::{Job, Queue};
+use crate::device::{Proven, cache};
+use crate::{metrics, pool};
+
+/// Time between two attempts to open a lost device. Meanwhile jobs fail at once.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Counts what a workspace tells.
+struct Metrics;
+
+impl Observer for Metrics {
+    fn looked_up(&self, cache: &'static str, is_hit: bool) {
+        metrics::looked_up(cache, is_hit);
+    }
+
+    fn stage(&self, stage: &'static str, milliseconds: f64) {
+        metrics::stage(stage, milliseconds);
+    }
+
+    fn device_lost(&self) {
+        metrics::device_lost();
+    }
+}
+
+/// Held while a device is being opened.
+static OPENING: Mutex<()> = Mutex::new(());
+
+/// State of the device.
+#[derive(Clone, Debug)]
+pub enum DeviceState {
+    /// Being checked and opened, its programs being built. Jobs wait.
+    Opening(Preparation),
+    /// Ready.
+    Ready(DeviceInfo),
+    /// The device was lost, and attempts to reopen it have failed so far; jobs fail until one succeeds.
+    Lost,
+    /// The device was lost, and this process cannot use its driver any more; every job fails.
+    Spoiled,
+    /// Could not be opened when the server started; every job fails.
+    Failed(Arc<OpenError>),
+}
+
+/// Progress of the steps before a device's first surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Preparation {
+    /// Steps that are done.
+    pub done: usize,
+    /// Steps in all; 0 if that is not known.
+    pub of: usize,
+}
+
+/// A device that was chosen.
+#[derive(Default)]
+pub struct Choice {
+    /// Index or a part of its name, as `isopeel devices` lists them; `None`: the first.
+    pub selector: Option<String>,
+    /// How its kernels are built and launched, if not by default.
+    pub tuning: Option<Tuning>,
+    /// Whether the user trusts the device without a check.
+    pub is_trusted: bool,
+    /// Set while the check is still running: the programs that have passed it so far. Only these and the programs of a first surface are
+    /// run.
+    pub proven: Option<Arc<Proven>>,
+}
+
+/// Why no device was chosen.
+#[derive(Debug)]
+pub enum NoChoice {
+    /// No device may be used; the text says why, and what to do.
+    Refused(String),
+    /// This process cannot use the device, but a new one can.
+    NewProcess,
+}
+
+/// Reports the device's state before it is opened, and what a later check finds.
+#[derive(Clone)]
+pub struct Report(Arc<watch::Sender<DeviceState>>);
+
+impl Report {
+    /// Reports progress. Without effect once the device is open.
+    pub fn progress(&self, done: usize, of: usize) {
+        self.0.send_if_modified(|state| {
+            let is_opening = matches!(state, DeviceState::Opening(_));
+            if is_opening {
+                *state = DeviceState::Opening(Preparation { done, of });
+            }
+            is_opening
+        });
+    }
+
+    /// Reports that this process must not use the device any more: another process takes its place.
+    pub fn spoil(&self) {
+        self.0.send_replace(DeviceState::Spoiled);
+    }
+
+    /// Reports that the device must not be used any more: the server ends with this text.
+    pub fn refuse(&self, why: String) {
+        self.0
+            .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
+    }
+}
+
+/// Chooses the device, on its thread, before it is opened the first time.
+pub type Choose = Box<dyn FnOnce(&Report) -> Result<Choice, NoChoice> + Send>;
+
+/// Options of a device's thread.
+pub struct DeviceOptions {
+    /// Chooses the device.
+    pub choose: Choose,
+    /// A first surface of these sample types is made before the device is ready, so that no viewer waits for a compiler.
+    pub types: Vec<SampleType>,
+    /// Whether to retry opening a device until it succeeds, because it existed before.
+    pub is_patient: bool,
+    /// Maximum bytes of cached data of earlier edits. The default is [`isopeel_extraction::PROCESSOR_BYTES`] if the device is this machine's processors,
+    /// else a third of its memory. A third of its memory is also the maximum.
+    pub surface_bytes: Option<u64>,
+    /// Maximum device time that a request may take to compute a field.
+    pub request_time: Option<Duration>,
+    /// Maximum device time that one user's computed fields may take within [`isopeel_extraction::USER_TIME_PERIOD`]; `None`: no limit.
+    pub user_time: Option<Duration>,
+}
+
+impl DeviceOptions {
+    /// The device that `selector` names, opened without a check.
+    pub fn unchecked(selector: Option<String>) -> Self {
+        Self {
+            choose: Box::new(|_| {
+                Ok(Choice {
+                    selector,
+                    ..Choice::default()
+                })
+            }),
+            types: Vec::new(),
+            is_patient: false,
+            surface_bytes: None,
+            request_time: None,
+            user_time: None,
+        }
+    }
+}
+
+/// A device's thread before it runs.
+pub(super) struct DeviceThread {
+    pub types: Vec<SampleType>,
+    pub is_patient: bool,
+    pub surface_bytes: Option<u64>,
+    pub request_time: Option<Duration>,
+    pub state: Arc<watch::Sender<DeviceState>>,
+    pub memory: watch::Sender<WorkspaceMemory>,
+    /// Number of the current engine.
+    pub engine: Arc<AtomicU64>,
+    pub histograms: HistogramCache,
+    pub pins: Pins,
+    /// As the handles see the check.
+    pub proven: Arc<Mutex<Option<Arc<Proven>>>>,
+}
+
+impl DeviceThread {
+    /// Runs jobs until all senders of the queue are dropped, or the device cannot be opened.
+    pub(super) fn run(self, choose: Choose, waiting: mpsc::Receiver<Job<Workspace>>) {
+        let choice = match choose(&Report(Arc::clone(&self.state))) {
+            Ok(choice) => choice,
+            Err(NoChoice::Refused(why)) => {
+                self.state
+                    .send_replace(DeviceState::Failed(Arc::new(OpenError::Refused(why))));
+                return;
+            }
+            Err(NoChoice::NewProcess) => {
+                self.state.send_replace(DeviceState::Spoiled);
+                return;
+            }
+        };
+        let engine = loop {
+            match self.open(&choice) {
+                Ok(engine) => break engine,
+                Err(error) if self.is_patient && !error.is_wrong() && !waiting.is_closed() => self.report_lost(&error),
+                Err(error) => {
+                    // The state is set before the queue is dropped, so that the callers of waiting jobs find the error there.
+                    self.state.send_replace(DeviceState::Failed(Arc::new(error)));
+                    return;
+                }
+            }
+            std::thread::sleep(RETRY_INTERVAL);
+        };
+        let program = resident_bytes();
+        let memory = self.memory.clone();
+        let state_memory = move |state: &Workspace| {
+            if let Ok(used) = state.memory(program) {
+                memory.send_replace(used);
+            }
+        };
+        let device = engine.device().clone();
+        let mut worker_state = self.state_on(engine, &choice);
+        state_memory(&worker_state);
+        self.ready(device);
+        Queue::new(waiting, state_memory).run(&mut worker_state, |state, queue| {
+            if state.is_lost() {
+                self.open_again(&choice, state, queue);
+            }
+        });
+    }
+
+    /// Opens the device, and makes a first surface of each type: drivers finish compiling when a kernel is first launched.
+    fn open(&self, choice: &Choice) -> Result<Engine, OpenError> {
+        // PoCL 3.1 crashes or finds no device if two threads of a process open it at once.
+        let _alone = lock(&OPENING);
+        let engine = Engine::open_tuned(choice.selector.as_deref(), None, choice.tuning)?;
+        for &sample_type in &self.types {
+            let mut check = Check::new(&engine, sample_type);
+            for step in STEPS.iter().filter(|step| step.scope == Scope::FirstSurface) {
+                match check.run(step) {
+                    Err(error) if choice.is_trusted => {
+                        tracing::warn!(error = chain(&error), "the trusted device is wrong")
+                    }
+                    outcome => outcome.map_err(|why| OpenError::check(engine.device(), why))?,
+                }
+            }
+        }
+        if let Some(proven) = choice.proven.clone() {
+            engine.set_gate(Box::new(move |program| proven.has_passed(program)));
+        }
+        // PoCL ends the process if it cannot write what it has compiled.
+        if engine.device().pocl_version().is_some() {
+            engine.check_compiler(Box::new(cache::check_space));
+        }
+        Ok(engine)
+    }
+
+    fn ready(&self, device: DeviceInfo) {
+        tracing::info!(device = device.name, platform = device.platform, "device ready");
+        self.state.send_if_modified(|state| {
+            // The check that still runs may have refused the device meanwhile.
+            let is_refused = matches!(state, DeviceState::Failed(_) | DeviceState::Spoiled);
+            if !is_refused {
+                *state = DeviceState::Ready(device);
+            }
+            !is_refused
+        });
+    }
+
+    /// Reports that the device is lost, because an attempt to open it again has failed.
+    fn report_lost(&self, error: &OpenError) {
+        tracing::error!(error = chain(error), "the device cannot be opened again so far");
+        self.state.send_replace(DeviceState::Lost);
+    }
+
+    fn state_on(&self, engine: Engine, choice: &Choice) -> Workspace {
+        let workspace = Workspace::new(
+            engine,
+            Options {
+                histograms: self.histograms.clone(),
+                pins: self.pins.clone(),
+                surface_bytes: self.surface_bytes,
+                request_time: self.request_time,
+                observer: Arc::new(Metrics),
+                long_work: pool::exports(),
+            },
+        );
+        lock(&self.proven).clone_from(&choice.proven);
+        self.engine.store(workspace.id().number(), Ordering::Relaxed);
+        workspace
+    }
+
+    /// Replaces a lost device by a reopened one, as soon as that succeeds.
+    fn open_again(&self, choice: &Choice, lost: &mut Workspace, queue: &mut Queue<Workspace>) {
+        self.state.send_replace(DeviceState::Opening(Preparation::default()));
+        // Data held of a lost device may prevent it from being reopened.
+        discard(|| lost.clear());
+        loop {
+            match self.open(choice) {
+                Ok(engine) => {
+                    let device = engine.device().clone();
+                    let old = std::mem::replace(lost, self.state_on(engine, choice));
+                    discard(|| drop(old));
+                    self.ready(device);
+                    return;
+                }
+                Err(OpenError::Device(error)) if error.needs_new_process() => {
+                    tracing::error!(
+                        error = chain(&error),
+                        "the driver is of no use to this process any more"
+                    );
+                    self.state.send_replace(DeviceState::Spoiled);
+                }
+                Err(error) => self.report_lost(&error),
+            }
+            if !queue.drop_waiting() {
+                return;
+            }
+            std::thread::sleep(RETRY_INTERVAL);
+        }
+    }
+}
+
+/// Drops what belongs to a lost device. A panic of its driver is logged and otherwise ignored: no caller could act on it.
+fn discard(work: impl FnOnce()) {
+    if catch_unwind(AssertUnwindSafe(work)).is_err() {
+        tracing::warn!("the driver of the lost device did not free all its objects");
+    }
+}

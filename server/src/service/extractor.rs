@@ -1,0 +1,306 @@
+//! From a view to a surface within limits: finds the threshold that keeps a budget of bytes, and refuses surfaces that are too large.
+
+use std::time::{Duration, Instant};
+
+use isopeel_codec::encode::encoded_bytes;
+use isopeel_extraction::{
+    ByteSearch, ExportWork, Extraction, FullCount, HostMemory, Making, Measurement, Measuring, Refinement, Refining,
+    Step, Trial, WorkError,
+};
+use isopeel_kernels::Surface;
+use isopeel_view::View;
+use isopeel_view::quality::{Budget, Fitted, MesherName, TriangleBudget};
+use isopeel_volumes::VolumeStep;
+use tokio_util::sync::CancellationToken;
+
+use super::DeviceWorker;
+use super::scheduler::{Caller, Length};
+use crate::pool;
+
+/// Makes surfaces that keep budgets and limits. Clones are cheap.
+#[derive(Clone)]
+pub struct Extractor {
+    worker: DeviceWorker,
+    ceiling_triangles: u64,
+}
+
+impl Extractor {
+    /// Creates an extractor that uses `worker`'s device. It refuses surfaces of more than `ceiling_triangles`; `u64::MAX`: no limit.
+    pub fn new(worker: DeviceWorker, ceiling_triangles: u64) -> Self {
+        Self {
+            worker,
+            ceiling_triangles,
+        }
+    }
+
+    /// Returns the same extractor with [`DeviceWorker::paid_by`].
+    #[must_use]
+    pub fn paid_by(&self, user: Option<&str>) -> Self {
+        Self {
+            worker: self.worker.paid_by(user),
+            ..self.clone()
+        }
+    }
+
+    /// Returns the handle to the device.
+    pub fn worker(&self) -> &DeviceWorker {
+        &self.worker
+    }
+
+    /// Counts the triangles of the full surface of a view.
+    ///
+    /// # Errors
+    /// The device's errors.
+    pub async fn count(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<FullCount, WorkError> {
+        self.worker.count(volume, view, token).await
+    }
+
+    /// Makes the next step from the surface that a client shows to the surface of a view.
+    ///
+    /// # Errors
+    /// [`WorkError::TooManyTriangles`] if the final surface exceeds the ceiling, and the device's errors.
+    pub async fn refine(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        step: Step,
+        token: &CancellationToken,
+    ) -> Result<Refinement, WorkError> {
+        let view = self.with_fitted_bytes(Caller::Viewer, volume, view, token).await?;
+        self.within_memory(|ceiling| self.worker.refine(volume, &view, step, ceiling, token))
+            .await
+    }
+
+    /// Makes the final surface of a view again, as a cut of the vertex tree. For a viewer at rest, because building the tree takes longer.
+    /// `None` if there is no better surface.
+    ///
+    /// # Errors
+    /// As [`Extractor::refine`].
+    pub async fn improve(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Option<Refinement>, WorkError> {
+        self.within_memory(|ceiling| self.worker.improve(volume, view, ceiling, token))
+            .await
+    }
+
+    /// Measures how far the final surface of a view, whose budget is fitted, is from the undecimated one. `None` for surfaces of the
+    /// marching-cubes mesher, and if the surface has no triangles.
+    ///
+    /// # Errors
+    /// As [`Extractor::refine`].
+    pub async fn measure(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Option<Measurement>, WorkError> {
+        self.measure_for((Caller::Viewer, Length::Rest), volume, view, token)
+            .await
+    }
+
+    async fn measure_for(
+        &self,
+        caller: (Caller, Length),
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Option<Measurement>, WorkError> {
+        if view.mesher != MesherName::Dual {
+            return Ok(None);
+        }
+        self.worker.measure_for(caller, volume, view, token).await
+    }
+
+    /// Makes the final surface of a view for an export, and measures its error.
+    ///
+    /// # Errors
+    /// As [`Extractor::refine`].
+    pub async fn extract(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        let work = ExportWork {
+            measuring: Measuring::Always,
+            refining: Refining::Never,
+        };
+        self.extract_with(volume, view, work, token).await
+    }
+
+    /// As [`Extractor::extract`], measured and refined as `work` says.
+    ///
+    /// # Errors
+    /// As [`Extractor::refine`].
+    pub async fn extract_with(
+        &self,
+        volume: &VolumeStep,
+        view: &View,
+        work: ExportWork,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        let start = Instant::now();
+        let fitted = self.with_fitted_bytes(Caller::Request, volume, view, token).await?;
+        let planning = if fitted.fitted == view.fitted {
+            Duration::ZERO
+        } else {
+            start.elapsed()
+        };
+        let make = |measures| {
+            let (fitted, refining) = (&fitted, work.refining);
+            self.within_memory(move |ceiling| {
+                let making = Making {
+                    ceiling,
+                    measures,
+                    refining,
+                };
+                self.worker.extract_for(Caller::Request, volume, fitted, making, token)
+            })
+        };
+        let mut extraction = make(work.measuring == Measuring::Always).await?;
+        extraction.wall += planning;
+        if let Measuring::Within(limit) = work.measuring {
+            let measured = async {
+                // A refined cut is not cached, so the surface is made again and measured.
+                if extraction.refined.is_some() {
+                    let again = make(true).await?;
+                    return Ok(again.statistics(volume, "").error);
+                }
+                let caller = (Caller::Request, Caller::Request.long());
+                let measured = self.measure_for(caller, volume, &extraction.view, token).await?;
+                Ok::<_, WorkError>(measured.map(|measurement| measurement.whole))
+            };
+            // The time-out drops the future, which cancels the job.
+            if let Ok(measured) = tokio::time::timeout(limit, measured).await {
+                extraction.measured = measured?;
+            }
+        }
+        Ok(extraction)
+    }
+
+    /// Returns the view with the fit that keeps its budget of bytes, if it has one.
+    async fn with_fitted_bytes(
+        &self,
+        caller: Caller,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<View, WorkError> {
+        let mut view = view.clone();
+        if let (Some(Budget::Bytes(bytes)), None) = (view.budget, view.fitted) {
+            view.fitted = Some(self.fit_bytes(caller, volume, &view, bytes, token).await?);
+        }
+        Ok(view)
+    }
+
+    /// Finds how many triangles, and thus which threshold, take `budget` bytes on the wire: makes a surface, measures its bytes and
+    /// corrects the estimate.
+    ///
+    /// # Errors
+    /// [`WorkError::OverBytes`] if no surface keeps the budget, and the device's errors.
+    async fn fit_bytes(
+        &self,
+        caller: Caller,
+        volume: &VolumeStep,
+        view: &View,
+        budget: u64,
+        token: &CancellationToken,
+    ) -> Result<Fitted, WorkError> {
+        let mut search = ByteSearch::new(budget);
+        while let Some(triangles) = search.next_triangles() {
+            let extraction = match self.make_of(triangles, caller, volume, view, token).await {
+                Err(WorkError::OverBudget { minimum, .. }) if minimum > triangles => {
+                    search.refuse(minimum);
+                    continue;
+                }
+                made => made?,
+            };
+            let Some(fitted) = extraction.view.fitted.filter(|fitted| search.is_new(fitted)) else {
+                break;
+            };
+            let triangles = extraction.surface.statistics.triangles;
+            let regions = extraction.surface.regions.len() as u64;
+            let bytes = self.bytes_of(extraction.surface, caller, token).await?;
+            search.add(
+                fitted,
+                Trial {
+                    triangles,
+                    bytes,
+                    regions,
+                },
+            );
+        }
+        search.end()
+    }
+
+    /// Makes the final surface of a view with this budget of triangles in place of the view's own budget.
+    async fn make_of(
+        &self,
+        triangles: u64,
+        caller: Caller,
+        volume: &VolumeStep,
+        view: &View,
+        token: &CancellationToken,
+    ) -> Result<Extraction, WorkError> {
+        let triangle_budget = TriangleBudget::AtMost(triangles.min(self.ceiling_triangles));
+        let trial = View {
+            budget: Some(Budget::Triangles(triangle_budget)),
+            fitted: None,
+            ..view.clone()
+        };
+        self.within_memory(|ceiling| {
+            let making = Making {
+                ceiling,
+                measures: false,
+                refining: Refining::Never,
+            };
+            self.worker.extract_for(caller, volume, &trial, making, token)
+        })
+        .await
+    }
+
+    /// Makes a surface whose triangles exceed neither the server's limit nor the memory of the host. If memory is short, evicts caches and
+    /// retries once.
+    async fn within_memory<T, F>(&self, make: impl Fn(u64) -> F) -> Result<T, WorkError>
+    where
+        F: Future<Output = Result<T, WorkError>>,
+    {
+        let try_now = async || {
+            let memory = HostMemory::now();
+            let made = make(self.ceiling_triangles.min(memory.triangles())).await;
+            made.map_err(|error| memory.explain(error, self.ceiling_triangles))
+        };
+        match try_now().await {
+            Err(WorkError::HostBusy { needed_bytes }) => {
+                self.worker.make_host_space(needed_bytes).await?;
+                try_now().await
+            }
+            outcome => outcome,
+        }
+    }
+
+    async fn bytes_of(&self, surface: Surface, caller: Caller, token: &CancellationToken) -> Result<u64, WorkError> {
+        let token = token.clone();
+        let count = move || encoded_bytes(&surface, &|| token.is_cancelled());
+        let counted = match caller {
+            Caller::Request => pool::run_export(count).await,
+            Caller::Viewer | Caller::Cache => pool::run(count).await,
+        };
+        match counted {
+            Ok(Ok(bytes)) => bytes.ok_or(WorkError::Cancelled),
+            Ok(Err(error)) => {
+                tracing::error!(%error, "a surface could not be encoded");
+                Err(WorkError::Stopped)
+            }
+            Err(_) => Err(WorkError::Stopped),
+        }
+    }
+}

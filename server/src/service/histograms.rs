@@ -1,0 +1,88 @@
+//! Histograms, made a slice at a time between other jobs: an edit waits for one slice at most, some milliseconds, however large the volume
+//! is. Callers of the same histogram share the work. It pauses when all of them are gone, and the next caller continues it.
+
+use isopeel_extraction::{HistogramKey, JobContext, JobError, WorkError, Workspace};
+use isopeel_kernels::{Histogram, HistogramWork};
+use isopeel_view::FeatureName;
+use isopeel_volumes::VolumeStep;
+use tokio_util::sync::CancellationToken;
+
+use super::attempts::Failures;
+use super::scheduler::{Caller, Length};
+use super::worker::DeviceWorker;
+use crate::metrics;
+
+impl DeviceWorker {
+    /// Returns the range and the 256-bin histogram of a feature of `field`, or with [`FeatureName::None`] of the field itself. The result
+    /// is cached. Dropping the future pauses the work.
+    ///
+    /// # Errors
+    /// [`WorkError`], but never `Cancelled`.
+    pub async fn histogram(
+        &self,
+        volume: &VolumeStep,
+        field: &str,
+        feature: &FeatureName,
+    ) -> Result<Histogram, WorkError> {
+        self.histogram_of(volume, &HistogramKey::new(volume, field, feature))
+            .await
+    }
+
+    pub(super) async fn histogram_of(&self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, WorkError> {
+        let cached = self.shared.histograms.get(key);
+        metrics::looked_up("histogram", cached.is_some());
+        let histogram = match cached {
+            Some(histogram) => histogram,
+            None => self.make_histogram(volume, key).await?,
+        };
+        if let Some(watch) = &self.watch {
+            watch.made(key);
+        }
+        Ok(histogram)
+    }
+
+    /// As [`DeviceWorker::histogram`], if it is cached.
+    pub(super) fn known_histogram(&self, volume: &VolumeStep, field: &str, feature: &FeatureName) -> Option<Histogram> {
+        let key = HistogramKey::new(volume, field, feature);
+        self.shared.histograms.peek(&key)
+    }
+
+    async fn make_histogram(&self, volume: &VolumeStep, key: &HistogramKey) -> Result<Histogram, WorkError> {
+        let never = CancellationToken::new();
+        // Loads the histogram's fields first, so that each caller sees the progress of the loads.
+        let own = key.clone();
+        let require = move |state: &mut Workspace, volume: &VolumeStep, _: &mut JobContext<'_, Workspace>| {
+            state.use_histogram_fields(volume, &own)
+        };
+        self.with_volumes(volume, &never, Caller::Viewer, Length::Short, require)
+            .await?;
+        let shared_work = self.shared.unfinished.of(key);
+        let mut work = shared_work.lock().await;
+        let mut failures = Failures::default();
+        loop {
+            match self.histogram_slice(volume, key, &work).await {
+                Ok((more, None)) => *work = more,
+                Ok((_, Some(histogram))) => {
+                    self.shared.unfinished.forget(key);
+                    return Ok(histogram);
+                }
+                Err(error) => self.after_failure(volume, error, &mut failures, &never).await?,
+            }
+        }
+    }
+
+    /// Runs the next slice; returns the remaining work, and the histogram if it is complete.
+    async fn histogram_slice(
+        &self,
+        volume: &VolumeStep,
+        key: &HistogramKey,
+        work: &HistogramWork,
+    ) -> Result<(HistogramWork, Option<Histogram>), JobError> {
+        let (volume, key, mut work) = (volume.clone(), key.clone(), work.clone());
+        self.run_slice(Caller::Viewer, move |state| {
+            let histogram = state.continue_histogram(&volume, &key, &mut work)?;
+            Ok((work, histogram))
+        })
+        .await
+    }
+}

@@ -1,0 +1,219 @@
+//! Loads of fields: single-flight for each field, and progress of the work that the opening of a volume waits for.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use isopeel_extraction::{ALWAYS_DESCRIBED, HistogramCache, HistogramKey, VolumeKey, lock};
+use isopeel_view::{FeatureName, View};
+use isopeel_volumes::{Field, ReadProgress, VolumeStep};
+use tokio::sync::Semaphore;
+
+use super::device_thread::Preparation;
+
+/// Maximum number of files that are read at the same time. Each load holds a few pieces of a field in host memory.
+const CONCURRENT_LOADS: usize = 2;
+
+/// Number of entries above which the unused ones are dropped. An entry takes some hundred bytes, and each new expression of a client adds
+/// one.
+const MAX_IDLE: usize = 4096;
+
+/// How long a load continues without waiting callers, because an edit in that time may need the same field again.
+const LINGER: Duration = Duration::from_secs(2);
+
+/// The loads of all fields.
+pub(super) struct Loads {
+    /// One entry for each field that was loaded. Entries stay until there are too many.
+    fields: Mutex<HashMap<VolumeKey, Arc<FieldLoad>>>,
+    pub permits: Arc<Semaphore>,
+}
+
+impl Loads {
+    pub(super) fn new() -> Self {
+        Self {
+            fields: Mutex::default(),
+            permits: Arc::new(Semaphore::new(CONCURRENT_LOADS)),
+        }
+    }
+
+    /// Returns the load of a field, with its progress.
+    pub(super) fn of(&self, key: &VolumeKey) -> Arc<FieldLoad> {
+        let mut fields = lock(&self.fields);
+        if fields.len() >= MAX_IDLE && !fields.contains_key(key) {
+            // Keeps the loads that are in use.
+            fields.retain(|_, load| Arc::strong_count(load) > 1);
+        }
+        Arc::clone(fields.entry(key.clone()).or_default())
+    }
+}
+
+/// The load of one field.
+#[derive(Default)]
+pub(super) struct FieldLoad {
+    /// Held by the caller that loads the field, so that concurrent callers load it once.
+    pub turn: Arc<tokio::sync::Mutex<()>>,
+    /// Progress of the running load, or of the last one.
+    pub progress: Arc<ReadProgress>,
+    /// Number of callers that wait for this load.
+    waiting: AtomicUsize,
+}
+
+/// A caller that waits for a load.
+pub(super) struct Waiting(Arc<FieldLoad>);
+
+impl FieldLoad {
+    /// Registers a waiting caller until the returned guard is dropped. The load is cancelled [`LINGER`] after the last guard was dropped.
+    pub(super) fn wait(self: &Arc<Self>) -> Waiting {
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        Waiting(Arc::clone(self))
+    }
+
+    fn is_awaited(&self) -> bool {
+        self.waiting.load(Ordering::Relaxed) > 0
+    }
+}
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        let is_last = self.0.waiting.fetch_sub(1, Ordering::Relaxed) == 1;
+        let is_running = self.0.turn.try_lock().is_err();
+        if is_last
+            && is_running
+            && let Ok(runtime) = tokio::runtime::Handle::try_current()
+        {
+            let load = Arc::clone(&self.0);
+            runtime.spawn(async move {
+                tokio::time::sleep(LINGER).await;
+                if !load.is_awaited() {
+                    load.progress.cancel();
+                }
+            });
+        }
+    }
+}
+
+/// Progress of the opening of a volume.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OpeningProgress {
+    /// The device is being prepared; nothing else was done yet.
+    pub device: Option<Preparation>,
+    /// Bytes that have been processed so far.
+    pub bytes: u64,
+    /// Bytes to process in all: those of files to read, and those of samples, which count once for each pass of the device over them.
+    pub total_bytes: u64,
+}
+
+/// Observes the work that a [`super::DeviceWorker`] does, or waits for, on behalf of one caller.
+pub struct OpeningWatch {
+    fields: Mutex<Vec<FieldWork>>,
+}
+
+/// Remaining work on a field.
+pub(super) struct FieldWork {
+    key: VolumeKey,
+    /// Bytes of the field's samples on the device.
+    sample_bytes: u64,
+    load: Option<LoadWork>,
+    /// Histograms that are still to be made.
+    histograms: Vec<HistogramKey>,
+    /// Histograms that were made since.
+    made: u64,
+}
+
+/// A field that is not resident.
+struct LoadWork {
+    /// Bytes of its file.
+    stored_bytes: u64,
+    /// `None` until the field's load was requested.
+    progress: Option<Arc<ReadProgress>>,
+    /// Whether the field is on the device by now.
+    finished: bool,
+}
+
+impl FieldWork {
+    /// Returns the work on a field that opening a volume with this view requires.
+    pub(super) fn new(
+        volume: &VolumeStep,
+        view: &View,
+        field: &Field,
+        is_resident: bool,
+        kept: &HistogramCache,
+    ) -> Self {
+        let derived = ALWAYS_DESCRIBED.iter().map(|&feature| FeatureName::Derived(feature));
+        let histograms: Vec<_> = [FeatureName::None]
+            .into_iter()
+            .chain(derived)
+            .map(|feature| HistogramKey::new(volume, &field.name, &feature))
+            .filter(|key| kept.peek(key).is_none())
+            .collect();
+        let is_resolved = view.iso.is_some() && view.feature_range.is_some();
+        let is_in_view = view.field == field.name || view.feature.fields(&view.field).contains(&field.name.as_str());
+        let is_read = !is_resident && (!histograms.is_empty() || (is_in_view && !is_resolved));
+        Self {
+            key: VolumeKey::new(volume, &field.name, false),
+            sample_bytes: volume.dataset().geometry.sample_count() * field.sample_type.bytes() as u64,
+            load: is_read.then(|| LoadWork {
+                stored_bytes: field.source.stored_bytes(),
+                progress: None,
+                finished: false,
+            }),
+            histograms,
+            made: 0,
+        }
+    }
+}
+
+impl OpeningWatch {
+    pub(super) fn new(fields: Vec<FieldWork>) -> Self {
+        Self {
+            fields: Mutex::new(fields),
+        }
+    }
+
+    /// Records that a field is being loaded.
+    pub(super) fn follow(&self, key: &VolumeKey, progress: &Arc<ReadProgress>) {
+        self.with_load(key, |load| load.progress = Some(Arc::clone(progress)));
+    }
+
+    /// Records that a field is resident.
+    pub(super) fn loaded(&self, key: &VolumeKey) {
+        self.with_load(key, |load| load.finished = true);
+    }
+
+    fn with_load(&self, key: &VolumeKey, change: impl FnOnce(&mut LoadWork)) {
+        let mut fields = lock(&self.fields);
+        let field = fields.iter_mut().find(|field| field.key == *key);
+        // `load` is `None` if the field was resident at first and has been evicted since.
+        if let Some(load) = field.and_then(|field| field.load.as_mut()) {
+            change(load);
+        }
+    }
+
+    /// Records that a histogram has been made.
+    pub(super) fn made(&self, key: &HistogramKey) {
+        for field in lock(&self.fields).iter_mut() {
+            let before = field.histograms.len();
+            field.histograms.retain(|histogram| histogram != key);
+            field.made += (before - field.histograms.len()) as u64;
+        }
+    }
+
+    /// Returns the current progress over all fields.
+    pub fn progress(&self) -> OpeningProgress {
+        let mut all = OpeningProgress::default();
+        for field in lock(&self.fields).iter() {
+            all.bytes += field.made * field.sample_bytes;
+            all.total_bytes += (field.made + field.histograms.len() as u64) * field.sample_bytes;
+            let Some(load) = &field.load else { continue };
+            all.total_bytes += load.stored_bytes + field.sample_bytes;
+            all.bytes += match &load.progress {
+                _ if load.finished => load.stored_bytes + field.sample_bytes,
+                // A decoder may read a few bytes twice.
+                Some(progress) => progress.bytes().min(load.stored_bytes),
+                None => 0,
+            };
+        }
+        all
+    }
+}

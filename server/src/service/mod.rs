@@ -1,0 +1,42 @@
+//! The workspace of a device as a service: many callers share it, and wait for each other in a queue.
+//!
+//! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens the device, and reopens it after it was lost;
+//!   `attempts` runs a job until it has a result; `scheduler` runs other jobs where a long job pauses. `observed`: state for monitoring.
+//! - `loader` reads fields and sends them to the device; `loading` is their progress; `pins`: callers that wait until volumes can be pinned.
+//!   `ahead` reads time steps before a viewer reaches them, beside those that viewers have open (`open_steps`). `release` frees them.
+//! - `counting`, `questions`, `slices`, `host_space`: short jobs. `histograms` and `overviews` are made a slice at a time between other jobs;
+//!   `unfinished` and `overview_cache` share what is made.
+//! - `extractor`: budgets and limits on top; other layers extract through it.
+//! - `volume_info`: the description of a volume.
+
+mod ahead;
+mod attempts;
+mod counting;
+mod device_thread;
+mod extractor;
+mod histograms;
+mod host_space;
+mod loader;
+mod loading;
+mod observed;
+mod open_steps;
+mod overview_cache;
+mod overviews;
+mod pins;
+mod questions;
+mod release;
+mod scheduler;
+mod slices;
+mod unfinished;
+mod volume_info;
+mod worker;
+
+pub use device_thread::{Choice, Choose, DeviceOptions, DeviceState, NoChoice, Preparation, Report};
+pub use extractor::Extractor;
+pub use loading::{OpeningProgress, OpeningWatch};
+pub use open_steps::Held;
+pub use volume_info::{
+    AxisInfo, DerivedInfo, FieldInfo, GeometryInfo, HistogramInfo, LabelInfo, TimesInfo, VectorInfo, VolumeInfo,
+    describe, describe_expression,
+};
+pub use worker::{DeviceWorker, QUEUED_JOBS};

@@ -1,0 +1,31 @@
+//! State of the device for monitoring: jobs in its queue, and memory by purpose.
+
+use isopeel_extraction::{MemoryUse, WorkError};
+
+use super::device_thread::DeviceState;
+use super::worker::DeviceWorker;
+
+impl DeviceWorker {
+    /// Returns the number of jobs in the queue.
+    pub fn queued(&self) -> usize {
+        let jobs = self.shared.jobs.as_ref();
+        jobs.map_or(0, |jobs| jobs.max_capacity() - jobs.capacity())
+    }
+
+    /// Returns the memory by purpose, as of the last job.
+    ///
+    /// # Errors
+    /// As [`DeviceWorker::ready`].
+    pub async fn memory(&self) -> Result<MemoryUse, WorkError> {
+        let device = self.ready().await?;
+        Ok(self.shared.memory.borrow().stated(device.kind))
+    }
+
+    /// As [`DeviceWorker::memory`], without waiting: `None` unless the device is open.
+    pub fn memory_now(&self) -> Option<MemoryUse> {
+        match self.state() {
+            DeviceState::Ready(device) => Some(self.shared.memory.borrow().stated(device.kind)),
+            DeviceState::Opening(_) | DeviceState::Lost | DeviceState::Spoiled | DeviceState::Failed(_) => None,
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! Callers that wait until volumes can be pinned.
+
+use std::sync::Arc;
+
+use isopeel_extraction::{Pinned, Pins, VolumeKey};
+use tokio::sync::Notify;
+
+/// The pinned volumes, and a way to wait for space beside them.
+pub(super) struct WaitingPins {
+    pub pins: Pins,
+    released: Arc<Notify>,
+}
+
+impl Default for WaitingPins {
+    fn default() -> Self {
+        let released = Arc::new(Notify::new());
+        let notify = Arc::clone(&released);
+        Self {
+            pins: Pins::new(move || notify.notify_waiters()),
+            released,
+        }
+    }
+}
+
+impl WaitingPins {
+    /// Pins volumes as [`Pins::try_pin`], once that succeeds. It pins all or none, so callers cannot deadlock.
+    pub(super) async fn pin(&self, volumes: &[(VolumeKey, u64)], budget: u64) -> Pinned {
+        loop {
+            let released = self.released.notified();
+            tokio::pin!(released);
+            // Enabled before pins are checked, so that no release in between is missed.
+            released.as_mut().enable();
+            if let Some(pin) = self.pins.try_pin(volumes, budget) {
+                return pin;
+            }
+            released.await;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use isopeel_volumes::{DatasetKey, StepKey};
+    use tokio::time::timeout;
+
+    use super::*;
+
+    fn key(field: &str) -> VolumeKey {
+        VolumeKey {
+            step: StepKey {
+                dataset: DatasetKey {
+                    id: "head".into(),
+                    revision: 0,
+                },
+                step: 0,
+                rewrites: 0,
+            },
+            field: field.into(),
+            padded: false,
+            mask: None,
+        }
+    }
+
+    #[tokio::test]
+    async fn a_caller_waits_until_there_is_space() {
+        let waiting = WaitingPins::default();
+        let first = waiting.pin(&[(key("a"), 6)], 10).await;
+        let second = [(key("c"), 5)];
+        let wait = waiting.pin(&second, 10);
+        tokio::pin!(wait);
+        assert!(timeout(Duration::from_millis(20), &mut wait).await.is_err());
+        drop(first);
+        let second = timeout(Duration::from_secs(5), wait).await;
+        assert!(second.is_ok() && waiting.pins.holds(&key("c")));
+    }
+}

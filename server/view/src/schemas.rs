@@ -1,0 +1,36 @@
+//! Schemas for OpenAPI of values whose JSON has several forms.
+
+use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
+use utoipa::openapi::{RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
+
+use super::quality::{Distance, MaxError};
+
+impl PartialSchema for Distance {
+    fn schema() -> RefOr<Schema> {
+        OneOfBuilder::new()
+            .item(ObjectBuilder::new().schema_type(Type::Number))
+            .item(ObjectBuilder::new().schema_type(Type::String))
+            .description(Some(
+                "World units, or text like `0.25vx` (multiples of the smallest spacing)",
+            ))
+            .into()
+    }
+}
+
+impl ToSchema for Distance {}
+
+impl PartialSchema for MaxError {
+    fn schema() -> RefOr<Schema> {
+        OneOfBuilder::new()
+            .item(ObjectBuilder::new().schema_type(Type::Number))
+            .item(ObjectBuilder::new().schema_type(Type::String))
+            .item(ObjectBuilder::new().schema_type(Type::Null))
+            .description(Some(
+                "World units, text like `0.25vx` (multiples of the smallest spacing), `auto`, or null: no guard",
+            ))
+            .into()
+    }
+}
+
+impl ToSchema for MaxError {}
