@@ -52,6 +52,8 @@ pub(super) const TREE: Known = Known {
     euler: 1,
     volume: -6874.155,
 };
+/// Nodes of this cut that move.
+pub(super) const TREE_MOVED: u64 = 473;
 /// The full surface by marching cubes.
 pub(super) const FULL_MARCHED: Known = Known {
     triangles: FULL_TRIANGLES,

@@ -281,7 +281,10 @@ impl<'a> Check<'a> {
             &tree_goal(),
             &Never,
         )?;
-        TREE.check_nearly(&surface.0)
+        TREE.check_nearly(&surface.0)?;
+        let built = (self.volume(), self.pyramid(), self.built_tree());
+        let measured = self.engine.measured_nodes(built, &tree_params(), &tree_goal())?;
+        nearly("number of nodes that move", measured, TREE_MOVED)
     }
 
     fn error(&mut self) -> Result<(), Finding> {

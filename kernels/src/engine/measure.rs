@@ -2,6 +2,7 @@
 //! camera is at rest.
 
 use super::peel::{Mesh, region_coordinates, triangles};
+use super::tree_cut::TreeMesh;
 use crate::cancel::check;
 use crate::{
     Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, TreeGoal, VertexTree, Volume,
@@ -58,7 +59,7 @@ impl Engine {
         let cutter = self.cutter_without_parts(volume, pyramid, tree, &params, &goal.without, cancel)?;
         let (work, _) = self.cut_tree(&cutter, &params, goal, cancel)?;
         let mut meshes = cutter.meshes(&work)?;
-        let (mesh, _) = self.mesh_tree_cut(&cutter, &params, &work, &mut meshes, cancel)?;
+        let TreeMesh { mesh, .. } = self.mesh_tree_cut(&cutter, &params, &work, &mut meshes, cancel)?;
         self.measured(pyramid, mesh)
     }
 

@@ -12,8 +12,8 @@ use crate::stages::tree_cut::{CutWork, Cutter};
 use crate::stages::{cut, error, tree_cut};
 use crate::tree::{TreeCut, TreeGoal};
 use crate::{
-    Cancel, CutParams, Engine, Error, ErrorEstimate, Level, PartFilter, Pyramid, Result, Surface, SurfaceStatistics,
-    VertexTree, Volume,
+    Cancel, CutParams, Engine, Error, ErrorEstimate, Level, Never, PartFilter, Pyramid, Result, Surface,
+    SurfaceStatistics, VertexTree, Volume,
 };
 use std::rc::Rc;
 
@@ -23,6 +23,15 @@ const MAX_REPAIRS: usize = 64;
 /// The share 1 / `REPAIR_SHARE` of a budget's triangles is reserved for merges that repairs undo. Most cuts need fewer, so they are not
 /// fitted again.
 const REPAIR_SHARE: u64 = 64;
+
+/// The mesh of a cut on the device.
+pub(super) struct TreeMesh {
+    pub mesh: Mesh,
+    /// The leaf of each vertex: from a region's first corner on.
+    pub vertex_leaves: Buffer<u32>,
+    /// Sums of the offsets around each node, by which it has moved.
+    offset_sums: Buffer<u32>,
+}
 
 impl Engine {
     /// Cuts a tree and meshes the cut. The topology is that of the full dual mesh without removed parts, so there is a minimum number of
@@ -67,6 +76,21 @@ impl Engine {
         self.surface_of_tree_cut(&cutter, params, &work, before, cancel)
     }
 
+    /// Returns how many nodes of a cut have triangles around them whose offsets were measured. For the check.
+    pub(crate) fn measured_nodes(
+        &self,
+        (volume, pyramid, tree): (&Volume, &Pyramid, &VertexTree),
+        params: &CutParams,
+        goal: &TreeGoal,
+    ) -> Result<u64> {
+        let cutter = self.cutter(volume, pyramid, tree, params);
+        let (work, _) = self.cut_tree(&cutter, params, goal, &Never)?;
+        let (mut meshes, _) = self.count_tree_cut(&cutter, &work)?;
+        let made = self.mesh_tree_cut(&cutter, params, &work, &mut meshes, &Never)?;
+        let sums = self.cx.read("check", &made.offset_sums, 2 * tree.built.nodes.len())?;
+        Ok(sums.chunks_exact(2).filter(|sums| sums[0] != 0 || sums[1] != 0).count() as u64)
+    }
+
     /// The mesh of a cut on the host. `before`: bytes of the pool when the work began.
     pub(super) fn surface_of_tree_cut(
         &self,
@@ -85,7 +109,7 @@ impl Engine {
         } = *cutter;
         let (mut meshes, statistics) = self.count_tree_cut(cutter, work)?;
         check(cancel)?;
-        let (mesh, _) = self.mesh_tree_cut(cutter, params, work, &mut meshes, cancel)?;
+        let TreeMesh { mesh, .. } = self.mesh_tree_cut(cutter, params, work, &mut meshes, cancel)?;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
         let regions = self.read_back(pyramid, mesh)?;
         let device_bytes = pyramid.device_bytes() + tree.device_bytes() + cx.pool.peak().saturating_sub(before);
@@ -253,7 +277,7 @@ impl Engine {
         Ok((meshes, statistics))
     }
 
-    /// The mesh of a cut, with its error if `params` ask for it, and the leaf of each vertex: from a region's first corner on.
+    /// The mesh of a cut, with its error if `params` ask for it.
     pub(super) fn mesh_tree_cut(
         &self,
         cutter: &Cutter<'_>,
@@ -261,7 +285,7 @@ impl Engine {
         work: &CutWork,
         meshes: &mut [RegionMesh],
         cancel: &dyn Cancel,
-    ) -> Result<(Mesh, Buffer<u32>)> {
+    ) -> Result<TreeMesh> {
         let Cutter {
             cx,
             volume,
@@ -311,7 +335,11 @@ impl Engine {
             indices,
             errors,
         };
-        Ok((mesh, vertex_leaves))
+        Ok(TreeMesh {
+            mesh,
+            vertex_leaves,
+            offset_sums,
+        })
     }
 
     /// Returns the cut whose surface [`Engine::tree_surface`] makes: the last cut if it was for the same goal, otherwise a new one.

@@ -1,6 +1,7 @@
 //! Cuts of the vertex tree, refined at the places where their triangles intersect.
 
 use super::peel::triangles;
+use super::tree_cut::TreeMesh;
 use crate::cancel::check;
 use crate::stages::tree_cut::{CutWork, Cutter, LEAF_NUMBER, STAGE};
 use crate::tree::TreeGoal;
@@ -80,7 +81,9 @@ impl Engine {
         };
         let (mut meshes, _) = self.count_tree_cut(cutter, work)?;
         check(cancel)?;
-        let (mesh, vertex_leaves) = self.mesh_tree_cut(cutter, &params, work, &mut meshes, cancel)?;
+        let TreeMesh {
+            mesh, vertex_leaves, ..
+        } = self.mesh_tree_cut(cutter, &params, work, &mut meshes, cancel)?;
         let filled = mesh.regions.iter().filter(|mesh| triangles(mesh) > 0);
         let bases: Vec<usize> = filled.map(|mesh| 3 * mesh.triangle_base as usize).collect();
         let regions = self.read_back(cutter.pyramid, mesh)?;
