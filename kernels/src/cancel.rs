@@ -1,13 +1,14 @@
-//! Cancellation of work, and its pauses.
+//! Cancellation and pauses of long work.
 
 use crate::{Error, Result};
 
-/// What long work asks between stages and between the launches of long stages: about every 50 ms.
+/// Cancellation and pauses of long work. [`check_cancelled`] calls `pause`, then `is_cancelled`, about every 50 ms: between stages, and
+/// between the launches of long ones.
 pub trait Cancel {
     /// Whether the result is no longer wanted.
     fn is_cancelled(&self) -> bool;
 
-    /// Called before each question. Other work may use the engine before this returns.
+    /// Lets other work use the engine before it returns.
     fn pause(&self) {}
 }
 
@@ -24,7 +25,7 @@ impl Cancel for Never {
 ///
 /// # Errors
 /// [`Error::Cancelled`].
-pub fn check(cancel: &dyn Cancel) -> Result<()> {
+pub fn check_cancelled(cancel: &dyn Cancel) -> Result<()> {
     cancel.pause();
     if cancel.is_cancelled() {
         Err(Error::Cancelled)

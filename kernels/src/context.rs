@@ -1,7 +1,7 @@
 //! An open device: its queue, programs, memory and stage times.
 
 use crate::buffer::{Buffer, Pool, allocation_error};
-use crate::cancel::{Cancel, check};
+use crate::cancel::{Cancel, check_cancelled};
 use crate::device::{self, Found};
 use crate::error::OPEN;
 use crate::pace::Pace;
@@ -391,7 +391,7 @@ impl Context {
     /// Waits for the launched commands, so that a job that runs in the pause of `cancel` need not wait for them.
     pub fn pause(&self, stage: &'static str, cancel: &dyn Cancel) -> Result<()> {
         self.finish(stage)?;
-        check(cancel)
+        check_cancelled(cancel)
     }
 
     pub fn record(&self, stage: &'static str, event: std::result::Result<Event, ClError>, bytes: u64) -> Result<()> {

@@ -55,7 +55,7 @@ pub mod tuning;
 pub mod volume;
 
 pub use buffer::DeviceMemory;
-pub use cancel::{Cancel, Never, check as check_cancelled};
+pub use cancel::{Cancel, Never, check_cancelled};
 #[cfg(feature = "testing")]
 pub use context::recorder;
 pub use cut::Cut;

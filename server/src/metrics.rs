@@ -118,7 +118,7 @@ fn describe() {
     describe_histogram!(
         JOB_SECONDS,
         Unit::Seconds,
-        "From the beginning of a job to its end, with those that ran where it paused"
+        "From the beginning of a job to its end, with those that ran in its pauses"
     );
     describe_gauge!(QUEUED, "Jobs in the device's queue");
     describe_gauge!(EXPORTS, "Exports that run");

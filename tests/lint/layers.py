@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """Layers: crates and modules use only those below their own, and no modules use each other in a circle.
 
-CRATES lists what each crate may use of the others, beside its tests. LAYERS lists each crate's modules from the bottom up;
-those that share a line are one layer. A module's own files form no circle either, but a file and the one that declares it
-may use each other. Test modules may use anything. In OpenCL C, files include headers alone.
+CRATES lists what each crate may use of the others, beside its tests. NOT_IN_ENGINE lists crates that the engine uses neither
+itself nor through others. LAYERS lists each crate's modules from the bottom up; those that share a line are one layer. A
+module's own files form no circle either, but a file and the one that declares it may use each other. Test modules may use
+anything. In OpenCL C, files include headers alone.
 """
 
 import re
+import subprocess
 import sys
 import tomllib
 
@@ -21,6 +23,9 @@ CRATES = {
     "server/volumes": ["isopeel-geometry", "isopeel-kernels"],
     "server": ["isopeel-codec", "isopeel-extraction", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
 }
+
+# Crates of servers and command lines, which programs that use the engine do not get.
+NOT_IN_ENGINE = {"axum", "clap", "hyper", "reqwest", "tokio", "utoipa"}
 
 LAYERS = {
     "kernels/src": """
@@ -196,6 +201,13 @@ def dependency_problems():
         yield from (f"{folder}/Cargo.toml: uses {name}, which is not below it" for name in used if name not in allowed)
 
 
+def engine_problems():
+    command = "cargo tree --locked --package isopeel-extraction --edges normal --prefix none --format {lib}"
+    tree = subprocess.run(command.split(), check=True, capture_output=True, text=True).stdout
+    found = sorted(NOT_IN_ENGINE & set(tree.split()))
+    yield from (f"server/extraction: depends on {name}" for name in found)
+
+
 def include_problems():
     for path in text_files("kernels/cl"):
         for name in re.findall(r'^\s*#\s*include\s+["<](.*)[">]', read(path), re.MULTILINE):
@@ -205,7 +217,7 @@ def include_problems():
 
 def main():
     problems = [problem for folder, layers in LAYERS.items() for problem in crate_problems(folder, layers)]
-    problems += [*dependency_problems(), *include_problems()]
+    problems += [*dependency_problems(), *engine_problems(), *include_problems()]
     print("\n".join(problems), end="\n" if problems else "")
     sys.exit(bool(problems))
 

@@ -283,8 +283,8 @@ impl<'a> Check<'a> {
         )?;
         TREE.check_nearly(&surface.0)?;
         let built = (self.volume(), self.pyramid(), self.built_tree());
-        let measured = self.engine.measured_nodes(built, &tree_params(), &tree_goal())?;
-        nearly("number of nodes that move", measured, TREE_MOVED)
+        let moved = self.engine.moved_nodes(built, &tree_params(), &tree_goal())?;
+        nearly("number of nodes that move", moved, TREE_MOVED)
     }
 
     fn error(&mut self) -> Result<(), Finding> {

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::cancel::check;
+use crate::cancel::check_cancelled;
 use crate::layout::{self, Brick, Node, VertexRecord};
 use crate::stages::{self, activate, classify, construct, derive};
 use crate::{Cancel, Engine, Error, Feature, Isovalue, Pyramid, Result, Volume};
@@ -55,7 +55,7 @@ impl Engine {
         let iso = iso.get();
 
         let masks = activate::run(cx, volume, iso)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let mut region_index = vec![layout::NONE; masks.len()];
         let mut host_regions = Vec::new();
         let mut list = Vec::new();
@@ -97,7 +97,7 @@ impl Engine {
                 })?;
         }
         cx.write(classify::STAGE, &mut regions, &arranged)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
 
         let nodes = cx.buffer::<Node>(construct::STAGE, slots as usize)?;
         let vertex_records = cx.buffer::<VertexRecord>(construct::STAGE, slots as usize)?;

@@ -1,6 +1,6 @@
 //! Budgets of triangles: which β or tolerance keeps them (`docs/algorithm.md#42-budgets`).
 
-use crate::cancel::check;
+use crate::cancel::check_cancelled;
 use crate::stages::cut::Criterion;
 use crate::stages::fit::{self, INNER_BINS, Keys};
 use crate::{Cancel, Cut, CutParams, Engine, Level, Pyramid, Result, Volume};
@@ -134,7 +134,7 @@ impl Engine {
             },
         };
         let counted = |threshold: f32| {
-            check(cancel)?;
+            check_cancelled(cancel)?;
             let cut = self.cut(volume, pyramid, &with(threshold), Level::FINEST)?;
             let triangles = self.count(volume, pyramid, &cut, cancel)?.triangles;
             Ok::<_, crate::Error>((triangles, threshold, cut))

@@ -3,7 +3,7 @@
 
 use super::peel::{Mesh, region_coordinates, triangles};
 use super::tree_cut::TreeMesh;
-use crate::cancel::check;
+use crate::cancel::check_cancelled;
 use crate::{
     Cancel, CutParams, Engine, Error, Level, MeasuredError, Mesher, Pyramid, Result, TreeGoal, VertexTree, Volume,
 };
@@ -33,7 +33,7 @@ impl Engine {
             ..params.clone()
         };
         let cut = self.cut(volume, pyramid, &params, Level::FINEST)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let mesh = self.mesh(volume, pyramid, &params, &cut, None, cancel)?;
         self.measured(pyramid, mesh)
     }

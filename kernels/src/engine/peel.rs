@@ -2,7 +2,7 @@
 
 use super::cut::work;
 use crate::buffer::Buffer;
-use crate::cancel::check;
+use crate::cancel::check_cancelled;
 use crate::layout::{self, Counters, RegionMesh};
 use crate::stages::dual::Work;
 use crate::stages::{self, dual, error, march, pack, patch};
@@ -40,7 +40,7 @@ impl Engine {
     ) -> Result<Surface> {
         self.cx.take_times()?;
         let cut = self.cut(volume, pyramid, params, prefix)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let mut surface = self.surface(volume, pyramid, params, &cut, None, cancel)?;
         surface.statistics.stages.splice(0..0, pyramid.stages.iter().cloned());
         Ok(surface)
@@ -116,7 +116,7 @@ impl Engine {
     /// # Errors
     /// As [`Engine::peel`].
     pub fn count(&self, volume: &Volume, pyramid: &Pyramid, cut: &Cut, cancel: &dyn Cancel) -> Result<Count> {
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let regions = match cut.mesher {
             Mesher::Dual => {
                 let counted = dual::count(&self.cx, volume, pyramid, &cut.state, &all(pyramid))?;
@@ -167,7 +167,7 @@ impl Engine {
             (None, None) => dual::count(cx, volume, pyramid, &cut.state, &all(pyramid))?,
             (Some(remake), _) => dual::count(cx, volume, pyramid, &cut.state, &work(pyramid, remake))?,
         };
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let (meshes, vertices, indices) = self.allocate_mesh(dual::STAGE, &mut regions)?;
         let corner_slots = params
             .state_error
@@ -183,7 +183,7 @@ impl Engine {
                 .map_or(dual::Corners::Indices, dual::Corners::Slots),
         };
         dual::emit(cx, volume, pyramid, &input, &vertices, &indices)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let errors = match &corner_slots {
             Some(corner_slots) => {
                 cx.pause(dual::STAGE, cancel)?;
@@ -214,7 +214,7 @@ impl Engine {
         let counters = cx.zeroed::<Counters>(march::STAGE, 1)?;
         let slabs = stages::slab_work(volume, &pyramid.host_regions, pyramid.bricks.len());
         let (marks, mut regions) = march::gather(cx, volume, pyramid, &slabs, &cut.state, &self.cases)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let (meshes, vertices, indices) = self.allocate_mesh(march::STAGE, &mut regions)?;
         let work = cx.buffer(march::STAGE, vertices.len())?;
         let gathered = march::Gathered {
@@ -226,7 +226,7 @@ impl Engine {
         march::assemble(cx, volume, pyramid, &slabs, &gathered, &work, &indices)?;
         let deepest = cut.params.max_level.max(cut.params.prefix);
         patch::run(cx, volume, pyramid, &gathered, deepest, &work, &counters)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let input = pack::Input {
             params: &cut.params,
             state: &cut.state,

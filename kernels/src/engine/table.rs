@@ -59,7 +59,7 @@ impl Engine {
     pub(crate) fn make_table(&self, volume: &mut Volume, cancel: &dyn Cancel) -> Result<()> {
         let mut work = self.begin_table(volume)?;
         while !self.continue_table_of(volume, &mut work)? {
-            cancel::check(cancel)?;
+            cancel::check_cancelled(cancel)?;
         }
         self.end_table(volume, work)
     }

@@ -2,7 +2,7 @@
 
 use super::peel::all;
 use crate::buffer::Buffer;
-use crate::cancel::check;
+use crate::cancel::check_cancelled;
 use crate::layout::{self, TreeRegion};
 use crate::stages::dual::{self, Corners};
 use crate::stages::tree_cut::LEAF_NUMBER;
@@ -42,7 +42,7 @@ impl Engine {
         let (params, state) = (full.params, full.state);
         let regions = pyramid.host_regions.len();
         let (counted, mut meshes) = dual::count(cx, volume, pyramid, &state, &all(pyramid))?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let border_base = cx.buffer(tree::STAGE, regions * tree::HALO_WORDS)?;
         let borders = tree::borders(cx, volume, regions, &counted.borders, &border_base)?;
         let cell_points: u32 = pyramid.host_regions.iter().map(layout::Region::cell_points).sum();
@@ -99,7 +99,7 @@ impl Engine {
         let batches = batches(&mut host_regions, pyramid, self.batch_triangles(gathered));
         cx.write(tree::STAGE, &mut tree_regions, &host_regions)?;
         let built = Built::new(cx, point_count, tree_regions)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let queue = tree_build::Queue::new(cx, &batches, &host_regions)?;
         for batch in batches {
             let of = &host_regions[batch.clone()];
@@ -123,7 +123,7 @@ impl Engine {
             tree_build::run(cx, volume, pyramid, &mesh, batch, &work, &built)?;
             cx.finish(tree::STAGE)?;
             drop(work);
-            check(cancel)?;
+            check_cancelled(cancel)?;
         }
         let collapsed_by = tree::collapses(cx, volume, &mesh, &built)?;
         let (point_corners, corner_ends) = tree::point_corners(cx, volume, pyramid, &mesh, &built, &beside)?;

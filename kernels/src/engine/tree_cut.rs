@@ -4,7 +4,7 @@ use super::fit::ERROR_KEYS;
 use super::peel::{Mesh, triangles};
 use super::tree_part::left_out;
 use crate::buffer::Buffer;
-use crate::cancel::check;
+use crate::cancel::check_cancelled;
 use crate::cut::sum_levels;
 use crate::layout::{RegionMesh, TreeCutRegion};
 use crate::stages::fit::{INNER_BINS, Keys};
@@ -29,7 +29,7 @@ pub(super) struct TreeMesh {
     pub mesh: Mesh,
     /// The leaf of each vertex: from a region's first corner on.
     pub vertex_leaves: Buffer<u32>,
-    /// Sums of the offsets around each node, by which it has moved.
+    /// Sums of the offsets around each node, which decide how far it moves.
     offset_sums: Buffer<u32>,
 }
 
@@ -76,8 +76,8 @@ impl Engine {
         self.surface_of_tree_cut(&cutter, params, &work, before, cancel)
     }
 
-    /// Returns how many nodes of a cut have triangles around them whose offsets were measured. For the check.
-    pub(crate) fn measured_nodes(
+    /// Returns how many nodes of a cut move, because the sums of their offsets are not 0. For the check.
+    pub(crate) fn moved_nodes(
         &self,
         (volume, pyramid, tree): (&Volume, &Pyramid, &VertexTree),
         params: &CutParams,
@@ -108,7 +108,7 @@ impl Engine {
             ..
         } = *cutter;
         let (mut meshes, statistics) = self.count_tree_cut(cutter, work)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let TreeMesh { mesh, .. } = self.mesh_tree_cut(cutter, params, work, &mut meshes, cancel)?;
         let error = mesh.errors.as_ref().map(|(_, whole)| *whole);
         let regions = self.read_back(pyramid, mesh)?;
@@ -225,7 +225,7 @@ impl Engine {
         let mut tolerance = first;
         cutter.leaves(work, tolerance)?;
         for _ in 0..MAX_REPAIRS {
-            check(cancel)?;
+            check_cancelled(cancel)?;
             if !cutter.test(work)? {
                 if !work.is_first {
                     cutter.list(work)?;
@@ -302,7 +302,7 @@ impl Engine {
             .then(|| error::tree_corners(cx, volume, pyramid, tree, &mesh.corners))
             .transpose()?;
         drop(mesh);
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let (device_meshes, vertex_count, _) = self.with_bases(tree_cut::STAGE, &mut regions)?;
         let vertices = cx.buffer(tree_cut::STAGE, vertex_count)?;
         let offset_sums = cutter.offsets(work, &device_meshes)?;

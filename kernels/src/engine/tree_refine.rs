@@ -2,7 +2,7 @@
 
 use super::peel::triangles;
 use super::tree_cut::TreeMesh;
-use crate::cancel::check;
+use crate::cancel::check_cancelled;
 use crate::stages::tree_cut::{CutWork, Cutter, LEAF_NUMBER, STAGE};
 use crate::tree::TreeGoal;
 use crate::{Cancel, CutParams, Engine, Pyramid, Region, Result, Surface, VertexTree, Volume};
@@ -80,7 +80,7 @@ impl Engine {
             ..params.clone()
         };
         let (mut meshes, _) = self.count_tree_cut(cutter, work)?;
-        check(cancel)?;
+        check_cancelled(cancel)?;
         let TreeMesh {
             mesh, vertex_leaves, ..
         } = self.mesh_tree_cut(cutter, &params, work, &mut meshes, cancel)?;

@@ -1,6 +1,7 @@
 //! Finds how many triangles a budget of bytes allows, from trial surfaces that were encoded.
 
-use isopeel_view::quality::Fitted;
+use isopeel_view::View;
+use isopeel_view::quality::{Budget, Fitted, TriangleBudget};
 
 use super::WorkError;
 
@@ -43,6 +44,8 @@ pub struct ByteSearch {
     fits: Vec<Fitted>,
     /// Triangles of the smallest surface that the guards allow; 0 until a trial below it was refused.
     minimum: u64,
+    /// Whether the current trial was refused.
+    is_refused: bool,
 }
 
 impl ByteSearch {
@@ -53,36 +56,55 @@ impl ByteSearch {
             trials: Vec::new(),
             fits: Vec::new(),
             minimum: 0,
+            is_refused: false,
         }
     }
 
-    /// Returns the maximum triangles of the surface to try next; `None` if the search is over.
-    pub fn next_triangles(&self) -> Option<u64> {
+    /// Returns the view of the surface to try next, with a budget of at most `ceiling_triangles` in place of its own; `None` if the search is
+    /// over.
+    pub fn next_trial(&self, view: &View, ceiling_triangles: u64) -> Option<View> {
+        let triangles = self.next_triangles()?.min(ceiling_triangles);
+        Some(View {
+            budget: Some(Budget::Triangles(TriangleBudget::AtMost(triangles))),
+            fitted: None,
+            ..view.clone()
+        })
+    }
+
+    fn next_triangles(&self) -> Option<u64> {
         next_triangles(self.budget, &self.trials).map(|triangles| triangles.max(self.minimum))
     }
 
-    /// The trial was refused, because the smallest surface that the guards allow has this many triangles.
-    pub fn refuse(&mut self, minimum: u64) {
-        self.minimum = minimum;
+    /// Records that a trial has failed. If the guards allow no surface as small, the next trial is the smallest that they allow.
+    ///
+    /// # Errors
+    /// The error, if another trial would fail as well.
+    pub fn refuse(&mut self, error: WorkError) -> Result<(), WorkError> {
+        match error {
+            WorkError::OverBudget { minimum, .. } if !self.is_refused && self.next_triangles() < Some(minimum) => {
+                (self.minimum, self.is_refused) = (minimum, true);
+                Ok(())
+            }
+            error => Err(error),
+        }
     }
 
-    /// Whether the surface is none of the earlier trials. If it is, further trials do not help: it is the full surface, one that an error
-    /// decides, or the smallest.
-    pub fn is_new(&self, fitted: &Fitted) -> bool {
+    /// Returns how a surface was fitted, unless it is one of the earlier trials. Then further trials do not help: it is the full surface,
+    /// one that an error decides, or the smallest.
+    pub fn new_fit(&self, view: &View) -> Option<Fitted> {
+        let fitted = view.fitted?;
         let is_same = |other: &Fitted| (other.threshold, other.topology) == (fitted.threshold, fitted.topology);
-        !self.fits.iter().any(is_same)
+        (!self.fits.iter().any(is_same)).then_some(fitted)
     }
 
     /// Adds a surface that was encoded.
     pub fn add(&mut self, fitted: Fitted, trial: Trial) {
-        let (
-            budget,
-            Trial {
-                triangles,
-                bytes,
-                regions,
-            },
-        ) = (self.budget, trial);
+        let Trial {
+            triangles,
+            bytes,
+            regions,
+        } = trial;
+        let budget = self.budget;
         tracing::debug!(
             budget,
             bytes,
@@ -92,6 +114,7 @@ impl ByteSearch {
         );
         self.fits.push(fitted);
         self.trials.push(trial);
+        self.is_refused = false;
     }
 
     /// Returns the fit of the largest surface that keeps the budget.

@@ -1,28 +1,29 @@
 //! Work with all that it needs, at once, for a program that has the device for itself.
 
 use isopeel_codec::encode::encoded_bytes;
-use isopeel_kernels::{Cancel, HistogramWork, RectilinearGrid};
+use isopeel_kernels::{Cancel, HistogramWork, RectilinearGrid, check_cancelled};
 use isopeel_view::View;
-use isopeel_view::quality::{Budget, Fitted, TriangleBudget};
+use isopeel_view::quality::{Budget, Fitted};
 use isopeel_volumes::{ReadProgress, VolumeStep};
 
 use super::WorkError;
 use super::byte_search::{ByteSearch, Trial};
-use super::context::{JobContext, Others};
+use super::context::{JobContext, WaitingWork};
 use super::grids::padded_grid;
+use super::host_memory::HostMemory;
 use super::keys::{HistogramKey, VolumeKey};
 use super::reading::{Piece, bytes_while_read, read};
-use super::results::{Extraction, Making, Refining};
+use super::results::{Extraction, Making};
 use super::workspace::{JobError, Workspace};
 
 /// How often work is tried before it fails: fields that it needs may be evicted again if the device runs out of memory.
 const MAX_ATTEMPTS: usize = 6;
 
-/// Nobody waits for the workspace.
-struct Alone;
+/// No other work waits for the workspace.
+struct NoWaitingWork;
 
-impl Others<Workspace> for Alone {
-    fn are_waiting(&self) -> bool {
+impl WaitingWork<Workspace> for NoWaitingWork {
+    fn is_waiting(&self) -> bool {
         false
     }
 
@@ -33,36 +34,38 @@ impl Workspace {
     /// Does a piece of work and all that it needs: loads or computes fields, makes histograms, takes as long as it takes.
     ///
     /// # Errors
-    /// Those of the work, [`WorkError::Unreadable`], and [`WorkError::Busy`] if the fields do not stay on the device.
-    pub fn complete<T>(
+    /// Those of the work, [`WorkError::Unreadable`], and [`WorkError::NotKept`] if the fields do not stay on the device.
+    pub fn run_to_completion<T>(
         &mut self,
         volume: &VolumeStep,
         cancel: &dyn Cancel,
-        work: impl Fn(&mut Self, &mut JobContext<'_, Self>) -> Result<T, JobError>,
+        mut work: impl FnMut(&mut Self, &mut JobContext<'_, Self>) -> Result<T, JobError>,
     ) -> Result<T, WorkError> {
-        let mut _pin = None;
+        let mut pin = None;
         for _ in 0..MAX_ATTEMPTS {
-            match work(self, &mut JobContext::long(cancel, &mut Alone)) {
+            match work(self, &mut JobContext::long(cancel, &mut NoWaitingWork)) {
                 Ok(result) => return Ok(result),
                 Err(JobError::NotResident { needed, budget }) => {
-                    _pin = self.pins.try_pin(&needed, budget);
+                    drop(pin.take());
+                    pin = self.pins.try_pin(&needed, budget);
                     for (key, _) in &needed {
                         self.load(volume, key, cancel)?;
                     }
                 }
                 Err(JobError::NeedsHistograms(keys)) => {
+                    drop(pin.take());
                     for key in &keys {
                         self.make_histogram(volume, key, cancel)?;
                     }
                 }
-                Err(error) => return Err(error.into()),
+                Err(error) => return Err(self.look_for_loss(error).into()),
             }
         }
-        Err(WorkError::Busy)
+        Err(WorkError::NotKept)
     }
 
-    /// Makes the final surface of a view, of at most `ceiling_triangles`, and measures its error if `measures` says so. A budget of bytes
-    /// is that of the stream's chunks.
+    /// Makes the final surface of a view. A budget of bytes is that of the stream's chunks. The surface has no more triangles than the
+    /// host's memory allows.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -70,22 +73,39 @@ impl Workspace {
         &mut self,
         volume: &VolumeStep,
         view: &View,
-        ceiling_triangles: u64,
-        measures: bool,
+        making: Making,
         cancel: &dyn Cancel,
     ) -> Result<Extraction, WorkError> {
         let mut view = view.clone();
         if let (Some(Budget::Bytes(bytes)), None) = (view.budget, view.fitted) {
-            view.fitted = Some(self.fit_bytes(volume, &view, bytes, ceiling_triangles, cancel)?);
+            view.fitted = Some(self.fit_bytes(volume, &view, bytes, making.ceiling, cancel)?);
         }
-        let making = Making {
-            ceiling: ceiling_triangles,
-            measures,
-            refining: Refining::Never,
+        match self.surface_now(volume, &view, making, cancel) {
+            Err(WorkError::HostBusy { needed_bytes }) => {
+                self.make_host_space(needed_bytes)?;
+                self.surface_now(volume, &view, making, cancel)
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// As [`Workspace::surface`], within the host's memory as it is now.
+    fn surface_now(
+        &mut self,
+        volume: &VolumeStep,
+        view: &View,
+        making: Making,
+        cancel: &dyn Cancel,
+    ) -> Result<Extraction, WorkError> {
+        let memory = HostMemory::now();
+        let limited = Making {
+            ceiling: making.ceiling.min(memory.triangles()),
+            ..making
         };
-        self.complete(volume, cancel, |workspace, context| {
-            workspace.extract(volume, &view, making, context)
+        self.run_to_completion(volume, cancel, |workspace, context| {
+            workspace.extract(volume, view, limited, context)
         })
+        .map_err(|error| memory.explain(error, making.ceiling))
     }
 
     /// Finds the fit that keeps a budget of bytes.
@@ -94,45 +114,41 @@ impl Workspace {
         volume: &VolumeStep,
         view: &View,
         budget: u64,
-        ceiling_triangles: u64,
+        ceiling: u64,
         cancel: &dyn Cancel,
     ) -> Result<Fitted, WorkError> {
         let mut search = ByteSearch::new(budget);
-        while let Some(triangles) = search.next_triangles() {
-            let trial = View {
-                budget: Some(Budget::Triangles(TriangleBudget::AtMost(
-                    triangles.min(ceiling_triangles),
-                ))),
-                fitted: None,
-                ..view.clone()
-            };
-            let Extraction { surface, view, .. } = match self.surface(volume, &trial, ceiling_triangles, false, cancel)
-            {
-                Err(WorkError::OverBudget { minimum, .. }) if minimum > triangles => {
-                    search.refuse(minimum);
+        let making = Making {
+            ceiling,
+            measures: false,
+            ..Making::default()
+        };
+        while let Some(trial) = search.next_trial(view, ceiling) {
+            let made = match self.surface(volume, &trial, making, cancel) {
+                Ok(made) => made,
+                Err(error) => {
+                    search.refuse(error)?;
                     continue;
                 }
-                made => made?,
             };
-            let Some(fitted) = view.fitted.filter(|fitted| search.is_new(fitted)) else {
+            let Some(fitted) = search.new_fit(&made.view) else {
                 break;
             };
+            // Encoding takes less time than making the surface.
+            let bytes = encoded_bytes(&made.surface, &|| false)
+                .inspect_err(|error| tracing::error!(%error, "a surface could not be encoded"));
             let trial = Trial {
-                triangles: surface.statistics.triangles,
-                regions: surface.regions.len() as u64,
-                // Encoding takes less time than making the surface.
-                bytes: encoded_bytes(&surface, &|| false)
-                    .inspect_err(|error| tracing::error!(%error, "a surface could not be encoded"))
-                    .ok()
-                    .flatten()
-                    .ok_or(WorkError::Stopped)?,
+                triangles: made.surface.statistics.triangles,
+                regions: made.surface.regions.len() as u64,
+                bytes: bytes.ok().flatten().ok_or(WorkError::Stopped)?,
             };
             search.add(fitted, trial);
         }
         search.end()
     }
 
-    /// Makes a field resident: computes it on the device, or reads it.
+    /// Makes a field resident: computes it on the device, or reads it. A file whose samples are padded or masked is read as a whole before
+    /// `cancel` is asked again.
     ///
     /// # Errors
     /// [`WorkError`].
@@ -141,36 +157,38 @@ impl Workspace {
             return Ok(());
         }
         let progress = ReadProgress::default();
-        let is_made = key.recipe(volume).is_some()
-            && self.complete(volume, cancel, |workspace, context| {
+        let is_computed = key.is_made(volume)
+            && self.run_to_completion(volume, cancel, |workspace, context| {
                 workspace.compute(volume, key, &progress, None, context)
             })?;
-        if is_made {
+        if is_computed {
             return Ok(());
         }
-        match self.transfer(volume, key, cancel) {
+        let loaded = match self.transfer(volume, key, cancel) {
             // Once more: the samples need another type, or the file changed while it was read.
-            Err(WorkError::Unreadable(error)) if error.again => self.transfer(volume, key, cancel),
+            Err(JobError::Failed(WorkError::Unreadable(error))) if error.again => self.transfer(volume, key, cancel),
             outcome => outcome,
-        }
+        };
+        loaded.map_err(|error| self.look_for_loss(error).into())
     }
 
     /// Reads a field and sends it to the device.
-    fn transfer(&mut self, volume: &VolumeStep, key: &VolumeKey, cancel: &dyn Cancel) -> Result<(), WorkError> {
+    fn transfer(&mut self, volume: &VolumeStep, key: &VolumeKey, cancel: &dyn Cancel) -> Result<(), JobError> {
         let grid = padded_grid(volume, key.padded)?;
         self.make_host_space(bytes_while_read(volume, key, self.engine().device().kind)?)?;
         let (mut sent, mut is_first) = (Ok(()), true);
         let read = read(volume, key, &ReadProgress::default(), &mut |piece| {
-            sent = match cancel.is_cancelled() {
-                true => Err(WorkError::Cancelled.into()),
-                false => self.send(key, &grid, &piece, std::mem::take(&mut is_first)),
-            };
+            // Pieces that were decoded before the reader noticed that no more are taken.
+            if sent.is_ok() {
+                sent = check_cancelled(cancel)
+                    .map_err(JobError::from)
+                    .and_then(|()| self.send(key, &grid, &piece, std::mem::take(&mut is_first)));
+            }
             sent.is_ok()
         });
-        let loaded = sent.map_err(WorkError::from).and(read).and_then(|()| {
-            while !self.continue_table(key)? {}
-            Ok(self.finish_upload(key.clone(), false)?)
-        });
+        let loaded = sent
+            .and(read.map_err(JobError::from))
+            .and_then(|()| self.finish(key, cancel));
         if loaded.is_err() {
             self.drop_upload(key);
         }
@@ -184,6 +202,13 @@ impl Workspace {
         self.continue_upload(key, &piece.samples)
     }
 
+    fn finish(&mut self, key: &VolumeKey, cancel: &dyn Cancel) -> Result<(), JobError> {
+        while !self.continue_table(key)? {
+            check_cancelled(cancel)?;
+        }
+        self.finish_upload(key.clone(), false)
+    }
+
     /// Makes a histogram.
     fn make_histogram(
         &mut self,
@@ -192,15 +217,11 @@ impl Workspace {
         cancel: &dyn Cancel,
     ) -> Result<(), WorkError> {
         let mut work = HistogramWork::default();
-        loop {
-            let slice = std::cell::RefCell::new(work.clone());
-            let histogram = self.complete(volume, cancel, |workspace, _| {
-                workspace.continue_histogram(volume, key, &mut slice.borrow_mut())
-            })?;
-            if histogram.is_some() {
-                return Ok(());
+        self.run_to_completion(volume, cancel, |workspace, _| {
+            while workspace.continue_histogram(volume, key, &mut work)?.is_none() {
+                check_cancelled(cancel)?;
             }
-            work = slice.into_inner();
-        }
+            Ok(())
+        })
     }
 }

@@ -45,13 +45,13 @@ impl Workspace {
         let fields = inputs.iter().map(resident).collect::<Result<Vec<_>, _>>()?;
         let fields: Vec<&Volume> = fields.iter().map(|field| &**field).collect();
         let bytes = self.make_space(volume, key, &recipe)?;
-        let engine = Rc::clone(self.engine());
+        let engine = self.shared_engine();
         let take_times = || engine.take_times().unwrap_or_default();
         let world = volume.dataset().smallest_length() as f32;
         let (start, job_times) = (Instant::now(), JobTimes::default());
         let is_over = || limit.is_over(job_times.own_time(start));
         let computed = context.run(self, &take_times, &job_times, |cancel| {
-            let cancel = &Until {
+            let cancel = &FieldCancel {
                 cancel,
                 progress,
                 is_over: &is_over,
@@ -148,13 +148,13 @@ impl TimeLimit {
 }
 
 /// Cancellation of a field's computation: by its job, when its last caller is gone, or when its time is over.
-struct Until<'a> {
+struct FieldCancel<'a> {
     cancel: &'a dyn Cancel,
     progress: &'a ReadProgress,
     is_over: &'a dyn Fn() -> bool,
 }
 
-impl Cancel for Until<'_> {
+impl Cancel for FieldCancel<'_> {
     fn is_cancelled(&self) -> bool {
         self.cancel.is_cancelled() || self.progress.is_cancelled() || (self.is_over)()
     }

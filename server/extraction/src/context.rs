@@ -1,4 +1,4 @@
-//! What work on a workspace needs from its caller: whether it is cancelled, and other work that uses the workspace where this one pauses.
+//! What work on a workspace needs from its caller: whether it is cancelled, and other work that uses the workspace in its pauses.
 
 use std::cell::{Cell, RefCell};
 use std::time::{Duration, Instant};
@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use isopeel_kernels::{Cancel, StageTime};
 
 /// Work that waits for a workspace `W`.
-pub trait Others<W> {
+pub trait WaitingWork<W> {
     /// Whether some of it may run now.
-    fn are_waiting(&self) -> bool;
+    fn is_waiting(&self) -> bool;
 
     /// Runs what may run now.
     fn run(&mut self, workspace: &mut W);
@@ -17,34 +17,34 @@ pub trait Others<W> {
 /// The caller of a piece of work on a workspace `W`.
 pub struct JobContext<'a, W> {
     cancel: &'a dyn Cancel,
-    /// `Some`: the work may take long, and these run where it pauses.
-    others: Option<&'a mut (dyn Others<W> + 'a)>,
+    /// `Some`: the work may take long, and this runs in its pauses.
+    waiting: Option<&'a mut (dyn WaitingWork<W> + 'a)>,
 }
 
 /// Finishes the work that was started on the device, and returns how long each stage took since the last call.
 type TakeTimes<'a> = &'a dyn Fn() -> Vec<StageTime>;
 
 impl<'a, W> JobContext<'a, W> {
-    /// Short work: it does not pause, and fails with [`JobError::TakesLong`](super::JobError::TakesLong) instead of taking long.
+    /// Returns the context of short work: it does not pause, and fails with [`JobError::TakesLong`](super::JobError::TakesLong) instead of taking long.
     pub fn short(cancel: &'a dyn Cancel) -> Self {
-        Self { cancel, others: None }
+        Self { cancel, waiting: None }
     }
 
-    /// Work that may take long. It pauses for the others.
-    pub fn long(cancel: &'a dyn Cancel, others: &'a mut (dyn Others<W> + 'a)) -> Self {
+    /// Returns the context of work that may take long, and that pauses for other work.
+    pub fn long(cancel: &'a dyn Cancel, waiting: &'a mut (dyn WaitingWork<W> + 'a)) -> Self {
         Self {
             cancel,
-            others: Some(others),
+            waiting: Some(waiting),
         }
     }
 
     /// Whether the work may take long.
     pub(crate) fn may_take_long(&self) -> bool {
-        self.others.is_some()
+        self.waiting.is_some()
     }
 
-    /// Runs `work`, which borrows nothing of the workspace: the others change it where `work` pauses. The stages before the last pause and
-    /// the time of the others are added to `job_times`.
+    /// Runs `work`, which borrows nothing of the workspace: other work changes it in the pauses. The stages before the last pause and the
+    /// time of other work are added to `job_times`.
     pub fn run<T>(
         &mut self,
         workspace: &mut W,
@@ -52,13 +52,13 @@ impl<'a, W> JobContext<'a, W> {
         job_times: &JobTimes,
         work: impl FnOnce(&dyn Cancel) -> T,
     ) -> T {
-        match &mut self.others {
+        match &mut self.waiting {
             None => work(&NoPause(self.cancel)),
-            Some(others) => work(&Pausing {
+            Some(waiting) => work(&Pausing {
                 cancel: self.cancel,
                 take_times,
                 job_times,
-                others: RefCell::new((workspace, &mut **others)),
+                waiting: RefCell::new((workspace, &mut **waiting)),
             }),
         }
     }
@@ -78,7 +78,7 @@ struct Pausing<'a, 'o, W> {
     cancel: &'a dyn Cancel,
     take_times: TakeTimes<'a>,
     job_times: &'a JobTimes,
-    others: RefCell<(&'a mut W, &'a mut (dyn Others<W> + 'o))>,
+    waiting: RefCell<(&'a mut W, &'a mut (dyn WaitingWork<W> + 'o))>,
 }
 
 impl<W> Cancel for Pausing<'_, '_, W> {
@@ -87,14 +87,14 @@ impl<W> Cancel for Pausing<'_, '_, W> {
     }
 
     fn pause(&self) {
-        let (workspace, others) = &mut *self.others.borrow_mut();
-        if self.cancel.is_cancelled() || !others.are_waiting() {
+        let (workspace, waiting) = &mut *self.waiting.borrow_mut();
+        if self.cancel.is_cancelled() || !waiting.is_waiting() {
             return;
         }
-        // Flush this job's stage times first, or the others are billed for them.
+        // Flush this job's stage times first, or the other work is billed for them.
         self.job_times.add_stages((self.take_times)());
         let start = Instant::now();
-        others.run(workspace);
+        waiting.run(workspace);
         (self.take_times)();
         let elsewhere = &self.job_times.elsewhere;
         elsewhere.set(elsewhere.get() + start.elapsed());

@@ -66,6 +66,9 @@ pub enum WorkError {
         /// Maximum bytes of volumes on this device.
         limit_bytes: u64,
     },
+    /// Fields of the view were evicted while it was made.
+    #[error("fields of the view were evicted while its surface was made: it needs more memory on the device")]
+    NotKept,
     /// The host has no memory for this work now.
     #[error("there is no memory for it now on this machine, it needs {needed_bytes} bytes: try again in a few seconds")]
     HostBusy {
@@ -171,6 +174,7 @@ impl WorkError {
             | Self::TooLarge { .. }
             | Self::TooLargeForHost { .. }
             | Self::NoTree(_)
+            | Self::NotKept
             | Self::TookTooLong { .. }
             | Self::Device(isopeel_kernels::Error::OutOfDeviceMemory { .. }) => "too-large",
             Self::OverBudget { .. } | Self::OverBytes { .. } => "over-budget",

@@ -2,8 +2,6 @@
 //! much, and with it every viewer's connection.
 
 use std::sync::OnceLock;
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-use std::time::Duration;
 
 use super::WorkError;
 use super::memory::resident_bytes;
@@ -15,15 +13,7 @@ const RESERVE_BYTES: u64 = 256 << 20;
 /// made of them. Measured: 80 to 100.
 const BYTES_PER_TRIANGLE: u64 = 100;
 
-/// Minimum bytes of allocations that return to the system as soon as they are freed.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const LARGE_PIECE: i32 = 1 << 20;
-
-/// How often free pages between allocations are returned.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const TRIM_INTERVAL: Duration = Duration::from_secs(30);
-
-/// Value of `--host-memory`, bytes.
+/// Limit of this process, bytes.
 static LIMIT: OnceLock<u64> = OnceLock::new();
 
 /// Limits the memory of the machine that volumes and surfaces take in this process, in bytes. To be called once, before any work.
@@ -32,30 +22,8 @@ pub fn limit_host_memory(bytes: u64) {
     let _ = LIMIT.set(bytes);
 }
 
-/// Makes glibc return freed memory to the system. To be called once, before any work. Pieces of 1 MiB or more are mapped one by one, and
-/// unmapped when they are freed. By default glibc maps pieces from 128 KiB on, but raises this threshold to up to 32 MiB once such pieces
-/// are freed. The buffers of a CPU driver then lie in glibc's heaps, where live pieces keep freed ones between them from being returned.
-/// Free pages between smaller pieces are returned every 30 s: in ten minutes of many viewers they had grown to 0.1 GB.
-pub fn return_freed_memory() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    {
-        // SAFETY: sets a number of the allocator.
-        unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_PIECE) };
-        let trim = || {
-            loop {
-                std::thread::sleep(TRIM_INTERVAL);
-                trim_heaps();
-            }
-        };
-        // Without this thread the process works, but takes more memory.
-        if let Err(error) = std::thread::Builder::new().name("isopeel-trim".into()).spawn(trim) {
-            tracing::warn!(%error, "freed memory is kept");
-        }
-    }
-}
-
 /// Gives unused pages of the allocator's heaps back to the system. Takes 10 to 15 ms for a hundred megabytes, during which allocations wait.
-pub(crate) fn trim_heaps() {
+pub fn trim_heaps() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: the call returns unused pages of the allocator's heaps, and no pointer refers to them.
     unsafe {

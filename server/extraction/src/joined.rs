@@ -30,59 +30,59 @@ pub enum JoinError {
     Cancelled,
 }
 
-/// A surface as one mesh. Vertices that regions share are joined, triangles ordered by level, finest first.
+/// Triangles of a surface as one mesh.
 #[derive(Debug)]
-pub struct Joined<'a> {
-    /// The vertices, each with its position on the lattice of the whole volume: [`Vertex::LATTICE`] units a cell, from sample (0, 0, 0).
-    pub vertices: Vec<([i64; 3], &'a Vertex)>,
-    /// Triangles, counter-clockwise seen from the side of lower values in index space.
+pub struct Joined {
+    /// Triangles, counter-clockwise seen from the side of lower values in index space, finest level first.
     pub triangles: Vec<[u32; 3]>,
     /// Triangles of each level, 0 (finest) first.
     pub level_triangles: [u64; 6],
 }
 
-impl<'a> Joined<'a> {
-    /// Joins regions. Vertices of different regions whose attributes are all equal become one. All triangles are kept, including
-    /// degenerate ones. Polls `is_cancelled` now and then.
-    ///
-    /// # Errors
-    /// More vertices than 32-bit indices reach, a region whose indices or levels do not fit its vertices and triangles, or cancellation.
-    pub fn new(regions: &'a [Region], is_cancelled: &dyn Fn() -> bool) -> Result<Self, JoinError> {
-        let mut level_triangles = [0; 6];
-        for region in regions {
-            check(region)?;
-            for (sum, n) in level_triangles.iter_mut().zip(region.level_triangles) {
-                *sum += u64::from(n);
-            }
+/// Joins regions. Vertices of different regions whose attributes are all equal become one. All triangles are kept, including degenerate
+/// ones. `add` takes each vertex once, in the order of their numbers, with its position on the lattice of the whole volume:
+/// [`Vertex::LATTICE`] units a cell, from sample (0, 0, 0). Polls `is_cancelled` for each region.
+///
+/// # Errors
+/// [`JoinError`], and the errors of `add`.
+pub fn join<E: From<JoinError>>(
+    regions: &[Region],
+    is_cancelled: &dyn Fn() -> bool,
+    mut add: impl FnMut([i64; 3], &Vertex) -> Result<(), E>,
+) -> Result<Joined, E> {
+    let mut level_triangles = [0; 6];
+    for region in regions {
+        check(region)?;
+        for (sum, n) in level_triangles.iter_mut().zip(region.level_triangles) {
+            *sum += u64::from(n);
         }
-        let held: u64 = regions.iter().map(|r| r.vertices.len() as u64).sum();
-        u32::try_from(held).map_err(|_| JoinError::TooManyVertices(held))?;
-        // Index of the next triangle of each level.
-        let mut next = [0usize; 6];
-        for level in 1..6 {
-            next[level] = next[level - 1] + level_triangles[level - 1] as usize;
-        }
-        let mut triangles = vec![[0; 3]; level_triangles.iter().sum::<u64>() as usize];
-        let mut vertices = Vertices::new(regions, held as usize);
-        for region in regions {
-            if is_cancelled() {
-                return Err(JoinError::Cancelled);
-            }
-            let joined = vertices.add(region);
-            let mut corners = region.indices.chunks_exact(3);
-            for (level, &count) in region.level_triangles.iter().enumerate() {
-                for corner in corners.by_ref().take(count as usize) {
-                    triangles[next[level]] = [0, 1, 2].map(|i| joined[corner[i] as usize]);
-                    next[level] += 1;
-                }
-            }
-        }
-        Ok(Self {
-            vertices: vertices.all,
-            triangles,
-            level_triangles,
-        })
     }
+    let held: u64 = regions.iter().map(|r| r.vertices.len() as u64).sum();
+    u32::try_from(held).map_err(|_| JoinError::TooManyVertices(held))?;
+    // Index of the next triangle of each level.
+    let mut next = [0usize; 6];
+    for level in 1..6 {
+        next[level] = next[level - 1] + level_triangles[level - 1] as usize;
+    }
+    let mut triangles = vec![[0; 3]; level_triangles.iter().sum::<u64>() as usize];
+    let mut vertices = Vertices::new(regions);
+    for region in regions {
+        if is_cancelled() {
+            return Err(JoinError::Cancelled.into());
+        }
+        let joined = vertices.join(region, &mut add)?;
+        let mut corners = region.indices.chunks_exact(3);
+        for (level, &count) in region.level_triangles.iter().enumerate() {
+            for corner in corners.by_ref().take(count as usize) {
+                triangles[next[level]] = [0, 1, 2].map(|i| joined[corner[i] as usize]);
+                next[level] += 1;
+            }
+        }
+    }
+    Ok(Joined {
+        triangles,
+        level_triangles,
+    })
 }
 
 /// A surface in the world.
@@ -94,27 +94,30 @@ pub struct WorldMesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-impl Joined<'_> {
-    /// Returns the mesh in the world, in which index space lies as `space` says.
-    pub fn in_world(self, space: &IndexSpace) -> WorldMesh {
-        let world = |(lattice, _): &([i64; 3], &Vertex)| {
+impl WorldMesh {
+    /// Joins regions of a surface, for which `space` is the position of index space in the world.
+    ///
+    /// # Errors
+    /// More vertices than 32-bit indices reach, or a region whose indices or levels do not fit its vertices and triangles.
+    pub fn new(regions: &[Region], space: &IndexSpace) -> Result<Self, JoinError> {
+        let mut positions = Vec::new();
+        let joined = join(regions, &|| false, |lattice, _| {
             let index = DVec3::from(lattice.map(|at| at as f64)) / f64::from(Vertex::LATTICE);
-            space.world(index).to_array()
-        };
-        let mut triangles = self.triangles;
+            positions.push(space.world(index).to_array());
+            Ok::<_, JoinError>(())
+        })?;
+        let mut triangles = joined.triangles;
         if space.world_from_even.matrix3.determinant() < 0.0 {
             triangles.iter_mut().for_each(|[_, b, c]| std::mem::swap(b, c));
         }
-        WorldMesh {
-            positions: self.vertices.iter().map(world).collect(),
-            triangles,
-        }
+        Ok(Self { positions, triangles })
     }
 }
 
 /// The vertices that were joined so far.
-struct Vertices<'a> {
-    all: Vec<([i64; 3], &'a Vertex)>,
+#[derive(Default)]
+struct Vertices {
+    count: u32,
     /// Most vertices are inside their region and belong to no other. So only vertices on a region's faces, and vertices that lie outside of
     /// the region that lists them, are looked up.
     outside: HashSet<Key>,
@@ -126,28 +129,29 @@ struct Vertices<'a> {
     joined: Vec<u32>,
 }
 
-impl<'a> Vertices<'a> {
-    fn new(regions: &'a [Region], held: usize) -> Self {
+impl Vertices {
+    fn new(regions: &[Region]) -> Self {
         let outside = (regions.iter())
             .flat_map(|region| region.vertices.iter().map(move |v| (region, v)))
             .filter(|(_, v)| v.position.iter().any(|p| !(0..=REGION_LATTICE).contains(p)))
             .map(|(region, v)| key(region, v));
         Self {
-            all: Vec::with_capacity(held),
             outside: outside.collect(),
-            shared: HashMap::new(),
-            copies: HashMap::new(),
-            joined: Vec::new(),
+            ..Self::default()
         }
     }
 
-    /// Adds the vertices of a region, and returns their numbers.
-    fn add(&mut self, region: &'a Region) -> &[u32] {
+    /// Joins the vertices of a region, and returns their numbers.
+    fn join<E>(
+        &mut self,
+        region: &Region,
+        add: &mut impl FnMut([i64; 3], &Vertex) -> Result<(), E>,
+    ) -> Result<&[u32], E> {
         self.joined.clear();
         self.copies.clear();
         for vertex in &region.vertices {
             let key = key(region, vertex);
-            let new = self.all.len() as u32;
+            let new = self.count;
             let inside = vertex.position.iter().all(|p| (1..REGION_LATTICE).contains(p));
             let index = if inside && !self.outside.contains(&key) {
                 new
@@ -158,11 +162,12 @@ impl<'a> Vertices<'a> {
                 *self.shared.entry((key, *copy)).or_insert(new)
             };
             if index == new {
-                self.all.push((key.0, vertex));
+                add(key.0, vertex)?;
+                self.count += 1;
             }
             self.joined.push(index);
         }
-        &self.joined
+        Ok(&self.joined)
     }
 }
 

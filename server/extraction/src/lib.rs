@@ -2,19 +2,21 @@
 //!
 //! A [`Workspace`] holds a device, the fields that are resident on it, and what earlier edits have made. It belongs to one thread. Each
 //! piece of work ends with a result or a [`JobError`]: what has to be done before it is tried again, such as loading fields. A server does
-//! that between other work; [`Workspace::complete`] does it at once, for programs that have the device for themselves.
+//! that between other work; [`Workspace::run_to_completion`] does it at once, for programs that have the device for themselves.
 //!
-//! - `workspace`: resident data, by `keys` and `identity`, in caches (`residency`; `cuts` that clients show), on `grids`. `context`: the
-//!   caller of a piece of work. `observer`: counters and timers.
-//! - `reading` reads fields, `uploads` sends them to the device, `ahead` for time steps that a viewer may reach next. `computed`, `fields`:
-//!   fields that are computed from others, on the device and on the host. `pins`: volumes that must stay. `complete`: all of this at once.
+//! - `workspace`: resident data, by `keys` and `identity`, in caches (`residency`; `cuts` that clients show; `histogram_cache`), on `grids`.
+//!   `context`: the caller of a piece of work. `observer`: counters and timers. `error`: why work has no result.
+//! - `reading` reads fields, `uploads` sends them to the device; `ahead` does so for time steps that a viewer may reach next; `release` frees
+//!   a time step. `computed`, `fields`: fields that are computed from others, on the device and on the host. `pins`: volumes that must stay.
+//!   `complete`: work with all that it needs.
 //! - `memory`: memory by purpose; `shares`: limits of the caches for the next edits; `host_memory`: admission of allocations on the host;
 //!   `host_space`: evictions that make space for them.
-//! - `counting`: the triangles of a full surface, before it is made. `questions`: queries on a surface. `histograms`, `overviews`, `slices`.
+//! - `counting`: the triangles of a full surface, before it is made. `questions`: queries on a surface. `histograms`: ranges and histograms;
+//!   `overviews`: volumes at a low resolution; `slices`: planes of samples.
 //! - `refine`: steps from a surface that is shown to another one; `tree_steps`: intermediate, coarser cuts of the vertex tree;
 //!   `chunk_bytes`: estimates of their bytes. `byte_search` chooses trials for a budget of bytes.
-//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree for a view; `decisions`: chooses between them. `intersections`:
-//!   places at which triangles of a surface intersect, so that it is refined there.
+//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree for a view; `decisions`: chooses between them. `feature_fields`: a
+//!   feature with its fields. `intersections`: places at which triangles of a surface intersect, so that it is refined there.
 //! - `dataset_views`: what a dataset is to a view. `user_time`: device time that the computed fields of each user have taken.
 //! - `results`, `statistics`: results. `joined`: a surface as one mesh.
 //!
@@ -68,17 +70,17 @@ mod user_time;
 mod workspace;
 
 pub use byte_search::{ByteSearch, Trial};
-pub use context::{JobContext, JobTimes, Others};
+pub use context::{JobContext, JobTimes, WaitingWork};
 pub use error::{OpenError, WorkError, chain};
 pub use grids::padded_grid;
 pub use histogram_cache::HistogramCache;
-pub use host_memory::{HostMemory, limit_host_memory, return_freed_memory};
+pub use host_memory::{HostMemory, limit_host_memory, trim_heaps};
 pub use identity::{EngineId, FittedKey, SurfaceKey, ViewKey};
-pub use joined::{JoinError, Joined, WorldMesh};
+pub use joined::{JoinError, Joined, WorldMesh, join};
 pub use keys::{ALWAYS_DESCRIBED, HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
 pub use lock::lock;
 pub use memory::{MemoryUse, WorkspaceMemory, resident_bytes};
-pub use observer::{Observer, Unobserved};
+pub use observer::Observer;
 pub use pins::{Pinned, Pins};
 pub use questions::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,
@@ -93,4 +95,4 @@ pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
 pub use statistics::{Cleaned, EstimatedError, ExtractionStatistics, MeasuredError, Shape};
 pub use user_time::{Payer, USER_TIME_PERIOD, UserTimes};
-pub use workspace::{JobError, Options, Workspace, no_finite_sample};
+pub use workspace::{JobError, Options, Workspace};

@@ -1,4 +1,4 @@
-//! Memory of the server by purpose.
+//! Memory by purpose.
 
 use isopeel_kernels::{DeviceKind, DeviceMemory};
 use serde::Serialize;

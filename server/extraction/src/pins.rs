@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn volumes_that_do_not_fit_together_wait_for_each_other() {
+    fn volumes_that_do_not_fit_together_are_not_pinned_together() {
         let released = Arc::new(AtomicUsize::new(0));
         let count = Arc::clone(&released);
         let pins = Pins::new(move || {

@@ -8,7 +8,7 @@ use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
 
 use super::dataset_views::view_space;
-use super::joined::{JoinError, Joined, WorldMesh};
+use super::joined::{JoinError, WorldMesh};
 use super::{ExtractionStatistics, MeasuredError};
 
 /// A surface and its view.
@@ -18,7 +18,7 @@ pub struct Extraction {
     pub surface: Surface,
     /// The view it shows, with isovalue and feature range filled in.
     pub view: View,
-    /// Time on the device's thread, without time spent waiting or reading files.
+    /// Time of the work, without time spent waiting or reading files.
     pub wall: Duration,
     /// The error, if it was measured after the surface was made.
     pub measured: Option<MeasuredError>,
@@ -39,13 +39,13 @@ impl Extraction {
 }
 
 impl Extraction {
-    /// Returns the surface as one mesh in the world.
+    /// Returns the surface as one mesh in the world, whose unit is that of the dataset.
     ///
     /// # Errors
-    /// More vertices than 32-bit indices reach.
+    /// As [`WorldMesh::new`].
     pub fn mesh(&self, volume: &VolumeStep) -> Result<WorldMesh, JoinError> {
         let (_, space) = view_space(volume.dataset(), &self.view);
-        Ok(Joined::new(&self.surface.regions, &|| false)?.in_world(&space))
+        WorldMesh::new(&self.surface.regions, &space)
     }
 }
 
@@ -65,8 +65,19 @@ pub struct Making {
     pub ceiling: u64,
     /// Whether its error is measured.
     pub measures: bool,
-    /// As [`ExportWork::refining`].
+    /// Where it is refined if its triangles intersect.
     pub refining: Refining,
+}
+
+impl Default for Making {
+    /// As many triangles as there are, measured and not refined.
+    fn default() -> Self {
+        Self {
+            ceiling: u64::MAX,
+            measures: true,
+            refining: Refining::Never,
+        }
+    }
 }
 
 /// Places at which a cut of the vertex tree is refined if triangles intersect.
@@ -95,7 +106,7 @@ pub enum Measuring {
 /// reopened.
 static LAST_CUT: AtomicU64 = AtomicU64::new(0);
 
-/// A cut that the device's thread keeps for a while: the one that a client shows, or its target.
+/// A cut that the workspace keeps for a while: the one that a client shows, or its target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct CutId(u64);
 
@@ -106,7 +117,7 @@ impl CutId {
     }
 
     /// An id that no other cut has.
-    pub fn next() -> Self {
+    pub(crate) fn next() -> Self {
         Self(LAST_CUT.fetch_add(1, Ordering::Relaxed) + 1)
     }
 }
@@ -156,7 +167,7 @@ pub struct Refinement {
     pub is_final: bool,
     /// Whether a better surface of the same view exists, which [`super::Extractor::improve`] takes longer to make.
     pub can_improve: bool,
-    /// Time on the device's thread, without time spent waiting or reading files.
+    /// Time of the work, without time spent waiting or reading files.
     pub wall: Duration,
     /// The part of `wall` from the cut to the mesh on the host.
     pub meshing: Duration,
@@ -190,7 +201,7 @@ pub struct FullCount {
     pub triangles: u64,
     /// The stages that counting them took.
     pub stages: Vec<StageTime>,
-    /// Time on the device's thread, without time spent waiting or reading files.
+    /// Time of the work, without time spent waiting or reading files.
     pub wall: Duration,
 }
 

@@ -27,7 +27,7 @@ impl Workspace {
         Ok(())
     }
 
-    /// Sends the next samples of a field to the device.
+    /// Sends the next samples of a field to the device. Does nothing if its upload was dropped.
     ///
     /// # Errors
     /// The device's errors.
@@ -40,7 +40,7 @@ impl Workspace {
         Ok(())
     }
 
-    /// Makes the next part of a field's min/max table; returns true once it is complete.
+    /// Makes the next part of a field's min/max table; returns true once it is complete, or if the upload was dropped.
     ///
     /// # Errors
     /// The device's errors.
@@ -53,8 +53,8 @@ impl Workspace {
         is_complete
     }
 
-    /// Makes a field resident once all of its samples are on the device. `ahead`: whether the field was read ahead, before a viewer needed
-    /// it.
+    /// Makes a field resident once all of its samples are on the device, unless its upload was dropped. `ahead`: whether the field was read
+    /// ahead, before a viewer needed it.
     ///
     /// # Errors
     /// The device's errors.

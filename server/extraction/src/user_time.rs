@@ -9,10 +9,10 @@ use super::lock::lock;
 /// Period in which a user may take the limit.
 pub const USER_TIME_PERIOD: Duration = Duration::from_secs(600);
 
-/// Number of entries above which the server drops the entries of users who have their whole limit available.
+/// Number of entries above which the entries of users are dropped who have their whole limit available.
 const MANY_USERS: usize = 1024;
 
-/// Device time taken by the users of a server.
+/// Device time that users have taken.
 pub struct UserTimes {
     /// `None`: there is no limit.
     limit: Option<Duration>,
@@ -35,7 +35,7 @@ impl Taken {
 }
 
 impl UserTimes {
-    /// No user has taken any. `limit`: maximum time of a user; `None`: there is no limit.
+    /// Begins with users who have taken no time. `limit`: maximum time of a user; `None`: there is no limit.
     pub fn new(limit: Option<Duration>) -> Arc<Self> {
         Arc::new(Self {
             limit,
@@ -53,14 +53,14 @@ pub struct Payer {
 
 /// Time that a user may take now, and how long until a tenth of the limit is available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TimeLeft {
+pub(crate) struct TimeLeft {
     pub limit: Duration,
     pub now: Duration,
     pub wait: Duration,
 }
 
 impl Payer {
-    /// The user of this name.
+    /// Returns the payer of this name.
     pub fn new(times: &Arc<UserTimes>, user: &str) -> Self {
         Self {
             times: Arc::clone(times),
@@ -69,7 +69,7 @@ impl Payer {
     }
 
     /// Returns the time that the user may take; `None`: there is no limit.
-    pub fn left(&self, now: Instant) -> Option<TimeLeft> {
+    pub(crate) fn left(&self, now: Instant) -> Option<TimeLeft> {
         let limit = self.times.limit?;
         let taken = lock(&self.times.taken).get(&self.user).copied();
         let counts = taken.map_or(Duration::ZERO, |taken| taken.remaining(limit, now));
@@ -82,7 +82,7 @@ impl Payer {
     }
 
     /// Adds time that was taken.
-    pub fn take(&self, time: Duration, now: Instant) {
+    pub(crate) fn take(&self, time: Duration, now: Instant) {
         let Some(limit) = self.times.limit else {
             return;
         };

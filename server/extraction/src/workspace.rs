@@ -77,7 +77,7 @@ impl From<JobError> for WorkError {
 }
 
 /// Returns the error that a view has no isovalue, and none can be chosen.
-pub fn no_finite_sample() -> WorkError {
+pub(crate) fn no_finite_sample() -> WorkError {
     WorkError::Edit(EditError {
         field: "iso",
         why: "the field has no finite sample to choose an isovalue from".into(),
@@ -346,11 +346,16 @@ impl Workspace {
     }
 
     /// Returns the engine.
-    pub const fn engine(&self) -> &Rc<Engine> {
+    pub fn engine(&self) -> &Engine {
         &self.engine
     }
 
-    /// Evicts the least recently used volumes that no job waits for, until `bytes` fit beside the rest.
+    /// Returns the engine for work that pauses, during which nothing of the workspace is borrowed.
+    pub(crate) fn shared_engine(&self) -> Rc<Engine> {
+        Rc::clone(&self.engine)
+    }
+
+    /// Evicts the least recently used volumes that are not pinned, until `bytes` fit beside the rest.
     pub(crate) fn evict_for(&mut self, bytes: u64) {
         let pins = &self.pins;
         self.volumes.evict_for(bytes, |key| !pins.holds(key));
@@ -407,6 +412,17 @@ impl Workspace {
             || opening_iso.ok_or(JobError::Failed(WorkError::Stopped)),
             || of_feature.ok_or(JobError::Failed(WorkError::Stopped)),
         )
+    }
+
+    /// Resolves a view as [`Workspace::resolve`] does, and marks the fields as used that its surface is made of.
+    ///
+    /// # Errors
+    /// [`JobError`]; [`WorkError::Edit`] if there is no isovalue to choose.
+    pub fn prepare(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), JobError> {
+        self.resolve(volume, view)?;
+        view.iso.ok_or_else(no_finite_sample)?;
+        self.require(volume, view)?;
+        Ok(())
     }
 
     /// Makes the final surface as `making` says, from a cached pyramid if there is one. The surface's stages are those of this job alone.
@@ -561,7 +577,7 @@ impl Workspace {
     ///
     /// # Errors
     /// [`JobError`].
-    pub fn require(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, JobError> {
+    pub(crate) fn require(&mut self, volume: &VolumeStep, view: &View) -> Result<Vec<VolumeKey>, JobError> {
         let keys = view_keys(volume, view);
         self.use_fields(volume, &keys)?;
         Ok(keys)
@@ -629,7 +645,7 @@ impl Workspace {
     }
 
     /// Frees all cached pyramids, trees and cuts, and all volumes except these. Returns false if there was nothing to free.
-    pub fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
+    pub(crate) fn free_all_but(&mut self, keys: &[VolumeKey]) -> bool {
         let (mut trees, mut cuts) = (self.trees.borrow_mut(), self.cuts.borrow_mut());
         let (before, cut_bytes) = (
             self.volumes.entries() + self.pyramids.entries() + trees.entries(),

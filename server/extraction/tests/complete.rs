@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use isopeel_codec::encode::encoded_bytes;
 use isopeel_extraction::dataset_views::opening_view;
-use isopeel_extraction::{Extraction, Options, WorkError, Workspace, WorldMesh};
+use isopeel_extraction::{Extraction, Making, Options, WorkError, Workspace, WorldMesh};
 use isopeel_kernels::{Cancel, Engine, Never, Samples};
 use isopeel_view::{Edit, View};
 use isopeel_volumes::{Geometry, VolumeStep, memory_dataset, open_dataset};
@@ -57,7 +57,7 @@ fn view(volume: &VolumeStep, edit: &str) -> View {
 }
 
 fn surface(workspace: &mut Workspace, volume: &VolumeStep, edit: &str) -> Extraction {
-    let made = workspace.surface(volume, &view(volume, edit), u64::MAX, true, &Never);
+    let made = workspace.surface(volume, &view(volume, edit), Making::default(), &Never);
     made.expect("a surface")
 }
 
@@ -119,8 +119,7 @@ fn a_budget_of_bytes_is_filled_and_kept() {
     let too_few = workspace.surface(
         &volume,
         &view(&volume, r#"{"iso":0,"bytes":300}"#),
-        u64::MAX,
-        false,
+        Making::default(),
         &Never,
     );
     assert!(matches!(
@@ -153,13 +152,15 @@ fn what_cannot_be_is_an_error() {
             true
         }
     }
-    let cancelled = workspace.surface(&volume, &view(&volume, r#"{"iso":0}"#), u64::MAX, true, &Always);
+    let cancelled = workspace.surface(&volume, &view(&volume, r#"{"iso":0}"#), Making::default(), &Always);
     assert!(matches!(cancelled, Err(WorkError::Cancelled)), "{cancelled:?}");
     let limited = workspace.surface(
         &volume,
         &view(&volume, r#"{"iso":0,"triangles":10000000,"error":0}"#),
-        100,
-        true,
+        Making {
+            ceiling: 100,
+            ..Making::default()
+        },
         &Never,
     );
     assert!(
@@ -175,6 +176,6 @@ fn what_cannot_be_is_an_error() {
     let dataset = Arc::new(open_dataset(Path::new(&path)).expect("a dataset"));
     std::fs::write(&path, &whole[..whole.len() / 2]).expect("a shorter file");
     let volume = VolumeStep::new(dataset, 0).expect("a step");
-    let unreadable = workspace.surface(&volume, &view(&volume, r#"{"iso":5}"#), u64::MAX, true, &Never);
+    let unreadable = workspace.surface(&volume, &view(&volume, r#"{"iso":5}"#), Making::default(), &Never);
     assert!(matches!(unreadable, Err(WorkError::Unreadable(_))), "{unreadable:?}");
 }

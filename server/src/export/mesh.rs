@@ -1,6 +1,6 @@
 //! Joins the regions of a surface to one mesh in world units.
 
-use isopeel_extraction::Joined;
+use isopeel_extraction::join;
 use isopeel_geometry::UnevenAxes;
 use isopeel_kernels::{Surface, Vertex};
 use isopeel_view::TransferFunctionJson;
@@ -113,13 +113,12 @@ impl Mesh {
             unit: geometry.unit,
             ..Self::default()
         };
-        let joined = Joined::new(&surface.regions, is_cancelled)?;
-        mesh.level_triangles = joined.level_triangles;
-        mesh.reserve(joined.vertices.len());
-        for (position, vertex) in joined.vertices {
-            mesh.push(vertex, position, &transform)?;
-        }
-        mesh.triangles = joined.triangles;
+        let held: usize = surface.regions.iter().map(|region| region.vertices.len()).sum();
+        mesh.reserve(held);
+        let joined = join(&surface.regions, is_cancelled, |lattice, vertex| {
+            mesh.push(vertex, lattice, &transform)
+        })?;
+        (mesh.triangles, mesh.level_triangles) = (joined.triangles, joined.level_triangles);
         if transform.mirrors {
             mesh.triangles.iter_mut().for_each(|[_, b, c]| std::mem::swap(b, c));
         }

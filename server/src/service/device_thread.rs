@@ -6,7 +6,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use isopeel_extraction::{
@@ -24,7 +24,7 @@ use crate::{metrics, pool};
 /// Time between two attempts to open a lost device. Meanwhile jobs fail at once.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Counts what a workspace tells.
+/// Forwards the events of a workspace to the metrics.
 struct Metrics;
 
 impl Observer for Metrics {
@@ -171,8 +171,8 @@ pub(super) struct DeviceThread {
     pub engine: Arc<AtomicU64>,
     pub histograms: HistogramCache,
     pub pins: Pins,
-    /// As the handles see the check.
-    pub proven: Arc<Mutex<Option<Arc<Proven>>>>,
+    /// Programs that have passed the check, shared with the handles.
+    pub proven: Arc<OnceLock<Arc<Proven>>>,
 }
 
 impl DeviceThread {
@@ -204,16 +204,16 @@ impl DeviceThread {
         };
         let program = resident_bytes();
         let memory = self.memory.clone();
-        let state_memory = move |state: &Workspace| {
+        let report_memory = move |state: &Workspace| {
             if let Ok(used) = state.memory(program) {
                 memory.send_replace(used);
             }
         };
         let device = engine.device().clone();
-        let mut worker_state = self.state_on(engine, &choice);
-        state_memory(&worker_state);
+        let mut workspace = self.workspace_on(engine, &choice);
+        report_memory(&workspace);
         self.ready(device);
-        Queue::new(waiting, state_memory).run(&mut worker_state, |state, queue| {
+        Queue::new(waiting, report_memory).run(&mut workspace, |state, queue| {
             if state.is_lost() {
                 self.open_again(&choice, state, queue);
             }
@@ -264,7 +264,7 @@ impl DeviceThread {
         self.state.send_replace(DeviceState::Lost);
     }
 
-    fn state_on(&self, engine: Engine, choice: &Choice) -> Workspace {
+    fn workspace_on(&self, engine: Engine, choice: &Choice) -> Workspace {
         let workspace = Workspace::new(
             engine,
             Options {
@@ -276,7 +276,9 @@ impl DeviceThread {
                 long_work: pool::exports(),
             },
         );
-        lock(&self.proven).clone_from(&choice.proven);
+        if let Some(proven) = &choice.proven {
+            self.proven.get_or_init(|| Arc::clone(proven));
+        }
         self.engine.store(workspace.id().number(), Ordering::Relaxed);
         workspace
     }
@@ -290,7 +292,7 @@ impl DeviceThread {
             match self.open(choice) {
                 Ok(engine) => {
                     let device = engine.device().clone();
-                    let old = std::mem::replace(lost, self.state_on(engine, choice));
+                    let old = std::mem::replace(lost, self.workspace_on(engine, choice));
                     discard(|| drop(old));
                     self.ready(device);
                     return;

@@ -9,7 +9,7 @@ use isopeel_extraction::{
 };
 use isopeel_kernels::Surface;
 use isopeel_view::View;
-use isopeel_view::quality::{Budget, Fitted, MesherName, TriangleBudget};
+use isopeel_view::quality::{Budget, Fitted, MesherName};
 use isopeel_volumes::VolumeStep;
 use tokio_util::sync::CancellationToken;
 
@@ -215,54 +215,45 @@ impl Extractor {
         token: &CancellationToken,
     ) -> Result<Fitted, WorkError> {
         let mut search = ByteSearch::new(budget);
-        while let Some(triangles) = search.next_triangles() {
-            let extraction = match self.make_of(triangles, caller, volume, view, token).await {
-                Err(WorkError::OverBudget { minimum, .. }) if minimum > triangles => {
-                    search.refuse(minimum);
+        while let Some(trial) = search.next_trial(view, self.ceiling_triangles) {
+            let extraction = match self.make(caller, volume, &trial, token).await {
+                Ok(extraction) => extraction,
+                Err(error) => {
+                    search.refuse(error)?;
                     continue;
                 }
-                made => made?,
             };
-            let Some(fitted) = extraction.view.fitted.filter(|fitted| search.is_new(fitted)) else {
+            let Some(fitted) = search.new_fit(&extraction.view) else {
                 break;
             };
             let triangles = extraction.surface.statistics.triangles;
             let regions = extraction.surface.regions.len() as u64;
             let bytes = self.bytes_of(extraction.surface, caller, token).await?;
-            search.add(
-                fitted,
-                Trial {
-                    triangles,
-                    bytes,
-                    regions,
-                },
-            );
+            let trial = Trial {
+                triangles,
+                bytes,
+                regions,
+            };
+            search.add(fitted, trial);
         }
         search.end()
     }
 
-    /// Makes the final surface of a view with this budget of triangles in place of the view's own budget.
-    async fn make_of(
+    /// Makes the final surface of a view.
+    async fn make(
         &self,
-        triangles: u64,
         caller: Caller,
         volume: &VolumeStep,
         view: &View,
         token: &CancellationToken,
     ) -> Result<Extraction, WorkError> {
-        let triangle_budget = TriangleBudget::AtMost(triangles.min(self.ceiling_triangles));
-        let trial = View {
-            budget: Some(Budget::Triangles(triangle_budget)),
-            fitted: None,
-            ..view.clone()
-        };
         self.within_memory(|ceiling| {
             let making = Making {
                 ceiling,
                 measures: false,
                 refining: Refining::Never,
             };
-            self.worker.extract_for(caller, volume, &trial, making, token)
+            self.worker.extract_for(caller, volume, view, making, token)
         })
         .await
     }

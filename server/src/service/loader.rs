@@ -129,7 +129,7 @@ impl DeviceWorker {
         self.admit(volume, &key, purpose).await?;
         let (sender, pieces) = mpsc::channel(1);
         let (of_read, volume_read) = (key.clone(), volume.clone());
-        // Sending fails if the receiver is gone.
+        // Sending fails if the receiver is gone, because the device failed or had no space.
         let mut send = move |piece| sender.blocking_send(piece).is_ok();
         let read = move || read(&volume_read, &of_read, &progress, &mut send);
         let reading = tokio::task::spawn_blocking(|| ReadPool::start().run(read));

@@ -1,7 +1,7 @@
 //! The workspace of a device as a service: many callers share it, and wait for each other in a queue.
 //!
 //! - `worker`: the bounded queue to the thread that owns the device; `device_thread` opens the device, and reopens it after it was lost;
-//!   `attempts` runs a job until it has a result; `scheduler` runs other jobs where a long job pauses. `observed`: state for monitoring.
+//!   `attempts` runs a job until it has a result; `scheduler` runs other jobs when a long job pauses. `observed`: state for monitoring.
 //! - `loader` reads fields and sends them to the device; `loading` is their progress; `pins`: callers that wait until volumes can be pinned.
 //!   `ahead` reads time steps before a viewer reaches them, beside those that viewers have open (`open_steps`). `release` frees them.
 //! - `counting`, `questions`, `slices`, `host_space`: short jobs. `histograms` and `overviews` are made a slice at a time between other jobs;

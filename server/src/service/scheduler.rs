@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use isopeel_extraction::Others;
+use isopeel_extraction::WaitingWork;
 use isopeel_kernels::Cancel;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
@@ -181,7 +181,7 @@ impl<S> Queue<S> {
     }
 
     fn run_job(&mut self, state: &mut S, job: Job<S>) {
-        // A panic ends the job, not the thread: the worker's state has no partial updates.
+        // A panic ends the job, not the thread: the workspace has no partial updates.
         let run = std::panic::AssertUnwindSafe(|| (job.run)(state, self));
         if std::panic::catch_unwind(run).is_err() {
             tracing::error!("a job panicked on the device thread");
@@ -190,14 +190,14 @@ impl<S> Queue<S> {
     }
 }
 
-/// The queue, as work of this length sees it in its pauses.
-pub(super) struct Below<'a, S> {
+/// The queue during a pause of a job of this length: it runs the jobs of higher priority.
+pub(super) struct PausedQueue<'a, S> {
     pub queue: &'a mut Queue<S>,
     pub length: Length,
 }
 
-impl<S> Others<S> for Below<'_, S> {
-    fn are_waiting(&self) -> bool {
+impl<S> WaitingWork<S> for PausedQueue<'_, S> {
+    fn is_waiting(&self) -> bool {
         self.queue.has_waiting(self.length)
     }
 
@@ -263,8 +263,8 @@ mod tests {
 
     /// A job that pauses twice, unless it is cancelled, and then says what it found.
     fn pausing(log: &mut Log, queue: &mut Queue<Log>, token: CancellationToken, length: Length) {
-        let (cancel, mut below) = (Token(&token), Below { queue, length });
-        let mut context = JobContext::long(&cancel, &mut below);
+        let (cancel, mut waiting) = (Token(&token), PausedQueue { queue, length });
+        let mut context = JobContext::long(&cancel, &mut waiting);
         let ended = context.run(log, &Vec::new, &JobTimes::default(), |cancel| {
             (1..=2)
                 .find(|_| check_cancelled(cancel).is_err())
@@ -401,7 +401,7 @@ mod tests {
             queue(to, Length::Rest, move |log, waiting| {
                 let (job_times, start) = (JobTimes::default(), Instant::now());
                 let device = RefCell::new(vec![time("tree", 1.0)]);
-                let mut below = Below {
+                let mut below = PausedQueue {
                     queue: waiting,
                     length: Length::Rest,
                 };

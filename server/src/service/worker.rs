@@ -8,13 +8,13 @@
 //! [`JobError::NotResident`]. Its caller then loads the volumes and queues the job again.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use isopeel_extraction::{
     EngineId, Extraction, HistogramCache, JobContext, JobError, Making, Measurement, Payer, Refinement, Refining, Step,
-    UserTimes, VolumeKey, WorkError, Workspace, WorkspaceMemory, lock, no_finite_sample,
+    UserTimes, VolumeKey, WorkError, Workspace, WorkspaceMemory,
 };
 use isopeel_kernels::{DeviceInfo, Error};
 use isopeel_view::View;
@@ -27,7 +27,7 @@ use super::loading::{FieldWork, Loads, OpeningWatch};
 use super::open_steps::AheadState;
 use super::overview_cache::Overviews;
 use super::pins::WaitingPins;
-use super::scheduler::{Below, Caller, Job, Length, Permits, Queue, Token, job_labels};
+use super::scheduler::{Caller, Job, Length, PausedQueue, Permits, Queue, Token, job_labels};
 use super::unfinished::Unfinished;
 use crate::device::Proven;
 use crate::metrics;
@@ -78,8 +78,8 @@ pub(super) struct Shared {
     permits: Permits,
     /// Shared with the thread, which evicts.
     pub pins: WaitingPins,
-    /// Shared with the thread: set while the device's check is still running, to the programs that have passed it so far.
-    proven: Arc<Mutex<Option<Arc<Proven>>>>,
+    /// Shared with the thread: the programs that have passed the device's check so far; set if it is still running when the device is opened.
+    proven: Arc<OnceLock<Arc<Proven>>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -123,7 +123,7 @@ impl DeviceWorker {
         let (memory, watched_memory) = watch::channel(WorkspaceMemory::default());
         let histograms = HistogramCache::default();
         let pins = WaitingPins::default();
-        let proven = Arc::new(Mutex::new(None));
+        let proven = Arc::new(OnceLock::new());
         let engine = Arc::new(AtomicU64::default());
         let thread = DeviceThread {
             types,
@@ -318,9 +318,7 @@ impl DeviceWorker {
         let view = view.clone();
         self.with_volumes(volume, token, Caller::Viewer, Length::Short, move |state, volume, _| {
             let mut view = view.clone();
-            state.resolve(volume, &mut view)?;
-            view.iso.ok_or_else(no_finite_sample)?;
-            state.require(volume, &view)?;
+            state.prepare(volume, &mut view)?;
             Ok(view)
         })
         .await
@@ -465,11 +463,11 @@ impl DeviceWorker {
             let outcome = if asked.is_cancelled() {
                 Err(WorkError::Cancelled.into())
             } else {
-                let (cancel, mut below) = (Token(&asked), Below { queue, length });
+                let (cancel, mut waiting) = (Token(&asked), PausedQueue { queue, length });
                 let mut context = match length {
                     Length::Short => JobContext::short(&cancel),
                     Length::Long | Length::Field | Length::Export | Length::Rest => {
-                        JobContext::long(&cancel, &mut below)
+                        JobContext::long(&cancel, &mut waiting)
                     }
                 };
                 job(state, &mut context).map_err(|error| state.look_for_loss(error))
@@ -546,7 +544,7 @@ impl DeviceWorker {
     fn unproven<T>(&self, outcome: &Result<T, JobError>) -> Option<(String, Arc<Proven>)> {
         match outcome {
             Err(JobError::Failed(WorkError::Device(Error::NotYet(program)))) => {
-                Some((program.clone(), lock(&self.shared.proven).clone()?))
+                Some((program.clone(), Arc::clone(self.shared.proven.get()?)))
             }
             _ => None,
         }

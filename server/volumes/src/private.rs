@@ -45,25 +45,25 @@ struct PrivateVolume {
     owner: Arc<str>,
     dataset: Arc<Dataset>,
     /// Dropped when the volume is removed, which completes `removed`.
-    in_list: Mutex<Option<oneshot::Sender<Infallible>>>,
+    removal: Mutex<Option<oneshot::Sender<Infallible>>>,
     removed: Shared<oneshot::Receiver<Infallible>>,
     used: Mutex<SystemTime>,
 }
 
 impl PrivateVolume {
     fn new(owner: Arc<str>, dataset: Arc<Dataset>, used: SystemTime) -> Self {
-        let (in_list, removed) = oneshot::channel();
+        let (removal, removed) = oneshot::channel();
         Self {
             owner,
             dataset,
-            in_list: Mutex::new(Some(in_list)),
+            removal: Mutex::new(Some(removal)),
             removed: removed.shared(),
             used: Mutex::new(used),
         }
     }
 
     fn remove(&self) {
-        *self.in_list.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *self.removal.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
     fn touch(&self) {

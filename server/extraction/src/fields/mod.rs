@@ -1,7 +1,7 @@
 //! Fields that are computed from other fields: an expression over them, the distance to the samples for which an expression holds, or an
 //! expression smoothed.
 //!
-//! Extraction computes expressions and distances on the device. This module computes on the host: fields whose samples are needed there,
+//! `computed` computes expressions and distances on the device. This module computes on the host: fields whose samples are needed there,
 //! padded or masked ones, and all smoothed ones.
 
 mod distances;

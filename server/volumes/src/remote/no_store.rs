@@ -2,7 +2,7 @@
 
 use super::{Address, Fault, Object, Part};
 
-/// Limits of requests; there are none to limit.
+/// Limits of requests, of which there are none.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Limits;
 
@@ -11,6 +11,8 @@ pub(crate) struct Limits;
 pub(crate) enum Remote {}
 
 impl Remote {
+    /// Opens no store.
+    ///
     /// # Errors
     /// Always.
     pub(crate) fn open(address: &Address, _limits: Limits) -> Result<Self, String> {

@@ -1,7 +1,8 @@
 //! Targets of addresses, in a build without stores over a network: there are none.
 
 /// Error of each address.
-pub(super) const ABSENT: &str = "this build of isopeel reads no stores over a network, expected a file or a folder";
+const ABSENT: &str =
+    "this program reads no stores over a network (feature `network` of isopeel-volumes), expected a file or a folder";
 
 /// Target of an address; there is none.
 #[derive(Clone)]
