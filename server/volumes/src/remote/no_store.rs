@@ -4,7 +4,7 @@ use super::{Address, Fault, Object, Part};
 
 /// Limits of requests, of which there are none.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Limits;
+pub(crate) struct Limits {}
 
 /// An open store; there is none.
 #[derive(Debug)]
