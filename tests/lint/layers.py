@@ -53,13 +53,14 @@ LAYERS = {
     "server/extraction/src": """
         dataset_views error fields joined lock memory observer residency user_time
         chunk_bytes grids host_memory keys
-        byte_search context histogram_cache identity pins shares statistics
+        byte_search context histogram_cache identity job_error pins shares statistics
         feature_fields results
         cuts decisions intersections tree_steps
         workspace
-        host_space questions reading uploads
-        ahead computed counting cube_cuts histograms overviews release slices tree_surfaces
-        refine
+        host_space on_device reading uploads
+        ahead computed counting cube_cuts histograms overviews questions release slices
+        tree_surfaces
+        final_surfaces refine
         complete
     """,
     "server/view/src": """

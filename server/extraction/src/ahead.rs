@@ -3,8 +3,9 @@
 
 use isopeel_kernels::{Error, RectilinearGrid, SampleType};
 
+use super::job_error::JobError;
 use super::keys::VolumeKey;
-use super::workspace::{JobError, Workspace};
+use super::workspace::Workspace;
 
 impl Workspace {
     /// Starts the upload of a field that is read ahead, if there is space for it; returns false if there is none.

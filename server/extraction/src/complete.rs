@@ -11,10 +11,11 @@ use super::byte_search::{ByteSearch, Trial};
 use super::context::{JobContext, WaitingWork};
 use super::grids::padded_grid;
 use super::host_memory::HostMemory;
+use super::job_error::JobError;
 use super::keys::{HistogramKey, VolumeKey};
 use super::reading::{Piece, bytes_while_read, read};
 use super::results::{Extraction, Making};
-use super::workspace::{JobError, Workspace};
+use super::workspace::Workspace;
 
 /// How often work is tried before it fails: fields that it needs may be evicted again if the device runs out of memory.
 const MAX_ATTEMPTS: usize = 6;

@@ -8,9 +8,10 @@ use isopeel_volumes::{ReadProgress, VolumeStep};
 
 use super::WorkError;
 use super::context::{JobContext, JobTimes};
+use super::job_error::JobError;
 use super::keys::{Recipe, VolumeKey, values_inside};
 use super::user_time::Payer;
-use super::workspace::{JobError, Workspace};
+use super::workspace::Workspace;
 
 impl Workspace {
     /// Computes a field from others and makes it resident. Returns false if the host has to mask the field: its inputs are not resident

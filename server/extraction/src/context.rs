@@ -25,7 +25,8 @@ pub struct JobContext<'a, W> {
 type TakeTimes<'a> = &'a dyn Fn() -> Vec<StageTime>;
 
 impl<'a, W> JobContext<'a, W> {
-    /// Returns the context of short work: it does not pause, and fails with [`JobError::TakesLong`](super::JobError::TakesLong) instead of taking long.
+    /// Returns the context of short work: it does not pause, and fails with [`JobError::TakesLong`](super::JobError::TakesLong) instead of
+    /// taking long.
     pub fn short(cancel: &'a dyn Cancel) -> Self {
         Self { cancel, waiting: None }
     }

@@ -7,7 +7,9 @@ use isopeel_volumes::VolumeStep;
 
 use super::FullCount;
 use super::context::JobContext;
-use super::workspace::{JobError, Nodes, Workspace};
+use super::job_error::JobError;
+use super::on_device::Nodes;
+use super::workspace::Workspace;
 
 impl Workspace {
     /// Counts the full surface of a view, which is resolved.

@@ -5,7 +5,7 @@ use isopeel_view::View;
 use isopeel_view::quality::{Fitted, TopologyName};
 
 use super::WorkError;
-use super::workspace::OnDevice;
+use super::on_device::OnDevice;
 
 /// A leaf emits at most a quad around each of its twelve edges; marching cubes makes five triangles of a leaf at most.
 const MAX_TRIANGLES_PER_LEAF: u64 = 24;

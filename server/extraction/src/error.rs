@@ -165,6 +165,14 @@ pub enum WorkError {
 }
 
 impl WorkError {
+    /// The error that a view has no isovalue, and none can be chosen.
+    pub(crate) fn no_finite_sample() -> Self {
+        Self::Edit(EditError {
+            field: "iso",
+            why: "the field has no finite sample to choose an isovalue from".into(),
+        })
+    }
+
     /// The stable code of `PROTOCOL.md`, also in REST problems.
     pub fn code(&self) -> &'static str {
         match self {

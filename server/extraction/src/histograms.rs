@@ -4,8 +4,9 @@ use isopeel_kernels::{Histogram, HistogramWork};
 use isopeel_volumes::VolumeStep;
 
 use super::WorkError;
+use super::job_error::JobError;
 use super::keys::{HistogramKey, feature_keys};
-use super::workspace::{JobError, Workspace};
+use super::workspace::Workspace;
 
 impl Workspace {
     /// Marks the fields that a histogram is made of as used.

@@ -5,7 +5,7 @@
 //! that between other work; [`Workspace::run_to_completion`] does it at once, for programs that have the device for themselves.
 //!
 //! - `workspace`: resident data, by `keys` and `identity`, in caches (`residency`; `cuts` that clients show; `histogram_cache`), on `grids`.
-//!   `context`: the caller of a piece of work. `observer`: counters and timers. `error`: why work has no result.
+//!   `context`: the caller of a piece of work; `job_error`, `error`: why it has no result. `observer`: counters and timers.
 //! - `reading` reads fields, `uploads` sends them to the device; `ahead` does so for time steps that a viewer may reach next; `release` frees
 //!   a time step. `computed`, `fields`: fields that are computed from others, on the device and on the host. `pins`: volumes that must stay.
 //!   `complete`: work with all that it needs.
@@ -13,7 +13,7 @@
 //!   `host_space`: evictions that make space for them.
 //! - `counting`: the triangles of a full surface, before it is made. `questions`: queries on a surface. `histograms`: ranges and histograms;
 //!   `overviews`: volumes at a low resolution; `slices`: planes of samples.
-//! - `refine`: steps from a surface that is shown to another one; `tree_steps`: intermediate, coarser cuts of the vertex tree;
+//! - `on_device`: a view on the device. `final_surfaces`: its surface and error; `refine`: steps from a surface that is shown to another one; `tree_steps`: intermediate, coarser cuts of the vertex tree;
 //!   `chunk_bytes`: estimates of their bytes. `byte_search` chooses trials for a budget of bytes.
 //! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree for a view; `decisions`: chooses between them. `feature_fields`: a
 //!   feature with its fields. `intersections`: places at which triangles of a surface intersect, so that it is refined there.
@@ -40,6 +40,7 @@ mod decisions;
 mod error;
 mod feature_fields;
 pub mod fields;
+mod final_surfaces;
 mod grids;
 mod histogram_cache;
 mod histograms;
@@ -47,11 +48,13 @@ mod host_memory;
 mod host_space;
 mod identity;
 mod intersections;
+mod job_error;
 mod joined;
 mod keys;
 mod lock;
 mod memory;
 mod observer;
+mod on_device;
 mod overviews;
 mod pins;
 mod questions;
@@ -76,6 +79,7 @@ pub use grids::padded_grid;
 pub use histogram_cache::HistogramCache;
 pub use host_memory::{HostMemory, limit_host_memory, trim_heaps};
 pub use identity::{EngineId, FittedKey, SurfaceKey, ViewKey};
+pub use job_error::JobError;
 pub use joined::{JoinError, Joined, WorldMesh, join};
 pub use keys::{ALWAYS_DESCRIBED, HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
 pub use lock::lock;
@@ -95,4 +99,4 @@ pub use shares::PROCESSOR_BYTES;
 pub use slices::Slice;
 pub use statistics::{Cleaned, EstimatedError, ExtractionStatistics, MeasuredError, Shape};
 pub use user_time::{Payer, USER_TIME_PERIOD, UserTimes};
-pub use workspace::{JobError, Options, Workspace};
+pub use workspace::{Options, Workspace};

@@ -4,8 +4,9 @@ use isopeel_kernels::OverviewWork;
 use isopeel_volumes::VolumeStep;
 
 use super::WorkError;
+use super::job_error::JobError;
 use super::keys::VolumeKey;
-use super::workspace::{JobError, Workspace};
+use super::workspace::Workspace;
 
 impl Workspace {
     /// Runs the next slice of work; returns whether it was the last one.

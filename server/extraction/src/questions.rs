@@ -14,9 +14,11 @@ use isopeel_volumes::VolumeStep;
 
 use super::context::JobContext;
 use super::decisions::TreeCut;
+use super::job_error::JobError;
 use super::keys::VolumeKey;
+use super::on_device::{Nodes, OnDevice};
 use super::statistics::in_world;
-use super::workspace::{JobError, Nodes, OnDevice, Workspace};
+use super::workspace::Workspace;
 use super::{CutId, WorkError};
 pub use answers::{
     Answer, Curve, CurvePoint, Distribution, FieldValue, LeafKind, NearestLeaf, NearestSurface, NoValue, Probe,

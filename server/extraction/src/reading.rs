@@ -85,8 +85,8 @@ pub fn read(
     }
 }
 
-/// As [`read`], whatever happens to the files meanwhile. A padded field is held as a whole, because the padding is below its minimum; so is a masked one,
-/// because no sample may have the value of missing ones.
+/// As [`read`], whatever happens to the files meanwhile. A padded field is held as a whole, because the padding is below its minimum; so is
+/// a masked one, because no sample may have the value of missing ones.
 fn read_samples(
     volume: &VolumeStep,
     key: &VolumeKey,

@@ -6,8 +6,9 @@ use isopeel_kernels::{SampleType, Samples};
 use isopeel_volumes::VolumeStep;
 
 use super::WorkError;
+use super::job_error::JobError;
 use super::keys::VolumeKey;
-use super::workspace::{JobError, Workspace};
+use super::workspace::Workspace;
 
 /// A plane of samples.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -14,10 +14,12 @@ use isopeel_volumes::VolumeStep;
 use super::context::JobContext;
 use super::decisions::{Decided, TreeCut, lesser};
 use super::intersections::{CapFaces, intersecting_vertices};
+use super::job_error::JobError;
+use super::on_device::{Nodes, OnDevice};
 use super::questions::index_inside;
 use super::results::{Making, Refining};
 use super::tree_steps::TreePrefix;
-use super::workspace::{JobError, Nodes, OnDevice, Workspace};
+use super::workspace::Workspace;
 use super::{CutId, Refinement, WorkError};
 
 /// Full surfaces of more triangles are first shown as cubes, before their tree is built: on an H200 a tree of this size takes about 20 ms.

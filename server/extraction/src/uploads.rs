@@ -4,8 +4,9 @@ use std::rc::Rc;
 
 use isopeel_kernels::{Error, RectilinearGrid, SampleType, Samples};
 
+use super::job_error::JobError;
 use super::keys::VolumeKey;
-use super::workspace::{JobError, Workspace};
+use super::workspace::Workspace;
 
 impl Workspace {
     /// Allocates a field on the device, and evicts the least recently used fields to make space for it.

@@ -4,186 +4,30 @@ use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use isopeel_geometry::IndexSpace;
-use isopeel_kernels::{
-    Cancel, CutParams, Engine, Error, Isovalue, Level, Mesher, Pyramid, RefinementCost, StageTime, Surface, Upload,
-    VertexTree, Volume,
-};
-use isopeel_view::{EditError, FeatureName, OpeningIso, View};
+use isopeel_kernels::{Engine, Error, Pyramid, Upload, VertexTree, Volume};
+use isopeel_view::{FeatureName, OpeningIso, View};
 use isopeel_volumes::{Field, VolumeStep};
 use rayon::ThreadPool;
 
-use super::context::{JobContext, JobTimes};
 use super::cuts::Cuts;
-use super::dataset_views::view_space;
-use super::decisions::Decided;
 use super::feature_fields::FeatureFields;
 use super::grids::padded_grid;
 use super::histogram_cache::HistogramCache;
 use super::host_memory::HostMemory;
 use super::identity::{EngineId, PyramidKey};
+use super::job_error::JobError;
 use super::keys::{HistogramKey, Masking, VolumeKey, view_keys, with_inputs};
 use super::memory::WorkspaceMemory;
 use super::observer::{Observer, Unobserved};
 use super::pins::Pins;
 use super::residency::Lru;
-use super::results::{Making, Refining};
 use super::shares::Shares;
-use super::{Extraction, Measurement, WorkError, chain};
+use super::{WorkError, chain};
 
 /// Share of the device's memory for resident volumes, in percent. The rest is for pyramids (`shares`), the stages' buffers and other processes.
 const VOLUME_PERCENT: u64 = 50;
-
-/// Why a piece of work ended without a result.
-#[derive(Debug)]
-pub enum JobError {
-    /// Not all fields that it needs are resident: load them and try again.
-    NotResident {
-        /// The fields, each with its bytes on the device.
-        needed: Vec<(VolumeKey, u64)>,
-        /// Maximum bytes of all resident fields together.
-        budget: u64,
-    },
-    /// These histograms are not cached: make them and try again.
-    NeedsHistograms(Vec<HistogramKey>),
-    /// It is too long for short work: try again as long work.
-    TakesLong,
-    /// Trying again would not help.
-    Failed(WorkError),
-}
-
-impl From<WorkError> for JobError {
-    fn from(error: WorkError) -> Self {
-        Self::Failed(error)
-    }
-}
-
-impl From<Error> for JobError {
-    fn from(error: Error) -> Self {
-        Self::Failed(error.into())
-    }
-}
-
-impl From<JobError> for WorkError {
-    /// For work that uses no volume: only `Failed` is expected of them.
-    fn from(halt: JobError) -> Self {
-        match halt {
-            JobError::Failed(error) => error,
-            JobError::NotResident { .. } | JobError::NeedsHistograms(_) | JobError::TakesLong => Self::Stopped,
-        }
-    }
-}
-
-/// Returns the error that a view has no isovalue, and none can be chosen.
-pub(crate) fn no_finite_sample() -> WorkError {
-    WorkError::Edit(EditError {
-        field: "iso",
-        why: "the field has no finite sample to choose an isovalue from".into(),
-    })
-}
-
-/// What a job on a view uses on the device: its volume, its pyramid and the caches.
-pub(crate) struct OnDevice<'a> {
-    pub engine: &'a Engine,
-    /// `cuts` and `trees` are borrowed only for a moment, because other jobs use them in a pause.
-    pub cuts: &'a RefCell<Cuts>,
-    pub trees: &'a RefCell<Trees>,
-    /// Key of the pyramid and its tree.
-    pub key: PyramidKey,
-    pub volume: &'a Volume,
-    pub pyramid: &'a Pyramid,
-    /// Whether the pyramid was cached before the job.
-    was_cached: bool,
-    /// Whether the work may take long. Only such work pauses.
-    pub may_take_long: bool,
-    job_times: &'a JobTimes,
-    pub observer: &'a dyn Observer,
-    /// Pool for long work on the host's processors; `None`: rayon's own.
-    pub long_work: Option<&'a ThreadPool>,
-    /// Parameters of the view as it was before the job.
-    pub params: CutParams,
-    /// Smallest spacing: the unit of lengths on the device, world units.
-    pub smallest: f64,
-    pub index_space: IndexSpace,
-}
-
-impl OnDevice<'_> {
-    /// Returns the parameters of a view that has been fitted since the job began.
-    pub(crate) fn params_of(&self, view: &View) -> CutParams {
-        view.cut_params(self.smallest, &self.index_space)
-            .unwrap_or_else(|| self.params.clone())
-    }
-
-    /// Returns the time since `start`, without the time of other jobs in its pauses.
-    pub(crate) fn own_time(&self, start: Instant) -> Duration {
-        self.job_times.own_time(start)
-    }
-
-    /// Makes the final surface, and returns the cost of refining it.
-    fn final_surface(
-        &self,
-        view: &mut View,
-        making: Making,
-        cancel: &dyn Cancel,
-    ) -> Result<(Surface, Option<RefinementCost>), JobError> {
-        let Making {
-            ceiling,
-            measures,
-            refining,
-        } = making;
-        let refines = refining != Refining::Never;
-        let (params, cut) = if view.is_by_error() {
-            // If the surface is to be refined, its error is measured after the refinement.
-            match self.decided(view, ceiling, true, measures && !refines, cancel)? {
-                Decided::Tree(_) if refines => {
-                    let (surface, cost) = self.refined_tree_surface(view, making, cancel)?;
-                    return Ok((surface, Some(cost)));
-                }
-                Decided::Tree(surface) => return Ok((surface, None)),
-                Decided::Cubes { params, cut, .. } => (params, cut),
-            }
-        } else {
-            let (params, cut) = self.target_within(view, ceiling, cancel)?;
-            (params, Rc::new(cut))
-        };
-        let params = CutParams {
-            state_error: measures && params.mesher == Mesher::Dual,
-            ..params
-        };
-        let surface = self
-            .engine
-            .surface(self.volume, self.pyramid, &params, &cut, None, cancel)?;
-        Ok((self.with_all_stages(surface), None))
-    }
-
-    /// Completes the surface's stages with those of the job before its last pause. If the job has built the pyramid, the pyramid's stages
-    /// come first.
-    pub(crate) fn with_all_stages(&self, mut surface: Surface) -> Surface {
-        let stages = &mut surface.statistics.stages;
-        self.job_times.complete(stages);
-        stages.splice(0..0, self.new_pyramid_stages().iter().cloned());
-        for stage in stages.iter() {
-            self.observer.stage(stage.stage, stage.milliseconds);
-        }
-        surface
-    }
-
-    /// Returns the stages of the pyramid if this job has built it, else none.
-    pub(crate) fn new_pyramid_stages(&self) -> &[StageTime] {
-        if self.was_cached { &[] } else { self.pyramid.stages() }
-    }
-}
-
-/// Which nodes of a pyramid a job needs.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Nodes {
-    /// Only nodes that can be leaves of the view's cut.
-    OfTheView,
-    /// All nodes, because the job cuts coarse prefixes too, and the next edit changes the cut.
-    All,
-}
 
 /// Cache of vertex trees, by the keys of their pyramids.
 pub(crate) type Trees = Lru<PyramidKey, Rc<VertexTree>>;
@@ -237,7 +81,7 @@ pub struct Workspace {
     pub(crate) histograms: HistogramCache,
     pub(crate) pins: Pins,
     pub(crate) observer: Arc<dyn Observer + Send + Sync>,
-    long_work: Option<Arc<ThreadPool>>,
+    pub(crate) long_work: Option<Arc<ThreadPool>>,
     /// Fields that are being loaded, each with its bytes on the device.
     pub(crate) uploads: HashMap<VolumeKey, (u64, Upload)>,
     /// Whether the device no longer answers: all its data is gone.
@@ -420,157 +264,9 @@ impl Workspace {
     /// [`JobError`]; [`WorkError::Edit`] if there is no isovalue to choose.
     pub fn prepare(&mut self, volume: &VolumeStep, view: &mut View) -> Result<(), JobError> {
         self.resolve(volume, view)?;
-        view.iso.ok_or_else(no_finite_sample)?;
+        view.iso.ok_or_else(WorkError::no_finite_sample)?;
         self.require(volume, view)?;
         Ok(())
-    }
-
-    /// Makes the final surface as `making` says, from a cached pyramid if there is one. The surface's stages are those of this job alone.
-    ///
-    /// # Errors
-    /// [`JobError`].
-    pub fn extract(
-        &mut self,
-        volume: &VolumeStep,
-        view: &View,
-        making: Making,
-        context: &mut JobContext<'_, Self>,
-    ) -> Result<Extraction, JobError> {
-        let (start, mut view) = (Instant::now(), view.clone());
-        let (surface, refined, wall) =
-            self.with_pyramid(volume, &mut view, Nodes::OfTheView, context, |on, view, cancel| {
-                let (surface, refined) = on.final_surface(view, making, cancel)?;
-                Ok((surface, refined, on.own_time(start)))
-            })?;
-        Ok(Extraction {
-            surface,
-            view,
-            wall,
-            measured: None,
-            refined,
-        })
-    }
-
-    /// Measures the error of a view's final surface, which the dual mesher made: a cut of the vertex tree if `view.fitted` says so and the
-    /// tree can be built, else a cut of cubes. `None` if the surface has no triangles.
-    ///
-    /// # Errors
-    /// [`JobError`].
-    pub fn measure(
-        &mut self,
-        volume: &VolumeStep,
-        view: &mut View,
-        context: &mut JobContext<'_, Self>,
-    ) -> Result<Option<Measurement>, JobError> {
-        self.with_pyramid(volume, view, Nodes::OfTheView, context, |on, view, cancel| {
-            let is_tree_cut = view.fitted.is_some_and(|fitted| fitted.is_tree_cut);
-            let of_tree = if is_tree_cut {
-                on.measure_tree(view, cancel)?
-            } else {
-                None
-            };
-            let measured = match of_tree {
-                Some(measured) => measured,
-                None => {
-                    let params = on.params_of(view);
-                    on.engine.measure_error(on.volume, on.pyramid, &params, cancel)?
-                }
-            };
-            let in_world = |error| super::MeasuredError::in_world(error, on.smallest);
-            let regions = measured.regions.into_iter();
-            Ok(in_world(measured.whole).map(|whole| Measurement {
-                whole,
-                regions: regions
-                    .filter_map(|(region, error)| Some((region, in_world(error)?)))
-                    .collect(),
-            }))
-        })
-    }
-
-    /// Runs `work` with the volume and the pyramid of a view. If the device runs out of memory, frees caches and retries once. Pins the
-    /// volumes of a long job, if there is space for them beside the volumes that are pinned already.
-    pub(crate) fn with_pyramid<T>(
-        &mut self,
-        volume: &VolumeStep,
-        view: &mut View,
-        nodes: Nodes,
-        context: &mut JobContext<'_, Self>,
-        work: impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
-    ) -> Result<T, JobError> {
-        let keys = self.require(volume, view)?;
-        self.resolve(volume, view)?;
-        let _pin = match context.may_take_long() {
-            true => self.pins.try_pin(&self.bytes_of(volume, &keys)?, self.volumes.budget()),
-            false => None,
-        };
-        match self.try_with_pyramid(volume, view, nodes, context, &work) {
-            Err(JobError::Failed(
-                WorkError::Device(Error::OutOfDeviceMemory { .. }) | WorkError::NoTree(Error::OutOfDeviceMemory { .. }),
-            )) if self.free_all_but(&keys) => self.try_with_pyramid(volume, view, nodes, context, &work),
-            outcome => outcome,
-        }
-    }
-
-    fn try_with_pyramid<T>(
-        &mut self,
-        volume: &VolumeStep,
-        view: &mut View,
-        nodes: Nodes,
-        context: &mut JobContext<'_, Self>,
-        work: &impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
-    ) -> Result<T, JobError> {
-        let iso: Isovalue = view.iso.ok_or_else(no_finite_sample)?;
-        let smallest = volume.dataset().smallest_length();
-        let (_, index_space) = view_space(volume.dataset(), view);
-        let params = view.cut_params(smallest, &index_space).ok_or_else(no_finite_sample)?;
-        let key = PyramidKey::new(volume, view);
-        let shown_volume = self
-            .volumes
-            .peek(key.samples())
-            .map(Rc::clone)
-            .ok_or(WorkError::Stopped)?;
-        // Fitting a budget needs the whole pyramid.
-        let cells_suffice = nodes == Nodes::OfTheView && params.is_full(Level::FINEST) && view.budget.is_none();
-        let is_cached = self
-            .pyramids
-            .get(&key)
-            .is_some_and(|kept| cells_suffice || kept.is_whole());
-        self.observer.looked_up("pyramid", is_cached);
-        let (engine, cuts, trees) = (Rc::clone(&self.engine), Rc::clone(&self.cuts), Rc::clone(&self.trees));
-        let (observer, long_work) = (Arc::clone(&self.observer), self.long_work.clone());
-        // An error is ignored here: if the device failed, the job's next launch reports it.
-        let take_times = || engine.take_times().unwrap_or_default();
-        let job_times = JobTimes::default();
-        if !is_cached {
-            let feature = self.feature_fields(volume, &view.feature, view.cap)?;
-            let pyramid = context.run(self, &take_times, &job_times, |cancel| match cells_suffice {
-                true => engine.build_cells(&shown_volume, feature.get(), iso, cancel),
-                false => engine.build_pyramid(&shown_volume, feature.get(), iso, cancel),
-            })?;
-            // In a pause, another job may have cached the whole pyramid and a tree of it: keep those.
-            if self.pyramids.peek(&key).is_none_or(|kept| !kept.is_whole()) {
-                self.pyramids
-                    .insert(key.clone(), pyramid.device_bytes(), Rc::new(pyramid));
-            }
-        }
-        let pyramid = self.pyramids.peek(&key).map(Rc::clone).ok_or(WorkError::Stopped)?;
-        let on = OnDevice {
-            engine: &engine,
-            cuts: &cuts,
-            trees: &trees,
-            key,
-            volume: &shown_volume,
-            pyramid: &pyramid,
-            was_cached: is_cached,
-            may_take_long: context.may_take_long(),
-            job_times: &job_times,
-            observer: &*observer,
-            long_work: long_work.as_deref(),
-            params,
-            smallest,
-            index_space,
-        };
-        context.run(self, &take_times, &job_times, |cancel| work(&on, view, cancel))
     }
 
     /// Returns the keys of the fields that a view uses, and marks the fields as used. Returns an error if one is not resident.

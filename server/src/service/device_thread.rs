@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use isopeel_extraction::{
-    HistogramCache, Observer, OpenError, Options, Pins, Workspace, WorkspaceMemory, chain, lock, resident_bytes,
+    HistogramCache, Observer, OpenError, Options, Pins, Workspace, WorkspaceMemory, lock, resident_bytes,
 };
 use isopeel_kernels::check::{Check, STEPS, Scope};
 use isopeel_kernels::{DeviceInfo, Engine, SampleType, Tuning};
@@ -19,6 +19,7 @@ use tokio::sync::{mpsc, watch};
 
 use super::scheduler::{Job, Queue};
 use crate::device::{Proven, cache};
+use crate::error::chain;
 use crate::{metrics, pool};
 
 /// Time between two attempts to open a lost device. Meanwhile jobs fail at once.
@@ -131,8 +132,8 @@ pub struct DeviceOptions {
     pub types: Vec<SampleType>,
     /// Whether to retry opening a device until it succeeds, because it existed before.
     pub is_patient: bool,
-    /// Maximum bytes of cached data of earlier edits. The default is [`isopeel_extraction::PROCESSOR_BYTES`] if the device is this machine's processors,
-    /// else a third of its memory. A third of its memory is also the maximum.
+    /// Maximum bytes of cached data of earlier edits. The default is [`isopeel_extraction::PROCESSOR_BYTES`] if the device is this machine's
+    /// processors, else a third of its memory. A third of its memory is also the maximum.
     pub surface_bytes: Option<u64>,
     /// Maximum device time that a request may take to compute a field.
     pub request_time: Option<Duration>,

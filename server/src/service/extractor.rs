@@ -251,7 +251,7 @@ impl Extractor {
             let making = Making {
                 ceiling,
                 measures: false,
-                refining: Refining::Never,
+                ..Making::default()
             };
             self.worker.extract_for(caller, volume, view, making, token)
         })

@@ -4,14 +4,13 @@
 //!   `attempts` runs a job until it has a result; `scheduler` runs other jobs when a long job pauses. `observed`: state for monitoring.
 //! - `loader` reads fields and sends them to the device; `loading` is their progress; `pins`: callers that wait until volumes can be pinned.
 //!   `ahead` reads time steps before a viewer reaches them, beside those that viewers have open (`open_steps`). `release` frees them.
-//! - `counting`, `questions`, `slices`, `host_space`: short jobs. `histograms` and `overviews` are made a slice at a time between other jobs;
-//!   `unfinished` and `overview_cache` share what is made.
+//! - `views`: counts, steps, final surfaces and errors. `questions`, `slices`, `host_space`: short jobs. `histograms` and `overviews` are made
+//!   a slice at a time between other jobs; `unfinished` and `overview_cache` share them between callers.
 //! - `extractor`: budgets and limits on top; other layers extract through it.
 //! - `volume_info`: the description of a volume.
 
 mod ahead;
 mod attempts;
-mod counting;
 mod device_thread;
 mod extractor;
 mod histograms;
@@ -28,6 +27,7 @@ mod release;
 mod scheduler;
 mod slices;
 mod unfinished;
+mod views;
 mod volume_info;
 mod worker;
 

@@ -42,25 +42,14 @@ impl WaitingPins {
 mod tests {
     use std::time::Duration;
 
-    use isopeel_volumes::{DatasetKey, StepKey};
+    use isopeel_volumes::{VolumeStep, testing};
     use tokio::time::timeout;
 
     use super::*;
 
     fn key(field: &str) -> VolumeKey {
-        VolumeKey {
-            step: StepKey {
-                dataset: DatasetKey {
-                    id: "head".into(),
-                    revision: 0,
-                },
-                step: 0,
-                rewrites: 0,
-            },
-            field: field.into(),
-            padded: false,
-            mask: None,
-        }
+        let dataset = Arc::new(testing::dataset("head", [5, 6, 7], &["a"]));
+        VolumeKey::new(&VolumeStep::new(dataset, 0).expect("a step"), field, false)
     }
 
     #[tokio::test]

@@ -1,0 +1,175 @@
+//! A view on the device: what work on its surface uses.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use isopeel_geometry::IndexSpace;
+use isopeel_kernels::{Cancel, CutParams, Engine, Error, Isovalue, Level, Pyramid, StageTime, Surface, Volume};
+use isopeel_view::View;
+use isopeel_volumes::VolumeStep;
+use rayon::ThreadPool;
+
+use super::WorkError;
+use super::context::{JobContext, JobTimes};
+use super::cuts::Cuts;
+use super::dataset_views::view_space;
+use super::identity::PyramidKey;
+use super::job_error::JobError;
+use super::observer::Observer;
+use super::workspace::{Trees, Workspace};
+
+/// What a job on a view uses on the device: its volume, its pyramid and the caches.
+pub(crate) struct OnDevice<'a> {
+    pub engine: &'a Engine,
+    /// `cuts` and `trees` are borrowed only for a moment, because other jobs use them in a pause.
+    pub cuts: &'a RefCell<Cuts>,
+    pub trees: &'a RefCell<Trees>,
+    /// Key of the pyramid and its tree.
+    pub key: PyramidKey,
+    pub volume: &'a Volume,
+    pub pyramid: &'a Pyramid,
+    /// Whether the pyramid was cached before the job.
+    was_cached: bool,
+    /// Whether the work may take long. Only such work pauses.
+    pub may_take_long: bool,
+    job_times: &'a JobTimes,
+    pub observer: &'a dyn Observer,
+    /// Pool for long work on the host's processors; `None`: rayon's own.
+    pub long_work: Option<&'a ThreadPool>,
+    /// Parameters of the view as it was before the job.
+    pub params: CutParams,
+    /// Smallest spacing: the unit of lengths on the device, world units.
+    pub smallest: f64,
+    pub index_space: IndexSpace,
+}
+
+impl OnDevice<'_> {
+    /// Returns the parameters of a view that has been fitted since the job began.
+    pub(crate) fn params_of(&self, view: &View) -> CutParams {
+        view.cut_params(self.smallest, &self.index_space)
+            .unwrap_or_else(|| self.params.clone())
+    }
+
+    /// Returns the time since `start`, without the time of other jobs in its pauses.
+    pub(crate) fn own_time(&self, start: Instant) -> Duration {
+        self.job_times.own_time(start)
+    }
+
+    /// Completes the surface's stages with those of the job before its last pause. If the job has built the pyramid, the pyramid's stages
+    /// come first.
+    pub(crate) fn with_all_stages(&self, mut surface: Surface) -> Surface {
+        let stages = &mut surface.statistics.stages;
+        self.job_times.complete(stages);
+        stages.splice(0..0, self.new_pyramid_stages().iter().cloned());
+        for stage in stages.iter() {
+            self.observer.stage(stage.stage, stage.milliseconds);
+        }
+        surface
+    }
+
+    /// Returns the stages of the pyramid if this job has built it, else none.
+    pub(crate) fn new_pyramid_stages(&self) -> &[StageTime] {
+        if self.was_cached { &[] } else { self.pyramid.stages() }
+    }
+}
+
+/// Which nodes of a pyramid a job needs.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Nodes {
+    /// Only nodes that can be leaves of the view's cut.
+    OfTheView,
+    /// All nodes, because the job cuts coarse prefixes too, and the next edit changes the cut.
+    All,
+}
+
+impl Workspace {
+    /// Runs `work` with the volume and the pyramid of a view. If the device runs out of memory, frees caches and retries once. Pins the
+    /// volumes of a long job, if there is space for them beside the volumes that are pinned already.
+    pub(crate) fn with_pyramid<T>(
+        &mut self,
+        volume: &VolumeStep,
+        view: &mut View,
+        nodes: Nodes,
+        context: &mut JobContext<'_, Self>,
+        work: impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
+    ) -> Result<T, JobError> {
+        let keys = self.require(volume, view)?;
+        self.resolve(volume, view)?;
+        let _pin = match context.may_take_long() {
+            true => self.pins.try_pin(&self.bytes_of(volume, &keys)?, self.volumes.budget()),
+            false => None,
+        };
+        match self.try_with_pyramid(volume, view, nodes, context, &work) {
+            Err(JobError::Failed(
+                WorkError::Device(Error::OutOfDeviceMemory { .. }) | WorkError::NoTree(Error::OutOfDeviceMemory { .. }),
+            )) if self.free_all_but(&keys) => self.try_with_pyramid(volume, view, nodes, context, &work),
+            outcome => outcome,
+        }
+    }
+
+    fn try_with_pyramid<T>(
+        &mut self,
+        volume: &VolumeStep,
+        view: &mut View,
+        nodes: Nodes,
+        context: &mut JobContext<'_, Self>,
+        work: &impl Fn(&OnDevice<'_>, &mut View, &dyn Cancel) -> Result<T, JobError>,
+    ) -> Result<T, JobError> {
+        let iso: Isovalue = view.iso.ok_or_else(WorkError::no_finite_sample)?;
+        let smallest = volume.dataset().smallest_length();
+        let (_, index_space) = view_space(volume.dataset(), view);
+        let params = view
+            .cut_params(smallest, &index_space)
+            .ok_or_else(WorkError::no_finite_sample)?;
+        let key = PyramidKey::new(volume, view);
+        let shown_volume = self
+            .volumes
+            .peek(key.samples())
+            .map(Rc::clone)
+            .ok_or(WorkError::Stopped)?;
+        // Fitting a budget needs the whole pyramid.
+        let cells_suffice = nodes == Nodes::OfTheView && params.is_full(Level::FINEST) && view.budget.is_none();
+        let is_cached = self
+            .pyramids
+            .get(&key)
+            .is_some_and(|kept| cells_suffice || kept.is_whole());
+        self.observer.looked_up("pyramid", is_cached);
+        let (engine, cuts, trees) = (self.shared_engine(), Rc::clone(&self.cuts), Rc::clone(&self.trees));
+        let (observer, long_work) = (Arc::clone(&self.observer), self.long_work.clone());
+        // An error is ignored here: if the device failed, the job's next launch reports it.
+        let take_times = || engine.take_times().unwrap_or_default();
+        let job_times = JobTimes::default();
+        if !is_cached {
+            let feature = self.feature_fields(volume, &view.feature, view.cap)?;
+            let pyramid = context.run(self, &take_times, &job_times, |cancel| match cells_suffice {
+                true => engine.build_cells(&shown_volume, feature.get(), iso, cancel),
+                false => engine.build_pyramid(&shown_volume, feature.get(), iso, cancel),
+            })?;
+            // In a pause, another job may have cached the whole pyramid and a tree of it: keep those.
+            if self.pyramids.peek(&key).is_none_or(|kept| !kept.is_whole()) {
+                self.pyramids
+                    .insert(key.clone(), pyramid.device_bytes(), Rc::new(pyramid));
+            }
+        }
+        let pyramid = self.pyramids.peek(&key).map(Rc::clone).ok_or(WorkError::Stopped)?;
+        let on = OnDevice {
+            engine: &engine,
+            cuts: &cuts,
+            trees: &trees,
+            key,
+            volume: &shown_volume,
+            pyramid: &pyramid,
+            was_cached: is_cached,
+            may_take_long: context.may_take_long(),
+            job_times: &job_times,
+            observer: &*observer,
+            long_work: long_work.as_deref(),
+            params,
+            smallest,
+            index_space,
+        };
+        context.run(self, &take_times, &job_times, |cancel| work(&on, view, cancel))
+    }
+}
