@@ -73,9 +73,13 @@ test("values from the isovalue on are marked at once, and nothing is drawn while
   await unfold(page);
   const { framesDrawn } = await status(page);
   assert.equal(requests.some((url) => url.includes("/overview")), false, "it is not loaded before it is shown");
+  const overview = (url) => url.includes("/overview?step=0&field=depth&mode=maximum");
+  // A frame may also be drawn for the pointer, before the request.
+  const requested = page.waitForRequest((request) => overview(request.url()));
   await page.getByRole("radiogroup", { name: "Volume" }).getByText("Maximum", { exact: true }).click();
+  await requested;
   await frameAfter(page, framesDrawn);
-  assert.equal(requests.filter((url) => url.includes("/overview?step=0&field=depth&mode=maximum")).length, 1);
+  assert.equal(requests.filter(overview).length, 1);
   await page.getByRole("textbox", { name: "Isovalue" }).first().fill("5");
   await page.keyboard.press("Enter");
   await settled(page, (now) => now.edit.iso === 5);
