@@ -3,6 +3,11 @@
 #ifndef ISOPEEL_DEVICE_GPU_H
 #define ISOPEEL_DEVICE_GPU_H
 
+// Intel's compiler for processors makes vectors of work-items, and compiles some of these kernels wrongly then. A length of 1 forbids it.
+#ifdef cl_intel_vec_len_hint
+#define __kernel __kernel __attribute__((intel_vec_len_hint(1)))
+#endif
+
 // A function that must be inlined: a GPU's compiler does so anyway.
 #define INLINED inline
 

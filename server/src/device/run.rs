@@ -8,10 +8,11 @@ use std::time::Duration;
 
 use super::child::{Message, Request};
 
-/// Maximum time between two messages of a child. Slow compilers take minutes for a large kernel; `ISOPEEL_CHECK_SECONDS` overrides it.
+/// Maximum time between two messages of a child, unless `ISOPEEL_CHECK_SECONDS` is set. Slow compilers take minutes for a large kernel.
 const STEP_LIMIT: Duration = Duration::from_secs(600);
 
-/// Maximum time for a list of the devices, unless `ISOPEEL_CHECK_SECONDS` is less: the first process to use eight GPUs may wait most of a minute.
+/// Maximum time for a list of the devices, unless `ISOPEEL_CHECK_SECONDS` is set: the first process to use eight GPUs may wait most of a
+/// minute.
 const LIST_LIMIT: Duration = Duration::from_secs(120);
 
 /// Bytes of a child's standard error that a report may quote.
@@ -62,10 +63,11 @@ pub(super) struct Running {
     limit: Duration,
 }
 
-fn step_limit() -> Duration {
+/// Returns the limit that the environment sets, or else `default`.
+fn limit(default: Duration) -> Duration {
     let seconds = std::env::var("ISOPEEL_CHECK_SECONDS").ok();
     let seconds = seconds.and_then(|text| text.parse().ok());
-    seconds.map_or(STEP_LIMIT, Duration::from_secs)
+    seconds.map_or(default, Duration::from_secs)
 }
 
 impl Running {
@@ -91,10 +93,10 @@ impl Running {
             lines,
             errors,
             stage: "open".to_owned(),
-            limit: match request {
-                Request::List => step_limit().min(LIST_LIMIT),
-                Request::Build { .. } | Request::Check { .. } => step_limit(),
-            },
+            limit: limit(match request {
+                Request::List => LIST_LIMIT,
+                Request::Build { .. } | Request::Check { .. } => STEP_LIMIT,
+            }),
         })
     }
 

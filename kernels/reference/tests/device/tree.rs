@@ -67,8 +67,9 @@ fn check_block(got: &BlockTree, want: &BlockTree) -> Result<(), TestCaseError> {
         check_node(got, want).map_err(|e| TestCaseError::fail(format!("node {i}: {e}")))?;
     }
     prop_assert_eq!(&got.round_ends, &want.round_ends);
+    // A sum of some thousand floats, which each compiler orders in its own way.
     prop_assert!(
-        near(got.area, want.area, 1e-4),
+        near(got.area, want.area, 3e-4),
         "area {}, expected {}",
         got.area,
         want.area

@@ -242,7 +242,7 @@ impl<B: Backend> Session<B> {
             let Some(opened) = &self.opened else { return };
             let is_made = opened.surface(*number).is_some_and(|surface| surface.edited > 0);
             if !is_made || opened.view_of(*number) != *view {
-                self.count_edit(*number);
+                self.count_edit();
                 let edit = self.edits;
                 let named = view.budget.map(|budget| NamedBudget { budget, edit });
                 self.come_into_force(*number, view.clone(), named, edit, true);

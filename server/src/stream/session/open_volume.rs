@@ -12,6 +12,7 @@ use super::Session;
 use super::generation::{Generation, Sending};
 use super::outbox::Newest;
 use super::pending::{NamedBudget, PendingStep};
+use super::rest::Rest;
 use super::surface::SurfaceSession;
 use crate::service::{Held, OpeningProgress};
 
@@ -163,6 +164,14 @@ impl OpenVolume {
         (0..)
             .zip(&self.surfaces)
             .filter_map(|(number, s)| Some((number, s.as_ref()?)))
+    }
+
+    /// Postpones the work at rest of all surfaces, because the viewer wants something else: also that of a surface whose edit is being
+    /// resolved, which would wait for the device otherwise.
+    pub(super) fn postpone_rest(&mut self) {
+        for (_, surface) in self.surfaces_mut() {
+            surface.rest_mut().into_iter().for_each(Rest::postpone);
+        }
     }
 
     pub(super) fn surfaces_mut(&mut self) -> impl Iterator<Item = (u8, &mut SurfaceSession)> {

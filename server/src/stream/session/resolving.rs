@@ -16,7 +16,6 @@ use super::Session;
 use super::jobs::BoxFuture;
 use super::open_volume::{OpenVolume, OpeningPhase};
 use super::pending::{KeptEdit, MAX_KEPT_EDITS, NamedBudget, PendingView};
-use super::rest::Rest;
 use super::surface::SurfaceSession;
 use crate::error::chain;
 use crate::metrics;
@@ -91,7 +90,7 @@ impl OpenVolume {
 impl<B: Backend> Session<B> {
     /// Handles an edit that leads to this view. The edit comes into force at once, or when the view is resolved.
     pub(super) fn take_edit(&mut self, surface: u8, view: View, edit: &Edit) {
-        self.count_edit(surface);
+        self.count_edit();
         let Some(opened) = &mut self.opened else { return };
         let kept = KeptEdit {
             edit: edit.clone(),
@@ -148,16 +147,14 @@ impl<B: Backend> Session<B> {
         }
     }
 
-    /// Counts an edit of a surface, and lets it take precedence over questions and over the work at rest of other surfaces.
-    pub(super) fn count_edit(&mut self, surface: u8) {
+    /// Counts an edit, and lets it take precedence over questions and over work at rest.
+    pub(super) fn count_edit(&mut self) {
         self.edits += 1;
         self.questions.overtaken();
         self.outbox.drop_annotations();
-        let surfaces = self.opened.iter_mut().flat_map(OpenVolume::surfaces_mut);
-        let others = surfaces.filter(|(other, _)| *other != surface);
-        others
-            .filter_map(|(_, session)| session.rest_mut())
-            .for_each(Rest::postpone);
+        if let Some(opened) = &mut self.opened {
+            opened.postpone_rest();
+        }
     }
 
     /// Replaces the view in force.

@@ -71,7 +71,7 @@ impl Rest {
         self.is_queued = false;
     }
 
-    /// Postpones the work because another surface of the viewer was edited. If it is queued or runs, it is cancelled and starts over.
+    /// Postpones the work because the viewer does not rest. If it is queued or runs, it is cancelled and starts over.
     pub(super) fn postpone(&mut self) {
         self.due = Instant::now() + REST_AFTER;
         if self.is_queued {

@@ -86,6 +86,7 @@ impl<B: Backend> Session<B> {
     /// replaces this one.
     fn go_to(&mut self, volume: VolumeStep) {
         if let Some(opened) = &mut self.opened {
+            opened.postpone_rest();
             let is_checked = opened.stepping.is_some();
             opened.stepping = Some(PendingStep {
                 volume,

@@ -61,6 +61,25 @@ async fn an_edit_that_turns_out_to_be_bad_changes_nothing() {
     );
 }
 
+/// A measurement would keep the device from resolving the edit.
+#[tokio::test(start_paused = true)]
+async fn work_at_rest_makes_way_for_an_edit_and_begins_again_if_that_is_bad() {
+    let mut viewer = showing(&Common::new(0)).await;
+    for message in [FEATURE, r#"{"type":"step","step":1}"#] {
+        let measurement = viewer.measurements.recv().await.expect("a measurement");
+        viewer.say(message).await;
+        measurement.token.cancelled().await;
+        assert!(measurement.reply.send(Err(WorkError::Cancelled)).is_ok());
+        resolution(&mut viewer).await.refuse();
+        let error = viewer.until("error").await;
+        assert!(
+            ["bad-edit", "step-failed"].contains(&error["code"].as_str().unwrap()),
+            "{error}"
+        );
+    }
+    viewer.measurements.recv().await.expect("a measurement");
+}
+
 #[tokio::test]
 async fn edits_that_arrive_meanwhile_come_into_force_with_it() {
     let mut viewer = showing(&Common::new(0)).await;
