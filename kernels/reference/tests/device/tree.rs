@@ -67,9 +67,8 @@ fn check_block(got: &BlockTree, want: &BlockTree) -> Result<(), TestCaseError> {
         check_node(got, want).map_err(|e| TestCaseError::fail(format!("node {i}: {e}")))?;
     }
     prop_assert_eq!(&got.round_ends, &want.round_ends);
-    // A sum of some thousand floats, which each compiler orders in its own way.
     prop_assert!(
-        near(got.area, want.area, 3e-4),
+        near(got.area, want.area, 1e-4),
         "area {}, expected {}",
         got.area,
         want.area
@@ -77,7 +76,7 @@ fn check_block(got: &BlockTree, want: &BlockTree) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// Another device rounds sums in its own way, and one other merge changes those after it: of the tree as a whole there is as much.
+/// Another compiler rounds sums in its own way, and one other merge changes those after it: of the tree as a whole there is as much.
 fn check_loosely(got: &tree::Tree, want: &tree::Tree) -> Result<(), TestCaseError> {
     for (region, want) in &want.blocks {
         let got = &got.blocks[region];
@@ -107,7 +106,8 @@ fn check_collapses(host: &HostTree) -> Result<(), TestCaseError> {
 pub fn check(engine: &Engine, host: &HostTree) -> Result<(), TestCaseError> {
     check_collapses(host)?;
     let want = tree::build(&host.mesh);
-    if engine.device().kind != DeviceKind::Cpu {
+    let device = engine.device();
+    if device.kind != DeviceKind::Cpu || device.platform.starts_with("Intel(R) OpenCL") {
         return check_loosely(&host.tree, &want);
     }
     for (region, want) in &want.blocks {
