@@ -194,6 +194,17 @@ console.log('serves the client and', JSON.stringify(volumes).slice(0, 400))
 SCRIPT
 }
 
+# The first process of a namespace, here make, may ignore SIGTERM and wait for ever for others that ended.
+end_server() {
+    kill -- -"$server" || true
+    for _ in {1..100}; do
+        kill -0 "$server" 2>/dev/null || break
+        sleep 0.1
+    done
+    kill -KILL -- -"$server" 2>/dev/null || true
+    wait "$server" || true
+}
+
 cleanup() {
     [ -n "${ISOPEEL_FOLDER:-}" ] || rm -rf --one-file-system "$proof"
 }
@@ -226,9 +237,9 @@ prove() {
             in_proof sh -c "cd ~/isopeel && exec make run LISTEN=127.0.0.1:$port" </dev/null &
             server=$!
             set +m
-            trap 'kill -- -"$server"; cleanup' EXIT
+            trap 'end_server; cleanup' EXIT
             check_page "$port"
-            kill -- -"$server" && wait "$server" || true
+            end_server
             trap cleanup EXIT
             ;;
         *) time in_proof make -C /root/isopeel "$wanted" </dev/null ;;
