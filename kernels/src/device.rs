@@ -57,7 +57,7 @@ impl DeviceInfo {
         let driver = match self.platform.as_str() {
             _ if self.kind == DeviceKind::Gpu => 0,
             POCL => 0,
-            platform if platform.starts_with("Intel(R) OpenCL") => 1,
+            _ if self.is_intel_runtime() => 1,
             "rusticl" => 3,
             _ => 2,
         };
@@ -66,6 +66,11 @@ impl DeviceInfo {
             driver,
             std::cmp::Reverse(self.memory_bytes),
         )
+    }
+
+    /// Whether the driver is Intel's.
+    pub fn is_intel_runtime(&self) -> bool {
+        self.platform.starts_with("Intel(R) OpenCL")
     }
 
     /// Major version of PoCL, if that is the device's driver.

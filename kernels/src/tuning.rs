@@ -87,6 +87,6 @@ impl Tuning {
 fn takes_prefetches(device: &DeviceInfo) -> bool {
     match device.pocl_version() {
         Some(major) => major < 7,
-        None => device.platform.starts_with("Intel(R) OpenCL"),
+        None => device.is_intel_runtime(),
     }
 }

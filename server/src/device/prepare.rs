@@ -94,6 +94,31 @@ impl Checked {
         failed.collect::<Vec<_>>().join("\n")
     }
 
+    /// Whether it failed in all ways, each by a cause that lasts: a lost device, memory that ran out and a child that did not start may pass.
+    fn is_refused(&self) -> bool {
+        let lasts = |ended: &Ended| !matches!(ended, Ended::Failed(_) | Ended::NotStarted(_));
+        self.tried.iter().all(|(_, ended)| ended.as_ref().is_some_and(lasts))
+    }
+
+    /// Stores the verdict, or removes it if the cause of a failure may pass. For the same reason a device is tried twice before a workaround
+    /// for such a failure is stored.
+    fn keep(&self, verdicts: &Verdicts, types: &Types) {
+        let id = DeviceId::of(&self.device);
+        let kept = match self.passed() {
+            Some(workaround) => verdicts.keep(&id, workaround, &types.all()),
+            None if self.is_refused() => verdicts.refuse(&id, self.report(), &types.all()),
+            None => {
+                verdicts.forget(&id);
+                Ok(())
+            }
+        };
+        if let Err(error) = kept {
+            tracing::warn!(
+                "the outcome of the check of {id} cannot be kept, so that the next start checks it again: {error}"
+            );
+        }
+    }
+
     /// Logs a warning if the device is used with a workaround.
     fn warn_of(&self, workaround: Workaround) {
         if workaround != Workaround::None {
@@ -109,8 +134,8 @@ struct Search {
     candidates: VecDeque<DeviceInfo>,
     /// Ways in which the first candidate was already tried.
     tried: Vec<(Workaround, Option<Ended>)>,
-    /// What was found wrong with the refused devices: a line for each way that was tried.
-    refused: Vec<String>,
+    /// Devices that were refused.
+    refused: Vec<Checked>,
     types: Types,
     environment: Environment,
     verdicts: Verdicts,
@@ -143,12 +168,13 @@ impl Search {
             let (checked, child) = check(&device, &self.types, &self.environment, early, tried, progress);
             let Some(workaround) = checked.passed() else {
                 tracing::warn!("{id} is not used:\n{}", checked.report());
-                self.refused.push(checked.report());
+                checked.keep(&self.verdicts, &self.types);
+                self.refused.push(checked);
                 continue;
             };
             checked.warn_of(workaround);
             let Some(child) = child else {
-                keep(&self.verdicts, &id, workaround, &self.types);
+                self.keep(&checked);
                 return Ok(self.selected(device, workaround));
             };
             let (environment, tried) = (self.environment.clone(), checked.tried);
@@ -161,8 +187,41 @@ impl Search {
                 rest: Some(PendingCheck { child, search }),
             });
         }
-        let report = self.refused.join("\n");
+        let reports: Vec<_> = self.refused.iter().map(Checked::report).collect();
+        let report = reports.join("\n");
         Err(DeviceFailure::Unreliable { report })
+    }
+
+    /// Stores that a device passed, unless one like it was refused: they share a verdict.
+    fn keep(&self, checked: &Checked) {
+        let id = DeviceId::of(&checked.device);
+        if !self
+            .refused
+            .iter()
+            .any(|other| id.is_like(&DeviceId::of(&other.device)))
+        {
+            checked.keep(&self.verdicts, &self.types);
+        }
+    }
+
+    /// Moves devices that were refused at an earlier start behind the others, and says so.
+    fn try_refused_last(&mut self) {
+        let types = self.types.all();
+        let (refused, others): (VecDeque<_>, VecDeque<_>) = std::mem::take(&mut self.candidates)
+            .into_iter()
+            .map(|device| (self.verdicts.refusal(&DeviceId::of(&device), &types), device))
+            .partition(|(report, _)| report.is_some());
+        if !others.is_empty() {
+            for (report, device) in &refused {
+                let (id, report) = (DeviceId::of(device), report.as_deref().unwrap_or_default());
+                tracing::warn!(
+                    "{id} is tried after other devices, because it failed the check before; `isopeel devices --check` checks it \
+                     again:\n{report}"
+                );
+            }
+        }
+        let in_order = others.into_iter().chain(refused);
+        self.candidates = in_order.map(|(_, device)| device).collect();
     }
 
     fn selected(self, device: DeviceInfo, workaround: Workaround) -> Selection {
@@ -205,13 +264,16 @@ impl PendingCheck {
             let again = try_once(device, &search.types, *workaround, &search.environment, false, &hear);
             ended = again.err();
         }
-        let id = DeviceId::of(device);
         *outcome = ended;
         if outcome.is_none() {
-            keep(&search.verdicts, &id, *workaround, &search.types);
+            let checked = Checked {
+                device: device.clone(),
+                tried: std::mem::take(&mut search.tried),
+            };
+            search.keep(&checked);
             return Ok(());
         }
-        search.verdicts.forget(&id);
+        search.verdicts.forget(&DeviceId::of(device));
         let found = search.next(false, &|_, _| ()).map_err(Unprepared::Failed)?;
         Err(found.new_process())
     }
@@ -261,7 +323,7 @@ pub fn prepare(requirements: &DeviceRequirements, progress: &dyn Fn(usize, usize
         };
         return trusted.prepared();
     }
-    let search = Search {
+    let mut search = Search {
         candidates,
         tried: Vec::new(),
         refused: Vec::new(),
@@ -269,6 +331,7 @@ pub fn prepare(requirements: &DeviceRequirements, progress: &dyn Fn(usize, usize
         environment: listed.environment,
         verdicts: Verdicts::new(requirements.folder.as_deref()),
     };
+    search.try_refused_last();
     search
         .next(requirements.early, progress)
         .map_err(Unprepared::Failed)?
@@ -290,11 +353,10 @@ pub fn check_all(folder: Option<PathBuf>, progress: &dyn Fn(usize, usize)) -> (L
         // Devices of one kind share a verdict.
         let is_alike = |other: &&Checked| id.is_like(&DeviceId::of(&other.device));
         let mut alike = checked.iter().filter(is_alike).map(Checked::passed);
-        match one.passed() {
-            Some(workaround) if alike.all(|other| other == Some(workaround)) => {
-                keep(&verdicts, &id, workaround, &types);
-            }
-            _ => verdicts.forget(&id),
+        if alike.all(|other| other == one.passed()) {
+            one.keep(&verdicts, &types);
+        } else {
+            verdicts.forget(&id);
         }
     }
     (listed, checked)
@@ -309,14 +371,6 @@ fn nothing(listed: Listed) -> DeviceFailure {
     let broken = broken.map(|one| format!("  the driver of {}: {}", one.icd.display(), one.why));
     DeviceFailure::Unreliable {
         report: broken.collect::<Vec<_>>().join("\n"),
-    }
-}
-
-fn keep(verdicts: &Verdicts, device: &DeviceId, workaround: Workaround, types: &Types) {
-    if let Err(error) = verdicts.keep(device, workaround, &types.all()) {
-        tracing::warn!(
-            "that {device} passed the check cannot be kept, so that the next start checks it again: {error}"
-        );
     }
 }
 

@@ -9,17 +9,25 @@ use super::cache::pocl_folder;
 use super::setup::{DeviceId, POCL_METHOD, Workaround};
 use crate::private_folder;
 
-/// A device that passed the check.
+/// The verdict on a device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Verdict {
+struct Verdict {
     /// The device; its index may have changed since.
-    pub device: DeviceId,
+    device: DeviceId,
     /// Build of isopeel ([`isopeel_kernels::build_id`]).
-    pub build: String,
-    /// Way to use the device in which it passed.
-    pub workaround: Workaround,
-    /// Names of the sample types whose programs passed.
-    pub types: Vec<String>,
+    build: String,
+    outcome: Outcome,
+    /// Names of the sample types whose programs were checked.
+    types: Vec<String>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Outcome {
+    /// It passed in this way.
+    Passed(Workaround),
+    /// It failed in all ways; a line for each.
+    Refused(String),
 }
 
 /// Keeps verdicts in a folder; without a folder, keeps none.
@@ -50,41 +58,71 @@ impl Verdicts {
 
     /// Returns the way in which this device passed with all of these sample types; `None` if there is no valid verdict.
     pub fn find(&self, device: &DeviceId, types: &[String]) -> Option<Workaround> {
+        let (workaround, passed) = self.passed(device)?;
+        let has_all = types.iter().all(|one| passed.contains(one));
+        has_all.then_some(workaround)
+    }
+
+    /// Returns the way in which this device passed, and the sample types with which it did.
+    fn passed(&self, device: &DeviceId) -> Option<(Workaround, Vec<String>)> {
         let verdict = self.read(device)?;
-        let has_all = types.iter().all(|one| verdict.types.contains(one));
-        has_all.then_some(verdict.workaround)
+        let has_kernels = self.marker(device).is_none_or(|marker| marker.exists());
+        match verdict.outcome {
+            Outcome::Passed(workaround) if has_kernels => Some((workaround, verdict.types)),
+            _ => None,
+        }
+    }
+
+    /// Returns a line for each way in which this device failed, if it was refused with these sample types or some of them.
+    pub fn refusal(&self, device: &DeviceId, types: &[String]) -> Option<String> {
+        let verdict = self.read(device)?;
+        match verdict.outcome {
+            Outcome::Refused(report) if verdict.types.iter().all(|one| types.contains(one)) => Some(report),
+            _ => None,
+        }
     }
 
     fn read(&self, device: &DeviceId) -> Option<Verdict> {
         let bytes = std::fs::read(self.path(device)?).ok()?;
         let verdict: Verdict = serde_json::from_slice(&bytes).ok()?;
-        let is_valid = verdict.device.is_like(device)
-            && verdict.build == build()
-            && self.marker(device).is_none_or(|marker| marker.exists());
+        let is_valid = verdict.device.is_like(device) && verdict.build == build();
         is_valid.then_some(verdict)
     }
 
-    /// Stores how a device passed. Failures are not stored, because their cause may be temporary. For the same reason a device is tried
-    /// twice before a workaround for such a failure is stored.
+    /// Stores how a device passed.
     ///
     /// # Errors
     /// The folder cannot be written.
     pub fn keep(&self, device: &DeviceId, workaround: Workaround, types: &[String]) -> std::io::Result<()> {
+        let before = self.passed(device).filter(|(before, _)| *before == workaround);
+        let mut types = [types, &before.map_or_else(Vec::new, |(_, types)| types)].concat();
+        types.sort();
+        types.dedup();
+        if self.folder.is_some()
+            && let Some(marker) = self.marker(device)
+        {
+            std::fs::write(marker, "")?;
+        }
+        self.write(device, Outcome::Passed(workaround), types)
+    }
+
+    /// Stores that a device failed in all ways, with the `report` of them.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn refuse(&self, device: &DeviceId, report: String, types: &[String]) -> std::io::Result<()> {
+        self.write(device, Outcome::Refused(report), types.to_vec())
+    }
+
+    fn write(&self, device: &DeviceId, outcome: Outcome, types: Vec<String>) -> std::io::Result<()> {
         let (Some(path), Some(folder)) = (self.path(device), &self.folder) else {
             return Ok(());
         };
-        let before = self.read(device).filter(|before| before.workaround == workaround);
-        let mut types = [types, &before.map_or_else(Vec::new, |before| before.types)].concat();
-        types.sort();
-        types.dedup();
-        if let Some(marker) = self.marker(device) {
-            std::fs::write(marker, "")?;
-        }
         private_folder::make(folder)?;
         let verdict = Verdict {
             device: device.clone(),
             build: build(),
-            workaround,
+            outcome,
             types,
         };
         // Written atomically, because other processes read it.
@@ -159,5 +197,35 @@ mod tests {
         verdicts.keep(&device, Workaround::OtherKernels, &bytes).expect("kept");
         assert_eq!(verdicts.find(&device, &both), None);
         assert_eq!(verdicts.find(&device, &bytes), Some(Workaround::OtherKernels));
+    }
+
+    #[test]
+    fn a_refusal_counts_for_its_types_until_the_device_passes_or_its_driver_changes() {
+        let parent = tempfile::tempdir().expect("a folder");
+        let verdicts = Verdicts {
+            folder: Some(parent.path().join("devices")),
+            // Without the kernels of PoCL: a refusal needs none.
+            kernels: Some(parent.path().join("missing")),
+        };
+        let device = device(POCL);
+        let [bytes, floats] = ["u8", "f32"].map(|name| vec![name.to_owned()]);
+        let both = [bytes.clone(), floats.clone()].concat();
+        verdicts.refuse(&device, "crashes".to_owned(), &floats).expect("kept");
+        assert_eq!(verdicts.find(&device, &floats), None);
+        for types in [&floats, &both] {
+            assert_eq!(verdicts.refusal(&device, types).as_deref(), Some("crashes"));
+        }
+        assert_eq!(verdicts.refusal(&device, &bytes), None);
+        let newer = DeviceId {
+            driver: "3.2".to_owned(),
+            ..device.clone()
+        };
+        assert_eq!(verdicts.refusal(&newer, &floats), None);
+        std::fs::create_dir(parent.path().join("missing")).expect("a folder");
+        verdicts.keep(&device, Workaround::None, &floats).expect("kept");
+        assert_eq!(verdicts.refusal(&device, &floats), None);
+        verdicts.refuse(&device, "crashes".to_owned(), &floats).expect("kept");
+        verdicts.forget(&device);
+        assert_eq!(verdicts.refusal(&device, &floats), None);
     }
 }

@@ -9,7 +9,7 @@ use crate::changed;
 use crate::hostile::read;
 
 /// Files of `tests/fixtures/volumes`, format by format.
-const FILES: [&[&str]; 5] = [
+const FILES: [&[&str]; 6] = [
     &[
         "hdf5_fiji.h5",
         "hdf5_filters.h5",
@@ -32,11 +32,13 @@ const FILES: [&[&str]; 5] = [
     ],
     &[
         "convention_bdv.h5",
+        "convention_cells.vtkhdf",
         "convention_imaris.ims",
         "convention_openpmd.h5",
         "convention_points.vtkhdf",
         "convention_steps.vtkhdf",
     ],
+    &["slicer.seg.nrrd"],
     &[
         "rectilinear-ascii.vtk",
         "rectilinear-ascii.vtr",
@@ -131,7 +133,7 @@ fn changed_bytes_never_panic() {
     }
 }
 
-/// DICOM files of other programs, one a kind of compression.
+/// DICOM files of other programs, one a kind of compression and of contents.
 fn dicom_cases() -> Vec<Vec<u8>> {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/volumes/dicom");
     let names = [
@@ -141,6 +143,8 @@ fn dicom_cases() -> Vec<Vec<u8>> {
         "jpegls-i16",
         "jpeg-color",
         "jpeg2000-rgb",
+        "dose",
+        "segments",
     ];
     let read = |name| std::fs::read(folder.join(format!("{name}.dcm"))).unwrap();
     names.into_iter().map(read).collect()

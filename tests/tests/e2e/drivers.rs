@@ -187,6 +187,49 @@ fn a_trusted_device_that_is_wrong_is_used_and_logged() {
     says(&text, &["the trusted device is wrong", "stage histogram"]);
 }
 
+/// The preferred one of two devices fails: the other one is used, also by the next process, which does not check the first one again.
+#[test]
+fn the_choice_of_another_device_is_kept() {
+    let Some(broken) = Broken::new("crash minmax") else {
+        return;
+    };
+    if !broken.is_pocl() {
+        return;
+    }
+    let volume = broken.folder.path().join("ball.npy");
+    crate::support::ball::write(&volume);
+    let run = |arguments: &[&str]| {
+        let mut command = broken.command(arguments);
+        // PoCL offers the same processors twice, and lists `basic` first.
+        command
+            .env("POCL_DEVICES", "basic pthread")
+            .env("DEVICE_FAULT_ON", "basic");
+        let output = command
+            .env("ISOPEEL_CHECK_SECONDS", "120")
+            .output()
+            .expect("the binary starts");
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        [output.stdout, output.stderr].map(|text| String::from_utf8(text).expect("text"))
+    };
+    let extract = || run(&["extract", volume.to_str().expect("text"), "--iso", "0.5", "--stats"]);
+    let [surface, log] = extract();
+    says(&log, &["basic-", "is not used", "stage minmax"]);
+    let [again, log] = extract();
+    says(
+        &log,
+        &["basic-", "failed the check before", "stage minmax", "devices --check"],
+    );
+    assert!(!log.contains("is not used"), "{log}");
+    let triangles = |text: &str| serde_json::from_str::<serde_json::Value>(text).expect("JSON")["triangles"].clone();
+    assert!(triangles(&surface).as_u64() > Some(0), "{surface}");
+    assert_eq!(triangles(&again), triangles(&surface));
+
+    // Checking all devices again keeps what it found.
+    let [table, _] = run(&["devices", "--check"]);
+    says(&table, &["0  FAILS", "1  passes"]);
+    says(&extract()[1], &["failed the check before"]);
+}
+
 /// Folder of compiled kernels that all tests use.
 fn compiled_kernels() -> PathBuf {
     let home = std::env::var_os("HOME").expect("a home");

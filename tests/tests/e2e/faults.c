@@ -7,6 +7,7 @@
  *   "fail"    the next launch of a kernel fails as only a broken driver's does, nothing after it. The file is removed.
  *   "crash K" a launch of kernel K ends the process as long as the file is there; "hang K": it never returns; "wrong K": the kernel does not
  *             run, and the driver says that it did; "nobuild K": the program that has kernel K does not build.
+ *             "crash", "hang" and "wrong" happen on all devices, or on those whose name begins with DEVICE_FAULT_ON.
  *   "full N"  no buffer of more than N bytes can be had as long as the file is there.
  *
  * A lost device answers "out of resources", as NVIDIA's driver does: the caller cannot tell that from memory that ran out. */
@@ -114,9 +115,20 @@ static cl_mem CL_API_CALL create_buffer(cl_context context, cl_mem_flags flags, 
     return target->clCreateBuffer(context, flags, bytes, host, error);
 }
 
+/* Whether launches on this queue may fail. */
+static int is_on_faulty_device(cl_command_queue queue) {
+    const char *on = getenv("DEVICE_FAULT_ON");
+    cl_device_id device;
+    char name[256] = "";
+    if (!on) return 1;
+    if (target->clGetCommandQueueInfo(queue, CL_QUEUE_DEVICE, sizeof device, &device, NULL)) return 0;
+    return !target->clGetDeviceInfo(device, CL_DEVICE_NAME, sizeof name, name, NULL) && strncmp(name, on, strlen(on)) == 0;
+}
+
 /* Whether the file says that this happens to this kernel. */
-static int is_kernel_fault(const char *what, cl_kernel kernel) {
+static int is_kernel_fault(const char *what, cl_command_queue queue, cl_kernel kernel) {
     char name[64] = "", wanted[80];
+    if (!is_on_faulty_device(queue)) return 0;
     if (target->clGetKernelInfo(kernel, CL_KERNEL_FUNCTION_NAME, sizeof name - 1, name, NULL)) return 0;
     snprintf(wanted, sizeof wanted, "%s %s", what, name);
     char text[64];
@@ -147,9 +159,9 @@ static cl_int CL_API_CALL enqueue_kernel(cl_command_queue queue, cl_kernel kerne
                                          const size_t *local, cl_uint waits, const cl_event *wait_list, cl_event *event) {
     if (is_lost(queue)) return CL_OUT_OF_RESOURCES;
     if (is_fault("fail")) return CL_INVALID_OPERATION;
-    if (is_kernel_fault("crash", kernel)) abort();
-    while (is_kernel_fault("hang", kernel)) sleep(1);
-    if (is_kernel_fault("wrong", kernel)) return target->clEnqueueMarkerWithWaitList(queue, waits, wait_list, event);
+    if (is_kernel_fault("crash", queue, kernel)) abort();
+    while (is_kernel_fault("hang", queue, kernel)) sleep(1);
+    if (is_kernel_fault("wrong", queue, kernel)) return target->clEnqueueMarkerWithWaitList(queue, waits, wait_list, event);
     return target->clEnqueueNDRangeKernel(queue, kernel, dims, offset, global, local, waits, wait_list, event);
 }
 
