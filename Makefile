@@ -144,7 +144,7 @@ test-side-by-side: build-tests
 test-web: web-client ## the web client's unit tests
 	cd web && npm test --silent
 
-# The dev profile: it checks overflow and debug assertions, and its dependencies are optimised.
+# The dev profile: it checks overflow and debug assertions, and what tests wait for is optimised.
 # No examples, which are linted, and no tests in documentation, of which there are none.
 # Random cases are the same in each run, so that only a change makes it fail; `make fuzz` draws new ones.
 # Twice as many threads as cores of a small machine, for many tests wait.

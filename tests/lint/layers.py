@@ -19,9 +19,10 @@ CRATES = {
     "server/geometry": [],
     "server/codec": ["isopeel-kernels"],
     "server/extraction": ["isopeel-codec", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
+    "server/mesh": ["isopeel-extraction", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
     "server/view": ["isopeel-geometry", "isopeel-kernels"],
     "server/volumes": ["isopeel-geometry", "isopeel-kernels"],
-    "server": ["isopeel-codec", "isopeel-extraction", "isopeel-geometry", "isopeel-kernels", "isopeel-view", "isopeel-volumes"],
+    "server": ["isopeel-codec", "isopeel-extraction", "isopeel-geometry", "isopeel-kernels", "isopeel-mesh", "isopeel-view", "isopeel-volumes"],
 }
 
 # Crates of servers and command lines, which programs that use the engine do not get.
@@ -62,6 +63,14 @@ LAYERS = {
         tree_surfaces
         final_surfaces refine
         complete
+    """,
+    "server/mesh/src": """
+        caps decimal transform xml
+        mesh
+        topology
+        clean
+        gifti glb obj ply precomputed stl three_mf usda vtp
+        usdz
     """,
     "server/view/src": """
         error outward

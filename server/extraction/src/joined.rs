@@ -1,7 +1,6 @@
 //! Joins the regions of a surface into one mesh.
 
-use std::collections::{HashMap, HashSet};
-
+use foldhash::{HashMap, HashSet};
 use isopeel_geometry::{DVec3, IndexSpace};
 use isopeel_kernels::{REGION_CELLS, Region, Vertex};
 
@@ -121,6 +120,8 @@ struct Vertices {
     /// Most vertices are inside their region and belong to no other. So only vertices on a region's faces, and vertices that lie outside of
     /// the region that lists them, are looked up.
     outside: HashSet<Key>,
+    /// How far the farthest of them lies outside, lattice units.
+    overhang: i32,
     /// Number of the first vertex with a key, and of further ones of the same region.
     shared: HashMap<(Key, u32), u32>,
     /// Vertices with a key in the current region.
@@ -131,12 +132,19 @@ struct Vertices {
 
 impl Vertices {
     fn new(regions: &[Region]) -> Self {
-        let outside = (regions.iter())
-            .flat_map(|region| region.vertices.iter().map(move |v| (region, v)))
-            .filter(|(_, v)| v.position.iter().any(|p| !(0..=REGION_LATTICE).contains(p)))
-            .map(|(region, v)| key(region, v));
+        let (mut outside, mut overhang) = (HashSet::default(), 0);
+        for region in regions {
+            for vertex in &region.vertices {
+                let beyond = -distance_inside(vertex);
+                if beyond > 0 {
+                    outside.insert(key(region, vertex));
+                    overhang = overhang.max(beyond);
+                }
+            }
+        }
         Self {
-            outside: outside.collect(),
+            outside,
+            overhang,
             ..Self::default()
         }
     }
@@ -152,8 +160,8 @@ impl Vertices {
         for vertex in &region.vertices {
             let key = key(region, vertex);
             let new = self.count;
-            let inside = vertex.position.iter().all(|p| (1..REGION_LATTICE).contains(p));
-            let index = if inside && !self.outside.contains(&key) {
+            let inside = distance_inside(vertex);
+            let index = if inside > self.overhang || (inside > 0 && !self.outside.contains(&key)) {
                 new
             } else {
                 // Equal vertices of one region are not joined: they are crossings on several edges of a sample that the surface passes
@@ -171,9 +179,16 @@ impl Vertices {
     }
 }
 
+/// Returns how far a vertex lies inside its region's faces, lattice units; negative if it lies outside.
+fn distance_inside(vertex: &Vertex) -> i32 {
+    let [x, y, z] = vertex.position.map(|p| p.min(REGION_LATTICE - p));
+    x.min(y).min(z)
+}
+
 fn key(region: &Region, vertex: &Vertex) -> Key {
-    let position = [0, 1, 2]
-        .map(|axis| i64::from(region.coords[axis]) * i64::from(REGION_LATTICE) + i64::from(vertex.position[axis]));
+    let at =
+        |axis: usize| i64::from(region.coords[axis]) * i64::from(REGION_LATTICE) + i64::from(vertex.position[axis]);
+    let position = [at(0), at(1), at(2)];
     (position, vertex.normal, vertex.smoothness, vertex.feature)
 }
 

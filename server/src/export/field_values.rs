@@ -6,8 +6,8 @@ use isopeel_kernels::Samples;
 use isopeel_volumes::{Field, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
-use super::mesh::FieldValues;
 use crate::service::Extractor;
+use isopeel_mesh::mesh::FieldValues;
 
 /// A field, or an expression over fields, with the samples of a time step.
 pub struct FieldSamples {

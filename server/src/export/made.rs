@@ -5,18 +5,19 @@ use std::io::Write;
 use isopeel_extraction::dataset_views::view_space;
 use isopeel_extraction::{Cleaned, Extraction, ExtractionStatistics, Measuring, Shape, WorkError};
 use isopeel_kernels::RefinementCost;
+use isopeel_mesh::caps::{Faces, ToCaps};
+use isopeel_mesh::clean::{self, NotClean, RepairError, Scope};
+use isopeel_mesh::topology::{Topology, split_pinched, volume};
+use isopeel_mesh::{glb, stl};
 use isopeel_view::quality::MesherName;
 use isopeel_view::{EditError, Outward, View};
 use isopeel_volumes::{InputIdentity, LengthUnit, VolumeStep};
 use tokio_util::sync::CancellationToken;
 
-use super::caps::{Faces, ToCaps};
-use super::clean::{self, NotClean, RepairError, Scope};
 use super::field_values::FieldSamples;
-use super::topology::{Topology, split_pinched, volume};
 use super::{
     Compress, Content, ExportError, FileDigest, FileOptions, FileRequest, FileSurface, Format, Mesh, OtherVolumes,
-    extras, glb, stl, why_empty,
+    extras, why_empty,
 };
 use crate::pool::{self, Panicked};
 use crate::service::Extractor;

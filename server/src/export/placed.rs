@@ -47,7 +47,7 @@ pub(super) fn nrrd(plane: &PlacedPlane, slice: &Slice) -> Vec<u8> {
     let mut file = format!(
         "NRRD0005\n# {}\ntype: {kind}\ndimension: 2\n{space}\nsizes: {} {}\nspace directions: {along} {across}\n\
          space origin: {origin}\n{unit}endian: little\nencoding: raw\n\n",
-        super::mesh::ascii(&plane.title),
+        isopeel_mesh::mesh::ascii(&plane.title),
         plane.dims[0],
         plane.dims[1],
     )
@@ -84,7 +84,7 @@ pub(super) fn nifti(plane: &PlacedPlane, slice: &Slice) -> Vec<u8> {
     put(108, &(SAMPLES as f32).to_le_bytes());
     put(112, &1f32.to_le_bytes());
     put(123, &[unit]);
-    let title = super::mesh::ascii(&plane.title);
+    let title = isopeel_mesh::mesh::ascii(&plane.title);
     put(148, &title.as_bytes()[..title.len().min(79)]);
     // Code of the coordinates: the scanner's anatomy, or aligned to something else.
     let is_patient = matches!(plane.frame, Frame::Lps | Frame::Ras);

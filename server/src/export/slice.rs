@@ -18,8 +18,8 @@ use utoipa::ToSchema;
 use super::contours::{Contour, contours};
 use super::picture::{Picture, samples_of};
 use super::placed::{PlacedPlane, nifti, nrrd};
-use super::xml::escaped;
 use crate::service::DeviceWorker;
+use isopeel_mesh::xml::escaped;
 
 /// Maximum isovalues of one file.
 pub const MAX_ISOVALUES: usize = 64;

@@ -7,8 +7,8 @@ use serde_json::{Map, Value};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
-use super::mesh::{Material, rgb};
 use super::schema::merged_schema;
+use isopeel_mesh::mesh::{Material, rgb};
 
 /// What a surface is of, and what it looks like.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]

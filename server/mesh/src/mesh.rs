@@ -25,9 +25,9 @@ pub struct Mesh {
     /// Normalised user feature `f̂` of a vertex, 0 to 1.
     pub feature: Vec<f32>,
     /// Positions in index space. They are kept until the values of fields have been looked up there.
-    pub(crate) index: Vec<[f32; 3]>,
+    pub index: Vec<[f32; 3]>,
     /// The faces of the volume that each vertex of a capped surface lies on or near; empty without caps.
-    pub(crate) caps: Vec<ToCaps>,
+    pub caps: Vec<ToCaps>,
     /// Values of fields at the vertices.
     pub fields: Vec<FieldValues>,
     /// Linear RGB of a vertex, 0 to 65535; empty without a transfer function.
@@ -126,7 +126,7 @@ impl Mesh {
     }
 
     /// Adds a copy of a vertex, and returns its number.
-    pub(super) fn copy_vertex(&mut self, vertex: usize) -> u32 {
+    pub(crate) fn copy_vertex(&mut self, vertex: usize) -> u32 {
         self.positions.push(self.positions[vertex]);
         self.normals.push(self.normals[vertex]);
         self.smoothness.push(self.smoothness[vertex]);
@@ -144,7 +144,7 @@ impl Mesh {
     }
 
     /// Turns the mesh inside out: flips the winding of the triangles, and the normals.
-    pub(super) fn flip(&mut self) {
+    pub fn flip(&mut self) {
         self.triangles.iter_mut().for_each(|[_, b, c]| std::mem::swap(b, c));
         for component in self.normals.as_flattened_mut() {
             *component = -*component;
@@ -210,7 +210,7 @@ impl Mesh {
 }
 
 /// `#rrggbb` as three bytes.
-pub(super) fn rgb(color: &str) -> Option<[u8; 3]> {
+pub fn rgb(color: &str) -> Option<[u8; 3]> {
     let digits = color.strip_prefix('#').filter(|d| d.len() == 6 && d.is_ascii())?;
     let [_, bytes @ ..] = u32::from_str_radix(digits, 16).ok()?.to_be_bytes();
     Some(bytes)
@@ -237,7 +237,7 @@ fn color_at(points: &[(f32, [f32; 3])], x: f32) -> [f32; 3] {
 
 /// Returns names of attributes for the fields of a mesh: a prefix, and the field's own name with anything but ASCII letters and digits as
 /// `_`. A number is appended if another attribute has that name.
-pub(super) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<String> {
+pub(crate) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<String> {
     let names = mesh
         .fields
         .iter()
@@ -246,13 +246,13 @@ pub(super) fn attribute_names(mesh: &Mesh, prefix: &str, taken: &[&str]) -> Vec<
 }
 
 /// Returns a text with anything but ASCII letters and digits as `_`.
-pub(super) fn plain(text: &str) -> String {
+pub(crate) fn plain(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     text.chars().map(plain).collect()
 }
 
 /// Returns names with a number appended to those that another one, or one that is `taken`, has.
-pub(super) fn free_names(wanted: impl Iterator<Item = String>, taken: &[&str]) -> Vec<String> {
+pub(crate) fn free_names(wanted: impl Iterator<Item = String>, taken: &[&str]) -> Vec<String> {
     let mut names: Vec<String> = taken.iter().map(|&name| name.to_owned()).collect();
     for name in wanted {
         names.push(free_name(name, &names));
@@ -269,7 +269,7 @@ fn free_name(name: String, taken: &[String]) -> String {
 }
 
 /// Converts a text to a line of ASCII. Other characters are escaped as in Rust.
-pub(super) fn ascii(text: &str) -> String {
+pub fn ascii(text: &str) -> String {
     let escaped = |c: char| match c {
         ' '..='~' => c.to_string(),
         _ => c.escape_default().to_string(),
@@ -278,7 +278,7 @@ pub(super) fn ascii(text: &str) -> String {
 }
 
 /// Converts a linear colour to bytes of sRGB, which PLY and VTP use.
-pub(super) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
+pub(crate) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
     color.map(|component| {
         let linear = f32::from(component) / 65535.0;
         let srgb = if linear <= 0.003_130_8 {
@@ -291,7 +291,7 @@ pub(super) fn srgb_bytes(color: [u16; 3]) -> [u8; 3] {
 }
 
 /// Converts from sRGB to linear (IEC 61966-2-1), as glTF defines vertex colours.
-pub(super) fn linear(srgb: f32) -> f32 {
+pub(crate) fn linear(srgb: f32) -> f32 {
     if srgb <= 0.040_45 {
         srgb / 12.92
     } else {
@@ -300,4 +300,4 @@ pub(super) fn linear(srgb: f32) -> f32 {
 }
 
 #[cfg(test)]
-pub(super) mod tests;
+pub(crate) mod tests;

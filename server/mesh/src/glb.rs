@@ -5,7 +5,7 @@
 //! the number of triangles of each level. Positions are relative to the mesh's origin, along the axes of the volume's frame. The node
 //! converts them to the units and axes of glTF, metres with Y up, and moves them to their place. An empty surface is a scene without nodes.
 
-pub(super) mod packed;
+pub mod packed;
 
 use std::io::Write;
 
@@ -291,7 +291,7 @@ mod tests {
     }
 
     /// JSON and binary chunk; the container's lengths are checked on the way.
-    pub(super) fn parse(bytes: &[u8]) -> (Value, &[u8]) {
+    pub(crate) fn parse(bytes: &[u8]) -> (Value, &[u8]) {
         assert_eq!(&bytes[..4], MAGIC);
         assert_eq!((word(bytes, 4), word(bytes, 8)), (2, bytes.len()));
         let text = word(bytes, 12);

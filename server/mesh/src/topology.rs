@@ -5,14 +5,14 @@ use isopeel_geometry::DVec3;
 use super::Mesh;
 
 /// Triangles around each vertex.
-pub(super) struct Around {
+pub(crate) struct Around {
     /// Offset in `triangles` of each vertex' first triangle, followed by the end of the last vertex' triangles.
     first: Vec<u32>,
     triangles: Vec<u32>,
 }
 
 impl Around {
-    pub(super) fn new(mesh: &Mesh) -> Self {
+    pub(crate) fn new(mesh: &Mesh) -> Self {
         let mut first = vec![0u32; mesh.positions.len() + 1];
         for &corner in mesh.triangles.as_flattened() {
             first[corner as usize + 1] += 1;
@@ -31,7 +31,7 @@ impl Around {
         Self { first, triangles }
     }
 
-    pub(super) fn of(&self, vertex: u32) -> &[u32] {
+    pub(crate) fn of(&self, vertex: u32) -> &[u32] {
         let [from, to] = [0, 1].map(|i| self.first[vertex as usize + i] as usize);
         &self.triangles[from..to]
     }
@@ -47,7 +47,7 @@ struct Wedge {
 
 /// Result of [`split_pinched`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Topology {
+pub struct Topology {
     /// Vertices that were added.
     pub split: u64,
     /// Whether each edge of each sheet has two triangles, of opposite directions.
@@ -56,7 +56,7 @@ pub(super) struct Topology {
 
 /// Splits each vertex at which several sheets touch, so that each sheet has a vertex of its own: the triangles around a vertex are then
 /// connected by edges. If sheets touch along an edge, the triangles that bound the same solid at that edge are one sheet.
-pub(super) fn split_pinched(mesh: &mut Mesh) -> Topology {
+pub fn split_pinched(mesh: &mut Mesh) -> Topology {
     let mut split = 0;
     loop {
         let pass = split_once(mesh);
@@ -231,7 +231,7 @@ fn split(mesh: &mut Mesh, vertex: u32, wedges: &[Wedge], fans: &[usize]) -> u64 
 }
 
 /// Returns the volume that a closed mesh encloses, in cubes of its unit; below 0 if its triangles face inwards.
-pub(super) fn volume(mesh: &Mesh) -> f64 {
+pub fn volume(mesh: &Mesh) -> f64 {
     let of = |corners: &[u32; 3]| {
         let [a, b, c] = corners.map(|i| DVec3::from(mesh.positions[i as usize].map(f64::from)));
         a.dot(b.cross(c)) / 6.0

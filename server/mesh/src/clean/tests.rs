@@ -1,7 +1,7 @@
 use isopeel_volumes::Geometry;
 
 use super::*;
-use crate::export::caps::ToCaps;
+use crate::caps::ToCaps;
 
 /// A closed surface of 2·n² triangles over a square, one side of which is pushed through the other by `push`.
 fn pillow(n: usize, push: f32) -> Mesh {

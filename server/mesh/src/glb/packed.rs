@@ -8,8 +8,8 @@ use super::{
     ARRAY_BUFFER, Attributes, ELEMENT_ARRAY_BUFFER, FLOAT, MISSING, TRIANGLES, UNSIGNED_INT, UNSIGNED_SHORT, bounds,
     document, material, node_at, shown, write_chunks,
 };
-use crate::export::mesh::attribute_names;
-use crate::export::{ExportError, Mesh};
+use crate::mesh::attribute_names;
+use crate::{ExportError, Mesh};
 
 const EXTENSION: &str = "EXT_meshopt_compression";
 const QUANTIZED: &str = "KHR_mesh_quantization";
@@ -28,7 +28,7 @@ const VERTEX_LEVEL: i32 = 2;
 ///
 /// # Errors
 /// More than the 4 GiB of a GLB, or the errors of `out`.
-pub(in crate::export) fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
+pub(crate) fn write(meshes: &[Mesh], extras: &Value, out: &mut impl Write) -> Result<(), ExportError> {
     let mut buffer = PackedBuffer::default();
     let (mut primitives, mut nodes) = (Vec::new(), Vec::new());
     for (number, mesh) in (0..).zip(shown(meshes)) {
@@ -55,7 +55,7 @@ pub(in crate::export) fn write(meshes: &[Mesh], extras: &Value, out: &mut impl W
 }
 
 /// Returns the maximum rounding error of positions, in the unit of the mesh.
-pub(in crate::export) fn rounding(mesh: &Mesh) -> f64 {
+pub fn rounding(mesh: &Mesh) -> f64 {
     f64::from(Lattice::of(mesh).step) / 2.0
 }
 
@@ -218,8 +218,8 @@ fn failed(error: meshopt::Error) -> ExportError {
 mod tests {
     use super::super::tests::parse;
     use super::*;
-    use crate::export::mesh::FieldValues;
-    use crate::export::mesh::tests::{geometry, two_quads};
+    use crate::mesh::FieldValues;
+    use crate::mesh::tests::{geometry, two_quads};
 
     #[test]
     fn arrays_decode_to_what_they_were() {

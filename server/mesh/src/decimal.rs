@@ -11,7 +11,7 @@ const EXACT: f64 = 9e15;
 
 /// Writes numbers with a fixed number of digits behind the point.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Decimals {
+pub(crate) struct Decimals {
     digits: usize,
     scale: f64,
     /// Whether more than [`MAX_DIGITS`] digits are needed, so that numbers are written in full.
@@ -20,7 +20,7 @@ pub(super) struct Decimals {
 
 impl Decimals {
     /// Uses `digits` digits behind the point. With more than 18, numbers are written in full.
-    pub(super) fn new(digits: usize) -> Self {
+    pub(crate) fn new(digits: usize) -> Self {
         let is_exponential = digits > MAX_DIGITS;
         let digits = digits.min(MAX_DIGITS);
         Self {
@@ -32,7 +32,7 @@ impl Decimals {
 
     /// Uses as many digits as positions on a grid of this smallest spacing need: rounding changes them by less than a hundred-thousandth of
     /// it.
-    pub(super) fn of_spacing(spacing: f64) -> Self {
+    pub(crate) fn of_spacing(spacing: f64) -> Self {
         let digits = -(spacing * PRECISION).log10().floor();
         Self::new(if digits.is_finite() {
             digits.max(0.0) as usize
@@ -42,7 +42,7 @@ impl Decimals {
     }
 
     /// Returns the number that a reader gets from the text of `number`.
-    pub(super) fn rounded(self, number: f64) -> f64 {
+    pub(crate) fn rounded(self, number: f64) -> f64 {
         let scaled = (number * self.scale).round();
         if scaled.abs() >= EXACT || self.is_exponential {
             return number;
@@ -51,7 +51,7 @@ impl Decimals {
     }
 
     /// Appends a number. One that has more digits than 64 bits hold is written in full, with an exponent.
-    pub(super) fn push(self, text: &mut Vec<u8>, number: f64) {
+    pub(crate) fn push(self, text: &mut Vec<u8>, number: f64) {
         let scaled = (number * self.scale).round();
         if scaled.abs() >= EXACT || self.is_exponential {
             // Writing to a vector does not fail.
@@ -77,7 +77,7 @@ impl Decimals {
 }
 
 /// Appends a whole number.
-pub(super) fn push_whole(text: &mut Vec<u8>, number: u64) {
+pub(crate) fn push_whole(text: &mut Vec<u8>, number: u64) {
     text.extend_from_slice(itoa::Buffer::new().format(number).as_bytes());
 }
 

@@ -52,7 +52,8 @@ pub struct NotClean {
 
 /// Result of a repair.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Repaired {
+pub struct Repaired {
+    /// What was moved.
     pub cleaned: Cleaned,
     /// Pairs of triangles that intersect afterwards.
     pub intersections: u64,
@@ -60,7 +61,7 @@ pub(super) struct Repaired {
 
 /// Why a mesh is not repaired.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum RepairError {
+pub enum RepairError {
     /// The caller has cancelled.
     #[error("cancelled")]
     Cancelled,
@@ -70,7 +71,7 @@ pub(super) enum RepairError {
 }
 
 /// Counts the pairs of triangles that intersect in a file of the format; `None` if that is cancelled, or takes longer than the limit.
-pub(super) fn count(
+pub fn count(
     mesh: &Mesh,
     format: Format,
     limit: Option<Duration>,
@@ -88,7 +89,7 @@ pub(super) fn count(
 
 /// Which triangles are repaired.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Scope {
+pub enum Scope {
     /// All: it is an error if some still intersect.
     All,
     /// Only pairs with a corner near a cap, because other intersections also occur in surfaces without caps.
@@ -104,7 +105,7 @@ pub(super) enum Scope {
 ///
 /// # Errors
 /// [`RepairError::NotClean`] if triangles in the scope [`Scope::All`] still intersect after [`MAX_ROUNDS`].
-pub(super) fn repair(
+pub fn repair(
     mesh: &mut Mesh,
     format: Format,
     scope: Scope,

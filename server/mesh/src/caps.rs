@@ -5,7 +5,7 @@ use isopeel_volumes::Geometry;
 
 /// Position of a vertex relative to the caps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct ToCaps {
+pub struct ToCaps {
     /// The faces that it lies on, one bit each: the face at the low end of the first axis, the face at its high end, and so on.
     faces: u8,
     /// Whether it is so close to a face that the cap may have changed the surface there.
@@ -37,7 +37,7 @@ impl ToCaps {
 
 /// The faces of a volume.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Faces {
+pub struct Faces {
     /// Unit normals of the faces across each axis.
     normals: [DVec3; 3],
     /// Positions of the caps along these normals, in the order of [`ToCaps`]; infinite for faces without a cap.

@@ -8,7 +8,7 @@ use isopeel_volumes::Geometry;
 use super::ExportError;
 
 /// Transformation from the lattice to the world.
-pub(super) struct Transform<'a> {
+pub(crate) struct Transform<'a> {
     uneven: Option<(&'a UnevenAxes, MesherName)>,
     /// For uneven axes: cell lengths for which the kernels compute normals. They are those of the largest cells.
     largest: DVec3,

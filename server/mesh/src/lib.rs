@@ -1,0 +1,461 @@
+//! A surface as one mesh, and as a file.
+//!
+//! [`Mesh`] joins the regions of a surface into one mesh in the world. [`topology`] makes it a manifold, [`clean`] moves vertices so that no
+//! triangles intersect, [`caps`] knows which ones close the surface at the faces of the volume, and [`Content`] is written in one of nine
+//! formats. Each file names the frame and the unit of its positions, and the volume's notices. The writers are our own: each is shorter than
+//! the conversion to a library's mesh would be, and does not hold the file in memory, unless it is compressed.
+
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+use isopeel_extraction::JoinError;
+use isopeel_volumes::LengthUnit;
+use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::Xxh3;
+
+pub mod caps;
+pub mod clean;
+mod decimal;
+mod gifti;
+pub mod glb;
+pub mod mesh;
+mod obj;
+mod ply;
+mod precomputed;
+pub mod stl;
+mod three_mf;
+pub mod topology;
+mod transform;
+mod usda;
+mod usdz;
+mod vtp;
+pub mod xml;
+
+pub use mesh::Mesh;
+
+// Arrays are written as they are in memory, and all formats are little-endian.
+const _: () = assert!(
+    cfg!(target_endian = "little"),
+    "isopeel's exports need a little-endian machine"
+);
+
+/// File format of an exported surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Format {
+    /// Binary glTF 2.0, in metres and Y up, with smoothness and feature as vertex attributes.
+    Glb,
+    /// Binary little-endian PLY, with smoothness and feature a vertex.
+    Ply,
+    /// Binary STL: triangles alone.
+    Stl,
+    /// VTK's XML `PolyData`, with smoothness and feature a point and the level a triangle.
+    Vtp,
+    /// Wavefront OBJ: text, with normals and colours; several surfaces are objects.
+    Obj,
+    /// 3MF, in millimetres, with names and colours; several surfaces are objects.
+    #[serde(rename = "3mf")]
+    #[cfg_attr(feature = "clap", value(name = "3mf"))]
+    ThreeMf,
+    /// GIFTI, `.surf.gii`, in millimetres and the axes of NIfTI.
+    Gifti,
+    /// Neuroglancer's single-resolution meshes in a ZIP, in nanometres; several surfaces are segments.
+    Precomputed,
+    /// USDZ: a stage of Universal Scene Description with Y up, with names, materials and colours; several surfaces are meshes.
+    Usdz,
+}
+
+/// How a file is compressed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Compress {
+    /// As little as the format asks for.
+    #[default]
+    None,
+    /// Arrays of a VTP as blocks of zlib; the text of a 3MF by deflate, to a third of its bytes.
+    Zlib,
+    /// A GLB with meshoptimizer's codecs and numbers of fewer bits, for pages on the web. Blender does not read it.
+    Meshopt,
+}
+
+impl Compress {
+    /// Whether no compression was requested.
+    pub fn is_none(&self) -> bool {
+        *self == Self::None
+    }
+
+    /// Its name in JSON and on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Zlib => "zlib",
+            Self::Meshopt => "meshopt",
+        }
+    }
+
+    /// Whether files of a format can be compressed in this way.
+    pub const fn is_of(self, format: Format) -> bool {
+        match self {
+            Self::None => true,
+            Self::Zlib => matches!(format, Format::Vtp | Format::ThreeMf),
+            Self::Meshopt => matches!(format, Format::Glb),
+        }
+    }
+
+    /// Returns the formats whose files can be compressed in this way, for error messages.
+    pub const fn expected(self) -> &'static str {
+        match self {
+            Self::None => "any format",
+            Self::Zlib => "a VTP or 3MF",
+            Self::Meshopt => "a GLB",
+        }
+    }
+}
+
+impl Format {
+    /// The names of all formats, for error messages.
+    pub const EXPECTED: &str = "glb, ply, stl, vtp, obj, 3mf, gifti, precomputed or usdz";
+
+    /// Endings of file names, with their formats.
+    const ENDINGS: [(&str, Self); 10] = [
+        (".glb", Self::Glb),
+        (".ply", Self::Ply),
+        (".stl", Self::Stl),
+        (".vtp", Self::Vtp),
+        (".obj", Self::Obj),
+        (".3mf", Self::ThreeMf),
+        (".surf.gii", Self::Gifti),
+        (".gii", Self::Gifti),
+        (".precomputed.zip", Self::Precomputed),
+        (".usdz", Self::Usdz),
+    ];
+
+    /// Returns the format that a file's name implies.
+    ///
+    /// # Errors
+    /// [`ExportError::UnknownExtension`].
+    pub fn from_path(path: &Path) -> Result<Self, ExportError> {
+        let name = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .to_ascii_lowercase();
+        let found = Self::ENDINGS.iter().find(|(ending, _)| name.ends_with(ending));
+        let unknown = || ExportError::UnknownExtension(path.display().to_string());
+        found.map(|&(_, format)| format).ok_or_else(unknown)
+    }
+
+    /// Its name in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ThreeMf => "3mf",
+            Self::Gifti => "gifti",
+            Self::Precomputed => "precomputed",
+            short => short.extension(),
+        }
+    }
+
+    /// Its name for people.
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Glb => "GLB",
+            Self::Ply => "PLY",
+            Self::Stl => "STL",
+            Self::Vtp => "VTP",
+            Self::Obj => "OBJ",
+            Self::ThreeMf => "3MF",
+            Self::Gifti => "GIFTI",
+            Self::Precomputed => "precomputed",
+            Self::Usdz => "USDZ",
+        }
+    }
+
+    /// Extension without the dot.
+    pub const fn extension(self) -> &'static str {
+        match self {
+            Self::Glb => "glb",
+            Self::Ply => "ply",
+            Self::Stl => "stl",
+            Self::Vtp => "vtp",
+            Self::Obj => "obj",
+            Self::ThreeMf => "3mf",
+            Self::Gifti => "surf.gii",
+            Self::Precomputed => "precomputed.zip",
+            Self::Usdz => "usdz",
+        }
+    }
+
+    /// Returns about how many bytes a closed surface with the values of `fields` fields takes. It has half as many vertices as triangles.
+    pub const fn typical_bytes(self, triangles: u64, fields: u64) -> u64 {
+        let per_triangle = match self {
+            // Vertices of 42 bytes (position, normal, two features, colour), three indices of 4.
+            Self::Glb => 33,
+            // Vertices of 44 bytes; a count and three indices of 4.
+            Self::Ply => 35,
+            // Normal, corners, two bytes.
+            Self::Stl => 50,
+            // As PLY, with a level and four indices of 4.
+            Self::Vtp => 39,
+            // Lines of some 60 bytes a vertex, and of 50 a triangle.
+            Self::Obj => 80,
+            // Elements of some 55 bytes a vertex, and of 55 a triangle.
+            Self::ThreeMf => 80,
+            // Vertices of 12 bytes, three indices of 4.
+            Self::Gifti | Self::Precomputed => 18,
+            // Text of some 65 bytes a vertex, and of 30 a triangle.
+            Self::Usdz => 65,
+        };
+        let per_value = match self {
+            Self::Glb | Self::Ply | Self::Vtp => 4,
+            // Text.
+            Self::Usdz => 12,
+            _ => 0,
+        };
+        triangles.saturating_mul(per_triangle + fields * per_value / 2)
+    }
+
+    /// Media type for HTTP.
+    pub const fn content_type(self) -> &'static str {
+        match self {
+            Self::Glb => "model/gltf-binary",
+            // No media type is registered for these formats.
+            Self::Ply | Self::Vtp | Self::Gifti => "application/octet-stream",
+            Self::Stl => "model/stl",
+            Self::Obj => "model/obj",
+            Self::ThreeMf => "model/3mf",
+            Self::Precomputed => "application/zip",
+            Self::Usdz => "model/vnd.usdz+zip",
+        }
+    }
+
+    /// Whether a file holds values of fields.
+    pub const fn holds_values(self) -> bool {
+        matches!(self, Self::Glb | Self::Ply | Self::Vtp | Self::Usdz)
+    }
+
+    /// Whether a file holds the name of its surface.
+    pub const fn holds_names(self) -> bool {
+        matches!(
+            self,
+            Self::Glb | Self::Obj | Self::ThreeMf | Self::Precomputed | Self::Usdz
+        )
+    }
+
+    /// Whether a file holds the colour of its surface.
+    pub const fn holds_color(self) -> bool {
+        matches!(self, Self::Glb | Self::Obj | Self::ThreeMf | Self::Usdz)
+    }
+
+    /// Whether a file holds the colours of a transfer function.
+    pub const fn holds_colors(self) -> bool {
+        matches!(
+            self,
+            Self::Glb | Self::Ply | Self::Vtp | Self::Obj | Self::ThreeMf | Self::Usdz
+        )
+    }
+
+    /// Whether a file holds the opacity of its surface.
+    pub const fn holds_opacity(self) -> bool {
+        matches!(self, Self::Glb | Self::ThreeMf | Self::Usdz)
+    }
+
+    /// Whether a file holds several surfaces.
+    pub const fn holds_several(self) -> bool {
+        matches!(
+            self,
+            Self::Glb | Self::Obj | Self::ThreeMf | Self::Precomputed | Self::Usdz
+        )
+    }
+
+    /// Whether world positions are rounded to 32 bits.
+    pub const fn rounds(self) -> bool {
+        matches!(self, Self::Stl | Self::Gifti | Self::Precomputed)
+    }
+
+    /// The unit that positions are always in, if there is one.
+    pub const fn unit(self) -> Option<LengthUnit> {
+        match self {
+            Self::Stl | Self::ThreeMf | Self::Gifti => Some(LengthUnit::Millimetre),
+            Self::Precomputed => Some(LengthUnit::Nanometre),
+            Self::Glb | Self::Ply | Self::Vtp | Self::Obj | Self::Usdz => None,
+        }
+    }
+}
+
+/// Why a surface could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// The file's name does not imply a format.
+    #[error(
+        "{0:?} does not say the format: expected a name that ends in .glb, .ply, .stl, .vtp, .obj, .3mf, .surf.gii, .precomputed.zip or .usdz"
+    )]
+    UnknownExtension(String),
+    /// More than the format or its 32-bit numbers can hold.
+    #[error("{what}: {found}, {format} allows {limit}")]
+    TooLarge {
+        /// What is too large, with its unit.
+        what: &'static str,
+        /// Its size.
+        found: u64,
+        /// Its maximum.
+        limit: u64,
+        /// The format with this limit.
+        format: &'static str,
+    },
+    /// World coordinates do not fit the numbers of the format.
+    #[error("a vertex lies at {0:?} world units, beyond what the numbers of the format hold")]
+    OutOfRange([f64; 3]),
+    /// The regions of the surface do not make a mesh.
+    #[error(transparent)]
+    Join(JoinError),
+    /// The request was cancelled: no client waits for its result any more.
+    #[error("cancelled")]
+    Cancelled,
+    /// Writing failed.
+    #[error("the surface could not be written")]
+    Io(#[from] io::Error),
+}
+
+impl From<JoinError> for ExportError {
+    fn from(error: JoinError) -> Self {
+        match error {
+            JoinError::Cancelled => Self::Cancelled,
+            JoinError::TooManyVertices(found) => Self::TooLarge {
+                what: "vertices",
+                found,
+                limit: u64::from(u32::MAX),
+                format: "a 32-bit index",
+            },
+            JoinError::BadRegion { .. } => Self::Join(error),
+        }
+    }
+}
+
+/// Content of a file, before it is encoded.
+#[derive(Clone, Debug)]
+pub struct Content {
+    /// Its surfaces; one, if the format does not hold several.
+    pub meshes: Vec<Mesh>,
+    /// Its format.
+    pub format: Format,
+    /// How it is compressed.
+    pub compress: Compress,
+    /// The `asset.extras` of a GLB; the other formats have no field for it.
+    pub extras: serde_json::Value,
+}
+
+impl Content {
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// The format cannot hold the content, or the errors of `out`.
+    pub fn write(&self, out: &mut impl Write) -> Result<(), ExportError> {
+        let meshes = &self.meshes[..];
+        match self.format {
+            Format::Glb if self.compress == Compress::Meshopt => glb::packed::write(meshes, &self.extras, out),
+            Format::Glb => glb::write(meshes, &self.extras, out),
+            Format::Ply => ply::write(self.only()?, out),
+            Format::Stl => stl::write(self.only()?, out),
+            Format::Vtp => vtp::write(self.only()?, self.compress == Compress::Zlib, out),
+            Format::Obj => obj::write(meshes, out),
+            Format::ThreeMf => three_mf::write(meshes, self.compress == Compress::Zlib, out),
+            Format::Gifti => gifti::write(self.only()?, out),
+            Format::Precomputed => precomputed::write(meshes, out),
+            Format::Usdz => usdz::write(meshes, out),
+        }
+    }
+
+    fn only(&self) -> Result<&Mesh, ExportError> {
+        match &self.meshes[..] {
+            [mesh] => Ok(mesh),
+            meshes => Err(ExportError::TooLarge {
+                what: "surfaces",
+                found: meshes.len() as u64,
+                limit: 1,
+                format: self.format.title(),
+            }),
+        }
+    }
+
+    /// Returns length and hash of the bytes that [`Content::write`] writes.
+    ///
+    /// # Errors
+    /// The format cannot hold the content. If this succeeds, [`Content::write`] fails only if `out` does. [`ExportError::Io`] if it is
+    /// cancelled.
+    pub fn digest(&self, is_cancelled: &dyn Fn() -> bool) -> Result<FileDigest, ExportError> {
+        let digester = Digester {
+            bytes: 0,
+            hasher: Xxh3::new(),
+            is_cancelled,
+        };
+        let mut out = BufWriter::with_capacity(DIGEST_BUFFER_BYTES, digester);
+        self.write(&mut out)?;
+        let Digester { bytes, hasher, .. } = out.into_inner().map_err(io::IntoInnerError::into_error)?;
+        let hash = hasher.digest128();
+        Ok(FileDigest { bytes, hash })
+    }
+}
+
+/// Maximum bytes of a part of a ZIP with short headers.
+const MAX_SHORT_PART: u64 = u32::MAX as u64;
+
+/// Bytes of rows that are collected before they are written.
+const PIECE_BYTES: usize = 1 << 16;
+
+/// Writes the collected rows and clears them, if they take more than `limit` bytes.
+fn flush(rows: &mut Vec<u8>, out: &mut impl Write, limit: usize) -> Result<(), ExportError> {
+    if rows.len() > limit {
+        out.write_all(rows)?;
+        rows.clear();
+    }
+    Ok(())
+}
+
+/// Length and hash of a file, before it is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileDigest {
+    /// Its length.
+    pub bytes: u64,
+    /// XXH3 of all of it.
+    pub hash: u128,
+}
+
+/// Bytes that are hashed at once.
+const DIGEST_BUFFER_BYTES: usize = 1 << 16;
+
+/// Counts and hashes bytes, and discards them.
+struct Digester<'a> {
+    bytes: u64,
+    hasher: Xxh3,
+    is_cancelled: &'a dyn Fn() -> bool,
+}
+
+impl Write for Digester<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if (self.is_cancelled)() {
+            return Err(io::ErrorKind::BrokenPipe.into());
+        }
+        self.bytes += bytes.len() as u64;
+        self.hasher.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Checks that `found` fits the format's 32-bit counter.
+fn fits_u32(what: &'static str, found: u64, format: &'static str) -> Result<u32, ExportError> {
+    u32::try_from(found).map_err(|_| ExportError::TooLarge {
+        what,
+        found,
+        limit: u64::from(u32::MAX),
+        format,
+    })
+}
