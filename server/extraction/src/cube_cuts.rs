@@ -1,4 +1,4 @@
-//! Cuts of cubes for a view: fitted to its budget, and refused if their surface would be too large.
+//! Cuts of cubes for a view. They are fitted to its budget, and refused if their surface would be too large.
 
 use isopeel_kernels::{Cancel, Cut, CutParams, Error, Level, Topology};
 use isopeel_view::View;
@@ -7,77 +7,77 @@ use isopeel_view::quality::{Fitted, TopologyName};
 use super::WorkError;
 use super::on_device::OnDevice;
 
-/// A leaf emits at most a quad around each of its twelve edges; marching cubes makes five triangles of a leaf at most.
+/// Upper limit of both meshers: dual contouring makes at most a quad for each of the twelve edges of a leaf, marching cubes at most five
+/// triangles.
 const MAX_TRIANGLES_PER_LEAF: u64 = 24;
 
 impl OnDevice<'_> {
-    /// Returns the cut of cubes of a view, and its parameters. Fits a budget of triangles. Also fits it again if the existing fit was made
-    /// for the vertex tree, which is no longer available. Ignores a budget of bytes that has not been fitted.
+    /// Returns the cut of cubes of a view, and its parameters. If the view has a budget of triangles that is not fitted yet, or was fitted
+    /// to the vertex tree, fits it to cubes and stores the result in the view. Ignores a budget of bytes that has not been fitted.
     ///
     /// # Errors
     /// [`WorkError::OverBudget`] if the smallest cut exceeds the budget, and the device's errors.
-    fn target(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), WorkError> {
-        let budget = view.max_triangles(self.pyramid.full_triangles());
+    fn fitted_cut(&self, view: &mut View, cancel: &dyn Cancel) -> Result<(CutParams, Cut), WorkError> {
+        let full_triangles = self.pyramid.full_triangles();
         let fitted = view.fitted.filter(|fitted| !fitted.is_tree_cut);
-        if let (Some(budget), None) = (budget, fitted) {
-            let params = self.params_of(&View {
-                fitted: None,
-                ..view.clone()
-            });
-            let fitted = self.fitted(&params, budget, cancel)?;
-            let gives_way = fitted.2 > budget && view.topology == TopologyName::Auto;
-            let (params, cut, minimum) = if gives_way {
-                let free = CutParams {
-                    topology: Topology::Free,
-                    ..params
-                };
-                self.fitted(&free, budget, cancel)?
-            } else {
-                fitted
-            };
-            if minimum == 0 && self.pyramid.full_triangles() > 0 {
-                let minimum = self.smallest(&params, budget, cancel)?;
-                return Err(WorkError::OverBudget { minimum, budget });
-            }
-            if minimum > budget {
-                return Err(WorkError::OverBudget { minimum, budget });
-            }
-            view.fitted = Some(Fitted {
-                threshold: params.tolerance.unwrap_or(params.beta),
-                topology: params.topology,
-                triangles: budget,
-                is_tree_cut: false,
-            });
+        let (Some(budget), None) = (view.max_triangles(full_triangles), fitted) else {
+            let params = self.params_of(view);
+            let cut = self.engine.cut(self.volume, self.pyramid, &params, Level::FINEST)?;
             return Ok((params, cut));
+        };
+        let unfitted = self.params_of(&View {
+            fitted: None,
+            ..view.clone()
+        });
+        let (mut params, mut cut, mut triangles) = self.fit(&unfitted, budget, cancel)?;
+        if triangles > budget && view.topology == TopologyName::Auto {
+            let free = CutParams {
+                topology: Topology::Free,
+                ..unfitted
+            };
+            (params, cut, triangles) = self.fit(&free, budget, cancel)?;
         }
-        let params = self.params_of(view);
-        let cut = self.engine.cut(self.volume, self.pyramid, &params, Level::FINEST)?;
+        let is_empty = triangles == 0 && full_triangles > 0;
+        if is_empty || triangles > budget {
+            let minimum = if is_empty {
+                self.smallest_surface(&params, budget, cancel)?
+            } else {
+                triangles
+            };
+            return Err(WorkError::OverBudget { minimum, budget });
+        }
+        view.fitted = Some(Fitted {
+            threshold: params.tolerance.unwrap_or(params.beta),
+            topology: params.topology,
+            triangles: budget,
+            is_tree_cut: false,
+        });
         Ok((params, cut))
     }
 
-    /// As [`OnDevice::target`], but refuses a surface of more than `ceiling` triangles. The view is unchanged if it is refused.
+    /// As [`OnDevice::fitted_cut`], but refuses a surface of more than `ceiling` triangles. The view is unchanged if it is refused.
     ///
     /// # Errors
-    /// [`WorkError::TooManyTriangles`], and those of [`OnDevice::target`].
-    pub(crate) fn target_within(
+    /// [`WorkError::TooManyTriangles`], and those of [`OnDevice::fitted_cut`].
+    pub(crate) fn cut_within(
         &self,
         view: &mut View,
         ceiling: u64,
         cancel: &dyn Cancel,
     ) -> Result<(CutParams, Cut), WorkError> {
         let before = view.fitted;
-        let (params, cut) = self.target(view, cancel)?;
+        let (params, cut) = self.fitted_cut(view, cancel)?;
         self.check_ceiling(&cut, ceiling, cancel)
             .inspect_err(|_| view.fitted = before)?;
         Ok((params, cut))
     }
 
-    /// Returns the triangles of the smallest surface of cubes that is not empty, given that every surface within the budget is empty.
-    fn smallest(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<u64, Error> {
-        let mut asked = budget;
-        while asked < self.pyramid.full_triangles() {
-            asked *= 2;
-            let (_, _, triangles) = self.fitted(params, asked, cancel)?;
+    /// Returns the number of triangles of the smallest surface of cubes that is not empty, given that every surface within the budget is.
+    fn smallest_surface(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<u64, Error> {
+        let mut larger_budget = budget;
+        while larger_budget < self.pyramid.full_triangles() {
+            larger_budget *= 2;
+            let (_, _, triangles) = self.fit(params, larger_budget, cancel)?;
             if triangles > 0 {
                 return Ok(triangles.max(budget + 1));
             }
@@ -85,14 +85,16 @@ impl OnDevice<'_> {
         Ok(self.pyramid.full_triangles())
     }
 
-    /// Returns the parameters and the cut that keep a budget, and the number of triangles. A requested error is the minimum tolerance.
-    fn fitted(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<(CutParams, Cut, u64), Error> {
+    /// Returns the parameters and the cut that keep a budget, and the number of triangles. The tolerance is not below that of `params`: a
+    /// requested error allows fewer triangles than the budget.
+    fn fit(&self, params: &CutParams, budget: u64, cancel: &dyn Cancel) -> Result<(CutParams, Cut, u64), Error> {
         let (engine, volume, pyramid) = (self.engine, self.volume, self.pyramid);
         let (fitted, cut, triangles) = engine.fit(volume, pyramid, params, budget, cancel)?;
-        let (Some(error), found) = (params.tolerance, fitted.tolerance.unwrap_or(-1.0)) else {
-            return Ok((fitted, cut, triangles));
-        };
-        if found >= error {
+        // `fitted` has no tolerance if nothing is decimated.
+        if params
+            .tolerance
+            .is_none_or(|error| fitted.tolerance.is_some_and(|found| found >= error))
+        {
             return Ok((fitted, cut, triangles));
         }
         let cut = engine.cut(volume, pyramid, params, Level::FINEST)?;
@@ -105,9 +107,10 @@ impl OnDevice<'_> {
         if cut.leaves().iter().sum::<u64>().saturating_mul(MAX_TRIANGLES_PER_LEAF) <= ceiling {
             return Ok(());
         }
-        match self.engine.count(self.volume, self.pyramid, cut, cancel)?.triangles {
-            triangles if triangles > ceiling => Err(WorkError::TooManyTriangles { triangles, ceiling }),
-            _ => Ok(()),
+        let triangles = self.engine.count(self.volume, self.pyramid, cut, cancel)?.triangles;
+        if triangles > ceiling {
+            return Err(WorkError::TooManyTriangles { triangles, ceiling });
         }
+        Ok(())
     }
 }

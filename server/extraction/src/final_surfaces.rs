@@ -104,7 +104,7 @@ impl OnDevice<'_> {
                 Decided::Cubes { params, cut, .. } => (params, cut),
             }
         } else {
-            let (params, cut) = self.target_within(view, ceiling, cancel)?;
+            let (params, cut) = self.cut_within(view, ceiling, cancel)?;
             (params, Rc::new(cut))
         };
         let params = CutParams {

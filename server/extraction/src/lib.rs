@@ -1,24 +1,24 @@
-//! From a volume and a view to a surface: the engine as a library.
+//! The engine as a library: extracts surfaces from a volume and a view.
 //!
-//! A [`Workspace`] holds a device, the fields that are resident on it, and what earlier edits have made. It belongs to one thread. Each
-//! piece of work ends with a result or a [`JobError`]: what has to be done before it is tried again, such as loading fields. A server does
-//! that between other work; [`Workspace::run_to_completion`] does it at once, for programs that have the device for themselves.
+//! A [`Workspace`] holds a device, the fields that are resident on it, and cached data of earlier edits. It belongs to one thread. Each piece
+//! of work ends with a result or a [`JobError`], which says what to do before it is retried, such as loading fields. A server does that
+//! between other work; [`Workspace::run_to_completion`] does it at once, for programs that have the device for themselves.
 //!
-//! - `workspace`: resident data, by `keys` and `identity`, in caches (`residency`; `cuts` that clients show; `histogram_cache`), on `grids`.
-//!   `context`: the caller of a piece of work; `job_error`, `error`: why it has no result. `observer`: counters and timers.
-//! - `reading` reads fields, `uploads` sends them to the device; `ahead` does so for time steps that a viewer may reach next; `release` frees
-//!   a time step. `computed`, `fields`: fields that are computed from others, on the device and on the host. `pins`: volumes that must stay.
-//!   `complete`: work with all that it needs.
-//! - `memory`: memory by purpose; `shares`: limits of the caches for the next edits; `host_memory`: admission of allocations on the host;
-//!   `host_space`: evictions that make space for them.
-//! - `counting`: the triangles of a full surface, before it is made. `questions`: queries on a surface. `histograms`: ranges and histograms;
-//!   `overviews`: volumes at a low resolution; `slices`: planes of samples.
-//! - `on_device`: a view on the device. `final_surfaces`: its surface and error; `refine`: steps from a surface that is shown to another one; `tree_steps`: intermediate, coarser cuts of the vertex tree;
-//!   `chunk_bytes`: estimates of their bytes. `byte_search` chooses trials for a budget of bytes.
-//! - `cube_cuts`, `tree_surfaces`: cuts of cubes and of the vertex tree for a view; `decisions`: chooses between them. `feature_fields`: a
-//!   feature with its fields. `intersections`: places at which triangles of a surface intersect, so that it is refined there.
-//! - `dataset_views`: what a dataset is to a view. `user_time`: device time that the computed fields of each user have taken.
-//! - `results`, `statistics`: results. `joined`: a surface as one mesh.
+//! - Workspace: `workspace` holds the resident data in caches (`residency`, `cuts`, `histogram_cache`) by keys (`keys`, `identity`).
+//!   `context`: cancellation and pauses of a piece of work. `job_error`, `error`: its errors. `observer`: counters and timers. `complete`
+//!   runs work and loads what it needs. `user_time`: device time that the computed fields of each user have taken.
+//! - Fields: `reading` reads them, `uploads` sends them to the device, on `grids`; `ahead` does so for time steps that a viewer may reach
+//!   next; `release` frees those of a time step. `pins`: fields that must stay resident. `computed` and `fields` compute fields from others,
+//!   on the device and on the host. `dataset_views`: the initial view of a dataset.
+//! - Memory: `memory`: use by purpose; `shares`: limits of the caches; `host_memory`: admission of allocations on the host; `host_space`:
+//!   evictions that make space for them.
+//! - Cuts: `cube_cuts` and `tree_surfaces` cut cubes and the vertex tree for a view; `decisions`: the outcome if an error or a budget
+//!   decides. `byte_search` fits a budget of bytes. `intersections`: places at which a surface is refined.
+//! - Surfaces: `on_device`: a view on the device, with its feature (`feature_fields`). `final_surfaces`: its surface and error. `refine` and
+//!   `tree_steps`: steps from the shown surface to that, within limits on bytes that `chunk_bytes` estimates. `results`, `statistics`:
+//!   results. `joined`: a surface as one mesh.
+//! - Queries: `counting`: the triangles of a full surface, before it is made. `questions`: queries on a surface. `histograms`: ranges and
+//!   histograms. `overviews`: fields at a low resolution. `slices`: planes of samples.
 //!
 //! A whole program:
 //!

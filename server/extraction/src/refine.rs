@@ -118,7 +118,7 @@ impl Workspace {
                     }
                 },
                 None => {
-                    let (params, target) = on.target_within(view, ceiling_triangles, cancel)?;
+                    let (params, target) = on.cut_within(view, ceiling_triangles, cancel)?;
                     let target = Rc::new(target);
                     let id = on.cuts.borrow_mut().keep(Rc::clone(&target));
                     (params, id, target, false)

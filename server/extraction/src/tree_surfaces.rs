@@ -279,7 +279,7 @@ impl OnDevice<'_> {
     /// later. The order affects only the time to the final surface: a view is refused only if both cuts are.
     ///
     /// # Errors
-    /// As [`OnDevice::tree_surface`] and [`OnDevice::target`].
+    /// As [`OnDevice::tree_surface`] and [`OnDevice::fitted_cut`].
     pub(crate) fn decided(
         &self,
         view: &mut View,
@@ -296,7 +296,7 @@ impl OnDevice<'_> {
                 TreeCut::NoTree => {}
             }
         }
-        let refusal = match self.target_within(view, ceiling, cancel) {
+        let refusal = match self.cut_within(view, ceiling, cancel) {
             Err(refusal @ (WorkError::OverBudget { .. } | WorkError::TooManyTriangles { .. })) => refusal,
             target => {
                 let (params, cut) = target?;

@@ -51,11 +51,11 @@ pub struct Payer {
     user: Arc<str>,
 }
 
-/// Time that a user may take now, and how long until a tenth of the limit is available.
+/// Time that is available to a user now, and how long to wait until it is a tenth of the limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TimeLeft {
     pub limit: Duration,
-    pub now: Duration,
+    pub available: Duration,
     pub wait: Duration,
 }
 
@@ -76,13 +76,13 @@ impl Payer {
         let too_much = counts.saturating_sub(limit.mul_f64(0.9)).as_secs_f64() / limit.as_secs_f64();
         Some(TimeLeft {
             limit,
-            now: limit.saturating_sub(counts),
+            available: limit.saturating_sub(counts),
             wait: USER_TIME_PERIOD.mul_f64(too_much),
         })
     }
 
     /// Adds time that was taken.
-    pub(crate) fn take(&self, time: Duration, now: Instant) {
+    pub(crate) fn charge(&self, time: Duration, now: Instant) {
         let Some(limit) = self.times.limit else {
             return;
         };
@@ -108,17 +108,17 @@ mod tests {
         let start = Instant::now();
         let left = |payer: &Payer, seconds| {
             let left = payer.left(start + Duration::from_secs(seconds)).unwrap();
-            (left.now.as_secs_f64().round(), left.wait.as_secs_f64().round())
+            (left.available.as_secs_f64().round(), left.wait.as_secs_f64().round())
         };
         assert_eq!(left(&ann, 0), (100.0, 0.0));
-        ann.take(Duration::from_secs(60), start);
-        ann.take(Duration::from_secs(50), start);
+        ann.charge(Duration::from_secs(60), start);
+        ann.charge(Duration::from_secs(50), start);
         assert_eq!(left(&ann, 0), (0.0, 120.0), "a tenth is there again after 20 s of 100");
         assert_eq!(left(&bob, 0), (100.0, 0.0), "another user's");
         assert_eq!(left(&ann, 120), (10.0, 0.0));
         assert_eq!(left(&ann, 660), (100.0, 0.0));
         let unlimited = Payer::new(&UserTimes::new(None), "ann");
-        unlimited.take(Duration::from_secs(9000), start);
+        unlimited.charge(Duration::from_secs(9000), start);
         assert!(unlimited.left(start).is_none());
     }
 
@@ -128,7 +128,7 @@ mod tests {
         let start = Instant::now();
         let payers = (0..2 * MANY_USERS).map(|user| Payer::new(&times, &user.to_string()));
         for (second, payer) in payers.enumerate() {
-            payer.take(Duration::from_secs(1), start + Duration::from_secs(second as u64));
+            payer.charge(Duration::from_secs(1), start + Duration::from_secs(second as u64));
         }
         assert!(lock(&times.taken).len() <= MANY_USERS);
     }

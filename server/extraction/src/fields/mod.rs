@@ -1,8 +1,8 @@
-//! Fields that are computed from other fields: an expression over them, the distance to the samples for which an expression holds, or an
-//! expression smoothed.
+//! Fields that are computed from other fields: an expression over them, the distance to the samples for which an expression holds, or a
+//! smoothed expression.
 //!
-//! `computed` computes expressions and distances on the device. This module computes on the host: fields whose samples are needed there,
-//! padded or masked ones, and all smoothed ones.
+//! The module `computed` computes expressions and distances on the device. This module computes on the host: smoothed fields, padded or
+//! masked fields, and others whose samples are needed there.
 
 mod distances;
 mod smoothing;
@@ -17,12 +17,12 @@ use rayon::prelude::*;
 use self::distances::distances;
 use self::smoothing::smoothed;
 
-/// Samples that a task computes.
-const PIECE: usize = 1 << 16;
+/// Number of samples that a parallel task computes.
+const TASK_SAMPLES: usize = 1 << 16;
 
 /// Source of a field that is computed from others.
 #[derive(Clone, Debug)]
-struct Computed {
+struct ComputedSource {
     expression: Expression,
     /// Text of the expression.
     text: String,
@@ -30,16 +30,18 @@ struct Computed {
     fields: Vec<Field>,
     /// For a field of distances to the samples for which the expression is not 0: positions of the samples along the axes.
     positions: Option<Box<[Vec<f64>; 3]>>,
-    /// For a smoothed field: the standard deviation.
+    /// For a smoothed field: the standard deviation of the Gaussian in samples.
     smoothing: Option<f32>,
     dims: [u32; 3],
 }
 
 /// Parses an expression over a dataset's fields. `None` if the text is no expression, or is the name of a field.
 pub fn expression(dataset: &Dataset, text: &str) -> Option<FieldExpression> {
+    if dataset.field(text).is_some() {
+        return None;
+    }
     let rank = |name: &str, number: i128| Some(dataset.field(name)?.source.ranks()?.position(number));
-    let parse = || FieldExpression::parse_by(text, &dataset.field_names(), "field", &rank).ok();
-    if dataset.field(text).is_some() { None } else { parse() }
+    FieldExpression::parse_by(text, &dataset.field_names(), "field", &rank).ok()
 }
 
 /// Returns the field of this name, or the one that an expression over a dataset's fields gives.
@@ -47,11 +49,10 @@ pub fn field_or_computed(dataset: &Dataset, name: &str) -> Option<Field> {
     dataset.field(name).cloned().or_else(|| computed_field(dataset, name))
 }
 
-/// Returns the field that an expression over a dataset's fields gives; `None` if the text is no expression, or is the name of a
-/// field.
+/// Returns the field that an expression over a dataset's fields gives. `None` if the text is no expression, or is the name of a field.
 pub fn computed_field(dataset: &Dataset, text: &str) -> Option<Field> {
-    let found = expression(dataset, text)?;
-    let fields: Vec<Field> = found
+    let parsed = expression(dataset, text)?;
+    let fields: Vec<Field> = parsed
         .fields
         .iter()
         .map(|name| dataset.field(name).cloned())
@@ -61,14 +62,14 @@ pub fn computed_field(dataset: &Dataset, text: &str) -> Option<Field> {
         .geometry
         .unit
         .map(LengthUnit::symbol)
-        .filter(|_| found.is_distance);
-    let unit = found.unit(&units).or(length_unit).map(str::to_owned);
-    let source = Computed {
-        expression: found.expression,
+        .filter(|_| parsed.is_distance);
+    let unit = parsed.unit(&units).or(length_unit).map(str::to_owned);
+    let source = ComputedSource {
+        expression: parsed.expression,
         text: text.to_owned(),
         fields,
-        positions: found.is_distance.then(|| Box::new(dataset.positions(false))),
-        smoothing: found.smoothing,
+        positions: parsed.is_distance.then(|| Box::new(dataset.positions(false))),
+        smoothing: parsed.smoothing,
         dims: dataset.geometry.dims,
     };
     Some(Field {
@@ -83,18 +84,19 @@ pub fn computed_field(dataset: &Dataset, text: &str) -> Option<Field> {
     })
 }
 
-impl Computed {
-    /// Parses the expression again for samples that were read: some may be ranks of labels, and constants become ranks, too.
-    fn ranked(&self) -> Expression {
+impl ComputedSource {
+    /// Returns the expression for samples that were read. Reading may have replaced labels by their ranks; the expression is parsed again,
+    /// so that its constants become ranks as well.
+    fn ranked_expression(&self) -> Expression {
         let by_name = |name: &str| self.fields.iter().find(|field| field.name == name);
         let rank = |name: &str, number: i128| Some(by_name(name)?.source.ranks()?.position(number));
         let names: Vec<&str> = self.fields.iter().map(|field| field.name.as_str()).collect();
-        let read = FieldExpression::parse_by(&self.text, &names, "field", &rank);
-        read.map_or_else(|_| self.expression.clone(), |read| read.expression)
+        let parsed = FieldExpression::parse_by(&self.text, &names, "field", &rank);
+        parsed.map_or_else(|_| self.expression.clone(), |parsed| parsed.expression)
     }
 }
 
-impl Source for Computed {
+impl Source for ComputedSource {
     fn stored_bytes(&self) -> u64 {
         self.fields.iter().map(|field| field.source.stored_bytes()).sum()
     }
@@ -115,18 +117,21 @@ impl Source for Computed {
         let read = |field: &Field| Ok((field.source.read(step, progress)?, field.missing));
         let fields = self.fields.iter().map(read).collect::<Result<Vec<_>, ReadError>>()?;
         let count = fields.first().map_or(0, |(samples, _)| samples.len());
-        let expression = self.ranked();
+        let expression = self.ranked_expression();
         let mut values = vec![0.0; count];
-        values.par_chunks_mut(PIECE).enumerate().for_each(|(piece, values)| {
-            let mut at = vec![0.0; fields.len()];
-            for (i, value) in (piece * PIECE..).zip(values) {
-                for (at, (samples, missing)) in at.iter_mut().zip(&fields) {
-                    let sample = samples.get(i);
-                    *at = if Some(sample) == *missing { f32::NAN } else { sample };
+        values
+            .par_chunks_mut(TASK_SAMPLES)
+            .enumerate()
+            .for_each(|(task, values)| {
+                let mut variables = vec![0.0; fields.len()];
+                for (i, value) in (task * TASK_SAMPLES..).zip(values) {
+                    for (variable, (samples, missing)) in variables.iter_mut().zip(&fields) {
+                        let sample = samples.get(i);
+                        *variable = if Some(sample) == *missing { f32::NAN } else { sample };
+                    }
+                    *value = expression.value(&variables);
                 }
-                *value = expression.value(&at);
-            }
-        });
+            });
         Ok(Samples::F32(match (&self.positions, self.smoothing) {
             (None, None) => values,
             (None, Some(sigma)) => smoothed(self.dims, values, sigma),

@@ -1,53 +1,55 @@
-//! Smoothed conditions: the share of the samples around each one that are inside, weighted by a Gaussian, on the host.
+//! Smooths a condition on the host: computes the share of the samples around each one that fulfil it, weighted by a Gaussian.
 
 use rayon::prelude::*;
 
-/// Standard deviations after which the Gaussian ends.
-const REACH: f32 = 3.0;
+/// Radius at which the Gaussian is cut off, in standard deviations.
+const RADIUS: f32 = 3.0;
 
-/// Returns the weighted share of samples inside: those with values that are neither 0 nor NaN. Beyond the volume's faces, the samples on
-/// the faces are repeated. `sigma`: standard deviation in samples along each axis, above 0; `dims`: samples along x, y, z.
+/// Returns, for each sample, the weighted share of samples around it whose value is neither 0 nor NaN. Beyond the volume's faces, the
+/// samples on the faces are repeated. `sigma`: standard deviation in samples along each axis, above 0; `dims`: samples along x, y, z.
 pub(crate) fn smoothed(dims: [u32; 3], mut values: Vec<f32>, sigma: f32) -> Vec<f32> {
     let [nx, ny, _] = dims.map(|n| n as usize);
     for value in &mut values {
         *value = if *value != 0.0 && !value.is_nan() { 1.0 } else { 0.0 };
     }
     let weights = weights(sigma);
-    // Along z from plane to plane, along y from row to row, along x from sample to sample.
-    for (line, step) in [(values.len(), nx * ny), (nx * ny, nx), (nx, 1)] {
-        let mut sums = vec![0.0; values.len()];
-        sums.par_chunks_mut(step.max(nx)).enumerate().for_each(|(chunk, sums)| {
-            let begin = chunk * step.max(nx);
-            let base = begin / line * line;
-            if step == 1 {
-                along_row(&weights, &values[base..base + line], sums);
-                return;
-            }
+    let mut sums = vec![0.0; values.len()];
+    // Along z adds planes of the volume, along y rows of each plane.
+    for (outer, inner) in [(values.len(), nx * ny), (nx * ny, nx)] {
+        sums.par_chunks_mut(inner).enumerate().for_each(|(chunk, sums)| {
+            let begin = chunk * inner;
+            let outer_begin = begin / outer * outer;
+            sums.fill(0.0);
             for (offset, &weight) in (-(weights.len() as isize - 1)..).zip(weights.iter().rev().chain(&weights[1..])) {
-                let at = ((begin - base) / step)
+                let neighbour = ((begin - outer_begin) / inner)
                     .saturating_add_signed(offset)
-                    .min(line / step - 1);
-                let row = &values[base + at * step..][..step];
-                sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * value);
+                    .min(outer / inner - 1);
+                let neighbours = &values[outer_begin + neighbour * inner..][..inner];
+                sums.iter_mut()
+                    .zip(neighbours)
+                    .for_each(|(sum, value)| *sum += weight * value);
             }
         });
-        values = sums;
+        std::mem::swap(&mut values, &mut sums);
     }
-    values
+    let rows = values.par_chunks(nx).zip(sums.par_chunks_mut(nx));
+    rows.for_each(|(row, sums)| smooth_row(&weights, row, sums));
+    sums
 }
 
 /// Returns the weights of the sample itself and of its neighbours on one side. Over both sides the weights add up to 1.
 fn weights(sigma: f32) -> Vec<f32> {
-    let count = (REACH * sigma).ceil() as usize;
+    let count = (RADIUS * sigma).ceil() as usize;
     let weight = |i: usize| (-0.5 * (i as f32 / sigma).powi(2)).exp();
     let sum = weight(0) + 2.0 * (1..=count).map(weight).sum::<f32>();
     (0..=count).map(|i| weight(i) / sum).collect()
 }
 
-fn along_row(weights: &[f32], row: &[f32], sums: &mut [f32]) {
+/// Smooths a row along x.
+fn smooth_row(weights: &[f32], row: &[f32], sums: &mut [f32]) {
     for (i, sum) in sums.iter_mut().enumerate() {
-        let beside = weights.iter().enumerate().skip(1);
-        let pairs = beside.map(|(k, weight)| weight * (row[i.saturating_sub(k)] + row[(i + k).min(row.len() - 1)]));
+        let neighbours = weights.iter().enumerate().skip(1);
+        let pairs = neighbours.map(|(k, weight)| weight * (row[i.saturating_sub(k)] + row[(i + k).min(row.len() - 1)]));
         *sum = weights[0] * row[i] + pairs.sum::<f32>();
     }
 }
