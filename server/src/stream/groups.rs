@@ -1,6 +1,6 @@
 //! Groups: the followers see the surfaces and the camera of the member in control.
 //!
-//! A group has a leader, who has started it, and followers. One member has control, at first the leader. The volume, edits and camera of
+//! A group has a leader, who has started it, and followers. One member has control, at first the leader. The volume, views and camera of
 //! that member are broadcast to the others; only the newest state is kept. When the leader leaves, the group ends. If the leader's
 //! connection is lost, the group waits for the leader, who resumes with a secret key.
 
@@ -21,17 +21,17 @@ use first_steps::FirstSteps;
 pub(super) use first_steps::LONGEST_WAIT;
 use isopeel_view::View;
 use isopeel_volumes::VolumeStep;
+use leader::LEADER_TIMEOUT;
 pub(super) use leader::Leader;
-use leader::PAUSE;
 
 use crate::access::{NoSeat, Seat, SeatLimits, Seats};
 use crate::metrics;
 use crate::wire::group::{Follower, LedSurface, Pose};
 use crate::wire::messages::ServerMessage;
 
-/// Maximum groups: one for every 16 of the maximum viewers.
+/// Maximum number of groups: one for every 16 of the maximum number of viewers.
 pub(super) const MAX_GROUPS: usize = 64;
-/// Maximum groups that one user may lead at a time.
+/// Maximum number of groups that one user may lead at a time.
 pub(super) const MAX_GROUPS_OF_USER: usize = MAX_GROUPS / 4;
 const SEATS: SeatLimits = SeatLimits {
     what: "groups",
@@ -40,41 +40,41 @@ const SEATS: SeatLimits = SeatLimits {
     of_address: MAX_GROUPS / 2,
     reserve: MAX_GROUPS / 16,
 };
-/// Maximum followers of a group: enough for a lecture, with some of the server's viewers left.
+/// Maximum number of followers of a group: enough for a lecture, and fewer than the server's viewers.
 pub(super) const MAX_FOLLOWERS: usize = 1000;
 /// Lifetime of a group, so that a forgotten one ends.
 const MAX_AGE: Duration = Duration::from_secs(12 * 3600);
 
-/// Maximum followers that are listed for the leader. Followers who ask for control come first.
+/// Maximum number of followers that are listed for the leader. Followers who ask for control come first.
 const MAX_LISTED: usize = 32;
 
 /// Minimum interval between two poses that a follower is sent, short enough for a smooth picture.
 const POSE_INTERVAL: Duration = Duration::from_millis(50);
-/// The interval is at least this multiplied by the number of followers, so that all followers together get at most 5,000 poses a second.
-const POSE_INTERVAL_EACH: Duration = Duration::from_micros(200);
+/// That interval is at least this for each follower of the group, so that all together get at most 5,000 poses a second.
+const POSE_INTERVAL_PER_FOLLOWER: Duration = Duration::from_micros(200);
 /// Minimum interval between two messages that list the members of the group.
 const MEMBERS_INTERVAL: Duration = Duration::from_millis(250);
 
-/// Number of the leader.
+/// Number of the leader as a member. Followers have numbers from 1.
 const LEADER: u32 = 0;
 
 /// All groups, by their ids. Clones share them.
 #[derive(Clone)]
 pub(super) struct Groups {
-    all: Arc<Mutex<HashMap<String, Seated>>>,
+    by_id: Arc<Mutex<HashMap<String, GroupEntry>>>,
     seats: Seats,
-    /// How long a group waits for its leader.
-    leader_pause: Duration,
+    /// How long a group waits for a leader whose connection was lost.
+    leader_timeout: Duration,
 }
 
 impl Default for Groups {
     fn default() -> Self {
-        Self::with_pause(PAUSE)
+        Self::with_leader_timeout(LEADER_TIMEOUT)
     }
 }
 
-/// A group with its seat, which is freed when the group is removed from the list.
-struct Seated {
+/// A group and its seat, which is freed when the entry is removed.
+struct GroupEntry {
     group: Weak<Group>,
     _seat: Seat,
 }
@@ -92,7 +92,7 @@ struct Group {
     ended: CancellationToken,
 }
 
-/// The open volume and the surfaces shown, with the views in force.
+/// The open volume and the shown surfaces: the number and view of each.
 #[derive(Debug)]
 pub(super) struct Scene {
     pub volume: VolumeStep,
@@ -105,16 +105,17 @@ pub(super) struct Scene {
 struct Members {
     /// Number of the member in control.
     control: u32,
-    followers: BTreeMap<u32, Followed>,
-    last: u32,
+    followers: BTreeMap<u32, FollowerState>,
+    /// Number of the follower who joined last.
+    last_number: u32,
     /// When the leader's connection was lost; `None` while the leader is connected.
-    away: Option<Instant>,
+    away_since: Option<Instant>,
 }
 
 #[derive(Debug)]
-struct Followed {
+struct FollowerState {
     name: Option<String>,
-    asks: bool,
+    asks_control: bool,
     may_edit: bool,
 }
 
@@ -128,7 +129,7 @@ pub(super) enum GroupError {
     #[error("the group has {MAX_FOLLOWERS} followers")]
     Full,
     #[error("only the leader gives control, to a follower who asks for it; who has it gives it back, to 0")]
-    NotYours,
+    MayNotGive,
     #[error("another member of the group has control, expected `ask-control` or `leave` first")]
     NotInControl,
     #[error("in no group, expected `lead` or `join` first")]
@@ -141,7 +142,7 @@ impl GroupError {
             Self::TooMany(_) => "busy",
             Self::Unknown => "unknown-group",
             Self::Full => "group-full",
-            Self::NotYours | Self::NotInControl => "not-in-control",
+            Self::MayNotGive | Self::NotInControl => "not-in-control",
             Self::NoMember => "no-group",
         }
     }
@@ -160,7 +161,7 @@ pub(super) enum GroupEvent {
 /// A viewer's membership of a group. Dropping it takes the viewer out of the group. If the leader's is dropped without `leave`, the group
 /// waits for the leader.
 pub(super) struct Member {
-    /// Token of the viewer's connection. If the viewer is the leader, it is cancelled when the leader resumes on another connection.
+    /// Token of the viewer's connection. The leader's is cancelled when the leader resumes on another connection.
     connection: CancellationToken,
     /// Whether the viewer has left for good, so that the group does not wait for it.
     has_left: bool,
@@ -175,23 +176,22 @@ pub(super) struct Member {
 }
 
 impl Groups {
-    pub(super) fn with_pause(leader_pause: Duration) -> Self {
+    pub(super) fn with_leader_timeout(leader_timeout: Duration) -> Self {
         Self {
-            all: Arc::default(),
+            by_id: Arc::default(),
             seats: Seats::new(SEATS),
-            leader_pause,
+            leader_timeout,
         }
     }
 
-    /// Locks the list. Ignores poisoning: a panic leaves nothing half updated.
-    fn all(&self) -> MutexGuard<'_, HashMap<String, Seated>> {
-        self.all.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Locks the map of groups. Ignores poisoning: a panic leaves nothing half updated.
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, GroupEntry>> {
+        self.by_id.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Starts a group. `id` is random: it is the only secret that a viewer needs to join.
     pub(super) fn lead(&self, id: String, leader: Leader) -> Result<Member, GroupError> {
         let seat = self.seat_for(&leader)?;
-        let mut all = self.all();
         let connection = CancellationToken::new();
         let group = Arc::new(Group {
             id: id.clone(),
@@ -204,47 +204,46 @@ impl Groups {
             expires: Instant::now() + MAX_AGE,
             ended: CancellationToken::new(),
         });
-        let seated = Seated {
+        let entry = GroupEntry {
             group: Arc::downgrade(&group),
             _seat: seat,
         };
-        all.insert(id, seated);
-        metrics::groups(all.len());
-        drop(all);
+        let mut groups = self.lock();
+        groups.insert(id, entry);
+        metrics::groups(groups.len());
+        drop(groups);
         Ok(Member::new(group, self.clone(), LEADER, connection))
     }
 
     /// Ends a group for all of its members.
     fn end(&self, group: &Group) {
         group.ended.cancel();
-        let mut all = self.all();
-        all.remove(&group.id);
-        metrics::groups(all.len());
+        let mut groups = self.lock();
+        groups.remove(&group.id);
+        metrics::groups(groups.len());
     }
 
     fn group(&self, id: &str) -> Option<Arc<Group>> {
-        self.all().get(id)?.group.upgrade()
+        self.lock().get(id)?.group.upgrade()
     }
 
-    /// Joins a group as a follower.
+    /// Joins a group as a follower. `may_edit`: whether the follower can be given control.
     pub(super) fn join(&self, id: &str, name: Option<String>, may_edit: bool) -> Result<Member, GroupError> {
-        let group = self.group(id);
-        let group = group
-            .filter(|group| !group.ended.is_cancelled())
-            .ok_or(GroupError::Unknown)?;
+        let group = self.group(id).filter(|group| !group.ended.is_cancelled());
+        let group = group.ok_or(GroupError::Unknown)?;
         let mut number = None;
         group.members.send_if_modified(|members| {
             if members.followers.len() >= MAX_FOLLOWERS {
                 return false;
             }
-            members.last += 1;
-            number = Some(members.last);
-            let followed = Followed {
+            members.last_number += 1;
+            number = Some(members.last_number);
+            let follower = FollowerState {
                 name,
-                asks: false,
+                asks_control: false,
                 may_edit,
             };
-            members.followers.insert(members.last, followed);
+            members.followers.insert(members.last_number, follower);
             true
         });
         let number = number.ok_or(GroupError::Full)?;
@@ -254,8 +253,8 @@ impl Groups {
 }
 
 impl Group {
-    /// Locks the token. Ignores poisoning, as for the list of groups.
-    fn connection(&self) -> MutexGuard<'_, CancellationToken> {
+    /// Locks the token of the leader's newest connection. Ignores poisoning, as for the map of groups.
+    fn lock_connection(&self) -> MutexGuard<'_, CancellationToken> {
         self.connection.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -264,7 +263,7 @@ impl Member {
     fn new(group: Arc<Group>, groups: Groups, number: u32, connection: CancellationToken) -> Self {
         let (mut scene, mut pose) = (group.scene.subscribe(), group.pose.subscribe());
         let mut members = group.members.subscribe();
-        // A viewer who joins has not seen the present scene, so it counts as changed.
+        // A viewer who joins has not received the current values, so they count as changed.
         scene.mark_changed();
         pose.mark_changed();
         members.mark_changed();
@@ -287,110 +286,112 @@ impl Member {
         self.has_left = true;
     }
 
-    /// Whether this member has control, so that the others follow it.
-    pub(super) fn controls(&self) -> bool {
+    /// Whether this member has control. False for a leader who has resumed on another connection.
+    pub(super) fn has_control(&self) -> bool {
         !self.connection.is_cancelled() && self.members.borrow().control == self.number
     }
 
-    /// The number of followers, whether or not one of them has control.
-    pub(super) fn followers(&self) -> u32 {
+    /// Returns the number of followers, including one that has control.
+    pub(super) fn follower_count(&self) -> u32 {
         self.members.borrow().followers.len() as u32
     }
 
     /// Waits for the next event. Members without control also get scenes and poses, which the member in control sends.
-    async fn event(&mut self) -> GroupEvent {
-        let follows = !self.controls();
+    async fn next_event(&mut self) -> GroupEvent {
+        let follows = !self.has_control();
         tokio::select! {
             () = self.group.ended.cancelled() => GroupEvent::Ended("the leader has ended it, or has not come back"),
             () = self.connection.cancelled() => GroupEvent::Ended("you lead it on another connection"),
             () = sleep_until(self.group.expires) => GroupEvent::Ended("it is 12 hours old"),
             Ok(()) = self.scene.changed(), if follows => GroupEvent::Scene,
-            Ok(()) = changed_from(&mut self.pose, self.pose_due), if follows => {
-                self.pose_due = Instant::now() + POSE_INTERVAL.max(POSE_INTERVAL_EACH * self.followers());
+            Ok(()) = changed_after(self.pose_due, &mut self.pose), if follows => {
+                self.pose_due = Instant::now() + POSE_INTERVAL.max(POSE_INTERVAL_PER_FOLLOWER * self.follower_count());
                 GroupEvent::Pose(self.pose.borrow_and_update().clone().unwrap_or_default())
             }
-            Ok(()) = changed_from(&mut self.members, self.members_due) => {
+            Ok(()) = changed_after(self.members_due, &mut self.members) => {
                 self.members_due = Instant::now() + MEMBERS_INTERVAL;
                 GroupEvent::Members
             }
         }
     }
 
-    /// The scene of the member in control; `None` if that is this member.
+    /// Returns the scene of the member in control; `None` if that is this member.
     pub(super) fn scene(&mut self) -> Option<Arc<Scene>> {
         let scene = self.scene.borrow_and_update().clone();
-        scene.filter(|_| !self.controls())
+        scene.filter(|_| !self.has_control())
     }
 
     /// Broadcasts the scene that this member is shown, if it has control.
-    pub(super) fn show(&self, scene: Scene) {
-        if self.controls() {
-            self.group.scene.send_if_modified(|before| {
-                let is_new = before.as_ref().is_none_or(|before| !before.is_same(&scene));
+    pub(super) fn broadcast_scene(&self, scene: Scene) {
+        if self.has_control() {
+            self.group.scene.send_if_modified(|current| {
+                let is_new = current.as_ref().is_none_or(|current| !current.is_same(&scene));
                 if is_new {
-                    *before = Some(Arc::new(scene));
+                    *current = Some(Arc::new(scene));
                 }
                 is_new
             });
         }
     }
 
-    /// Broadcasts the pose of the member in control. Parts that `pose` leaves out keep their values.
-    pub(super) fn pose(&self, pose: Pose) -> Result<(), GroupError> {
-        if !self.controls() {
+    /// Broadcasts the pose of the member in control. Fields that `pose` leaves out keep their values.
+    ///
+    /// # Errors
+    /// [`GroupError::NotInControl`] if this member has no control.
+    pub(super) fn broadcast_pose(&self, pose: Pose) -> Result<(), GroupError> {
+        if !self.has_control() {
             return Err(GroupError::NotInControl);
         }
-        self.group.pose.send_modify(|before| {
-            let kept = before.as_deref().cloned().unwrap_or_default();
-            *before = Some(Arc::new(Pose {
-                camera: pose.camera.or(kept.camera),
-                page: pose.page.or(kept.page),
+        self.group.pose.send_modify(|current| {
+            let before = current.as_deref().cloned().unwrap_or_default();
+            *current = Some(Arc::new(Pose {
+                camera: pose.camera.or(before.camera),
+                page: pose.page.or(before.page),
             }));
         });
         Ok(())
     }
 
     /// Requests control, or withdraws the request.
-    pub(super) fn ask(&self, asks: bool) {
+    pub(super) fn request_control(&self, asks: bool) {
         self.group.members.send_if_modified(|members| {
             let Some(own) = members.followers.get_mut(&self.number) else {
                 return false;
             };
-            std::mem::replace(&mut own.asks, asks) != asks
+            std::mem::replace(&mut own.asks_control, asks) != asks
         });
     }
 
-    /// Gives control to a follower who has asked for it and may edit, or back to the leader (0).
+    /// Gives control to the follower `to`, who must have asked for it and may edit, or back to the leader.
     ///
     /// # Errors
-    /// [`GroupError::NotYours`] if this member may not give it.
-    pub(super) fn give(&self, to: u32) -> Result<(), GroupError> {
-        let mut may = false;
+    /// [`GroupError::MayNotGive`] if this member may not give it.
+    pub(super) fn give_control(&self, to: u32) -> Result<(), GroupError> {
+        let mut is_allowed = false;
         self.group.members.send_if_modified(|members| {
-            may = match members.followers.get_mut(&to) {
-                Some(follower) if self.number == LEADER && follower.asks && follower.may_edit => {
-                    follower.asks = false;
+            is_allowed = match members.followers.get_mut(&to) {
+                Some(follower) if self.number == LEADER && follower.asks_control && follower.may_edit => {
+                    follower.asks_control = false;
                     true
                 }
                 Some(_) => false,
                 None => to == LEADER && (self.number == LEADER || members.control == self.number),
             };
-            may && std::mem::replace(&mut members.control, to) != to
+            is_allowed && std::mem::replace(&mut members.control, to) != to
         });
-        may.then_some(()).ok_or(GroupError::NotYours)
+        is_allowed.then_some(()).ok_or(GroupError::MayNotGive)
     }
 
-    /// The message for this member about the members of the group.
-    pub(super) fn members(&self) -> ServerMessage {
+    /// Returns the message for this member about the members of the group.
+    pub(super) fn members_message(&self) -> ServerMessage {
         let members = self.members.borrow();
         let mut people: Vec<Follower> = Vec::new();
         if self.number == LEADER {
-            let all = members.followers.iter().map(|(number, follower)| Follower {
+            people.extend(members.followers.iter().map(|(number, follower)| Follower {
                 number: *number,
                 name: follower.name.clone(),
-                asks: follower.asks,
-            });
-            people.extend(all);
+                asks: follower.asks_control,
+            }));
             people.sort_by_key(|follower| (!follower.asks, follower.name.is_none(), follower.number));
             people.truncate(MAX_LISTED);
         }
@@ -399,8 +400,8 @@ impl Member {
             you: self.number,
             control: members.control,
             followers: members.followers.len() as u32,
-            asks: members.followers.get(&self.number).is_some_and(|own| own.asks),
-            leader_away: members.away.is_some(),
+            asks: members.followers.get(&self.number).is_some_and(|own| own.asks_control),
+            leader_away: members.away_since.is_some(),
             key: (self.number == LEADER).then(|| self.group.leader.key.clone()),
             people,
         }
@@ -435,7 +436,7 @@ impl Scene {
         self.volume.key() == other.volume.key() && self.surfaces == other.surfaces
     }
 
-    /// The message about this scene for followers.
+    /// Returns the message about this scene for followers.
     pub(super) fn message(&self) -> &str {
         self.message.get_or_init(|| {
             let surfaces = self.surfaces.iter().map(|(surface, view)| LedSurface {
@@ -453,15 +454,15 @@ impl Scene {
 }
 
 /// Resolves when the watched value has changed, but not before `due`.
-async fn changed_from<T>(watched: &mut watch::Receiver<T>, due: Instant) -> Result<(), watch::error::RecvError> {
+async fn changed_after<T>(due: Instant, value: &mut watch::Receiver<T>) -> Result<(), watch::error::RecvError> {
     sleep_until(due).await;
-    watched.changed().await
+    value.changed().await
 }
 
 /// Waits for the next event of the group; for ever if the viewer is in none.
-pub(super) async fn group_event(member: &mut Option<Member>) -> GroupEvent {
+pub(super) async fn next_group_event(member: &mut Option<Member>) -> GroupEvent {
     match member {
-        Some(member) => member.event().await,
+        Some(member) => member.next_event().await,
         None => std::future::pending().await,
     }
 }

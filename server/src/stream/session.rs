@@ -74,7 +74,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Common;
 use super::backend::Backend;
-use super::groups::{GroupEvent, Member, group_event};
+use super::groups::{GroupEvent, Member, next_group_event};
 use crate::access::Identity;
 use crate::error::chain;
 use crate::metrics;
@@ -263,7 +263,7 @@ impl<B: Backend> Session<B> {
                 () = reached(self.heartbeat.due()) => Event::Beat,
                 () = reached(held_until) => Event::OpenPaceElapsed,
                 () = reached(rest_due), if self.device.is_none() => Event::RestDue,
-                event = group_event(&mut self.member) => Event::Group(event),
+                event = next_group_event(&mut self.member) => Event::Group(event),
                 progress = opening_progress(&mut self.opened) => Event::OpeningProgress(progress),
             };
             let close = match event {

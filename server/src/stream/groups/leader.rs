@@ -11,7 +11,7 @@ use super::{Group, GroupError, Groups, LEADER, Member};
 use crate::access::{Occupant, Seat, Share};
 
 /// How long a group waits for a leader whose connection was lost. A page retries every eight seconds or sooner.
-pub(super) const PAUSE: Duration = Duration::from_secs(30);
+pub(super) const LEADER_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// The leader of a group, independent of the connection.
 #[derive(Clone, Debug)]
@@ -29,11 +29,7 @@ impl Groups {
             Ok(seat) => return Ok(seat),
             Err(full) => full,
         };
-        let all: Vec<Arc<Group>> = self
-            .all()
-            .values()
-            .filter_map(|seated| seated.group.upgrade())
-            .collect();
+        let all: Vec<Arc<Group>> = self.lock().values().filter_map(|entry| entry.group.upgrade()).collect();
         let shares = |other: &Occupant| match full.share {
             Share::User => other.user == leader.who.user,
             Share::Address => other.address == leader.who.address,
@@ -42,7 +38,7 @@ impl Groups {
         let away = all
             .iter()
             .filter(|group| shares(&group.leader.who))
-            .filter_map(|group| Some((group.members.borrow().away?, group)));
+            .filter_map(|group| Some((group.members.borrow().away_since?, group)));
         if let Some((_, group)) = away.min_by_key(|(since, _)| *since) {
             self.end(group);
         }
@@ -59,10 +55,12 @@ impl Groups {
         let group = group.filter(is_leader).ok_or(GroupError::Unknown)?;
         let connection = CancellationToken::new();
         {
-            let mut newest = group.connection();
+            let mut newest = group.lock_connection();
             newest.cancel();
             *newest = connection.clone();
-            group.members.send_if_modified(|members| members.away.take().is_some());
+            group
+                .members
+                .send_if_modified(|members| members.away_since.take().is_some());
         }
         Ok(Member::new(group, self.clone(), LEADER, connection))
     }
@@ -72,7 +70,7 @@ impl Member {
     /// Ends the group, or lets it wait for the leader if the connection was lost.
     pub(super) fn drop_leader(&self) {
         let (group, groups, connection) = (&self.group, &self.groups, &self.connection);
-        let newest = group.connection();
+        let newest = group.lock_connection();
         if connection.is_cancelled() {
             return;
         }
@@ -80,7 +78,9 @@ impl Member {
         let (false, Ok(runtime)) = (self.has_left, runtime) else {
             return groups.end(group);
         };
-        group.members.send_modify(|members| members.away = Some(Instant::now()));
+        group
+            .members
+            .send_modify(|members| members.away_since = Some(Instant::now()));
         drop(newest);
         let (group, groups, connection) = (Arc::clone(group), groups.clone(), connection.clone());
         // At most one such task per group: it ends with the group, or when the leader is back.
@@ -88,8 +88,8 @@ impl Member {
             tokio::select! {
                 () = connection.cancelled() => {}
                 () = group.ended.cancelled() => {}
-                () = sleep(groups.leader_pause) => {
-                    let newest = group.connection();
+                () = sleep(groups.leader_timeout) => {
+                    let newest = group.lock_connection();
                     if !connection.is_cancelled() {
                         groups.end(&group);
                     }

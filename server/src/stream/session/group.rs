@@ -19,7 +19,7 @@ const ID_BYTES: usize = 16;
 impl<B: Backend> Session<B> {
     /// Handles a message that changes the surfaces shown. Refuses it from members without control.
     pub(super) fn on_change(&mut self, message: ClientMessage) {
-        if self.member.as_ref().is_some_and(|member| !member.controls()) {
+        if self.member.as_ref().is_some_and(|member| !member.has_control()) {
             return self.refuse(GroupError::NotInControl);
         }
         match message {
@@ -57,12 +57,12 @@ impl<B: Backend> Session<B> {
             ClientMessage::Leave {} => self.leave("you have left it"),
             ClientMessage::Pose(pose) => self.on_pose(pose),
             ClientMessage::AskControl { asks } => match &self.member {
-                Some(member) => member.ask(asks),
+                Some(member) => member.request_control(asks),
                 None => self.refuse(GroupError::NoMember),
             },
             ClientMessage::GiveControl { to } => {
                 let given = self.member.as_ref().ok_or(GroupError::NoMember);
-                if let Err(error) = given.and_then(|member| member.give(to)) {
+                if let Err(error) = given.and_then(|member| member.give_control(to)) {
                     self.refuse(error);
                 }
             }
@@ -159,7 +159,7 @@ impl<B: Backend> Session<B> {
         if let Err(why) = pose.check() {
             return self.send_error("bad-message", why, true);
         }
-        match self.member.as_ref().map(|member| member.pose(pose)) {
+        match self.member.as_ref().map(|member| member.broadcast_pose(pose)) {
             Some(Ok(())) => {}
             Some(Err(error)) => self.refuse(error),
             None => self.refuse(GroupError::NoMember),
@@ -180,7 +180,8 @@ impl<B: Backend> Session<B> {
 
     fn tell_members(&mut self) {
         if let Some(member) = &self.member {
-            self.outbox.push_newest(Newest::Group, member.members().to_json());
+            self.outbox
+                .push_newest(Newest::Group, member.members_message().to_json());
         }
     }
 
@@ -193,12 +194,12 @@ impl<B: Backend> Session<B> {
         }
         let Some(opened) = &self.opened else { return };
         // While the volume is being opened, its isovalue is not known.
-        if member.controls() && opened.phase == OpeningPhase::Open {
+        if member.has_control() && opened.phase == OpeningPhase::Open {
             let surfaces = opened.surfaces().filter(|(_, surface)| surface.edited > 0);
             let surfaces = surfaces
                 .map(|(number, surface)| (number, surface.view.clone()))
                 .collect();
-            member.show(Scene::new(opened.volume.clone(), surfaces));
+            member.broadcast_scene(Scene::new(opened.volume.clone(), surfaces));
         }
     }
 

@@ -443,7 +443,7 @@ impl<B: Backend> Session<B> {
         generation.making = Making::OnDevice;
         generation.waits_since = self.jobs;
         // Further steps of followers wait for the first steps of all members. The member in control does not wait.
-        let waits = |member: &&Member| job == NextJob::Further && !member.controls();
+        let waits = |member: &&Member| job == NextJob::Further && !member.has_control();
         let others_first = self.member.as_ref().filter(waits).map(Member::others_first);
         let (number, token) = (generation.number, generation.token.clone());
         let wanted = wanted(generation.view.clone(), generation.key.clone());
@@ -491,7 +491,7 @@ impl<B: Backend> Session<B> {
     /// Returns the triangles of the first step of a new surface. The more followers a group has, the fewer triangles, so that all get the
     /// step soon.
     fn fresh_triangles(&self) -> u64 {
-        let followers = self.member.as_ref().map_or(0, Member::followers);
+        let followers = self.member.as_ref().map_or(0, Member::follower_count);
         self.pace.fresh().min(FOLLOWED_TRIANGLES / u64::from(followers.max(1)))
     }
 
